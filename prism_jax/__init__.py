@@ -1,0 +1,1 @@
+"""PRISM in JAX: completion of sparse scans with test-time adaptation."""

@@ -1,0 +1,236 @@
+"""A pinhole camera in the OpenCV convention, as a pytree."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+if TYPE_CHECKING:
+    import prism_jax.geometry.workspace
+
+Vector = Sequence[float | int] | Float[Array | np.ndarray, "3"]
+
+MIN_DEPTH = 1e-6
+"""Points whose depth is not greater than this count as behind the camera."""
+
+VIEWS = {
+    "front": (1.0, 0.0, 0.0),
+    "back": (-1.0, 0.0, 0.0),
+    "left": (0.0, 1.0, 0.0),
+    "right": (0.0, -1.0, 0.0),
+    "top": (0.0, 0.0, 1.0),
+    "bottom": (0.0, 0.0, -1.0),
+    "front_left_top": (1.0, 1.0, 1.0),
+    "front_right_top": (1.0, -1.0, 1.0),
+    "back_left_top": (-1.0, 1.0, 1.0),
+    "back_right_top": (-1.0, -1.0, 1.0),
+}
+"""Directions from the origin to the camera of ``Camera.fixed_view`` (x front, z up)."""
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["rotation", "translation", "intrinsics"],
+    meta_fields=["height", "width"],
+)
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """A calibrated pinhole view: ``x = R p + t`` and ``(u, v) = K x / z``.
+
+    Axes are OpenCV's: +x right, +y down, +z forward. Pixel centres lie at integer
+    coordinates: the image covers ``u`` from -0.5 to ``width - 0.5``, and a point falls
+    on the pixel ``floor((u, v) + 0.5)``. Lengths are those of the points (metres, or
+    half extents of a unit workspace). The arrays are pytree leaves, so cameras can
+    be stacked, mapped with ``jax.vmap`` and differentiated; the image size is static.
+    Methods take one camera and one cloud.
+    """
+
+    # JAX rebuilds pytrees with placeholders for leaves; do not type-check those.
+    __no_type_check__ = True
+
+    rotation: Float[Array | np.ndarray, "*batch 3 3"]
+    translation: Float[Array | np.ndarray, "*batch 3"]
+    intrinsics: Float[Array | np.ndarray, "*batch 3 3"]
+    height: int
+    width: int
+
+    @property
+    def position(self) -> Float[Array | np.ndarray, "*batch 3"]:
+        """The camera centre in the points' frame, ``-R^T t``. Differentiable."""
+        return -(self.translation[..., None, :] @ self.rotation)[..., 0, :]
+
+    def to_camera(
+        self, points: Float[Array | np.ndarray, "N 3"]
+    ) -> Float[Array | np.ndarray, "N 3"]:
+        """Points in the camera's frame. Differentiable."""
+        return points @ self.rotation.T + self.translation
+
+    def project(
+        self, points: Float[Array | np.ndarray, "N 3"]
+    ) -> tuple[Float[Array, "N 2"], Float[Array, " N"]]:
+        """Pixel coordinates ``(u, v)`` and depth ``z`` of points.
+
+        Differentiable in the points and the camera. Where ``z <= MIN_DEPTH`` the point
+        has no image: its pixel coordinates are finite but mean nothing.
+        """
+        in_camera = jnp.asarray(self.to_camera(points))
+        z = in_camera[:, 2]
+        safe_z = jnp.where(z > MIN_DEPTH, z, 1.0)
+        homogeneous = in_camera @ self.intrinsics.T
+        return homogeneous[:, :2] / safe_z[:, None], z
+
+    def unproject(
+        self,
+        depth: Float[Array | np.ndarray, "H W"],
+        mask: Bool[Array | np.ndarray, "H W"],
+    ) -> Float[Array, "H*W 3"]:
+        """The 3D point at every pixel centre, row by row, in the points' frame.
+
+        Differentiable in the depth. A pixel outside the mask gives the camera centre
+        (depth 0); select the others with ``mask.reshape(-1)``.
+        """
+        rows, columns = jnp.indices(depth.shape)
+        pixels = jnp.stack([columns, rows, jnp.ones_like(rows)], axis=-1)
+        rays = pixels.reshape(-1, 3) @ jnp.linalg.inv(self.intrinsics).T
+        z = jnp.where(mask, depth, 0.0).reshape(-1, 1)
+        return (rays * z - self.translation) @ self.rotation
+
+    def resized(self, height: int, width: int) -> "Camera":
+        """The same view on another pixel grid covering the same field of view."""
+        x_scale, y_scale = width / self.width, height / self.height
+        scaling = np.array(
+            [
+                [x_scale, 0.0, 0.5 * x_scale - 0.5],
+                [0.0, y_scale, 0.5 * y_scale - 0.5],
+                [0.0, 0.0, 1.0],
+            ],
+            dtype=self.intrinsics.dtype,
+        )
+        return dataclasses.replace(
+            self, intrinsics=scaling @ self.intrinsics, height=height, width=width
+        )
+
+    @classmethod
+    def look_at(
+        cls,
+        eye: Vector,
+        target: Vector,
+        up: Vector = (0.0, 0.0, 1.0),
+        fov_degrees: ArrayLike = 60.0,
+        height: int = 128,
+        width: int = 128,
+    ) -> "Camera":
+        """A camera at ``eye`` looking at ``target``, with square pixels.
+
+        ``fov_degrees`` spans the shorter side of the image. Where ``up`` is parallel to
+        the line of sight (or zero) a coordinate axis takes its place, and an eye at
+        the target looks along +x, so the pose is always a rotation. Differentiable
+        in eye, target and field of view away from these two cases. The pose is no more
+        exact than the default float: prefer a frame whose origin is near the scene.
+        """
+        eye, target, up = (jnp.asarray(x, dtype=float) for x in (eye, target, up))
+        sight = target - eye
+        coincident = jnp.all(sight == 0)
+        forward = _normalized(jnp.where(coincident, jnp.eye(3)[0], sight))
+        parallel = jnp.linalg.norm(jnp.cross(forward, up)) <= 1e-4 * jnp.linalg.norm(up)
+        least_aligned = jnp.eye(3)[jnp.argmin(jnp.abs(forward))]
+        right = _normalized(jnp.cross(forward, jnp.where(parallel, least_aligned, up)))
+        rotation = jnp.stack([right, jnp.cross(forward, right), forward])
+        focal = 0.5 * min(height, width) / jnp.tan(0.5 * jnp.deg2rad(fov_degrees))
+        return cls(
+            rotation=rotation,
+            translation=-rotation @ eye,
+            intrinsics=_intrinsics(focal, focal, height, width),
+            height=height,
+            width=width,
+        )
+
+    @classmethod
+    def viewing(
+        cls,
+        workspace: "prism_jax.geometry.workspace.Workspace",
+        eye: Vector,
+        height: int = 128,
+        width: int = 128,
+    ) -> "Camera":
+        """A camera at ``eye`` whose view just holds the workspace's bounding sphere.
+
+        The eye is in the workspace's frame and units (metres). An eye inside the
+        sphere, or so near that 120 degrees cannot hold it, gets 120 degrees.
+        """
+        eye = jnp.asarray(eye, dtype=float)
+        distance = jnp.linalg.norm(eye - workspace.center)
+        radius = jnp.sqrt(3.0) * workspace.half_extent
+        widest = jnp.sin(jnp.deg2rad(60.0))
+        half_angle = jnp.arcsin(radius / jnp.maximum(distance, radius / widest))
+        return cls.look_at(
+            eye,
+            workspace.center,
+            fov_degrees=jnp.rad2deg(2 * half_angle),
+            height=height,
+            width=width,
+        )
+
+    @classmethod
+    def fixed_view(
+        cls, view: str | int = "front", height: int = 128, width: int = 128
+    ) -> "Camera":
+        """One of the preset ``VIEWS``, by name or index, of the workspace [-1, 1]^3.
+
+        The 60 degree view from 2 sqrt(3) away just holds the bounding sphere. A name
+        or index that does not exist raises a ValueError that lists the names.
+        """
+        names = list(VIEWS)
+        if isinstance(view, int) and 0 <= view < len(names):
+            view = names[view]
+        if view not in VIEWS:
+            raise ValueError(f"no fixed view {view!r}; choose one of {names}")
+        direction = np.array(VIEWS[view])
+        eye = 2 * np.sqrt(3) * direction / np.linalg.norm(direction)
+        return cls.look_at(eye, np.zeros(3), height=height, width=width)
+
+    @classmethod
+    def l515(
+        cls,
+        rotation: Float[Array | np.ndarray, "3 3"] | None = None,
+        translation: Vector | None = None,
+    ) -> "Camera":
+        """The depth view of an Intel RealSense L515: 640x480, about 70x55 degrees.
+
+        Nominal intrinsics from the data sheet's field of view, for simulation; for
+        measured data use the unit's own calibration. The pose is the identity unless
+        given: points are in the sensor's optical frame, in metres.
+        """
+        height, width = 480, 640
+        focal_x = 0.5 * width / np.tan(np.deg2rad(35.0))
+        focal_y = 0.5 * height / np.tan(np.deg2rad(27.5))
+        return cls(
+            rotation=jnp.eye(3) if rotation is None else jnp.asarray(rotation, float),
+            translation=(
+                jnp.zeros(3) if translation is None else jnp.asarray(translation, float)
+            ),
+            intrinsics=_intrinsics(focal_x, focal_y, height, width),
+            height=height,
+            width=width,
+        )
+
+
+def _intrinsics(focal_x, focal_y, height: int, width: int) -> Float[Array, "3 3"]:
+    """Intrinsics with the principal point in the middle of the image."""
+    return jnp.array(
+        [
+            [focal_x, 0.0, 0.5 * (width - 1)],
+            [0.0, focal_y, 0.5 * (height - 1)],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def _normalized(vector: Float[Array, "3"]) -> Float[Array, "3"]:
+    return vector / jnp.linalg.norm(vector)

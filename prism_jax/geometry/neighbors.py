@@ -1,0 +1,117 @@
+"""Exact nearest neighbours, and interpolation from them.
+
+Neighbour indices are integers without a gradient. They are computed once for a pair
+of clouds and passed on; only coordinates and features carry derivatives.
+
+The searches are exact and brute force, in two levels: the minimum over short runs of
+the support is a fused, vectorised reduction, and only the runs that can hold a
+neighbour are looked at point by point. Differences of coordinates are taken directly,
+since ``|x|^2 + |y|^2 - 2xy`` cancels for close points.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+_NEAREST_RUN = 32
+_KNN_RUN = 8
+_DIRECT_SUPPORT = 1024
+_PAIRS_AT_ONCE = 1 << 22
+
+
+def nearest(
+    query: Float[Array, "N 3"], support: Float[Array, "M 3"]
+) -> tuple[Float[Array, " N"], Int[Array, " N"]]:
+    """Squared distance to, and index of, each query's nearest support point.
+
+    The distance is differentiable, any number of times, in both clouds through the
+    winning pair alone: the search itself has no derivative. Ties go to the lowest
+    index. Memory is linear in N + M. Coordinates must be finite.
+    """
+    indices = jax.lax.stop_gradient(_by_rows(_nearest_indices, query, support))
+    return ((query - support[indices]) ** 2).sum(-1), indices
+
+
+def knn(
+    query: Float[Array, "N 3"], support: Float[Array, "M 3"], k: int
+) -> Int[Array, "N k"]:
+    """Indices of the k nearest support points of each query, nearest first.
+
+    A query that is itself a support point finds itself. No gradient. Where the
+    support holds fewer than k points, the farthest one found is repeated.
+    """
+    found = min(k, support.shape[0])
+    indices = _by_rows(lambda q, s: _knn_indices(q, s, found), query, support)
+    last = jnp.repeat(indices[:, -1:], k - found, axis=1)
+    return jax.lax.stop_gradient(jnp.concatenate([indices, last], axis=1))
+
+
+def three_point_interpolate(
+    query: Float[Array, "N 3"],
+    support: Float[Array, "M 3"],
+    features: Float[Array, "M C"],
+    neighbors: Int[Array, "N 3"] | None = None,
+) -> Float[Array, "N C"]:
+    """Features at the queries, by inverse squared distance from three supports.
+
+    Weights are ``1 / (d^2 + 1e-8)``, normalised (PointNet++, section 3.4, as
+    CRA-PCN uses it). Differentiable in all three arrays. ``neighbors`` passes on the
+    three nearest supports where they are known already.
+    """
+    if neighbors is None:
+        neighbors = knn(query, support, 3)
+    offsets = query[:, None] - support[neighbors]
+    weights = 1.0 / ((offsets**2).sum(-1) + 1e-8)
+    weights = weights / weights.sum(-1, keepdims=True)
+    return jnp.einsum("nk,nkc->nc", weights, features[neighbors])
+
+
+def _by_rows(
+    search: Callable[[Array, Array], Array], query: Array, support: Array
+) -> Array:
+    """Runs a search over blocks of queries, to bound its memory."""
+    if query.shape[0] * support.shape[0] <= _PAIRS_AT_ONCE:
+        return search(query, support)
+    return jax.lax.map(
+        lambda point: search(point[None], support)[0],
+        query,
+        batch_size=max(1, _PAIRS_AT_ONCE // support.shape[0]),
+    )
+
+
+def _runs(support: Array, length: int) -> Array:
+    """The support cut into equal runs, the last one padded with infinity."""
+    padding = -support.shape[0] % length
+    padded = jnp.pad(support, ((0, padding), (0, 0)), constant_values=jnp.inf)
+    return padded.reshape(-1, length, 3)
+
+
+def _squared_distances(query: Array, points: Array) -> Array:
+    """Sum over the axes written out, so that it fuses into a reduction over points."""
+    return sum((query[..., i] - points[..., i]) ** 2 for i in range(3))  # pyright: ignore
+
+
+def _run_minima(query: Array, runs: Array) -> Array:
+    return _squared_distances(query[:, None, None], runs[None]).min(-1)
+
+
+def _nearest_indices(query: Array, support: Array) -> Array:
+    runs = _runs(support, _NEAREST_RUN)
+    run = _run_minima(query, runs).argmin(-1)
+    inside = _squared_distances(query[:, None], runs[run]).argmin(-1)
+    return run * _NEAREST_RUN + inside
+
+
+def _knn_indices(query: Array, support: Array, k: int) -> Array:
+    if support.shape[0] <= max(_DIRECT_SUPPORT, k * _KNN_RUN):
+        distances = _squared_distances(query[:, None], support[None])
+        return jax.lax.top_k(-distances, k)[1]
+    # The k nearest lie in the k runs whose nearest points are nearest.
+    runs = _runs(support, _KNN_RUN)
+    run = jnp.sort(jax.lax.top_k(-_run_minima(query, runs), k)[1], axis=-1)
+    distances = _squared_distances(query[:, None, None], runs[run])
+    best = jax.lax.top_k(-distances.reshape(len(query), -1), k)[1]
+    members = run[:, :, None] * _KNN_RUN + jnp.arange(_KNN_RUN)
+    return jnp.take_along_axis(members.reshape(len(query), -1), best, axis=-1)

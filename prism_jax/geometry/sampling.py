@@ -1,0 +1,53 @@
+"""Farthest-point sampling, and clouds brought to a fixed number of points."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+NEAR_ORIGIN = 1e-3
+"""Squared radius inside which the reference's sampling never looks."""
+
+
+def farthest_point_sample(
+    points: Float[Array, "N 3"],
+    num_samples: int,
+    start: int | Int[Array, ""] = 0,
+    skip_near_origin: bool = False,
+) -> Int[Array, " num_samples"]:
+    """Indices of points, each the farthest from those before it.
+
+    Begins at ``start``; ties go to the lowest index; no gradient. A shorter sample is
+    the prefix of a longer one. When more samples than distinct points are asked for,
+    the lowest index is repeated.
+
+    ``skip_near_origin`` is the rule of the reference implementation (PointNet++,
+    CRA-PCN): points with ``|x|^2 <= 1e-3`` are never chosen, save as the start, or as
+    index 0 when every point is skipped.
+    """
+    points = jax.lax.stop_gradient(points)
+    if skip_near_origin:
+        chosen_from = (points**2).sum(-1) > NEAR_ORIGIN
+    else:
+        chosen_from = jnp.ones(points.shape[0], bool)
+
+    def add(carry: tuple[Array, Array], _: None):
+        distances, last = carry
+        distances = jnp.minimum(distances, ((points - points[last]) ** 2).sum(-1))
+        following = jnp.where(chosen_from, distances, -1.0).argmax().astype(jnp.int32)
+        return (distances, following), last
+
+    # float32 of 1e10, as the reference: any first distance is smaller.
+    first = (jnp.full(points.shape[0], 1e10, points.dtype), jnp.int32(start))
+    return jax.lax.scan(add, first, None, length=num_samples)[1]
+
+
+def resample(
+    points: Float[Array, "N 3"], num_points: int
+) -> Float[Array, "num_points 3"]:
+    """The cloud with exactly ``num_points`` points, in farthest-point order.
+
+    More points are thinned by farthest-point sampling; fewer are all kept and then
+    repeated from the first on. Differentiable in the points that are kept.
+    """
+    order = farthest_point_sample(points, min(num_points, points.shape[0]))
+    return points[jnp.resize(order, (num_points,))]

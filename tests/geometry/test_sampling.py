@@ -1,0 +1,133 @@
+"""Farthest-point sampling against a loop and the reference model's indices."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.geometry import farthest_point_sample, resample
+
+RNG = np.random.default_rng(0)
+sample = jax.jit(farthest_point_sample, static_argnums=(1, 2, 3))
+jit_resample = jax.jit(resample, static_argnums=1)
+
+REFERENCE_CASES = [
+    "plain_1000to128",
+    "near_origin_1000to128",
+    "duplicates_1200to300",
+    "zero_padded_256to128",
+    "all_skipped_64to8",
+    "exhausted_10to9",
+]
+
+
+def cloud(count: int) -> np.ndarray:
+    return RNG.normal(size=(count, 3)).astype(np.float32)
+
+
+def looped_sample(points, num_samples, start=0):
+    """Each next index maximises the smallest distance to the indices so far."""
+    points = np.asarray(points, np.float32)
+    chosen = [start]
+    while len(chosen) < num_samples:
+        offsets = points[:, None] - points[None, chosen]
+        chosen.append(int((offsets**2).sum(-1).min(axis=1).argmax()))
+    return np.array(chosen)
+
+
+@pytest.mark.parametrize(("count", "num_samples", "start"), [(200, 40, 0), (60, 60, 7)])
+def test_agrees_with_a_loop(count, num_samples, start):
+    points = cloud(count)
+    found = sample(points, num_samples, start)
+    assert np.array_equal(found, looped_sample(points, num_samples, start))
+
+
+@pytest.mark.parametrize("case", REFERENCE_CASES)
+def test_agrees_with_the_reference_model(parity, case):
+    ops = parity("ops.npz")
+    points = ops[f"fps/{case}/xyz"]
+    by_cuda = ops[f"fps/{case}/idx_cuda_ties"]
+    found = np.asarray(sample(points, len(by_cuda), 0, True))
+    assert np.array_equal(points[found], points[by_cuda])
+    assert np.array_equal(found, ops[f"fps/{case}/idx_lowest_ties"])
+
+
+def test_points_near_the_origin_are_skipped_only_on_request():
+    points = jnp.array([[1.0, 0, 0], [0.0, 0.03, 0], [-0.03, 0, 0], [0.0, 1.0, 0]])
+    assert np.array_equal(sample(points, 4, 0, True), [0, 3, 0, 0])
+    assert sorted(np.asarray(sample(points, 4, 0, False))) == [0, 1, 2, 3]
+    # The start is taken wherever it lies.
+    assert np.array_equal(sample(points, 3, 1, True), [1, 0, 3])
+
+
+def test_a_shorter_sample_is_a_prefix():
+    points = cloud(150)
+    longest = np.asarray(sample(points, 100))
+    assert np.array_equal(sample(points, 30), longest[:30])
+
+
+def test_every_distinct_point_comes_before_any_repeat():
+    points = np.repeat(cloud(20), 3, axis=0)
+    found = np.asarray(sample(points, 25))
+    assert len(np.unique(points[found[:20]], axis=0)) == 20
+    assert np.all(found[20:] == 0)
+
+
+@pytest.mark.parametrize("points", [np.ones((1, 3)), np.ones((6, 3))])
+def test_coincident_points(points):
+    assert np.array_equal(sample(jnp.asarray(points, jnp.float32), 4), [0, 0, 0, 0])
+
+
+def test_collinear_points_are_bisected():
+    points = jnp.linspace(0, 1, 9)[:, None] * jnp.array([[1.0, 2.0, 2.0]])
+    found = np.asarray(sample(points, 5))
+    assert np.array_equal(found[:3], [0, 8, 4]) and set(found[3:]) == {2, 6}
+
+
+def test_far_from_the_origin():
+    # Multiples of 1/64 near 1,000: the shift is exact, and so must be the choice.
+    points = np.round(64 * cloud(100)) / 64
+    found = sample(np.float32(points + 1024), 50)
+    assert np.array_equal(found, sample(np.float32(points), 50))
+
+
+def test_no_gradient_flows_through_the_choice():
+    points = jnp.asarray(cloud(30))
+
+    def gathered(points):
+        return (points[sample(points, 10)] ** 2).sum()
+
+    expected = np.zeros((30, 3))
+    kept = np.asarray(sample(points, 10))
+    expected[kept] = 2 * np.asarray(points)[kept]
+    assert np.allclose(jax.grad(gathered)(points), expected)
+
+
+def test_resample_thins_by_farthest_points():
+    points = cloud(100)
+    assert np.array_equal(jit_resample(points, 20), points[looped_sample(points, 20)])
+
+
+def test_resample_repeats_cyclically():
+    points = cloud(7)
+    found = np.asarray(jit_resample(points, 17))
+    assert np.array_equal(found[:7], points[looped_sample(points, 7)])
+    assert np.array_equal(found[7:14], found[:7])
+    assert np.array_equal(found[14:], found[:3])
+    one = jit_resample(points[:1], 4)
+    assert np.array_equal(one, np.repeat(points[:1], 4, axis=0))
+
+
+def test_resample_gradient_counts_the_copies():
+    points = jnp.asarray(cloud(4))
+    order = looped_sample(points, 4)
+    gradient = jax.grad(lambda p: jit_resample(p, 6).sum())(points)
+    copies = np.bincount(order[np.arange(6) % 4], minlength=4)
+    assert np.array_equal(gradient, np.repeat(copies[:, None], 3, axis=1))
+
+
+def test_vmap():
+    clouds = np.stack([cloud(80), cloud(80)])
+    found = jax.jit(jax.vmap(lambda p: farthest_point_sample(p, 20)))(clouds)
+    for i in range(2):
+        assert np.array_equal(found[i], looped_sample(clouds[i], 20))

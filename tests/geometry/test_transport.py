@@ -1,0 +1,144 @@
+"""Sinkhorn against OTT-JAX, the linear programme and closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+from scipy.optimize import linear_sum_assignment
+
+from prism_jax.geometry import sinkhorn
+
+RNG = np.random.default_rng(0)
+transport = jax.jit(sinkhorn, static_argnums=2)
+
+
+def squared_costs(rows: int = 8, columns: int = 11) -> jax.Array:
+    x, y = RNG.normal(size=(rows, 4)), RNG.normal(size=(columns, 4))
+    return jnp.asarray(((x[:, None] - y[None]) ** 2).sum(-1))
+
+
+def weights(count: int) -> jax.Array:
+    w = RNG.uniform(0.2, 1, count)
+    return jnp.asarray(w / w.sum())
+
+
+def test_agrees_with_ott_with_its_gradient(x64):
+    # Its gradient is by implicit differentiation, ours by unrolling.
+    ott_geometry = pytest.importorskip("ott.geometry.geometry")
+    from ott.solvers import linear
+
+    cost, a, b = squared_costs(), weights(8), weights(11)
+    epsilon = 0.1 * float(cost.mean())
+
+    def ott_cost_and_plan(cost):
+        geometry = ott_geometry.Geometry(cost_matrix=cost, epsilon=epsilon)
+        out = linear.solve(geometry, a=a, b=b, threshold=1e-10, max_iterations=5000)
+        return jnp.sum(out.matrix * cost), out.matrix
+
+    def our_cost_and_plan(cost):
+        return sinkhorn(cost, epsilon, 500, a, b)[::-1]
+
+    oracle = jax.jit(jax.value_and_grad(ott_cost_and_plan, has_aux=True))
+    ours = jax.jit(jax.value_and_grad(our_cost_and_plan, has_aux=True))
+    (expected, expected_plan), expected_gradient = oracle(cost)
+    (found, plan), gradient = ours(cost)
+    assert found == pytest.approx(float(expected), rel=1e-7)
+    assert np.allclose(plan, expected_plan, atol=1e-9)
+    assert np.allclose(gradient, expected_gradient, atol=1e-6)
+    # The gradient is not the plan: without the plan's own derivative this would fail.
+    assert np.abs(expected_gradient - expected_plan).max() > 1e-3
+
+
+def test_marginals():
+    cost = squared_costs(20, 30).astype(jnp.float32)
+    plan, total = transport(cost, 0.05 * cost.mean(), 400)
+    assert np.allclose(plan.sum(axis=1), 1 / 20, atol=1e-4 / 20)
+    assert np.allclose(plan.sum(axis=0), 1 / 30, rtol=1e-5)
+    assert total == pytest.approx(float((plan * cost).sum()), rel=1e-6)
+    uniform = (jnp.full(20, 1 / 20), jnp.full(30, 1 / 30))
+    given, _ = transport(cost, 0.05 * cost.mean(), 400, *uniform)
+    assert np.allclose(given, plan, rtol=1e-4)
+    a, b = weights(20).astype(jnp.float32), weights(30).astype(jnp.float32)
+    plan, _ = transport(cost, 0.05 * cost.mean(), 400, a, b)
+    assert np.allclose(plan.sum(axis=1), a, rtol=1e-3)
+    assert np.allclose(plan.sum(axis=0), b, rtol=1e-5)
+
+
+def test_small_epsilon_is_the_assignment(x64):
+    x = RNG.normal(size=(9, 4))
+    y = RNG.permutation(x) + 0.2 * RNG.normal(size=(9, 4))
+    cost = jnp.asarray(((x[:, None] - y[None]) ** 2).sum(-1))
+    rows, columns = linear_sum_assignment(np.asarray(cost))
+    expected = np.zeros((9, 9))
+    expected[rows, columns] = 1 / 9
+    plan, total = transport(cost, 0.01 * cost.mean(), 1000)
+    assert np.allclose(plan, expected, atol=1e-3)
+    assert total == pytest.approx(np.asarray(cost)[rows, columns].mean(), rel=1e-3)
+
+
+def test_large_epsilon_is_independence():
+    cost = squared_costs().astype(jnp.float32)
+    a, b = weights(8).astype(jnp.float32), weights(11).astype(jnp.float32)
+    plan, _ = transport(cost, 1e6, 10, a, b)
+    assert np.allclose(plan, a[:, None] * b[None, :], rtol=1e-4)
+
+
+def test_gradients(x64):
+    cost = squared_costs(3, 4)
+    check_grads(
+        jax.jit(lambda cost, epsilon: sinkhorn(cost, epsilon, 30)),
+        (cost, jnp.array(0.7)),
+        order=2,
+        modes=("rev",),
+    )
+
+
+def test_a_zero_weight_leaves_its_tokens_out():
+    cost = squared_costs(6, 7).astype(jnp.float32)
+    a = jnp.array([0.25, 0.25, 0.0, 0.25, 0.25, 0.0])
+    b = jnp.full(7, 1 / 6).at[3].set(0.0)
+    kept = cost[np.array([0, 1, 3, 4])][:, np.array([0, 1, 2, 4, 5, 6])]
+    plan, total = transport(cost, 1.0, 100, a, b)
+    assert np.all(plan[np.array([2, 5])] == 0) and np.all(plan[:, 3] == 0)
+    assert total == pytest.approx(float(transport(kept, 1.0, 100)[1]), rel=1e-5)
+    gradient = np.asarray(jax.grad(lambda c: transport(c, 1.0, 100, a, b)[1])(cost))
+    assert np.all(np.isfinite(gradient)) and np.all(gradient[2] == 0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (4, 6)])
+@pytest.mark.parametrize("value", [0.0, 3.0])
+def test_constant_costs_spread_evenly(shape, value):
+    cost = jnp.full(shape, value)
+    plan, total = transport(cost, 0.1, 20)
+    assert np.allclose(plan, 1 / plan.size, rtol=1e-5)
+    assert total == pytest.approx(value, rel=1e-5)
+    gradient = jax.grad(lambda c: transport(c, 0.1, 20)[1])(cost)
+    # Moving every cost alike changes the total alike.
+    assert gradient.sum() == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_scaling_cost_and_epsilon_changes_nothing_else(factor):
+    cost = squared_costs().astype(jnp.float32)
+    epsilon = 0.05 * cost.mean()
+    plan, total = transport(cost, epsilon, 50)
+    scaled_plan, scaled_total = transport(cost * factor, epsilon * factor, 50)
+    assert np.allclose(scaled_plan, plan, atol=1e-5)
+    assert scaled_total == pytest.approx(float(total * factor), rel=1e-4)
+
+
+def test_far_costs_do_not_underflow():
+    """A row whose every cost is 1,000 epsilon must still send its mass."""
+    cost = squared_costs().astype(jnp.float32).at[2].add(1000.0)
+    plan, _ = transport(cost, 1.0, 100)
+    assert np.allclose(plan.sum(axis=1), 1 / 8, rtol=1e-3)
+
+
+def test_vmap():
+    costs = jnp.stack([squared_costs(), squared_costs()]).astype(jnp.float32)
+    plans, totals = jax.jit(jax.vmap(lambda c: sinkhorn(c, 1.0)))(costs)
+    for i in range(2):
+        plan, total = transport(costs[i], 1.0)
+        assert np.allclose(plans[i], plan, atol=1e-6)
+        assert totals[i] == pytest.approx(float(total), rel=1e-5)
