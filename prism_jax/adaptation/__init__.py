@@ -1,0 +1,1 @@
+"""The method: inner loop, meta-loss and test-time adaptation."""

@@ -1,0 +1,1 @@
+"""Procedural shapes, simulated partial views, and the corpus made of them."""

@@ -1,0 +1,142 @@
+"""Solid primitives for the procedural shapes: thin wrappers of manifold3d.
+
+Frame: z up, front along +y, lengths in the shape's own arbitrary unit. Angles are
+in radians. Every function returns a closed `Manifold`; unions are left to the caller,
+so that a shape is one single boolean operation.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from manifold3d import CrossSection, Manifold, OpType
+
+Vector = Sequence[float | int] | np.ndarray
+
+
+def box(center: Vector, size: Vector, chamfer: float = 0.0) -> Manifold:
+    """Axis-aligned box, its twelve edges cut at `chamfer` when that is positive."""
+    half = np.asarray(size, float) / 2
+    if chamfer <= 0:
+        return Manifold.cube(2 * half, True).translate(np.asarray(center, float))
+    chamfer = min(chamfer, 0.45 * 2 * half.min())
+    signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+    insets = np.concatenate(
+        [signs * (half - chamfer * (1 - np.eye(3)[axis])) for axis in range(3)]
+    )
+    return Manifold.hull_points(insets + np.asarray(center, float))
+
+
+def ball(center: Vector, radius: float | Vector, segments: int = 20) -> Manifold:
+    """Sphere, or an axis-aligned ellipsoid when `radius` has three entries."""
+    scale = np.broadcast_to(np.asarray(radius, float), 3)
+    return (
+        Manifold.sphere(1.0, segments).scale(scale).translate(np.asarray(center, float))
+    )
+
+
+def rod(
+    start: Vector,
+    end: Vector,
+    radius: float,
+    end_radius: float | None = None,
+    segments: int = 20,
+) -> Manifold:
+    """Cylinder from `start` to `end`, or a frustum when `end_radius` differs."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    length = float(np.linalg.norm(end - start))
+    top = radius if end_radius is None else end_radius
+    solid = Manifold.cylinder(length, radius, top, segments)
+    return place(solid, frame_along(end - start), start)
+
+
+def bar(
+    start: Vector,
+    end: Vector,
+    width: float,
+    depth: float,
+    end_scale: float = 1.0,
+) -> Manifold:
+    """Rectangular beam from `start` to `end`; its end section is `end_scale` times
+    the start's. The width lies along x where the beam is upright."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    length = float(np.linalg.norm(end - start))
+    section = CrossSection.square((width, depth), True)
+    solid = section.extrude(length, scale_top=(end_scale, end_scale))
+    return place(solid, frame_along(end - start), start)
+
+
+def capsule(
+    start: Vector,
+    end: Vector,
+    radius: float,
+    end_radius: float | None = None,
+    segments: int = 16,
+) -> Manifold:
+    """Convex hull of two spheres."""
+    other = radius if end_radius is None else end_radius
+    return Manifold.batch_hull(
+        [ball(start, radius, segments), ball(end, other, segments)]
+    )
+
+
+def tube_along(points: np.ndarray, radius: float, segments: int = 10) -> list[Manifold]:
+    """Capsules between consecutive rows of `points`."""
+    spheres = [ball(point, radius, segments) for point in points]
+    return [
+        Manifold.batch_hull([first, second])
+        for first, second in itertools.pairwise(spheres)
+    ]
+
+
+def lathe(profile: Sequence[Vector], segments: int = 32) -> Manifold:
+    """Solid of revolution about z of the polygon of (radius, z) pairs, closed along
+    the axis. Heights must rise."""
+    outline = np.asarray(profile, float)
+    closed = np.vstack([[0.0, outline[0, 1]], outline, [0.0, outline[-1, 1]]])
+    return CrossSection([closed]).revolve(segments)
+
+
+def prism(outline: np.ndarray, height: float) -> Manifold:
+    """Extrusion along z from z = 0 of a simple counter-clockwise polygon in x, y."""
+    return CrossSection([np.asarray(outline, float)]).extrude(height)
+
+
+def side_profile(outline: np.ndarray, width: float) -> Manifold:
+    """Extrusion along x, centred, of a counter-clockwise polygon of (y, z) pairs."""
+    cyclic = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    return place(prism(outline, width), cyclic, np.array([-width / 2, 0.0, 0.0]))
+
+
+def ellipse(center: Vector, radii: Vector, segments: int = 24) -> np.ndarray:
+    """Points of an ellipse in the x, z plane at `center`, for hulls along y."""
+    angle = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    ring = [radii[0] * np.cos(angle), 0 * angle, radii[1] * np.sin(angle)]
+    return np.stack(ring, axis=1) + np.asarray(center, float)
+
+
+def loft(sections: Sequence[np.ndarray]) -> list[Manifold]:
+    """Convex hulls of consecutive sections, each a set of points."""
+    return [
+        Manifold.hull_points(np.concatenate([first, second]))
+        for first, second in itertools.pairwise(sections)
+    ]
+
+
+def frame_along(direction: np.ndarray) -> np.ndarray:
+    """Rotation whose third column is `direction`, its first close to the x axis."""
+    z_axis = direction / np.linalg.norm(direction)
+    helper = (1.0, 0.0, 0.0) if abs(z_axis[0]) < 0.95 else (0.0, 1.0, 0.0)
+    y_axis = np.cross(z_axis, helper)
+    y_axis /= np.linalg.norm(y_axis)
+    return np.stack([np.cross(y_axis, z_axis), y_axis, z_axis], axis=1)
+
+
+def place(solid: Manifold, rotation: np.ndarray, origin: np.ndarray) -> Manifold:
+    """Rotates a solid by a 3x3 matrix, then moves it to `origin`."""
+    return solid.transform(np.column_stack([rotation, origin]))
+
+
+def union(solids: Sequence[Manifold]) -> Manifold:
+    """Boolean union of all solids at once."""
+    return Manifold.batch_boolean(list(solids), OpType.Add)

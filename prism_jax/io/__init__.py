@@ -1,0 +1,34 @@
+"""Files to arrays and back: point clouds, depth images, cameras."""
+
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.clouds import check_cloud, check_in_view, read_points
+from prism_jax.io.depth import (
+    camera_from_dict,
+    camera_to_dict,
+    points_from_depth,
+    read_camera,
+    read_depth,
+)
+from prism_jax.io.errors import InputError
+from prism_jax.io.ply import write_ply
+from prism_jax.io.scan import Bounds, Scan, crop, parse_bounds, read_scan
+
+__all__ = [
+    "Bounds",
+    "InputError",
+    "Scan",
+    "camera_from_dict",
+    "camera_to_dict",
+    "check_cloud",
+    "check_in_view",
+    "crop",
+    "make_output_dir",
+    "parse_bounds",
+    "points_from_depth",
+    "read_camera",
+    "read_depth",
+    "read_points",
+    "read_scan",
+    "write_bytes",
+    "write_ply",
+]

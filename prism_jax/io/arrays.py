@@ -1,0 +1,135 @@
+"""Point clouds in NumPy's own files. Nothing is ever unpickled."""
+
+import io
+import math
+import os
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float
+from numpy.lib import format as npy_format
+
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import MAX_FILE_BYTES, read_bytes
+
+_HEADER_READERS = {
+    (1, 0): npy_format.read_array_header_1_0,
+    (2, 0): npy_format.read_array_header_2_0,
+}
+_REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
+
+
+def read_npy(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
+    """The array of an NPY file: float32 stays so, other numbers become float64.
+
+    Rows that are not finite are kept. An array of another shape or of objects, or a
+    file that is cut, raises an InputError.
+    """
+    data = read_bytes(path)
+    try:
+        return _parse(data)
+    except (ValueError, EOFError) as error:
+        raise InputError(path, f"is not a sound NPY cloud: {error}", _REMEDY) from None
+
+
+def read_npz(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
+    """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array.
+
+    Other arrays are not read. Otherwise as `read_npy`.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as archive:
+            return _read_member(archive, _choose_member(archive))
+    except InputError:
+        raise
+    except (
+        ValueError,
+        EOFError,
+        NotImplementedError,
+        RuntimeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(path, f"is not a sound NPZ cloud: {error}", _REMEDY) from None
+
+
+def stack_columns(
+    columns: Iterable[np.ndarray], stored: Iterable[np.dtype]
+) -> Float[np.ndarray, "N 3"]:
+    """Three columns as a cloud: float32 if all were stored so, else float64.
+
+    What does not fit the type becomes infinite, without a warning.
+    """
+    is_single = all(dtype.kind == "f" and dtype.itemsize == 4 for dtype in stored)
+    target = np.float32 if is_single else np.float64
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.stack([column.astype(target) for column in columns], axis=1)
+
+
+def _choose_member(archive: zipfile.ZipFile) -> str:
+    found = {}
+    for member in archive.namelist():
+        with archive.open(member) as file:
+            head = file.read(2**16)
+        shape, _, dtype, _ = _parse_header(head)
+        found[member.removesuffix(".npy")] = (shape, dtype)
+    clouds = [name for name, (shape, dtype) in found.items() if _is_cloud(shape, dtype)]
+    for name in ("xyz", "points"):
+        if name in clouds:
+            return name + ".npy"
+    if len(clouds) == 1:
+        return clouds[0] + ".npy"
+    if clouds:
+        raise ValueError(f"its arrays {', '.join(clouds)} could each be the cloud")
+    held = ", ".join(f"{name}: {_describe(*entry)}" for name, entry in found.items())
+    raise ValueError(f"it holds no (N, 3) array of numbers ({held or 'nothing'})")
+
+
+def _read_member(archive: zipfile.ZipFile, member: str) -> np.ndarray:
+    size = archive.getinfo(member).file_size
+    if size > MAX_FILE_BYTES:
+        raise ValueError(f"its array {member} unpacks to {size / 2**30:.1f} GiB")
+    with archive.open(member) as file:
+        return _parse(file.read(size))
+
+
+def _parse(data: bytes) -> np.ndarray:
+    """The cloud in an NPY file's bytes; nothing is allocated before it is known to fit.
+
+    Whatever is wrong with them raises a ValueError.
+    """
+    shape, is_fortran, dtype, start = _parse_header(data)
+    if not _is_cloud(shape, dtype):
+        raise ValueError(f"it holds {_describe(shape, dtype)}")
+    if math.prod(shape) * dtype.itemsize > len(data) - start:
+        raise ValueError("it is shorter than its header says")
+    array = np.frombuffer(data, dtype, math.prod(shape), start)
+    array = array.reshape(shape, order="F" if is_fortran else "C")
+    return stack_columns(array.T, [dtype])
+
+
+def _parse_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
+    """Shape, Fortran order or not, type, and where the numbers start."""
+    file = io.BytesIO(data)
+    version = npy_format.read_magic(file)
+    if version not in _HEADER_READERS:
+        raise ValueError(f"its NPY version {version} is not for plain numbers")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            shape, is_fortran, dtype = _HEADER_READERS[version](file)
+    except (SyntaxError, TypeError, tokenize.TokenError):
+        raise ValueError("its header is damaged") from None
+    return shape, is_fortran, dtype, file.tell()
+
+
+def _is_cloud(shape: tuple[int, ...], dtype: np.dtype) -> bool:
+    return len(shape) == 2 and shape[0] > 0 and shape[1] == 3 and dtype.kind in "fiu"
+
+
+def _describe(shape: tuple[int, ...], dtype: np.dtype) -> str:
+    return f"an array of shape {shape} and type {dtype}"

@@ -1,0 +1,124 @@
+"""Point clouds from files of every kind, checked and cropped."""
+
+import os
+import pathlib
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prism_jax.geometry.camera import MIN_DEPTH, Camera
+from prism_jax.io.arrays import read_npy, read_npz
+from prism_jax.io.errors import InputError
+from prism_jax.io.pcd import read_pcd
+from prism_jax.io.ply import read_ply
+from prism_jax.io.text import read_text
+
+MIN_POINTS = 64
+"""A cloud needs at least so many distinct points."""
+
+MAX_EXTENT = 10_000.0
+"""Metres: a longer cloud is in other units or has stray points."""
+
+READERS = {
+    ".ply": read_ply,
+    ".pcd": read_pcd,
+    ".npy": read_npy,
+    ".npz": read_npz,
+    ".xyz": read_text,
+    ".txt": read_text,
+    ".csv": read_text,
+}
+
+
+def read_points(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
+    """The finite points of a cloud file, in its units and frame; the suffix decides.
+
+    float32 where the file stores that, else float64, each value as stored. PLY, PCD,
+    NPY, NPZ, XYZ, TXT and CSV; anything malformed, and a cloud without a finite point,
+    raises an InputError.
+    """
+    points, _ = read_points_counted(path)
+    return points
+
+
+def read_points_counted(
+    path: str | os.PathLike,
+) -> tuple[Float[np.ndarray, "N 3"], int]:
+    """As `read_points`, with the number of points in the file, finite or not."""
+    suffix = pathlib.Path(path).suffix.lower()
+    if suffix not in READERS:
+        raise InputError(
+            path,
+            f"has the suffix {suffix!r}, which is not a point cloud's",
+            f"convert it to one of {' '.join(READERS)} (or a 16-bit depth .png)",
+        )
+    points = READERS[suffix](path)
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.any():
+        raise InputError(path, "has no finite point", "check the sensor or the export")
+    return points[finite], len(points)
+
+
+def inside(
+    points: Float[np.ndarray, "N 3"],
+    lower: Float[np.ndarray, "3"],
+    upper: Float[np.ndarray, "3"],
+) -> Bool[np.ndarray, " N"]:
+    """Which points lie in an axis-aligned box, its faces included."""
+    return np.all((points >= lower) & (points <= upper), axis=1)
+
+
+def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) -> None:
+    """Raise an InputError about `subject` if the points cannot be completed.
+
+    They must be finite, with an extent above zero and up to 10 km, and at least 64 of
+    them distinct.
+    """
+    if len(points) == 0 or not np.isfinite(points).all():
+        raise InputError(subject, "has points that are not finite", "drop them")
+    extent = np.ptp(points.astype(np.float64), axis=0).max()
+    if extent == 0:
+        raise InputError(
+            subject, "has an extent of zero: all its points coincide", "check the scan"
+        )
+    if extent > MAX_EXTENT:
+        raise InputError(
+            subject,
+            f"has an extent of {extent:.6g} m, above {MAX_EXTENT / 1000:g} km",
+            "scale it to metres, or crop it to one object with --workspace",
+        )
+    distinct = np.unique(points[: 4 * MIN_POINTS], axis=0)
+    if len(distinct) < MIN_POINTS:
+        distinct = np.unique(points, axis=0)
+    if len(distinct) < MIN_POINTS:
+        raise InputError(
+            subject,
+            f"has {len(distinct)} distinct points, fewer than {MIN_POINTS}",
+            "scan more of the object, or widen --workspace",
+        )
+
+
+def check_in_view(
+    points: Float[np.ndarray, "N 3"], camera: Camera, subject: str | os.PathLike
+) -> None:
+    """Raise an InputError about `subject` if the camera sees none of the points."""
+    in_camera = camera.to_camera(points)
+    in_front = in_camera[in_camera[:, 2] > MIN_DEPTH]
+    remedy = (
+        "check that the camera's rotation and translation take the cloud's frame to "
+        "x right, y down, z forward, or leave --camera out"
+    )
+    if len(in_front) == 0:
+        raise InputError(subject, "has every point behind the camera", remedy)
+    image = in_front @ np.asarray(camera.intrinsics).T
+    pixels = np.floor(image[:, :2] / image[:, 2:] + 0.5)
+    if not inside_image(pixels, camera).any():
+        raise InputError(subject, "has no point in the camera's image", remedy)
+
+
+def inside_image(
+    pixels: Float[np.ndarray, "N 2"], camera: Camera
+) -> Bool[np.ndarray, " N"]:
+    """Which pixels (u, v) the camera has."""
+    size = (camera.width, camera.height)
+    return np.all((pixels >= 0) & (pixels < size), axis=1)

@@ -1,0 +1,177 @@
+"""Cameras as JSON, and 16-bit depth images."""
+
+import json
+import math
+import os
+import pathlib
+import sys
+import warnings
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from PIL import Image, UnidentifiedImageError
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+
+MAX_SIDE = 16_384
+"""Pixels: an image with a longer side is refused."""
+
+_LAYOUT = (
+    'write {"width":, "height":, "fx":, "fy":, "cx":, "cy":} in pixels, and for a '
+    'cloud in another frame "rotation" (3x3) and "translation" (3)'
+)
+
+
+def camera_to_dict(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON values; `camera_from_dict` gives the same camera back."""
+    intrinsics = np.asarray(camera.intrinsics).tolist()
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": intrinsics[0][0],
+        "fy": intrinsics[1][1],
+        "cx": intrinsics[0][2],
+        "cy": intrinsics[1][2],
+        "rotation": np.asarray(camera.rotation).tolist(),
+        "translation": np.asarray(camera.translation).tolist(),
+    }
+
+
+def camera_from_dict(entries: dict[str, Any]) -> Camera:
+    """A camera of NumPy float64 arrays from its JSON values.
+
+    `width height fx fy cx cy` are in pixels, with pixel centres at integers;
+    `rotation` and `translation` take the points' frame to the camera's and are the
+    identity unless given. Other keys are ignored. Anything missing or impossible
+    raises a ValueError that says what.
+    """
+    width, height = (_integer(entries, key) for key in ("width", "height"))
+    fx, fy, cx, cy = (_number(entries, key) for key in ("fx", "fy", "cx", "cy"))
+    if fx <= 0 or fy <= 0:
+        raise ValueError("fx and fy must be positive")
+    rotation = _array(entries, "rotation", np.eye(3))
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+        raise ValueError("rotation is not orthogonal")
+    if np.linalg.det(rotation) < 0:
+        raise ValueError("rotation is a reflection")
+    return Camera(
+        rotation=rotation,
+        translation=_array(entries, "translation", np.zeros(3)),
+        intrinsics=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+        height=height,
+        width=width,
+    )
+
+
+def read_camera(path: str | os.PathLike) -> Camera:
+    """The camera of a JSON file, as `camera_from_dict`; InputError if it has none."""
+    camera, _ = _read_camera_entries(path)
+    return camera
+
+
+def read_depth(
+    path: str | os.PathLike, camera_path: str | os.PathLike
+) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
+    """Depth in metres, the mask of measured pixels (not 0), and the camera.
+
+    The image is a 16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a
+    count. Whatever does not fit raises an InputError.
+    """
+    camera, entries = _read_camera_entries(camera_path)
+    try:
+        scale = _number(entries, "depth_scale")
+        if scale <= 0:
+            raise ValueError("depth_scale must be positive")
+    except ValueError as error:
+        raise InputError(
+            camera_path, str(error), 'add "depth_scale": metres a count, such as 0.001'
+        ) from None
+    counts = _read_counts(path, camera)
+    return counts * scale, counts > 0, camera
+
+
+def points_from_depth(
+    depth: Float[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"], camera: Camera
+) -> Float[np.ndarray, "N 3"]:
+    """The measured pixels as points in the frame the camera's pose refers to, float64.
+
+    Row by row, in the units of `depth`, which is measured along the camera's +z.
+    """
+    rows, columns = np.nonzero(mask)
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=1)
+    rays = np.linalg.solve(camera.intrinsics, pixels.T).T
+    in_camera = rays * depth[rows, columns, None]
+    return (in_camera - np.asarray(camera.translation)) @ np.asarray(camera.rotation)
+
+
+def _read_camera_entries(path: str | os.PathLike) -> tuple[Camera, dict[str, Any]]:
+    try:
+        entries = json.loads(read_bytes(path))
+        if type(entries) is not dict:
+            raise ValueError("it is not a JSON object")
+        return camera_from_dict(entries), entries
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        fault = f"is not a camera: {error}"
+        raise InputError(path, fault, _LAYOUT) from None
+
+
+def _read_counts(path: str | os.PathLike, camera: Camera) -> np.ndarray:
+    read_bytes(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(pathlib.Path(path), formats=["PNG"]) as image:
+                if not image.mode.startswith("I;16"):
+                    raise ValueError(f"its pixels are {image.mode}, not 16-bit grey")
+                if image.size != (camera.width, camera.height):
+                    raise ValueError(
+                        f"it is {image.width}x{image.height} and its camera "
+                        f"{camera.width}x{camera.height}"
+                    )
+                return np.asarray(image)
+    except UnidentifiedImageError:
+        fault = "it is not a PNG"
+    except (
+        ValueError,
+        OSError,
+        SyntaxError,
+        Image.DecompressionBombError,
+        Image.DecompressionBombWarning,
+    ) as error:
+        fault = str(error)
+    remedy = "store depth as a 16-bit grey PNG of the camera's size, 0 for no return"
+    raise InputError(path, f"is not a depth image: {fault}", remedy) from None
+
+
+def _number(entries: dict[str, Any], key: str) -> float:
+    value, number = entries.get(key), math.nan
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        number = float(value) if abs(value) <= sys.float_info.max else math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"{key} is missing or not a finite number")
+    return number
+
+
+def _integer(entries: dict[str, Any], key: str) -> int:
+    value = _number(entries, key)
+    if value != int(value) or not 1 <= value <= MAX_SIDE:
+        raise ValueError(f"{key} must be a whole number from 1 to {MAX_SIDE}")
+    return int(value)
+
+
+def _array(entries: dict[str, Any], key: str, default: np.ndarray) -> np.ndarray:
+    if key not in entries:
+        return default
+    try:
+        array = np.array(entries[key], dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != default.shape or not np.isfinite(array).all():
+        shape = "x".join(map(str, default.shape))
+        raise ValueError(f"{key} must be {shape} finite numbers")
+    return array

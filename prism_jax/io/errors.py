@@ -1,0 +1,16 @@
+"""The error for what a user can put right."""
+
+import os
+
+
+class InputError(ValueError):
+    """Input that cannot be used: one printable line with subject, fault and remedy.
+
+    The subject is a file, a flag or an argument. The launchers print the line and end
+    with exit status 2; a library caller catches it as a ``ValueError``.
+    """
+
+    def __init__(self, subject: str | os.PathLike, fault: str, remedy: str):
+        line = f"{os.fspath(subject)}: {fault}; {remedy}"
+        printable = "".join(c if c.isprintable() else " " for c in line)
+        super().__init__(" ".join(printable.split()))

@@ -1,0 +1,172 @@
+"""PCD point clouds of the Point Cloud Library, in all three storage modes.
+
+Format: https://pointclouds.org/documentation/tutorials/pcd_file_format.html. pypcd4
+reads it too, but not files of versions before 0.7 or without COUNT, and it trusts the
+header's sizes.
+"""
+
+import dataclasses
+import io
+import os
+import struct
+
+import lzf
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.io.arrays import stack_columns
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+from prism_jax.io.text import parse_rows
+
+_KINDS = {"F": "f", "I": "i", "U": "u"}
+_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+_LZF_MAX_RATIO = 100
+"""LZF's longest match is 264 bytes in a token of three."""
+_REMEDY = "export it again, for example with pcl_convert_pcd_ascii_binary"
+_SHORT = "it is shorter than its header says"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Field:
+    name: str
+    dtype: np.dtype
+    count: int
+
+    @property
+    def num_bytes(self) -> int:
+        return self.dtype.itemsize * self.count
+
+
+@dataclasses.dataclass(frozen=True)
+class _Header:
+    fields: list[_Field]
+    num_points: int
+    mode: str
+    size: int
+
+    @property
+    def axes(self) -> list[int]:
+        """The indices of the fields x, y and z."""
+        return [[f.name for f in self.fields].index(axis) for axis in "xyz"]
+
+
+def read_pcd(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
+    """Positions as stored: float32 where x, y and z are, else float64.
+
+    Fields may come in any order, type and count. Rows that are not finite, as where an
+    organised cloud saw nothing, are kept; VIEWPOINT is not applied. A malformed or cut
+    file raises an InputError; a header's claims are checked against the file's size
+    before anything is allocated.
+    """
+    data = read_bytes(path)
+    try:
+        header = _parse_header(data)
+        columns = _READERS[header.mode](data[header.size :], header)
+    except ValueError as error:
+        raise InputError(path, f"is not a sound PCD file: {error}", _REMEDY) from None
+    return stack_columns(columns, [header.fields[axis].dtype for axis in header.axes])
+
+
+def _parse_header(data: bytes) -> _Header:
+    entries: dict[str, list[str]] = {}
+    start = 0
+    while "DATA" not in entries:
+        end = data.find(b"\n", start, 2**16)
+        if end < 0:
+            raise ValueError("its header has no DATA line")
+        words = data[start:end].decode("latin-1").split()
+        start = end + 1
+        if words and not words[0].startswith("#"):
+            entries[words[0].upper()] = words[1:]
+    mode = " ".join(entries["DATA"]).lower()
+    if mode not in _READERS:
+        raise ValueError(f"its DATA mode {mode!r} is unknown")
+    return _Header(_fields(entries), _num_points(entries), mode, start)
+
+
+def _fields(entries: dict[str, list[str]]) -> list[_Field]:
+    names = entries.get("FIELDS") or entries.get("COLUMNS") or []
+    counts = entries.get("COUNT", ["1"] * len(names))
+    sizes, types = entries.get("SIZE", []), entries.get("TYPE", [])
+    if not len(names) == len(sizes) == len(types) == len(counts):
+        raise ValueError("its FIELDS, SIZE, TYPE and COUNT differ in length")
+    fields = []
+    for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
+        if kind not in _KINDS or int(size) not in _SIZES[kind] or int(count) < 0:
+            raise ValueError(f"its field {name!r} has an unknown type")
+        dtype = np.dtype(f"<{_KINDS[kind]}{int(size)}")
+        fields.append(_Field(name.lower(), dtype, int(count)))
+    for axis in "xyz":
+        if [f.count for f in fields if f.name == axis] != [1]:
+            raise ValueError(f"its fields are {' '.join(names)}, not x y z")
+    return fields
+
+
+def _num_points(entries: dict[str, list[str]]) -> int:
+    sizes = {
+        key: int(" ".join(entries[key]))
+        for key in ("WIDTH", "HEIGHT", "POINTS")
+        if key in entries
+    }
+    if "WIDTH" in sizes:
+        num_points = sizes["WIDTH"] * sizes.get("HEIGHT", 1)
+    else:
+        num_points = sizes.get("POINTS", -1)
+    if num_points < 0 or sizes.get("POINTS", num_points) != num_points:
+        raise ValueError("its WIDTH x HEIGHT is not its number of POINTS")
+    if num_points == 0:
+        raise ValueError("it holds no points")
+    return num_points
+
+
+def _read_ascii(body: bytes, header: _Header) -> list[np.ndarray]:
+    if header.num_points > len(body):
+        raise ValueError(_SHORT)
+    first_columns = np.cumsum([0] + [field.count for field in header.fields])
+    lines = (line for line in io.BytesIO(body) if not line.isspace())
+    columns = [int(first_columns[axis]) for axis in header.axes]
+    return list(parse_rows(lines, columns, header.num_points).T)
+
+
+def _read_binary(body: bytes, header: _Header) -> list[np.ndarray]:
+    offsets = np.cumsum([0] + [field.num_bytes for field in header.fields]).tolist()
+    row = np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": [header.fields[axis].dtype for axis in header.axes],
+            "offsets": [offsets[axis] for axis in header.axes],
+            "itemsize": offsets[-1],
+        }
+    )
+    if header.num_points * row.itemsize > len(body):
+        raise ValueError(_SHORT)
+    rows = np.frombuffer(body, dtype=row, count=header.num_points)
+    return [rows[axis] for axis in "xyz"]
+
+
+def _read_compressed(body: bytes, header: _Header) -> list[np.ndarray]:
+    """The fields one after the other, each for all points, compressed together."""
+    if len(body) < 8:
+        raise ValueError(_SHORT)
+    packed_size, size = struct.unpack_from("<II", body)
+    num_bytes = [field.num_bytes * header.num_points for field in header.fields]
+    if packed_size > len(body) - 8:
+        raise ValueError(_SHORT)
+    if size != sum(num_bytes) or size > _LZF_MAX_RATIO * packed_size:
+        raise ValueError("its compressed data has another size than its header says")
+    plain = lzf.decompress(body[8 : 8 + packed_size], size)
+    if plain is None or len(plain) != size:
+        raise ValueError("its compressed data is damaged")
+    starts = np.cumsum([0, *num_bytes]).tolist()
+    return [
+        np.frombuffer(plain, header.fields[axis].dtype, header.num_points, starts[axis])
+        for axis in header.axes
+    ]
+
+
+_READERS = {
+    "ascii": _read_ascii,
+    "binary": _read_binary,
+    "binary_compressed": _read_compressed,
+}

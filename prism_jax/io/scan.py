@@ -1,0 +1,107 @@
+"""One scan as a user hands it in: a cloud or a depth image, and its camera."""
+
+import dataclasses
+import os
+import pathlib
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.clouds import (
+    check_cloud,
+    check_in_view,
+    inside,
+    read_points_counted,
+)
+from prism_jax.io.depth import points_from_depth, read_camera, read_depth
+from prism_jax.io.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Bounds:
+    """An axis-aligned box in the scan's units and frame."""
+
+    lower: Float[np.ndarray, "3"]
+    upper: Float[np.ndarray, "3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Scan:
+    """Finite points inside the bounds, as stored, and what was left out of them."""
+
+    points: Float[np.ndarray, "N 3"]
+    camera: Camera | None
+    num_not_finite: int
+    num_outside: int
+
+
+def read_scan(
+    path: str | os.PathLike,
+    camera_path: str | os.PathLike | None = None,
+    bounds: Bounds | None = None,
+) -> Scan:
+    """A scan ready to be completed; an InputError says why there is none.
+
+    A `.png` is a depth image (pixels without a return are no points); its camera is
+    `camera_path`, or the `.json` of the same name beside it, and the points are in
+    the frame the camera's pose refers to: the camera's own unless it has one. For any
+    other file see `read_points`. Points outside `bounds` are cropped away.
+    """
+    if pathlib.Path(path).suffix.lower() == ".png":
+        camera_path = camera_path or _camera_beside(path)
+        depth, mask, camera = read_depth(path, camera_path)
+        if not mask.any():
+            raise InputError(path, "has no pixel with a return", "check the sensor")
+        points = points_from_depth(depth, mask, camera)
+        num_read = len(points)
+    else:
+        camera = read_camera(camera_path) if camera_path else None
+        points, num_read = read_points_counted(path)
+    num_finite = len(points)
+    points = crop(points, bounds, path)
+    check_cloud(points, path)
+    if camera is not None:
+        check_in_view(points, camera, path)
+    return Scan(points, camera, num_read - num_finite, num_finite - len(points))
+
+
+def crop(
+    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: str | os.PathLike
+) -> Float[np.ndarray, "K 3"]:
+    """The points inside the bounds; InputError about `subject` if there are none."""
+    if bounds is None:
+        return points
+    kept = points[inside(points, bounds.lower, bounds.upper)]
+    if len(kept) == 0:
+        lower, upper = points.min(axis=0), points.max(axis=0)
+        spans = ",".join(f"{value:.6g}" for value in (*lower, *upper))
+        raise InputError(
+            subject,
+            "has no point inside --workspace",
+            f"its points span {spans} (x0,y0,z0,x1,y1,z1)",
+        )
+    return kept
+
+
+def parse_bounds(text: str) -> Bounds:
+    """Bounds from `x0,y0,z0,x1,y1,z1`; InputError if that is not a box."""
+    remedy = "give x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 and z0 < z1"
+    try:
+        values = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        raise InputError("--workspace", f"cannot read {text!r}", remedy) from None
+    if len(values) != 6 or not np.isfinite(values).all():
+        fault = f"{text!r} is not six finite numbers"
+        raise InputError("--workspace", fault, remedy)
+    if not (values[:3] < values[3:]).all():
+        raise InputError("--workspace", f"{text!r} holds no volume", remedy)
+    return Bounds(values[:3], values[3:])
+
+
+def _camera_beside(path: str | os.PathLike) -> pathlib.Path:
+    camera_path = pathlib.Path(path).with_suffix(".json")
+    if not camera_path.exists():
+        remedy = f"give it with --camera, or put it beside as {camera_path.name}"
+        raise InputError(path, "is a depth image without a camera", remedy)
+    return camera_path

@@ -1,0 +1,104 @@
+"""The completion backbone as functions: encode the partial, decode every stage."""
+
+from typing import Any
+
+import jax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from prism_jax.models.config import BackboneConfig
+from prism_jax.models.decoder import Decoded, Decoder
+from prism_jax.models.encoder import (
+    EncoderIndices,
+    PointEncoder,
+    PointFeatures,
+    encoder_indices,
+)
+from prism_jax.models.layers import over_batch
+
+Variables = dict[str, Any]
+
+
+def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
+    """Fresh variables of the encoder and the decoder."""
+    keys = jax.random.split(key, 3)
+    partial = jax.random.uniform(keys[0], (1, config.num_points, 3), minval=-1.0)
+
+    def init() -> Variables:
+        indices = partial_indices(partial, config)
+        encoder = PointEncoder(config).init(keys[1], partial, indices)
+        encoded = PointEncoder(config).apply(encoder, partial, indices)
+        decoder = Decoder(config).init(keys[2], partial, encoded)
+        return {
+            collection: {
+                "point_encoder": encoder.get(collection, {}),
+                "decoder": decoder.get(collection, {}),
+            }
+            for collection in ("params", "batch_stats")
+        }
+
+    return jax.jit(init)()
+
+
+def partial_indices(
+    partial: Float[Array, "... N 3"], config: BackboneConfig
+) -> EncoderIndices:
+    """`encoder_indices` for any leading axes."""
+    return over_batch(lambda cloud: encoder_indices(cloud, config))(partial)
+
+
+def encode_points(
+    variables: Variables,
+    config: BackboneConfig,
+    partial: Float[Array, "... N 3"],
+    indices: EncoderIndices,
+) -> PointFeatures:
+    """The point stream, with BatchNorm statistics as they are."""
+    own = _of(variables, "point_encoder")
+    return PointEncoder(config).apply(own, partial, indices)
+
+
+def decode(
+    variables: Variables,
+    config: BackboneConfig,
+    partial: Float[Array, "... N 3"],
+    encoded: PointFeatures,
+) -> Decoded:
+    """All stages, with BatchNorm statistics as they are."""
+    return Decoder(config).apply(_of(variables, "decoder"), partial, encoded)
+
+
+def train_backbone(
+    variables: Variables,
+    config: BackboneConfig,
+    partial: Float[Array, "B N 3"],
+    num_blocks: int | None = None,
+) -> tuple[Decoded, Variables]:
+    """All stages with statistics of the batch, and the updated running statistics."""
+    encoded, encoder = PointEncoder(config).apply(
+        _of(variables, "point_encoder"),
+        partial,
+        partial_indices(partial, config),
+        train=True,
+        mutable=["batch_stats"],
+    )
+    decoded, decoder = Decoder(config).apply(
+        _of(variables, "decoder"),
+        partial,
+        encoded,
+        train=True,
+        num_blocks=num_blocks,
+        mutable=["batch_stats"],
+    )
+    statistics = {
+        **variables["batch_stats"],
+        "point_encoder": encoder.get("batch_stats", {}),
+        "decoder": {
+            **variables["batch_stats"]["decoder"],
+            **decoder.get("batch_stats", {}),
+        },
+    }
+    return decoded, statistics
+
+
+def _of(variables: Variables, name: str) -> Variables:
+    return {collection: tree[name] for collection, tree in variables.items()}

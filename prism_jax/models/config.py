@@ -1,0 +1,68 @@
+"""Sizes of the networks. Frozen and hashable, so static under ``jit``."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class BackboneConfig:
+    """CRA-PCN. The defaults are the published network for PCN.
+
+    Attributes:
+      num_points: points of the partial cloud.
+      patch_points: points left by the two set abstractions.
+      patch_features: hidden and output widths of the two set abstractions.
+      global_features: hidden and output widths of the global feature.
+      patch_neighbors: neighbours in set abstractions and in the seed generator.
+      features: width of per-point features in the transformers.
+      attention_features: width inside an attention.
+      attention_ratio: expansion of its hidden layer.
+      num_neighbors: neighbours per resolution, finest first.
+      encoder_rates: resolutions of the encoder's transformers, as divisors.
+      level_rates: the same for each up-sampling block.
+      seed_times: seeds per patch point.
+      seeds_from_patches: seeds are offsets from their patch points, and not absolute
+        coordinates as published; a short training gets further so.
+      num_initial: points sampled from seeds and partial, from which refinement starts.
+      up_factors: children per point of each up-sampling block.
+      use_norm: BatchNorm in the attentions and the up-sampling heads.
+      offset_init: standard deviation of the kernels that make coordinate offsets; a
+        small one starts training from the seeds and the partial themselves.
+    """
+
+    num_points: int = 2048
+    patch_points: tuple[int, int] = (512, 128)
+    patch_features: tuple[tuple[int, int], tuple[int, int]] = ((64, 128), (128, 256))
+    global_features: tuple[int, int] = (512, 512)
+    patch_neighbors: int = 16
+    features: int = 128
+    attention_features: int = 64
+    attention_ratio: int = 4
+    num_neighbors: tuple[int, ...] = (16, 12, 8)
+    encoder_rates: tuple[int, ...] = (1, 2, 4)
+    level_rates: tuple[tuple[int, ...], ...] = ((1, 2, 4), (1, 2, 4), (1, 4, 8))
+    seed_times: int = 2
+    seeds_from_patches: bool = False
+    num_initial: int = 512
+    up_factors: tuple[int, ...] = (1, 4, 8)
+    use_norm: bool = True
+    offset_init: float = 0.01
+
+    @property
+    def num_seeds(self) -> int:
+        return self.patch_points[1] * self.seed_times
+
+    @property
+    def stage_sizes(self) -> tuple[int, ...]:
+        """Points of every stage, seeds first."""
+        sizes, current = [self.num_seeds], self.num_initial
+        for factor in self.up_factors:
+            current *= factor
+            sizes.append(current)
+        return tuple(sizes)
+
+
+SHAPENET55 = BackboneConfig(up_factors=(1, 4, 4))
+"""The published CRA-PCN variant for ShapeNet-55: 256 / 512 / 2,048 / 8,192 points."""
+
+PCN = BackboneConfig()
+"""The published CRA-PCN variant for PCN: 256 / 512 / 2,048 / 16,384 points."""

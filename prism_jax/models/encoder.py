@@ -1,0 +1,128 @@
+"""The point stream's encoder: two set abstractions and two intra-level transformers."""
+
+from typing import NamedTuple
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from prism_jax.geometry.neighbors import knn
+from prism_jax.models.attention import CrossResolutionTransformer
+from prism_jax.models.config import BackboneConfig
+from prism_jax.models.layers import MLP, gather, take
+from prism_jax.models.pyramid import (
+    Pyramid,
+    build_pyramid,
+    farthest_order,
+    resolution_rows,
+)
+
+
+class EncoderIndices(NamedTuple):
+    """All integers of the encoder. They depend on the partial alone: compute them once
+    per frame, and pass them to every adaptation step."""
+
+    rows: tuple[Int[Array, "... n"], Int[Array, "... m"]]
+    neighbors: tuple[Int[Array, "... n k"], Int[Array, "... m k"]]
+    pyramids: tuple[Pyramid, Pyramid]
+
+
+class PointFeatures(NamedTuple):
+    """What the decoder and the auxiliary branches see of the partial."""
+
+    patch_xyz: Float[Array, "... M 3"]
+    patch_features: Float[Array, "... M C"]
+    global_feature: Float[Array, "... G"]
+
+
+def encoder_indices(
+    partial: Float[Array, "N 3"], config: BackboneConfig
+) -> EncoderIndices:
+    """Samples and neighbours of one partial cloud.
+
+    A cloud made by farthest-point sampling is in farthest-point order, so it is
+    sampled once and every coarser resolution is a prefix.
+    """
+    rows, neighbors, pyramids = [], [], []
+    cloud, order = partial, farthest_order(partial, config.patch_points[0])
+    for num_points in config.patch_points:
+        patches = cloud[order[:num_points]]
+        rows.append(order[:num_points])
+        neighbors.append(knn(patches, cloud, config.patch_neighbors))
+        order = jnp.arange(num_points)
+        levels = resolution_rows(order, num_points, config.encoder_rates)
+        pyramids.append(
+            build_pyramid(
+                patches, patches, levels, levels, config.num_neighbors, same=True
+            )
+        )
+        cloud = patches
+    return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids))
+
+
+class SetAbstraction(nn.Module):
+    """PointNet++ over given neighbours: relative coordinates and features, a shared
+    MLP, the maximum."""
+
+    widths: tuple[int, int]
+
+    @nn.compact
+    def __call__(
+        self,
+        centers: Float[Array, "... M 3"],
+        xyz: Float[Array, "... N 3"],
+        features: Float[Array, "... N C"],
+        neighbors: Int[Array, "... M k"],
+    ) -> Float[Array, "... M D"]:
+        together = gather(jnp.concatenate([xyz, features], -1), neighbors)
+        relative = together[..., :3] - centers[..., None, :]
+        grouped = jnp.concatenate([relative, together[..., 3:]], -1)
+        return MLP(self.widths, name="mlp")(grouped).max(-2)
+
+
+class PointEncoder(nn.Module):
+    """CRA-PCN's encoder: patch features of the partial, and a global feature."""
+
+    config: BackboneConfig
+
+    @nn.compact
+    def __call__(
+        self,
+        partial: Float[Array, "... N 3"],
+        indices: EncoderIndices,
+        train: bool = False,
+    ) -> PointFeatures:
+        config = self.config
+        xyz_1 = take(partial, indices.rows[0])
+        abstract = SetAbstraction(config.patch_features[0], name="abstraction_1")
+        features_1 = abstract(xyz_1, partial, partial, indices.neighbors[0])
+        features_1 = self._transform(1, xyz_1, features_1, indices, train)
+
+        xyz_2 = take(xyz_1, indices.rows[1])
+        abstract = SetAbstraction(config.patch_features[1], name="abstraction_2")
+        patches = abstract(xyz_2, xyz_1, features_1, indices.neighbors[1])
+        reduced = nn.Dense(config.features, name="reduce")(patches)
+        reduced = self._transform(2, xyz_2, reduced, indices, train)
+        patches = nn.Dense(patches.shape[-1], name="expand")(reduced) + patches
+
+        pointwise = MLP(config.global_features, name="global")(xyz_2, patches)
+        global_feature = pointwise.max(-2)
+        return PointFeatures(xyz_2, patches, global_feature)
+
+    def _transform(
+        self,
+        number: int,
+        xyz: Array,
+        features: Array,
+        indices: EncoderIndices,
+        train: bool,
+    ) -> Array:
+        transformer = CrossResolutionTransformer(
+            self.config.features,
+            self.config.attention_features,
+            self.config.attention_ratio,
+            self.config.use_norm,
+            name=f"transformer_{number}",
+        )
+        pyramid = indices.pyramids[number - 1]
+        return transformer(xyz, features, xyz, features, pyramid, train)

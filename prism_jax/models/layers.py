@@ -1,0 +1,150 @@
+"""Pointwise networks shared by every module. Channels last, any leading axes."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+gather = jnp.vectorize(
+    lambda features, i: features[i], signature="(n,c),(m,k)->(m,k,c)"
+)
+"""Rows of ``(..., N, C)`` features at ``(..., M, k)`` indices."""
+
+take = jnp.vectorize(lambda features, i: features[i], signature="(n,c),(m)->(m,c)")
+"""Rows of ``(..., N, C)`` features at ``(..., M)`` indices."""
+
+
+def over_batch(fn: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of single clouds, mapped over all leading axes of its arguments.
+
+    The first argument is a cloud ``(..., N, 3)``; all share its leading axes.
+    """
+
+    def mapped(cloud: Array, *others: Array) -> Any:
+        batched = fn
+        for _ in range(cloud.ndim - 2):
+            batched = jax.vmap(batched)
+        return batched(cloud, *others)
+
+    return mapped
+
+
+class Linear(nn.Module):
+    """A dense layer that can be applied to the terms of a sum one by one.
+
+    Called several times it uses one kernel; ``bias=False`` leaves the bias to another
+    of the calls.
+    """
+
+    features: int
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "... C"], bias: bool = True
+    ) -> Float[Array, "... D"]:
+        init = nn.linear.default_kernel_init
+        kernel = self.param("kernel", init, (x.shape[-1], self.features))
+        added = self.param("bias", nn.initializers.zeros_init(), (self.features,))
+        return x @ kernel + added if bias else x @ kernel
+
+
+class JoinedDense(nn.Module):
+    """A dense layer over the concatenation of several parts, never made.
+
+    A part with fewer points is repeated in place up to the points of the first: its
+    product with the kernel is taken before the repetition.
+    """
+
+    features: int
+    kernel_init: nn.initializers.Initializer = nn.linear.default_kernel_init
+
+    @nn.compact
+    def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
+        width = sum(part.shape[-1] for part in parts)
+        kernel = self.param("kernel", self.kernel_init, (width, self.features))
+        y = self.param("bias", nn.initializers.zeros_init(), (self.features,))
+        start, num_points = 0, parts[0].shape[-2]
+        for part in parts:
+            product = part @ kernel[start : start + part.shape[-1]]
+            y = y + repeat_in_place(product, num_points // part.shape[-2])
+            start += part.shape[-1]
+        return y
+
+
+class MLP(nn.Module):
+    """Dense layers with a ReLU between them and none after the last.
+
+    Several inputs are joined as in `JoinedDense`.
+
+    ``norm_after`` puts a BatchNorm behind that layer, before its ReLU; ``final_init``
+    replaces the initialiser of the last kernel.
+    """
+
+    features: Sequence[int]
+    norm_after: int | None = None
+    final_init: nn.initializers.Initializer = nn.linear.default_kernel_init
+
+    @nn.compact
+    def __call__(
+        self, *parts: Float[Array, "... _ _"], train: bool = False
+    ) -> Float[Array, "... N D"]:
+        last = len(self.features) - 1
+        for i, width in enumerate(self.features):
+            init = self.final_init if i == last else nn.linear.default_kernel_init
+            x = JoinedDense(width, kernel_init=init, name=f"dense_{i}")(*parts)
+            if i == self.norm_after:
+                x = batch_norm(train)(x)
+            if i == last:
+                return x
+            parts = (nn.relu(x),)
+        raise ValueError("An MLP needs at least one layer.")
+
+
+class ResidualMLP(nn.Module):
+    """Two layers and a linear shortcut (``MLP_Res`` of SnowflakeNet and CRA-PCN).
+
+    Several inputs are joined as in `JoinedDense`.
+    """
+
+    hidden: int
+    features: int
+
+    @nn.compact
+    def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
+        y = nn.relu(JoinedDense(self.hidden, name="dense_0")(*parts))
+        y = nn.Dense(self.features, name="dense_1")(y)
+        return y + JoinedDense(self.features, name="shortcut")(*parts)
+
+
+def batch_norm(train: bool, name: str = "norm") -> nn.BatchNorm:
+    """PyTorch's BatchNorm: momentum 0.1 there is 0.9 here."""
+    return nn.BatchNorm(
+        use_running_average=not train, momentum=0.9, epsilon=1e-5, name=name
+    )
+
+
+def repeat_in_place(x: Float[Array, "... N C"], times: int) -> Float[Array, "... M C"]:
+    """Nearest upsampling of points: a, a, b, b, never a, b, a, b."""
+    return x if times == 1 else jnp.repeat(x, times, axis=-2)
+
+
+class SplitPoints(nn.Module):
+    """Each point's feature turned into ``times`` children (a transposed convolution
+    whose stride is its kernel)."""
+
+    features: int
+    times: int
+    use_bias: bool = True
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "... N C"]) -> Float[Array, "... M D"]:
+        y = nn.DenseGeneral((self.times, self.features), use_bias=False, name="dense")(
+            x
+        )
+        if self.use_bias:
+            shape = (self.features,)
+            y = y + self.param("bias", nn.initializers.zeros_init(), shape)
+        return y.reshape(*x.shape[:-2], -1, self.features)

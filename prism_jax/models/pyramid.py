@@ -1,0 +1,77 @@
+"""Neighbour indices of CRA-PCN's clouds, apart from features.
+
+A cross-resolution block looks at a query and a support cloud at three resolutions,
+finest first. All its integers are collected here once, and every layer that looks at
+the same clouds shares them.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from prism_jax.geometry.neighbors import knn
+from prism_jax.geometry.sampling import farthest_point_sample
+
+
+class Level(NamedTuple):
+    """One resolution of a pair of clouds.
+
+    Attributes:
+      query_rows: rows of the query cloud that make up this resolution.
+      support_rows: rows of the support cloud.
+      neighbors: for each query row here, its nearest support rows here.
+      query_coarser: for each query row here, the three nearest query rows of the next
+        coarser resolution; None at the coarsest.
+      support_coarser: the same for the support rows here.
+    """
+
+    query_rows: Int[Array, "... Q"]
+    support_rows: Int[Array, "... S"]
+    neighbors: Int[Array, "... Q k"]
+    query_coarser: Int[Array, "... Q 3"] | None
+    support_coarser: Int[Array, "... S 3"] | None
+
+
+Pyramid = tuple[Level, ...]
+
+
+def farthest_order(cloud: Float[Array, "N 3"], num_samples: int) -> Int[Array, " n"]:
+    """Sampling as the reference does it, near-origin rule included."""
+    return farthest_point_sample(cloud, num_samples, skip_near_origin=True)
+
+
+def resolution_rows(
+    order: Int[Array, " n"], num_points: int, rates: tuple[int, ...]
+) -> tuple[Int[Array, " _"], ...]:
+    """Rows of each resolution of a cloud: prefixes of its farthest-point order.
+
+    Rate 1 keeps the whole cloud in its own order.
+    """
+    every = jnp.arange(num_points)
+    return tuple(every if rate == 1 else order[: num_points // rate] for rate in rates)
+
+
+def build_pyramid(
+    query: Float[Array, "Q 3"],
+    support: Float[Array, "S 3"],
+    query_rows: tuple[Int[Array, " _"], ...],
+    support_rows: tuple[Int[Array, " _"], ...],
+    num_neighbors: tuple[int, ...],
+    same: bool = False,
+) -> Pyramid:
+    """Neighbours of two clouds at every resolution.
+
+    ``same`` says that both clouds are one, so that searches are shared.
+    """
+    levels = []
+    for i, (q_rows, s_rows) in enumerate(zip(query_rows, support_rows, strict=True)):
+        q, s = query[q_rows], support[s_rows]
+        q_coarser = s_coarser = None
+        if i + 1 < len(query_rows):
+            coarser = query[query_rows[i + 1]]
+            q_coarser = knn(q, coarser, 3)
+            s_coarser = q_coarser if same else knn(s, coarser, 3)
+        neighbors = knn(q, s, num_neighbors[i])
+        levels.append(Level(q_rows, s_rows, neighbors, q_coarser, s_coarser))
+    return tuple(levels)

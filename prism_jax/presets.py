@@ -1,0 +1,157 @@
+"""Named configurations, and changes to them from the command line."""
+
+import ast
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from prism_jax.io.errors import InputError
+from prism_jax.models.config import BackboneConfig
+from prism_jax.training.config import PhaseConfig, PretrainConfig
+
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """Everything that a run depends on, apart from its seed.
+
+    Attributes:
+      backbone: the completion network.
+      pretrain: how it is trained first.
+      margin: side of the workspace over the longest side of the partial's box.
+    """
+
+    backbone: BackboneConfig
+    pretrain: PretrainConfig
+    margin: float = 1.4
+
+
+_SMALL = BackboneConfig(
+    num_points=512,
+    patch_points=(256, 64),
+    patch_features=((32, 64), (64, 128)),
+    global_features=(256, 256),
+    patch_neighbors=8,
+    features=64,
+    attention_features=32,
+    attention_ratio=2,
+    num_neighbors=(8, 8),
+    encoder_rates=(1, 4),
+    level_rates=((1, 4), (1, 4)),
+    seeds_from_patches=True,
+    num_initial=256,
+    up_factors=(1, 8),
+    use_norm=False,
+)
+
+_PAPER = BackboneConfig(
+    seed_times=8,
+    num_initial=2048,
+    up_factors=(1, 2, 4),
+)
+
+_TINY = BackboneConfig(
+    num_points=64,
+    patch_points=(32, 16),
+    patch_features=((8, 16), (16, 16)),
+    global_features=(16, 16),
+    patch_neighbors=4,
+    features=16,
+    attention_features=8,
+    attention_ratio=2,
+    num_neighbors=(4, 4),
+    encoder_rates=(1, 2),
+    level_rates=((1, 2), (1, 2)),
+    num_initial=32,
+    up_factors=(1, 2),
+)
+
+
+def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
+    """Seeds alone, then the whole decoder."""
+    seeds, every = samples
+    return (
+        PhaseConfig("seeds", seeds, num_blocks=0, final_rate=0.5),
+        PhaseConfig("stages", every, num_blocks=None),
+    )
+
+
+PRESETS = {
+    "tiny": Preset(
+        _TINY,
+        PretrainConfig(
+            _legs(64, 64),
+            auxiliary_samples=64,
+            batch_size=8,
+            num_complete=128,
+            validate_every=32,
+            num_validation=8,
+        ),
+    ),
+    "small": Preset(
+        _SMALL, PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000)
+    ),
+    "paper": Preset(
+        _PAPER,
+        PretrainConfig(
+            _legs(2_000_000, 8_000_000),
+            auxiliary_samples=500_000,
+            num_complete=16_384,
+        ),
+    ),
+}
+
+
+def resolve(name: str, changes: Sequence[str] = ()) -> Preset:
+    """A preset by name with ``path.to.field=value`` changes applied.
+
+    An unknown preset or field, or a value of another type, raises `InputError`.
+    """
+    if name not in PRESETS:
+        known = ", ".join(PRESETS)
+        raise InputError(name, "no such preset", f"use one of {known}")
+    preset = PRESETS[name]
+    for change in changes:
+        path, equals, text = change.partition("=")
+        if not equals:
+            raise InputError(change, "not a change", "write path.to.field=value")
+        preset = _replaced(preset, path.split("."), text, change)
+    return preset
+
+
+def _replaced(config: T, path: list[str], text: str, change: str) -> T:
+    name, *rest = path
+    if isinstance(config, tuple):
+        index = _literal(name, change)
+        item = _replaced(config[index], rest, text, change)
+        return (*config[:index], item, *config[index + 1 :])  # pyright: ignore
+    known = [field.name for field in dataclasses.fields(config)]  # pyright: ignore
+    if name not in known:
+        remedy = f"use one of {', '.join(known)}"
+        raise InputError(change, f"no field {name!r}", remedy)
+    value = getattr(config, name)
+    if rest:
+        value = _replaced(value, rest, text, change)
+    else:
+        value = _typed(value, text, change)
+    return dataclasses.replace(config, **{name: value})  # pyright: ignore
+
+
+def _typed(old: Any, text: str, change: str) -> Any:
+    if isinstance(old, str):
+        return text
+    new = _literal(text, change)
+    if isinstance(old, float) and type(new) is int:
+        new = float(new)
+    if old is not None and type(new) is not type(old):
+        wanted = type(old).__name__
+        raise InputError(change, f"not of type {wanted}", f"give it a {wanted}")
+    return new
+
+
+def _literal(text: str, change: str) -> Any:
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        raise InputError(change, "not a value", "write a Python literal") from None

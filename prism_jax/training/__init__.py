@@ -1,0 +1,1 @@
+"""Optimisation: jitted steps, optimiser partitions, checkpoints, metrics."""

@@ -1,0 +1,66 @@
+"""Training states on disk, by Orbax: the latest, to resume, and the best, to keep."""
+
+import pathlib
+from typing import Any
+
+import jax
+import orbax.checkpoint as ocp
+
+
+class Checkpoints:
+    """Two Orbax managers over one run directory.
+
+    A checkpoint appears whole or not at all: Orbax writes it aside and renames it.
+    """
+
+    def __init__(self, workdir: pathlib.Path):
+        root = workdir.absolute() / "checkpoints"
+        self._latest = _manager(root / "latest")
+        self._best = _manager(root / "best")
+
+    def save(self, step: int, state: Any, score: float | None = None) -> bool:
+        """Writes the state; also as the best, if its score is the lowest so far."""
+        self._latest.save(step, args=ocp.args.StandardSave(state))
+        best = self.best_score()
+        is_best = score is not None and (best is None or score < best)
+        if is_best:
+            self._best.save(
+                step, args=ocp.args.StandardSave(state), metrics={"score": score}
+            )
+        self._latest.wait_until_finished()
+        self._best.wait_until_finished()
+        return is_best
+
+    def best_score(self) -> float | None:
+        """Score of the best checkpoint, or None before the first."""
+        step = self._best.latest_step()
+        if step is None:
+            return None
+        metrics = self._best.metrics(step)
+        return None if metrics is None else float(metrics["score"])
+
+    def restore_latest(self, like: Any) -> Any | None:
+        """The latest state, in the structure of ``like``; None if there is none."""
+        return _restore(self._latest, like)
+
+    def restore_best(self, like: Any) -> Any | None:
+        """The best state, in the structure of ``like``; None if there is none."""
+        return _restore(self._best, like)
+
+    def close(self) -> None:
+        """Waits for what is being written."""
+        self._latest.close()
+        self._best.close()
+
+
+def _manager(folder: pathlib.Path) -> ocp.CheckpointManager:
+    options = ocp.CheckpointManagerOptions(max_to_keep=1, create=True)
+    return ocp.CheckpointManager(folder, options=options)
+
+
+def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:
+    step = manager.latest_step()
+    if step is None:
+        return None
+    abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
+    return manager.restore(step, args=ocp.args.StandardRestore(abstract))

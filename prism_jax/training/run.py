@@ -1,0 +1,84 @@
+"""A run directory: the resolved configuration, the metrics log, the progress bar."""
+
+import dataclasses
+import json
+import pathlib
+import subprocess
+import time
+from typing import Any
+
+from tqdm import tqdm
+
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.errors import InputError
+
+
+def open_run(workdir: str, config: Any, seed: int, resume: bool) -> pathlib.Path:
+    """The run's folder, with config, seed and commit written to ``config.json``.
+
+    A folder that holds a run already is refused unless ``resume`` is set, and then
+    only the same configuration and seed may go on in it.
+    """
+    folder = make_output_dir(pathlib.Path(workdir))
+    path = folder / "config.json"
+    resolved = {"config": dataclasses.asdict(config), "seed": seed}
+    resolved = json.loads(json.dumps(resolved))
+    if not path.exists():
+        text = json.dumps({**resolved, "commit": commit()}, indent=2)
+        write_bytes(path, text.encode())
+        return folder
+    if not resume:
+        remedy = "pass --resume to go on with it, or choose another --workdir"
+        raise InputError(str(folder), "it holds a run already", remedy)
+    before = json.loads(path.read_text())
+    if any(before[key] != resolved[key] for key in resolved):
+        remedy = "resume with the settings of its config.json"
+        raise InputError(str(folder), "its run has another configuration", remedy)
+    return folder
+
+
+def commit() -> str | None:
+    """The commit of the working copy that this package runs from, if it is one."""
+    try:
+        return subprocess.run(
+            ["git", "rev-parse", "HEAD"],
+            cwd=pathlib.Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+class Log:
+    """One JSON object a line in ``metrics.jsonl``, and a progress bar on stderr."""
+
+    def __init__(self, folder: pathlib.Path, name: str, total: int, done: int):
+        self._file = (folder / "metrics.jsonl").open("a")
+        self._name = name
+        self._start, self._done_at_start = time.monotonic(), done
+        self._bar = tqdm(
+            total=total, initial=done, desc=name, unit="sample", mininterval=2.0
+        )
+
+    def advance(self, samples: int, **shown: float) -> None:
+        """Moves the bar and shows values beside it."""
+        self._bar.update(samples)
+        if shown:
+            text = {key: f"{value:.4g}" for key, value in shown.items()}
+            self._bar.set_postfix(text, refresh=False)
+
+    def write(self, step: int, **values: Any) -> None:
+        """Adds a line."""
+        seconds = time.monotonic() - self._start
+        rate = (self._bar.n - self._done_at_start) / max(seconds, 1e-9)
+        line = {"phase": self._name, "step": step, "samples": self._bar.n}
+        line |= {"samples_per_second": round(rate, 2), **values}
+        self._file.write(json.dumps(line) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Ends the bar and the file."""
+        self._bar.close()
+        self._file.close()
