@@ -5,15 +5,14 @@ python -m experiments.pretrain --preset=small --workdir=DIR [--resume]
 
 import sys
 
-import jax
-from absl import app, flags
+from absl import app, flags, logging
 
 from prism_jax.data.corpus import load_corpus
 from prism_jax.io.errors import InputError
-from prism_jax.models.backbone import init_backbone
 from prism_jax.presets import resolve
-from prism_jax.training.backbone_phase import train_backbone_phase
+from prism_jax.training.leg import Source
 from prism_jax.training.run import open_run
+from prism_jax.training.stages import pretrain
 
 FLAGS = flags.FLAGS
 flags.DEFINE_string("preset", "small", "Configuration: tiny, small or paper.")
@@ -26,29 +25,20 @@ flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
 
 
 def main(argv):
-    """Runs the phases in turn."""
+    """Trains, or goes on training, and says where the weights are."""
     del argv
+    logging.set_verbosity(logging.WARNING)
     preset = resolve(FLAGS.preset, FLAGS.set)
     folder = open_run(FLAGS.workdir, preset, FLAGS.seed, FLAGS.resume)
-    data = tuple(
-        load_corpus(split, cache_dir=FLAGS.cache_dir)
-        for split in ("train", "validation")
+    source = Source(
+        load_corpus("train", cache_dir=FLAGS.cache_dir),
+        load_corpus("validation", cache_dir=FLAGS.cache_dir, limit=200),
+        preset.model.backbone.num_points,
+        preset.model.margin,
+        FLAGS.seed,
+        preset.pretrain.validate_every,
     )
-    variables = init_backbone(jax.random.key(FLAGS.seed), preset.backbone)
-    for phase in preset.pretrain.backbone:
-        variables, done = train_backbone_phase(
-            variables,
-            preset.backbone,
-            phase,
-            preset.pretrain,
-            preset.margin,
-            data,
-            folder,
-            FLAGS.seed,
-            FLAGS.max_steps,
-        )
-        if not done:
-            return
+    pretrain(preset, source, folder, FLAGS.seed, FLAGS.max_steps)
 
 
 def run():

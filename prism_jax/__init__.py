@@ -1,1 +1,32 @@
 """PRISM in JAX: completion of sparse scans with test-time adaptation."""
+
+from prism_jax.adaptation.test_time import make_adapt
+from prism_jax.completion import Completer
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.neighbors import knn, nearest
+from prism_jax.geometry.normals import pca_normals
+from prism_jax.geometry.render import render_depth
+from prism_jax.geometry.sampling import farthest_point_sample
+from prism_jax.geometry.transport import sinkhorn
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.losses.chamfer import chamfer
+from prism_jax.metrics import f_score
+from prism_jax.weights import load_pretrained
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Camera",
+    "Completer",
+    "Workspace",
+    "chamfer",
+    "f_score",
+    "farthest_point_sample",
+    "knn",
+    "load_pretrained",
+    "make_adapt",
+    "nearest",
+    "pca_normals",
+    "render_depth",
+    "sinkhorn",
+]

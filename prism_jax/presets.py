@@ -5,8 +5,9 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
+from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.io.errors import InputError
-from prism_jax.models.config import BackboneConfig
+from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 
 T = TypeVar("T")
@@ -17,14 +18,16 @@ class Preset:
     """Everything that a run depends on, apart from its seed.
 
     Attributes:
-      backbone: the completion network.
-      pretrain: how it is trained first.
-      margin: side of the workspace over the longest side of the partial's box.
+      adapt: the networks, and how they adapt to a frame.
+      pretrain: how they are trained first.
     """
 
-    backbone: BackboneConfig
+    adapt: AdaptConfig
     pretrain: PretrainConfig
-    margin: float = 1.4
+
+    @property
+    def model(self) -> ModelConfig:
+        return self.adapt.model
 
 
 _SMALL = BackboneConfig(
@@ -43,6 +46,14 @@ _SMALL = BackboneConfig(
     num_initial=256,
     up_factors=(1, 8),
     use_norm=False,
+)
+
+_SMALL_AUXILIARY = AuxiliaryConfig(
+    depth_features=(16, 32, 64, 64),
+    depth_blocks=1,
+    num_tokens=16,
+    token_features=64,
+    hidden=64,
 )
 
 _PAPER = BackboneConfig(
@@ -67,6 +78,15 @@ _TINY = BackboneConfig(
     up_factors=(1, 2),
 )
 
+_TINY_AUXILIARY = AuxiliaryConfig(
+    depth_features=(4, 8),
+    depth_blocks=1,
+    num_tokens=4,
+    token_features=8,
+    hidden=8,
+    denoise_neighbors=4,
+)
+
 
 def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
     """Seeds alone, then the whole decoder."""
@@ -79,21 +99,24 @@ def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
 
 PRESETS = {
     "tiny": Preset(
-        _TINY,
+        AdaptConfig(
+            ModelConfig(_TINY, _TINY_AUXILIARY, depth_pixels=32, consistency_pixels=16),
+            normal_neighbors=4,
+        ),
         PretrainConfig(
             _legs(64, 64),
             auxiliary_samples=64,
             batch_size=8,
             num_complete=128,
             validate_every=32,
-            num_validation=8,
         ),
     ),
     "small": Preset(
-        _SMALL, PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000)
+        AdaptConfig(ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=64)),
+        PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000),
     ),
     "paper": Preset(
-        _PAPER,
+        AdaptConfig(ModelConfig(_PAPER)),
         PretrainConfig(
             _legs(2_000_000, 8_000_000),
             auxiliary_samples=500_000,

@@ -151,7 +151,8 @@ def load_corpus(
 ) -> Examples:
     """The first `limit` examples of a split, all by default, from a finished build.
 
-    Every shard is checked against the manifest's sha256. A limit below one, or a split that is missing, unfinished or damaged raises InputError.
+    Every shard is checked against the manifest's sha256. A limit below one, or a
+    split that is missing, unfinished or damaged, raises InputError.
     """
     folder = split_dir(split, config, cache_dir)
     manifest = _read_manifest(folder, split)
@@ -249,8 +250,9 @@ def _read_manifest(folder: pathlib.Path, split: str) -> dict:
     except FileNotFoundError:
         raise InputError(path, "this split is not built here", remedy) from None
     except ValueError:
-        fault = "is not valid JSON"
-        raise InputError(path, fault, f"delete it and {remedy}") from None
+        raise InputError(
+            path, "is not valid JSON", f"delete it, then {remedy}"
+        ) from None
 
 
 def _read_shard(path: pathlib.Path, sha256: str) -> dict[str, np.ndarray]:

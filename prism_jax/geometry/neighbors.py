@@ -30,7 +30,7 @@ def nearest(
     winning pair alone: the search itself has no derivative. Ties go to the lowest
     index. Memory is linear in N + M. Coordinates must be finite.
     """
-    indices = jax.lax.stop_gradient(_by_rows(_nearest_indices, query, support))
+    indices = _by_rows(_nearest_indices, *jax.lax.stop_gradient((query, support)))
     return ((query - support[indices]) ** 2).sum(-1), indices
 
 
@@ -43,9 +43,10 @@ def knn(
     support holds fewer than k points, the farthest one found is repeated.
     """
     found = min(k, support.shape[0])
-    indices = _by_rows(lambda q, s: _knn_indices(q, s, found), query, support)
+    clouds = jax.lax.stop_gradient((query, support))
+    indices = _by_rows(lambda q, s: _knn_indices(q, s, found), *clouds)
     last = jnp.repeat(indices[:, -1:], k - found, axis=1)
-    return jax.lax.stop_gradient(jnp.concatenate([indices, last], axis=1))
+    return jnp.concatenate([indices, last], axis=1)
 
 
 def three_point_interpolate(

@@ -1,7 +1,5 @@
 """The completion backbone as functions: encode the partial, decode every stage."""
 
-from typing import Any
-
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -14,8 +12,7 @@ from prism_jax.models.encoder import (
     encoder_indices,
 )
 from prism_jax.models.layers import over_batch
-
-Variables = dict[str, Any]
+from prism_jax.models.variables import Variables, part
 
 
 def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
@@ -53,7 +50,7 @@ def encode_points(
     indices: EncoderIndices,
 ) -> PointFeatures:
     """The point stream, with BatchNorm statistics as they are."""
-    own = _of(variables, "point_encoder")
+    own = part(variables, "point_encoder")
     return PointEncoder(config).apply(own, partial, indices)
 
 
@@ -64,7 +61,7 @@ def decode(
     encoded: PointFeatures,
 ) -> Decoded:
     """All stages, with BatchNorm statistics as they are."""
-    return Decoder(config).apply(_of(variables, "decoder"), partial, encoded)
+    return Decoder(config).apply(part(variables, "decoder"), partial, encoded)
 
 
 def train_backbone(
@@ -75,14 +72,14 @@ def train_backbone(
 ) -> tuple[Decoded, Variables]:
     """All stages with statistics of the batch, and the updated running statistics."""
     encoded, encoder = PointEncoder(config).apply(
-        _of(variables, "point_encoder"),
+        part(variables, "point_encoder"),
         partial,
         partial_indices(partial, config),
         train=True,
         mutable=["batch_stats"],
     )
     decoded, decoder = Decoder(config).apply(
-        _of(variables, "decoder"),
+        part(variables, "decoder"),
         partial,
         encoded,
         train=True,
@@ -98,7 +95,3 @@ def train_backbone(
         },
     }
     return decoded, statistics
-
-
-def _of(variables: Variables, name: str) -> Variables:
-    return {collection: tree[name] for collection, tree in variables.items()}

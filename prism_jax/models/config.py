@@ -61,6 +61,47 @@ class BackboneConfig:
         return tuple(sizes)
 
 
+@dataclasses.dataclass(frozen=True)
+class AuxiliaryConfig:
+    """Depth stream, refiner and auxiliary branches. The defaults are the paper's sizes.
+
+    Attributes:
+      depth_features: widths of the ResNet's stages; each but the first halves the map.
+      depth_blocks: residual blocks per stage.
+      num_tokens: tokens that the token integrator makes of a cloud (m).
+      token_features: width of the tokens of both streams (d).
+      hidden: hidden width of the refiner, the normal head and the denoiser.
+      max_offset: bound on the refiner's offsets, delta_max of Eq. 2.
+      denoise_neighbors: neighbours that the denoiser sees of a point.
+    """
+
+    depth_features: tuple[int, ...] = (64, 128, 256, 512)
+    depth_blocks: int = 2
+    num_tokens: int = 64
+    token_features: int = 256
+    hidden: int = 128
+    max_offset: float = 0.1
+    denoise_neighbors: int = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelConfig:
+    """The whole of PRISM's networks, and the frame that they work in.
+
+    Attributes:
+      margin: side of the workspace over the longest side of the partial's box.
+      depth_pixels: side of the depth map that the depth stream reads.
+      consistency_pixels: side of the maps that Eq. 3 and Eq. 4 compare: few points
+        leave holes in a fine map, through which the far side of the shape shows.
+    """
+
+    backbone: BackboneConfig = BackboneConfig()
+    auxiliary: AuxiliaryConfig = AuxiliaryConfig()
+    margin: float = 1.4
+    depth_pixels: int = 128
+    consistency_pixels: int = 128
+
+
 SHAPENET55 = BackboneConfig(up_factors=(1, 4, 4))
 """The published CRA-PCN variant for ShapeNet-55: 256 / 512 / 2,048 / 8,192 points."""
 

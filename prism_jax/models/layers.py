@@ -79,24 +79,18 @@ class MLP(nn.Module):
 
     Several inputs are joined as in `JoinedDense`.
 
-    ``norm_after`` puts a BatchNorm behind that layer, before its ReLU; ``final_init``
-    replaces the initialiser of the last kernel.
+    ``final_init`` replaces the initialiser of the last kernel.
     """
 
     features: Sequence[int]
-    norm_after: int | None = None
     final_init: nn.initializers.Initializer = nn.linear.default_kernel_init
 
     @nn.compact
-    def __call__(
-        self, *parts: Float[Array, "... _ _"], train: bool = False
-    ) -> Float[Array, "... N D"]:
+    def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
         last = len(self.features) - 1
         for i, width in enumerate(self.features):
             init = self.final_init if i == last else nn.linear.default_kernel_init
             x = JoinedDense(width, kernel_init=init, name=f"dense_{i}")(*parts)
-            if i == self.norm_after:
-                x = batch_norm(train)(x)
             if i == last:
                 return x
             parts = (nn.relu(x),)

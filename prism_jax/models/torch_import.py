@@ -71,7 +71,9 @@ def convert_state_dict(
     if not config.use_norm:
         raise ValueError("official weights have BatchNorm: use_norm must be True")
     if config.seeds_from_patches:
-        raise ValueError("official seeds are absolute: seeds_from_patches must be False")
+        raise ValueError(
+            "official seeds are absolute: seeds_from_patches must be False"
+        )
     weights = _Weights(_unwrapped(state_dict))
     _encoder(weights, config)
     _seed_generator(weights, config)

@@ -40,7 +40,6 @@ class PretrainConfig:
       warmup_steps: steps in which the step size rises from zero.
       clip_norm: bound on the gradient's global norm.
       validate_every: samples between validations.
-      num_validation: examples of a validation.
     """
 
     backbone: tuple[PhaseConfig, ...]
@@ -52,4 +51,3 @@ class PretrainConfig:
     warmup_steps: int = 200
     clip_norm: float = 1.0
     validate_every: int = 16_000
-    num_validation: int = 200

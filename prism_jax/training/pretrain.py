@@ -1,73 +1,72 @@
-"""Jitted steps of the backbone's pretraining on Eq. 10."""
+"""Pretraining, stage A: the backbone on Eq. 10, then all that reads it."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.backbone import (
-    Variables,
     decode,
     encode_points,
     partial_indices,
     train_backbone,
 )
 from prism_jax.models.config import BackboneConfig
+from prism_jax.models.variables import Variables
 from prism_jax.training.batches import Batch
 from prism_jax.training.config import PhaseConfig, PretrainConfig
+from prism_jax.training.leg import Leg, TrainState
 
 
-class TrainState(NamedTuple):
-    """What a step changes and a checkpoint holds."""
-
-    step: Int[Array, ""]
-    variables: Variables
-    opt_state: Any
-
-
-StepFn = Callable[[TrainState, Batch], tuple[TrainState, Float[Array, " S"]]]
-
-
-def backbone_optimiser(
-    phase: PhaseConfig, config: PretrainConfig
+def adam(
+    learning_rate: float, num_steps: int, final_rate: float, config: PretrainConfig
 ) -> optax.GradientTransformation:
     """Adam under a clipped gradient: linear warm-up, then a cosine."""
-    num_steps = phase.num_samples // config.batch_size
     schedule = optax.warmup_cosine_decay_schedule(
         init_value=0.0,
-        peak_value=phase.learning_rate,
+        peak_value=learning_rate,
         warmup_steps=min(config.warmup_steps, num_steps // 2),
         decay_steps=num_steps,
-        end_value=phase.final_rate * phase.learning_rate,
+        end_value=final_rate * learning_rate,
     )
     return optax.chain(
         optax.clip_by_global_norm(config.clip_norm), optax.adam(schedule)
     )
 
 
-def start_phase(variables: Variables, optimiser: optax.GradientTransformation):
-    """A state at step 0 with these variables."""
-    return TrainState(jnp.int32(0), variables, optimiser.init(variables["params"]))
-
-
-def make_backbone_step(
+def backbone_leg(
+    variables: Variables,
     model: BackboneConfig,
     phase: PhaseConfig,
     config: PretrainConfig,
-    optimiser: optax.GradientTransformation,
-) -> StepFn:
-    """One jitted update on the stages that the phase trains; returns their losses."""
+) -> Leg:
+    """Encoder and decoder on the stages that the phase trains (Eq. 10)."""
+    optimiser = adam(
+        phase.learning_rate,
+        phase.num_samples // config.batch_size,
+        phase.final_rate,
+        config,
+    )
+    return Leg(
+        phase.name,
+        phase.num_samples,
+        config.batch_size,
+        config.num_complete,
+        TrainState(jnp.int32(0), variables, optimiser.init(variables["params"])),
+        _backbone_step(model, phase, config, optimiser),
+        _backbone_validation(model, phase.num_blocks),
+    )
 
+
+def _backbone_step(model, phase, config, optimiser):
     def loss_fn(params, batch_stats, batch: Batch):
         variables = {"params": params, "batch_stats": batch_stats}
-        partial = jnp.asarray(batch.partial)
         decoded, statistics = train_backbone(
-            variables, model, partial, phase.num_blocks
+            variables, model, jnp.asarray(batch.partial), phase.num_blocks
         )
         losses = jax.vmap(lambda s, c: stage_chamfers(s, c, config.norm))(
             decoded.stages, jnp.asarray(batch.complete)
@@ -88,10 +87,10 @@ def make_backbone_step(
     return step
 
 
-def make_validation(
-    model: BackboneConfig,
+def _backbone_validation(
+    model: BackboneConfig, num_blocks: int | None
 ) -> Callable[[Variables, Batch], Float[Array, "B S"]]:
-    """CD-L2 of every stage of every example, in the units of the stored examples."""
+    """CD-L2 of every trained stage, in the units of the stored examples."""
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
@@ -100,7 +99,8 @@ def make_validation(
             variables, model, partial, partial_indices(partial, model)
         )
         stages = decode(variables, model, partial, encoded).stages
-        distances = [jax.vmap(chamfer)(stage, complete) for stage in stages]
+        trained = stages if num_blocks is None else stages[: num_blocks + 1]
+        distances = [jax.vmap(chamfer)(stage, complete) for stage in trained]
         return jnp.stack(distances, -1) * jnp.asarray(batch.half_extent)[:, None] ** 2
 
     return validate

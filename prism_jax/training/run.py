@@ -62,12 +62,14 @@ class Log:
             total=total, initial=done, desc=name, unit="sample", mininterval=2.0
         )
 
-    def advance(self, samples: int, **shown: float) -> None:
-        """Moves the bar and shows values beside it."""
+    def advance(self, samples: int) -> None:
+        """Moves the bar."""
         self._bar.update(samples)
-        if shown:
-            text = {key: f"{value:.4g}" for key, value in shown.items()}
-            self._bar.set_postfix(text, refresh=False)
+
+    def show(self, **values: float) -> None:
+        """Shows values beside the bar."""
+        text = {key: f"{value:.4g}" for key, value in values.items()}
+        self._bar.set_postfix(text, refresh=False)
 
     def write(self, step: int, **values: Any) -> None:
         """Adds a line."""

@@ -1,0 +1,111 @@
+"""Complete a partial scan, adapting the network to it.
+
+    python -m experiments.complete --input scan.ply --output_dir out
+
+or, installed, `prism-complete`. Without --input it completes a bundled sample. Writes
+completed.ply, result.json and report.html. Ends with status 2 and one line on stderr
+if the input cannot be used.
+"""
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from absl import app, flags
+
+from prism_jax import completion_job
+from prism_jax.completion_job import CompletionJob
+from prism_jax.io import InputError
+
+FLAGS = flags.FLAGS
+
+
+def define_flags() -> None:
+    """Define the flags; their defaults are those of CompletionJob."""
+    default = CompletionJob()
+    holders = [
+        flags.DEFINE_string(
+            "input",
+            default.input,
+            "Partial scan: .ply .pcd .npy .npz .xyz .txt .csv, or a 16-bit depth .png. "
+            "A bundled sample if not given.",
+        ),
+        flags.DEFINE_string(
+            "ground_truth", default.ground_truth, "Complete cloud to score against."
+        ),
+        flags.DEFINE_string(
+            "camera",
+            default.camera,
+            "JSON of the camera that saw the scan. For a depth image: the .json of the "
+            "same name if not given. For a cloud: one at the origin looking at it.",
+        ),
+        flags.DEFINE_string(
+            "workspace",
+            default.workspace,
+            "Box to complete, x0,y0,z0,x1,y1,z1 in the units of the input. Points "
+            "outside are left out. The cloud's own bounds if not given.",
+        ),
+        flags.DEFINE_string(
+            "weights", default.weights, "Name of released weights, or a file of them."
+        ),
+        flags.DEFINE_bool(
+            "adapt", default.adapt, "Adapt the network to the scan before completing."
+        ),
+        flags.DEFINE_string(
+            "output_dir", default.output_dir, "Where the results are written."
+        ),
+    ]
+    for holder in holders:
+        # --help lists the flags of the program alone, and installed this is not it.
+        FLAGS.register_key_flag_for_module(sys.argv[0], FLAGS[holder.name])
+
+
+def main(argv: Sequence[str]) -> None:
+    """Run the job that the flags describe."""
+    try:
+        if len(argv) > 1:
+            raise InputError(argv[1], "is no flag", f"write --input={argv[1]}")
+        job = CompletionJob(
+            input=FLAGS.input,
+            ground_truth=FLAGS.ground_truth,
+            camera=FLAGS.camera,
+            workspace=FLAGS.workspace,
+            weights=FLAGS.weights,
+            adapt=FLAGS.adapt,
+            output_dir=FLAGS.output_dir,
+        )
+        print(outcome(completion_job.run_job(job), job.output_dir))
+    except InputError as error:
+        completion_job.say(str(error))
+        sys.exit(2)
+
+
+def outcome(summary: dict[str, Any], output_dir: str) -> str:
+    """What was done, in three lines."""
+    points, adapted = summary["points"], "not asked for"
+    if summary["adapt"]:
+        adapted = "accepted" if summary["accepted"] else "not accepted, left out"
+    return (
+        f"points      {points['observed']:,} observed, {points['completed']:,} added\n"
+        f"adaptation  {adapted}\n"
+        f"written     {output_dir}: completed.ply, result.json, report.html"
+    )
+
+
+def parse_flags(argv: Sequence[str]) -> list[str]:
+    """Parse the flags; what is wrong with them is one line, and exit status 2."""
+    try:
+        return FLAGS(argv)
+    except flags.Error as error:
+        completion_job.say(f"{' '.join(str(error).split())}; --help lists the flags")
+        sys.exit(2)
+
+
+def run() -> None:
+    """The entry point of `prism-complete`."""
+    define_flags()
+    app.run(main, flags_parser=parse_flags)
+
+
+if __name__ == "__main__":
+    run()

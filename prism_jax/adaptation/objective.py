@@ -1,0 +1,78 @@
+"""The label-free objective of a frame, Eq. 11 and Eq. 13."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.losses.alignment import alignment_loss
+from prism_jax.losses.denoise import denoise_loss
+from prism_jax.losses.depth import depth_error
+from prism_jax.losses.normal import normal_loss
+from prism_jax.losses.weighting import weighted_auxiliary
+from prism_jax.models.prism import (
+    Branches,
+    Frame,
+    Prediction,
+    branches,
+    predict,
+    read_depth,
+)
+from prism_jax.models.variables import Variables
+
+
+class Losses(NamedTuple):
+    """The terms of Eq. 13 as they are, before scales and weights, and their sum."""
+
+    objective: Float[Array, "*steps"]
+    depth_consistency: Float[Array, "*steps"]
+    normal: Float[Array, "*steps"]
+    denoise: Float[Array, "*steps"]
+    align: Float[Array, "*steps"]
+
+
+def auxiliary_losses(
+    frame: Frame, prediction: Prediction, seen: Branches, config: AdaptConfig
+) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    """L_normal, L_denoise and L_align of one frame (Eq. 5, 6 and 9)."""
+    normal = normal_loss(
+        seen.normals, prediction.points, config.lambda_smooth, config.normal_neighbors
+    )
+    denoise = denoise_loss(
+        frame.perturbed + seen.offsets,
+        frame.upsampled,
+        seen.offsets,
+        config.lambda_offset,
+    )
+    align = alignment_loss(
+        seen.tokens_3d,
+        seen.tokens_depth,
+        config.lambda_sigma,
+        config.lambda_transport,
+        config.transport_epsilon,
+    )
+    return normal, denoise, align
+
+
+def test_time_objective(
+    variables: Variables, frame: Frame, config: AdaptConfig
+) -> tuple[Losses, Prediction]:
+    """L_TTA of Eq. 13, its terms, and the prediction that they judge.
+
+    Each auxiliary loss is divided by its scale from training (gap 15) and weighted by
+    softmax(eta*). Differentiable in the encoders' parameters.
+    """
+    prediction = predict(variables, frame, config.model)
+    depth_features = read_depth(variables, frame, config.model)
+    seen = branches(variables, frame, prediction, depth_features, config.model)
+    auxiliary = auxiliary_losses(frame, prediction, seen, config)
+    consistency = depth_error(
+        prediction.points, frame.reference, frame.reference_mask, frame.view
+    )
+    weighting = variables["weighting"]
+    weighted = weighted_auxiliary(
+        weighting["logits"], jnp.stack(auxiliary), weighting["scales"]
+    )
+    objective = config.depth_weight * consistency + weighted
+    return Losses(objective, consistency, *auxiliary), prediction

@@ -1,0 +1,116 @@
+"""Test-time adaptation of the encoders to one frame, Eq. 13."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.inner_loop import unroll
+from prism_jax.adaptation.objective import Losses, test_time_objective
+from prism_jax.geometry.camera import Camera
+from prism_jax.losses.weighting import loss_weights
+from prism_jax.models.prism import prepare_frame
+from prism_jax.models.variables import Variables, pop_encoders, put_encoders
+
+
+class Completion(NamedTuple):
+    """A completed frame, in the unit workspace.
+
+    Attributes:
+      points: the completion, adapted if that was accepted.
+      before: the completion of the network as it was.
+      accepted: whether the adapted completion is the one returned.
+      losses: every term before each step, and after the last: K + 1 values.
+      weights: of the auxiliary losses, softmax(eta*).
+      encoders: the encoders' parameters that made ``points``.
+    """
+
+    points: Float[Array, "N 3"]
+    before: Float[Array, "N 3"]
+    accepted: Bool[Array, ""]
+    losses: Losses
+    weights: Float[Array, "3"]
+    encoders: Variables
+
+
+AdaptFn = Callable[[Variables, Array, Camera], Completion]
+
+
+def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
+    """The adaptation function of a configuration.
+
+    The function takes variables (`prism_jax.load_pretrained`), a partial cloud of
+    exactly ``config.model.backbone.num_points`` points (`prism_jax.geometry.resample`)
+    and a camera, both in the unit workspace (`prism_jax.Workspace`), and returns a
+    `Completion`. It is pure: ``jit`` it, ``vmap`` it over partials and cameras (each
+    frame then has its own encoders), embed it. Only the two encoders move; everything
+    else, BatchNorm's statistics included, is read and never written.
+
+    If a loss or a coordinate is not finite, or the objective after the last step is
+    not below that before the first, the completion of the network as it was is
+    returned and ``accepted`` is False. With ``num_steps=0`` nothing is adapted.
+    """
+
+    def adapt(
+        variables: Variables, partial: Float[Array, "N 3"], camera: Camera
+    ) -> Completion:
+        _check(partial, config)
+        frame = prepare_frame(
+            partial, camera, jax.random.key(config.seed), config.model
+        )
+        encoders, rest = pop_encoders(variables)
+
+        def loss_fn(moving: Variables):
+            losses, prediction = test_time_objective(
+                put_encoders(_allowed(moving, encoders, config), rest), frame, config
+            )
+            return losses.objective, (losses, prediction.points)
+
+        adapted, (_, (before, points)) = unroll(
+            loss_fn, encoders, config.step_size, config.num_steps
+        )
+        _, (after, last) = loss_fn(adapted)
+        losses = jax.tree.map(
+            lambda steps, final: jnp.concatenate([steps, final[None]]), before, after
+        )
+        first = points[0] if config.num_steps else last
+        accepted = _improved(losses) & jnp.isfinite(last).all() & (config.num_steps > 0)
+        return Completion(
+            jnp.where(accepted, last, first),
+            first,
+            accepted,
+            losses,
+            loss_weights(variables["weighting"]["logits"]),
+            jax.tree.map(lambda a, e: jnp.where(accepted, a, e), adapted, encoders),
+        )
+
+    return adapt
+
+
+def _improved(losses: Losses) -> Bool[Array, ""]:
+    finite = jnp.isfinite(jnp.stack(losses)).all()
+    return finite & (losses.objective[-1] <= losses.objective[0])
+
+
+def _allowed(moving: Variables, encoders: Variables, config: AdaptConfig) -> Variables:
+    """The moving parameters, with those held that the configuration does not adapt."""
+    if config.adapt_norm:
+        return moving
+
+    def choose(path: tuple, new: Array, old: Array) -> Array:
+        is_norm = any(str(step.key).endswith("norm") for step in path)
+        return old if is_norm else new
+
+    return jax.tree_util.tree_map_with_path(choose, moving, encoders)
+
+
+def _check(partial: Array, config: AdaptConfig) -> None:
+    wanted = config.model.backbone.num_points
+    if partial.ndim != 2 or partial.shape[0] != wanted:
+        raise ValueError(
+            f"adapt takes one cloud of {wanted} points, not an array of shape "
+            f"{partial.shape}; use prism_jax.geometry.resample, and jax.vmap for frames"
+        )

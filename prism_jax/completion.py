@@ -1,0 +1,197 @@
+"""Scans in the user's frame and units, completed."""
+
+import dataclasses
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.spatial import cKDTree
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.test_time import Completion, make_adapt
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.render import render_depth
+from prism_jax.geometry.sampling import resample
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.clouds import check_cloud
+from prism_jax.models.variables import Variables
+from prism_jax.weights import available_weights, load_pretrained
+
+__all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
+
+DEPTH_PIXELS = 128
+
+
+@dataclasses.dataclass(frozen=True)
+class CompletedScan:
+    """A completed scan, in the user's frame and units.
+
+    Attributes:
+      points: the measured points inside the workspace, exactly as given, and then the
+        predicted points where nothing was measured.
+      observed: True for a measured point.
+      prediction: the network's own output, all of it.
+      accepted: whether test-time adaptation was accepted.
+      losses: the terms of Eq. 13 before each step and after the last.
+      weights: of normals, denoising and alignment in them.
+      workspace: the cube that was completed.
+      camera: the view that depths were compared in.
+      depth_observed, mask_observed: the measured points in that view.
+      depth_completed, mask_completed: the completed ones.
+      seconds: spent on compiling and on running.
+    """
+
+    points: Float[np.ndarray, "M 3"]
+    observed: Bool[np.ndarray, " M"]
+    prediction: Float[np.ndarray, "P 3"]
+    accepted: bool
+    losses: dict[str, list[float]]
+    weights: Float[np.ndarray, "3"]
+    workspace: Workspace
+    camera: Camera
+    depth_observed: Float[np.ndarray, "H W"]
+    mask_observed: Bool[np.ndarray, "H W"]
+    depth_completed: Float[np.ndarray, "H W"]
+    mask_completed: Bool[np.ndarray, "H W"]
+    seconds: dict[str, float]
+
+
+class Completer:
+    """Weights and what is compiled for them.
+
+    The function of one configuration is compiled at its first use and kept.
+    """
+
+    def __init__(self, config: AdaptConfig, variables: Variables):
+        self.config = config
+        self.variables = variables
+        self._compiled = {}
+
+    @classmethod
+    def from_pretrained(cls, name_or_path: str = "small") -> "Completer":
+        """A completer with released weights, by name or by file."""
+        return cls(*load_pretrained(name_or_path))
+
+    def complete(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None = None,
+        workspace: Workspace | None = None,
+        adapt: bool = True,
+    ) -> CompletedScan:
+        """Completes one scan.
+
+        Points are in any unit of length and any frame, the same for all arguments.
+        ``camera`` says where the sensor stood, the origin if it is None; the view is
+        aimed at the workspace from there, so that its pixels are spent on it.
+        ``workspace`` is the cube to complete, taken from the points if it is None;
+        points outside are left out. ``adapt=False`` leaves out test-time adaptation.
+        Points that are not finite, fewer than 64 distinct ones or an extent of zero
+        raise `prism_jax.io.InputError`.
+        """
+        points = np.asarray(points)
+        if workspace is None:
+            check_cloud(points, "points")
+            exact = points.astype(np.float64)
+            workspace = Workspace.from_points(exact, self.config.model.margin)
+        center = np.asarray(workspace.center, np.float64)
+        workspace = Workspace(center, np.float64(workspace.half_extent))
+        unit = workspace.to_unit(points.astype(np.float64))
+        inside = (np.abs(unit) <= 1.0).all(axis=-1)
+        measured = points[inside]
+        check_cloud(measured, "points inside the workspace")
+        eye = np.zeros(3) if camera is None else np.asarray(camera.position)
+        unit_eye = jnp.asarray(workspace.to_unit(eye), jnp.float32)
+        view = Camera.viewing(Workspace(jnp.zeros(3), jnp.ones(())), unit_eye)
+        partial = _resampled(unit[inside], self.config.model.backbone.num_points)
+        completion, seconds = self._run(adapt, partial, view)
+        prediction = np.asarray(completion.points, np.float64)
+        kept = prediction[keep_unmeasured(prediction, unit[inside], partial, view)]
+        added = workspace.from_unit(kept).astype(points.dtype)
+        together = np.concatenate([measured, added])
+        return CompletedScan(
+            points=together,
+            observed=np.arange(len(together)) < len(measured),
+            prediction=workspace.from_unit(prediction),
+            accepted=bool(completion.accepted),
+            losses={
+                name: np.asarray(values, np.float64).tolist()
+                for name, values in completion.losses._asdict().items()
+            },
+            weights=np.asarray(completion.weights),
+            workspace=workspace,
+            camera=_to_user(view, workspace),
+            **_depth_maps(unit[inside], kept, view, workspace),
+            seconds=seconds,
+        )
+
+    def _run(
+        self, adapt: bool, partial: Array, view: Camera
+    ) -> tuple[Completion, dict[str, float]]:
+        start = time.perf_counter()
+        if adapt not in self._compiled:
+            steps = self.config.num_steps if adapt else 0
+            config = dataclasses.replace(self.config, num_steps=steps)
+            lowered = jax.jit(make_adapt(config)).lower(self.variables, partial, view)
+            self._compiled[adapt] = lowered.compile()
+        compiled = time.perf_counter()
+        completion = self._compiled[adapt](self.variables, partial, view)
+        completion = jax.block_until_ready(completion)
+        done = time.perf_counter()
+        return completion, {"compile": compiled - start, "run": done - compiled}
+
+
+def keep_unmeasured(
+    prediction: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    partial: Float[Array | np.ndarray, "M 3"],
+    view: Camera,
+    spacing: float = 1.0,
+) -> Bool[np.ndarray, " P"]:
+    """Which predicted points to add to the measured ones: where nothing was measured.
+
+    All in one frame. A predicted point nearer to a measured one than ``spacing`` times
+    the typical distance between neighbours of the network's input says nothing new.
+    """
+    del view
+    cloud = np.asarray(partial)
+    distinct = np.unique(cloud, axis=0)
+    apart = cKDTree(distinct).query(distinct, k=2)[0][:, 1]
+    return cKDTree(measured).query(prediction)[0] > spacing * np.median(apart)
+
+
+def _resampled(points: np.ndarray, num_points: int) -> Array:
+    """`resample`, for clouds of any size with few compilations.
+
+    Copies of the first point fill up to a power of two; farthest-point sampling never
+    looks at them before it has seen every other point.
+    """
+    if len(points) > num_points:
+        filled = 1 << (len(points) - 1).bit_length()
+        filler = np.broadcast_to(points[0], (filled - len(points), 3))
+        points = np.concatenate([points, filler])
+    return jax.jit(resample, static_argnums=1)(points.astype(np.float32), num_points)
+
+
+def _to_user(view: Camera, workspace: Workspace) -> Camera:
+    """A camera of the unit workspace, for points in the user's frame."""
+    inverse = Workspace(
+        -workspace.center / workspace.half_extent, 1.0 / workspace.half_extent
+    )
+    return jax.tree.map(np.asarray, inverse.camera_to_unit(view))
+
+
+def _depth_maps(
+    measured: np.ndarray, added: np.ndarray, view: Camera, workspace: Workspace
+) -> dict[str, np.ndarray]:
+    """Depth of the measured and of all points, in the user's units."""
+    view = view.resized(DEPTH_PIXELS, DEPTH_PIXELS)
+    maps = {}
+    clouds = {"observed": measured, "completed": np.concatenate([measured, added])}
+    for name, cloud in clouds.items():
+        depth, mask = render_depth(jnp.asarray(cloud, jnp.float32), view)
+        maps[f"depth_{name}"] = np.asarray(depth) * workspace.half_extent
+        maps[f"mask_{name}"] = np.asarray(mask)
+    return maps

@@ -1,0 +1,211 @@
+"""Plotly figures of a completion: clouds, depth maps and losses."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from jaxtyping import Bool, Float
+from plotly.subplots import make_subplots
+
+from prism_jax.io.ply import COLORS, COMPLETED, OBSERVED
+
+MAX_SHOWN_POINTS = 10_000
+"""Of each cloud in a figure; a larger one is thinned, the same points every time."""
+
+OBSERVED_COLOR, COMPLETED_COLOR = (
+    "rgb({}, {}, {})".format(*COLORS[label]) for label in (OBSERVED, COMPLETED)
+)
+GROUND_TRUTH_COLOR = "rgb(96, 108, 118)"
+_FONT = {"family": "system-ui, Segoe UI, Helvetica, Arial, sans-serif", "size": 13}
+_GRID = "#dfe3e8"
+_LINE = "#8b949e"
+_NO_DEPTH = "#d5d9df"
+
+
+@dataclasses.dataclass(frozen=True)
+class Cloud:
+    """Points of one colour in a panel."""
+
+    name: str
+    points: Float[np.ndarray, "N 3"]
+    color: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """One of the 3-D views side by side."""
+
+    title: str
+    clouds: Sequence[Cloud]
+
+
+def subsample(points: np.ndarray, max_points: int) -> np.ndarray:
+    """At most so many of the points, drawn evenly; the same ones every time."""
+    if len(points) <= max_points:
+        return points
+    chosen = np.random.default_rng(0).choice(len(points), max_points, replace=False)
+    return points[np.sort(chosen)]
+
+
+def clouds_figure(
+    panels: Sequence[Panel],
+    toward_viewer: Float[np.ndarray, "3"],
+    up: Float[np.ndarray, "3"],
+) -> go.Figure:
+    """Panels side by side on one scale, seen from one direction.
+
+    The axes are the points' own, in their units. `toward_viewer` and `up` are
+    directions in their frame.
+    """
+    figure = make_subplots(
+        rows=1,
+        cols=len(panels),
+        specs=[[{"type": "scene"}] * len(panels)],
+        subplot_titles=[panel.title for panel in panels],
+        horizontal_spacing=0.01,
+    )
+    in_legend = set()
+    for column, panel in enumerate(panels, start=1):
+        for cloud in panel.clouds:
+            figure.add_trace(_markers(cloud, cloud.name not in in_legend), 1, column)
+            in_legend.add(cloud.name)
+    shown = [cloud.points for panel in panels for cloud in panel.clouds]
+    distance = 0.9 + 0.4 * len(panels)
+    figure.update_scenes(
+        _box(np.concatenate(shown)),
+        dragmode="orbit",
+        camera={"eye": _vector(distance * toward_viewer), "up": _vector(up)},
+    )
+    return _styled(figure, height=520).update_layout(
+        legend={
+            "orientation": "h",
+            "itemsizing": "constant",
+            "x": 0.5,
+            "xanchor": "center",
+            "y": 0,
+            "yanchor": "top",
+        },
+        margin={"t": 64},
+    )
+
+
+def depth_figure(
+    titles: tuple[str, str],
+    depths: Sequence[Float[np.ndarray, "H W"]],
+    masks: Sequence[Bool[np.ndarray, "H W"]],
+) -> go.Figure:
+    """Depth maps before and after on one colour scale; grey where there is no point."""
+    figure = make_subplots(
+        rows=1, cols=2, subplot_titles=list(titles), horizontal_spacing=0.06
+    )
+    for column, (depth, mask) in enumerate(zip(depths, masks, strict=True), start=1):
+        shown = np.where(mask, depth, np.nan).astype(np.float32)
+        hover = "u %{x}, v %{y}<br>depth %{z:.4g}<extra></extra>"
+        trace = go.Heatmap(z=shown, coloraxis="coloraxis", hovertemplate=hover)
+        figure.add_trace(trace, 1, column)
+        axis = "x" if column == 1 else f"x{column}"
+        height, width = depth.shape
+        figure.update_xaxes(range=[-0.5, width - 0.5], col=column)
+        figure.update_yaxes(range=[height - 0.5, -0.5], scaleanchor=axis, col=column)
+    frame = {
+        "constrain": "domain",
+        "showgrid": False,
+        "zeroline": False,
+        "mirror": True,
+        "linecolor": _LINE,
+        "ticks": "",
+        "showticklabels": False,
+    }
+    figure.update_xaxes(**frame)
+    figure.update_yaxes(**frame)
+    return _styled(figure, height=430).update_layout(
+        plot_bgcolor=_NO_DEPTH,
+        coloraxis={
+            "colorscale": "Viridis",
+            "reversescale": True,
+            "colorbar": {"title": {"text": "depth<br>(input units)"}, "thickness": 16},
+        },
+    )
+
+
+def losses_figure(losses: Mapping[str, Sequence[float]]) -> go.Figure:
+    """Each loss by adaptation step, on a scale of its own; the titles are the keys."""
+    figure = make_subplots(
+        rows=1,
+        cols=len(losses),
+        subplot_titles=list(losses),
+        horizontal_spacing=0.28 / max(len(losses), 2),
+    )
+    for column, values in enumerate(losses.values(), start=1):
+        trace = go.Scatter(
+            x=list(range(len(values))),
+            y=list(values),
+            mode="lines+markers",
+            line={"color": OBSERVED_COLOR, "width": 2},
+            marker={"size": 7},
+            hovertemplate="step %{x}: %{y:.5g}<extra></extra>",
+        )
+        figure.add_trace(trace, 1, column)
+    figure.update_xaxes(title_text="step", dtick=1, gridcolor=_GRID, zeroline=False)
+    figure.update_yaxes(gridcolor=_GRID, zeroline=False, nticks=5, exponentformat="e")
+    return _styled(figure, height=260).update_layout(
+        showlegend=False, plot_bgcolor="white", margin={"b": 48, "l": 56}
+    )
+
+
+def _markers(cloud: Cloud, in_legend: bool) -> go.Scatter3d:
+    points = subsample(cloud.points, MAX_SHOWN_POINTS).astype(np.float32)
+    return go.Scatter3d(
+        x=points[:, 0],
+        y=points[:, 1],
+        z=points[:, 2],
+        mode="markers",
+        name=cloud.name,
+        legendgroup=cloud.name,
+        showlegend=in_legend,
+        marker={"size": 1.6 if len(points) > 4000 else 2.6, "color": cloud.color},
+        hovertemplate="x %{x:.4g}<br>y %{y:.4g}<br>z %{z:.4g}",
+    )
+
+
+def _box(points: np.ndarray) -> dict[str, Any]:
+    """The same box of space for every panel, and one scale for all axes."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    extent = (upper - lower).max() or 1.0
+    sides = np.maximum(1.06 * (upper - lower), 0.15 * extent)
+    center = (lower + upper) / 2
+    axes = {
+        f"{name}axis": {
+            "range": [float(middle - side / 2), float(middle + side / 2)],
+            "title": {"text": name},
+            "nticks": 4,
+            "tickfont": {"size": 10, "color": "#6a737d"},
+            "gridcolor": _GRID,
+            "linecolor": _LINE,
+            "showline": True,
+            "mirror": True,
+            "zeroline": False,
+            "backgroundcolor": "white",
+            "showspikes": False,
+        }
+        for name, middle, side in zip("xyz", center, sides, strict=True)
+    }
+    ratio = _vector(1.6 * sides / np.linalg.norm(sides))
+    return {**axes, "aspectmode": "manual", "aspectratio": ratio}
+
+
+def _vector(direction: np.ndarray) -> dict[str, float]:
+    return {name: float(v) for name, v in zip("xyz", direction, strict=True)}
+
+
+def _styled(figure: go.Figure, height: int) -> go.Figure:
+    figure.update_annotations(font={**_FONT, "size": 14}, yanchor="bottom")
+    return figure.update_layout(
+        template="none",
+        font=_FONT,
+        height=height,
+        margin={"l": 8, "r": 8, "t": 40, "b": 8},
+        paper_bgcolor="white",
+    )

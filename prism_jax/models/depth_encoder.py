@@ -1,0 +1,71 @@
+"""The depth stream: a ResNet over the projected depth, without a decoder."""
+
+from typing import NamedTuple
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from prism_jax.models.config import AuxiliaryConfig
+from prism_jax.models.layers import batch_norm
+
+
+class DepthFeatures(NamedTuple):
+    """The last feature map's cells as tokens, and their mean."""
+
+    tokens: Float[Array, "... n C"]
+    pooled: Float[Array, "... C"]
+
+
+class DepthEncoder(nn.Module):
+    """ResNet (He et al., CVPR 2016) of a depth map and its mask.
+
+    Depths are in workspace units, relative to the workspace's centre; where the mask
+    is False their value has no influence.
+    """
+
+    config: AuxiliaryConfig
+
+    @nn.compact
+    def __call__(
+        self,
+        depth: Float[Array, "... H W"],
+        mask: Bool[Array, "... H W"],
+        train: bool = False,
+    ) -> DepthFeatures:
+        seen = jnp.where(mask, depth, 0.0)
+        x = jnp.stack([seen, mask.astype(seen.dtype)], axis=-1)
+        first = self.config.depth_features[0]
+        x = nn.Conv(first, (7, 7), strides=2, use_bias=False, name="stem")(x)
+        x = nn.relu(batch_norm(train)(x))
+        x = nn.max_pool(x, (3, 3), strides=(2, 2), padding="SAME")
+        for stage, features in enumerate(self.config.depth_features):
+            for block in range(self.config.depth_blocks):
+                strides = 2 if stage > 0 and block == 0 else 1
+                name = f"stage_{stage}_block_{block}"
+                x = ResidualBlock(features, strides, name=name)(x, train)
+        tokens = x.reshape(*x.shape[:-3], -1, x.shape[-1])
+        return DepthFeatures(tokens, tokens.mean(-2))
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions around a shortcut."""
+
+    features: int
+    strides: int
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "... H W C"], train: bool
+    ) -> Float[Array, "... H2 W2 D"]:
+        y = self._convolve(x, (3, 3), self.strides, "conv_0", train)
+        y = self._convolve(nn.relu(y), (3, 3), 1, "conv_1", train)
+        if x.shape != y.shape:
+            x = self._convolve(x, (1, 1), self.strides, "shortcut", train)
+        return nn.relu(x + y)
+
+    def _convolve(
+        self, x: Array, size: tuple[int, int], strides: int, name: str, train: bool
+    ) -> Array:
+        x = nn.Conv(self.features, size, strides, use_bias=False, name=name)(x)
+        return batch_norm(train, f"{name}_norm")(x)

@@ -1,0 +1,71 @@
+"""Fresh variables of the whole model."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import PRNGKeyArray
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.models.auxiliary import (
+    Denoiser,
+    DepthProjection,
+    NormalHead,
+    TokenIntegrator,
+)
+from prism_jax.models.backbone import decode, encode_points, init_backbone
+from prism_jax.models.config import ModelConfig
+from prism_jax.models.depth_encoder import DepthEncoder
+from prism_jax.models.prism import prepare_frame
+from prism_jax.models.refiner import Refiner
+from prism_jax.models.variables import Variables
+
+
+def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
+    """Everything that ``adapt`` and training need, in the structure of `variables`."""
+    first, second = jax.random.split(key)
+    return init_auxiliary(second, init_backbone(first, config.backbone), config)
+
+
+def init_auxiliary(
+    key: PRNGKeyArray, backbone: Variables, config: ModelConfig
+) -> Variables:
+    """A backbone's variables with fresh ones for all that reads it."""
+    sizes = config.auxiliary
+    keys = jax.random.split(key, 7)
+
+    def init() -> dict[str, Variables]:
+        shape = (config.backbone.num_points, 3)
+        cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
+        frame = prepare_frame(cloud, Camera.fixed_view(), keys[0], config)
+        encoded = encode_points(backbone, config.backbone, cloud, frame.indices)
+        decoded = decode(backbone, config.backbone, cloud, encoded)
+        points, features = decoded.stages[-1], decoded.features
+        depth_encoder = DepthEncoder(sizes)
+        depth = depth_encoder.init(keys[1], frame.depth, frame.depth_mask)
+        depth_features = depth_encoder.apply(depth, frame.depth, frame.depth_mask)
+        latent = jnp.zeros(sizes.token_features)
+        perturbed = (frame.perturbed, frame.perturbed_neighbors)
+        return {
+            "depth_encoder": depth,
+            "refiner": Refiner(sizes).init(keys[2], points, features),
+            "integrator": TokenIntegrator(sizes).init(keys[3], encoded),
+            "projection": DepthProjection(sizes).init(keys[4], depth_features),
+            "normal": NormalHead(sizes).init(keys[5], points, features),
+            "denoiser": Denoiser(sizes).init(keys[6], *perturbed, latent),
+        }
+
+    fresh = jax.jit(init)()
+    depth = fresh.pop("depth_encoder")
+    params = {name: variables["params"] for name, variables in fresh.items()}
+    return {
+        "params": {
+            **backbone["params"],
+            "depth_encoder": depth["params"],
+            "refiner": params.pop("refiner"),
+            "auxiliary": params,
+        },
+        "batch_stats": {
+            **backbone["batch_stats"],
+            "depth_encoder": depth["batch_stats"],
+        },
+        "weighting": {"logits": jnp.zeros(3), "scales": jnp.zeros(3)},
+    }

@@ -1,0 +1,148 @@
+"""PRISM's two streams and branches as functions of one frame."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.neighbors import knn
+from prism_jax.geometry.render import render_depth
+from prism_jax.losses.denoise import perturb, upsample_midpoints
+from prism_jax.models.auxiliary import (
+    Denoiser,
+    DepthProjection,
+    NormalHead,
+    TokenIntegrator,
+    Tokens,
+)
+from prism_jax.models.backbone import decode, encode_points
+from prism_jax.models.config import ModelConfig
+from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
+from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
+from prism_jax.models.refiner import Refiner
+from prism_jax.models.variables import Variables, part
+
+
+class Frame(NamedTuple):
+    """What depends on one frame alone, computed once for all adaptation steps.
+
+    Attributes:
+      partial: measured points in the unit workspace.
+      indices: samples and neighbours of the point encoder.
+      depth, depth_mask: what the depth stream reads, relative to the workspace centre.
+      view: the camera at the resolution of Eq. 3 and 4.
+      reference, reference_mask: the partial's depth map in that view.
+      perturbed, perturbed_neighbors: A(P) of Eq. 6 and its neighbour graph.
+      upsampled: U(P) of Eq. 6.
+    """
+
+    partial: Float[Array, "N 3"]
+    indices: EncoderIndices
+    depth: Float[Array, "H W"]
+    depth_mask: Bool[Array, "H W"]
+    view: Camera
+    reference: Float[Array, "h w"]
+    reference_mask: Bool[Array, "h w"]
+    perturbed: Float[Array, "N 3"]
+    perturbed_neighbors: Int[Array, "N k"]
+    upsampled: Float[Array, "M 3"]
+
+
+class Prediction(NamedTuple):
+    """A completion: the refined points, the decoder's stages and last features."""
+
+    points: Float[Array, "N 3"]
+    stages: tuple[Float[Array, "_ 3"], ...]
+    features: Float[Array, "N C"]
+    encoded: PointFeatures
+
+
+class Branches(NamedTuple):
+    """What the auxiliary losses look at."""
+
+    normals: Float[Array, "N 3"]
+    offsets: Float[Array, "P 3"]
+    tokens_3d: Float[Array, "m d"]
+    tokens_depth: Float[Array, "n d"]
+
+
+def prepare_frame(
+    partial: Float[Array, "N 3"],
+    camera: Camera,
+    key: PRNGKeyArray,
+    config: ModelConfig,
+) -> Frame:
+    """The frame of a partial cloud and its camera, both in the unit workspace.
+
+    Nothing here carries a gradient.
+    """
+    partial = jax.lax.stop_gradient(partial)
+    depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
+    depth, mask = render_depth(partial, depth_view)
+    center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
+    view = camera.resized(config.consistency_pixels, config.consistency_pixels)
+    perturbed = perturb(key, partial, camera.position)
+    return Frame(
+        partial,
+        encoder_indices(partial, config.backbone),
+        jnp.where(mask, depth - center_depth, 0.0),
+        mask,
+        view,
+        *render_depth(partial, view),
+        perturbed,
+        knn(perturbed, perturbed, config.auxiliary.denoise_neighbors),
+        upsample_midpoints(partial),
+    )
+
+
+def predict(variables: Variables, frame: Frame, config: ModelConfig) -> Prediction:
+    """Encode, decode, refine (Eq. 2)."""
+    encoded = encode_points(variables, config.backbone, frame.partial, frame.indices)
+    decoded = decode(variables, config.backbone, frame.partial, encoded)
+    refiner = Refiner(config.auxiliary)
+    points = refiner.apply(
+        part(variables, "refiner"), decoded.stages[-1], decoded.features
+    )
+    return Prediction(points, decoded.stages, decoded.features, encoded)
+
+
+def read_depth(
+    variables: Variables, frame: Frame, config: ModelConfig
+) -> DepthFeatures:
+    """The depth stream, with BatchNorm statistics as they are."""
+    encoder = DepthEncoder(config.auxiliary)
+    own = part(variables, "depth_encoder")
+    return encoder.apply(own, frame.depth, frame.depth_mask)
+
+
+def branches(
+    variables: Variables,
+    frame: Frame,
+    prediction: Prediction,
+    depth_features: DepthFeatures,
+    config: ModelConfig,
+) -> Branches:
+    """The auxiliary branches of a prediction."""
+    sizes = config.auxiliary
+    integrated: Tokens = TokenIntegrator(sizes).apply(
+        part(variables, "auxiliary", "integrator"), prediction.encoded
+    )
+    return Branches(
+        NormalHead(sizes).apply(
+            part(variables, "auxiliary", "normal"),
+            prediction.points,
+            prediction.features,
+        ),
+        Denoiser(sizes).apply(
+            part(variables, "auxiliary", "denoiser"),
+            frame.perturbed,
+            frame.perturbed_neighbors,
+            integrated.latent,
+        ),
+        integrated.tokens,
+        DepthProjection(sizes).apply(
+            part(variables, "auxiliary", "projection"), depth_features
+        ),
+    )

@@ -1,0 +1,22 @@
+"""Bounded refinement of the completed points."""
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from prism_jax.models.config import AuxiliaryConfig
+from prism_jax.models.layers import MLP
+
+
+class Refiner(nn.Module):
+    """Eq. 2: ``clamp(c + delta_max * tanh(g(c, phi)), -1, 1)``, in the workspace."""
+
+    config: AuxiliaryConfig
+
+    @nn.compact
+    def __call__(
+        self, points: Float[Array, "... N 3"], features: Float[Array, "... N C"]
+    ) -> Float[Array, "... N 3"]:
+        init = nn.initializers.normal(0.01)
+        g = MLP((self.config.hidden, 3), final_init=init, name="g")(points, features)
+        return jnp.clip(points + self.config.max_offset * jnp.tanh(g), -1.0, 1.0)

@@ -1,0 +1,168 @@
+"""The last leg of pretraining: refiner, depth encoder and auxiliary branches.
+
+The backbone is finished and frozen. The refiner learns from Eq. 3 through its own
+optimiser. The depth stream learns to give the tokens that the point stream gives; the
+point stream's tokens are the fixed side of that, or both would collapse to a constant.
+"""
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.objective import auxiliary_losses
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.losses.alignment import manifold_matching, transport_alignment
+from prism_jax.losses.chamfer import chamfer
+from prism_jax.losses.depth import depth_supervised
+from prism_jax.losses.weighting import update_scale
+from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
+from prism_jax.models.prism import (
+    Frame,
+    Prediction,
+    branches,
+    predict,
+    prepare_frame,
+    read_depth,
+)
+from prism_jax.models.variables import Variables, part
+from prism_jax.training.batches import Batch
+from prism_jax.training.config import PretrainConfig
+from prism_jax.training.leg import Leg, TrainState
+from prism_jax.training.pretrain import adam
+
+TRAINED = ("refiner", "depth_encoder", "auxiliary")
+
+
+def viewing_camera(eye: Float[Array, "3"]) -> Camera:
+    """The camera of an example: at the eye, holding the unit workspace."""
+    return Camera.viewing(Workspace(jnp.zeros(3), jnp.ones(())), eye)
+
+
+def auxiliary_leg(
+    variables: Variables, adapt: AdaptConfig, config: PretrainConfig, seed: int
+) -> Leg:
+    """Everything but the backbone, on the losses of Eq. 3, 5, 6 and 9."""
+    num_steps = config.auxiliary_samples // config.batch_size
+    optimiser = optax.partition(
+        {
+            name: adam(config.auxiliary_rate, num_steps, 0.01, config)
+            for name in ("refiner", "branches")
+        },
+        {name: "refiner" if name == "refiner" else "branches" for name in TRAINED},
+    )
+    trained = {name: variables["params"][name] for name in TRAINED}
+    start = TrainState(jnp.int32(0), variables, optimiser.init(trained))
+    key = jax.random.key(seed)
+    return Leg(
+        "auxiliary",
+        config.auxiliary_samples,
+        config.batch_size,
+        config.num_complete,
+        start,
+        _step(adapt, optimiser, key),
+        _validation(adapt, key),
+    )
+
+
+def _step(adapt: AdaptConfig, optimiser, key: PRNGKeyArray):
+    def loss_fn(trained, variables, batch, key):
+        variables = {**variables, "params": {**variables["params"], **trained}}
+        frames = _frames(batch, key, adapt)
+        depth_features, updated = DepthEncoder(adapt.model.auxiliary).apply(
+            part(variables, "depth_encoder"),
+            frames.depth,
+            frames.depth_mask,
+            train=True,
+            mutable=["batch_stats"],
+        )
+        terms, measured, _ = _terms(variables, frames, depth_features, batch, adapt)
+        return terms.sum(), (terms, measured.mean(0), updated["batch_stats"])
+
+    @jax.jit
+    def step(state: TrainState, batch: Batch):
+        variables = state.variables
+        params, weighting = variables["params"], variables["weighting"]
+        trained = {name: params[name] for name in TRAINED}
+        grads, (terms, measured, statistics) = jax.grad(loss_fn, has_aux=True)(
+            trained, variables, batch, jax.random.fold_in(key, state.step)
+        )
+        updates, opt_state = optimiser.update(grads, state.opt_state, trained)
+        scales = update_scale(weighting["scales"], measured)
+        variables = {
+            "params": {**params, **optax.apply_updates(trained, updates)},
+            "batch_stats": {**variables["batch_stats"], "depth_encoder": statistics},
+            "weighting": {**weighting, "scales": scales},
+        }
+        return TrainState(state.step + 1, variables, opt_state), terms
+
+    return step
+
+
+def _validation(adapt: AdaptConfig, key: PRNGKeyArray):
+    """CD-L2 before and after the refiner, and the sum of the leg's losses."""
+
+    @jax.jit
+    def validate(variables: Variables, batch: Batch):
+        frames = _frames(batch, key, adapt)
+        depth_features = jax.vmap(lambda f: read_depth(variables, f, adapt.model))(
+            frames
+        )
+        terms, _, predictions = _terms(variables, frames, depth_features, batch, adapt)
+        complete = jnp.asarray(batch.complete)
+        scale = jnp.asarray(batch.half_extent) ** 2
+        clouds = (predictions.stages[-1], predictions.points)
+        distances = [jax.vmap(chamfer)(cloud, complete) * scale for cloud in clouds]
+        return jnp.stack([*distances, jnp.broadcast_to(terms.sum(), scale.shape)], -1)
+
+    return validate
+
+
+def _frames(batch: Batch, key: PRNGKeyArray, adapt: AdaptConfig) -> Frame:
+    def frame(partial, eye, key):
+        return prepare_frame(partial, viewing_camera(eye), key, adapt.model)
+
+    keys = jax.random.split(key, batch.partial.shape[0])
+    return jax.vmap(frame)(jnp.asarray(batch.partial), jnp.asarray(batch.eye), keys)
+
+
+def _terms(
+    variables: Variables,
+    frames: Frame,
+    depth_features: DepthFeatures,
+    batch: Batch,
+    adapt: AdaptConfig,
+) -> tuple[Float[Array, "4"], Float[Array, "B 3"], Prediction]:
+    """Losses of refiner, normals, denoising and alignment; L_aux frame by frame.
+
+    In training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6).
+    """
+
+    def one(frame: Frame, features: DepthFeatures, complete: Array):
+        prediction = predict(variables, frame, adapt.model)
+        refined = depth_supervised(prediction.points, complete, frame.view)
+        fixed = prediction._replace(points=jax.lax.stop_gradient(prediction.points))
+        seen = branches(variables, frame, fixed, features, adapt.model)
+        seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))
+        auxiliary = auxiliary_losses(frame, fixed, seen, adapt)
+        transport = transport_alignment(
+            seen.tokens_3d, seen.tokens_depth, adapt.transport_epsilon
+        )
+        return refined, jnp.stack(auxiliary), transport, seen, prediction
+
+    complete = jnp.asarray(batch.complete)
+    refined, auxiliary, transport, seen, predictions = jax.vmap(one)(
+        frames, depth_features, complete
+    )
+    width = adapt.model.auxiliary.token_features
+    matching = manifold_matching(
+        seen.tokens_3d.reshape(-1, width),
+        seen.tokens_depth.reshape(-1, width),
+        adapt.lambda_sigma,
+    )
+    align = matching + adapt.lambda_transport * transport.mean()
+    normal, denoise, _ = auxiliary.mean(0)
+    terms = jnp.stack([refined.mean(), normal, denoise, align])
+    return terms, jax.lax.stop_gradient(auxiliary), predictions

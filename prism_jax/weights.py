@@ -1,0 +1,133 @@
+"""Released weights: ``.safetensors`` files with all that is known of them.
+
+The metadata hold the configuration, the training data, the seed, the commit and the
+measured scores as JSON. Nothing is ever unpickled.
+"""
+
+import dataclasses
+import importlib.resources
+import json
+import pathlib
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.io.atomic import write_bytes
+from prism_jax.io.errors import InputError
+from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
+from prism_jax.models.initial import init_variables
+from prism_jax.models.variables import Variables
+
+SUFFIX = ".safetensors"
+
+
+def available_weights() -> list[str]:
+    """Names of the weights that ship with the package."""
+    folder = importlib.resources.files("prism_jax") / "assets"
+    names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
+    return sorted(n.removesuffix(SUFFIX) for n in names if n.endswith(SUFFIX))
+
+
+def load_pretrained(name_or_path: str = "small") -> tuple[AdaptConfig, Variables]:
+    """Configuration and variables of released weights, by name or by file.
+
+    A name that does not ship, or a file that is not such weights, raises
+    `prism_jax.io.InputError`, a ``ValueError`` of one line.
+    """
+    path = _locate(name_or_path)
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (OSError, safetensors.SafetensorError) as error:
+        raise InputError(
+            path, f"not readable as weights ({error})", _remedy()
+        ) from None
+    try:
+        config = config_from_dict(json.loads(metadata["config"]))
+    except (KeyError, TypeError, ValueError):
+        raise InputError(
+            path, "it holds no prism_jax configuration", _remedy()
+        ) from None
+    return config, _nested(arrays, config, path)
+
+
+def read_metadata(name_or_path: str) -> dict[str, Any]:
+    """What is known of released weights: data, seed, commit, samples, scores."""
+    with safetensors.safe_open(_locate(name_or_path), framework="numpy") as file:
+        metadata = file.metadata() or {}
+    return {key: json.loads(text) for key, text in metadata.items()}
+
+
+def save_weights(
+    path: str | pathlib.Path,
+    config: AdaptConfig,
+    variables: Variables,
+    metadata: dict[str, Any],
+) -> None:
+    """Writes weights whole or not at all; metadata values become JSON."""
+    arrays = {
+        _key(leaf_path): np.asarray(leaf)
+        for leaf_path, leaf in jax.tree_util.tree_leaves_with_path(variables)
+    }
+    everything = {"config": dataclasses.asdict(config), **metadata}
+    text = {key: json.dumps(value, sort_keys=True) for key, value in everything.items()}
+    write_bytes(path, safetensors.numpy.save(arrays, text))
+
+
+def config_from_dict(fields: dict[str, Any]) -> AdaptConfig:
+    """The configuration whose ``dataclasses.asdict`` went through JSON."""
+    fields = dict(fields)
+    model = dict(fields.pop("model"))
+    backbone = BackboneConfig(**_tuples(model.pop("backbone")))
+    auxiliary = AuxiliaryConfig(**_tuples(model.pop("auxiliary")))
+    return AdaptConfig(ModelConfig(backbone, auxiliary, **model), **fields)
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def _locate(name_or_path: str) -> pathlib.Path:
+    if name_or_path in available_weights():
+        folder = importlib.resources.files("prism_jax") / "assets"
+        return pathlib.Path(str(folder / f"{name_or_path}{SUFFIX}"))
+    path = pathlib.Path(name_or_path)
+    if not path.is_file():
+        raise InputError(name_or_path, "no such weights", _remedy())
+    return path
+
+
+def _remedy() -> str:
+    names = ", ".join(available_weights()) or "none ship"
+    return f"give a {SUFFIX} file of prism_jax, or a name: {names}"
+
+
+def _key(path: tuple[Any, ...]) -> str:
+    return "/".join(step.key for step in path)
+
+
+def _nested(
+    arrays: dict[str, np.ndarray], config: AdaptConfig, path: pathlib.Path
+) -> Variables:
+    """The arrays in the tree that the configuration asks for, every shape checked."""
+    wanted = jax.eval_shape(lambda: init_variables(jax.random.key(0), config.model))
+
+    def pick(leaf_path: tuple[Any, ...], leaf: jax.ShapeDtypeStruct) -> jax.Array:
+        key = _key(leaf_path)
+        array = arrays.pop(key, None)
+        if array is None or array.shape != leaf.shape:
+            raise InputError(path, f"{key} is missing or misshapen", _remedy())
+        return jnp.asarray(array, leaf.dtype)
+
+    variables = jax.tree_util.tree_map_with_path(pick, wanted)
+    if arrays:
+        raise InputError(path, f"unknown array {min(arrays)}", _remedy())
+    return variables

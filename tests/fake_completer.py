@@ -1,0 +1,60 @@
+"""A stand-in for `prism_jax.completion` that completes in no time, and badly."""
+
+import dataclasses
+
+import numpy as np
+
+from prism_jax.geometry import Camera, Workspace
+from prism_jax.io import InputError
+
+LOSSES = ("objective", "depth_consistency", "normal", "denoise", "align")
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    points: np.ndarray
+    observed: np.ndarray
+    prediction: np.ndarray
+    accepted: bool
+    losses: dict
+    weights: np.ndarray
+    workspace: Workspace
+    camera: Camera
+    depth_observed: np.ndarray
+    mask_observed: np.ndarray
+    depth_completed: np.ndarray
+    mask_completed: np.ndarray
+    seconds: dict
+
+
+class FakeCompleter:
+    """Mirrors the cloud in its centre."""
+
+    @classmethod
+    def from_pretrained(cls, name: str) -> "FakeCompleter":
+        if name != "small":
+            raise InputError(name, "no such weights", "choose one of small")
+        return cls()
+
+    def complete(self, points, camera=None, workspace=None, adapt=True) -> Result:
+        workspace = workspace or Workspace.from_points(points.astype(np.float64))
+        prediction = 2 * workspace.center - points[::2]
+        everything = np.concatenate([points, prediction.astype(points.dtype)])
+        steps = 4 if adapt else 1
+        mask = np.arange(128 * 128).reshape(128, 128) % 3 == 0
+        depth = np.where(mask, 1.5, 0.0).astype(np.float32)
+        return Result(
+            points=everything,
+            observed=np.arange(len(everything)) < len(points),
+            prediction=prediction,
+            accepted=adapt,
+            losses={name: np.geomspace(1, 0.5, steps).tolist() for name in LOSSES},
+            weights=np.array([0.5, 0.25, 0.25], np.float32),
+            workspace=workspace,
+            camera=camera or Camera.viewing(workspace, np.zeros(3)),
+            depth_observed=depth,
+            mask_observed=mask,
+            depth_completed=depth,
+            mask_completed=~mask,
+            seconds={"compile": 12.5, "run": 0.25},
+        )

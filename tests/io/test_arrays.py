@@ -1,0 +1,122 @@
+"""NumPy's own files."""
+
+import io
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+
+from prism_jax.io import InputError
+from prism_jax.io.arrays import read_npy, read_npz
+
+POINTS = np.random.default_rng(0).normal(size=(50, 3)) * 100
+
+
+@pytest.mark.parametrize(
+    ("dtype", "read_as"),
+    [
+        ("<f4", np.float32),
+        (">f4", np.float32),
+        ("<f8", np.float64),
+        (">f8", np.float64),
+        ("<f2", np.float64),
+        ("<i2", np.float64),
+        ("u1", np.float64),
+    ],
+)
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_values_come_back_exactly(tmp_path, dtype, read_as, order):
+    stored = np.abs(POINTS).astype(dtype, order=order)
+    np.save(tmp_path / "a.npy", stored)
+    read = read_npy(tmp_path / "a.npy")
+    assert read.dtype == read_as
+    np.testing.assert_array_equal(read, stored)
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+@pytest.mark.parametrize("key", ["xyz", "points", "anything"])
+def test_archive(tmp_path, save, key):
+    others = {"range_mm": np.zeros((4, 8)), "angles": np.zeros(8)}
+    save(tmp_path / "a.npz", **others, **{key: POINTS})
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)
+
+
+def test_named_array_wins_over_others_of_its_shape(tmp_path):
+    np.savez(tmp_path / "a.npz", normals=POINTS, xyz=POINTS + 1, points=POINTS + 2)
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS + 1)
+
+
+def npy(array) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def claim(shape: str) -> bytes:
+    """A header without the numbers it promises."""
+    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
+
+
+class Bomb:
+    """Fails the test if it is ever unpickled."""
+
+    def __reduce__(self):
+        return pytest.fail, ("unpickled",)
+
+
+FAULTS = [
+    (npy(POINTS)[:-1], "shorter than its header"),
+    (npy(POINTS)[:9], "EOF|expected"),
+    (b"not numpy", "magic"),
+    (claim("(1000000000000000, 3)"), "shorter than its header"),
+    (claim("(3,"), "header"),
+    (claim("(-5, 3)"), "shape"),
+    (npy(POINTS[:0]), "shape"),
+    (npy(POINTS.T), r"shape \(3, 50\)"),
+    (npy(POINTS[None]), r"shape \(1, 50, 3\)"),
+    (npy(POINTS.astype(complex)), "complex128"),
+    (npy(POINTS.astype("U5")), "type <U5"),
+    (npy(np.array([[Bomb()] * 3], dtype=object)), "object"),
+    (b"\x93NUMPY\x03\x00" + bytes(99), "version"),
+]
+
+
+@pytest.mark.parametrize(("data", "fault"), FAULTS)
+def test_malformed_array_is_one_line(tmp_path, data, fault):
+    (tmp_path / "a.npy").write_bytes(data)
+    with pytest.raises(InputError, match=fault) as caught:
+        read_npy(tmp_path / "a.npy")
+    assert "numpy.save" in str(caught.value)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("xyz.npy", data)
+    with pytest.raises(InputError) as caught:
+        read_npz(tmp_path / "a.npz")
+    assert "\n" not in str(caught.value)
+
+
+def test_archive_with_a_choice_of_clouds_names_them(tmp_path):
+    np.savez(tmp_path / "a.npz", scan=POINTS, complete=POINTS)
+    with pytest.raises(InputError, match="scan, complete could each be the cloud"):
+        read_npz(tmp_path / "a.npz")
+
+
+def test_archive_without_a_cloud_says_what_it_holds(tmp_path):
+    np.savez(tmp_path / "a.npz", depth=np.zeros((4, 8)))
+    with pytest.raises(InputError, match=r"depth: an array of shape \(4, 8\)"):
+        read_npz(tmp_path / "a.npz")
+
+
+def test_damaged_archive(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", xyz=POINTS)
+    data = bytearray((tmp_path / "a.npz").read_bytes())
+    for broken in (data[:100], b"PK\x05\x06" + bytes(18), data[:200] + data[230:]):
+        (tmp_path / "a.npz").write_bytes(broken)
+        with pytest.raises(InputError, match="not a sound NPZ"):
+            read_npz(tmp_path / "a.npz")
+
+
+def test_objects_beside_the_cloud_stay_pickled(tmp_path):
+    np.savez(tmp_path / "a.npz", xyz=POINTS, meta=np.array([Bomb()], dtype=object))
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)

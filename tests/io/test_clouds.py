@@ -1,0 +1,103 @@
+"""Point clouds of any kind: the suffix decides, and what cannot be used is refused."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from prism_jax.geometry import Camera
+from prism_jax.io import InputError, check_cloud, check_in_view, clouds, read_points
+
+POINTS = np.random.default_rng(0).normal(size=(80, 3)).astype(np.float32)
+
+
+def save(path, points):
+    match path.suffix.lower():
+        case ".ply":
+            path.write_bytes(trimesh.PointCloud(points).export(file_type="ply"))
+        case ".pcd":
+            header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
+            header += f"POINTS {len(points)}\nDATA binary\n"
+            path.write_bytes(header.encode() + points.tobytes())
+        case ".npy":
+            np.save(path, points)
+        case ".npz":
+            with open(path, "wb") as file:
+                np.savez(file, points=points)
+        case ".csv":
+            np.savetxt(path, points, delimiter=",", header="x,y,z", comments="")
+        case _:
+            np.savetxt(path, points)
+
+
+@pytest.mark.parametrize("suffix", [*clouds.READERS, ".PLY", ".Npz"])
+def test_suffix_decides_and_points_that_are_not_finite_go(tmp_path, suffix):
+    path = tmp_path / f"scan{suffix}"
+    points = POINTS.copy()
+    points[3, 1], points[10] = np.nan, np.inf
+    save(path, points)
+    read, num_read = clouds.read_points_counted(path)
+    np.testing.assert_array_equal(read, points[np.isfinite(points).all(axis=1)])
+    np.testing.assert_array_equal(read_points(str(path)), read)
+    assert num_read == 80
+
+
+def test_unknown_suffix_names_those_that_are_known(tmp_path):
+    for name in ("scan.obj", "scan", ".ply"):
+        with pytest.raises(InputError, match=r"\.ply \.pcd \.npy \.npz \.xyz"):
+            read_points(tmp_path / name)
+
+
+def test_no_finite_point(tmp_path):
+    np.save(tmp_path / "a.npy", np.full((80, 3), np.nan))
+    with pytest.raises(InputError, match="no finite point"):
+        read_points(tmp_path / "a.npy")
+
+
+def test_pickle_is_never_opened(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([[print] * 3], dtype=object))
+    with pytest.raises(InputError, match="object"):
+        read_points(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize(
+    ("points", "fault"),
+    [
+        (POINTS[:63], "63 distinct points, fewer than 64"),
+        (np.tile(POINTS[:10], (50, 1)), "10 distinct points"),
+        (np.ones((100, 3)), "extent of zero"),
+        (np.ones((1, 3)), "extent of zero"),
+        (np.empty((0, 3)), "not finite"),
+        (np.full((100, 3), np.nan), "not finite"),
+        (POINTS * 1e4, "above 10 km"),
+        (POINTS.astype(np.float64) * 1e300, "above 10 km"),
+    ],
+)
+def test_cloud_that_cannot_be_completed(points, fault):
+    with pytest.raises(InputError, match=fault):
+        check_cloud(points, "scan.ply")
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        POINTS[:64],
+        np.concatenate([np.ones((5000, 3), np.float32), POINTS]),
+        POINTS.astype(np.float64) * 1e-12,
+        POINTS.astype(np.float64) + 4e6,
+        np.linspace([0, 0, 0], [1e4, 0, 0], 64),
+    ],
+)
+def test_cloud_that_can_be_completed(points):
+    check_cloud(points, "scan.ply")
+
+
+def test_camera_must_see_something():
+    camera = Camera.look_at((0, 0, 0), (0, 0, 1))
+    ahead = np.abs(POINTS) * [0.1, 0.1, 1] + [0, 0, 1]
+    check_in_view(ahead, camera, "scan.ply")
+    check_in_view(np.concatenate([-ahead, ahead[:1]]), camera, "scan.ply")
+    with pytest.raises(InputError, match="every point behind the camera"):
+        check_in_view(-ahead, camera, "scan.ply")
+    ahead[:, 0] += 100
+    with pytest.raises(InputError, match="no point in the camera's image"):
+        check_in_view(ahead, camera, "scan.ply")

@@ -1,0 +1,148 @@
+"""Cameras as JSON, and depth images."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from prism_jax.geometry import Camera
+from prism_jax.io import (
+    InputError,
+    camera_from_dict,
+    camera_to_dict,
+    points_from_depth,
+    read_camera,
+    read_depth,
+)
+
+PINHOLE = {"width": 8, "height": 6, "fx": 10.0, "fy": 11.0, "cx": 3.5, "cy": 2.5}
+COUNTS = np.arange(48, dtype=np.uint16).reshape(6, 8) * 1300
+
+
+def write(path, entries) -> str:
+    path.write_text(json.dumps(entries))
+    return str(path)
+
+
+def test_camera_round_trip_is_exact():
+    camera = Camera.look_at((1, 2, 3), (0, 0.5, 0), fov_degrees=50, height=7, width=9)
+    again = camera_from_dict(json.loads(json.dumps(camera_to_dict(camera))))
+    assert (again.height, again.width) == (7, 9)
+    for name in ("rotation", "translation", "intrinsics"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(camera, name))
+
+
+def test_pose_is_the_identity_unless_given(tmp_path):
+    camera = read_camera(write(tmp_path / "c.json", {**PINHOLE, "note": "any"}))
+    np.testing.assert_array_equal(camera.rotation, np.eye(3))
+    np.testing.assert_array_equal(camera.translation, np.zeros(3))
+    np.testing.assert_array_equal(
+        camera.intrinsics, [[10, 0, 3.5], [0, 11, 2.5], [0, 0, 1]]
+    )
+
+
+FAULTS = [
+    ({"width": None}, "width is missing"),
+    ({"width": 0}, "whole number"),
+    ({"height": 2.5}, "whole number"),
+    ({"height": 10**9}, "whole number"),
+    ({"fx": 0}, "positive"),
+    ({"fy": -1}, "positive"),
+    ({"cx": "3"}, "cx is missing or not a finite number"),
+    ({"cy": True}, "cy is missing or not a finite number"),
+    ({"cx": float("nan")}, "cx is missing or not a finite number"),
+    ({"cx": 10**400}, "cx is missing or not a finite number"),
+    ({"rotation": [[1, 0], [0, 1]]}, "3x3"),
+    ({"rotation": "eye"}, "3x3"),
+    ({"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "orthogonal"),
+    ({"rotation": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "reflection"),
+    ({"translation": [0, 0]}, "translation must be 3"),
+    ({"translation": [0, 0, float("inf")]}, "translation must be 3"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "fault"), FAULTS)
+def test_malformed_camera_is_one_line(tmp_path, change, fault):
+    with pytest.raises(InputError) as caught:
+        read_camera(write(tmp_path / "c.json", PINHOLE | change))
+    assert fault in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert '"fx":' in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[1]", b"\xff", b"[" * 100_000])
+def test_camera_file_that_is_no_json_object(tmp_path, data):
+    (tmp_path / "c.json").write_bytes(data)
+    with pytest.raises(InputError, match=r"camera|empty"):
+        read_camera(tmp_path / "c.json")
+
+
+def test_depth_image(tmp_path):
+    Image.fromarray(COUNTS).save(tmp_path / "d.png")
+    camera_path = write(tmp_path / "c.json", {**PINHOLE, "depth_scale": 0.00025})
+    depth, mask, camera = read_depth(tmp_path / "d.png", camera_path)
+    np.testing.assert_allclose(depth, COUNTS * 0.00025, rtol=1e-15)
+    np.testing.assert_array_equal(mask, COUNTS > 0)
+    assert camera.width == 8
+
+
+@pytest.mark.parametrize("pose", ["identity", "elsewhere"])
+def test_points_project_back_to_their_pixels(pose):
+    entries = dict(PINHOLE)
+    if pose == "elsewhere":
+        posed = camera_to_dict(Camera.look_at((1, 2, 3), (0, 0.5, 0)))
+        entries |= {key: posed[key] for key in ("rotation", "translation")}
+    camera = camera_from_dict(entries)
+    depth, mask = COUNTS * 0.00025, COUNTS > 0
+    points = points_from_depth(depth, mask, camera)
+    assert points.dtype == np.float64
+    pixels, z = camera.project(points.astype(np.float32))
+    rows, columns = np.nonzero(mask)
+    np.testing.assert_allclose(pixels, np.stack([columns, rows], 1), atol=1e-4)
+    np.testing.assert_allclose(z, depth[mask], rtol=1e-5)
+    theirs = camera.unproject(depth.astype(np.float32), mask)
+    np.testing.assert_allclose(points, theirs[mask.reshape(-1)], atol=1e-5)
+
+
+def test_depth_scale_is_needed(tmp_path):
+    Image.fromarray(COUNTS).save(tmp_path / "d.png")
+    for entries in (PINHOLE, PINHOLE | {"depth_scale": 0}):
+        camera_path = write(tmp_path / "c.json", entries)
+        with pytest.raises(InputError, match="metres a count"):
+            read_depth(tmp_path / "d.png", camera_path)
+
+
+def png(tmp_path, kind: str) -> bytes:
+    path = tmp_path / "kind"
+    if kind == "8 bits":
+        Image.fromarray(COUNTS.astype(np.uint8)).save(path, "PNG")
+    elif kind == "colour":
+        Image.fromarray(np.zeros((6, 8, 3), np.uint8)).save(path, "PNG")
+    elif kind == "other size":
+        Image.fromarray(COUNTS[:, :7].copy()).save(path, "PNG")
+    elif kind == "TIFF":
+        Image.fromarray(COUNTS).save(path, "TIFF")
+    else:
+        Image.fromarray(COUNTS).save(path, "PNG")
+    data = path.read_bytes()
+    if kind == "cut":
+        return data[:-30]
+    if kind == "huge":
+        return data.replace((8).to_bytes(4, "big"), (2**30).to_bytes(4, "big"), 1)
+    return b"PNG?" if kind == "nonsense" else data
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["8 bits", "colour", "other size", "TIFF", "cut", "huge", "nonsense"],
+)
+def test_image_that_is_no_depth(tmp_path, kind):
+    (tmp_path / "d.png").write_bytes(png(tmp_path, kind))
+    camera_path = write(tmp_path / "c.json", {**PINHOLE, "depth_scale": 0.001})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match="is not a depth image") as caught:
+            read_depth(tmp_path / "d.png", camera_path)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,53 @@
+"""Bytes of a user's file, or the reason why there are none."""
+
+import os
+
+import pytest
+
+from prism_jax.io import InputError, files
+
+
+def test_reads_all_bytes(tmp_path):
+    (tmp_path / "a").write_bytes(b"\x00\xff\n")
+    assert files.read_bytes(tmp_path / "a") == b"\x00\xff\n"
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        files.read_bytes(tmp_path / "a")
+
+
+def test_empty_file(tmp_path):
+    (tmp_path / "a").touch()
+    with pytest.raises(InputError, match="is empty"):
+        files.read_bytes(tmp_path / "a")
+
+
+def test_directory_and_pipe_are_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path, tmp_path / "pipe"):
+        with pytest.raises(InputError, match="is not a file"):
+            files.read_bytes(path)
+
+
+def test_unreadable_file(tmp_path, monkeypatch):
+    (tmp_path / "a").write_bytes(b"x")
+
+    def refuse(self):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)
+    with pytest.raises(InputError, match="Permission denied"):
+        files.read_bytes(tmp_path / "a")
+
+
+def test_name_that_no_file_can_have(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        files.read_bytes(tmp_path / "a\0b")
+
+
+def test_file_too_large_is_refused_before_it_is_read(tmp_path):
+    with open(tmp_path / "a", "wb") as file:
+        file.truncate(files.MAX_FILE_BYTES + 1)
+    with pytest.raises(InputError, match="holds"):
+        files.read_bytes(tmp_path / "a")

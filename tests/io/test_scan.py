@@ -1,0 +1,132 @@
+"""Scans as users hand them in."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from prism_jax.io import InputError, parse_bounds, read_points, read_scan
+
+POINTS = np.random.default_rng(0).uniform(-1, 1, size=(300, 3)).astype(np.float32)
+CAMERA = {"width": 20, "height": 10, "fx": 9, "fy": 9, "cx": 9.5, "cy": 4.5}
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    points = POINTS.copy()
+    points[:5] = np.nan
+    np.save(tmp_path / "scan.npy", points)
+    return tmp_path / "scan.npy"
+
+
+@pytest.fixture
+def depth_image(tmp_path):
+    counts = np.full((10, 20), 2000, np.uint16)
+    counts[:2] = 0
+    Image.fromarray(counts).save(tmp_path / "scan.png")
+    (tmp_path / "scan.json").write_text(json.dumps({**CAMERA, "depth_scale": 1e-3}))
+    return tmp_path / "scan.png"
+
+
+def test_whole_cloud(cloud):
+    scan = read_scan(cloud)
+    np.testing.assert_array_equal(scan.points, POINTS[5:])
+    assert scan.points.dtype == np.float32
+    assert (scan.num_not_finite, scan.num_outside, scan.camera) == (5, 0, None)
+
+
+def test_crop_keeps_the_faces_of_the_box(cloud):
+    face = float(np.median(POINTS[5:, 0]))
+    scan = read_scan(cloud, bounds=parse_bounds(f"-1,-1,-1,{face!r},1,1"))
+    np.testing.assert_array_equal(scan.points, POINTS[5:][POINTS[5:, 0] <= face])
+    assert face in scan.points[:, 0]
+    assert len(scan.points) + scan.num_outside == 295
+
+
+@pytest.mark.parametrize(
+    ("box", "fault"),
+    [
+        ("5,5,5,6,6,6", "no point inside --workspace; its points span -0.9"),
+        ("-1,-1,-1,-0.5,0,0", "distinct points, fewer than 64; .*widen --workspace"),
+    ],
+)
+def test_crop_that_leaves_too_little(cloud, box, fault):
+    with pytest.raises(InputError, match=fault):
+        read_scan(cloud, bounds=parse_bounds(box))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "1,2,3",
+        "0,0,0,1,1,x",
+        "0,0,0,1,1,1,1",
+        "0,0,0,1,1,0",
+        "1,1,1,0,2,2",
+        "0,0,0,1,1,nan",
+        "0,0,0,1,1,inf",
+    ],
+)
+def test_malformed_bounds(text):
+    with pytest.raises(InputError, match=r"^--workspace: .*x0,y0,z0,x1,y1,z1"):
+        parse_bounds(text)
+
+
+def test_cloud_with_a_camera(cloud, tmp_path):
+    posed = {**CAMERA, "translation": [0, 0, 3]}
+    (tmp_path / "c.json").write_text(json.dumps(posed))
+    scan = read_scan(cloud, tmp_path / "c.json")
+    assert scan.camera is not None
+    np.testing.assert_array_equal(scan.camera.translation, [0, 0, 3])
+    posed["translation"] = [0, 0, -3]
+    (tmp_path / "c.json").write_text(json.dumps(posed))
+    with pytest.raises(InputError, match=r"scan\.npy: has every point behind"):
+        read_scan(cloud, tmp_path / "c.json")
+
+
+def test_depth_image_with_its_camera_beside(depth_image):
+    scan = read_scan(depth_image)
+    assert scan.points.shape == (160, 3)
+    np.testing.assert_allclose(scan.points[:, 2], 2.0)
+    assert scan.camera is not None
+    assert (scan.num_not_finite, scan.num_outside) == (0, 0)
+
+
+def test_depth_image_with_a_named_camera(depth_image, tmp_path):
+    (tmp_path / "scan.json").rename(tmp_path / "other.json")
+    with pytest.raises(InputError, match=r"without a camera; give it with --camera"):
+        read_scan(depth_image)
+    scan = read_scan(depth_image, tmp_path / "other.json")
+    assert scan.points.shape == (160, 3)
+
+
+def test_depth_image_without_a_return(depth_image):
+    Image.fromarray(np.zeros((10, 20), np.uint16)).save(depth_image)
+    with pytest.raises(InputError, match="no pixel with a return"):
+        read_scan(depth_image)
+
+
+def test_depth_image_and_cloud_of_one_frame_agree(real):
+    image = read_scan(real("kinect/mosd_test24.png"))
+    points = read_points(real("kinect/mosd_test24.pcd"))
+    assert image.points.shape == points.shape
+    # Half a count of 0.25 mm, and the intrinsics were fitted.
+    np.testing.assert_allclose(image.points, points, atol=1.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("bunny/raw_scan_000.ply", 40_256),
+        ("kinect/mosd_test24.pcd", 185_257),
+        ("ouster/single_frame_zm_scan0.npz", 47_311),
+        ("kitti/frame_0_car_0.pcd", 1_524),
+        ("shapenet/airplane_partial_2048.ply", 2_048),
+    ],
+)
+def test_real_scans(real, name, count):
+    scan = read_scan(real(name))
+    assert scan.points.shape == (count, 3)
+    assert scan.points.dtype == np.float32

@@ -1,0 +1,121 @@
+"""Eq. 3 and Eq. 4: values against a loop, gradients to the front-most points."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.render import render_depth
+from prism_jax.losses.depth import depth_consistency, depth_error, depth_supervised
+
+RNG = np.random.default_rng(4)
+SIZE = 12
+FOCAL = 10.0
+# Looks along +z from z = -3, image rows along +y: the depth of a point is z + 3.
+CAMERA = Camera(
+    rotation=jnp.eye(3),
+    translation=jnp.asarray([0.0, 0.0, 3.0]),
+    intrinsics=jnp.asarray([[FOCAL, 0.0, 5.5], [0.0, FOCAL, 5.5], [0.0, 0.0, 1.0]]),
+    height=SIZE,
+    width=SIZE,
+)
+supervised = jax.jit(jax.value_and_grad(depth_supervised, argnums=(0, 1)))
+consistent = jax.jit(jax.value_and_grad(depth_consistency, argnums=(0, 1)))
+
+
+def cloud(*shape: int) -> np.ndarray:
+    return RNG.uniform(-1.2, 1.2, (*shape, 3)).astype(np.float32)
+
+
+def winners(points):
+    """The index of the front-most point of each pixel, by a loop."""
+    depths, indices = {}, {}
+    for i, (x, y, z) in enumerate(np.asarray(points, np.float64)):
+        depth = z + 3
+        column, row = (int(np.floor(FOCAL * c / depth + 6.0)) for c in (x, y))
+        inside = 0 <= row < SIZE and 0 <= column < SIZE
+        if inside and depth < depths.get((row, column), np.inf):
+            depths[row, column], indices[row, column] = depth, i
+    return indices
+
+
+def test_value_and_gradient_agree_with_a_loop():
+    predicted, reference = cloud(150), cloud(90)
+    front, behind = winners(predicted), winners(reference)
+    shared = sorted(set(front) & set(behind))
+    assert 20 < len(shared) < min(len(front), len(behind))
+    expected, expected_gradient = 0.0, np.zeros_like(predicted)
+    for pixel in shared:
+        difference = predicted[front[pixel], 2] - reference[behind[pixel], 2]
+        expected += abs(difference) / len(shared)
+        expected_gradient[front[pixel], 2] = np.sign(difference) / len(shared)
+    value, (gradient, to_reference) = supervised(predicted, reference, CAMERA)
+    assert np.allclose(value, expected, atol=1e-6)
+    assert np.allclose(gradient, expected_gradient, atol=1e-6)
+    assert np.all(np.asarray(to_reference) == 0)
+
+
+def test_consistency_is_the_same_error_against_the_partial():
+    predicted, partial = cloud(100), cloud(60)
+    expected, _ = supervised(predicted, partial, CAMERA)
+    value, _ = consistent(predicted, partial, CAMERA)
+    assert np.allclose(value, expected, rtol=1e-6)
+
+
+def test_a_wall_moved_along_the_axis():
+    wall = jnp.asarray(cloud(400)).at[:, 2].set(0.5)
+    # Along each ray from depth 3.5 to depth 3.8: the same pixels.
+    moved = (wall * (3.8 / 3.5)).at[:, 2].set(0.8)
+    value, _ = supervised(moved, wall, CAMERA)
+    assert np.allclose(value, 0.3, atol=1e-5)
+
+
+def test_reference_measured_by_a_sensor():
+    predicted = jnp.asarray(cloud(150))
+    depth, mask = render_depth(jnp.asarray(cloud(90)), CAMERA)
+    holes = jnp.where(mask, depth, jnp.nan)
+    evaluate = jax.jit(jax.value_and_grad(depth_error, argnums=(0, 1)))
+    value, (gradient, to_depth) = evaluate(predicted, holes, mask, CAMERA)
+    expected, (expected_gradient, _) = evaluate(predicted, depth, mask, CAMERA)
+    assert value == expected > 0
+    assert np.array_equal(gradient, expected_gradient)
+    assert np.all(np.asarray(to_depth) == 0)
+
+
+@pytest.mark.parametrize("case", ["behind", "outside", "elsewhere"])
+def test_no_shared_pixel_gives_zero(case):
+    reference = jnp.asarray(cloud(50))
+    predicted = {
+        "behind": reference - jnp.asarray([0.0, 0.0, 9.0]),
+        "outside": reference + jnp.asarray([50.0, 0.0, 0.0]),
+        "elsewhere": jnp.asarray([[-1.2, -1.2, 0.0]]),
+    }[case]
+    if case == "elsewhere":
+        reference = jnp.asarray([[1.2, 1.2, 0.0]])
+    for loss in (supervised, consistent):
+        for clouds in ((predicted, reference), (reference, predicted)):
+            value, gradients = loss(*clouds, CAMERA)
+            assert value == 0
+            assert all(np.all(np.asarray(g) == 0) for g in gradients)
+
+
+@pytest.mark.parametrize(
+    "predicted",
+    [np.zeros((20, 3)), np.outer(np.linspace(0, 1, 20), (1, 0, 0)), np.zeros((1, 3))],
+    ids=["repeated", "collinear", "single"],
+)
+def test_degenerate_clouds(predicted):
+    reference = np.full((1, 3), 0.0, np.float32)
+    reference[0, 2] = -1.0
+    value, (gradient, _) = supervised(predicted.astype(np.float32), reference, CAMERA)
+    assert np.allclose(value, 1.0, atol=1e-6)
+    # However many points share the front of the one pixel, they share one gradient.
+    assert np.allclose(np.sum(gradient, axis=0), (0, 0, 1), atol=1e-5)
+
+
+def test_vmap_is_a_loop():
+    predicted, partial = jnp.asarray(cloud(3, 80)), jnp.asarray(cloud(3, 60))
+    batched, _ = jax.vmap(consistent, (0, 0, None))(predicted, partial, CAMERA)
+    looped = [consistent(predicted[i], partial[i], CAMERA)[0] for i in range(3)]
+    assert np.allclose(batched, looped, rtol=1e-6)

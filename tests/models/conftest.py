@@ -1,0 +1,76 @@
+"""The published network, with the reference's weights and arrays."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+from prism_jax.models.backbone import (
+    decode,
+    encode_points,
+    partial_indices,
+    train_backbone,
+)
+from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
+from prism_jax.models.torch_import import convert_state_dict
+
+CONFIGS = {"pcn": PCN, "sn55": SHAPENET55}
+
+
+class Published(NamedTuple):
+    """One variant: its config, the file of arrays, and the converted weights."""
+
+    config: BackboneConfig
+    arrays: Mapping[str, np.ndarray]
+    variables: dict[str, Any]
+
+    def ref(self, name: str) -> np.ndarray:
+        """A stage's reference, channels last."""
+        return self.arrays[f"ref/{name}"].swapaxes(1, 2)
+
+    def subtree(self, *path: str) -> dict[str, Any]:
+        """The variables of one submodule."""
+        out = {}
+        for kind, tree in self.variables.items():
+            for name in path:
+                tree = tree.get(name, {})
+            out[kind] = tree
+        return out
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        names = [name for name in self.arrays if name.startswith("sd/")]
+        return {name.removeprefix("sd/"): self.arrays[name] for name in names}
+
+
+@pytest.fixture(scope="session")
+def published(parity):
+    """``published(variant)`` for "pcn" or "sn55"; skips without the arrays."""
+    loaded = {}
+
+    def load(variant: str) -> Published:
+        if variant not in loaded:
+            config, arrays = CONFIGS[variant], parity(f"crapcn_{variant}.npz")
+            bare = Published(config, arrays, {})
+            variables = convert_state_dict(bare.state_dict(), config)
+            loaded[variant] = bare._replace(variables=variables)
+        return loaded[variant]
+
+    return load
+
+
+@pytest.fixture(scope="session")
+def run_backbone():
+    """``(config, variables, partial, train) -> (stages, statistics)``, compiled."""
+
+    def run(config, variables, partial, train=False):
+        if train:
+            decoded, statistics = train_backbone(variables, config, partial)
+            return decoded.stages, statistics
+        indices = partial_indices(partial, config)
+        encoded = encode_points(variables, config, partial, indices)
+        stages = decode(variables, config, partial, encoded).stages
+        return stages, variables["batch_stats"]
+
+    return jax.jit(run, static_argnums=(0, 3))

@@ -1,0 +1,168 @@
+"""Metrics: the parity values, brute force, and faults that are named."""
+
+import itertools
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist, directed_hausdorff
+
+from prism_jax import metrics
+
+RNG = np.random.default_rng(3)
+NAMES = {
+    "cd_l2": metrics.cd_l2,
+    "cd_l1": metrics.cd_l1,
+    "fscore_0.01": metrics.f_score,
+    "fscore_0.02": lambda p, t: metrics.f_score(p, t, threshold=0.02),
+    "hausdorff_sym_max": metrics.hausdorff,
+    "emd_exact_mean_l2": metrics.emd,
+}
+ALL = (
+    metrics.cd_l1,
+    metrics.cd_l2,
+    metrics.f_score,
+    metrics.hausdorff,
+    metrics.emd,
+    metrics.emd_sinkhorn,
+)
+PARITY_RTOL = 1e-9
+PARITY_PAIRS = (
+    "rand",
+    "sphere_noisy",
+    "air_noisy",
+    "air_fps_vs_rand",
+    "air_partial_vs_complete",
+    "plane_vs_sofa",
+    "zeros_padded",
+)
+
+
+def cloud(count: int) -> np.ndarray:
+    return RNG.normal(size=(count, 3))
+
+
+@pytest.mark.parametrize("pair", PARITY_PAIRS)
+def test_agrees_with_the_reference(parity, pair):
+    arrays = parity("metrics.npz")
+    clouds = arrays[f"cloud/{pair}/pred"], arrays[f"cloud/{pair}/gt"]
+    for name, metric in NAMES.items():
+        if f"val/{pair}/{name}" in arrays:
+            expected = arrays[f"val/{pair}/{name}"]
+            assert np.allclose(metric(*clouds), expected, rtol=PARITY_RTOL), name
+
+
+def test_agrees_with_all_pairs():
+    prediction, target = cloud(70), cloud(90)
+    distances = cdist(prediction, target)
+    forward, backward = distances.min(1), distances.min(0)
+    precision, recall = np.mean(forward < 0.5), np.mean(backward < 0.5)
+    assert np.isclose(
+        metrics.cd_l1(prediction, target), (forward.mean() + backward.mean()) / 2
+    )
+    assert np.isclose(
+        metrics.cd_l2(prediction, target), np.mean(forward**2) + np.mean(backward**2)
+    )
+    assert np.isclose(
+        metrics.f_score(prediction, target, 0.5),
+        2 / (1 / precision + 1 / recall),
+    )
+    assert np.isclose(
+        metrics.hausdorff(prediction, target),
+        max(
+            directed_hausdorff(prediction, target)[0],
+            directed_hausdorff(target, prediction)[0],
+        ),
+    )
+
+
+def test_f_score_threshold_is_strict_and_unsquared():
+    one = np.zeros((1, 3))
+    two = np.asarray([[0.0, 0.0, 0.0], [0.0, 0.0, 0.25]])
+    # Precision and recall are one half and one, then the reverse.
+    for clouds in ((two, one), (one, two)):
+        assert np.isclose(metrics.f_score(*clouds, threshold=0.25), 2 / 3)
+        assert metrics.f_score(*clouds, threshold=0.2500001) == 1.0
+    assert metrics.f_score(one, one + 1.0) == 0.0
+
+
+def test_emd_is_the_best_of_all_assignments():
+    prediction, target = cloud(5), cloud(5)
+    best = min(
+        np.linalg.norm(prediction - target[list(order)], axis=1).mean()
+        for order in itertools.permutations(range(5))
+    )
+    assert np.isclose(metrics.emd(prediction, target), best)
+
+
+def test_emd_sinkhorn_bounds_the_exact_value_from_below():
+    sphere = cloud(400)
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    for prediction, target in (
+        (cloud(300), cloud(300)),
+        (sphere, sphere[:, [1, 2, 0]] * 1.05 + 0.02),
+        (sphere, np.where(sphere > 0.3, sphere[::-1], sphere)),
+    ):
+        exact = metrics.emd(prediction, target)
+        approximate = metrics.emd_sinkhorn(prediction, target)
+        assert 0.97 * exact < approximate <= exact * (1 + 1e-9)
+
+
+def test_emd_sinkhorn_of_unequal_counts():
+    # Four copies of a cloud weigh as much as the cloud itself.
+    prediction, target = cloud(40), cloud(40)
+    exact = metrics.emd(prediction, target)
+    approximate = metrics.emd_sinkhorn(prediction, np.tile(target, (4, 1)))
+    assert 0.97 * exact < approximate <= exact * (1 + 1e-9)
+
+
+def test_emd_sinkhorn_never_holds_all_pairs():
+    prediction, target = cloud(6000), cloud(5000)
+    tracemalloc.start()
+    metrics.emd_sinkhorn(prediction, target, epsilon=1.0, num_iterations=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6 < 6000 * 5000 * 4
+
+
+@pytest.mark.parametrize("metric", ALL)
+def test_equal_and_repeated_clouds(metric):
+    best = 1.0 if metric is metrics.f_score else 0.0
+    points = cloud(20)
+    assert np.isclose(metric(points, points[::-1].copy()), best, atol=1e-6)
+    repeated = np.full((20, 3), 7.5)
+    assert metric(repeated, repeated) == best
+    assert metric(np.ones((1, 3)), np.ones((1, 3))) == best
+
+
+@pytest.mark.parametrize("metric", ALL)
+def test_shift_of_both_clouds_changes_nothing(metric):
+    prediction, target = cloud(30), cloud(30)
+    near = metric(prediction, target)
+    assert np.isclose(metric(prediction + 1e4, target + 1e4), near, rtol=1e-6)
+
+
+@pytest.mark.parametrize("metric", ALL)
+def test_faults_are_named(metric):
+    good, empty = cloud(5), np.zeros((0, 3))
+    spoiled = cloud(5)
+    spoiled[2, 1] = np.nan
+    with pytest.raises(ValueError, match="prediction is empty"):
+        metric(empty, good)
+    with pytest.raises(ValueError, match="target is empty"):
+        metric(good, empty)
+    with pytest.raises(ValueError, match=r"prediction has .* NaN"):
+        metric(spoiled, good)
+    spoiled[2, 1] = np.inf
+    with pytest.raises(ValueError, match=r"target has .* infinite"):
+        metric(good, spoiled)
+
+
+def test_emd_names_what_it_cannot_do():
+    with pytest.raises(ValueError, match="equal counts, not 5 and 6"):
+        metrics.emd(cloud(5), cloud(6))
+    too_many = cloud(metrics.MAX_EXACT_POINTS + 1)
+    with pytest.raises(ValueError, match="up to 4096 points, not 4097"):
+        metrics.emd(too_many, too_many)
+    with pytest.raises(ValueError, match="epsilon in"):
+        metrics.emd_sinkhorn(cloud(5), cloud(5), epsilon=0.0)
