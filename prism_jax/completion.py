@@ -14,7 +14,7 @@ from prism_jax.adaptation.test_time import Completion, make_adapt
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.sampling import resample
-from prism_jax.geometry.workspace import Workspace
+from prism_jax.geometry.workspace import Workspace, unit_view
 from prism_jax.io.clouds import check_cloud
 from prism_jax.models.variables import Variables
 from prism_jax.weights import available_weights, load_pretrained
@@ -104,7 +104,7 @@ class Completer:
         check_cloud(measured, "points inside the workspace")
         eye = np.zeros(3) if camera is None else np.asarray(camera.position)
         unit_eye = jnp.asarray(workspace.to_unit(eye), jnp.float32)
-        view = Camera.viewing(Workspace(jnp.zeros(3), jnp.ones(())), unit_eye)
+        view = unit_view(unit_eye)
         partial = _resampled(unit[inside], self.config.model.backbone.num_points)
         completion, seconds = self._run(adapt, partial, view)
         prediction = np.asarray(completion.points, np.float64)

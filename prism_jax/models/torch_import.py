@@ -27,7 +27,7 @@ def load_torch(path: str | os.PathLike, config: BackboneConfig) -> dict[str, Any
         import torch
     except ImportError as error:
         raise ImportError(
-            "reading .pth files needs PyTorch: pip install 'prism-jax[torch]'"
+            "reading .pth files needs PyTorch: install prism_jax with its extra 'torch'"
         ) from error
     data = read_bytes(path)
     try:

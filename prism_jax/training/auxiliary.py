@@ -12,8 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.objective import auxiliary_losses
-from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.workspace import Workspace
+from prism_jax.geometry.workspace import unit_view
 from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
@@ -34,11 +33,6 @@ from prism_jax.training.leg import Leg, TrainState
 from prism_jax.training.pretrain import adam
 
 TRAINED = ("refiner", "depth_encoder", "auxiliary")
-
-
-def viewing_camera(eye: Float[Array, "3"]) -> Camera:
-    """The camera of an example: at the eye, holding the unit workspace."""
-    return Camera.viewing(Workspace(jnp.zeros(3), jnp.ones(())), eye)
 
 
 def auxiliary_leg(
@@ -122,7 +116,7 @@ def _validation(adapt: AdaptConfig, key: PRNGKeyArray):
 
 def _frames(batch: Batch, key: PRNGKeyArray, adapt: AdaptConfig) -> Frame:
     def frame(partial, eye, key):
-        return prepare_frame(partial, viewing_camera(eye), key, adapt.model)
+        return prepare_frame(partial, unit_view(eye), key, adapt.model)
 
     keys = jax.random.split(key, batch.partial.shape[0])
     return jax.vmap(frame)(jnp.asarray(batch.partial), jnp.asarray(batch.eye), keys)

@@ -1,0 +1,71 @@
+"""Scores weights on a split of the procedural corpus.
+
+python -m experiments.evaluate --weights=small --split=test --output=FILE.json
+"""
+
+import dataclasses
+import json
+import pathlib
+import sys
+
+from absl import app, flags
+
+from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
+from prism_jax.evaluation import evaluate, markdown
+from prism_jax.io.atomic import write_bytes
+from prism_jax.io.errors import InputError
+from prism_jax.training.run import commit
+from prism_jax.weights import load_pretrained
+
+FLAGS = flags.FLAGS
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
+    flags.DEFINE_string("split", "validation", "validation or test.")
+    flags.DEFINE_integer(
+        "steps", None, "Adaptation steps, the weights' own if not given."
+    )
+    flags.DEFINE_integer("limit", None, "Score the first so many examples only.")
+    flags.DEFINE_string("cache_dir", None, "Where the corpus is, or is to be built.")
+    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+
+
+def main(argv):
+    """Builds the split where it is missing, scores, writes and prints the table."""
+    del argv
+    config, variables = load_pretrained(FLAGS.weights)
+    if FLAGS.steps is not None:
+        config = dataclasses.replace(config, num_steps=FLAGS.steps)
+    build_corpus(FLAGS.split, CorpusConfig(), FLAGS.cache_dir)
+    examples = load_corpus(FLAGS.split, cache_dir=FLAGS.cache_dir, limit=FLAGS.limit)
+    about = {
+        "weights": FLAGS.weights,
+        "data": "procedural corpus, self-occlusion from one viewpoint",
+        "split": FLAGS.split,
+        "normalisation": "partial",
+        "steps": config.num_steps,
+        "commit": commit(),
+    }
+    result = {**about, **evaluate(config, variables, examples)}
+    table = markdown(result)
+    print(table)
+    if FLAGS.output is not None:
+        path = pathlib.Path(FLAGS.output)
+        write_bytes(path, json.dumps(result, indent=1).encode())
+        write_bytes(path.with_suffix(".md"), table.encode())
+
+
+def run():
+    """Entry point: faults of the input end in one line and exit status 2."""
+    define_flags()
+    try:
+        app.run(main)
+    except InputError as error:
+        print(f"evaluate: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    run()
