@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from absl import app, flags
+from absl import app, flags, logging
 
 from prism_jax import completion_job
 from prism_jax.completion_job import CompletionJob
@@ -104,6 +104,7 @@ def parse_flags(argv: Sequence[str]) -> list[str]:
 def run() -> None:
     """The entry point of `prism-complete`."""
     define_flags()
+    logging.set_verbosity(logging.WARNING)
     app.run(main, flags_parser=parse_flags)
 
 

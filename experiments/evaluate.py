@@ -8,7 +8,7 @@ import json
 import pathlib
 import sys
 
-from absl import app, flags
+from absl import app, flags, logging
 
 from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
 from prism_jax.evaluation import evaluate, markdown
@@ -60,6 +60,7 @@ def main(argv):
 def run():
     """Entry point: faults of the input end in one line and exit status 2."""
     define_flags()
+    logging.set_verbosity(logging.WARNING)
     try:
         app.run(main)
     except InputError as error:

@@ -14,7 +14,7 @@ from prism_jax.adaptation.test_time import Completion, make_adapt
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.sampling import resample
-from prism_jax.geometry.workspace import Workspace, unit_view
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.models.variables import Variables
 from prism_jax.weights import available_weights, load_pretrained
@@ -85,13 +85,15 @@ class Completer:
 
         Points are in any unit of length and any frame, the same for all arguments.
         ``camera`` says where the sensor stood, the origin if it is None; the view is
-        aimed at the workspace from there, so that its pixels are spent on it.
+        aimed at the points from there, so that its pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
         points outside are left out. ``adapt=False`` leaves out test-time adaptation.
         Points that are not finite, fewer than 64 distinct ones or an extent of zero
         raise `prism_jax.io.InputError`.
         """
         points = np.asarray(points)
+        if not np.issubdtype(points.dtype, np.floating):
+            points = points.astype(np.float64)
         if workspace is None:
             check_cloud(points, "points")
             exact = points.astype(np.float64)
@@ -104,11 +106,11 @@ class Completer:
         check_cloud(measured, "points inside the workspace")
         eye = np.zeros(3) if camera is None else np.asarray(camera.position)
         unit_eye = jnp.asarray(workspace.to_unit(eye), jnp.float32)
-        view = unit_view(unit_eye)
         partial = _resampled(unit[inside], self.config.model.backbone.num_points)
+        view = Camera.framing(partial, unit_eye)
         completion, seconds = self._run(adapt, partial, view)
         prediction = np.asarray(completion.points, np.float64)
-        kept = prediction[keep_unmeasured(prediction, unit[inside], partial, view)]
+        kept = prediction[keep_unmeasured(prediction, unit[inside], partial)]
         added = workspace.from_unit(kept).astype(points.dtype)
         together = np.concatenate([measured, added])
         return CompletedScan(
@@ -147,15 +149,13 @@ def keep_unmeasured(
     prediction: Float[np.ndarray, "P 3"],
     measured: Float[np.ndarray, "N 3"],
     partial: Float[Array | np.ndarray, "M 3"],
-    view: Camera,
-    spacing: float = 1.0,
+    spacing: float = 0.5,
 ) -> Bool[np.ndarray, " P"]:
     """Which predicted points to add to the measured ones: where nothing was measured.
 
     All in one frame. A predicted point nearer to a measured one than ``spacing`` times
     the typical distance between neighbours of the network's input says nothing new.
     """
-    del view
     cloud = np.asarray(partial)
     distinct = np.unique(cloud, axis=0)
     apart = cKDTree(distinct).query(distinct, k=2)[0][:, 1]

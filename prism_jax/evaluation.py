@@ -21,7 +21,7 @@ from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.completion import keep_unmeasured
 from prism_jax.data.corpus import Examples
 from prism_jax.data.partials import farthest_point_order
-from prism_jax.geometry.workspace import unit_view
+from prism_jax.geometry.camera import Camera
 from prism_jax.models.variables import Variables
 from prism_jax.training.batches import Batch, make_batch
 
@@ -87,7 +87,7 @@ def _complete(
     @jax.jit
     def complete(partials, eyes):
         def one(partial, eye):
-            done = adapt(variables, partial, unit_view(eye))
+            done = adapt(variables, partial, Camera.framing(partial, eye))
             return done.points, done.before, done.accepted
 
         return jax.vmap(one)(partials, eyes)
@@ -110,10 +110,9 @@ def _complete(
 def _scored(batch: Batch, partial: np.ndarray, outputs: tuple, i: int) -> Scored:
     points, before, accepted = outputs
     measured, scale = batch.partial[i], batch.half_extent[i]
-    view = jax.tree.map(np.asarray, unit_view(jnp.asarray(batch.eye[i])))
 
     def merged(prediction: np.ndarray) -> np.ndarray:
-        keep = keep_unmeasured(prediction, measured, partial[i], view)
+        keep = keep_unmeasured(prediction, measured, partial[i])
         return np.concatenate([measured, prediction[keep]])
 
     clouds = {

@@ -3,14 +3,12 @@
 import ast
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.training.config import PhaseConfig, PretrainConfig
-
-T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,22 +141,29 @@ def resolve(name: str, changes: Sequence[str] = ()) -> Preset:
     return preset
 
 
-def _replaced(config: T, path: list[str], text: str, change: str) -> T:
+def _replaced(config: Any, path: list[str], text: str, change: str) -> Any:
+    if not path:
+        return _typed(config, text, change)
     name, *rest = path
-    if isinstance(config, tuple):
-        index = _literal(name, change)
-        item = _replaced(config[index], rest, text, change)
-        return (*config[:index], item, *config[index + 1 :])  # pyright: ignore
-    known = [field.name for field in dataclasses.fields(config)]  # pyright: ignore
+    known = _fields(config)
     if name not in known:
-        remedy = f"use one of {', '.join(known)}"
+        remedy = f"use one of {', '.join(known)}" if known else "leave it out"
         raise InputError(change, f"no field {name!r}", remedy)
-    value = getattr(config, name)
-    if rest:
-        value = _replaced(value, rest, text, change)
-    else:
-        value = _typed(value, text, change)
-    return dataclasses.replace(config, **{name: value})  # pyright: ignore
+    value = _replaced(known[name], rest, text, change)
+    if isinstance(config, tuple):
+        index = int(name)
+        return (*config[:index], value, *config[index + 1 :])
+    return dataclasses.replace(config, **{name: value})
+
+
+def _fields(config: Any) -> dict[str, Any]:
+    """Named parts of a dataclass, numbered ones of a tuple, none of a plain value."""
+    if isinstance(config, tuple):
+        return {str(index): item for index, item in enumerate(config)}
+    if not dataclasses.is_dataclass(config):
+        return {}
+    fields = dataclasses.fields(config)
+    return {field.name: getattr(config, field.name) for field in fields}
 
 
 def _typed(old: Any, text: str, change: str) -> Any:

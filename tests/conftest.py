@@ -9,10 +9,11 @@ _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE / "prism_jax" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
-import jax
-import numpy as np
-import pytest
-from jaxtyping import install_import_hook
+# JAX reads its environment when it is imported.
+import jax  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
 
 install_import_hook("prism_jax", "beartype.beartype")
 
@@ -48,3 +49,43 @@ def x64():
     """Double precision, for finite differences."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(scope="session")
+def tiny():
+    """Configuration of the smallest preset."""
+    from prism_jax.presets import resolve
+
+    return resolve("tiny").adapt
+
+
+@pytest.fixture(scope="session")
+def tiny_variables(tiny):
+    """Fresh variables of `tiny`."""
+    from prism_jax.models.initial import init_variables
+
+    return init_variables(jax.random.key(0), tiny.model)
+
+
+@pytest.fixture(scope="session")
+def tiny_adapt(tiny):
+    """Test-time adaptation of `tiny`, compiled once for all tests."""
+    from prism_jax.adaptation.test_time import make_adapt
+
+    return jax.jit(make_adapt(tiny))
+
+
+@pytest.fixture(scope="session")
+def tiny_frames(tiny):
+    """Three partial clouds, half shells of boxes, and the cameras that saw them."""
+    from prism_jax.geometry.camera import Camera
+
+    rng = np.random.default_rng(0)
+    eyes = rng.normal(size=(3, 1, 3))
+    eyes *= 3.0 / np.linalg.norm(eyes, axis=-1, keepdims=True)
+    shell = rng.uniform(-1, 1, (3, tiny.model.backbone.num_points, 3))
+    shell /= np.abs(shell).max(-1, keepdims=True)
+    shell *= np.sign((shell * eyes).sum(-1, keepdims=True))
+    partials = jax.numpy.asarray(shell * [0.7, 0.5, 0.4], np.float32)
+    cameras = jax.vmap(Camera.framing)(partials, eyes[:, 0].astype(np.float32))
+    return partials, cameras

@@ -131,6 +131,8 @@ def build_corpus(
     missing = [
         n for n in range(_num_shards(split, config)) if not _shard(folder, n).exists()
     ]
+    if not missing and (folder / "manifest.json").exists():
+        return folder
     bar = tqdm(total=len(missing), desc=split, unit="shard", disable=not progress)
     with bar:
         if num_workers == 0:

@@ -178,6 +178,33 @@ class Camera:
         )
 
     @classmethod
+    def framing(
+        cls,
+        points: Float[Array, "N 3"],
+        eye: Vector,
+        margin: float = 1.3,
+        height: int = 128,
+        width: int = 128,
+    ) -> "Camera":
+        """A camera at ``eye`` whose view is filled by the points, with some margin.
+
+        It looks at the centre of their bounding box. Points beside or behind the eye
+        widen the view to at most 120 degrees. Points and eye share frame and units.
+        """
+        center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        aimed = cls.look_at(eye, center, height=height, width=width)
+        seen = aimed.to_camera(points)
+        depth = seen[:, 2]
+        sideways = jnp.abs(seen[:, :2]).max(axis=-1)
+        widest = jnp.tan(jnp.deg2rad(60.0))
+        in_front = depth > 1e-6
+        tangent = sideways / jnp.where(in_front, depth, 1.0)
+        tangent = margin * jnp.where(in_front, tangent, widest).max()
+        half_angle = jnp.arctan(jnp.clip(tangent, 1e-3, widest))
+        fov_degrees = jnp.rad2deg(2 * half_angle)
+        return cls.look_at(eye, center, (0.0, 0.0, 1.0), fov_degrees, height, width)
+
+    @classmethod
     def fixed_view(
         cls, view: str | int = "front", height: int = 128, width: int = 128
     ) -> "Camera":

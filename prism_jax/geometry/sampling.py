@@ -33,12 +33,20 @@ def farthest_point_sample(
     def add(carry: tuple[Array, Array], _: None):
         distances, last = carry
         distances = jnp.minimum(distances, ((points - points[last]) ** 2).sum(-1))
-        following = jnp.where(chosen_from, distances, -1.0).argmax().astype(jnp.int32)
-        return (distances, following), last
+        return (
+            distances,
+            _first_highest(jnp.where(chosen_from, distances, -1.0)),
+        ), last
 
     # float32 of 1e10, as the reference: any first distance is smaller.
     first = (jnp.full(points.shape[0], 1e10, points.dtype), jnp.int32(start))
     return jax.lax.scan(add, first, None, length=num_samples)[1]
+
+
+def _first_highest(values: Array) -> Array:
+    """`argmax` in two plain reductions, which a CPU vectorises as it does not that."""
+    rows = jnp.arange(values.shape[0], dtype=jnp.int32)
+    return jnp.where(values == values.max(), rows, values.shape[0] - 1).min()
 
 
 def resample(

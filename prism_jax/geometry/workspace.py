@@ -75,8 +75,3 @@ class Workspace:
         half_extent = 0.5 * margin * (upper - lower).max(axis=-1)
         half_extent = xp.where(half_extent > 0, half_extent, 1.0)
         return cls(center=0.5 * (lower + upper), half_extent=half_extent)
-
-
-def unit_view(eye: Float[Array, "3"]) -> Camera:
-    """The camera at ``eye``, in workspace units, that just holds the unit workspace."""
-    return Camera.viewing(Workspace(jnp.zeros(3), jnp.ones(())), eye)

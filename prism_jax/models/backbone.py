@@ -17,10 +17,11 @@ from prism_jax.models.variables import Variables, part
 
 def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
     """Fresh variables of the encoder and the decoder."""
-    keys = jax.random.split(key, 3)
-    partial = jax.random.uniform(keys[0], (1, config.num_points, 3), minval=-1.0)
 
-    def init() -> Variables:
+    def init(key: PRNGKeyArray) -> Variables:
+        keys = jax.random.split(key, 3)
+        shape = (1, config.num_points, 3)
+        partial = jax.random.uniform(keys[0], shape, minval=-1.0)
         indices = partial_indices(partial, config)
         encoder = PointEncoder(config).init(keys[1], partial, indices)
         encoded = PointEncoder(config).apply(encoder, partial, indices)
@@ -33,7 +34,7 @@ def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
             for collection in ("params", "batch_stats")
         }
 
-    return jax.jit(init)()
+    return jax.jit(init)(key)
 
 
 def partial_indices(

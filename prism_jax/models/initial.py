@@ -30,9 +30,9 @@ def init_auxiliary(
 ) -> Variables:
     """A backbone's variables with fresh ones for all that reads it."""
     sizes = config.auxiliary
-    keys = jax.random.split(key, 7)
 
-    def init() -> dict[str, Variables]:
+    def init(key: PRNGKeyArray, backbone: Variables) -> dict[str, Variables]:
+        keys = jax.random.split(key, 7)
         shape = (config.backbone.num_points, 3)
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
         frame = prepare_frame(cloud, Camera.fixed_view(), keys[0], config)
@@ -53,7 +53,7 @@ def init_auxiliary(
             "denoiser": Denoiser(sizes).init(keys[6], *perturbed, latent),
         }
 
-    fresh = jax.jit(init)()
+    fresh = jax.jit(init)(key, backbone)
     depth = fresh.pop("depth_encoder")
     params = {name: variables["params"] for name, variables in fresh.items()}
     return {

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.objective import auxiliary_losses
-from prism_jax.geometry.workspace import unit_view
+from prism_jax.geometry.camera import Camera
 from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
@@ -116,7 +116,7 @@ def _validation(adapt: AdaptConfig, key: PRNGKeyArray):
 
 def _frames(batch: Batch, key: PRNGKeyArray, adapt: AdaptConfig) -> Frame:
     def frame(partial, eye, key):
-        return prepare_frame(partial, unit_view(eye), key, adapt.model)
+        return prepare_frame(partial, Camera.framing(partial, eye), key, adapt.model)
 
     keys = jax.random.split(key, batch.partial.shape[0])
     return jax.vmap(frame)(jnp.asarray(batch.partial), jnp.asarray(batch.eye), keys)

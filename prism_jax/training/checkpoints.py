@@ -1,5 +1,6 @@
 """Training states on disk, by Orbax: the latest, to resume, and the best, to keep."""
 
+import math
 import pathlib
 from typing import Any
 
@@ -16,13 +17,14 @@ class Checkpoints:
     def __init__(self, workdir: pathlib.Path):
         root = workdir.absolute() / "checkpoints"
         self._latest = _manager(root / "latest")
-        self._best = _manager(root / "best")
+        # Orbax keeps the metrics of a manager that ranks by them.
+        self._best = _manager(root / "best", best_fn=_quality)
 
     def save(self, step: int, state: Any, score: float | None = None) -> bool:
         """Writes the state; also as the best, if its score is the lowest so far."""
         self._latest.save(step, args=ocp.args.StandardSave(state))
         best = self.best_score()
-        is_best = score is not None and (best is None or score < best)
+        is_best = score is not None and score < (math.inf if best is None else best)
         if is_best:
             self._best.save(
                 step, args=ocp.args.StandardSave(state), metrics={"score": score}
@@ -53,9 +55,13 @@ class Checkpoints:
         self._best.close()
 
 
-def _manager(folder: pathlib.Path) -> ocp.CheckpointManager:
-    options = ocp.CheckpointManagerOptions(max_to_keep=1, create=True)
-    return ocp.CheckpointManager(folder, options=options)
+def _manager(folder: pathlib.Path, **options: Any) -> ocp.CheckpointManager:
+    kept = ocp.CheckpointManagerOptions(max_to_keep=1, create=True, **options)
+    return ocp.CheckpointManager(folder, options=kept)
+
+
+def _quality(metrics: dict[str, float]) -> float:
+    return -metrics["score"]
 
 
 def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:

@@ -241,3 +241,25 @@ def test_jit_and_vmap_over_cameras():
     eyes = jnp.array([[2.0, 0, 0], [0, 0, 2.0]])
     made = jax.jit(jax.vmap(lambda eye: Camera.look_at(eye, jnp.zeros(3))))(eyes)
     assert np.allclose(made.position, eyes, atol=1e-6)
+
+
+def test_framing_fills_the_view_with_the_points():
+    rng = np.random.default_rng(0)
+    points = jnp.asarray(rng.uniform(-0.3, 0.3, (200, 3)) + [0.5, 0, 0], jnp.float32)
+    eye = jnp.array([3.0, -1.0, 0.5])
+    camera = Camera.framing(points, eye, margin=1.25)
+    uv, depth = camera.project(points)
+    np.testing.assert_allclose(camera.position, eye, atol=1e-5)
+    assert (depth > 0).all()
+    # The outermost point lies at 1 / margin of the half width from the centre.
+    offset = np.abs(np.asarray(uv) - 63.5).max()
+    np.testing.assert_allclose(offset, 64 / 1.25, rtol=1e-4)
+
+
+def test_framing_from_inside_the_cloud_is_capped():
+    points = jnp.asarray(np.random.default_rng(0).normal(size=(50, 3)), jnp.float32)
+    camera = jax.jit(Camera.framing)(points, points.mean(0))
+    half_angle = np.arctan(64.0 / np.asarray(camera.intrinsics)[0, 0])
+    np.testing.assert_allclose(np.rad2deg(half_angle), 60.0, rtol=1e-4)
+    one = Camera.framing(jnp.ones((1, 3)), jnp.zeros(3))
+    assert np.isfinite(np.asarray(one.intrinsics)).all()

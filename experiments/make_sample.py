@@ -1,0 +1,46 @@
+"""Writes the scan that ships with the package, and the whole shape for comparison.
+
+python -m experiments.make_sample --category=arm --index=19
+"""
+
+import pathlib
+
+import numpy as np
+from absl import app, flags
+
+from prism_jax.data.corpus import CorpusConfig, shape_seed
+from prism_jax.data.examples import dequantise, make_example
+from prism_jax.data.shapes import CATEGORIES
+from prism_jax.io.ply import write_ply
+
+FLAGS = flags.FLAGS
+HALF_EXTENT = 0.6
+"""Metres from the shape's centre to the ends of its longest side."""
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_enum("category", "arm", CATEGORIES, "What is scanned.")
+    flags.DEFINE_integer("index", 19, "Which of the validation split's seeds.")
+    flags.DEFINE_string("output_dir", "prism_jax/assets", "Where the files go.")
+
+
+def main(argv):
+    """One example in metres, seen by a sensor at the origin, z up."""
+    del argv
+    seed = shape_seed(CorpusConfig(), "validation", FLAGS.index)
+    partial, complete, viewpoint = make_example(FLAGS.category, seed)
+    folder = pathlib.Path(FLAGS.output_dir)
+    for name, cloud in {"sample": partial, "sample_complete": complete}.items():
+        points = (dequantise(cloud) - viewpoint) * np.float32(HALF_EXTENT)
+        write_ply(folder / f"{name}.ply", points, np.zeros(len(points), bool))
+
+
+def run():
+    """Entry point."""
+    define_flags()
+    app.run(main)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,169 @@
+"""The objective of Eq. 13, in double precision: its terms, and its gradient."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.adaptation.objective import test_time_objective as objective
+from prism_jax.geometry.normals import pca_normals
+from prism_jax.losses.alignment import alignment_loss
+from prism_jax.losses.denoise import denoise_loss
+from prism_jax.losses.depth import depth_consistency
+from prism_jax.losses.normal import normal_loss
+from prism_jax.models.prism import branches, predict, prepare_frame, read_depth
+from prism_jax.models.variables import pop_encoders, put_encoders
+
+LAMBDAS = {
+    "lambda_smooth": 0.3,
+    "lambda_offset": 0.7,
+    "lambda_sigma": 1.3,
+    "lambda_transport": 0.6,
+    "depth_weight": 2.0,
+}
+# Gradients are stopped at the PCA anchors of the normals and at the entropy of the
+# transport, though both move with the parameters: the normals get no weight here, and
+# the transport none. What is left is differentiable wherever no assignment flips.
+SMOOTH_LOGITS = (-1e9, 0.3, -0.4)
+LOGITS = (0.5, 0.3, -0.4)
+SCALES = (0.5, 0.02, 7.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def double():
+    with jax.enable_x64(True):
+        yield
+
+
+def as_double(tree):
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), tree)
+
+
+@pytest.fixture(scope="module")
+def config(tiny):
+    return dataclasses.replace(tiny, **LAMBDAS)
+
+
+@pytest.fixture(scope="module")
+def frame(config, tiny_frames, double):
+    partials, cameras = as_double(tiny_frames)
+    camera = jax.tree.map(lambda leaf: leaf[0], cameras)
+    key = jax.random.key(config.seed)
+    return jax.jit(lambda p, c: prepare_frame(p, c, key, config.model))(
+        partials[0], camera
+    )
+
+
+@pytest.fixture(scope="module")
+def variables(tiny_variables, double):
+    """Fresh ones have biases of zero, and leave many a ReLU exactly at its kink."""
+    rng = np.random.default_rng(1)
+    params = jax.tree.map(
+        lambda leaf: leaf + 0.02 * rng.normal(size=leaf.shape),
+        as_double(tiny_variables["params"]),
+    )
+    weighting = {"logits": jnp.array(LOGITS), "scales": jnp.array(SCALES)}
+    return as_double({**tiny_variables, "params": params, "weighting": weighting})
+
+
+@pytest.fixture(scope="module")
+def evaluate(config, frame):
+    """All that the tests look at, compiled once."""
+    smooth = dataclasses.replace(config, lambda_transport=0.0)
+
+    def value(encoders, rest):
+        return objective(put_encoders(encoders, rest), frame, smooth)[0].objective
+
+    @jax.jit
+    def evaluate(encoders, rest):
+        variables = put_encoders(encoders, rest)
+        losses, prediction = objective(variables, frame, config)
+        features = read_depth(variables, frame, config.model)
+        again = predict(variables, frame, config.model)
+        seen = branches(variables, frame, again, features, config.model)
+        smooth_value, gradient = jax.value_and_grad(value)(encoders, rest)
+        return losses, prediction, seen, smooth_value, gradient
+
+    return evaluate
+
+
+@pytest.fixture(scope="module")
+def evaluated(evaluate, variables):
+    return evaluate(*pop_encoders(variables))
+
+
+def test_terms_are_the_losses_of_their_equations(evaluated, frame, config):
+    losses, prediction, seen, *_ = evaluated
+    points = prediction.points
+    view = frame.view
+    consistency = depth_consistency(points, frame.partial, view)
+    np.testing.assert_allclose(losses.depth_consistency, consistency, rtol=1e-9)
+    assert consistency > 0
+    normal = normal_loss(
+        seen.normals, points, config.lambda_smooth, config.normal_neighbors
+    )
+    np.testing.assert_allclose(losses.normal, normal, rtol=1e-6)
+    denoise = denoise_loss(
+        frame.perturbed + seen.offsets,
+        frame.upsampled,
+        seen.offsets,
+        config.lambda_offset,
+    )
+    np.testing.assert_allclose(losses.denoise, denoise, rtol=1e-9)
+    align = alignment_loss(
+        seen.tokens_3d,
+        seen.tokens_depth,
+        config.lambda_sigma,
+        config.lambda_transport,
+        config.transport_epsilon,
+    )
+    np.testing.assert_allclose(losses.align, align, rtol=1e-9)
+
+
+def test_anchors_of_the_normals_have_no_gradient(evaluated, config):
+    """Eq. 5 reaches the encoders through the normals alone."""
+    _, prediction, seen, *_ = evaluated
+    points, normals = prediction.points, seen.normals
+    k = config.normal_neighbors
+    toward = jax.grad(normal_loss, argnums=(0, 1))(normals, points, 0.3, k)
+    assert np.abs(toward[0]).max() > 0
+    assert np.abs(toward[1]).max() == 0
+    assert np.isfinite(pca_normals(points, k)).all()
+
+
+def test_objective_is_the_weighted_sum(evaluated):
+    """Eq. 11 and 13: softmax weights over the losses divided by their scales."""
+    losses, *_ = evaluated
+    weights = np.exp(LOGITS) / np.exp(LOGITS).sum()
+    terms = np.array([losses.normal, losses.denoise, losses.align])
+    expected = LAMBDAS["depth_weight"] * losses.depth_consistency
+    expected += (weights * terms / SCALES).sum()
+    np.testing.assert_allclose(losses.objective, expected, rtol=1e-12)
+    assert all(np.ndim(term) == 0 for term in losses)
+
+
+@pytest.mark.parametrize("moving", ["point_encoder", "depth_encoder"])
+def test_gradient_against_finite_differences(evaluate, variables, moving):
+    encoders, rest = pop_encoders(variables)
+    weighting = {**rest["weighting"], "logits": jnp.array(SMOOTH_LOGITS)}
+    rest = {**rest, "weighting": weighting}
+    rng = np.random.default_rng(0)
+    direction = {
+        name: jax.tree.map(
+            lambda x, on=name == moving: on * rng.normal(size=x.shape), tree
+        )
+        for name, tree in encoders.items()
+    }
+    step = 1e-7
+
+    def at(sign):
+        moved = jax.tree.map(lambda p, d: p + sign * step * d, encoders, direction)
+        return float(evaluate(moved, rest)[3])
+
+    gradient = evaluate(encoders, rest)[4]
+    along = jax.tree.map(lambda g, d: (g * d).sum(), gradient, direction)
+    expected = float(sum(jax.tree.leaves(along)))
+    assert abs(expected) > 0.01
+    np.testing.assert_allclose((at(1) - at(-1)) / (2 * step), expected, rtol=1e-5)

@@ -1,0 +1,59 @@
+"""Taking variables apart and putting them together."""
+
+import copy
+
+import jax
+import numpy as np
+
+from prism_jax.models.variables import ENCODERS, part, pop_encoders, put_encoders
+
+VARIABLES = {
+    "params": {
+        name: {"dense": {"kernel": np.full((2, 2), i, np.float32)}, "bias": np.ones(1)}
+        for i, name in enumerate(
+            ("decoder", "point_encoder", "auxiliary", "depth_encoder", "refiner")
+        )
+    },
+    "batch_stats": {"decoder": {"norm": {"mean": np.zeros(2)}}, "point_encoder": {}},
+    "weighting": {"logits": np.zeros(3), "scales": np.ones(3)},
+}
+
+
+def same(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(x.tobytes() == y.tobytes() and x.dtype == y.dtype for x, y in leaves)
+
+
+def test_round_trip_is_bitwise():
+    before = copy.deepcopy(VARIABLES)
+    encoders, rest = pop_encoders(VARIABLES)
+    assert same(put_encoders(encoders, rest), VARIABLES)
+    assert same(VARIABLES, before)
+
+
+def test_only_the_two_encoders_are_taken():
+    encoders, rest = pop_encoders(VARIABLES)
+    assert set(encoders) == set(ENCODERS) == {"point_encoder", "depth_encoder"}
+    assert set(rest["params"]) == {"decoder", "auxiliary", "refiner"}
+    assert same(rest["batch_stats"], VARIABLES["batch_stats"])
+    assert same(rest["weighting"], VARIABLES["weighting"])
+
+
+def test_others_in_their_place():
+    encoders, rest = pop_encoders(VARIABLES)
+    moved = jax.tree.map(lambda leaf: leaf + 1, encoders)
+    together = put_encoders(moved, rest)
+    assert same({name: together["params"][name] for name in ENCODERS}, moved)
+    assert same(pop_encoders(together)[1], rest)
+
+
+def test_part():
+    own = part(VARIABLES, "decoder")
+    assert same(own["params"], VARIABLES["params"]["decoder"])
+    assert same(own["batch_stats"], VARIABLES["batch_stats"]["decoder"])
+    deeper = part(VARIABLES, "decoder", "dense")
+    assert set(deeper) == {"params"}
+    assert set(deeper["params"]) == {"kernel"}
+    # Flax takes a missing collection for an empty one, and not the reverse.
+    assert set(part(VARIABLES, "point_encoder")) == {"params"}

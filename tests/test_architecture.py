@@ -1,0 +1,157 @@
+"""Imports point one way, and nothing unpickles what a user gives."""
+
+import ast
+import pathlib
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+
+# From the top down: a module imports from its own line and from those below it.
+LAYERS = (
+    "experiments",
+    "prism_jax",
+    "prism_jax.completion_job prism_jax.evaluation",
+    "prism_jax.completion",
+    "prism_jax.weights",
+    "prism_jax.report",
+    "prism_jax.figures",
+    "prism_jax.training.stages",
+    "prism_jax.presets",
+    "prism_jax.training",
+    "prism_jax.adaptation",
+    "prism_jax.models",
+    "prism_jax.losses",
+    "prism_jax.metrics",
+    "prism_jax.data",
+    "prism_jax.io",
+    "prism_jax.geometry",
+)
+
+# Where less is allowed than the order allows.
+ONLY = {
+    "prism_jax.geometry": {"prism_jax.geometry"},
+    "prism_jax.io": {"prism_jax.io", "prism_jax.geometry"},
+    "prism_jax.data": {"prism_jax.data", "prism_jax.io", "prism_jax.geometry"},
+    "prism_jax.metrics": {"prism_jax.metrics"},
+    "prism_jax.losses": {"prism_jax.losses", "prism_jax.geometry"},
+    "prism_jax.adaptation": {
+        "prism_jax.adaptation",
+        "prism_jax.models",
+        "prism_jax.losses",
+        "prism_jax.geometry",
+    },
+}
+
+NO_FLAX = ("prism_jax.geometry", "prism_jax.losses", "prism_jax.io", "prism_jax.data")
+UNPICKLERS = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "shelve"}
+
+
+def source_files():
+    """``{module name: syntax tree}`` of everything that is shipped."""
+    trees = {}
+    for path in sorted(ROOT.glob("prism_jax/**/*.py")):
+        trees[module_name(path)] = ast.parse(path.read_text())
+    for path in sorted(ROOT.glob("experiments/**/*.py")):
+        trees[module_name(path)] = ast.parse(path.read_text())
+    return trees
+
+
+def module_name(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+TREES = source_files()
+
+
+def imported(tree):
+    """Every module that a file imports, wherever in it the import stands."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            for alias in node.names:
+                inside = f"{node.module}.{alias.name}"
+                yield inside if inside in TREES else node.module
+
+
+def layer(name):
+    """Index of the longest entry of LAYERS that the module lies in."""
+    found = {
+        entry: index
+        for index, line in enumerate(LAYERS)
+        for entry in line.split()
+        if name == entry or (entry != "prism_jax" and name.startswith(f"{entry}."))
+    }
+    assert found, f"{name} has no place in LAYERS"
+    return found[max(found, key=len)]
+
+
+def own(name):
+    return name.split(".")[0] in ("prism_jax", "experiments")
+
+
+def without_typing(name, tree):
+    """The tree without what is imported for annotations alone."""
+    if name != "prism_jax.geometry.camera":
+        return tree
+    body = [
+        node
+        for node in tree.body
+        if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
+    ]
+    return ast.Module(body, [])
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_no_import_points_up(name):
+    for target in filter(own, imported(without_typing(name, TREES[name]))):
+        assert target in TREES, f"{name} imports {target}, which is not there"
+        assert layer(name) <= layer(target), f"{name} imports {target}"
+
+
+@pytest.mark.parametrize("package", ONLY)
+def test_some_know_less_than_the_order_allows(package):
+    for name in TREES:
+        if f"{name}.".startswith(f"{package}."):
+            for target in filter(own, imported(TREES[name])):
+                assert ".".join(target.split(".")[:2]) in ONLY[package], (
+                    f"{name} imports {target}"
+                )
+
+
+def test_adaptation_never_reaches_a_dataset():
+    """Not through others either."""
+    reached = {name for name in TREES if name.startswith("prism_jax.adaptation")}
+    while True:
+        further = {t for name in reached for t in imported(TREES[name]) if t in TREES}
+        # What `import prism_jax` itself runs is another matter.
+        further.discard("prism_jax")
+        if further <= reached:
+            break
+        reached |= further
+    assert not {n for n in reached if n.startswith("prism_jax.data")}
+    assert "prism_jax.models.prism" in reached
+
+
+@pytest.mark.parametrize("package", NO_FLAX)
+def test_arrays_below_the_models_know_nothing_of_flax(package):
+    for name in TREES:
+        if f"{name}.".startswith(f"{package}."):
+            roots = {target.split(".")[0] for target in imported(TREES[name])}
+            assert not roots & {"flax", "optax", "orbax"}, name
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_nothing_unpickles(name):
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Call):
+            settings = {k.arg: ast.unparse(k.value) for k in node.keywords}
+            assert settings.get("allow_pickle", "False") == "False", name
+            if ast.unparse(node.func) == "torch.load":
+                assert settings.get("weights_only") == "True", name
+            if ast.unparse(node.func) in ("np.load", "numpy.load"):
+                assert settings.get("allow_pickle") == "False", name
+    assert not {t.split(".")[0] for t in imported(TREES[name])} & UNPICKLERS, name

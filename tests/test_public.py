@@ -1,0 +1,52 @@
+"""The public names."""
+
+import inspect
+
+import pytest
+
+import prism_jax
+
+NAMES = {
+    "Camera",
+    "Workspace",
+    "render_depth",
+    "knn",
+    "nearest",
+    "farthest_point_sample",
+    "pca_normals",
+    "sinkhorn",
+    "chamfer",
+    "f_score",
+    "Completer",
+    "load_pretrained",
+    "make_adapt",
+}
+
+
+def test_all_is_what_was_promised():
+    assert set(prism_jax.__all__) == NAMES
+    assert len(prism_jax.__all__) == len(NAMES)
+
+
+@pytest.mark.parametrize("name", sorted(NAMES))
+def test_every_name_is_documented(name):
+    documented = inspect.getdoc(getattr(prism_jax, name))
+    assert documented is not None
+    # A dataclass without a docstring gets its signature for one.
+    assert not documented.startswith(f"{name}(")
+
+
+@pytest.mark.parametrize("name", ["Camera", "Workspace", "Completer"])
+def test_so_is_every_public_method(name):
+    methods = [
+        value
+        for key, value in vars(getattr(prism_jax, name)).items()
+        if not key.startswith("_") and (callable(value) or isinstance(value, property))
+    ]
+    assert methods
+    for method in methods:
+        assert inspect.getdoc(method)
+
+
+def test_version():
+    assert prism_jax.__version__.count(".") == 2

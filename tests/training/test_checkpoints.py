@@ -1,0 +1,117 @@
+"""States on disk: whole or not at all."""
+
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.training.checkpoints import Checkpoints
+from prism_jax.training.leg import TrainState
+
+
+def state(step):
+    rng = np.random.default_rng(step)
+    params = {"a": rng.normal(size=(3, 2)).astype(np.float32), "b": {"c": np.float32(2)}}
+    return jax.device_put(
+        TrainState(jnp.int32(step), {"params": params}, (jnp.ones(2) * step, ()))
+    )
+
+
+LIKE = state(0)
+
+
+def same(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(np.array_equal(x, y) and x.dtype == y.dtype for x, y in leaves)
+
+
+@pytest.fixture
+def checkpoints(tmp_path):
+    opened = Checkpoints(tmp_path)
+    yield opened
+    opened.close()
+
+
+def reopened(folder):
+    again = Checkpoints(folder)
+    found = again.restore_latest(LIKE), again.restore_best(LIKE), again.best_score()
+    again.close()
+    return found
+
+
+def test_an_empty_folder_has_none(checkpoints):
+    assert checkpoints.restore_latest(LIKE) is None
+    assert checkpoints.restore_best(LIKE) is None
+    assert checkpoints.best_score() is None
+
+
+def test_latest_and_best(checkpoints, tmp_path):
+    kept = [checkpoints.save(step, state(step), s) for step, s in [(2, 0.5), (4, 0.3)]]
+    kept += [checkpoints.save(6, state(6), 0.4), checkpoints.save(8, state(8))]
+    assert kept == [True, True, False, False]
+    checkpoints.close()
+    latest, best, score = reopened(tmp_path)
+    assert same(latest, state(8))
+    assert same(best, state(4))
+    assert score == pytest.approx(0.3)
+
+
+def test_an_equal_score_does_not_replace_the_best(checkpoints):
+    assert checkpoints.save(1, state(1), 0.5)
+    assert not checkpoints.save(2, state(2), 0.5)
+    assert same(checkpoints.restore_best(LIKE), state(1))
+
+
+def test_a_score_that_is_not_a_number_is_never_the_best(checkpoints):
+    """Nor the first, against which every later one would lose."""
+    assert not checkpoints.save(1, state(1), float("nan"))
+    assert checkpoints.save(2, state(2), 0.5)
+    assert not checkpoints.save(3, state(3), float("nan"))
+    assert same(checkpoints.restore_best(LIKE), state(2))
+
+
+def test_one_of_each_is_kept(checkpoints, tmp_path):
+    for step in (1, 2, 3):
+        checkpoints.save(step, state(step), 1.0 / step)
+    checkpoints.close()
+    for kind in ("latest", "best"):
+        steps = [path.name for path in (tmp_path / "checkpoints" / kind).iterdir()]
+        assert steps == ["3"]
+
+
+def break_off(folder, step, temporary):
+    """What a process leaves that is killed while it writes a step."""
+    source = next(path for path in folder.iterdir() if path.name.isdigit())
+    target = folder / (f"{step}.orbax-checkpoint-tmp" if temporary else f"{step}")
+    shutil.copytree(source, target)
+    files = sorted(path for path in target.rglob("*") if path.is_file())
+    for path in files[::2]:
+        path.unlink()
+    for path in files[1::2]:
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def test_a_write_that_was_killed_leaves_the_one_before(checkpoints, tmp_path):
+    checkpoints.save(4, state(4), 0.5)
+    checkpoints.close()
+    for kind in ("latest", "best"):
+        break_off(tmp_path / "checkpoints" / kind, 8, temporary=True)
+    latest, best, score = reopened(tmp_path)
+    assert same(latest, state(4))
+    assert same(best, state(4))
+    assert score == pytest.approx(0.5)
+
+
+def test_and_training_goes_on_over_it(checkpoints, tmp_path):
+    checkpoints.save(4, state(4), 0.5)
+    checkpoints.close()
+    break_off(tmp_path / "checkpoints" / "latest", 8, temporary=True)
+    again = Checkpoints(tmp_path)
+    again.save(8, state(8), 0.4)
+    again.close()
+    latest, best, _ = reopened(tmp_path)
+    assert same(latest, state(8))
+    assert same(best, state(8))

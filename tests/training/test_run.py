@@ -1,0 +1,90 @@
+"""Run directories and their log."""
+
+import dataclasses
+import json
+
+import pytest
+
+from prism_jax.io.errors import InputError
+from prism_jax.presets import resolve
+from prism_jax.training.run import Log, commit, open_run
+
+PRESET = resolve("tiny")
+
+
+def test_a_new_folder_holds_the_resolved_configuration(tmp_path):
+    folder = open_run(str(tmp_path / "deep" / "run"), PRESET, 7, resume=False)
+    written = json.loads((folder / "config.json").read_text())
+    assert written["seed"] == 7
+    assert written["commit"] == commit()
+    plain = json.loads(json.dumps(dataclasses.asdict(PRESET)))
+    assert written["config"] == plain
+    assert plain["adapt"]["model"]["backbone"]["num_points"] == 64
+
+
+def test_a_used_folder_needs_resume(tmp_path):
+    workdir = str(tmp_path / "run")
+    open_run(workdir, PRESET, 0, resume=False)
+    before = (tmp_path / "run" / "config.json").read_bytes()
+    with pytest.raises(InputError, match="holds a run already; pass --resume"):
+        open_run(workdir, PRESET, 0, resume=False)
+    assert open_run(workdir, PRESET, 0, resume=True) == tmp_path / "run"
+    assert (tmp_path / "run" / "config.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("preset", "seed"),
+    [
+        (PRESET, 1),
+        (resolve("small"), 0),
+        (resolve("tiny", ["adapt.model.margin=1.2"]), 0),
+        (resolve("tiny", ["pretrain.backbone.0.num_blocks=1"]), 0),
+    ],
+)
+def test_another_configuration_does_not_go_on(tmp_path, preset, seed):
+    open_run(str(tmp_path), PRESET, 0, resume=False)
+    with pytest.raises(InputError, match="another configuration"):
+        open_run(str(tmp_path), preset, seed, resume=True)
+
+
+def test_resume_on_a_new_folder_starts_one(tmp_path):
+    folder = open_run(str(tmp_path / "new"), PRESET, 0, resume=True)
+    assert (folder / "config.json").exists()
+
+
+def test_a_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot be written to"):
+        open_run(str(tmp_path / "file" / "run"), PRESET, 0, resume=False)
+
+
+def test_commit_is_a_digest_or_nothing():
+    found = commit()
+    assert found is None or len(found) == 40
+
+
+def test_log_lines(tmp_path, capsys):
+    log = Log(tmp_path, "seeds", total=64, done=16)
+    log.advance(8)
+    log.show(loss=0.25)
+    log.write(3, losses=[0.5, 0.25])
+    log.write(3, validation=[1.0])
+    # Readable while the run goes on.
+    lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
+    log.close()
+    first, second = map(json.loads, lines)
+    assert first["phase"] == "seeds"
+    assert (first["step"], first["samples"]) == (3, 24)
+    assert first["losses"] == [0.5, 0.25]
+    assert first["samples_per_second"] > 0
+    assert second["validation"] == [1.0]
+    assert "seeds" in capsys.readouterr().err
+
+
+def test_a_second_log_goes_on_in_the_same_file(tmp_path):
+    for name in ("seeds", "stages"):
+        log = Log(tmp_path, name, total=8, done=0)
+        log.write(1, losses=[0.0])
+        log.close()
+    lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(line)["phase"] for line in lines] == ["seeds", "stages"]
