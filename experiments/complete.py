@@ -45,6 +45,13 @@ def define_flags() -> None:
             "Box to complete, x0,y0,z0,x1,y1,z1 in the units of the input. Points "
             "outside are left out. The cloud's own bounds if not given.",
         ),
+        flags.DEFINE_enum(
+            "up",
+            default.up,
+            ["x", "y", "z", "-x", "-y", "-z"],
+            "Axis of the input that points upwards. If not given, -y for a depth image, "
+            "as in a camera's frame, and z for a cloud.",
+        ),
         flags.DEFINE_string(
             "weights", default.weights, "Name of released weights, or a file of them."
         ),
@@ -70,6 +77,7 @@ def main(argv: Sequence[str]) -> None:
             ground_truth=FLAGS.ground_truth,
             camera=FLAGS.camera,
             workspace=FLAGS.workspace,
+            up=FLAGS.up,
             weights=FLAGS.weights,
             adapt=FLAGS.adapt,
             output_dir=FLAGS.output_dir,

@@ -16,6 +16,7 @@ from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
+from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.weights import available_weights, load_pretrained
 
@@ -80,6 +81,7 @@ class Completer:
         camera: Camera | None = None,
         workspace: Workspace | None = None,
         adapt: bool = True,
+        up: str = "z",
     ) -> CompletedScan:
         """Completes one scan.
 
@@ -88,6 +90,8 @@ class Completer:
         aimed at the points from there, so that its pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
         points outside are left out. ``adapt=False`` leaves out test-time adaptation.
+        ``up`` is the axis of the user's frame that points upwards (x, y, z, -x, -y or
+        -z; -y for a camera's): the weights know upright objects.
         Points that are not finite, fewer than 64 distinct ones or an extent of zero
         raise `prism_jax.io.InputError`.
         """
@@ -100,23 +104,24 @@ class Completer:
             workspace = Workspace.from_points(exact, self.config.model.margin)
         center = np.asarray(workspace.center, np.float64)
         workspace = Workspace(center, np.float64(workspace.half_extent))
-        unit = workspace.to_unit(points.astype(np.float64))
+        upright = _upright(up)
+        unit = workspace.to_unit(points.astype(np.float64)) @ upright.T
         inside = (np.abs(unit) <= 1.0).all(axis=-1)
-        measured = points[inside]
+        measured, unit = points[inside], unit[inside]
         check_cloud(measured, "points inside the workspace")
         eye = np.zeros(3) if camera is None else np.asarray(camera.position)
-        unit_eye = jnp.asarray(workspace.to_unit(eye), jnp.float32)
-        partial = _resampled(unit[inside], self.config.model.backbone.num_points)
+        unit_eye = jnp.asarray(upright @ workspace.to_unit(eye), jnp.float32)
+        partial = _resampled(unit, self.config.model.backbone.num_points)
         view = Camera.framing(partial, unit_eye)
         completion, seconds = self._run(adapt, partial, view)
         prediction = np.asarray(completion.points, np.float64)
-        kept = prediction[keep_unmeasured(prediction, unit[inside], partial)]
-        added = workspace.from_unit(kept).astype(points.dtype)
+        kept = prediction[keep_unmeasured(prediction, unit, partial)]
+        added = workspace.from_unit(kept @ upright).astype(points.dtype)
         together = np.concatenate([measured, added])
         return CompletedScan(
             points=together,
             observed=np.arange(len(together)) < len(measured),
-            prediction=workspace.from_unit(prediction),
+            prediction=workspace.from_unit(prediction @ upright),
             accepted=bool(completion.accepted),
             losses={
                 name: np.asarray(values, np.float64).tolist()
@@ -124,8 +129,8 @@ class Completer:
             },
             weights=np.asarray(completion.weights),
             workspace=workspace,
-            camera=_to_user(view, workspace),
-            **_depth_maps(unit[inside], kept, view, workspace),
+            camera=_to_user(view, workspace, upright),
+            **_depth_maps(unit, kept, view, workspace),
             seconds=seconds,
         )
 
@@ -175,12 +180,28 @@ def _resampled(points: np.ndarray, num_points: int) -> Array:
     return jax.jit(resample, static_argnums=1)(points.astype(np.float32), num_points)
 
 
-def _to_user(view: Camera, workspace: Workspace) -> Camera:
-    """A camera of the unit workspace, for points in the user's frame."""
+def _upright(up: str) -> Float[np.ndarray, "3 3"]:
+    """The rotation that turns an axis of the user's frame up, to z."""
+    turns = {
+        "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+        "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+        "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+        "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+    }
+    if up not in turns:
+        raise InputError(f"up={up}", "no such axis", f"use one of {', '.join(turns)}")
+    return np.array(turns[up], np.float64)
+
+
+def _to_user(view: Camera, workspace: Workspace, upright: np.ndarray) -> Camera:
+    """A camera of the upright unit workspace, for points in the user's frame."""
+    turned = dataclasses.replace(view, rotation=np.asarray(view.rotation) @ upright)
     inverse = Workspace(
         -workspace.center / workspace.half_extent, 1.0 / workspace.half_extent
     )
-    return jax.tree.map(np.asarray, inverse.camera_to_unit(view))
+    return jax.tree.map(np.asarray, inverse.camera_to_unit(turned))
 
 
 def _depth_maps(

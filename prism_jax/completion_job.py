@@ -18,7 +18,6 @@ from jaxtyping import Float
 
 from prism_jax import io, metrics
 from prism_jax.figures import subsample
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.report import render_report
 
 PATIENCE = 2.0
@@ -42,6 +41,7 @@ class CompletionJob:
     ground_truth: str | None = None
     camera: str | None = None
     workspace: str | None = None
+    up: str | None = None
     weights: str = "small"
     adapt: bool = True
     output_dir: str = "prism_output"
@@ -67,10 +67,8 @@ def run_job(job: CompletionJob) -> dict[str, Any]:
         result = completer.complete(
             scan.points,
             camera=scan.camera,
-            workspace=Workspace.from_bounds(bounds.lower, bounds.upper)
-            if bounds
-            else None,
             adapt=job.adapt,
+            up=axis_up(job, scan),
         )
     seconds.update(result.seconds)
     summary = summarize(job, source, scan, result)
@@ -83,6 +81,11 @@ def run_job(job: CompletionJob) -> dict[str, Any]:
     with stage(f"writing to {output_dir}", "write", seconds):
         _write(output_dir, result, plain(summary), ground_truth)
     return plain(summary)
+
+
+def axis_up(job: CompletionJob, scan: io.Scan) -> str:
+    """The axis that points upwards: as asked, else -y for a camera's frame, else z."""
+    return job.up or ("-y" if scan.is_depth_image else "z")
 
 
 def summarize(
@@ -114,6 +117,7 @@ def summarize(
         },
         "workspace": workspace,
         "camera": io.camera_to_dict(result.camera),
+        "up": axis_up(job, scan),
         "camera_given": scan.camera is not None,
         "losses": dict(result.losses),
         "loss_weights": dict(zip(LOSS_WEIGHT_NAMES, result.weights, strict=True)),

@@ -36,7 +36,7 @@ class FakeCompleter:
             raise InputError(name, "no such weights", "choose one of small")
         return cls()
 
-    def complete(self, points, camera=None, workspace=None, adapt=True) -> Result:
+    def complete(self, points, camera=None, workspace=None, adapt=True, up="z"):
         workspace = workspace or Workspace.from_points(points.astype(np.float64))
         prediction = 2 * workspace.center - points[::2]
         everything = np.concatenate([points, prediction.astype(points.dtype)])

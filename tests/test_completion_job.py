@@ -79,13 +79,29 @@ def test_workspace_crops_scan_and_ground_truth(job, tmp_path):
     truth = str(tmp_path / "truth.npy")
     run_job(replace(job, workspace="1,1,1,1.5,2,3", ground_truth=truth))
     _, written = outputs(job)
-    kept = int((POINTS[:, 0] <= 1.5).sum())
-    assert written["points"]["observed"] == kept
-    assert written["input"]["points_outside"] == 300 - kept
-    assert written["workspace"]["center"] == [1.25, 1.5, 2.0]
-    assert written["workspace"]["half_extent"] == 1.0
+    kept = POINTS[POINTS[:, 0] <= 1.5]
+    assert written["points"]["observed"] == len(kept)
+    assert written["input"]["points_outside"] == 300 - len(kept)
+    center = (kept.min(0) + kept.max(0)) / 2
+    np.testing.assert_allclose(written["workspace"]["center"], center, rtol=1e-6)
+    assert written["workspace"]["bounds"] == "1,1,1,1.5,2,3"
     outside = POINTS + np.float32(0.01) > [1.5, 2, 3]
     assert written["ground_truth"]["points"] == 300 - outside.any(axis=1).sum()
+
+
+def test_up_is_passed_on_and_written(job, monkeypatch):
+    asked = []
+    complete = FakeCompleter.complete
+
+    def spy(self, *args, up="z", **kwargs):
+        asked.append(up)
+        return complete(self, *args, **kwargs)
+
+    monkeypatch.setattr(FakeCompleter, "complete", spy)
+    for up in (None, "-y"):
+        run_job(replace(job, up=up))
+        _, written = outputs(job)
+        assert written["up"] == asked[-1] == (up or "z")
 
 
 def test_scores_are_in_workspace_units(job):

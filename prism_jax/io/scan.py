@@ -34,6 +34,7 @@ class Scan:
     camera: Camera | None
     num_not_finite: int
     num_outside: int
+    is_depth_image: bool = False
 
 
 def read_scan(
@@ -48,7 +49,8 @@ def read_scan(
     the frame the camera's pose refers to: the camera's own unless it has one. For any
     other file see `read_points`. Points outside `bounds` are cropped away.
     """
-    if pathlib.Path(path).suffix.lower() == ".png":
+    is_depth_image = pathlib.Path(path).suffix.lower() == ".png"
+    if is_depth_image:
         camera_path = camera_path or _camera_beside(path)
         depth, mask, camera = read_depth(path, camera_path)
         if not mask.any():
@@ -63,7 +65,8 @@ def read_scan(
     check_cloud(points, path)
     if camera is not None:
         check_in_view(points, camera, path)
-    return Scan(points, camera, num_read - num_finite, num_finite - len(points))
+    not_finite, outside = num_read - num_finite, num_finite - len(points)
+    return Scan(points, camera, not_finite, outside, is_depth_image)
 
 
 def crop(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from prism_jax.adaptation.objective import test_time_objective as objective
-from prism_jax.geometry.normals import pca_normals
 from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
 from prism_jax.losses.depth import depth_consistency
@@ -120,17 +119,6 @@ def test_terms_are_the_losses_of_their_equations(evaluated, frame, config):
         config.transport_epsilon,
     )
     np.testing.assert_allclose(losses.align, align, rtol=1e-9)
-
-
-def test_anchors_of_the_normals_have_no_gradient(evaluated, config):
-    """Eq. 5 reaches the encoders through the normals alone."""
-    _, prediction, seen, *_ = evaluated
-    points, normals = prediction.points, seen.normals
-    k = config.normal_neighbors
-    toward = jax.grad(normal_loss, argnums=(0, 1))(normals, points, 0.3, k)
-    assert np.abs(toward[0]).max() > 0
-    assert np.abs(toward[1]).max() == 0
-    assert np.isfinite(pca_normals(points, k)).all()
 
 
 def test_objective_is_the_weighted_sum(evaluated):

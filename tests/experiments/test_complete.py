@@ -85,11 +85,11 @@ def test_every_flag_reaches_the_job(monkeypatch):
 
     monkeypatch.setattr(completion_job, "run_job", record)
     given = ["--input=a.ply", "--ground_truth", "b.ply", "--camera=c.json"]
-    given += ["--workspace=-1,-1,-1,1,1,1", "--weights=w", "--noadapt"]
+    given += ["--workspace=-1,-1,-1,1,1,1", "--up=-y", "--weights=w", "--noadapt"]
     assert run(*given, "--output_dir=d") == 0
     assert run() == 0
     expected = completion_job.CompletionJob(
-        "a.ply", "b.ply", "c.json", "-1,-1,-1,1,1,1", "w", False, "d"
+        "a.ply", "b.ply", "c.json", "-1,-1,-1,1,1,1", "-y", "w", False, "d"
     )
     assert jobs == [expected, completion_job.CompletionJob()]
 

@@ -118,7 +118,9 @@ def test_gradients_are_finite_for_inputs_that_are_all_zero(branches, module):
         given = list(floats)
         if module is Denoiser:
             given.insert(1, NEIGHBORS)
-        return sum((leaf**2).sum() for leaf in jax.tree.leaves(apply(variables, *given)))
+        return sum(
+            (leaf**2).sum() for leaf in jax.tree.leaves(apply(variables, *given))
+        )
 
     grads = jax.jit(jax.grad(loss, argnums=(0, 1)))(variables, zeros)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(grads))

@@ -27,7 +27,9 @@ def camera(tiny_frames):
 
 @pytest.fixture(scope="module")
 def prepare(tiny):
-    return jax.jit(lambda partial, camera: prepare_frame(partial, camera, KEY, tiny.model))
+    return jax.jit(
+        lambda partial, camera: prepare_frame(partial, camera, KEY, tiny.model)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -72,6 +72,8 @@ def test_gradients_are_finite_and_reach_the_features():
 
 
 def test_any_leading_axes():
-    together = refine(VARIABLES, POINTS.reshape(2, 4, 5, 3), FEATURES.reshape(2, 4, 5, 6))
+    together = refine(
+        VARIABLES, POINTS.reshape(2, 4, 5, 3), FEATURES.reshape(2, 4, 5, 6)
+    )
     alone = refine(VARIABLES, POINTS, FEATURES)
     np.testing.assert_allclose(together.reshape(40, 3), alone, atol=1e-6)

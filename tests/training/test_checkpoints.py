@@ -13,7 +13,10 @@ from prism_jax.training.leg import TrainState
 
 def state(step):
     rng = np.random.default_rng(step)
-    params = {"a": rng.normal(size=(3, 2)).astype(np.float32), "b": {"c": np.float32(2)}}
+    params = {
+        "a": rng.normal(size=(3, 2)).astype(np.float32),
+        "b": {"c": np.float32(2)},
+    }
     return jax.device_put(
         TrainState(jnp.int32(step), {"params": params}, (jnp.ones(2) * step, ()))
     )

@@ -1,0 +1,325 @@
+"""Test-time adaptation: what moves, what does not, and when it is refused."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.adaptation.test_time import make_adapt
+from prism_jax.models.initial import init_variables
+from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
+
+NUM_STEPS = 3
+
+
+def bitwise(a, b):
+    """Equal leaf by leaf, NaN and the sign of zero included."""
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
+
+
+def with_params(variables, name, function):
+    """Variables with a function applied to the parameters of one part."""
+    moved = jax.tree.map(function, variables["params"][name])
+    return {**variables, "params": {**variables["params"], name: moved}}
+
+
+def with_scales(variables, scale):
+    """The objective's auxiliary part, and so every step, divided by a scale."""
+    weighting = {**variables["weighting"], "scales": jnp.full(3, scale)}
+    return {**variables, "weighting": weighting}
+
+
+@pytest.fixture(scope="module")
+def frames(tiny_frames):
+    """The frames one by one, as arguments of ``adapt``."""
+    partials, cameras = tiny_frames
+    return [
+        (partials[i], jax.tree.map(lambda leaf, i=i: leaf[i], cameras))
+        for i in range(len(partials))
+    ]
+
+
+@pytest.fixture(scope="module")
+def adapted(tiny_adapt, tiny_variables, frames):
+    return [tiny_adapt(tiny_variables, *frame) for frame in frames]
+
+
+@pytest.fixture(scope="module")
+def unadapted(tiny):
+    """``adapt`` with no step at all, compiled once."""
+    return jax.jit(make_adapt(dataclasses.replace(tiny, num_steps=0)))
+
+
+@pytest.fixture(scope="module")
+def minimal(tiny):
+    """One resolution and one up-sampling block: quick to compile differentiated."""
+    backbone = dataclasses.replace(
+        tiny.model.backbone,
+        num_neighbors=(4,),
+        encoder_rates=(1,),
+        level_rates=((1,),),
+        up_factors=(2,),
+    )
+    model = dataclasses.replace(tiny.model, backbone=backbone)
+    return dataclasses.replace(tiny, model=model, num_steps=1, adapt_norm=False)
+
+
+@pytest.fixture(scope="module")
+def minimal_variables(minimal):
+    """Any numbers will do, and cost no compilation."""
+    rng = np.random.default_rng(0)
+
+    def fill(path, leaf):
+        if path[-1].key in ("var", "scale"):
+            return jnp.ones(leaf.shape)
+        width = leaf.shape[0] if leaf.ndim > 1 else 100
+        return jnp.asarray(rng.normal(size=leaf.shape) / width**0.5, jnp.float32)
+
+    shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), minimal.model))
+    return jax.tree_util.tree_map_with_path(fill, shapes)
+
+
+@pytest.fixture(scope="module")
+def differentiated(minimal, minimal_variables, frames):
+    """The gradient of an adapted completion, in a user's own jit, and the completion.
+
+    Taken in all variables, the two encoders, the loss weights and the partial cloud.
+    """
+    adapt = make_adapt(minimal)
+
+    @jax.jit
+    def user(variables, partial, camera):
+        def loss(variables, partial):
+            completion = adapt(variables, partial, camera)
+            return (completion.points**2).mean(), completion
+
+        return jax.grad(loss, argnums=(0, 1), has_aux=True)(variables, partial)
+
+    return user(minimal_variables, *frames[0])
+
+
+def test_every_frame_gets_better_by_its_own_objective(adapted):
+    for completion in adapted:
+        objective = np.asarray(completion.losses.objective)
+        assert completion.accepted
+        assert objective[-1] < objective[0]
+        assert not np.array_equal(completion.points, completion.before)
+        assert np.isfinite(completion.points).all()
+
+
+def test_losses_of_every_step_and_after_the_last(adapted):
+    for completion in adapted:
+        for term in completion.losses:
+            assert term.shape == (NUM_STEPS + 1,)
+            assert np.isfinite(term).all()
+    np.testing.assert_allclose(adapted[0].weights, [1 / 3, 1 / 3, 1 / 3], rtol=1e-6)
+
+
+def test_objective_is_the_sum_of_the_terms_at_every_step(adapted):
+    """Scales that are zero, not measured yet, leave the terms as they are."""
+    losses = adapted[0].losses
+    auxiliary = np.mean([losses.normal, losses.denoise, losses.align], axis=0)
+    expected = losses.depth_consistency + auxiliary
+    np.testing.assert_allclose(losses.objective, expected, rtol=1e-6)
+
+
+def test_both_encoders_move_and_nothing_else_does(
+    adapted, unadapted, tiny_variables, frames
+):
+    """The rest that comes with the new encoders is, bit for bit, the one given.
+
+    That it explains the completion says that nothing else was used either.
+    """
+    originals, rest = pop_encoders(tiny_variables)
+    for completion, frame in zip(adapted, frames, strict=True):
+        assert set(completion.encoders) == set(ENCODERS)
+        for name in ENCODERS:
+            assert not bitwise(completion.encoders[name], originals[name])
+        again = unadapted(put_encoders(completion.encoders, rest), *frame)
+        # Two programs: XLA fuses, and so rounds, each in its own way.
+        np.testing.assert_allclose(again.points, completion.points, atol=1e-5)
+        last = jax.tree.map(lambda term: term[-1:], completion.losses)
+        for a, b in zip(again.losses, last, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+def test_the_callers_variables_are_untouched(tiny_adapt, tiny_variables, frames):
+    before = jax.tree.map(lambda leaf: np.array(leaf, copy=True), tiny_variables)
+    assert tiny_adapt(tiny_variables, *frames[0]).accepted
+    assert bitwise(tiny_variables, before)
+
+
+def test_norms_adapt_with_their_encoder(adapted, tiny_variables):
+    originals, _ = pop_encoders(tiny_variables)
+    paths = jax.tree_util.tree_leaves_with_path(adapted[0].encoders)
+    moved = {
+        jax.tree_util.keystr(path): not np.array_equal(new, old)
+        for (path, new), old in zip(paths, jax.tree.leaves(originals), strict=True)
+    }
+    scales = [moved[name] for name in moved if "norm" in name and "scale" in name]
+    assert sum(scales) > len(scales) / 2
+
+
+def test_norms_that_are_held(differentiated, minimal_variables):
+    _, completion = differentiated
+    assert completion.accepted
+    originals, _ = pop_encoders(minimal_variables)
+    paths = jax.tree_util.tree_leaves_with_path(completion.encoders)
+    count = 0
+    for (path, new), old in zip(paths, jax.tree.leaves(originals), strict=True):
+        if "norm" in jax.tree_util.keystr(path):
+            assert bitwise(new, old)
+            count += 1
+    assert count > 10
+    for name in ENCODERS:
+        assert not bitwise(completion.encoders[name], originals[name])
+
+
+def test_two_runs_are_bitwise_equal(tiny_adapt, tiny_variables, frames, adapted):
+    assert bitwise(tiny_adapt(tiny_variables, *frames[0]), adapted[0])
+
+
+def test_mapped_over_frames_it_is_the_loop(tiny, tiny_variables, tiny_frames, adapted):
+    """Every frame with encoders of its own.
+
+    Not bitwise: batched products add up in another order. float32 keeps the
+    encoders to 1e-6; the untrained network magnifies that tenfold in the points.
+    """
+    mapped = jax.jit(jax.vmap(make_adapt(tiny), (None, 0, 0)))
+    together = mapped(tiny_variables, *tiny_frames)
+    assert together.accepted.shape == (3,)
+    for i, alone in enumerate(adapted):
+        one = jax.tree.map(lambda leaf, i=i: leaf[i], together)
+        assert one.accepted == alone.accepted
+        np.testing.assert_allclose(one.points, alone.points, atol=5e-5)
+        np.testing.assert_allclose(one.before, alone.before, atol=5e-6)
+        for a, b in zip(one.losses, alone.losses, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5)
+        new, old = jax.tree.leaves(one.encoders), jax.tree.leaves(alone.encoders)
+        for a, b in zip(new, old, strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-6)
+    assert not bitwise(
+        jax.tree.map(lambda leaf: leaf[0], together.encoders),
+        jax.tree.map(lambda leaf: leaf[1], together.encoders),
+    )
+
+
+def test_without_steps_nothing_is_adapted(unadapted, tiny_variables, frames, adapted):
+    completion = unadapted(tiny_variables, *frames[0])
+    assert not completion.accepted
+    assert bitwise(completion.points, completion.before)
+    assert bitwise(completion.encoders, pop_encoders(tiny_variables)[0])
+    assert all(term.shape == (1,) for term in completion.losses)
+    np.testing.assert_allclose(completion.points, adapted[0].before, atol=1e-5)
+    first = adapted[0].losses.objective[0]
+    np.testing.assert_allclose(completion.losses.objective[0], first, rtol=1e-5)
+
+
+def refused(completion, variables):
+    """Whether all that comes back is what was there before."""
+    return (
+        not completion.accepted
+        and bitwise(completion.points, completion.before)
+        and bitwise(completion.encoders, pop_encoders(variables)[0])
+    )
+
+
+def test_a_point_that_is_not_a_number_is_refused(tiny_adapt, tiny_variables, frames):
+    partial, camera = frames[0]
+    completion = tiny_adapt(tiny_variables, partial.at[5, 1].set(jnp.nan), camera)
+    assert refused(completion, tiny_variables)
+
+
+@pytest.mark.parametrize("bad", [jnp.nan, jnp.inf])
+def test_a_broken_branch_is_refused(tiny_adapt, tiny_variables, frames, adapted, bad):
+    """The completion itself is sound, and comes back."""
+    branch = tiny_variables["params"]["auxiliary"]
+    broken = jax.tree.map(lambda leaf: leaf * bad, branch["normal"])
+    params = {**tiny_variables["params"], "auxiliary": {**branch, "normal": broken}}
+    variables = {**tiny_variables, "params": params}
+    completion = tiny_adapt(variables, *frames[0])
+    assert refused(completion, variables)
+    assert bitwise(completion.points, adapted[0].before)
+    assert np.isfinite(completion.points).all()
+    assert np.isnan(completion.losses.normal[0])
+    assert np.isfinite(completion.losses.align[0])
+
+
+def test_enormous_steps_are_refused(tiny_adapt, tiny_variables, frames, adapted):
+    variables = with_scales(tiny_variables, 1e-9)
+    completion = tiny_adapt(variables, *frames[0])
+    assert not np.isfinite(completion.losses.objective[-1])
+    assert refused(completion, variables)
+    assert bitwise(completion.points, adapted[0].before)
+
+
+def test_an_objective_that_rose_is_refused(tiny_adapt, tiny_variables, frames):
+    """From encoders that have adapted already, steps 30 times as long lead away."""
+    _, rest = pop_encoders(tiny_variables)
+    variables = with_scales(tiny_variables, 0.02)
+    for _ in range(2):
+        completion = tiny_adapt(variables, *frames[0])
+        assert completion.accepted
+        variables = {**variables, **put_encoders(completion.encoders, rest)}
+        variables = with_scales(variables, 0.02)
+    variables = with_scales(variables, 6e-4)
+    completion = tiny_adapt(variables, *frames[0])
+    objective = np.asarray(completion.losses.objective)
+    assert np.isfinite(np.stack(completion.losses)).all()
+    assert objective[-1] > 1.5 * objective[0]
+    assert refused(completion, variables)
+    assert np.isfinite(completion.points).all()
+
+
+@pytest.mark.parametrize("kind", ["one place", "a line", "out of view"])
+def test_degenerate_frames_stay_finite(tiny_adapt, tiny_variables, frames, kind):
+    partial, camera = frames[0]
+    if kind == "one place":
+        partial = jnp.broadcast_to(partial[0], partial.shape)
+    elif kind == "a line":
+        partial = jnp.linspace(-0.7, 0.7, len(partial))[:, None] * partial[0]
+    else:
+        camera = dataclasses.replace(camera, translation=-camera.translation)
+    completion = tiny_adapt(tiny_variables, partial, camera)
+    assert np.isfinite(completion.points).all()
+    assert np.isfinite(np.stack(completion.losses)).all()
+    leaves = jax.tree.leaves(completion.encoders)
+    assert all(np.isfinite(leaf).all() for leaf in leaves)
+    if kind == "out of view":
+        assert (completion.losses.depth_consistency == 0).all()
+
+
+def test_the_camera_matters(tiny_adapt, tiny_variables, frames, adapted):
+    other = tiny_adapt(tiny_variables, frames[0][0], frames[1][1])
+    assert not np.allclose(other.losses.align, adapted[0].losses.align)
+    assert bitwise(other.before, adapted[0].before)
+
+
+@pytest.mark.parametrize("count", [0, 63, 65])
+def test_another_number_of_points(tiny, tiny_variables, frames, count):
+    camera = frames[0][1]
+    with pytest.raises(ValueError, match="one cloud of 64 points"):
+        make_adapt(tiny)(tiny_variables, jnp.zeros((count, 3)), camera)
+
+
+def test_inside_a_users_jit_and_grad(differentiated):
+    (gradient, by_points), completion = differentiated
+    assert completion.accepted
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+    assert np.isfinite(by_points).all()
+    for name in ("point_encoder", "decoder", "refiner"):
+        leaves = jax.tree.leaves(gradient["params"][name])
+        assert any(np.abs(leaf).max() > 0 for leaf in leaves), name
+
+
+def test_meta_gradients_are_of_second_order(differentiated):
+    """A first-order loop gives the loss logits and the branches none at all."""
+    (gradient, _), _ = differentiated
+    assert np.abs(gradient["weighting"]["logits"]).max() > 0
+    for name in ("depth_encoder", "auxiliary"):
+        leaves = jax.tree.leaves(gradient["params"][name])
+        assert any(np.abs(leaf).max() > 0 for leaf in leaves), name
