@@ -50,8 +50,8 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
     else, BatchNorm's statistics included, is read and never written.
 
     If a loss or a coordinate is not finite, or the objective after the last step is
-    not below that before the first, the completion of the network as it was is
-    returned and ``accepted`` is False. With ``num_steps=0`` nothing is adapted.
+    above that before the first, the completion of the network as it was is returned
+    and ``accepted`` is False. With ``num_steps=0`` nothing is adapted.
     """
 
     def adapt(

@@ -21,15 +21,9 @@ def bitwise(a, b):
     return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
-def with_params(variables, name, function):
-    """Variables with a function applied to the parameters of one part."""
-    moved = jax.tree.map(function, variables["params"][name])
-    return {**variables, "params": {**variables["params"], name: moved}}
-
-
 def with_scales(variables, scale):
     """The objective's auxiliary part, and so every step, divided by a scale."""
-    weighting = {**variables["weighting"], "scales": jnp.full(3, scale)}
+    weighting = {**variables["weighting"], "scales": jnp.full(3, scale, jnp.float32)}
     return {**variables, "weighting": weighting}
 
 
@@ -264,8 +258,7 @@ def test_an_objective_that_rose_is_refused(tiny_adapt, tiny_variables, frames):
     for _ in range(2):
         completion = tiny_adapt(variables, *frames[0])
         assert completion.accepted
-        variables = {**variables, **put_encoders(completion.encoders, rest)}
-        variables = with_scales(variables, 0.02)
+        variables = with_scales(put_encoders(completion.encoders, rest), 0.02)
     variables = with_scales(variables, 6e-4)
     completion = tiny_adapt(variables, *frames[0])
     objective = np.asarray(completion.losses.objective)

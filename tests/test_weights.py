@@ -1,0 +1,190 @@
+"""Weights on disk."""
+
+import dataclasses
+import json
+import pickle
+
+import jax
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.io.errors import InputError
+from prism_jax.presets import PRESETS
+from prism_jax.weights import (
+    available_weights,
+    config_from_dict,
+    load_pretrained,
+    read_metadata,
+    save_weights,
+)
+
+METADATA = {"seed": 3, "scores": {"cd_l2": [1.5, 2.0]}, "commit": None}
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory, tiny, tiny_variables):
+    path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
+    save_weights(path, tiny, tiny_variables, METADATA)
+    return path
+
+
+@pytest.fixture
+def rewritten(file, tmp_path):
+    """``rewritten(change)``: the file after a change of its arrays and metadata."""
+
+    def rewrite(change):
+        with safetensors.safe_open(file, framework="numpy") as opened:
+            metadata = dict(opened.metadata())
+            arrays = {key: opened.get_tensor(key) for key in opened.keys()}  # noqa: SIM118
+        change(arrays, metadata)
+        path = tmp_path / "changed.safetensors"
+        safetensors.numpy.save_file(arrays, path, metadata or None)
+        return str(path)
+
+    return rewrite
+
+
+def fault(path):
+    with pytest.raises(InputError) as caught:
+        load_pretrained(path)
+    assert str(caught.value).count("\n") == 0
+    assert "Traceback" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_round_trip_is_bitwise(file, tiny, tiny_variables):
+    config, variables = load_pretrained(str(file))
+    assert config == tiny
+    assert hash(config) == hash(tiny)
+    assert jax.tree.structure(variables) == jax.tree.structure(tiny_variables)
+    leaves = jax.tree.leaves(variables), jax.tree.leaves(tiny_variables)
+    for a, b in zip(*leaves, strict=True):
+        assert a.dtype == b.dtype
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_metadata(file):
+    metadata = read_metadata(str(file))
+    assert {key: metadata[key] for key in METADATA} == METADATA
+    assert metadata["config"]["model"]["backbone"]["num_points"] == 64
+
+
+def test_saved_twice_it_is_the_same_file(file, tmp_path, tiny, tiny_variables):
+    save_weights(tmp_path / "again.safetensors", tiny, tiny_variables, METADATA)
+    again = (tmp_path / "again.safetensors").read_bytes()
+    assert again == file.read_bytes()
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_configuration_survives_json(name):
+    config = PRESETS[name].adapt
+    fields = json.loads(json.dumps(dataclasses.asdict(config)))
+    assert config_from_dict(fields) == config
+    assert isinstance(config_from_dict(fields), AdaptConfig)
+
+
+def test_names_of_what_ships():
+    names = available_weights()
+    assert names == sorted(names)
+    for name in names:
+        config, _ = load_pretrained(name)
+        assert config.model.backbone.stage_sizes[-1] >= 2048
+
+
+@pytest.mark.parametrize("name", ["no_such_weights", "/no/such/file.safetensors", "."])
+def test_an_unknown_name(name):
+    message = fault(name)
+    assert message.startswith(f"{name}: no such weights; give a .safetensors file")
+
+
+@pytest.mark.parametrize("kept", [0, 7, 1000, -1])
+def test_a_file_cut_short(file, tmp_path, kept):
+    path = tmp_path / "cut.safetensors"
+    path.write_bytes(file.read_bytes()[:kept])
+    assert "not readable as weights" in fault(str(path))
+
+
+def test_a_header_of_nonsense(file, tmp_path):
+    path = tmp_path / "nonsense.safetensors"
+    path.write_bytes(b"\xff" * 64 + file.read_bytes()[64:])
+    assert "not readable as weights" in fault(str(path))
+
+
+def test_a_pickle_is_refused_and_never_run(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return open, (str(tmp_path / "sprung"), "w")
+
+    path = tmp_path / "weights.safetensors"
+    path.write_bytes(pickle.dumps(Trap()))
+    assert "not readable as weights" in fault(str(path))
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_no_metadata(rewritten):
+    path = rewritten(lambda arrays, metadata: metadata.clear())
+    assert "it holds no prism_jax configuration" in fault(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{",
+        "[]",
+        "3",
+        "null",
+        "{}",
+        '{"model": {}}',
+        '{"model": 3}',
+        '{"model": {"backbone": [], "auxiliary": {}}}',
+        '{"model": {"backbone": {"unknown": 1}, "auxiliary": {}}}',
+        '{"model": {"backbone": {"num_points": "many"}, "auxiliary": {}}}',
+        '{"model": {"backbone": {}, "auxiliary": {}}, "unknown": 1}',
+    ],
+)
+def test_a_configuration_that_is_none(rewritten, text):
+    path = rewritten(lambda arrays, metadata: metadata.update(config=text))
+    assert "it holds no prism_jax configuration" in fault(path)
+
+
+KERNEL = "params/refiner/g/dense_0/kernel"
+
+
+def test_a_missing_array(rewritten):
+    path = rewritten(lambda arrays, metadata: arrays.pop(KERNEL))
+    assert f"{KERNEL} is missing or misshapen" in fault(path)
+
+
+def test_an_array_of_another_shape(rewritten):
+    def change(arrays, metadata):
+        arrays[KERNEL] = np.ascontiguousarray(arrays[KERNEL].T)
+
+    assert f"{KERNEL} is missing or misshapen" in fault(rewritten(change))
+
+
+def test_an_array_too_many(rewritten):
+    def change(arrays, metadata):
+        arrays["params/refiner/more"] = np.zeros(3, np.float32)
+
+    assert "unknown array params/refiner/more" in fault(rewritten(change))
+
+
+def test_another_configuration_for_the_same_arrays(rewritten):
+    def change(arrays, metadata):
+        config = json.loads(metadata["config"])
+        config["model"]["auxiliary"]["hidden"] = 16
+        metadata["config"] = json.dumps(config)
+
+    assert "is missing or misshapen" in fault(rewritten(change))
+
+
+def test_a_failed_write_leaves_what_was_there(file, tmp_path, tiny, tiny_variables):
+    path = tmp_path / "kept.safetensors"
+    path.write_bytes(file.read_bytes())
+    with pytest.raises(TypeError):
+        save_weights(path, tiny, tiny_variables, {"scores": object()})
+    assert path.read_bytes() == file.read_bytes()
+    with pytest.raises(InputError, match="cannot be written"):
+        save_weights(tmp_path / "no" / "such.safetensors", tiny, {}, {})
