@@ -98,6 +98,8 @@ class Completer:
         points = np.asarray(points)
         if not np.issubdtype(points.dtype, np.floating):
             points = points.astype(np.float64)
+        if not np.isfinite(points).all():
+            raise InputError("points", "has points that are not finite", "drop them")
         if workspace is None:
             check_cloud(points, "points")
             exact = points.astype(np.float64)
@@ -170,14 +172,19 @@ def keep_unmeasured(
 def _resampled(points: np.ndarray, num_points: int) -> Array:
     """`resample`, for clouds of any size with few compilations.
 
-    Copies of the first point fill up to a power of two; farthest-point sampling never
-    looks at them before it has seen every other point.
+    Farthest-point sampling never looks at the copies that fill the cloud up before it
+    has seen every other point.
     """
     if len(points) > num_points:
-        filled = 1 << (len(points) - 1).bit_length()
-        filler = np.broadcast_to(points[0], (filled - len(points), 3))
-        points = np.concatenate([points, filler])
+        points = _filled(points)
     return jax.jit(resample, static_argnums=1)(points.astype(np.float32), num_points)
+
+
+def _filled(points: np.ndarray) -> np.ndarray:
+    """The cloud with copies of its first point, up to a power of two."""
+    count = 1 << (len(points) - 1).bit_length()
+    copies = np.broadcast_to(points[0], (count - len(points), 3))
+    return np.concatenate([points, copies])
 
 
 def _upright(up: str) -> Float[np.ndarray, "3 3"]:
@@ -196,12 +203,17 @@ def _upright(up: str) -> Float[np.ndarray, "3 3"]:
 
 
 def _to_user(view: Camera, workspace: Workspace, upright: np.ndarray) -> Camera:
-    """A camera of the upright unit workspace, for points in the user's frame."""
-    turned = dataclasses.replace(view, rotation=np.asarray(view.rotation) @ upright)
+    """A camera of the upright unit workspace, for points in the user's frame.
+
+    In double precision, and a rotation to that precision: the origin may be far away.
+    """
+    view = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), view)
+    left, _, right = np.linalg.svd(view.rotation)
+    turned = dataclasses.replace(view, rotation=left @ right @ upright)
     inverse = Workspace(
         -workspace.center / workspace.half_extent, 1.0 / workspace.half_extent
     )
-    return jax.tree.map(np.asarray, inverse.camera_to_unit(turned))
+    return inverse.camera_to_unit(turned)
 
 
 def _depth_maps(
@@ -212,7 +224,7 @@ def _depth_maps(
     maps = {}
     clouds = {"observed": measured, "completed": np.concatenate([measured, added])}
     for name, cloud in clouds.items():
-        depth, mask = render_depth(jnp.asarray(cloud, jnp.float32), view)
+        depth, mask = jax.jit(render_depth)(_filled(cloud).astype(np.float32), view)
         maps[f"depth_{name}"] = np.asarray(depth) * workspace.half_extent
         maps[f"mask_{name}"] = np.asarray(mask)
     return maps

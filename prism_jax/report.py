@@ -60,7 +60,7 @@ def render_report(
     `summary` is the content of `result.json`, so that the two never disagree; clouds
     are in the user's units and frame. Large clouds are thinned for display alone.
     """
-    toward_viewer, up = viewing_direction(result.camera)
+    toward_viewer, up = viewing_direction(result.camera, summary["up"])
     clouds = clouds_figure(_panels(result, ground_truth), toward_viewer, up)
     depth = depth_figure(
         ("Partial scan", "Completion"),
@@ -84,17 +84,23 @@ def render_report(
 
 
 def viewing_direction(
-    camera: Camera,
+    camera: Camera, axis_up: str = "z"
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Toward the viewer, and up: as the camera saw it, turned 35 and raised 20 degrees.
 
-    Unit vectors in the points' frame. Looking from where the sensor stood would hide
-    depth; looking from elsewhere would hide what it saw.
+    Unit vectors in the points' frame; `axis_up` is one of x, y, z, -x, -y, -z. Looking
+    from where the sensor stood would hide depth; from elsewhere, what it saw.
     """
-    right, down, forward = np.asarray(camera.rotation, dtype=np.float64)
+    sign = -1.0 if axis_up.startswith("-") else 1.0
+    up = sign * np.eye(3)["xyz".index(axis_up[-1])]
+    toward = -np.asarray(camera.rotation, dtype=np.float64)[2]
+    level = toward - (toward @ up) * up
+    if np.linalg.norm(level) < 0.1:
+        level = np.roll(up, 1)
+    level = level / np.linalg.norm(level)
     turn, rise = np.deg2rad(35.0), np.deg2rad(20.0)
-    level = -np.cos(turn) * forward + np.sin(turn) * right
-    return np.cos(rise) * level - np.sin(rise) * down, -down
+    level = np.cos(turn) * level + np.sin(turn) * np.cross(up, level)
+    return np.cos(rise) * level + np.sin(rise) * up, up
 
 
 def _panels(result: Completed, ground_truth: np.ndarray | None) -> list[Panel]:

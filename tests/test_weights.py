@@ -71,12 +71,6 @@ def test_metadata(file):
     assert metadata["config"]["model"]["backbone"]["num_points"] == 64
 
 
-def test_saved_twice_it_is_the_same_file(file, tmp_path, tiny, tiny_variables):
-    save_weights(tmp_path / "again.safetensors", tiny, tiny_variables, METADATA)
-    again = (tmp_path / "again.safetensors").read_bytes()
-    assert again == file.read_bytes()
-
-
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_configuration_survives_json(name):
     config = PRESETS[name].adapt
@@ -140,7 +134,6 @@ def test_no_metadata(rewritten):
         '{"model": 3}',
         '{"model": {"backbone": [], "auxiliary": {}}}',
         '{"model": {"backbone": {"unknown": 1}, "auxiliary": {}}}',
-        '{"model": {"backbone": {"num_points": "many"}, "auxiliary": {}}}',
         '{"model": {"backbone": {}, "auxiliary": {}}, "unknown": 1}',
     ],
 )

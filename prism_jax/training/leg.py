@@ -82,13 +82,13 @@ def train_leg(
         state, losses = leg.step_fn(state, batch)
         recent.append(losses)
         step += 1
+        log.advance(leg.batch_size)
         at_validation = step % validate_steps == 0 or step == last
         if step % LOG_EVERY == 0 or at_validation:
             mean = _finite_mean(recent, leg.name, step)
             recent.clear()
             log.write(step, losses=mean.tolist())
-            log.show(loss=mean.sum(), last=mean[-1])
-        log.advance(leg.batch_size)
+            log.show(loss=float(mean.sum()), last=float(mean[-1]))
         if at_validation:
             scores = _validate(leg, source, state.variables)
             log.write(step, validation=scores.tolist())

@@ -150,7 +150,7 @@ def test_each_encoder_feeds_its_own_stream(outputs, run, tiny_variables, frame):
         params[name] = jax.tree.map(lambda leaf: 1.1 * leaf, params[name])
         return run({**tiny_variables, "params": params}, frame)
 
-    prediction, depth, seen = outputs
+    prediction, _, seen = outputs
     by_depth = moved("depth_encoder")
     assert np.array_equal(by_depth[0].points, prediction.points)
     assert np.array_equal(by_depth[2].tokens_3d, seen.tokens_3d)

@@ -1,0 +1,52 @@
+"""Puts a run's weights into the package, with their measured scores in the metadata.
+
+python -m experiments.release --weights=FILE --scores=EVALUATION.json --name=small
+"""
+
+import json
+import pathlib
+import sys
+
+from absl import app, flags, logging
+
+from prism_jax.io.errors import InputError
+from prism_jax.weights import SUFFIX, load_pretrained, read_metadata, save_weights
+
+FLAGS = flags.FLAGS
+ASSETS = pathlib.Path(__file__).parents[1] / "prism_jax" / "assets"
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("weights", None, "File of a finished run.", required=True)
+    flags.DEFINE_multi_string("scores", [], "JSON files of experiments.evaluate.")
+    flags.DEFINE_string("name", None, "Name to ship under.", required=True)
+    flags.DEFINE_multi_string("note", [], "What else is to be known of the weights.")
+
+
+def main(argv):
+    """Copies the arrays, and adds scores and notes to what is known of them."""
+    del argv
+    config, variables = load_pretrained(FLAGS.weights)
+    about = {k: v for k, v in read_metadata(FLAGS.weights).items() if k != "config"}
+    evaluations = [json.loads(pathlib.Path(path).read_text()) for path in FLAGS.scores]
+    about["scores"] = {result["split"]: result for result in evaluations}
+    about["notes"] = FLAGS.note
+    path = ASSETS / f"{FLAGS.name}{SUFFIX}"
+    save_weights(path, config, variables, about)
+    print(f"written {path}, {path.stat().st_size / 1e6:.1f} MB")
+
+
+def run():
+    """Entry point: faults of the input end in one line and exit status 2."""
+    define_flags()
+    logging.set_verbosity(logging.WARNING)
+    try:
+        app.run(main)
+    except InputError as error:
+        print(f"release: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,297 @@
+"""Scans in any frame and unit, completed by a network of random weights."""
+
+import dataclasses
+import logging
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.completion import CompletedScan, Completer, keep_unmeasured
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.errors import InputError
+from prism_jax.weights import save_weights
+
+FAR = np.array([10_000.0, -10_000.0, 500.0])
+EYE = np.array([3.0, -2.0, 1.5])
+
+
+def scan(count=300, seed=0):
+    """Half a box of 1.5 m, in 1024ths of a metre: exact in float32 at 10 km too."""
+    rng = np.random.default_rng(seed)
+    box = rng.uniform(-1, 1, (count, 3))
+    box /= np.abs(box).max(-1, keepdims=True)
+    box *= np.sign(box @ EYE)[:, None] * [0.75, 0.5, 0.4]
+    return np.round(box * 1024) / 1024
+
+
+def camera_at(eye):
+    """In double precision, as one who measures far from the origin has it."""
+    intrinsics = np.array([[100.0, 0, 63.5], [0, 100, 63.5], [0, 0, 1]])
+    return Camera(np.eye(3), -np.asarray(eye, np.float64), intrinsics, 128, 128)
+
+
+@pytest.fixture(scope="module")
+def completer(tiny, tiny_variables):
+    return Completer(tiny, tiny_variables)
+
+
+@pytest.fixture(scope="module")
+def near(completer):
+    return completer.complete(scan(), camera_at(EYE))
+
+
+@pytest.fixture(scope="module", params=[np.float64, np.float32])
+def far(completer, request):
+    points = (scan() + FAR).astype(request.param)
+    assert np.array_equal(points, scan() + FAR)
+    return points, completer.complete(points, camera_at(EYE + FAR))
+
+
+def test_measured_points_come_back_as_given(far):
+    points, result = far
+    assert result.points.dtype == points.dtype
+    assert result.points[result.observed].tobytes() == points.tobytes()
+    assert np.array_equal(result.observed, np.arange(len(result.points)) < len(points))
+    assert 0 < (~result.observed).sum() <= len(result.prediction)
+
+
+def test_added_points_are_of_the_prediction(far):
+    points, result = far
+    added = result.points[~result.observed]
+    among = result.prediction.astype(points.dtype)
+    assert {tuple(p) for p in added} <= {tuple(p) for p in among}
+    assert np.isfinite(result.points).all()
+
+
+def test_the_workspace_is_the_users(far, tiny):
+    points, result = far
+    center = (points.min(0) + points.max(0)) / 2
+    half_extent = 0.5 * tiny.model.margin * np.ptp(points, axis=0).max()
+    np.testing.assert_allclose(result.workspace.center, center, rtol=1e-12)
+    np.testing.assert_allclose(result.workspace.half_extent, half_extent, rtol=1e-6)
+    away = np.abs(result.prediction - result.workspace.center)
+    assert away.max() <= result.workspace.half_extent * (1 + 1e-6)
+
+
+def test_the_camera_is_the_users(far):
+    """Not in the float32 of the network, which at 10 km is good for 1 mm."""
+    _, result = far
+    np.testing.assert_allclose(result.camera.position - FAR, EYE, atol=1e-6)
+
+
+def test_depth_maps_are_in_user_units(far):
+    """Against a z-buffer of the same points, in NumPy, by the camera that is given."""
+    points, result = far
+    camera = result.camera
+    clouds = {"observed": points}
+    if points.dtype == np.float64:
+        # In float32 added points are rounded to 1 mm here, after the map was made.
+        clouds["completed"] = result.points
+    for name, cloud in clouds.items():
+        depth = getattr(result, f"depth_{name}")
+        mask = getattr(result, f"mask_{name}")
+        x, y, z = camera.rotation @ cloud.T + camera.translation[:, None]
+        fx, fy = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
+        u = np.round(fx * x / z + camera.intrinsics[0, 2]).astype(int)
+        v = np.round(fy * y / z + camera.intrinsics[1, 2]).astype(int)
+        expected = np.full((128, 128), np.inf)
+        inside = (u >= 0) & (u < 128) & (v >= 0) & (v < 128) & (z > 0)
+        np.minimum.at(expected, (v[inside], u[inside]), z[inside])
+        # A point on the border of two pixels may round to either.
+        agree = np.isclose(np.where(mask, depth, np.inf), expected, atol=1e-4)
+        assert agree.mean() > 0.999
+        assert mask.sum() > 50
+
+
+def test_what_is_added_hides_and_never_uncovers(near):
+    assert (near.mask_completed >= near.mask_observed).all()
+    both = near.mask_observed
+    assert (near.depth_completed[both] <= near.depth_observed[both]).all()
+    assert near.mask_completed.sum() > near.mask_observed.sum()
+
+
+def test_float32_and_float64_give_the_same(completer):
+    points = scan() + FAR
+    double = completer.complete(points)
+    single = completer.complete(points.astype(np.float32))
+    assert np.array_equal(single.prediction, double.prediction)
+    assert np.array_equal(single.observed, double.observed)
+
+
+def test_another_frame_gives_the_same_there(near, far):
+    _, result = far
+    np.testing.assert_allclose(result.prediction - FAR, near.prediction, atol=1e-8)
+    assert np.array_equal(result.observed, near.observed)
+    assert result.losses == near.losses
+    np.testing.assert_allclose(result.depth_completed, near.depth_completed, atol=1e-5)
+
+
+def test_another_unit_gives_the_same_in_it(completer, near):
+    """Exactly: 1,024 is a power of two."""
+    result = completer.complete(1024 * scan(), camera_at(1024 * EYE))
+    assert np.array_equal(result.prediction, 1024 * near.prediction)
+    assert np.array_equal(result.points, 1024 * near.points)
+    np.testing.assert_allclose(
+        result.depth_completed, 1024 * near.depth_completed, rtol=1e-6
+    )
+    assert result.losses == near.losses
+
+
+def test_two_runs_are_bitwise_equal(completer, near):
+    again = completer.complete(scan(), camera_at(EYE))
+    for field in dataclasses.fields(CompletedScan):
+        if field.name != "seconds":
+            a, b = getattr(again, field.name), getattr(near, field.name)
+            leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+            assert all(np.array_equal(x, y) for x, y in leaves), field.name
+
+
+TURNS = {
+    "z": lambda x, y, z: (x, y, z),
+    "-z": lambda x, y, z: (x, -y, -z),
+    "y": lambda x, y, z: (x, z, -y),
+    "-y": lambda x, y, z: (x, -z, y),
+    "x": lambda x, y, z: (z, y, -x),
+    "-x": lambda x, y, z: (-z, y, x),
+}
+
+
+@pytest.mark.parametrize("up", TURNS)
+def test_an_upright_object_is_the_same_in_any_frame(completer, near, up):
+    """The frame is turned so that ``up`` points up, and the result with it."""
+
+    def turned(points):
+        return np.stack(TURNS[up](*np.asarray(points).T), -1)
+
+    top = turned(np.array([[0.0, 0, 1]]))[0]
+    axis = {"x": 0, "y": 1, "z": 2}[up[-1]]
+    assert top[axis] == (-1 if up[0] == "-" else 1)
+    result = completer.complete(turned(scan()), camera_at(turned(EYE[None])[0]), up=up)
+    assert result.losses == near.losses
+    np.testing.assert_allclose(result.prediction, turned(near.prediction), atol=1e-12)
+    np.testing.assert_allclose(result.points, turned(near.points), atol=1e-12)
+    np.testing.assert_allclose(result.depth_observed, near.depth_observed, atol=1e-6)
+    position = np.asarray(result.camera.position)
+    np.testing.assert_allclose(position, turned(EYE[None])[0], atol=1e-5)
+
+
+def test_without_a_camera_the_sensor_is_at_the_origin(completer):
+    away = scan() + np.array([4.0, 1.0, 0.0])
+    there = completer.complete(away)
+    given = completer.complete(away, camera_at(np.zeros(3)))
+    assert np.array_equal(there.prediction, given.prediction)
+    np.testing.assert_allclose(there.camera.position, 0, atol=1e-5)
+
+
+def test_points_outside_the_workspace_are_left_out(completer, near):
+    above, aside = np.array([0, 0, 3.0]), np.array([5.0, 0, 0])
+    clutter = np.concatenate([scan() + above, scan(), scan() - aside])
+    workspace = Workspace(near.workspace.center, near.workspace.half_extent)
+    result = completer.complete(clutter, camera_at(EYE), workspace)
+    assert result.points.tobytes() == near.points.tobytes()
+    assert result.workspace.half_extent == near.workspace.half_extent
+    assert np.array_equal(result.prediction, near.prediction)
+
+
+def test_a_workspace_of_jax_arrays_will_do(completer, near):
+    workspace = jax.tree.map(jnp.asarray, near.workspace)
+    result = completer.complete(scan(), camera_at(EYE), workspace)
+    np.testing.assert_allclose(result.prediction, near.prediction, atol=1e-3)
+    assert result.prediction.dtype == np.float64
+
+
+def test_losses_before_each_step_and_after_the_last(near, tiny):
+    names = {"objective", "depth_consistency", "normal", "denoise", "align"}
+    assert set(near.losses) == names
+    for values in near.losses.values():
+        assert len(values) == tiny.num_steps + 1
+        assert np.isfinite(values).all()
+    assert near.losses["objective"][-1] < near.losses["objective"][0]
+    assert near.accepted is True
+    assert near.weights.sum() == pytest.approx(1)
+
+
+def test_without_adaptation(completer, near):
+    result = completer.complete(scan(), camera_at(EYE), adapt=False)
+    assert result.accepted is False
+    assert all(len(values) == 1 for values in result.losses.values())
+    first = {name: values[:1] for name, values in near.losses.items()}
+    for name, values in result.losses.items():
+        np.testing.assert_allclose(values, first[name], rtol=1e-4)
+    assert not np.array_equal(result.prediction, near.prediction)
+    assert result.points[result.observed].tobytes() == scan().tobytes()
+
+
+def test_clouds_of_other_sizes_do_not_compile_again(completer, caplog):
+    """Of all sizes up to a power of two, the first alone does."""
+    completer.complete(scan(600))
+    with caplog.at_level(logging.WARNING), jax.log_compiles():
+        result = completer.complete(scan(700, seed=1))
+    messages = [record.getMessage() for record in caplog.records]
+    assert not [text for text in messages if "ompil" in text]
+    assert result.seconds["compile"] < 0.1
+    assert result.seconds["run"] > 0
+
+
+def test_compilations_would_have_been_seen(caplog):
+    with caplog.at_level(logging.WARNING), jax.log_compiles():
+        jax.jit(lambda x: x * 3)(np.float32(1))
+    assert any("ompil" in record.getMessage() for record in caplog.records)
+
+
+@pytest.mark.parametrize(
+    ("points", "fault"),
+    [
+        (np.zeros((0, 3)), "not finite"),
+        (scan(63), "63 distinct points, fewer than 64"),
+        (np.repeat(scan(40), 5, axis=0), "40 distinct points, fewer than 64"),
+        (np.ones((200, 3)), "extent of zero"),
+        (np.where(np.arange(300)[:, None] == 7, np.nan, scan()), "not finite"),
+        (np.where(np.arange(300)[:, None] == 7, np.inf, scan()), "not finite"),
+        (2e4 * scan(), "above 10 km"),
+    ],
+)
+@pytest.mark.parametrize("framed", [False, True])
+def test_points_that_cannot_be_completed(completer, points, fault, framed):
+    workspace = Workspace(np.zeros(3), np.float64(1e6)) if framed else None
+    with pytest.raises(InputError, match=fault):
+        completer.complete(points, workspace=workspace)
+
+
+def test_a_workspace_with_too_few_points(completer):
+    nowhere = Workspace(np.array([9.0, 9, 9]), np.float64(1.0))
+    with pytest.raises(InputError, match="points inside the workspace"):
+        completer.complete(scan(), workspace=nowhere)
+    corner = Workspace(scan()[0], np.float64(0.2))
+    with pytest.raises(InputError, match="distinct points, fewer than 64; "):
+        completer.complete(scan(), workspace=corner)
+
+
+def test_an_unknown_axis(completer):
+    with pytest.raises(InputError, match="up=north: no such axis"):
+        completer.complete(scan(), up="north")
+
+
+def test_released_weights_by_file(tmp_path, tiny, tiny_variables):
+    save_weights(tmp_path / "w.safetensors", tiny, tiny_variables, {})
+    loaded = Completer.from_pretrained(str(tmp_path / "w.safetensors"))
+    assert loaded.config == tiny
+    with pytest.raises(InputError, match="no such weights"):
+        Completer.from_pretrained("nothing")
+
+
+def test_what_was_measured_already_is_not_added():
+    """On a grid of spacing 1, nothing within half of that of a measured point."""
+    rng = np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(*3 * [np.arange(5.0)]), -1).reshape(-1, 3)
+    prediction = rng.uniform(-2, 6, (200, 3))
+    apart = np.linalg.norm(prediction[:, None] - grid[None], axis=-1).min(1)
+    repeated = np.concatenate([grid, grid[:40]])
+    kept = keep_unmeasured(prediction, grid, repeated, spacing=0.5)
+    assert np.array_equal(kept, apart > 0.5)
+    assert kept.any()
+    assert not kept.all()
+    assert not keep_unmeasured(grid, grid, repeated).any()

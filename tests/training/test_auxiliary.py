@@ -1,0 +1,132 @@
+"""The leg after the backbone's: what it trains, and on what."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.presets import resolve
+from prism_jax.training.auxiliary import TRAINED, auxiliary_leg
+from prism_jax.training.batches import make_batch
+
+PRESET = resolve(
+    "tiny",
+    [
+        "pretrain.auxiliary_samples=160",
+        "pretrain.auxiliary_rate=0.01",
+        "pretrain.batch_size=4",
+    ],
+)
+
+
+@pytest.fixture(scope="module")
+def leg(tiny_variables):
+    return auxiliary_leg(tiny_variables, PRESET.adapt, PRESET.pretrain, seed=0)
+
+
+@pytest.fixture(scope="module")
+def batch(examples):
+    return make_batch(examples, np.arange(4), 64, 128, PRESET.model.margin)
+
+
+def steps(leg, batch, count, variables=None):
+    state, history = leg.start, []
+    if variables is not None:
+        state = state._replace(variables=variables)
+    for _ in range(count):
+        state, terms = leg.step_fn(state, batch)
+        history.append(np.asarray(terms))
+    return state, np.array(history)
+
+
+@pytest.fixture(scope="module")
+def trained(leg, batch):
+    return steps(leg, batch, 40)
+
+
+def bitwise(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
+
+
+def test_it_trains_these_and_nothing_of_the_backbone(leg, trained):
+    before, after = leg.start.variables, trained[0].variables
+    assert set(TRAINED) == {"refiner", "depth_encoder", "auxiliary"}
+    assert set(before["params"]) == {*TRAINED, "point_encoder", "decoder"}
+    for name in before["params"]:
+        same = bitwise(before["params"][name], after["params"][name])
+        assert same == (name not in TRAINED), name
+    for name in before["batch_stats"]:
+        same = bitwise(before["batch_stats"][name], after["batch_stats"][name])
+        assert same == (name != "depth_encoder"), name
+    for name in before["params"]["auxiliary"]:
+        branch = before["params"]["auxiliary"][name]
+        assert not bitwise(branch, after["params"]["auxiliary"][name]), name
+
+
+def test_loss_weights_stay_and_scales_are_measured(leg, trained):
+    before, after = leg.start.variables["weighting"], trained[0].variables["weighting"]
+    assert bitwise(before["logits"], after["logits"])
+    assert (np.asarray(before["scales"]) == 0).all()
+    assert (np.asarray(after["scales"]) > 0).all()
+
+
+def test_scales_are_moving_averages_of_the_losses(leg, batch):
+    """Of normals and denoising; the alignment is measured frame by frame."""
+    first, _ = steps(leg, batch, 1)
+    second, history = steps(leg, batch, 2)
+    one = np.asarray(first.variables["weighting"]["scales"])
+    two = np.asarray(second.variables["weighting"]["scales"])
+    np.testing.assert_allclose(one[:2], history[0, 1:3], rtol=1e-5)
+    expected = 0.99 * history[0, 1:3] + 0.01 * history[1, 1:3]
+    np.testing.assert_allclose(two[:2], expected, rtol=1e-5)
+
+
+def test_every_loss_falls_on_one_batch(trained):
+    _, history = trained
+    first, last = history[:5].mean(0), history[-5:].mean(0)
+    assert history.shape == (40, 4)
+    assert (last < first).all(), (first, last)
+    assert last.sum() < 0.8 * first.sum()
+
+
+def test_the_refiner_learns_from_eq_3_alone(leg, batch):
+    """What only the other losses see does not change how it moves."""
+    variables = leg.start.variables
+    expected = steps(leg, batch, 3)[0].variables["params"]
+    for name in ("auxiliary", "depth_encoder"):
+        others = jax.tree.map(lambda leaf: 1.5 * leaf, variables["params"][name])
+        changed = {**variables, "params": {**variables["params"], name: others}}
+        moved = steps(leg, batch, 3, changed)[0].variables["params"]
+        assert bitwise(moved["refiner"], expected["refiner"])
+        assert not bitwise(moved[name], expected[name])
+
+
+def test_and_the_branches_do_not_see_the_complete_cloud(leg, batch):
+    expected = steps(leg, batch, 2)[0].variables["params"]
+    other = batch._replace(complete=batch.complete[:, ::-1] * 0.5)
+    moved = steps(leg, other, 2)[0].variables["params"]
+    assert not bitwise(moved["refiner"], expected["refiner"])
+    assert bitwise(moved["depth_encoder"], expected["depth_encoder"])
+    assert bitwise(moved["auxiliary"], expected["auxiliary"])
+
+
+def test_validation_scores_before_and_after_the_refiner(leg, batch, trained):
+    variables = trained[0].variables
+    scores = np.asarray(leg.validate_fn(variables, batch))
+    assert scores.shape == (4, 3)
+    assert np.isfinite(scores).all()
+    assert not np.allclose(scores[:, 0], scores[:, 1])
+    idle = jax.tree.map(jnp.zeros_like, variables["params"]["refiner"])
+    params = {**variables["params"], "refiner": idle}
+    other = np.asarray(leg.validate_fn({**variables, "params": params}, batch))
+    assert np.array_equal(other[:, 0], scores[:, 0])
+    doubled = batch._replace(half_extent=2 * batch.half_extent)
+    larger = np.asarray(leg.validate_fn(variables, doubled))
+    np.testing.assert_allclose(larger[:, :2], 4 * scores[:, :2], rtol=1e-6)
+    np.testing.assert_allclose(larger[:, 2], scores[:, 2], rtol=1e-6)
+
+
+def test_a_second_step_does_not_compile_again(leg, trained):
+    assert leg.step_fn._cache_size() == 1

@@ -1,0 +1,195 @@
+"""The backbone's legs, on boxes."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from prism_jax.presets import resolve
+from prism_jax.training.batches import TrainingOrder, make_batch
+from prism_jax.training.leg import Source, train_leg
+from prism_jax.training.pretrain import adam, backbone_leg
+
+CHANGES = [
+    "pretrain.backbone.1.num_samples=240",
+    "pretrain.backbone.1.learning_rate=0.003",
+    "pretrain.batch_size=4",
+    "pretrain.validate_every=16",
+    "pretrain.backbone.0.num_samples=32",
+]
+PRESET = resolve("tiny", CHANGES)
+SEEDS, STAGES = PRESET.pretrain.backbone
+BATCH = PRESET.pretrain.batch_size
+MARGIN = PRESET.model.margin
+
+
+@pytest.fixture(scope="module")
+def backbone(tiny_variables):
+    """The backbone's part of the fresh variables."""
+    return {
+        kind: {name: tiny_variables[kind][name] for name in ("point_encoder", "decoder")}
+        for kind in ("params", "batch_stats")
+    }
+
+
+@pytest.fixture(scope="module")
+def seeds(backbone):
+    return backbone_leg(backbone, PRESET.model.backbone, SEEDS, PRESET.pretrain)
+
+
+@pytest.fixture(scope="module")
+def stages(backbone):
+    return backbone_leg(backbone, PRESET.model.backbone, STAGES, PRESET.pretrain)
+
+
+@pytest.fixture(scope="module")
+def source(examples, validation_examples):
+    few = jax.tree.map(lambda leaf: leaf[:6], validation_examples[:4])
+    validation = validation_examples._replace(
+        **dict(zip(validation_examples._fields, few, strict=False))
+    )
+    num_points, every = PRESET.model.backbone.num_points, PRESET.pretrain.validate_every
+    return Source(examples, validation, num_points, MARGIN, 0, every)
+
+
+@pytest.fixture(scope="module")
+def batch(examples):
+    rows = np.arange(BATCH)
+    return make_batch(examples, rows, 64, PRESET.pretrain.num_complete, MARGIN)
+
+
+@pytest.fixture(scope="module")
+def after_seeds(seeds, batch):
+    state = seeds.start
+    for _ in range(3):
+        state, losses = seeds.step_fn(state, batch)
+    return state, losses
+
+
+def bitwise(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
+
+
+def test_losses_fall_on_one_batch(stages, batch):
+    """Every stage's, over a leg of sixty steps."""
+    state, history = stages.start, []
+    for _ in range(60):
+        state, losses = stages.step_fn(state, batch)
+        history.append(np.asarray(losses))
+    assert history[0].shape == (3,)
+    first, last = np.mean(history[:5], axis=0), np.mean(history[-5:], axis=0)
+    assert (last < 0.8 * first).all(), (first, last)
+    assert int(state.step) == 60
+
+
+def test_the_leg_of_the_seeds_leaves_the_later_stages_alone(seeds, after_seeds):
+    state, losses = after_seeds
+    assert losses.shape == (1,)
+    for kind in ("params", "batch_stats"):
+        before, after = seeds.start.variables[kind], state.variables[kind]
+        assert not bitwise(before["point_encoder"], after["point_encoder"])
+        for name in before["decoder"]:
+            same = bitwise(before["decoder"][name], after["decoder"][name])
+            assert same == name.startswith("block"), name
+
+
+def test_the_whole_decoder_trains(stages, batch):
+    """From the second step on: the step size rises from zero."""
+    state = stages.start
+    for _ in range(2):
+        state, _ = stages.step_fn(state, batch)
+    before, after = stages.start.variables, state.variables
+    for kind in ("params", "batch_stats"):
+        for name, tree in before[kind]["decoder"].items():
+            assert not bitwise(tree, after[kind]["decoder"][name]), name
+
+
+def test_the_first_step_is_of_size_zero_and_moves_statistics_alone(seeds, batch):
+    state, _ = seeds.step_fn(seeds.start, batch)
+    assert bitwise(state.variables["params"], seeds.start.variables["params"])
+    before = seeds.start.variables["batch_stats"]["point_encoder"]
+    assert not bitwise(state.variables["batch_stats"]["point_encoder"], before)
+
+
+def test_broken_off_and_resumed_it_ends_bitwise_the_same(seeds, source, tmp_path):
+    """And every step, before a checkpoint and after, is of one compilation."""
+    expected, done = train_leg(seeds, source, tmp_path / "unbroken")
+    assert done
+    _, done = train_leg(seeds, source, tmp_path / "broken", max_steps=4)
+    assert not done
+    variables, done = train_leg(seeds, source, tmp_path / "broken")
+    assert done
+    assert bitwise(variables, expected)
+    compiled = seeds.step_fn._cache_size()
+    order = TrainingOrder(20, BATCH, 0)
+    rows, mirrored = order.rows(0)
+    inputs = make_batch(source.train, rows, 64, seeds.num_complete, MARGIN, mirrored)
+    state = jax.device_put(jax.device_get(seeds.start))
+    for _ in range(2):
+        state, _ = seeds.step_fn(state, inputs)
+    assert seeds.step_fn._cache_size() == compiled == 1
+    assert seeds.validate_fn._cache_size() == 1
+
+
+def test_the_log_of_a_real_leg(seeds, source, tmp_path):
+    train_leg(seeds, source, tmp_path, max_steps=4)
+    text = (tmp_path / "metrics.jsonl").read_text()
+    written = [json.loads(line) for line in text.splitlines()]
+    assert len(written[0]["losses"]) == 1
+    assert len(written[1]["validation"]) == 1
+    assert np.isfinite(written[1]["validation"]).all()
+
+
+def test_validation_is_in_the_units_of_the_examples(seeds, batch):
+    variables = seeds.start.variables
+    scores = np.asarray(seeds.validate_fn(variables, batch))
+    assert scores.shape == (BATCH, 1)
+    assert (scores > 0).all()
+    doubled = batch._replace(half_extent=2 * batch.half_extent)
+    np.testing.assert_allclose(
+        seeds.validate_fn(variables, doubled), 4 * scores, rtol=1e-6
+    )
+
+
+def test_step_sizes_rise_and_then_follow_a_cosine():
+    """Adam under a constant gradient moves by the step size itself."""
+    config = dataclasses.replace(PRESET.pretrain, warmup_steps=5)
+    optimiser = adam(0.1, 40, 0.2, config)
+    params = jnp.zeros(())
+    state, moves = optimiser.init(params), []
+    for _ in range(41):
+        updates, state = optimiser.update(jnp.float32(0.5), state)
+        moves.append(-float(updates))
+    expected = [0.1 * i / 5 for i in range(5)]
+    for i in range(36):
+        cosine = 0.5 * (1 + np.cos(np.pi * i / 35))
+        expected.append(0.1 * (0.2 + 0.8 * cosine))
+    np.testing.assert_allclose(moves, expected, rtol=1e-3, atol=1e-7)
+
+
+def test_a_leg_shorter_than_the_warm_up_gets_half_of_it():
+    optimiser = adam(0.1, 8, 1.0, PRESET.pretrain)
+    state, moves = optimiser.init(jnp.zeros(())), []
+    for _ in range(8):
+        updates, state = optimiser.update(jnp.float32(0.5), state)
+        moves.append(-float(updates))
+    np.testing.assert_allclose(moves[:5], [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
+
+
+def test_gradients_are_clipped_together():
+    """One enormous gradient does not outweigh the moments of all that follow."""
+    config = dataclasses.replace(PRESET.pretrain, clip_norm=1.0, warmup_steps=0)
+    optimiser = adam(0.1, 1000, 1.0, config)
+    params = {"a": jnp.zeros(2), "b": jnp.zeros(())}
+    state = optimiser.init(params)
+    huge = {"a": jnp.array([3e9, 0.0]), "b": jnp.float32(-4e9)}
+    _, state = optimiser.update(huge, state)
+    mu = optax.tree_utils.tree_get(state, "mu")
+    np.testing.assert_allclose(mu["a"], [0.1 * 0.6, 0], rtol=1e-5)
+    np.testing.assert_allclose(mu["b"], 0.1 * -0.8, rtol=1e-5)
