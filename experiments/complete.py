@@ -49,8 +49,8 @@ def define_flags() -> None:
             "up",
             default.up,
             ["x", "y", "z", "-x", "-y", "-z"],
-            "Axis of the input that points upwards. If not given, -y for a depth image, "
-            "as in a camera's frame, and z for a cloud.",
+            "Axis of the input that points upwards. If not given, -y for a depth "
+            "image, as in a camera's frame, and z for a cloud.",
         ),
         flags.DEFINE_string(
             "weights", default.weights, "Name of released weights, or a file of them."

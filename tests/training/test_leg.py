@@ -122,7 +122,9 @@ def test_killed_between_checkpoints_it_repeats_what_was_lost(
     with pytest.raises(KeyboardInterrupt):
         train(regression._replace(step_fn=dying), source, tmp_path / "killed")
     assert int(latest(regression, tmp_path / "killed").step) == 4
-    variables, done = train(regression._replace(step_fn=dying), source, tmp_path / "killed")
+    variables, done = train(
+        regression._replace(step_fn=dying), source, tmp_path / "killed"
+    )
     assert done
     assert calls[6:] == [6, 4, 5, 6, 7, 8, 9, 10, 11]
     assert bitwise(variables, expected)
@@ -177,7 +179,7 @@ def test_a_loss_that_is_not_finite_ends_it(regression, source, tmp_path):
         state, loss = regression.step_fn(state, batch)
         return state, jnp.where(state.step == 6, jnp.nan, loss)
 
-    with pytest.raises(FloatingPointError, match="toy: loss .*nan"):
+    with pytest.raises(FloatingPointError, match=r"toy: loss .*nan"):
         train(regression._replace(step_fn=broken), source, tmp_path)
     # The state before it is there to go on from.
     assert int(latest(regression, tmp_path).step) == 4
