@@ -110,7 +110,7 @@ PRESETS = {
         ),
     ),
     "small": Preset(
-        AdaptConfig(ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=64)),
+        AdaptConfig(ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32)),
         PretrainConfig(_legs(96_000, 56_000), auxiliary_samples=8_000),
     ),
     "paper": Preset(

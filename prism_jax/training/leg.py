@@ -90,7 +90,7 @@ def train_leg(
             log.write(step, losses=mean.tolist())
             log.show(loss=float(mean.sum()), last=float(mean[-1]))
         if at_validation:
-            scores = _validate(leg, source, state.variables)
+            scores = validate(leg, source, state.variables)
             log.write(step, validation=scores.tolist())
             checkpoints.save(step, state, float(scores[-1]))
     log.close()
@@ -117,7 +117,7 @@ def _finite_mean(losses: list[Array], name: str, step: int) -> np.ndarray:
     return mean
 
 
-def _validate(leg: Leg, source: Source, variables: Variables) -> np.ndarray:
+def validate(leg: Leg, source: Source, variables: Variables) -> np.ndarray:
     """Mean scores over the validation examples, in batches of one size.
 
     Where the last batch would be short it reaches back, and what was scored before is
