@@ -48,9 +48,7 @@ def _better_refiner(
     in it says that points must not leave the surface, so it is checked.
     """
     before, after, _ = validate(leg, source, variables)
-    print(
-        f"validation CD-L2 x1e4: {1e4 * before:.4g} unrefined, {1e4 * after:.4g} refined"
-    )
+    print(f"CD-L2 x1e4: {1e4 * before:.4g} unrefined, {1e4 * after:.4g} refined")
     if after <= before:
         return variables
     print("the refiner is left as it was before training")
