@@ -89,3 +89,46 @@ def tiny_frames(tiny):
     partials = jax.numpy.asarray(shell * [0.7, 0.5, 0.4], np.float32)
     cameras = jax.vmap(Camera.framing)(partials, eyes[:, 0].astype(np.float32))
     return partials, cameras
+
+
+@pytest.fixture(scope="session")
+def minimal():
+    """A preset of one resolution and one up-sampling block: quick to compile."""
+    from prism_jax.presets import resolve
+
+    changes = [
+        "num_neighbors=(4,)",
+        "encoder_rates=(1,)",
+        "level_rates=((1,),)",
+        "up_factors=(2,)",
+    ]
+    return resolve("tiny", [f"adapt.model.backbone.{change}" for change in changes])
+
+
+@pytest.fixture(scope="session")
+def minimal_variables(minimal):
+    """Variables of `minimal`: any numbers will do, and cost no compilation."""
+    from prism_jax.models.initial import init_variables
+
+    rng = np.random.default_rng(0)
+
+    def fill(path, leaf):
+        name = path[-1].key
+        if name in ("var", "scale", "mean", "logits", "scales"):
+            return jax.numpy.full(
+                leaf.shape, float(name in ("var", "scale")), np.float32
+            )
+        width = leaf.shape[0] if leaf.ndim > 1 else 100
+        values = rng.normal(size=leaf.shape) / width**0.5
+        return jax.numpy.asarray(values, np.float32)
+
+    shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), minimal.model))
+    return jax.tree_util.tree_map_with_path(fill, shapes)
+
+
+@pytest.fixture(scope="session")
+def quick_jit():
+    """`jax.jit` for what runs but a few times: half as long to compile on a CPU."""
+    options = {"xla_backend_optimization_level": 0}
+    on_cpu = jax.default_backend() == "cpu"
+    return functools.partial(jax.jit, compiler_options=options if on_cpu else None)

@@ -30,6 +30,7 @@ def nearest(
     winning pair alone: the search itself has no derivative. Ties go to the lowest
     index. Memory is linear in N + M. Coordinates must be finite.
     """
+    query, support = jnp.asarray(query), jnp.asarray(support)
     indices = _by_rows(_nearest_indices, *jax.lax.stop_gradient((query, support)))
     return ((query - support[indices]) ** 2).sum(-1), indices
 
@@ -43,7 +44,7 @@ def knn(
     support holds fewer than k points, the farthest one found is repeated.
     """
     found = min(k, support.shape[0])
-    clouds = jax.lax.stop_gradient((query, support))
+    clouds = jax.lax.stop_gradient((jnp.asarray(query), jnp.asarray(support)))
     indices = _by_rows(lambda q, s: _knn_indices(q, s, found), *clouds)
     last = jnp.repeat(indices[:, -1:], k - found, axis=1)
     return jnp.concatenate([indices, last], axis=1)

@@ -24,7 +24,7 @@ def farthest_point_sample(
     CRA-PCN): points with ``|x|^2 <= 1e-3`` are never chosen, save as the start, or as
     index 0 when every point is skipped.
     """
-    points = jax.lax.stop_gradient(points)
+    points = jax.lax.stop_gradient(jnp.asarray(points))
     if skip_near_origin:
         chosen_from = (points**2).sum(-1) > NEAR_ORIGIN
     else:
@@ -57,5 +57,6 @@ def resample(
     More points are thinned by farthest-point sampling; fewer are all kept and then
     repeated from the first on. Differentiable in the points that are kept.
     """
+    points = jnp.asarray(points)
     order = farthest_point_sample(points, min(num_points, points.shape[0]))
     return points[jnp.resize(order, (num_points,))]

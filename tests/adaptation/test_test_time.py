@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from prism_jax.adaptation.test_time import make_adapt
-from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 
 NUM_STEPS = 3
@@ -49,43 +48,15 @@ def unadapted(tiny):
 
 
 @pytest.fixture(scope="module")
-def minimal(tiny):
-    """One resolution and one up-sampling block: quick to compile differentiated."""
-    backbone = dataclasses.replace(
-        tiny.model.backbone,
-        num_neighbors=(4,),
-        encoder_rates=(1,),
-        level_rates=((1,),),
-        up_factors=(2,),
-    )
-    model = dataclasses.replace(tiny.model, backbone=backbone)
-    return dataclasses.replace(tiny, model=model, num_steps=1, adapt_norm=False)
-
-
-@pytest.fixture(scope="module")
-def minimal_variables(minimal):
-    """Any numbers will do, and cost no compilation."""
-    rng = np.random.default_rng(0)
-
-    def fill(path, leaf):
-        if path[-1].key in ("var", "scale"):
-            return jnp.ones(leaf.shape)
-        width = leaf.shape[0] if leaf.ndim > 1 else 100
-        return jnp.asarray(rng.normal(size=leaf.shape) / width**0.5, jnp.float32)
-
-    shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), minimal.model))
-    return jax.tree_util.tree_map_with_path(fill, shapes)
-
-
-@pytest.fixture(scope="module")
-def differentiated(minimal, minimal_variables, frames):
+def differentiated(minimal, minimal_variables, frames, quick_jit):
     """The gradient of an adapted completion, in a user's own jit, and the completion.
 
     Taken in all variables, the two encoders, the loss weights and the partial cloud.
     """
-    adapt = make_adapt(minimal)
+    config = dataclasses.replace(minimal.adapt, num_steps=1, adapt_norm=False)
+    adapt = make_adapt(config)
 
-    @jax.jit
+    @quick_jit
     def user(variables, partial, camera):
         def loss(variables, partial):
             completion = adapt(variables, partial, camera)
@@ -177,13 +148,15 @@ def test_two_runs_are_bitwise_equal(tiny_adapt, tiny_variables, frames, adapted)
     assert bitwise(tiny_adapt(tiny_variables, *frames[0]), adapted[0])
 
 
-def test_mapped_over_frames_it_is_the_loop(tiny, tiny_variables, tiny_frames, adapted):
+def test_mapped_over_frames_it_is_the_loop(
+    tiny, tiny_variables, tiny_frames, adapted, quick_jit
+):
     """Every frame with encoders of its own.
 
     Not bitwise: batched products add up in another order. float32 keeps the
     encoders to 1e-6; the untrained network magnifies that tenfold in the points.
     """
-    mapped = jax.jit(jax.vmap(make_adapt(tiny), (None, 0, 0)))
+    mapped = quick_jit(jax.vmap(make_adapt(tiny), (None, 0, 0)))
     together = mapped(tiny_variables, *tiny_frames)
     assert together.accepted.shape == (3,)
     for i, alone in enumerate(adapted):

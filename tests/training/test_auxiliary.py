@@ -1,33 +1,28 @@
 """The leg after the backbone's: what it trains, and on what."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.presets import resolve
 from prism_jax.training.auxiliary import TRAINED, auxiliary_leg
 from prism_jax.training.batches import make_batch
 from prism_jax.training.checkpoints import Checkpoints
 
-PRESET = resolve(
-    "tiny",
-    [
-        "pretrain.auxiliary_samples=160",
-        "pretrain.auxiliary_rate=0.01",
-        "pretrain.batch_size=4",
-    ],
-)
-
 
 @pytest.fixture(scope="module")
-def leg(tiny_variables):
-    return auxiliary_leg(tiny_variables, PRESET.adapt, PRESET.pretrain, seed=0)
+def leg(minimal, minimal_variables):
+    training = dataclasses.replace(
+        minimal.pretrain, auxiliary_samples=160, auxiliary_rate=0.01, batch_size=4
+    )
+    return auxiliary_leg(minimal_variables, minimal.adapt, training, seed=0)
 
 
 @pytest.fixture(scope="module")
 def batch(examples):
-    return make_batch(examples, np.arange(4), 64, 128, PRESET.model.margin)
+    return make_batch(examples, np.arange(4), 64, 128, 1.4)
 
 
 def steps(leg, batch, count, variables=None):

@@ -9,60 +9,62 @@ import numpy as np
 import optax
 import pytest
 
-from prism_jax.presets import resolve
+from prism_jax.data.corpus import Examples
 from prism_jax.training.batches import TrainingOrder, make_batch
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.leg import VALIDATION_COMPLETE, Source, train_leg
 from prism_jax.training.pretrain import adam, backbone_leg
 
-CHANGES = [
-    "pretrain.backbone.1.num_samples=240",
-    "pretrain.backbone.1.learning_rate=0.003",
-    "pretrain.batch_size=4",
-    "pretrain.validate_every=16",
-    "pretrain.backbone.0.num_samples=32",
-]
-PRESET = resolve("tiny", CHANGES)
-SEEDS, STAGES = PRESET.pretrain.backbone
-BATCH = PRESET.pretrain.batch_size
-MARGIN = PRESET.model.margin
+BATCH, MARGIN = 4, 1.4
 
 
 @pytest.fixture(scope="module")
-def backbone(tiny_variables):
-    """The backbone's part of the fresh variables."""
+def preset(minimal):
+    """Two short legs, the second with longer steps."""
+    seeds, stages = minimal.pretrain.backbone
+    legs = (
+        dataclasses.replace(seeds, num_samples=8 * BATCH),
+        dataclasses.replace(stages, num_samples=60 * BATCH, learning_rate=3e-3),
+    )
+    training = dataclasses.replace(
+        minimal.pretrain, backbone=legs, batch_size=BATCH, validate_every=4 * BATCH
+    )
+    return dataclasses.replace(minimal, pretrain=training)
+
+
+@pytest.fixture(scope="module")
+def backbone(minimal_variables):
+    """The backbone's part of the variables."""
+    parts = ("point_encoder", "decoder")
     return {
-        kind: {
-            name: tiny_variables[kind][name] for name in ("point_encoder", "decoder")
-        }
+        kind: {name: minimal_variables[kind][name] for name in parts}
         for kind in ("params", "batch_stats")
     }
 
 
 @pytest.fixture(scope="module")
-def seeds(backbone):
-    return backbone_leg(backbone, PRESET.model.backbone, SEEDS, PRESET.pretrain)
+def seeds(preset, backbone):
+    phase = preset.pretrain.backbone[0]
+    return backbone_leg(backbone, preset.model.backbone, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
-def stages(backbone):
-    return backbone_leg(backbone, PRESET.model.backbone, STAGES, PRESET.pretrain)
+def stages(preset, backbone):
+    phase = preset.pretrain.backbone[1]
+    return backbone_leg(backbone, preset.model.backbone, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
 def source(examples, validation_examples):
-    few = jax.tree.map(lambda leaf: leaf[:6], validation_examples[:4])
-    validation = validation_examples._replace(
-        **dict(zip(validation_examples._fields, few, strict=False))
-    )
-    num_points, every = PRESET.model.backbone.num_points, PRESET.pretrain.validate_every
-    return Source(examples, validation, num_points, MARGIN, 0, every)
+    """Six examples to validate on, in batches of four."""
+    arrays = [array[:6] for array in validation_examples[:4]]
+    validation = Examples(*arrays, validation_examples.categories)
+    return Source(examples, validation, 64, MARGIN, 0, 4 * BATCH)
 
 
 @pytest.fixture(scope="module")
 def batch(examples):
-    rows = np.arange(BATCH)
-    return make_batch(examples, rows, 64, PRESET.pretrain.num_complete, MARGIN)
+    return make_batch(examples, np.arange(BATCH), 64, 128, MARGIN)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +87,7 @@ def test_losses_fall_on_one_batch(stages, batch):
     for _ in range(60):
         state, losses = stages.step_fn(state, batch)
         history.append(np.asarray(losses))
-    assert history[0].shape == (3,)
+    assert history[0].shape == (2,)
     first, last = np.mean(history[:5], axis=0), np.mean(history[-5:], axis=0)
     assert (last < 0.8 * first).all(), (first, last)
     assert int(state.step) == 60
@@ -134,7 +136,7 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, source, tmp_path
     assert not done
     best, done = train_leg(seeds, source, tmp_path)
     assert done
-    checkpoints = Checkpoints(tmp_path / SEEDS.name)
+    checkpoints = Checkpoints(tmp_path / seeds.name)
     assert bitwise(checkpoints.restore_latest(seeds.start), expected[8])
     checkpoints.close()
     text = (tmp_path / "metrics.jsonl").read_text()
@@ -158,9 +160,9 @@ def test_validation_is_in_the_units_of_the_examples(seeds, examples):
     )
 
 
-def test_step_sizes_rise_and_then_follow_a_cosine():
+def test_step_sizes_rise_and_then_follow_a_cosine(preset):
     """Adam under a constant gradient moves by the step size itself."""
-    config = dataclasses.replace(PRESET.pretrain, warmup_steps=5)
+    config = dataclasses.replace(preset.pretrain, warmup_steps=5)
     optimiser = adam(0.1, 40, 0.2, config)
     params = jnp.zeros(())
     state, moves = optimiser.init(params), []
@@ -174,8 +176,8 @@ def test_step_sizes_rise_and_then_follow_a_cosine():
     np.testing.assert_allclose(moves, expected, rtol=1e-3, atol=1e-7)
 
 
-def test_a_leg_shorter_than_the_warm_up_gets_half_of_it():
-    optimiser = adam(0.1, 8, 1.0, PRESET.pretrain)
+def test_a_leg_shorter_than_the_warm_up_gets_half_of_it(preset):
+    optimiser = adam(0.1, 8, 1.0, preset.pretrain)
     state, moves = optimiser.init(jnp.zeros(())), []
     for _ in range(8):
         updates, state = optimiser.update(jnp.float32(0.5), state)
@@ -183,9 +185,9 @@ def test_a_leg_shorter_than_the_warm_up_gets_half_of_it():
     np.testing.assert_allclose(moves[:5], [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
 
 
-def test_gradients_are_clipped_together():
+def test_gradients_are_clipped_together(preset):
     """One enormous gradient does not outweigh the moments of all that follow."""
-    config = dataclasses.replace(PRESET.pretrain, clip_norm=1.0, warmup_steps=0)
+    config = dataclasses.replace(preset.pretrain, clip_norm=1.0, warmup_steps=0)
     optimiser = adam(0.1, 1000, 1.0, config)
     params = {"a": jnp.zeros(2), "b": jnp.zeros(())}
     state = optimiser.init(params)

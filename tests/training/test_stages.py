@@ -10,62 +10,93 @@ from prism_jax.training import stages
 from prism_jax.training.leg import Leg, Source, TrainState
 
 PRESET = resolve("tiny", ["pretrain.backbone.0.num_samples=32"])
+BATCH = PRESET.pretrain.batch_size
 
 
 @pytest.fixture
 def source(examples, validation_examples):
-    return Source(examples, validation_examples, 64, 1.4, 0, 16)
+    """Validation comes every second step."""
+    return Source(examples, validation_examples, 64, 1.4, 0, 2 * BATCH)
+
+
+def counting_leg(name, variables, num_samples, scores_fn):
+    """Adds one to its own parameter at every step."""
+
+    def step(state, batch):
+        params = state.variables["params"]
+        params = {**params, name: params[name] + 1.0}
+        return TrainState(state.step + 1, {"params": params}, ()), jnp.ones(1)
+
+    def validate(variables, batch):
+        scores = jnp.stack(scores_fn(variables["params"]))
+        return jnp.broadcast_to(scores, (len(batch.eye), len(scores)))
+
+    params = {name: jnp.float32(0), **variables["params"]}
+    start = TrainState(jnp.int32(0), {"params": params}, ())
+    return Leg(name, num_samples, BATCH, 128, start, step, validate)
 
 
 @pytest.fixture(autouse=True)
 def begun(monkeypatch):
-    """Legs in the order in which they were made, with the variables they began with."""
+    """Legs in the order in which they were made, with the parameters they began with.
+
+    Those of the backbone do best after two steps, the refiner's after four.
+    """
     made = []
 
-    def leg(name, variables, num_samples):
-        made.append((name, jax.tree.map(float, variables)))
+    def backbone_leg(variables, model, phase, config):
+        made.append((phase.name, jax.tree.map(float, variables["params"])))
 
-        def step(state, batch):
-            variables = {**state.variables, name: state.variables.get(name, 0.0) + 1.0}
-            return TrainState(state.step + 1, variables, ()), jnp.ones(1)
+        def scores(params):
+            return [jnp.abs(params[phase.name] - 2.0)]
 
-        def validate(variables, batch):
-            return jnp.full((len(batch.eye), 1), jnp.abs(variables[name] - 2.0))
+        return counting_leg(phase.name, variables, phase.num_samples, scores)
 
-        start = TrainState(jnp.int32(0), {**variables, name: jnp.float32(0)}, ())
-        return Leg(
-            name, num_samples, PRESET.pretrain.batch_size, 128, start, step, validate
-        )
+    def auxiliary_leg(variables, adapt, config, seed):
+        made.append(("refiner", jax.tree.map(float, variables["params"])))
 
-    monkeypatch.setattr(stages, "init_backbone", lambda key, config: {})
-    monkeypatch.setattr(
-        stages,
-        "init_auxiliary",
-        lambda key, variables, model: {**variables, "initialised": jnp.float32(1)},
-    )
-    monkeypatch.setattr(
-        stages,
-        "backbone_leg",
-        lambda v, model, phase, config: leg(phase.name, v, phase.num_samples),
-    )
-    monkeypatch.setattr(
-        stages,
-        "auxiliary_leg",
-        lambda v, adapt, config, seed: leg("auxiliary", v, config.auxiliary_samples),
-    )
+        def scores(params):
+            return [jnp.float32(3), params["harm"], jnp.abs(params["refiner"] - 4.0)]
+
+        return counting_leg("refiner", variables, config.auxiliary_samples, scores)
+
+    def init_auxiliary(key, variables, model):
+        fresh = {"refiner": jnp.float32(0), "harm": jnp.float32(0)}
+        return {"params": {**variables["params"], **fresh}}
+
+    monkeypatch.setattr(stages, "init_backbone", lambda key, config: {"params": {}})
+    monkeypatch.setattr(stages, "init_auxiliary", init_auxiliary)
+    monkeypatch.setattr(stages, "backbone_leg", backbone_leg)
+    monkeypatch.setattr(stages, "auxiliary_leg", auxiliary_leg)
     return made
 
 
 def test_each_leg_begins_with_the_best_of_the_one_before(begun, source, tmp_path):
-    """Which was after two steps, by a validation that comes every second."""
     variables = stages.pretrain(PRESET, source, tmp_path, seed=0)
+    fresh = {"refiner": 0.0, "harm": 0.0}
     assert begun == [
         ("seeds", {}),
         ("stages", {"seeds": 2.0}),
-        ("auxiliary", {"seeds": 2.0, "stages": 2.0, "initialised": 1.0}),
+        ("refiner", {"seeds": 2.0, "stages": 2.0, **fresh}),
     ]
-    expected = {"seeds": 2, "stages": 2, "auxiliary": 2, "initialised": 1}
-    assert {name: float(value) for name, value in variables.items()} == expected
+    found = jax.tree.map(float, variables["params"])
+    assert found == {"seeds": 2.0, "stages": 2.0, "refiner": 4.0, "harm": 0.0}
+
+
+@pytest.mark.parametrize(("refined", "kept"), [(2.9, 4.0), (3.0, 4.0), (3.1, 0.0)])
+def test_a_refiner_that_makes_it_worse_is_not_kept(
+    monkeypatch, source, tmp_path, refined, kept
+):
+    """The distance is 3 without it."""
+    fresh = {"refiner": jnp.float32(0), "harm": jnp.float32(refined)}
+    monkeypatch.setattr(
+        stages,
+        "init_auxiliary",
+        lambda key, variables, model: {"params": {**variables["params"], **fresh}},
+    )
+    variables = stages.pretrain(PRESET, source, tmp_path, seed=0)
+    assert float(variables["params"]["refiner"]) == kept
+    assert float(variables["params"]["stages"]) == 2.0
 
 
 def test_broken_off_it_has_nothing_and_resumed_it_ends_the_same(
@@ -79,5 +110,6 @@ def test_broken_off_it_has_nothing_and_resumed_it_ends_the_same(
     assert stages.pretrain(PRESET, source, tmp_path / "run", 0, max_steps=6) is None
     assert [name for name, _ in begun] == ["seeds", "stages"]
     resumed = stages.pretrain(PRESET, source, tmp_path / "run", 0)
-    assert resumed.keys() == expected.keys()
-    assert all(np.array_equal(resumed[name], expected[name]) for name in expected)
+    assert resumed["params"].keys() == expected["params"].keys()
+    for name, value in expected["params"].items():
+        assert np.array_equal(resumed["params"][name], value)
