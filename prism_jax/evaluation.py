@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
@@ -85,7 +84,7 @@ def _complete(
     adapt = make_adapt(config)
 
     @jax.jit
-    def complete(partials, eyes):
+    def complete(variables, partials, eyes):
         def one(partial, eye):
             done = adapt(variables, partial, Camera.framing(partial, eye))
             return done.points, done.before, done.accepted
@@ -102,7 +101,7 @@ def _complete(
         )
         # Stored partials are in farthest-point order: their prefix is the sample.
         partial = batch.partial[:, : config.model.backbone.num_points]
-        outputs = jax.device_get(complete(jnp.asarray(partial), jnp.asarray(batch.eye)))
+        outputs = jax.device_get(complete(variables, partial, batch.eye))
         kept = min(batch_size, count - start)
         yield [_scored(batch, partial, outputs, i) for i in range(kept)]
 
