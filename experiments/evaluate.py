@@ -6,14 +6,13 @@ python -m experiments.evaluate --weights=small --split=test --output=FILE.json
 import dataclasses
 import json
 import pathlib
-import sys
 
-from absl import app, flags, logging
+from absl import flags
 
+from experiments.launch import launch
 from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
 from prism_jax.evaluation import evaluate, markdown
 from prism_jax.io.atomic import write_bytes
-from prism_jax.io.errors import InputError
 from prism_jax.training.run import commit
 from prism_jax.weights import load_pretrained
 
@@ -58,14 +57,9 @@ def main(argv):
 
 
 def run():
-    """Entry point: faults of the input end in one line and exit status 2."""
+    """The entry point."""
     define_flags()
-    logging.set_verbosity(logging.WARNING)
-    try:
-        app.run(main)
-    except InputError as error:
-        print(f"evaluate: {error}", file=sys.stderr)
-        sys.exit(2)
+    launch("evaluate", main)
 
 
 if __name__ == "__main__":

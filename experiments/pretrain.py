@@ -3,12 +3,10 @@
 python -m experiments.pretrain --preset=small --workdir=DIR [--resume]
 """
 
-import sys
+from absl import flags
 
-from absl import app, flags, logging
-
+from experiments.launch import launch
 from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
-from prism_jax.io.errors import InputError
 from prism_jax.presets import Preset, resolve
 from prism_jax.training.leg import Source
 from prism_jax.training.run import commit, open_run
@@ -67,14 +65,9 @@ def open_source(preset: Preset) -> Source:
 
 
 def run():
-    """Entry point: faults of the input end in one line and exit status 2."""
+    """The entry point."""
     define_flags()
-    logging.set_verbosity(logging.WARNING)
-    try:
-        app.run(main)
-    except InputError as error:
-        print(f"pretrain: {error}", file=sys.stderr)
-        sys.exit(2)
+    launch("pretrain", main)
 
 
 if __name__ == "__main__":

@@ -5,11 +5,10 @@ python -m experiments.release --weights=FILE --scores=EVALUATION.json --name=sma
 
 import json
 import pathlib
-import sys
 
-from absl import app, flags, logging
+from absl import flags
 
-from prism_jax.io.errors import InputError
+from experiments.launch import launch
 from prism_jax.weights import SUFFIX, load_pretrained, read_metadata, save_weights
 
 FLAGS = flags.FLAGS
@@ -38,14 +37,9 @@ def main(argv):
 
 
 def run():
-    """Entry point: faults of the input end in one line and exit status 2."""
+    """The entry point."""
     define_flags()
-    logging.set_verbosity(logging.WARNING)
-    try:
-        app.run(main)
-    except InputError as error:
-        print(f"release: {error}", file=sys.stderr)
-        sys.exit(2)
+    launch("release", main)
 
 
 if __name__ == "__main__":
