@@ -1,5 +1,6 @@
 """What the launchers share: a quiet log, and faults of the input in one line."""
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -16,3 +17,20 @@ def launch(name: str, main: Callable[[Sequence[str]], None]) -> None:
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def with_large_pages() -> None:
+    """Starts this program anew with glibc's allocations in large pages.
+
+    XLA's CPU backend allocates a step's temporaries anew each time, and in pages of
+    4 KiB much of an elementwise operation is page faults. glibc reads the setting when
+    a program starts and never again. Does nothing where it is set, or without Linux.
+    """
+    setting, before = "glibc.malloc.hugetlb", os.environ.get("GLIBC_TUNABLES", "")
+    if sys.platform != "linux" or setting in before:
+        return
+    tunables = f"{before}:{setting}=1" if before else f"{setting}=1"
+    command = [sys.executable, *sys.orig_argv[1:]]
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os.execve(sys.executable, command, os.environ | {"GLIBC_TUNABLES": tunables})

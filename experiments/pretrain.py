@@ -5,7 +5,7 @@ python -m experiments.pretrain --preset=small --workdir=DIR [--resume]
 
 from absl import flags
 
-from experiments.launch import launch
+from experiments.launch import launch, with_large_pages
 from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
 from prism_jax.presets import Preset, resolve
 from prism_jax.training.leg import Source
@@ -66,6 +66,7 @@ def open_source(preset: Preset) -> Source:
 
 def run():
     """The entry point."""
+    with_large_pages()
     define_flags()
     launch("pretrain", main)
 

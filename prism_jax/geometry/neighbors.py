@@ -4,16 +4,20 @@ Neighbour indices are integers without a gradient. They are computed once for a 
 of clouds and passed on; only coordinates and features carry derivatives.
 
 The searches are exact and brute force, in two levels: the minimum over short runs of
-the support is a fused, vectorised reduction, and only the runs that can hold a
+the support is fused and vectorised, and only the runs that can hold a
 neighbour are looked at point by point. Differences of coordinates are taken directly,
 since ``|x|^2 + |y|^2 - 2xy`` cancels for close points.
 """
 
+import functools
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
+
+from prism_jax.geometry.extrema import first_lowest
 
 _NEAREST_RUN = 32
 _KNN_RUN = 8
@@ -91,18 +95,28 @@ def _runs(support: Array, length: int) -> Array:
 
 
 def _squared_distances(query: Array, points: Array) -> Array:
-    """Sum over the axes written out, so that it fuses into a reduction over points."""
-    return sum((query[..., i] - points[..., i]) ** 2 for i in range(3))  # pyright: ignore
+    """Sum over the axes written out, so that it fuses into what reads it."""
+    x, y, z = ((query[..., i] - points[..., i]) ** 2 for i in range(3))
+    return x + y + z
 
 
 def _run_minima(query: Array, runs: Array) -> Array:
-    return _squared_distances(query[:, None, None], runs[None]).min(-1)
+    """Least squared distance of each query to each run.
+
+    The minimum is taken member by member, over vectors of runs. A gather lays the
+    members out for it: XLA would fuse a transposition, and read with a stride.
+    """
+    number, length, _ = runs.shape
+    rows = np.arange(number * length).reshape(number, length).T
+    members = runs.reshape(-1, 3)[rows.reshape(-1)].reshape(length, number, 3)
+    distances = [_squared_distances(query[:, None], member) for member in members]
+    return functools.reduce(jnp.minimum, distances)
 
 
 def _nearest_indices(query: Array, support: Array) -> Array:
     runs = _runs(support, _NEAREST_RUN)
-    run = _run_minima(query, runs).argmin(-1)
-    inside = _squared_distances(query[:, None], runs[run]).argmin(-1)
+    run = first_lowest(_run_minima(query, runs))
+    inside = first_lowest(_squared_distances(query[:, None], runs[run]))
     return run * _NEAREST_RUN + inside
 
 

@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from prism_jax.geometry.extrema import first_highest
+
 NEAR_ORIGIN = 1e-3
 """Squared radius inside which the reference's sampling never looks."""
 
@@ -32,21 +34,16 @@ def farthest_point_sample(
 
     def add(carry: tuple[Array, Array], _: None):
         distances, last = carry
-        distances = jnp.minimum(distances, ((points - points[last]) ** 2).sum(-1))
+        x, y, z = (points[:, i] - points[last, i] for i in range(3))
+        distances = jnp.minimum(distances, x**2 + y**2 + z**2)
         return (
             distances,
-            _first_highest(jnp.where(chosen_from, distances, -1.0)),
+            first_highest(jnp.where(chosen_from, distances, -1.0)),
         ), last
 
     # float32 of 1e10, as the reference: any first distance is smaller.
     first = (jnp.full(points.shape[0], 1e10, points.dtype), jnp.int32(start))
     return jax.lax.scan(add, first, None, length=num_samples)[1]
-
-
-def _first_highest(values: Array) -> Array:
-    """`argmax` in two plain reductions, which a CPU vectorises as it does not that."""
-    rows = jnp.arange(values.shape[0], dtype=jnp.int32)
-    return jnp.where(values == values.max(), rows, values.shape[0] - 1).min()
 
 
 def resample(

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import three_point_interpolate
 from prism_jax.models.layers import (
-    Linear,
+    Dense,
     ResidualMLP,
     SplitPoints,
     batch_norm,
@@ -56,9 +56,9 @@ class VectorAttention(nn.Module):
             neighbors,
             train,
         )
-        logits = nn.Dense(self.attention_features, name="attention_1")(logits)
+        logits = Dense(self.attention_features, name="attention_1")(logits)
         attended = attend(logits, values)
-        return nn.Dense(self.features, name="end")(attended) + query_features
+        return Dense(self.features, name="end")(attended) + query_features
 
 
 class UpsamplingAttention(nn.Module):
@@ -87,8 +87,8 @@ class UpsamplingAttention(nn.Module):
         weights = split(jnp.swapaxes(logits, -3, -2))
         values = repeat_in_place(jnp.swapaxes(values, -3, -2), self.times)
         attended = (weights * values).sum(-3)
-        residual = nn.Dense(self.features, name="residual")(features)
-        end = nn.Dense(self.features, name="end")(attended)
+        residual = Dense(self.features, name="residual")(features)
+        end = Dense(self.features, name="end")(attended)
         return end + repeat_in_place(residual, self.times)
 
 
@@ -101,10 +101,10 @@ def _logits_and_values(
     """The hidden attention layer and ``v + delta``; submodules belong to the caller."""
     query_xyz, query_features, support_xyz, support_features = clouds
     width = module.attention_features
-    query = nn.Dense(width, name="query")(query_features)
-    key = nn.Dense(width, name="key")(support_features)
-    value = nn.Dense(width, name="value")(support_features)
-    position = Linear(width, name="position_0")
+    query = Dense(width, name="query")(query_features)
+    key = Dense(width, name="key")(support_features)
+    value = Dense(width, name="value")(support_features)
+    position = Dense(width, name="position_0")
 
     # The first layer of the offset is linear: applied to points, before they are
     # gathered into k times as many pairs. One gather serves all, since its derivative
@@ -115,8 +115,8 @@ def _logits_and_values(
     offset = position(query_xyz)[..., None, :] - offset
     if module.use_norm:
         offset = batch_norm(train, "position_norm")(offset)
-    embedding = nn.Dense(width, name="position_1")(nn.relu(offset))
-    logits = nn.Dense(module.ratio * width, name="attention_0")(
+    embedding = Dense(width, name="position_1")(nn.relu(offset))
+    logits = Dense(module.ratio * width, name="attention_0")(
         query[..., None, :] - key + embedding
     )
     if module.use_norm:

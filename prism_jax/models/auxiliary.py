@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from prism_jax.models.config import AuxiliaryConfig
 from prism_jax.models.depth_encoder import DepthFeatures
 from prism_jax.models.encoder import PointFeatures
-from prism_jax.models.layers import MLP, gather
+from prism_jax.models.layers import MLP, Dense, gather
 
 
 class Tokens(NamedTuple):
@@ -37,16 +37,16 @@ class TokenIntegrator(nn.Module):
         width = self.config.token_features
         init = nn.initializers.normal(1.0)
         queries = self.param("queries", init, (self.config.num_tokens, width))
-        context = nn.Dense(width, name="context")(encoded.global_feature)
+        context = Dense(width, name="context")(encoded.global_feature)
         queries = _normalised(queries + context[..., None, :])
         patches = jnp.concatenate([encoded.patch_xyz, encoded.patch_features], -1)
-        keys = nn.Dense(width, name="key")(patches)
-        values = nn.Dense(width, name="value")(patches)
+        keys = Dense(width, name="key")(patches)
+        values = Dense(width, name="value")(patches)
         logits = jnp.einsum("...md,...nd->...mn", queries, keys) / width**0.5
         attended = jax.nn.softmax(logits, axis=-1) @ values
         tokens = attended + MLP((width, width), name="mlp")(_normalised(attended))
         tokens = _normalised(tokens + context[..., None, :])
-        latent = nn.Dense(width, name="latent")(tokens.mean(-2))
+        latent = Dense(width, name="latent")(tokens.mean(-2))
         return Tokens(tokens, latent)
 
 
@@ -58,8 +58,8 @@ class DepthProjection(nn.Module):
     @nn.compact
     def __call__(self, features: DepthFeatures) -> Float[Array, "... n d"]:
         width = self.config.token_features
-        tokens = nn.Dense(width, name="token")(features.tokens)
-        context = nn.Dense(width, name="context")(features.pooled)
+        tokens = Dense(width, name="token")(features.tokens)
+        context = Dense(width, name="context")(features.pooled)
         return _normalised(tokens + context[..., None, :])
 
 

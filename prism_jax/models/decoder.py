@@ -13,6 +13,7 @@ from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import (
     MLP,
+    Dense,
     ResidualMLP,
     SplitPoints,
     batch_norm,
@@ -113,10 +114,10 @@ class UpsamplingBlock(nn.Module):
 
     def _children(self, x: Array, train: bool) -> tuple[Array, Array]:
         width = self.config.features
-        reduced = nn.Dense(width // 2, name="reduce_0")(x)
+        reduced = Dense(width // 2, name="reduce_0")(x)
         if self.config.use_norm:
             reduced = batch_norm(train)(reduced)
-        reduced = nn.Dense(width // 4, name="reduce_1")(nn.relu(reduced))
+        reduced = Dense(width // 4, name="reduce_1")(nn.relu(reduced))
         child = SplitPoints(width, self.times, use_bias=False, name="split")(reduced)
         child = ResidualMLP(width, width, name="child")(child, x)
         init = nn.initializers.normal(self.config.offset_init)

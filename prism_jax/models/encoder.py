@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.layers import MLP, gather, take
+from prism_jax.models.layers import MLP, Dense, gather, take
 from prism_jax.models.pyramid import (
     Pyramid,
     build_pyramid,
@@ -101,9 +101,9 @@ class PointEncoder(nn.Module):
         xyz_2 = take(xyz_1, indices.rows[1])
         abstract = SetAbstraction(config.patch_features[1], name="abstraction_2")
         patches = abstract(xyz_2, xyz_1, features_1, indices.neighbors[1])
-        reduced = nn.Dense(config.features, name="reduce")(patches)
+        reduced = Dense(config.features, name="reduce")(patches)
         reduced = self._transform(2, xyz_2, reduced, indices, train)
-        patches = nn.Dense(patches.shape[-1], name="expand")(reduced) + patches
+        patches = Dense(patches.shape[-1], name="expand")(reduced) + patches
 
         pointwise = MLP(config.global_features, name="global")(xyz_2, patches)
         global_feature = pointwise.max(-2)

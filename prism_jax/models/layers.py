@@ -32,8 +32,18 @@ def over_batch(fn: Callable[..., Any]) -> Callable[..., Any]:
     return mapped
 
 
-class Linear(nn.Module):
-    """A dense layer that can be applied to the terms of a sum one by one.
+def matmul(x: Float[Array, "... C"], kernel: Float[Array, "C D"]) -> Array:
+    """``x @ kernel`` with the leading axes made one.
+
+    The derivative with respect to the kernel then contracts one axis. Over several,
+    XLA's CPU backend first transposes both operands: twice the time.
+    """
+    rows = x.reshape(-1, x.shape[-1]) @ kernel
+    return rows.reshape(*x.shape[:-1], kernel.shape[-1])
+
+
+class Dense(nn.Module):
+    """A dense layer, which can be applied to the terms of a sum one by one.
 
     Called several times it uses one kernel; ``bias=False`` leaves the bias to another
     of the calls.
@@ -48,7 +58,8 @@ class Linear(nn.Module):
         init = nn.linear.default_kernel_init
         kernel = self.param("kernel", init, (x.shape[-1], self.features))
         added = self.param("bias", nn.initializers.zeros_init(), (self.features,))
-        return x @ kernel + added if bias else x @ kernel
+        product = matmul(x, kernel)
+        return product + added if bias else product
 
 
 class JoinedDense(nn.Module):
@@ -68,7 +79,7 @@ class JoinedDense(nn.Module):
         y = self.param("bias", nn.initializers.zeros_init(), (self.features,))
         start, num_points = 0, parts[0].shape[-2]
         for part in parts:
-            product = part @ kernel[start : start + part.shape[-1]]
+            product = matmul(part, kernel[start : start + part.shape[-1]])
             y = y + repeat_in_place(product, num_points // part.shape[-2])
             start += part.shape[-1]
         return y
@@ -109,7 +120,7 @@ class ResidualMLP(nn.Module):
     @nn.compact
     def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
         y = nn.relu(JoinedDense(self.hidden, name="dense_0")(*parts))
-        y = nn.Dense(self.features, name="dense_1")(y)
+        y = Dense(self.features, name="dense_1")(y)
         return y + JoinedDense(self.features, name="shortcut")(*parts)
 
 
@@ -135,10 +146,23 @@ class SplitPoints(nn.Module):
 
     @nn.compact
     def __call__(self, x: Float[Array, "... N C"]) -> Float[Array, "... M D"]:
-        y = nn.DenseGeneral((self.times, self.features), use_bias=False, name="dense")(
-            x
-        )
+        shape = (x.shape[-1], self.times, self.features)
+        kernel = _Kernel(shape, name="dense")()
+        y = matmul(x, kernel.reshape(x.shape[-1], -1))
+        y = y.reshape(*x.shape[:-2], -1, self.features)
         if self.use_bias:
-            shape = (self.features,)
-            y = y + self.param("bias", nn.initializers.zeros_init(), shape)
-        return y.reshape(*x.shape[:-2], -1, self.features)
+            init = nn.initializers.zeros_init()
+            y = y + self.param("bias", init, (self.features,))
+        return y
+
+
+class _Kernel(nn.Module):
+    """A kernel by itself; all its axes but the first are outputs."""
+
+    shape: tuple[int, ...]
+
+    @nn.compact
+    def __call__(self) -> Array:
+        outputs = tuple(range(1, len(self.shape)))
+        init = nn.initializers.lecun_normal(in_axis=0, out_axis=outputs)
+        return self.param("kernel", init, self.shape)

@@ -9,8 +9,8 @@ from jax.test_util import check_grads
 
 from prism_jax.models.layers import (
     MLP,
+    Dense,
     JoinedDense,
-    Linear,
     ResidualMLP,
     SplitPoints,
     batch_norm,
@@ -71,7 +71,7 @@ def test_over_batch_maps_every_leading_axis():
 
 def test_linear_adds_up_to_a_dense_layer():
     x, y = normal(5, 4), normal(5, 4)
-    module = Linear(3)
+    module = Dense(3)
     variables = randomised(module, x)
     both = module.apply(variables, x) + module.apply(variables, y, bias=False)
     expected = nn.Dense(3).apply(variables, x + y)
