@@ -6,8 +6,9 @@ python -m experiments.make_sample --category=car --index=8
 import pathlib
 
 import numpy as np
-from absl import app, flags
+from absl import flags
 
+from experiments.launch import launch
 from prism_jax.data.corpus import CorpusConfig, shape_seed
 from prism_jax.data.examples import dequantise, make_example
 from prism_jax.data.shapes import CATEGORIES
@@ -37,9 +38,9 @@ def main(argv):
 
 
 def run():
-    """Entry point."""
+    """The entry point."""
     define_flags()
-    app.run(main)
+    launch("make_sample", main)
 
 
 if __name__ == "__main__":

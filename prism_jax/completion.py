@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import Completion, make_adapt
@@ -105,9 +105,10 @@ class Completer:
             exact = points.astype(np.float64)
             workspace = Workspace.from_points(exact, self.config.model.margin)
         center = np.asarray(workspace.center, np.float64)
-        workspace = Workspace(center, np.float64(workspace.half_extent))
+        half_extent = np.asarray(workspace.half_extent, np.float64)
+        workspace = Workspace(center, half_extent)
         upright = _upright(up)
-        unit = workspace.to_unit(points.astype(np.float64)) @ upright.T
+        unit = np.asarray(workspace.to_unit(points.astype(np.float64))) @ upright.T
         inside = (np.abs(unit) <= 1.0).all(axis=-1)
         measured, unit = points[inside], unit[inside]
         check_cloud(measured, "points inside the workspace")
@@ -123,7 +124,7 @@ class Completer:
         return CompletedScan(
             points=together,
             observed=np.arange(len(together)) < len(measured),
-            prediction=workspace.from_unit(prediction @ upright),
+            prediction=np.asarray(workspace.from_unit(prediction @ upright)),
             accepted=bool(completion.accepted),
             losses={
                 name: np.asarray(values, np.float64).tolist()
@@ -165,8 +166,8 @@ def keep_unmeasured(
     """
     cloud = np.asarray(partial)
     distinct = np.unique(cloud, axis=0)
-    apart = cKDTree(distinct).query(distinct, k=2)[0][:, 1]
-    return cKDTree(measured).query(prediction)[0] > spacing * np.median(apart)
+    apart = KDTree(distinct).query(distinct, k=2)[0][:, 1]
+    return KDTree(measured).query(prediction)[0] > spacing * np.median(apart)
 
 
 def _resampled(points: np.ndarray, num_points: int) -> Array:

@@ -24,6 +24,7 @@ from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
 
 SUFFIX = ".safetensors"
+NOT_OURS = "it holds no prism_jax configuration"
 
 
 def available_weights() -> list[str]:
@@ -40,28 +41,32 @@ def load_pretrained(name_or_path: str = "small") -> tuple[AdaptConfig, Variables
     `prism_jax.io.InputError`, a ``ValueError`` of one line.
     """
     path = _locate(name_or_path)
+    metadata, arrays = _read(path)
     try:
-        with safetensors.safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except (OSError, safetensors.SafetensorError) as error:
-        raise InputError(
-            path, f"not readable as weights ({error})", _remedy()
-        ) from None
-    try:
-        config = config_from_dict(json.loads(metadata["config"]))
+        config = config_from_dict(metadata["config"])
     except (KeyError, TypeError, ValueError):
-        raise InputError(
-            path, "it holds no prism_jax configuration", _remedy()
-        ) from None
+        raise InputError(path, NOT_OURS, _remedy()) from None
     return config, _nested(arrays, config, path)
 
 
 def read_metadata(name_or_path: str) -> dict[str, Any]:
     """What is known of released weights: data, seed, commit, samples, scores."""
-    with safetensors.safe_open(_locate(name_or_path), framework="numpy") as file:
-        metadata = file.metadata() or {}
-    return {key: json.loads(text) for key, text in metadata.items()}
+    return _read(_locate(name_or_path))[0]
+
+
+def _read(path: pathlib.Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Metadata and arrays of a file."""
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            text = file.metadata() or {}
+            arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (OSError, safetensors.SafetensorError) as error:
+        fault = f"not readable as weights ({error})"
+        raise InputError(path, fault, _remedy()) from None
+    try:
+        return {key: json.loads(value) for key, value in text.items()}, arrays
+    except ValueError:
+        raise InputError(path, NOT_OURS, _remedy()) from None
 
 
 def save_weights(

@@ -245,7 +245,7 @@ def test_compilations_would_have_been_seen(caplog):
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
-        (np.zeros((0, 3)), "not finite"),
+        (np.zeros((0, 3)), "has no points"),
         (scan(63), "63 distinct points, fewer than 64"),
         (np.repeat(scan(40), 5, axis=0), "40 distinct points, fewer than 64"),
         (np.ones((200, 3)), "extent of zero"),

@@ -98,6 +98,8 @@ def test_a_file_cut_short(file, tmp_path, kept):
     path = tmp_path / "cut.safetensors"
     path.write_bytes(file.read_bytes()[:kept])
     assert "not readable as weights" in fault(str(path))
+    with pytest.raises(InputError, match="not readable as weights"):
+        read_metadata(str(path))
 
 
 def test_a_header_of_nonsense(file, tmp_path):

@@ -74,7 +74,10 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
     They must be finite, with an extent above zero and up to 10 km, and at least 64 of
     them distinct.
     """
-    if len(points) == 0 or not np.isfinite(points).all():
+    if len(points) == 0:
+        remedy = "check the scan, and that --workspace is in its units and frame"
+        raise InputError(subject, "has no points", remedy)
+    if not np.isfinite(points).all():
         raise InputError(subject, "has points that are not finite", "drop them")
     extent = np.ptp(points.astype(np.float64), axis=0).max()
     if extent == 0:

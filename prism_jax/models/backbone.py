@@ -12,7 +12,7 @@ from prism_jax.models.encoder import (
     encoder_indices,
 )
 from prism_jax.models.layers import over_batch
-from prism_jax.models.variables import Variables, part
+from prism_jax.models.variables import Variables, apply, apply_training, part
 
 
 def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
@@ -52,7 +52,7 @@ def encode_points(
 ) -> PointFeatures:
     """The point stream, with BatchNorm statistics as they are."""
     own = part(variables, "point_encoder")
-    return PointEncoder(config).apply(own, partial, indices)
+    return apply(PointEncoder(config), own, partial, indices)
 
 
 def decode(
@@ -62,7 +62,7 @@ def decode(
     encoded: PointFeatures,
 ) -> Decoded:
     """All stages, with BatchNorm statistics as they are."""
-    return Decoder(config).apply(part(variables, "decoder"), partial, encoded)
+    return apply(Decoder(config), part(variables, "decoder"), partial, encoded)
 
 
 def train_backbone(
@@ -72,27 +72,22 @@ def train_backbone(
     num_blocks: int | None = None,
 ) -> tuple[Decoded, Variables]:
     """All stages with statistics of the batch, and the updated running statistics."""
-    encoded, encoder = PointEncoder(config).apply(
+    encoded, encoder = apply_training(
+        PointEncoder(config),
         part(variables, "point_encoder"),
         partial,
         partial_indices(partial, config),
-        train=True,
-        mutable=["batch_stats"],
     )
-    decoded, decoder = Decoder(config).apply(
+    decoded, decoder = apply_training(
+        Decoder(config),
         part(variables, "decoder"),
         partial,
         encoded,
-        train=True,
         num_blocks=num_blocks,
-        mutable=["batch_stats"],
     )
     statistics = {
         **variables["batch_stats"],
-        "point_encoder": encoder.get("batch_stats", {}),
-        "decoder": {
-            **variables["batch_stats"]["decoder"],
-            **decoder.get("batch_stats", {}),
-        },
+        "point_encoder": encoder,
+        "decoder": {**variables["batch_stats"]["decoder"], **decoder},
     }
     return decoded, statistics

@@ -1,5 +1,7 @@
 """Fresh variables of the whole model."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
@@ -31,7 +33,7 @@ def init_auxiliary(
     """A backbone's variables with fresh ones for all that reads it."""
     sizes = config.auxiliary
 
-    def init(key: PRNGKeyArray, backbone: Variables) -> dict[str, Variables]:
+    def init(key: PRNGKeyArray, backbone: Variables) -> dict[str, Any]:
         keys = jax.random.split(key, 7)
         shape = (config.backbone.num_points, 3)
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)

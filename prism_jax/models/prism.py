@@ -1,7 +1,8 @@
 """PRISM's two streams and branches as functions of one frame."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
@@ -22,7 +23,7 @@ from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
 from prism_jax.models.refiner import Refiner
-from prism_jax.models.variables import Variables, part
+from prism_jax.models.variables import Variables, apply, part
 
 
 class Frame(NamedTuple):
@@ -102,9 +103,8 @@ def predict(variables: Variables, frame: Frame, config: ModelConfig) -> Predicti
     encoded = encode_points(variables, config.backbone, frame.partial, frame.indices)
     decoded = decode(variables, config.backbone, frame.partial, encoded)
     refiner = Refiner(config.auxiliary)
-    points = refiner.apply(
-        part(variables, "refiner"), decoded.stages[-1], decoded.features
-    )
+    own = part(variables, "refiner")
+    points = apply(refiner, own, decoded.stages[-1], decoded.features)
     return Prediction(points, decoded.stages, decoded.features, encoded)
 
 
@@ -114,7 +114,7 @@ def read_depth(
     """The depth stream, with BatchNorm statistics as they are."""
     encoder = DepthEncoder(config.auxiliary)
     own = part(variables, "depth_encoder")
-    return encoder.apply(own, frame.depth, frame.depth_mask)
+    return apply(encoder, own, frame.depth, frame.depth_mask)
 
 
 def branches(
@@ -126,23 +126,15 @@ def branches(
 ) -> Branches:
     """The auxiliary branches of a prediction."""
     sizes = config.auxiliary
-    integrated: Tokens = TokenIntegrator(sizes).apply(
-        part(variables, "auxiliary", "integrator"), prediction.encoded
-    )
+
+    def read(module: nn.Module, name: str, *inputs: Any) -> Any:
+        return apply(module, part(variables, "auxiliary", name), *inputs)
+
+    integrated: Tokens = read(TokenIntegrator(sizes), "integrator", prediction.encoded)
+    perturbed = (frame.perturbed, frame.perturbed_neighbors)
     return Branches(
-        NormalHead(sizes).apply(
-            part(variables, "auxiliary", "normal"),
-            prediction.points,
-            prediction.features,
-        ),
-        Denoiser(sizes).apply(
-            part(variables, "auxiliary", "denoiser"),
-            frame.perturbed,
-            frame.perturbed_neighbors,
-            integrated.latent,
-        ),
+        read(NormalHead(sizes), "normal", prediction.points, prediction.features),
+        read(Denoiser(sizes), "denoiser", *perturbed, integrated.latent),
         integrated.tokens,
-        DepthProjection(sizes).apply(
-            part(variables, "auxiliary", "projection"), depth_features
-        ),
+        read(DepthProjection(sizes), "projection", depth_features),
     )

@@ -7,6 +7,8 @@ scales}}``: the last holds the learned eta of Eq. 11 and the losses' own scales.
 
 from typing import Any
 
+import flax.linen as nn
+
 Variables = dict[str, Any]
 
 ENCODERS = ("point_encoder", "depth_encoder")
@@ -26,8 +28,29 @@ def put_encoders(encoders: Variables, rest: Variables) -> Variables:
     return {**rest, "params": {**rest["params"], **encoders}}
 
 
+def apply(module: nn.Module, variables: Variables, *inputs: Any) -> Any:
+    """What a module makes of its own variables, with BatchNorm statistics as they are.
+
+    Touching the statistics raises, as they are not mutable here.
+    """
+    return module.apply(variables, *inputs)
+
+
+def apply_training(
+    module: nn.Module, variables: Variables, *inputs: Any, **settings: Any
+) -> tuple[Any, Variables]:
+    """What a module makes of its inputs with statistics of the batch, and the updated
+    running statistics."""
+    mutable = ["batch_stats"]
+    made: Any = module.apply(
+        variables, *inputs, train=True, mutable=mutable, **settings
+    )
+    output, updated = made
+    return output, updated.get("batch_stats", {})
+
+
 def part(variables: Variables, *path: str) -> Variables:
-    """One module's own variables, to be given to its ``apply``."""
+    """One module's own variables, to be given to `apply`."""
     own = {}
     for collection in ("params", "batch_stats"):
         tree = variables[collection]

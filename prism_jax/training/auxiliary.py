@@ -26,7 +26,7 @@ from prism_jax.models.prism import (
     prepare_frame,
     read_depth,
 )
-from prism_jax.models.variables import Variables, part
+from prism_jax.models.variables import Variables, apply_training, part
 from prism_jax.training.batches import Batch
 from prism_jax.training.config import PretrainConfig
 from prism_jax.training.leg import Leg, TrainState
@@ -65,15 +65,14 @@ def _step(adapt: AdaptConfig, optimiser, key: PRNGKeyArray):
     def loss_fn(trained, variables, batch, key):
         variables = {**variables, "params": {**variables["params"], **trained}}
         frames = _frames(batch, key, adapt)
-        depth_features, updated = DepthEncoder(adapt.model.auxiliary).apply(
+        depth_features, statistics = apply_training(
+            DepthEncoder(adapt.model.auxiliary),
             part(variables, "depth_encoder"),
             frames.depth,
             frames.depth_mask,
-            train=True,
-            mutable=["batch_stats"],
         )
         terms, measured, _ = _terms(variables, frames, depth_features, batch, adapt)
-        return terms.sum(), (terms, measured.mean(0), updated["batch_stats"])
+        return terms.sum(), (terms, measured.mean(0), statistics)
 
     @jax.jit
     def step(state: TrainState, batch: Batch):
@@ -84,9 +83,10 @@ def _step(adapt: AdaptConfig, optimiser, key: PRNGKeyArray):
             trained, variables, batch, jax.random.fold_in(key, state.step)
         )
         updates, opt_state = optimiser.update(grads, state.opt_state, trained)
+        moved: Variables = optax.apply_updates(trained, updates)  # pyright: ignore
         scales = update_scale(weighting["scales"], measured)
         variables = {
-            "params": {**params, **optax.apply_updates(trained, updates)},
+            "params": {**params, **moved},
             "batch_stats": {**variables["batch_stats"], "depth_encoder": statistics},
             "weighting": {**weighting, "scales": scales},
         }
@@ -131,12 +131,15 @@ def _terms(
 ) -> tuple[Float[Array, "4"], Float[Array, "B 3"], Prediction]:
     """Losses of refiner, normals, denoising and alignment; L_aux frame by frame.
 
-    In training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6).
+    Eq. 3 looks at the pixels where the refiner could make the two depths one. In
+    training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6).
     """
+
+    reach = adapt.model.auxiliary.max_offset
 
     def one(frame: Frame, features: DepthFeatures, complete: Array):
         prediction = predict(variables, frame, adapt.model)
-        refined = depth_supervised(prediction.points, complete, frame.view)
+        refined = depth_supervised(prediction.points, complete, frame.view, reach)
         fixed = prediction._replace(points=jax.lax.stop_gradient(prediction.points))
         seen = branches(variables, frame, fixed, features, adapt.model)
         seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))

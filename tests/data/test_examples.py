@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from prism_jax.data.examples import QUANTUM, dequantise, make_example, quantise
 from prism_jax.data.shapes import make_shape
@@ -20,14 +20,14 @@ def test_complete_cloud_fills_the_oracle_frame(example):
 
 def test_partial_lies_on_the_complete_surface(example):
     partial, complete, _ = example
-    gaps, _ = cKDTree(dequantise(complete)).query(dequantise(partial))
+    gaps, _ = KDTree(dequantise(complete)).query(dequantise(partial))
     assert gaps.max() < 0.06
     assert partial.shape == (2048, 3)
 
 
 def test_partial_sees_one_side_and_the_viewpoint_is_outside(example):
     partial, complete, viewpoint = example
-    gaps, _ = cKDTree(dequantise(partial)).query(dequantise(complete))
+    gaps, _ = KDTree(dequantise(partial)).query(dequantise(complete))
     assert 0.2 < np.mean(gaps > 0.1) < 0.9
     assert 2.5 <= np.linalg.norm(viewpoint) <= 4.0
 

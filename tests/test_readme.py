@@ -1,0 +1,63 @@
+"""The README's Python examples, run as they stand with a smaller network."""
+
+import pathlib
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from prism_jax.weights import save_weights
+
+README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
+EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+GIVEN = """
+import numpy as np
+points = np.load("scan.npy")
+sensor_position = np.array([0.0, 0.0, 0.0], np.float32)
+"""
+SHOWN = """
+np.save("metres.npy", metres)
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, minimal, minimal_variables):
+    folder = tmp_path_factory.mktemp("readme")
+    save_weights(folder / "weights.safetensors", minimal.adapt, minimal_variables, {})
+    scan = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], (300, 3))
+    np.save(folder / "scan.npy", scan.astype(np.float32))
+    return folder
+
+
+def run(folder, code: str) -> str:
+    code = code.replace('"small"', '"weights.safetensors"')
+    # A fresh process, as a user's: shapes are not checked there as under pytest.
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def test_there_are_two():
+    assert len(EXAMPLES) == 2
+    assert all('"small"' in code for code in EXAMPLES)
+
+
+def test_a_plain_script(folder):
+    assert "run" in run(folder, EXAMPLES[0])
+    completed, scan = np.load(folder / "completed.npy"), np.load(folder / "scan.npy")
+    np.testing.assert_array_equal(completed[: len(scan)], scan)
+
+
+def test_inside_ones_own_jax_code(folder, minimal):
+    run(folder, GIVEN + EXAMPLES[1] + SHOWN)
+    metres, scan = np.load(folder / "metres.npy"), np.load(folder / "scan.npy")
+    assert metres.shape == (minimal.model.backbone.stage_sizes[-1], 3)
+    assert np.isfinite(metres).all()
+    # The unit cube is the box of the scan, its longest side times the margin.
+    half = 0.5 * minimal.model.margin * np.ptp(scan, axis=0).max()
+    middle = 0.5 * (scan.min(0) + scan.max(0))
+    assert (np.abs(metres - middle) <= half * (1 + 1e-5)).all()
