@@ -13,6 +13,7 @@ from typing import Any
 
 from absl import app, flags, logging
 
+from experiments.launch import keep_compiled
 from prism_jax import completion_job
 from prism_jax.completion_job import CompletionJob
 from prism_jax.io import InputError
@@ -112,6 +113,7 @@ def parse_flags(argv: Sequence[str]) -> list[str]:
 def run() -> None:
     """The entry point of `prism-complete`."""
     define_flags()
+    keep_compiled()
     logging.set_verbosity(logging.WARNING)
     app.run(main, flags_parser=parse_flags)
 

@@ -9,7 +9,7 @@ from experiments.launch import launch, with_large_pages
 from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
 from prism_jax.presets import Preset, resolve
 from prism_jax.training.leg import Source
-from prism_jax.training.run import commit, open_run
+from prism_jax.training.run import open_run, started_from
 from prism_jax.training.stages import pretrain
 from prism_jax.weights import save_weights
 
@@ -41,7 +41,7 @@ def main(argv):
     about = {
         "preset": FLAGS.preset,
         "seed": FLAGS.seed,
-        "commit": commit(),
+        "commit": started_from(folder),
         "data": "procedural corpus, train split",
         "samples": sum(leg.num_samples for leg in preset.pretrain.backbone),
     }

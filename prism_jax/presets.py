@@ -111,7 +111,7 @@ PRESETS = {
     ),
     "small": Preset(
         AdaptConfig(ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32)),
-        PretrainConfig(_legs(96_000, 256_000), auxiliary_samples=24_000),
+        PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000),
     ),
     "paper": Preset(
         AdaptConfig(ModelConfig(_PAPER)),

@@ -29,12 +29,12 @@ from prism_jax.data.examples import (
 from prism_jax.data.shapes import CATEGORIES
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import default_cache_dir
 
 SPLITS = ("train", "validation", "test")
 GENERATOR_VERSION = 1
 """Raised with every change of shapes or partials, so that old caches are left alone."""
 
-CACHE_VARIABLE = "PRISM_JAX_CACHE"
 _ARRAYS = ("partial", "complete", "viewpoint", "category")
 
 
@@ -94,14 +94,6 @@ def shape_seed(config: CorpusConfig, split: str, index: int) -> int:
     """Seed of an example, distinct for every (corpus seed, split, index < 2**32)."""
     block = config.seed * len(SPLITS) + SPLITS.index(_checked(split))
     return (block << 32) + index
-
-
-def default_cache_dir() -> pathlib.Path:
-    """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache."""
-    if CACHE_VARIABLE in os.environ:
-        return pathlib.Path(os.environ[CACHE_VARIABLE])
-    root = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
-    return pathlib.Path(root) / "prism_jax"
 
 
 def split_dir(

@@ -1,10 +1,12 @@
-"""Bytes of a user's file, or an InputError."""
+"""Bytes of a user's file, or an InputError; the folder of what can be made again."""
 
 import os
 import pathlib
 import stat
 
 from prism_jax.io.errors import InputError
+
+CACHE_VARIABLE = "PRISM_JAX_CACHE"
 
 MAX_FILE_BYTES = 2**30
 """Larger files are refused: some 40 million points are a survey, not one scan."""
@@ -39,3 +41,11 @@ def read_bytes(path: str | os.PathLike) -> bytes:
     if not data:
         raise InputError(path, "is empty", "write the file again at its source")
     return data
+
+
+def default_cache_dir() -> pathlib.Path:
+    """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache."""
+    if CACHE_VARIABLE in os.environ:
+        return pathlib.Path(os.environ[CACHE_VARIABLE])
+    root = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
+    return pathlib.Path(root) / "prism_jax"

@@ -14,17 +14,15 @@ def depth_supervised(
     predicted: Float[Array, "N 3"],
     complete: Float[Array, "M 3"],
     camera: Camera,
-    max_gap: float | None = None,
 ) -> Float[Array, ""]:
     """Eq. 3: mean depth error against the rendered ground-truth complete cloud.
 
     Points and camera share one frame; the result is in its unit of length.
-    `max_gap` is explained in `depth_error`.
     Gradients reach the front-most points of `predicted` only; the caller keeps
     them to the refiner's parameters. No shared pixel gives zero, with zero
     gradients.
     """
-    return depth_error(predicted, *render_depth(complete, camera), camera, max_gap)
+    return depth_error(predicted, *render_depth(complete, camera), camera)
 
 
 def depth_consistency(
@@ -44,22 +42,15 @@ def depth_error(
     reference_depth: Float[Array, "H W"],
     reference_mask: Bool[Array, "H W"],
     camera: Camera,
-    max_gap: float | None = None,
 ) -> Float[Array, ""]:
     """Mean |D_pred - D_ref| over the pixels valid in both, the body of Eq. 3 and 4.
 
     For a reference that is rendered once and used many times, or that a sensor
     measured. What stands in `reference_depth` outside its mask has no influence,
     NaN included. No gradient reaches the reference.
-
-    Sparse points leave holes through which another surface shows. With `max_gap`,
-    pixels whose two depths are farther apart than that are left out, as none that
-    shows one surface twice.
     """
     depth, mask = render_depth(predicted, camera)
     shared = mask & reference_mask
-    if max_gap is not None:
-        shared &= jnp.abs(depth - reference_depth) <= max_gap
     reference = jnp.where(shared, jax.lax.stop_gradient(reference_depth), 0.0)
     error = jnp.abs(jnp.where(shared, depth, 0.0) - reference)
     return jnp.sum(error) / (jnp.sum(shared) + EPSILON)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from prism_jax.models.config import AuxiliaryConfig
-from prism_jax.models.layers import batch_norm
+from prism_jax.models.layers import Conv, batch_norm
 
 
 class DepthFeatures(NamedTuple):
@@ -36,7 +36,7 @@ class DepthEncoder(nn.Module):
         seen = jnp.where(mask, depth, 0.0)
         x = jnp.stack([seen, mask.astype(seen.dtype)], axis=-1)
         first = self.config.depth_features[0]
-        x = nn.Conv(first, (7, 7), strides=2, use_bias=False, name="stem")(x)
+        x = Conv(first, 7, 2, name="stem")(x)
         x = nn.relu(batch_norm(train)(x))
         x = nn.max_pool(x, (3, 3), strides=(2, 2), padding="SAME")
         for stage, features in enumerate(self.config.depth_features):
@@ -58,14 +58,14 @@ class ResidualBlock(nn.Module):
     def __call__(
         self, x: Float[Array, "... H W C"], train: bool
     ) -> Float[Array, "... H2 W2 D"]:
-        y = self._convolve(x, (3, 3), self.strides, "conv_0", train)
-        y = self._convolve(nn.relu(y), (3, 3), 1, "conv_1", train)
+        y = self._convolve(x, 3, self.strides, "conv_0", train)
+        y = self._convolve(nn.relu(y), 3, 1, "conv_1", train)
         if x.shape != y.shape:
-            x = self._convolve(x, (1, 1), self.strides, "shortcut", train)
+            x = self._convolve(x, 1, self.strides, "shortcut", train)
         return nn.relu(x + y)
 
     def _convolve(
-        self, x: Array, size: tuple[int, int], strides: int, name: str, train: bool
+        self, x: Array, size: int, strides: int, name: str, train: bool
     ) -> Array:
-        x = nn.Conv(self.features, size, strides, use_bias=False, name=name)(x)
+        x = Conv(self.features, size, strides, name=name)(x)
         return batch_norm(train, f"{name}_norm")(x)

@@ -124,6 +124,41 @@ class ResidualMLP(nn.Module):
         return y + JoinedDense(self.features, name="shortcut")(*parts)
 
 
+class Conv(nn.Module):
+    """A two-dimensional convolution with "SAME" padding and without a bias.
+
+    `flax.linen.Conv` as a matrix product over the pixels of each window: on a CPU the
+    derivatives of XLA's own convolutions take several times as long, and frames that
+    have a kernel each, as in adaptation, make it a grouped convolution.
+    """
+
+    features: int
+    size: int
+    strides: int = 1
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "... H W C"]) -> Float[Array, "... H2 W2 D"]:
+        shape = (self.size, self.size, x.shape[-1], self.features)
+        kernel = self.param("kernel", nn.linear.default_kernel_init, shape)
+        windows = _windows(x, self.size, self.strides)
+        return matmul(windows, kernel.reshape(-1, self.features))
+
+
+def _windows(x: Float[Array, "... H W C"], size: int, strides: int) -> Array:
+    """Each window's pixels, row by row, joined in the channels."""
+    padding = jax.lax.padtype_to_pads(
+        x.shape[-3:-1], (size, size), (strides, strides), "SAME"
+    )
+    x = jnp.pad(x, [*[(0, 0)] * (x.ndim - 3), *padding, (0, 0)])
+    height, width = (n - size + 1 for n in x.shape[-3:-1])
+    shifted = [
+        x[..., row : row + height : strides, column : column + width : strides, :]
+        for row in range(size)
+        for column in range(size)
+    ]
+    return jnp.concatenate(shifted, axis=-1)
+
+
 def batch_norm(train: bool, name: str = "norm") -> nn.BatchNorm:
     """PyTorch's BatchNorm: momentum 0.1 there is 0.9 here."""
     return nn.BatchNorm(

@@ -131,15 +131,12 @@ def _terms(
 ) -> tuple[Float[Array, "4"], Float[Array, "B 3"], Prediction]:
     """Losses of refiner, normals, denoising and alignment; L_aux frame by frame.
 
-    Eq. 3 looks at the pixels where the refiner could make the two depths one. In
-    training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6).
+    In training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6).
     """
-
-    reach = adapt.model.auxiliary.max_offset
 
     def one(frame: Frame, features: DepthFeatures, complete: Array):
         prediction = predict(variables, frame, adapt.model)
-        refined = depth_supervised(prediction.points, complete, frame.view, reach)
+        refined = depth_supervised(prediction.points, complete, frame.view)
         fixed = prediction._replace(points=jax.lax.stop_gradient(prediction.points))
         seen = branches(variables, frame, fixed, features, adapt.model)
         seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))

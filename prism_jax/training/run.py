@@ -37,6 +37,11 @@ def open_run(workdir: str, config: Any, seed: int, resume: bool) -> pathlib.Path
     return folder
 
 
+def started_from(folder: pathlib.Path) -> str | None:
+    """The commit that a run was started from."""
+    return json.loads((folder / "config.json").read_text())["commit"]
+
+
 def commit() -> str | None:
     """The commit of the working copy that this package runs from, if it is one."""
     try:

@@ -10,7 +10,6 @@ from prism_jax.data.corpus import (
     SPLITS,
     CorpusConfig,
     build_corpus,
-    default_cache_dir,
     load_corpus,
     shape_seed,
     split_dir,
@@ -168,14 +167,3 @@ def test_every_setting_that_changes_content_changes_the_folder(small_config):
     }
     folders.add(split_dir("train", small_config, "."))
     assert len(folders) == len(changes) + 1
-
-
-def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.delenv("PRISM_JAX_CACHE", raising=False)
-    assert default_cache_dir() == tmp_path / "prism_jax"
-    monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path / "own"))
-    assert default_cache_dir() == tmp_path / "own"
-    monkeypatch.delenv("PRISM_JAX_CACHE")
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    assert default_cache_dir().parts[-2:] == (".cache", "prism_jax")

@@ -51,3 +51,14 @@ def test_file_too_large_is_refused_before_it_is_read(tmp_path):
         file.truncate(files.MAX_FILE_BYTES + 1)
     with pytest.raises(InputError, match="holds"):
         files.read_bytes(tmp_path / "a")
+
+
+def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("PRISM_JAX_CACHE", raising=False)
+    assert files.default_cache_dir() == tmp_path / "prism_jax"
+    monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path / "own"))
+    assert files.default_cache_dir() == tmp_path / "own"
+    monkeypatch.delenv("PRISM_JAX_CACHE")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert files.default_cache_dir().parts[-2:] == (".cache", "prism_jax")

@@ -9,6 +9,7 @@ from jax.test_util import check_grads
 
 from prism_jax.models.layers import (
     MLP,
+    Conv,
     Dense,
     JoinedDense,
     ResidualMLP,
@@ -240,3 +241,27 @@ def test_gradients_of_splitting():
         return jnp.sin(module.apply(variables, x)).sum()
 
     check_grads(total, (variables, x), order=2, modes=["rev"], eps=1e-6)
+
+
+@pytest.mark.parametrize(("size", "strides"), [(1, 1), (1, 2), (3, 1), (3, 2), (7, 2)])
+@pytest.mark.parametrize("pixels", [(8, 8), (9, 6)])
+def test_conv_is_flax_conv(size, strides, pixels):
+    x = normal(2, *pixels, 3)
+    module = Conv(4, size, strides)
+    oracle = nn.Conv(4, (size, size), strides, use_bias=False)
+    variables = module.init(jax.random.key(0), x)
+    expected = oracle.init(jax.random.key(0), x)
+    np.testing.assert_array_equal(
+        variables["params"]["kernel"], expected["params"]["kernel"]
+    )
+
+    def both(apply):
+        return jax.jit(
+            jax.value_and_grad(lambda v, x: (apply(v, x) ** 3).sum(), argnums=(0, 1))
+        )(variables, x)
+
+    leaves = map(jax.tree.leaves, (both(module.apply), both(oracle.apply)))
+    for a, b in zip(*leaves, strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-5, atol=2e-5)
+    mapped = jax.vmap(lambda x: module.apply(variables, x))(x)
+    np.testing.assert_allclose(mapped, oracle.apply(variables, x), atol=1e-5)

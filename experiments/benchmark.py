@@ -1,0 +1,72 @@
+"""Times against named peers: operations, adaptation, training, start-up.
+
+python -m experiments.benchmark --suite=ops|adapt|training|startup --output=FILE.json
+"""
+
+import dataclasses
+import importlib
+import json
+import pathlib
+
+from absl import flags
+
+from experiments.benchmarks.measure import Row
+from experiments.launch import launch, with_large_pages
+from prism_jax.io.atomic import write_bytes
+
+FLAGS = flags.FLAGS
+SUITES = ("ops", "adapt", "training", "startup")
+HEADER = (
+    "| what | ours | peer | its | ratio | target | holds | compile s | MiB |\n"
+    "| --- | --- | --- | --- | --- | --- | --- | --- | --- |"
+)
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_enum("suite", "ops", SUITES, "What is measured.")
+    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+
+
+def main(argv):
+    """Prints each row when it is measured; the machine should be otherwise idle."""
+    del argv
+    rows, lines = [], [HEADER]
+    print(HEADER, flush=True)
+    suite = importlib.import_module(f"experiments.benchmarks.{FLAGS.suite}").suite
+    for row in suite():
+        rows.append(dataclasses.asdict(row))
+        lines.append(markdown(row))
+        print(lines[-1], flush=True)
+    if FLAGS.output is not None:
+        path = pathlib.Path(FLAGS.output)
+        write_bytes(path, json.dumps(rows, indent=1).encode())
+        write_bytes(path.with_suffix(".md"), ("\n".join(lines) + "\n").encode())
+
+
+def markdown(row: Row) -> str:
+    """A row of the table."""
+    low, high = row.spread
+    cells = [
+        row.name,
+        f"{row.ours:.4g} {row.unit} ({low:.4g} to {high:.4g})",
+        row.peer,
+        f"{row.theirs:.4g} {row.unit}",
+        f"{row.ratio:.3g}",
+        "" if row.target is None else f"{row.target:g}",
+        "" if row.holds is None else "yes" if row.holds else "no",
+        "" if row.compile_seconds is None else f"{row.compile_seconds:.2g}",
+        "" if row.peak_mib is None else f"{row.peak_mib:.3g}",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def run():
+    """The entry point."""
+    with_large_pages()
+    define_flags()
+    launch("benchmark", main)
+
+
+if __name__ == "__main__":
+    run()
