@@ -12,7 +12,7 @@ LAYERS = (
     "experiments",
     "prism_jax",
     "prism_jax.completion_job prism_jax.evaluation",
-    "prism_jax.completion",
+    "prism_jax.completion prism_jax.export",
     "prism_jax.weights",
     "prism_jax.report",
     "prism_jax.figures",

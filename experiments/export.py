@@ -1,0 +1,44 @@
+"""Writes the adaptation function of released weights as one file, ahead of time.
+
+python -m experiments.export --weights=small --batch_size=1 --output=adapt.jaxexport
+
+experiments/run_exported.py runs it, and needs only JAX and the file.
+"""
+
+from absl import flags
+
+from experiments.launch import launch
+from prism_jax.export import PLATFORMS, export_adapt
+from prism_jax.io.atomic import write_bytes
+from prism_jax.weights import load_pretrained
+
+FLAGS = flags.FLAGS
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
+    flags.DEFINE_integer("batch_size", 1, "Frames a call.", lower_bound=1)
+    flags.DEFINE_list("platforms", list(PLATFORMS), "Where it is to run.")
+    flags.DEFINE_string("output", "adapt.jaxexport", "File to write.")
+
+
+def main(argv):
+    """Traces, lowers for every platform, writes."""
+    del argv
+    config, variables = load_pretrained(FLAGS.weights)
+    data = export_adapt(config, variables, FLAGS.batch_size, FLAGS.platforms)
+    write_bytes(FLAGS.output, data)
+    count = config.model.backbone.num_points
+    print(f"written {FLAGS.output}, {len(data) / 1e6:.1f} MB")
+    print(f"it takes scans ({FLAGS.batch_size}, {count}, 3) and sensors' positions")
+
+
+def run():
+    """The entry point."""
+    define_flags()
+    launch("export", main)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,55 @@
+"""The adaptation function as one file that needs nothing but JAX to run."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.export
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.test_time import make_adapt
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.models.variables import Variables
+
+PLATFORMS = ("cpu", "cuda")
+
+
+def export_adapt(
+    config: AdaptConfig,
+    variables: Variables,
+    batch_size: int = 1,
+    platforms: Sequence[str] = PLATFORMS,
+) -> bytes:
+    """Test-time adaptation, weights included, as portable StableHLO (`jax.export`).
+
+    `jax.export.deserialize` gives it back: its ``call`` takes scans ``(B, N, 3)`` of
+    exactly ``config.model.backbone.num_points`` points, and the sensors' positions
+    ``(B, 3)``, float32, in any unit of length and any upright frame (z up), and returns
+
+    - ``points`` ``(B, M, 3)``, the network's completion in that unit and frame;
+    - ``accepted`` ``(B,)``, whether the adapted completion is the one returned;
+    - ``objective`` ``(B, K + 1)``, L_TTA of Eq. 13 before each step and after the last.
+
+    The workspace is taken from each scan. Precision is float32's: move a scan that is
+    far from its frame's origin there first.
+    """
+    adapt = make_adapt(config)
+
+    def complete(scan: Float[Array, "N 3"], sensor: Float[Array, "3"]):
+        workspace = Workspace.from_points(scan, config.model.margin)
+        partial = jnp.asarray(workspace.to_unit(scan))
+        camera = Camera.framing(partial, jnp.asarray(workspace.to_unit(sensor)))
+        completion = adapt(variables, partial, camera)
+        return {
+            "points": workspace.from_unit(completion.points),
+            "accepted": completion.accepted,
+            "objective": completion.losses.objective,
+        }
+
+    num_points = config.model.backbone.num_points
+    scans = jax.ShapeDtypeStruct((batch_size, num_points, 3), jnp.float32)
+    sensors = jax.ShapeDtypeStruct((batch_size, 3), jnp.float32)
+    export = jax.export.export(jax.jit(jax.vmap(complete)), platforms=platforms)
+    return bytes(export(scans, sensors).serialize())
