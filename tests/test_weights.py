@@ -1,6 +1,7 @@
 """Weights on disk."""
 
 import dataclasses
+import importlib.resources
 import json
 import pickle
 
@@ -83,8 +84,15 @@ def test_names_of_what_ships():
     names = available_weights()
     assert names == sorted(names)
     for name in names:
-        config, _ = load_pretrained(name)
+        config, variables = load_pretrained(name)
         assert config.model.backbone.stage_sizes[-1] >= 2048
+        # Given as a file, the same weights are compared with their configuration.
+        file = importlib.resources.files("prism_jax") / "assets" / f"{name}.safetensors"
+        _, checked = load_pretrained(str(file))
+        assert jax.tree.structure(variables) == jax.tree.structure(checked)
+        for a, b in zip(*map(jax.tree.leaves, (variables, checked)), strict=True):
+            assert a.dtype == b.dtype
+            np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("name", ["no_such_weights", "/no/such/file.safetensors", "."])

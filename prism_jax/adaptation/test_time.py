@@ -63,6 +63,8 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
         )
         encoders, rest = pop_encoders(variables)
 
+        # Compiled, so that it is traced once for the steps and for what follows them.
+        @jax.jit
         def loss_fn(moving: Variables):
             losses, prediction = test_time_objective(
                 put_encoders(_allowed(moving, encoders, config), rest), frame, config

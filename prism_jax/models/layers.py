@@ -17,6 +17,12 @@ take = jnp.vectorize(lambda features, i: features[i], signature="(n,c),(m)->(m,c
 """Rows of ``(..., N, C)`` features at ``(..., M)`` indices."""
 
 
+# Whenever a parameter is read, Flax traces its initialiser to compare shapes. These are
+# traced once for each shape: a quarter of what tracing an adaptation took.
+kernel_init = jax.jit(nn.linear.default_kernel_init, static_argnums=1)
+bias_init = jax.jit(nn.initializers.zeros_init(), static_argnums=1)
+
+
 def over_batch(fn: Callable[..., Any]) -> Callable[..., Any]:
     """A function of single clouds, mapped over all leading axes of its arguments.
 
@@ -55,9 +61,8 @@ class Dense(nn.Module):
     def __call__(
         self, x: Float[Array, "... C"], bias: bool = True
     ) -> Float[Array, "... D"]:
-        init = nn.linear.default_kernel_init
-        kernel = self.param("kernel", init, (x.shape[-1], self.features))
-        added = self.param("bias", nn.initializers.zeros_init(), (self.features,))
+        kernel = self.param("kernel", kernel_init, (x.shape[-1], self.features))
+        added = self.param("bias", bias_init, (self.features,))
         product = matmul(x, kernel)
         return product + added if bias else product
 
@@ -70,13 +75,13 @@ class JoinedDense(nn.Module):
     """
 
     features: int
-    kernel_init: nn.initializers.Initializer = nn.linear.default_kernel_init
+    kernel_init: nn.initializers.Initializer = kernel_init
 
     @nn.compact
     def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
         width = sum(part.shape[-1] for part in parts)
         kernel = self.param("kernel", self.kernel_init, (width, self.features))
-        y = self.param("bias", nn.initializers.zeros_init(), (self.features,))
+        y = self.param("bias", bias_init, (self.features,))
         start, num_points = 0, parts[0].shape[-2]
         for part in parts:
             product = matmul(part, kernel[start : start + part.shape[-1]])
@@ -94,13 +99,13 @@ class MLP(nn.Module):
     """
 
     features: Sequence[int]
-    final_init: nn.initializers.Initializer = nn.linear.default_kernel_init
+    final_init: nn.initializers.Initializer = kernel_init
 
     @nn.compact
     def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
         last = len(self.features) - 1
         for i, width in enumerate(self.features):
-            init = self.final_init if i == last else nn.linear.default_kernel_init
+            init = self.final_init if i == last else kernel_init
             x = JoinedDense(width, kernel_init=init, name=f"dense_{i}")(*parts)
             if i == last:
                 return x
@@ -139,7 +144,7 @@ class Conv(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "... H W C"]) -> Float[Array, "... H2 W2 D"]:
         shape = (self.size, self.size, x.shape[-1], self.features)
-        kernel = self.param("kernel", nn.linear.default_kernel_init, shape)
+        kernel = self.param("kernel", kernel_init, shape)
         windows = _windows(x, self.size, self.strides)
         return matmul(windows, kernel.reshape(-1, self.features))
 
@@ -186,8 +191,7 @@ class SplitPoints(nn.Module):
         y = matmul(x, kernel.reshape(x.shape[-1], -1))
         y = y.reshape(*x.shape[:-2], -1, self.features)
         if self.use_bias:
-            init = nn.initializers.zeros_init()
-            y = y + self.param("bias", init, (self.features,))
+            y = y + self.param("bias", bias_init, (self.features,))
         return y
 
 
