@@ -15,7 +15,8 @@ import numpy as np
 
 function, scans, output = sys.argv[1:]
 exported = jax.export.deserialize(bytearray(pathlib.Path(function).read_bytes()))
-points = np.load(scans).astype(np.float32).reshape(exported.in_avals[0].shape)
+points = np.load(scans, allow_pickle=False).astype(np.float32)
+points = points.reshape(exported.in_avals[0].shape)
 sensors = np.zeros(exported.in_avals[1].shape, np.float32)
 completed = jax.jit(exported.call)(points, sensors)
 np.save(output, completed["points"])

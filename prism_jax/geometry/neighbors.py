@@ -6,7 +6,7 @@ of clouds and passed on; only coordinates and features carry derivatives.
 The searches are exact and brute force, in two levels: the minimum over short runs of
 the support is fused and vectorised, and only the runs that can hold a
 neighbour are looked at point by point. Differences of coordinates are taken directly,
-since ``|x|^2 + |y|^2 - 2xy`` cancels for close points.
+since ``|x|^2 + |y|^2 - 2xy`` cancels for close points. On a GPU, kernels of one level.
 """
 
 import functools
@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from prism_jax.geometry import kernels
 from prism_jax.geometry.extrema import first_lowest
 
 _NEAREST_RUN = 32
@@ -35,7 +36,11 @@ def nearest(
     index. Memory is linear in N + M. Coordinates must be finite.
     """
     query, support = jnp.asarray(query), jnp.asarray(support)
-    indices = _by_rows(_nearest_indices, *jax.lax.stop_gradient((query, support)))
+    indices = kernels.by_platform(
+        kernels.nearest_indices,
+        functools.partial(_by_rows, _nearest_indices),
+        *jax.lax.stop_gradient((query, support)),
+    )
     return ((query - support[indices]) ** 2).sum(-1), indices
 
 
@@ -49,7 +54,11 @@ def knn(
     """
     found = min(k, support.shape[0])
     clouds = jax.lax.stop_gradient((jnp.asarray(query), jnp.asarray(support)))
-    indices = _by_rows(lambda q, s: _knn_indices(q, s, found), *clouds)
+    indices = kernels.by_platform(
+        functools.partial(kernels.knn_indices, k=found),
+        functools.partial(_by_rows, functools.partial(_knn_indices, k=found)),
+        *clouds,
+    )
     last = jnp.repeat(indices[:, -1:], k - found, axis=1)
     return jnp.concatenate([indices, last], axis=1)
 

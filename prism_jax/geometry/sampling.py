@@ -1,9 +1,12 @@
 """Farthest-point sampling, and clouds brought to a fixed number of points."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from prism_jax.geometry import kernels
 from prism_jax.geometry.extrema import first_highest
 
 NEAR_ORIGIN = 1e-3
@@ -32,17 +35,30 @@ def farthest_point_sample(
     else:
         chosen_from = jnp.ones(points.shape[0], bool)
 
+    first = jnp.asarray(start, jnp.int32)
+    if points.shape[0] > kernels.MAX_FARTHEST_POINTS:
+        return _farthest_indices(points, chosen_from, first, num_samples)
+    return kernels.by_platform(
+        functools.partial(kernels.farthest_indices, num_samples=num_samples),
+        functools.partial(_farthest_indices, num_samples=num_samples),
+        points,
+        chosen_from,
+        first,
+    )
+
+
+def _farthest_indices(
+    points: Array, chosen_from: Array, start: Array, num_samples: int
+) -> Array:
     def add(carry: tuple[Array, Array], _: None):
         distances, last = carry
         x, y, z = (points[:, i] - points[last, i] for i in range(3))
         distances = jnp.minimum(distances, x**2 + y**2 + z**2)
-        return (
-            distances,
-            first_highest(jnp.where(chosen_from, distances, -1.0)),
-        ), last
+        candidates = jnp.where(chosen_from, distances, -1.0)
+        return (distances, first_highest(candidates)), last
 
     # float32 of 1e10, as the reference: any first distance is smaller.
-    first = (jnp.full(points.shape[0], 1e10, points.dtype), jnp.int32(start))
+    first = (jnp.full(points.shape[0], 1e10, points.dtype), start)
     return jax.lax.scan(add, first, None, length=num_samples)[1]
 
 

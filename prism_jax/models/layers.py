@@ -67,33 +67,45 @@ class Dense(nn.Module):
         return product + added if bias else product
 
 
-class JoinedDense(nn.Module):
-    """A dense layer over the concatenation of several parts, never made.
-
-    A part with fewer points is repeated in place up to the points of the first: its
-    product with the kernel is taken before the repetition.
-    """
+class Affine(nn.Module):
+    """The kernel and the bias of a dense layer, for a caller who applies them."""
 
     features: int
     kernel_init: nn.initializers.Initializer = kernel_init
 
     @nn.compact
-    def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
-        width = sum(part.shape[-1] for part in parts)
+    def __call__(self, width: int) -> tuple[Float[Array, "C D"], Float[Array, " D"]]:
         kernel = self.param("kernel", self.kernel_init, (width, self.features))
-        y = self.param("bias", bias_init, (self.features,))
-        start, num_points = 0, parts[0].shape[-2]
-        for part in parts:
-            product = matmul(part, kernel[start : start + part.shape[-1]])
-            y = y + repeat_in_place(product, num_points // part.shape[-2])
-            start += part.shape[-1]
-        return y
+        return kernel, self.param("bias", bias_init, (self.features,))
+
+
+def joined_dense(
+    parts: Sequence[Float[Array, "... _ _"]],
+    kernel: Float[Array, "C D"],
+    bias: Float[Array, " D"],
+) -> Float[Array, "... N D"]:
+    """A dense layer over the concatenation of several parts, never made.
+
+    A part with fewer points is repeated in place up to the points of the first: its
+    product with the kernel is taken before the repetition.
+    """
+    y, start, num_points = bias, 0, parts[0].shape[-2]
+    for part in parts:
+        product = matmul(part, kernel[start : start + part.shape[-1]])
+        y = y + repeat_in_place(product, num_points // part.shape[-2])
+        start += part.shape[-1]
+    return y
+
+
+def joined_width(parts: Sequence[Array]) -> int:
+    """Channels of the concatenation."""
+    return sum(part.shape[-1] for part in parts)
 
 
 class MLP(nn.Module):
     """Dense layers with a ReLU between them and none after the last.
 
-    Several inputs are joined as in `JoinedDense`.
+    Several inputs are joined as in `joined_dense`.
 
     ``final_init`` replaces the initialiser of the last kernel.
     """
@@ -106,7 +118,8 @@ class MLP(nn.Module):
         last = len(self.features) - 1
         for i, width in enumerate(self.features):
             init = self.final_init if i == last else kernel_init
-            x = JoinedDense(width, kernel_init=init, name=f"dense_{i}")(*parts)
+            layer = Affine(width, init, name=f"dense_{i}")(joined_width(parts))
+            x = joined_dense(parts, *layer)
             if i == last:
                 return x
             parts = (nn.relu(x),)
@@ -116,7 +129,8 @@ class MLP(nn.Module):
 class ResidualMLP(nn.Module):
     """Two layers and a linear shortcut (``MLP_Res`` of SnowflakeNet and CRA-PCN).
 
-    Several inputs are joined as in `JoinedDense`.
+    Several inputs are joined as in `joined_dense`. The shortcut and the first layer
+    read the same inputs: they are one product.
     """
 
     hidden: int
@@ -124,9 +138,14 @@ class ResidualMLP(nn.Module):
 
     @nn.compact
     def __call__(self, *parts: Float[Array, "... _ _"]) -> Float[Array, "... N D"]:
-        y = nn.relu(JoinedDense(self.hidden, name="dense_0")(*parts))
-        y = Dense(self.features, name="dense_1")(y)
-        return y + JoinedDense(self.features, name="shortcut")(*parts)
+        width = joined_width(parts)
+        first = Affine(self.hidden, name="dense_0")(width)
+        shortcut = Affine(self.features, name="shortcut")(width)
+        both = (
+            jnp.concatenate(pair, axis=-1) for pair in zip(first, shortcut, strict=True)
+        )
+        y, x = jnp.split(joined_dense(parts, *both), [self.hidden], axis=-1)
+        return Dense(self.features, name="dense_1")(nn.relu(y)) + x
 
 
 class Conv(nn.Module):

@@ -11,7 +11,6 @@ from prism_jax.models.layers import (
     MLP,
     Conv,
     Dense,
-    JoinedDense,
     ResidualMLP,
     SplitPoints,
     batch_norm,
@@ -81,10 +80,10 @@ def test_linear_adds_up_to_a_dense_layer():
 
 def test_joined_dense_is_a_dense_layer_of_the_concatenation():
     parts = [normal(2, 6, 4), normal(2, 3, 5), normal(2, 1, 2)]
-    module = JoinedDense(3)
+    module = MLP((3,))
     variables = randomised(module, *parts)
     joined = [np.repeat(part, 6 // part.shape[1], axis=1) for part in parts]
-    expected = dense(np.concatenate(joined, -1), variables["params"])
+    expected = dense(np.concatenate(joined, -1), variables["params"]["dense_0"])
     actual = jax.jit(module.apply)(variables, *parts)
     np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
     mapped = jax.vmap(lambda *p: module.apply(variables, *p))(*parts)
@@ -217,7 +216,7 @@ def test_statistics_are_not_touched_unless_asked_for():
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     "module",
-    [JoinedDense(3), MLP((4, 3)), ResidualMLP(4, 3)],
+    [MLP((3,)), MLP((4, 3)), ResidualMLP(4, 3)],
     ids=lambda m: type(m).__name__,
 )
 def test_gradients(module):

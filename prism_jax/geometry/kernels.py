@@ -1,0 +1,188 @@
+"""Searches as Pallas kernels for GPUs (Triton backend): one launch each.
+
+XLA's forms are bound by launches (farthest points: some for every sample) or by memory
+(neighbours: distances written and read again). Here distances never leave registers.
+The results are those of the XLA forms, ties included, which remain the fallback:
+`prism_jax.geometry.neighbors` and `sampling` choose by platform.
+
+``interpret=True`` runs a kernel without a GPU, for tests.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton
+from jaxtyping import Array, Bool, Float, Int
+
+MAX_FARTHEST_POINTS = 16384
+"""Of a cloud that one program holds in its registers."""
+
+_QUERIES = 128
+_SUPPORTS = 64
+
+
+def nearest_indices(
+    query: Float[Array, "N 3"], support: Float[Array, "M 3"], interpret: bool = False
+) -> Int[Array, " N"]:
+    """Index of each query's nearest support point; ties go to the lowest."""
+    queries = _rows(query, _QUERIES, 0.0)
+    supports = _rows(support, _SUPPORTS, jnp.inf)
+    num_blocks = supports.shape[1] // _SUPPORTS
+
+    def kernel(query_ref, support_ref, index_ref):
+        x, y, z = (query_ref[i, :][:, None] for i in range(3))
+
+        def block(j, best):
+            distance, index = best
+            start = j * _SUPPORTS
+            a, b, c = (support_ref[i, pl.ds(start, _SUPPORTS)] for i in range(3))
+            squared = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
+            lowest = squared.min(axis=1)
+            inside = jnp.argmin(squared, axis=1).astype(jnp.int32)
+            closer = lowest < distance
+            index = jnp.where(closer, start + inside, index)
+            return jnp.where(closer, lowest, distance), index
+
+        start = (jnp.full(_QUERIES, jnp.inf), jnp.zeros(_QUERIES, jnp.int32))
+        index_ref[...] = jax.lax.fori_loop(0, num_blocks, block, start)[1]
+
+    call = pl.pallas_call(
+        kernel,
+        out_shape=jax.ShapeDtypeStruct((queries.shape[1],), jnp.int32),
+        grid=(queries.shape[1] // _QUERIES,),
+        in_specs=[
+            pl.BlockSpec((3, _QUERIES), lambda i: (0, i)),
+            pl.BlockSpec(supports.shape, lambda i: (0, 0)),
+        ],
+        out_specs=pl.BlockSpec((_QUERIES,), lambda i: (i,)),
+        compiler_params=triton.CompilerParams(num_warps=4),
+        interpret=interpret,
+    )
+    return call(queries, supports)[: query.shape[0]]
+
+
+def knn_indices(
+    query: Float[Array, "N 3"],
+    support: Float[Array, "M 3"],
+    k: int,
+    interpret: bool = False,
+) -> Int[Array, "N k"]:
+    """Indices of the k nearest support points, nearest first; k is at most M.
+
+    Every query keeps its k best in order, and each support point sinks to its place
+    among them. Ties go to the lowest index.
+    """
+    queries = _rows(query, _QUERIES, 0.0)
+    supports = support.T
+    num_supports = support.shape[0]
+
+    def kernel(query_ref, support_ref, index_ref):
+        x, y, z = (query_ref[i, :] for i in range(3))
+
+        def insert(j, squared, best):
+            distances, indices = (list(each) for each in best)
+            index = jnp.full(_QUERIES, j, jnp.int32)
+            for rank in range(k):
+                closer = squared < distances[rank]
+                distances[rank], squared = (
+                    jnp.where(closer, squared, distances[rank]),
+                    jnp.where(closer, distances[rank], squared),
+                )
+                indices[rank], index = (
+                    jnp.where(closer, index, indices[rank]),
+                    jnp.where(closer, indices[rank], index),
+                )
+            return tuple(distances), tuple(indices)
+
+        def point(j, best):
+            a, b, c = (support_ref[i, j] for i in range(3))
+            squared = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
+            # After the first points hardly one enters any of the lists.
+            enters = jnp.max((squared < best[0][-1]).astype(jnp.int32)) > 0
+            return jax.lax.cond(
+                enters, lambda best: insert(j, squared, best), lambda best: best, best
+            )
+
+        farthest = jnp.full(_QUERIES, jnp.inf)
+        none = jnp.zeros(_QUERIES, jnp.int32)
+        start = ((farthest,) * k, (none,) * k)
+        _, indices = jax.lax.fori_loop(0, num_supports, point, start)
+        for rank in range(k):
+            index_ref[rank, :] = indices[rank]
+
+    call = pl.pallas_call(
+        kernel,
+        out_shape=jax.ShapeDtypeStruct((k, queries.shape[1]), jnp.int32),
+        grid=(queries.shape[1] // _QUERIES,),
+        in_specs=[
+            pl.BlockSpec((3, _QUERIES), lambda i: (0, i)),
+            pl.BlockSpec(supports.shape, lambda i: (0, 0)),
+        ],
+        out_specs=pl.BlockSpec((k, _QUERIES), lambda i: (0, i)),
+        compiler_params=triton.CompilerParams(num_warps=4),
+        interpret=interpret,
+    )
+    return call(queries, supports).T[: query.shape[0]]
+
+
+def farthest_indices(
+    points: Float[Array, "N 3"],
+    chosen_from: Bool[Array, " N"],
+    start: Int[Array, ""],
+    num_samples: int,
+    interpret: bool = False,
+) -> Int[Array, " num_samples"]:
+    """Farthest-point sampling from ``start``, among the points that may be chosen.
+
+    One program holds the whole cloud, up to `MAX_FARTHEST_POINTS`.
+    """
+    size = pl.next_power_of_2(points.shape[0])
+    cloud = _rows(points, size, 0.0)
+    allowed = jnp.pad(chosen_from.astype(jnp.int32), (0, size - points.shape[0]))
+    first = jnp.reshape(start, (1,))
+
+    def kernel(cloud_ref, allowed_ref, first_ref, sample_ref):
+        x, y, z = (cloud_ref[i, :] for i in range(3))
+        may = allowed_ref[...] > 0
+
+        def add(i, state):
+            distances, last = state
+            sample_ref[i] = last
+            a, b, c = (cloud_ref[axis, last] for axis in range(3))
+            squared = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
+            distances = jnp.minimum(distances, squared)
+            candidates = jnp.where(may, distances, -1.0)
+            return distances, jnp.argmax(candidates, axis=0).astype(jnp.int32)
+
+        begin = (jnp.full(size, 1e10, jnp.float32), first_ref[0])
+        jax.lax.fori_loop(0, num_samples, add, begin)
+
+    call = pl.pallas_call(
+        kernel,
+        out_shape=jax.ShapeDtypeStruct((num_samples,), jnp.int32),
+        compiler_params=triton.CompilerParams(num_warps=16 if size >= 4096 else 4),
+        interpret=interpret,
+    )
+    return call(cloud, allowed, first)
+
+
+def on_gpu() -> bool:
+    """Whether kernels are to be traced at all beside their XLA forms."""
+    return jax.default_backend() == "gpu"
+
+
+def by_platform(
+    kernel: Callable[..., Array], fallback: Callable[..., Array], *arguments: Array
+) -> Array:
+    """The kernel where the computation runs on an NVIDIA GPU, else the fallback."""
+    if not on_gpu():
+        return fallback(*arguments)
+    return jax.lax.platform_dependent(*arguments, cuda=kernel, default=fallback)
+
+
+def _rows(points: Array, multiple: int, filling: float) -> Array:
+    """Coordinates as three rows, filled up to a multiple of points."""
+    padding = -points.shape[0] % multiple
+    return jnp.pad(points, ((0, padding), (0, 0)), constant_values=filling).T

@@ -1,0 +1,122 @@
+"""The GPU's kernels, interpreted, against the XLA forms on hard clouds; their
+translation to Triton, which needs no GPU."""
+
+import functools
+
+import jax
+import jax.export
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.geometry import farthest_point_sample, kernels, knn, nearest
+
+RNG = np.random.default_rng(0)
+
+
+def cloud(kind: str, count: int) -> jax.Array:
+    points = RNG.uniform(-1, 1, (count, 3))
+    if kind == "clustered":
+        points = np.round(points) + 1e-3 * points
+    elif kind == "planar":
+        points[:, 2] = 0.5
+    elif kind == "collinear":
+        points = points[:, :1] * [[1.0, 2.0, -1.0]]
+    elif kind == "duplicated":
+        points = points[RNG.integers(0, max(1, count // 8), count)]
+    elif kind == "far":
+        points = points + [1000.0, -2000.0, 500.0]
+    return jnp.asarray(points, jnp.float32)
+
+
+KINDS = ["random", "clustered", "planar", "collinear", "duplicated", "far"]
+SIZES = [(130, 70), (5, 200), (1, 1)]
+
+
+def squared(query, support, indices):
+    """Exact to the digit: what two right answers must share."""
+    query, support = (np.asarray(points, np.float64) for points in (query, support))
+    difference = query[:, None] - support[indices]
+    return (difference**2).sum(-1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("sizes", SIZES)
+def test_nearest(kind, sizes):
+    query, support = (cloud(kind, count) for count in sizes)
+    _, expected = nearest(query, support)
+    found = kernels.nearest_indices(query, support, True)
+    same = squared(query, support, np.asarray(found)[:, None])
+    np.testing.assert_allclose(
+        same, squared(query, support, np.asarray(expected)[:, None]), rtol=1e-5
+    )
+    if kind == "duplicated":  # ties go to the lowest index
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("sizes", "k"), [((130, 70), 8), ((5, 40), 3), ((1, 1), 1)])
+def test_knn(kind, sizes, k):
+    query, support = (cloud(kind, count) for count in sizes)
+    expected = knn(query, support, k)
+    found = kernels.knn_indices(query, support, k, True)
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(
+        squared(query, support, np.asarray(found)),
+        squared(query, support, np.asarray(expected)),
+        rtol=1e-5,
+        atol=1e-12,
+    )
+    assert all(len(set(row)) == k for row in np.asarray(found).tolist())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("skip", [False, True])
+def test_farthest_points(kind, skip):
+    points = cloud(kind, 70)
+    expected = farthest_point_sample(points, 20, 3, skip)
+    allowed = (points**2).sum(-1) > (1e-3 if skip else -1.0)
+    found = kernels.farthest_indices(points, allowed, jnp.int32(3), 20, True)
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_vmap_is_a_loop():
+    queries, supports = (cloud("random", 120).reshape(3, 40, 3),) * 2
+    search = functools.partial(kernels.knn_indices, k=4, interpret=True)
+    mapped = jax.vmap(search)(queries, supports + 0.1)
+    for i in range(3):
+        np.testing.assert_array_equal(mapped[i], search(queries[i], supports[i] + 0.1))
+
+
+@pytest.mark.parametrize("name", ["nearest", "knn", "farthest"])
+def test_translates_to_triton(name):
+    functions = {
+        "nearest": kernels.nearest_indices,
+        "knn": functools.partial(kernels.knn_indices, k=16),
+        "farthest": functools.partial(kernels.farthest_indices, num_samples=64),
+    }
+    shapes = [jax.ShapeDtypeStruct((300, 3), jnp.float32)] * 2
+    if name == "farthest":
+        shapes[1] = jax.ShapeDtypeStruct((300,), jnp.bool_)
+        shapes.append(jax.ShapeDtypeStruct((), jnp.int32))
+    batched = jax.jit(jax.vmap(functions[name], (0,) * len(shapes)))
+    shapes = [jax.ShapeDtypeStruct((2, *s.shape), s.dtype) for s in shapes]
+    checks = [jax.export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
+    exported = jax.export.export(batched, platforms=["cuda"], disabled_checks=checks)
+    assert "triton" in exported(*shapes).mlir_module()
+
+
+def test_the_platform_chooses(monkeypatch):
+    def double(x):
+        return 2 * x
+
+    def triple(x):
+        return 3 * x
+
+    assert kernels.by_platform(double, triple, jnp.float32(1)) == 3
+    # As on a machine with a GPU, for a computation on its CPU.
+    monkeypatch.setattr(kernels, "on_gpu", lambda: True)
+    chosen = jax.jit(lambda x: kernels.by_platform(double, triple, x))
+    assert chosen(jnp.float32(1)) == 3
+    lowered = jax.export.export(chosen, platforms=["cuda"])(jnp.float32(1))
+    assert "2.0" in lowered.mlir_module() and "3.0" not in lowered.mlir_module()
