@@ -9,7 +9,7 @@ import pathlib
 
 from absl import flags
 
-from experiments.launch import launch
+from experiments.launch import launch, with_large_pages
 from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
 from prism_jax.evaluation import evaluate, markdown
 from prism_jax.io.atomic import write_bytes
@@ -58,6 +58,7 @@ def main(argv):
 
 def run():
     """The entry point."""
+    with_large_pages()
     define_flags()
     launch("evaluate", main)
 
