@@ -1,15 +1,18 @@
 """Scans in the user's frame and units, completed."""
 
 import dataclasses
+import pathlib
 import time
 
 import jax
+import jax.export
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
 from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion, make_adapt
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
@@ -18,11 +21,16 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
+from prism_jax.traced import keep_traced
 from prism_jax.weights import available_weights, load_pretrained
 
 __all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
 
 DEPTH_PIXELS = 128
+
+for kind in (Completion, Losses):
+    name = f"prism_jax.{kind.__name__}"
+    jax.export.register_namedtuple_serialization(kind, serialized_name=name)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,18 +70,27 @@ class CompletedScan:
 class Completer:
     """Weights and what is compiled for them.
 
-    The function of one configuration is compiled at its first use and kept.
+    The function of one configuration is compiled at its first use and kept. Its trace
+    is kept in ``trace_dir``, if one is given, for the next process.
     """
 
-    def __init__(self, config: AdaptConfig, variables: Variables):
+    def __init__(
+        self,
+        config: AdaptConfig,
+        variables: Variables,
+        trace_dir: pathlib.Path | None = None,
+    ):
         self.config = config
         self.variables = variables
+        self._trace_dir = trace_dir
         self._compiled = {}
 
     @classmethod
-    def from_pretrained(cls, name_or_path: str = "small") -> "Completer":
+    def from_pretrained(
+        cls, name_or_path: str = "small", trace_dir: pathlib.Path | None = None
+    ) -> "Completer":
         """A completer with released weights, by name or by file."""
-        return cls(*load_pretrained(name_or_path))
+        return cls(*load_pretrained(name_or_path), trace_dir)
 
     def complete(
         self,
@@ -115,7 +132,7 @@ class Completer:
         eye = np.zeros(3) if camera is None else np.asarray(camera.position)
         unit_eye = jnp.asarray(upright @ workspace.to_unit(eye), jnp.float32)
         partial = _resampled(unit, self.config.model.backbone.num_points)
-        view = Camera.framing(partial, unit_eye)
+        view = jax.jit(Camera.framing)(partial, unit_eye)
         completion, seconds = self._run(adapt, partial, view)
         prediction = np.asarray(completion.points, np.float64)
         kept = prediction[keep_unmeasured(prediction, unit, partial)]
@@ -141,13 +158,16 @@ class Completer:
         self, adapt: bool, partial: Array, view: Camera
     ) -> tuple[Completion, dict[str, float]]:
         start = time.perf_counter()
+        arguments = (self.variables, partial, view)
         if adapt not in self._compiled:
             steps = self.config.num_steps if adapt else 0
             config = dataclasses.replace(self.config, num_steps=steps)
-            lowered = jax.jit(make_adapt(config)).lower(self.variables, partial, view)
-            self._compiled[adapt] = lowered.compile()
+            fn = make_adapt(config)
+            if self._trace_dir is not None:
+                fn = keep_traced(fn, arguments, self._trace_dir, config)
+            self._compiled[adapt] = jax.jit(fn).lower(*arguments).compile()
         compiled = time.perf_counter()
-        completion = self._compiled[adapt](self.variables, partial, view)
+        completion = self._compiled[adapt](*arguments)
         completion = jax.block_until_ready(completion)
         done = time.perf_counter()
         return completion, {"compile": compiled - start, "run": done - compiled}

@@ -161,7 +161,7 @@ def load_completer(weights: str) -> Any:
     """The completer, imported this late so that bad input is refused in a moment."""
     from prism_jax.completion import Completer
 
-    return Completer.from_pretrained(weights)
+    return Completer.from_pretrained(weights, io.default_cache_dir() / "traced")
 
 
 @contextlib.contextmanager

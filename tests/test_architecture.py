@@ -14,6 +14,7 @@ LAYERS = (
     "prism_jax.completion_job prism_jax.evaluation",
     "prism_jax.completion prism_jax.export",
     "prism_jax.weights",
+    "prism_jax.traced",
     "prism_jax.report",
     "prism_jax.figures",
     "prism_jax.training.stages",

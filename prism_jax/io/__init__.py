@@ -10,6 +10,7 @@ from prism_jax.io.depth import (
     read_depth,
 )
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import default_cache_dir
 from prism_jax.io.ply import write_ply
 from prism_jax.io.scan import Bounds, Scan, crop, parse_bounds, read_scan
 
@@ -22,6 +23,7 @@ __all__ = [
     "check_cloud",
     "check_in_view",
     "crop",
+    "default_cache_dir",
     "make_output_dir",
     "parse_bounds",
     "points_from_depth",
