@@ -28,6 +28,8 @@ __all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
 
 DEPTH_PIXELS = 128
 
+_framing = jax.jit(Camera.framing)
+
 for kind in (Completion, Losses):
     name = f"prism_jax.{kind.__name__}"
     jax.export.register_namedtuple_serialization(kind, serialized_name=name)
@@ -132,7 +134,7 @@ class Completer:
         eye = np.zeros(3) if camera is None else np.asarray(camera.position)
         unit_eye = jnp.asarray(upright @ workspace.to_unit(eye), jnp.float32)
         partial = _resampled(unit, self.config.model.backbone.num_points)
-        view = jax.jit(Camera.framing)(partial, unit_eye)
+        view = _framing(partial, unit_eye)
         completion, seconds = self._run(adapt, partial, view)
         prediction = np.asarray(completion.points, np.float64)
         kept = prediction[keep_unmeasured(prediction, unit, partial)]
