@@ -12,36 +12,32 @@ from prism_jax import Camera, load_pretrained, make_adapt
 from prism_jax.geometry import resample
 
 FRAMES_PER_SECOND = 10
-FLOOR = 7.0
-"""Times a plain completion; four forward and three backward passes are the least."""
+MOST = 7.0
+"""Times a plain completion, for four forward passes and three backward ones."""
 
 
 def suite(weights: str = "small") -> Iterator[Row]:
-    """One frame at a time, and eight at once."""
+    """One frame at a time, and eight at once; memory as the steps grow."""
     config, variables = load_pretrained(weights)
-    plain = dataclasses.replace(config, num_steps=0)
+
+    def compiled(num_steps: int, batch: int) -> Compiled:
+        adapt = make_adapt(dataclasses.replace(config, num_steps=num_steps))
+        frames = _frames(batch, config.model.backbone.num_points)
+        return Compiled(jax.vmap(adapt, (None, 0, 0)), variables, *frames)
+
+    steps, peaks = config.num_steps, []
     for batch in (1, 8):
-        partials, cameras = _frames(batch, config.model.backbone.num_points)
-        arguments = (variables, partials, cameras)
-        steps = config.num_steps
-        ours = Compiled(jax.vmap(make_adapt(config), (None, 0, 0)), *arguments)
-        peer = Compiled(jax.vmap(make_adapt(plain), (None, 0, 0)), *arguments)
-        times = in_turn(ours, peer, seconds=10.0)
+        ours = compiled(steps, batch)
+        peaks.append(ours.peak_mib or np.nan)
+        times = in_turn(ours, compiled(0, batch), seconds=10.0)
         name = f"{weights}, K = {steps}, {batch} at once"
-        yield row(name, times[0], "K = 0", times[1], FLOOR, **ours.costs)
+        yield row(name, times[0], "K = 0", times[1], MOST, **ours.costs)
         wanted = [1e3 * batch / FRAMES_PER_SECOND]
         peer_name = f"{FRAMES_PER_SECOND} frames a second"
         yield row(name, times[0], peer_name, wanted, 1.0, **ours.costs)
-    longer = dataclasses.replace(config, num_steps=3 * config.num_steps)
-    partials, cameras = _frames(1, config.model.backbone.num_points)
-    compiled = [
-        Compiled(jax.vmap(make_adapt(c), (None, 0, 0)), variables, partials, cameras)
-        for c in (longer, config)
-    ]
-    peaks = [[c.peak_mib or np.nan] for c in compiled]
-    name = f"{weights}, memory of K = {longer.num_steps}"
-    peer_name = f"K = {config.num_steps}"
-    yield row(name, peaks[0], peer_name, peaks[1], 1.05, unit="MiB")
+    longer = [compiled(3 * steps, 1).peak_mib or np.nan]
+    name = f"{weights}, memory of K = {3 * steps}"
+    yield row(name, longer, f"K = {steps}", peaks[:1], 1.05, unit="MiB")
 
 
 def _frames(batch: int, num_points: int) -> tuple[jax.Array, Camera]:

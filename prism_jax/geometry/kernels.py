@@ -42,10 +42,11 @@ def nearest_indices(
             lowest = squared.min(axis=1)
             inside = jnp.argmin(squared, axis=1).astype(jnp.int32)
             closer = lowest < distance
-            index = jnp.where(closer, start + inside, index)
+            index = jnp.where(closer, (start + inside).astype(jnp.int32), index)
             return jnp.where(closer, lowest, distance), index
 
-        start = (jnp.full(_QUERIES, jnp.inf), jnp.zeros(_QUERIES, jnp.int32))
+        none = jnp.zeros(_QUERIES, jnp.int32)
+        start = (jnp.full(_QUERIES, jnp.inf, query.dtype), none)
         index_ref[...] = jax.lax.fori_loop(0, num_blocks, block, start)[1]
 
     call = pl.pallas_call(
@@ -105,7 +106,7 @@ def knn_indices(
                 enters, lambda best: insert(j, squared, best), lambda best: best, best
             )
 
-        farthest = jnp.full(_QUERIES, jnp.inf)
+        farthest = jnp.full(_QUERIES, jnp.inf, query.dtype)
         none = jnp.zeros(_QUERIES, jnp.int32)
         start = ((farthest,) * k, (none,) * k)
         _, indices = jax.lax.fori_loop(0, num_supports, point, start)
@@ -156,7 +157,7 @@ def farthest_indices(
             candidates = jnp.where(may, distances, -1.0)
             return distances, jnp.argmax(candidates, axis=0).astype(jnp.int32)
 
-        begin = (jnp.full(size, 1e10, jnp.float32), first_ref[0])
+        begin = (jnp.full(size, 1e10, points.dtype), first_ref[0])
         jax.lax.fori_loop(0, num_samples, add, begin)
 
     call = pl.pallas_call(
