@@ -15,15 +15,18 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 
 from prism_jax.geometry import kernels
 from prism_jax.geometry.extrema import first_lowest
 
 _NEAREST_RUN = 32
 _KNN_RUN = 8
-_DIRECT_SUPPORT = 1024
-_PAIRS_AT_ONCE = 1 << 22
+_DIRECT_SUPPORT = 256
+_LISTED_COLUMNS = 512
+_LISTED_K = 32
+_NEAREST_PAIRS = 1 << 22
+_KNN_PAIRS = 1 << 24
 
 
 def nearest(
@@ -38,7 +41,7 @@ def nearest(
     query, support = jnp.asarray(query), jnp.asarray(support)
     indices = kernels.by_platform(
         kernels.nearest_indices,
-        functools.partial(_by_rows, _nearest_indices),
+        functools.partial(_by_rows, _nearest_indices, _NEAREST_PAIRS),
         *jax.lax.stop_gradient((query, support)),
     )
     return ((query - support[indices]) ** 2).sum(-1), indices
@@ -54,9 +57,10 @@ def knn(
     """
     found = min(k, support.shape[0])
     clouds = jax.lax.stop_gradient((jnp.asarray(query), jnp.asarray(support)))
+    search = functools.partial(_knn_indices, k=found)
     indices = kernels.by_platform(
         functools.partial(kernels.knn_indices, k=found),
-        functools.partial(_by_rows, functools.partial(_knn_indices, k=found)),
+        functools.partial(_by_rows, search, _KNN_PAIRS),
         *clouds,
     )
     last = jnp.repeat(indices[:, -1:], k - found, axis=1)
@@ -84,15 +88,18 @@ def three_point_interpolate(
 
 
 def _by_rows(
-    search: Callable[[Array, Array], Array], query: Array, support: Array
+    search: Callable[[Array, Array], Array],
+    pairs_at_once: int,
+    query: Array,
+    support: Array,
 ) -> Array:
     """Runs a search over blocks of queries, to bound its memory."""
-    if query.shape[0] * support.shape[0] <= _PAIRS_AT_ONCE:
+    if query.shape[0] * support.shape[0] <= pairs_at_once:
         return search(query, support)
     return jax.lax.map(
         lambda point: search(point[None], support)[0],
         query,
-        batch_size=max(1, _PAIRS_AT_ONCE // support.shape[0]),
+        batch_size=max(1, pairs_at_once // support.shape[0]),
     )
 
 
@@ -131,12 +138,66 @@ def _nearest_indices(query: Array, support: Array) -> Array:
 
 def _knn_indices(query: Array, support: Array, k: int) -> Array:
     if support.shape[0] <= max(_DIRECT_SUPPORT, k * _KNN_RUN):
-        distances = _squared_distances(query[:, None], support[None])
-        return jax.lax.top_k(-distances, k)[1]
+        if k > _LISTED_K:
+            return _k_lowest_columns(
+                _squared_distances(query[:, None], support[None]), k
+            )
+        return _k_lowest(lambda point: _squared_distances(query, point), support, k)
     # The k nearest lie in the k runs whose nearest points are nearest.
     runs = _runs(support, _KNN_RUN)
-    run = jnp.sort(jax.lax.top_k(-_run_minima(query, runs), k)[1], axis=-1)
+    run = jnp.sort(_k_lowest_columns(_run_minima(query, runs), k), axis=-1)
     distances = _squared_distances(query[:, None, None], runs[run])
-    best = jax.lax.top_k(-distances.reshape(len(query), -1), k)[1]
+    best = _k_lowest_columns(distances.reshape(len(query), -1), k)
     members = run[:, :, None] * _KNN_RUN + jnp.arange(_KNN_RUN)
     return jnp.take_along_axis(members.reshape(len(query), -1), best, axis=-1)
+
+
+def _k_lowest_columns(values: Float[Array, "N M"], k: int) -> Int[Array, "N k"]:
+    """Columns of the k lowest values of each row."""
+    if values.shape[1] > _LISTED_COLUMNS or k > _LISTED_K:
+        return jax.lax.top_k(-values, k)[1]
+    # Without the barriers XLA fuses what made the values into every step.
+    values = jax.lax.optimization_barrier(values)
+    columns = jax.lax.optimization_barrier(values.T)
+    return _k_lowest(lambda column: column, columns, k, unroll=1)
+
+
+def _k_lowest(
+    value_fn: Callable[[Array], Float[Array, " N"]],
+    members: Shaped[Array, "M ..."],
+    k: int,
+    unroll: int = 2,
+) -> Int[Array, "N k"]:
+    """For each of N queries, the k members of lowest value, lowest first.
+
+    Of equal values the first comes first. ``value_fn`` gives all queries' values of one
+    member. Every query keeps a sorted list, into which the members are inserted one
+    after the other: that runs along the queries, where ``top_k`` sorts row by row.
+    """
+
+    def insert(lists, indexed):
+        index, member = indexed
+        values, indices = lists
+        new = value_fn(member)
+        lower = [new < value for value in values]
+        # Each place takes the new entry, keeps its own, or takes the one before it.
+        entries = [
+            (jnp.where(low, new, value), jnp.where(low, index, old))
+            for low, value, old in zip(lower, values, indices, strict=True)
+        ]
+        for i in range(1, k):
+            moves, (value, old) = lower[i - 1], entries[i]
+            entries[i] = (
+                jnp.where(moves, values[i - 1], value),
+                jnp.where(moves, indices[i - 1], old),
+            )
+        return tuple(zip(*entries, strict=True)), None
+
+    empty = jax.eval_shape(value_fn, members[0])
+    lists = (
+        (jnp.full(empty.shape, jnp.inf, empty.dtype),) * k,
+        (jnp.zeros(empty.shape, jnp.int32),) * k,
+    )
+    rows = jnp.arange(len(members), dtype=jnp.int32)
+    (_, indices), _ = jax.lax.scan(insert, lists, (rows, members), unroll=unroll)
+    return jnp.stack(indices, axis=-1)

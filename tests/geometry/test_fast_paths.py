@@ -39,8 +39,13 @@ def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(params=[(kind, seed) for kind in KINDS for seed in SEEDS], ids=str)
-def clouds(request):
-    kind, seed = request.param
+def drawn(request):
+    return request.param
+
+
+@pytest.fixture
+def clouds(drawn):
+    kind, seed = drawn
     return cloud(kind, seed, 400), cloud(kind, seed + 100, SIZE)
 
 
@@ -53,10 +58,12 @@ def test_nearest(clouds):
     np.testing.assert_allclose(chosen, every.min(1), rtol=1e-5, atol=1e-10)
 
 
-@pytest.mark.parametrize("k", [3, 16])
-def test_knn(clouds, k):
-    query, support = clouds
-    indices = np.asarray(knn_of(*map(jnp.asarray, clouds), k))
+@pytest.mark.parametrize(("size", "k"), [(200, 8), (1300, 3), (1300, 40), (4500, 16)])
+def test_knn(drawn, size, k):
+    """Sorted lists of points and of runs, and where ``top_k`` takes their place."""
+    kind, seed = drawn
+    query, support = cloud(kind, seed, 400), cloud(kind, seed + 100, size)
+    indices = np.asarray(knn_of(jnp.asarray(query), jnp.asarray(support), k))
     every = squared_distances(query, support)
     found = np.take_along_axis(every, indices, 1)
     expected = np.sort(every, axis=1)[:, :k]
