@@ -36,7 +36,8 @@ SUBSETS = {
 
 NUM_POINTS = 8192
 TRAIN_PROJECTIONS = 16
-_LINE = r"(?:shapenet_pc/)?(\d{8})-([\w-]+)\.npy"
+_LINE = r"(?:shapenet_pc/)?(\d{8})-([\w-]*)\.npy"
+"""Two published models, 04379243-.npy and 02747177-.npy, have no id."""
 _FORM = "a line such as 02691156-1a04e3eab45ca15dd86060f189eb133.npy"
 
 

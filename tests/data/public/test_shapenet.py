@@ -109,6 +109,15 @@ def test_what_is_not_published_is_refused(root, arguments, fault):
             loader(subset, root, split)
 
 
+def test_the_published_model_without_an_id_is_one_like_the_others(
+    tmp_path, cloud, write
+):
+    write(tmp_path / "ShapeNet-55" / "train.txt", "04379243-.npy\n")
+    write(tmp_path / "shapenet_pc" / "04379243-.npy", cloud(0, 8192))
+    example = ShapeNet("ShapeNet-55", tmp_path, "train")[0]
+    assert (example.category, example.name) == ("table", "04379243-")
+
+
 def test_an_unknown_difficulty_is_refused(root):
     with pytest.raises(InputError, match="use easy or median or hard"):
         ShapeNet("ShapeNet-55", root, "test", difficulty="medium")
