@@ -74,11 +74,8 @@ class Scene:
         """
         if not (np.isfinite(origins).all() and np.isfinite(directions).all()):
             raise ValueError("rays must be finite")
-        result = self._embree.run(
-            _single(np.broadcast_to(origins, directions.shape) - self._shift),
-            _single(directions),
-            output=True,
-        )
+        starts = np.broadcast_to(_single(origins - self._shift), directions.shape)
+        result = self._embree.run(_single(starts), _single(directions), output=True)
         ray = np.flatnonzero(result["primID"] >= 0)
         faces = result["primID"][ray]
         u, v = (result[name][ray, None].astype(np.float64) for name in ("u", "v"))
