@@ -19,7 +19,14 @@ from prism_jax.data.partials import (
     sparse,
 )
 from prism_jax.data.raycast import Scene, sample_outside
-from prism_jax.data.sensors import L515Config, OusterConfig
+from prism_jax.data.sensors import (
+    L515Config,
+    OusterConfig,
+    camera_axes,
+    l515_camera,
+    l515_depth,
+    ouster_scan,
+)
 from tests.data.test_raycast import moeller_trumbore
 
 
@@ -90,7 +97,7 @@ def test_far_from_the_origin_the_view_is_the_same():
     assert distance.max() < 1e-6
 
 
-@pytest.mark.parametrize("share", [*CROP_SHARES.values(), 0.0, 0.4321])
+@pytest.mark.parametrize("share", [*CROP_SHARES.values(), 0.0, 0.43218])
 def test_crop_removes_exactly_the_nearest_share(complete, share):
     for viewpoint in CROP_VIEWPOINTS:
         partial = crop(complete, viewpoint, share)
@@ -149,6 +156,21 @@ def test_exact_sensors_measure_the_near_side(scene, view, config, allowed):
     assert len(np.unique(points, axis=0)) == len(points) > 2048
     seen = self_occlusion(scene, eye)
     assert KDTree(points).query(seen)[0].max() < 0.06
+
+
+def test_sensors_see_the_object_in_metres(scene):
+    """As many returns as of a mesh of 1.2 m, measured without any help."""
+    eye = np.array([1.8, -2.0, 1.5])
+    in_metres = Scene(scene.mesh.copy().apply_scale(0.6))
+    camera = l515_camera(camera_axes(-eye), 0.6 * eye)
+    rng = np.random.default_rng(6)
+    counts, _ = l515_depth(in_metres, camera, rng, L515Config().exact())
+    assert np.sum(counts > 0) == len(l515(scene, eye, rng, L515Config().exact()))
+    right, down, forward = camera_axes(-eye)
+    tilt = np.stack([forward, -right, -down], axis=1)
+    config = OusterConfig().exact()
+    returns = ouster_scan(in_metres, 0.6 * eye, rng, config, tilt)
+    assert len(returns.ranges) == len(ouster(scene, eye, rng, config))
 
 
 @pytest.mark.parametrize("view", [l515, ouster])

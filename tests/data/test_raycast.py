@@ -197,13 +197,19 @@ def test_walls_in_a_crack_are_hidden_and_a_wide_gap_is_open():
     assert 0.05 < narrow.seen_from_outside(points, normals).mean() < 0.95
 
 
-def test_seen_agrees_with_plain_numpy():
-    """A cup: for each point, lines to all viewpoints against every triangle."""
-    cup = trimesh.creation.annulus(0.5, 0.6, 1.4)
+def cup() -> tuple[np.ndarray, np.ndarray, Scene]:
+    wall = trimesh.creation.annulus(0.5, 0.6, 1.4)
     floor = trimesh.creation.cylinder(0.55, 0.1).apply_translation((0, 0, -0.65))
-    scene = Scene(trimesh.util.concatenate([cup, floor]))
+    scene = Scene(trimesh.util.concatenate([wall, floor]))
     points, faces = trimesh.sample.sample_surface(scene.mesh, 60, seed=3)
-    points, normals = np.asarray(points), scene.mesh.face_normals[faces]
+    return np.asarray(points), scene.mesh.face_normals[faces], scene
+
+
+@pytest.mark.parametrize("make", [cup, lambda: slit(0.002)])
+def test_seen_agrees_with_plain_numpy(make):
+    """For each point, lines to all viewpoints against every triangle."""
+    points, normals, scene = make()
+    points, normals = points[:60], normals[:60]
     seen = scene.seen_from_outside(points, normals)
     eyes = scene.center + 3 * scene.radius * VIEWPOINT_DIRECTIONS
     for point, normal, is_seen in zip(points, normals, seen, strict=True):

@@ -202,8 +202,9 @@ def test_pixels_at_an_edge_are_mixed_as_often_as_claimed():
     assert not mixed[:, ~beside].any()
     trials = 20 * beside.sum()
     assert abs(mixed.sum() / trials - 0.3) < 4 * np.sqrt(0.3 * 0.7 / trials) + 0.002
-    between = (depth[mixed] - 1.001) / 0.998
-    assert stats.kstest(between, "uniform").pvalue > 1e-3
+    for surface in (near, ~near):
+        between = (depth[mixed & surface] - 1.001) / 0.998
+        assert stats.kstest(between, "uniform").pvalue > 1e-3
 
 
 def test_columns_of_a_turn_close_up():
