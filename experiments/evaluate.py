@@ -1,4 +1,4 @@
-"""Scores weights on a split of the procedural corpus.
+"""Scores weights on a split of a data set, the procedural shapes unless told otherwise.
 
 python -m experiments.evaluate --weights=small --split=test --output=FILE.json
 """
@@ -10,7 +10,13 @@ import pathlib
 from absl import flags
 
 from experiments.launch import launch, with_large_pages
-from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
+from prism_jax.data.datasets import (
+    DATASETS,
+    GENERATED,
+    build_dataset,
+    is_built,
+    open_dataset,
+)
 from prism_jax.evaluation import evaluate, markdown
 from prism_jax.io.atomic import write_bytes
 from prism_jax.training.run import commit
@@ -22,12 +28,13 @@ FLAGS = flags.FLAGS
 def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
-    flags.DEFINE_string("split", "validation", "validation or test.")
+    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to score on.")
+    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
+    flags.DEFINE_string("split", "validation", "The data set's split.")
     flags.DEFINE_integer(
         "steps", None, "Adaptation steps, the weights' own if not given."
     )
     flags.DEFINE_integer("limit", None, "Score the first so many examples only.")
-    flags.DEFINE_string("cache_dir", None, "Where the corpus is, or is to be built.")
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 
 
@@ -37,17 +44,19 @@ def main(argv):
     config, variables = load_pretrained(FLAGS.weights)
     if FLAGS.steps is not None:
         config = dataclasses.replace(config, num_steps=FLAGS.steps)
-    build_corpus(FLAGS.split, CorpusConfig(), FLAGS.cache_dir)
-    examples = load_corpus(FLAGS.split, cache_dir=FLAGS.cache_dir, limit=FLAGS.limit)
+    place = (FLAGS.dataset, FLAGS.split, FLAGS.data_dir)
+    if FLAGS.dataset in GENERATED and not is_built(*place):
+        build_dataset(*place)
+    source = open_dataset(*place)
     about = {
         "weights": FLAGS.weights,
-        "data": "procedural corpus, self-occlusion from one viewpoint",
+        "data": FLAGS.dataset,
         "split": FLAGS.split,
         "normalisation": "partial",
         "steps": config.num_steps,
         "commit": commit(),
     }
-    result = {**about, **evaluate(config, variables, examples)}
+    result = {**about, **evaluate(config, variables, source, FLAGS.limit)}
     table = markdown(result)
     print(table)
     if FLAGS.output is not None:

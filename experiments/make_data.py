@@ -1,34 +1,47 @@
-"""Builds the procedural corpus: python -m experiments.make_data --split=all"""
-
-import dataclasses
-from typing import Any
+"""Builds a generated data set: python -m experiments.make_data --dataset=shapes"""
 
 from absl import app, flags
 
 from experiments.launch import launch
-from prism_jax.data.corpus import SPLITS, CorpusConfig, build_corpus
+from prism_jax.data.corpus import SPLITS
+from prism_jax.data.datasets import GENERATED, build_dataset
 
 FLAGS = flags.FLAGS
 
+_CHANGES = {
+    "shapes": ("num_shapes", "num_views", "partial", "seed"),
+    "roboarm": ("num_sequences", "num_frames", "seed"),
+}
+
 
 def define_flags() -> None:
-    """The flags of this launcher; sizes are fields of CorpusConfig."""
-    flags.DEFINE_enum("split", "all", [*SPLITS, "all"], "Split to build.")
-    flags.DEFINE_string("cache_dir", None, "By default the user's cache folder.")
+    """The flags of this launcher; what is not given is the set's own."""
+    flags.DEFINE_enum("dataset", "shapes", GENERATED, "What to build.")
+    flags.DEFINE_enum("split", "train", SPLITS, "Split to build.")
+    flags.DEFINE_string("output_dir", None, "By default the user's cache folder.")
     flags.DEFINE_integer("num_workers", None, "By default one for every core.", 0)
-    for name, default in dataclasses.asdict(CorpusConfig()).items():
-        flags.DEFINE_integer(name, default, f"CorpusConfig.{name}")
+    flags.DEFINE_integer("seed", None, "Of the whole set.")
+    flags.DEFINE_integer("num_shapes", None, "shapes: how many.")
+    flags.DEFINE_integer("num_views", None, "shapes: partial clouds of each.")
+    flags.DEFINE_string("partial", None, "shapes: kind of the partial clouds.")
+    flags.DEFINE_integer("num_sequences", None, "roboarm: how many.")
+    flags.DEFINE_integer("num_frames", None, "roboarm: frames of each sequence.")
 
 
 def main(argv):
-    """Builds the splits that are asked for and prints their folders."""
+    """Builds what is missing of the split and prints its folder."""
     if len(argv) > 1:
         raise app.UsageError(f"unexpected argument {argv[1]!r}")
-    names = [field.name for field in dataclasses.fields(CorpusConfig)]
-    sizes: dict[str, Any] = {name: FLAGS[name].value for name in names}
-    config = CorpusConfig(**sizes)
-    for split in SPLITS if FLAGS.split == "all" else [FLAGS.split]:
-        print(build_corpus(split, config, FLAGS.cache_dir, FLAGS.num_workers))
+    known = {name for names in _CHANGES.values() for name in names}
+    given = {name: FLAGS[name].value for name in sorted(known)}
+    given = {name: value for name, value in given.items() if value is not None}
+    for name in given.keys() - _CHANGES[FLAGS.dataset]:
+        raise app.UsageError(f"--{name} does not belong to --dataset={FLAGS.dataset}")
+    print(
+        build_dataset(
+            FLAGS.dataset, FLAGS.split, FLAGS.output_dir, FLAGS.num_workers, **given
+        )
+    )
 
 
 def run():

@@ -1,4 +1,4 @@
-"""Pretrains a preset on the procedural corpus.
+"""Pretrains a preset on a data set, the procedural shapes unless told otherwise.
 
 python -m experiments.pretrain --preset=small --workdir=DIR [--resume]
 """
@@ -6,15 +6,20 @@ python -m experiments.pretrain --preset=small --workdir=DIR [--resume]
 from absl import flags
 
 from experiments.launch import launch, with_large_pages
-from prism_jax.data.corpus import CorpusConfig, build_corpus, load_corpus
+from prism_jax.data.datasets import (
+    DATASETS,
+    GENERATED,
+    build_dataset,
+    is_built,
+    open_training,
+)
 from prism_jax.presets import Preset, resolve
-from prism_jax.training.leg import Source
+from prism_jax.training.leg import Data
 from prism_jax.training.run import open_run, started_from
 from prism_jax.training.stages import pretrain
 from prism_jax.weights import save_weights
 
 FLAGS = flags.FLAGS
-NUM_VALIDATION = 200
 
 
 def define_flags() -> None:
@@ -24,7 +29,9 @@ def define_flags() -> None:
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
     flags.DEFINE_bool("resume", False, "Go on with the run in --workdir.")
     flags.DEFINE_integer("max_steps", None, "Stop after so many more steps of a leg.")
-    flags.DEFINE_string("cache_dir", None, "Where the corpus is, or is to be built.")
+    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
+    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
+    flags.DEFINE_integer("num_workers", 0, "Processes that read ahead; 0 for threads.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
 
 
@@ -33,8 +40,8 @@ def main(argv):
     del argv
     preset = resolve(FLAGS.preset, FLAGS.set)
     folder = open_run(FLAGS.workdir, preset, FLAGS.seed, FLAGS.resume)
-    source = open_source(preset)
-    variables = pretrain(preset, source, folder, FLAGS.seed, FLAGS.max_steps)
+    data = open_data(preset)
+    variables = pretrain(preset, data, folder, FLAGS.seed, FLAGS.max_steps)
     if variables is None:
         print(f"stopped; go on with --workdir={folder} --resume")
         return
@@ -42,7 +49,7 @@ def main(argv):
         "preset": FLAGS.preset,
         "seed": FLAGS.seed,
         "commit": started_from(folder),
-        "data": "procedural corpus, train split",
+        "data": FLAGS.dataset,
         "samples": sum(leg.num_samples for leg in preset.pretrain.backbone),
     }
     path = folder / "weights.safetensors"
@@ -50,17 +57,21 @@ def main(argv):
     print(f"written {path}")
 
 
-def open_source(preset: Preset) -> Source:
-    """The training and validation splits, built first where they are missing."""
-    for split in ("train", "validation"):
-        build_corpus(split, CorpusConfig(), FLAGS.cache_dir)
-    return Source(
-        load_corpus("train", cache_dir=FLAGS.cache_dir),
-        load_corpus("validation", cache_dir=FLAGS.cache_dir, limit=NUM_VALIDATION),
+def open_data(preset: Preset) -> Data:
+    """The training and validation splits; generated sets are built where missing."""
+    if FLAGS.dataset in GENERATED:
+        for split in ("train", "validation"):
+            if not is_built(FLAGS.dataset, split, FLAGS.data_dir):
+                build_dataset(FLAGS.dataset, split, FLAGS.data_dir)
+    train, validation = open_training(FLAGS.dataset, FLAGS.data_dir)
+    return Data(
+        train,
+        validation,
         preset.model.backbone.num_points,
         preset.model.margin,
         FLAGS.seed,
         preset.pretrain.validate_every,
+        FLAGS.num_workers,
     )
 
 

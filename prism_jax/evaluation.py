@@ -1,7 +1,8 @@
-"""Scores of a completer on a split of the corpus.
+"""Scores of a completer on a data set.
 
 Every example is framed by its partial alone, as a deployment would, and scored in the
-frame of the examples, where the longest side of the complete cloud spans [-1, 1].
+units of the examples: of the procedural shapes, where the longest side of the complete
+cloud is 2.
 """
 
 import concurrent.futures
@@ -18,11 +19,18 @@ from prism_jax import metrics
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.completion import keep_unmeasured
-from prism_jax.data.corpus import Examples
 from prism_jax.data.partials import farthest_point_order
+from prism_jax.data.pipeline import (
+    Batch,
+    Framing,
+    frame_example,
+    stack,
+    with_partial,
+    workspace_of,
+)
+from prism_jax.data.source import Example, Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.models.variables import Variables
-from prism_jax.training.batches import Batch, make_batch
 
 EMD_POINTS = 1024
 """The exact earth mover's distance is taken between so many farthest points."""
@@ -31,17 +39,21 @@ METRICS = ("cd_l2", "cd_l1", "f_score", "emd", "hd")
 
 
 class Scored(NamedTuple):
-    """Clouds of one example, in its stored frame, and what they are scored against."""
+    """Clouds of one example, in its own scale, and what they are scored against: the
+    complete cloud, and `EMD_POINTS` of it."""
 
     clouds: dict[str, Float[np.ndarray, "_ 3"]]
     complete: Float[np.ndarray, "M 3"]
+    few: Float[np.ndarray, "E 3"]
     accepted: bool
+    category: str
 
 
 def evaluate(
     config: AdaptConfig,
     variables: Variables,
-    examples: Examples,
+    source: Source,
+    limit: int | None = None,
     batch_size: int = 20,
     num_workers: int = 2,
 ) -> dict[str, Any]:
@@ -49,37 +61,41 @@ def evaluate(
 
     ``output`` and ``merged`` come with ``_before`` for the network as it was. Each has
     the mean of every metric, its bootstrap 95 % interval over the examples, and the
-    means by category; ``accepted`` is the share of frames whose adaptation was.
+    means by category; ``accepted`` is the share of frames whose adaptation was. Of the
+    source's examples the first ``limit`` count; all must have a complete cloud.
     """
-    count = len(examples.partial)
+    count = len(source) if limit is None else min(limit, len(source))
     names: list[str] = []
-    values, accepted = [], []
+    values, scored = [], []
     context = multiprocessing.get_context("spawn")
-    completed = _complete(config, variables, examples, batch_size)
     with (
         tqdm(total=count, desc="evaluate", unit="shape", mininterval=2.0) as bar,
         concurrent.futures.ProcessPoolExecutor(num_workers, context) as pool,
     ):
-        for batch in completed:
+        for batch in _complete(config, variables, source, count, batch_size):
             names = list(batch[0].clouds)
-            accepted += [scored.accepted for scored in batch]
+            scored += [(one.accepted, one.category) for one in batch]
             for row in pool.map(_score, batch):
                 values.append(row)
                 bar.update()
     table = np.array(values)
-    categories = np.asarray(examples.category)
+    accepted, categories = zip(*scored, strict=True)
     return {
         "num_examples": count,
         "accepted": float(np.mean(accepted)),
         **{
-            name: _summary(table[:, i], categories, examples.categories)
+            name: _summary(table[:, i], np.array(categories), source.categories)
             for i, name in enumerate(names)
         },
     }
 
 
 def _complete(
-    config: AdaptConfig, variables: Variables, examples: Examples, batch_size: int
+    config: AdaptConfig,
+    variables: Variables,
+    source: Source,
+    count: int,
+    batch_size: int,
 ) -> Iterator[list[Scored]]:
     adapt = make_adapt(config)
 
@@ -91,27 +107,26 @@ def _complete(
 
         return jax.vmap(one)(partials, eyes)
 
-    count = len(examples.partial)
-    num_measured = examples.partial.shape[1]
-    num_complete = examples.complete.shape[1]
+    model = config.model
+    framing = Framing(model.backbone.num_points, EMD_POINTS, model.margin)
     for start in range(0, count, batch_size):
         rows = np.arange(start, start + batch_size) % count
-        batch = make_batch(
-            examples, rows, num_measured, num_complete, config.model.margin
-        )
-        # Stored partials are in farthest-point order: their prefix is the sample.
-        partial = batch.partial[:, : config.model.backbone.num_points]
-        outputs = jax.device_get(complete(variables, partial, batch.eye))
-        kept = min(batch_size, count - start)
-        yield [_scored(batch, partial, outputs, i) for i in range(kept)]
+        examples = [with_partial(source[int(row)]) for row in rows]
+        batch = stack([frame_example(example, framing) for example in examples])
+        outputs = jax.device_get(complete(variables, batch.partial, batch.eye))
+        kept = range(min(batch_size, count - start))
+        yield [_scored(examples[i], batch, outputs, i, model.margin) for i in kept]
 
 
-def _scored(batch: Batch, partial: np.ndarray, outputs: tuple, i: int) -> Scored:
+def _scored(
+    example: Example, batch: Batch, outputs: tuple, i: int, margin: float
+) -> Scored:
     points, before, accepted = outputs
-    measured, scale = batch.partial[i], batch.half_extent[i]
+    center, scale = workspace_of(example.partial, margin)
+    measured = (example.partial - center) / scale
 
     def merged(prediction: np.ndarray) -> np.ndarray:
-        keep = keep_unmeasured(prediction, measured, partial[i])
+        keep = keep_unmeasured(prediction, measured, batch.partial[i])
         return np.concatenate([measured, prediction[keep]])
 
     clouds = {
@@ -122,20 +137,22 @@ def _scored(batch: Batch, partial: np.ndarray, outputs: tuple, i: int) -> Scored
         "merged": merged(points[i]),
     }
     clouds = {name: cloud * scale for name, cloud in clouds.items()}
-    return Scored(clouds, batch.complete[i] * scale, bool(accepted[i]))
+    few = batch.complete[i] * scale
+    complete = example.complete - center
+    return Scored(clouds, complete, few, bool(accepted[i]), example.category)
 
 
 def _score(scored: Scored) -> list[list[float]]:
-    return [_metrics(cloud, scored.complete) for cloud in scored.clouds.values()]
+    return [_metrics(cloud, scored) for cloud in scored.clouds.values()]
 
 
-def _metrics(cloud: np.ndarray, complete: np.ndarray) -> list[float]:
-    few = farthest_point_order(cloud, EMD_POINTS)
+def _metrics(cloud: np.ndarray, scored: Scored) -> list[float]:
+    complete, few = scored.complete, farthest_point_order(cloud, EMD_POINTS)
     return [
         metrics.cd_l2(cloud, complete),
         metrics.cd_l1(cloud, complete),
         metrics.f_score(cloud, complete),
-        metrics.emd(few, complete[:EMD_POINTS]),
+        metrics.emd(few, scored.few),
         metrics.hausdorff(cloud, complete),
     ]
 
@@ -152,9 +169,9 @@ def _summary(
         "median": dict(zip(METRICS, np.median(values, 0).tolist(), strict=True)),
         "interval": {name: [low[k], high[k]] for k, name in enumerate(METRICS)},
         "per_category": {
-            name: means(values[categories == i])
-            for i, name in enumerate(names)
-            if (categories == i).any()
+            name: means(values[categories == name])
+            for name in names
+            if (categories == name).any()
         },
     }
 

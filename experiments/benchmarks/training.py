@@ -6,9 +6,9 @@ import jax
 import numpy as np
 
 from experiments.benchmarks.measure import Row, in_turn, row
+from prism_jax.data.pipeline import Batch
 from prism_jax.models.backbone import init_backbone
 from prism_jax.presets import PRESETS
-from prism_jax.training.batches import Batch
 from prism_jax.training.pretrain import backbone_leg
 
 SAMPLES_PER_SECOND = 100

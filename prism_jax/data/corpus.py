@@ -1,261 +1,200 @@
-"""The procedural corpus: builds, caches and loads examples of three disjoint splits.
+"""The procedural corpus: builds splits of shapes with views, and reads them back.
 
-A split is a folder of uncompressed .npz shards and a manifest.json. Its name holds a
-digest of whatever the content depends on, so that an interrupted build resumes where
-it stopped and another configuration never mixes with it.
+A split is a folder of memory-mapped .npy shards and a manifest. Shapes of different
+splits and seeds never share a seed of their own; the split `unseen` has the categories
+that no other split has.
 """
 
-import concurrent.futures
 import dataclasses
 import functools
-import hashlib
 import io
-import json
-import multiprocessing
 import os
 import pathlib
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int16, Int64
-from tqdm import tqdm
 
+from prism_jax.data import builds
 from prism_jax.data.examples import (
     PARTIAL_POINTS,
     QUANTUM,
     SURFACE_POINTS,
-    make_example,
+    dequantise,
+    make_views,
 )
-from prism_jax.data.shapes import CATEGORIES
-from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.data.partials import PARTIALS
+from prism_jax.data.shapes import CATEGORIES as TRAIN_CATEGORIES
+
+UNSEEN_CATEGORIES = TRAIN_CATEGORIES
+from prism_jax.data.source import Example
+from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 
-SPLITS = ("train", "validation", "test")
-GENERATOR_VERSION = 1
-"""Raised with every change of shapes or partials, so that old caches are left alone."""
+SPLITS = {
+    "train": (12_000, 8),
+    "validation": (396, 1),
+    "test": (396, 1),
+    "unseen": (132, 1),
+}
+"""Shapes of a split, and views of each, unless told otherwise."""
+GENERATOR_VERSION = 2
+"""Raised with every change of shapes or partials, so that builds are never mixed."""
 
-_ARRAYS = ("partial", "complete", "viewpoint", "category")
+_ARRAYS = ("partial", "complete", "eye")
+"""In the order in which they are written: a shard is whole once it has an eye."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CorpusConfig:
-    """Sizes and seed of a corpus.
+    """What a split is made of. What makes no sense raises InputError.
 
-    Example i of a split has category `i % len(CATEGORIES)`: counts are balanced to
-    within one, and so is every prefix. Complete clouds keep the first
-    `*_complete_points` of the farthest-point order of 16,384 surface points. A size
-    that makes no sense raises InputError.
+    Attributes:
+      split: one of `SPLITS`.
+      num_shapes: shape i has category `i % len(categories)`, so that every prefix is
+        balanced; None for the split's own number.
+      num_views: partial clouds of each shape; None for the split's own number.
+      partial: one of `partials.PARTIALS`.
+      seed: of the whole corpus.
+      shard_shapes: shapes in a file.
     """
 
-    train_examples: int = 24000
-    validation_examples: int = 400
-    test_examples: int = 400
-    train_complete_points: int = 4096
-    evaluation_complete_points: int = SURFACE_POINTS
+    split: str
+    num_shapes: int | None = None
+    num_views: int | None = None
+    partial: str = "self_occlusion"
     seed: int = 0
-    shard_examples: int = 200
+    shard_shapes: int = 100
 
     def __post_init__(self):
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            lowest = 0 if field.name == "seed" else 1
-            highest = SURFACE_POINTS if field.name.endswith("_points") else 2**31
-            if not lowest <= value <= highest:
-                fault = f"{value} is not within {lowest} to {highest}"
-                raise InputError(field.name, fault, "choose another number")
+        for name, known in (("split", SPLITS), ("partial", PARTIALS)):
+            if getattr(self, name) not in known:
+                fault = f"unknown value {getattr(self, name)!r}"
+                raise InputError(name, fault, f"use one of {', '.join(known)}")
+        own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
+        for name, number in own.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, number)
+        for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
+            value, lowest = getattr(self, name), 0 if name == "seed" else 1
+            if not lowest <= value < 2**31:
+                fault = f"{value} is not within {lowest} to {2**31 - 1}"
+                raise InputError(name, fault, "choose another number")
 
-    def num_examples(self, split: str) -> int:
-        """Examples in a split; an unknown split raises InputError."""
-        return getattr(self, f"{_checked(split)}_examples")
-
-    def complete_points(self, split: str) -> int:
-        """Points of a complete cloud in a split."""
-        if _checked(split) == "train":
-            return self.train_complete_points
-        return self.evaluation_complete_points
-
-
-class Examples(NamedTuple):
-    """Examples as stored: `examples.dequantise` gives coordinates.
-
-    Clouds are in farthest-point order; viewpoints are camera centres in the frame of
-    the clouds, and `category` is an index into the names `categories`.
-    """
-
-    partial: Int16[np.ndarray, "E 2048 3"]
-    complete: Int16[np.ndarray, "E C 3"]
-    viewpoint: Float32[np.ndarray, "E 3"]
-    category: Int64[np.ndarray, " E"]
-    categories: tuple[str, ...]
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Of the split's shapes."""
+        return UNSEEN_CATEGORIES if self.split == "unseen" else TRAIN_CATEGORIES
 
 
-def shape_seed(config: CorpusConfig, split: str, index: int) -> int:
-    """Seed of an example, distinct for every (corpus seed, split, index < 2**32)."""
-    block = config.seed * len(SPLITS) + SPLITS.index(_checked(split))
+def shape_seed(config: CorpusConfig, index: int) -> int:
+    """Seed of a shape, distinct for every (corpus seed, split, index < 2**32)."""
+    block = config.seed * len(SPLITS) + list(SPLITS).index(config.split)
     return (block << 32) + index
 
 
-def split_dir(
-    split: str, config: CorpusConfig, cache_dir: str | os.PathLike | None = None
-) -> pathlib.Path:
-    """Folder of a split with exactly this content."""
-    content = json.dumps(_content(split, config), sort_keys=True)
-    digest = hashlib.sha256(content.encode()).hexdigest()[:12]
-    root = default_cache_dir() if cache_dir is None else pathlib.Path(cache_dir)
-    return root / f"{split}-{digest}"
+def split_dir(split: str, data_dir: str | os.PathLike | None = None) -> pathlib.Path:
+    """Folder of a split, by default in the user's cache folder."""
+    root = default_cache_dir() if data_dir is None else pathlib.Path(data_dir)
+    return root / f"shapes-{split}"
 
 
 def build_corpus(
-    split: str,
-    config: CorpusConfig = CorpusConfig(),
-    cache_dir: str | os.PathLike | None = None,
+    config: CorpusConfig,
+    data_dir: str | os.PathLike | None = None,
     num_workers: int | None = None,
     progress: bool = True,
 ) -> pathlib.Path:
     """Builds what is missing of a split and returns its folder.
 
-    The bytes do not depend on `num_workers` (by default the number of cores; 0 builds
-    in this process). Shards appear whole or not at all; the manifest comes last.
+    The bytes do not depend on `num_workers` (`builds.build`).
     """
-    folder = make_output_dir(split_dir(split, config, cache_dir))
-    build = functools.partial(_build_shard, split, config, folder)
-    missing = [
-        n for n in range(_num_shards(split, config)) if not _shard(folder, n).exists()
-    ]
-    if not missing and (folder / "manifest.json").exists():
-        return folder
-    bar = tqdm(total=len(missing), desc=split, unit="shard", disable=not progress)
-    with bar:
-        if num_workers == 0:
-            for number in missing:
-                build(number)
-                bar.update()
-        else:
-            _build_parallel(build, missing, num_workers, bar)
-    _write_manifest(split, config, folder)
-    return folder
-
-
-def load_corpus(
-    split: str,
-    config: CorpusConfig = CorpusConfig(),
-    cache_dir: str | os.PathLike | None = None,
-    limit: int | None = None,
-) -> Examples:
-    """The first `limit` examples of a split, all by default, from a finished build.
-
-    Every shard is checked against the manifest's sha256. A limit below one, or a
-    split that is missing, unfinished or damaged, raises InputError.
-    """
-    folder = split_dir(split, config, cache_dir)
-    manifest = _read_manifest(folder, split)
-    if limit is not None and limit < 1:
-        raise InputError("limit", f"{limit} is not positive", "ask for one or more")
-    count = manifest["examples"] if limit is None else min(limit, manifest["examples"])
-    shards = manifest["shards"][: -(-count // config.shard_examples)]
-    arrays = [_read_shard(folder / entry["file"], entry["sha256"]) for entry in shards]
-    partial, complete, viewpoint, category = (
-        np.concatenate([shard[name] for shard in arrays])[:count] for name in _ARRAYS
+    folder = split_dir(config.split, data_dir)
+    starts = range(0, config.num_shapes, config.shard_shapes)
+    return builds.build(
+        folder,
+        _content(config),
+        [min(config.shard_shapes, config.num_shapes - start) for start in starts],
+        lambda number: _file(folder, number, _ARRAYS[-1]).exists(),
+        functools.partial(_build_shard, config, folder),
+        "shape",
+        num_workers,
+        progress,
     )
-    categories = tuple(manifest["categories"])
-    return Examples(partial, complete, viewpoint, category, categories)
 
 
-def _checked(split: str) -> str:
-    if split not in SPLITS:
-        raise InputError("split", f"unknown split {split!r}", f"use one of {SPLITS}")
-    return split
+class Corpus:
+    """A built split as a Source: item i is view `i % views` of shape `i // views`.
+
+    A split that is missing, unfinished or damaged raises InputError.
+    """
+
+    def __init__(self, split: str, data_dir: str | os.PathLike | None = None):
+        self.root = split_dir(split, data_dir)
+        remedy = f"build it: python -m experiments.make_data --split={split}"
+        manifest = builds.read_manifest(self.root, remedy)
+        builds.verify(self.root, manifest["files"], "delete it and build again")
+        self.categories = tuple(manifest["categories"])
+        self.views = manifest["num_views"]
+        self.num_shapes = manifest["num_shapes"]
+        self._shard_shapes = manifest["shard_shapes"]
+        self._shards: dict[tuple[int, str], np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return self.num_shapes * self.views
+
+    def __getitem__(self, index: int) -> Example:
+        shape, view = divmod(range(len(self))[index], self.views)
+        shard, row = divmod(shape, self._shard_shapes)
+        return Example(
+            dequantise(self._array(shard, "complete")[row]),
+            dequantise(self._array(shard, "partial")[row, view]),
+            np.array(self._array(shard, "eye")[row, view]),
+            self.categories[shape % len(self.categories)],
+            f"{shape:06d}/{view:02d}",
+            ordered=True,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_shards": {}}
+
+    def _array(self, shard: int, name: str) -> np.ndarray:
+        """A shard's array, mapped into memory once."""
+        key = shard, name
+        if key not in self._shards:
+            path = _file(self.root, shard, name)
+            self._shards[key] = np.load(path, mmap_mode="r", allow_pickle=False)
+        return self._shards[key]
 
 
-def _content(split: str, config: CorpusConfig) -> dict:
-    """Everything that the bytes of a split depend on."""
+def _content(config: CorpusConfig) -> dict[str, Any]:
     return {
-        "split": split,
-        "seed": config.seed,
-        "examples": config.num_examples(split),
-        "shard_examples": config.shard_examples,
-        "partial_points": PARTIAL_POINTS,
-        "complete_points": config.complete_points(split),
-        "quantum": QUANTUM,
-        "categories": list(CATEGORIES),
+        "generator": "prism_jax shapes",
         "generator_version": GENERATOR_VERSION,
+        **dataclasses.asdict(config),
+        "categories": config.categories,
+        "partial_points": PARTIAL_POINTS,
+        "complete_points": SURFACE_POINTS,
+        "quantum": QUANTUM,
     }
 
 
-def _num_shards(split: str, config: CorpusConfig) -> int:
-    return -(-config.num_examples(split) // config.shard_examples)
+def _file(folder: pathlib.Path, number: int, name: str) -> pathlib.Path:
+    return folder / f"shard-{number:05d}.{name}.npy"
 
 
-def _shard(folder: pathlib.Path, number: int) -> pathlib.Path:
-    return folder / f"shard-{number:05d}.npz"
-
-
-def _build_shard(
-    split: str, config: CorpusConfig, folder: pathlib.Path, number: int
-) -> None:
-    start = number * config.shard_examples
-    stop = min(start + config.shard_examples, config.num_examples(split))
-    category = np.arange(start, stop) % len(CATEGORIES)
+def _build_shard(config: CorpusConfig, folder: pathlib.Path, number: int) -> None:
+    start = number * config.shard_shapes
     rows = [
-        make_example(
-            CATEGORIES[kind],
-            shape_seed(config, split, index),
-            config.complete_points(split),
+        make_views(
+            config.categories[index % len(config.categories)],
+            shape_seed(config, index),
+            config.num_views,
+            config.partial,
         )
-        for index, kind in enumerate(category, start)
+        for index in range(start, min(start + config.shard_shapes, config.num_shapes))
     ]
-    partial, complete, viewpoint = (np.stack(c) for c in zip(*rows, strict=True))
-    columns = (partial, complete, viewpoint, category.astype(np.int64))
-    buffer = io.BytesIO()
-    np.savez(buffer, **dict(zip(_ARRAYS, columns, strict=True)))
-    write_bytes(_shard(folder, number), buffer.getvalue())
-
-
-def _build_parallel(build, missing: list[int], num_workers: int | None, bar: tqdm):
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(num_workers, context) as pool:
-        futures = [pool.submit(build, number) for number in missing]
-        try:
-            for future in concurrent.futures.as_completed(futures):
-                future.result()
-                bar.update()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def _write_manifest(split: str, config: CorpusConfig, folder: pathlib.Path) -> None:
-    shards = []
-    for number in range(_num_shards(split, config)):
-        path = _shard(folder, number)
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        shards.append({"file": path.name, "sha256": digest})
-    manifest = _content(split, config) | {"shards": shards}
-    text = json.dumps(manifest, indent=1) + "\n"
-    write_bytes(folder / "manifest.json", text.encode())
-
-
-def _read_manifest(folder: pathlib.Path, split: str) -> dict:
-    remedy = f"build it: python -m experiments.make_data --split={split}"
-    path = folder / "manifest.json"
-    try:
-        return json.loads(path.read_text())
-    except FileNotFoundError:
-        raise InputError(path, "this split is not built here", remedy) from None
-    except ValueError:
-        raise InputError(
-            path, "is not valid JSON", f"delete it, then {remedy}"
-        ) from None
-
-
-def _read_shard(path: pathlib.Path, sha256: str) -> dict[str, np.ndarray]:
-    remedy = "delete it and build the split again"
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
-    if hashlib.sha256(data).hexdigest() != sha256:
-        raise InputError(path, "differs from the manifest's sha256", remedy)
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        return dict(arrays)
+    for name, column in zip(_ARRAYS, zip(*rows, strict=True), strict=True):
+        buffer = io.BytesIO()
+        np.save(buffer, np.stack(column), allow_pickle=False)
+        write_bytes(_file(folder, number, name), buffer.getvalue())

@@ -1,4 +1,4 @@
-"""One example: a shape, its complete cloud, one partial view, in stored form.
+"""One shape: its complete cloud and partial views of it, in stored form.
 
 Frame: the bounding box of the 16,384-point complete cloud is centred at the origin and
 the box's longest side spans [-1, 1]. This oracle frame is for storage; a network's
@@ -7,20 +7,18 @@ workspace is taken from the partial alone, later. Coordinates are int16 multiple
 """
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Float32, Int16
 
-from prism_jax.data.partials import (
-    farthest_point_order,
-    random_viewpoint,
-    self_occlusion,
-)
-from prism_jax.data.raycast import Scene
+from prism_jax.data.partials import farthest_point_order, make_partial
+from prism_jax.data.raycast import Scene, sample_outside
 from prism_jax.data.shapes import category_rng, make_shape
 
 QUANTUM = 2.0**-14
 SURFACE_POINTS = 16384
 PARTIAL_POINTS = 2048
+MIN_RETURNS = 16
+"""A view of fewer points, of a slender shape or through dropouts, is drawn again."""
+MAX_DRAWS = 100
 
 
 def quantise(points: Float[np.ndarray, "*shape 3"]) -> Int16[np.ndarray, "*shape 3"]:
@@ -33,32 +31,40 @@ def quantise(points: Float[np.ndarray, "*shape 3"]) -> Int16[np.ndarray, "*shape
 def dequantise(
     points: Int16[np.ndarray, "*shape 3"],
 ) -> Float32[np.ndarray, "*shape 3"]:
-    """Coordinates in the example's frame of stored points."""
+    """Coordinates in the frame of stored points."""
     return points.astype(np.float32) * np.float32(QUANTUM)
 
 
-def make_example(
-    category: str, seed: int, complete_points: int = SURFACE_POINTS
+def make_views(
+    category: str, seed: int, num_views: int = 1, partial: str = "self_occlusion"
 ) -> tuple[
-    Int16[np.ndarray, "2048 3"],
-    Int16[np.ndarray, "C 3"],
-    Float32[np.ndarray, "3"],
+    Int16[np.ndarray, "V 2048 3"],
+    Int16[np.ndarray, "16384 3"],
+    Float32[np.ndarray, "V 3"],
 ]:
-    """Partial cloud, complete cloud and viewpoint: a pure function of its arguments.
+    """Partial clouds, the complete cloud, viewpoints: a pure function of its arguments.
 
-    Both clouds are in farthest-point order; a partial of fewer than 2,048 distinct
-    points is repeated cyclically.
+    `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
+    from outside. All clouds are in farthest-point order; a partial of fewer than 2,048
+    distinct points is repeated cyclically. More views begin with the same ones.
     """
     rng = category_rng(category, seed, 1)
     mesh = make_shape(category, seed)
-    surface = np.asarray(
-        trimesh.sample.sample_surface(mesh, SURFACE_POINTS, seed=rng)[0]
-    )
+    surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng)
     lower, upper = surface.min(axis=0), surface.max(axis=0)
     center, half = (lower + upper) / 2, (upper - lower).max() / 2
     mesh.vertices = (mesh.vertices - center) / half
-    viewpoint = random_viewpoint(rng)
-    hits = self_occlusion(Scene(mesh), viewpoint, PARTIAL_POINTS)
-    complete = farthest_point_order((surface - center) / half, complete_points)
-    partial = farthest_point_order(hits, PARTIAL_POINTS)
-    return quantise(partial), quantise(complete), viewpoint.astype(np.float32)
+    complete = farthest_point_order((surface - center) / half, SURFACE_POINTS)
+    scene = Scene(mesh)
+    views = [_view(partial, scene, complete, rng) for _ in range(num_views)]
+    partials, eyes = (np.stack(column) for column in zip(*views, strict=True))
+    return partials, quantise(complete), eyes
+
+
+def _view(kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generator):
+    for _ in range(MAX_DRAWS):
+        points, eye = make_partial(kind, scene, complete, rng, PARTIAL_POINTS)
+        if len(points) >= MIN_RETURNS:
+            ordered = farthest_point_order(points, PARTIAL_POINTS)
+            return quantise(ordered), eye.astype(np.float32)
+    raise ValueError(f"no {kind} view of {MIN_RETURNS} points in {MAX_DRAWS} draws")

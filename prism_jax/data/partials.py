@@ -71,10 +71,7 @@ def make_partial(
     if kind not in PARTIALS:
         raise ValueError(f"unknown partial {kind!r}: choose one of {PARTIALS}")
     if kind == "crop":
-        direction = rng.normal(size=3)
-        viewpoint = direction / np.linalg.norm(direction)
-        share = rng.uniform(CROP_SHARES["easy"], CROP_SHARES["hard"])
-        return crop(np.asarray(complete, np.float64), viewpoint, share), viewpoint
+        return random_crop(np.asarray(complete, np.float64), rng)
     viewpoint = random_viewpoint(rng)
     if kind == "self_occlusion":
         return self_occlusion(scene, viewpoint, num_points), viewpoint
@@ -155,6 +152,17 @@ def crop(
     gaps = np.sum((complete - viewpoint) ** 2, axis=1)
     nearest_first = np.argsort(gaps, kind="stable")
     return complete[np.sort(nearest_first[int(share * len(complete)) :])]
+
+
+def random_crop(
+    complete: Float[np.ndarray, "M 3"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "N 3"], Float64[np.ndarray, "3"]]:
+    """A crop as ShapeNet-55 trains with, and its viewpoint: a random direction, and a
+    random share from the easiest to the hardest."""
+    direction = rng.normal(size=3)
+    viewpoint = direction / np.linalg.norm(direction)
+    share = rng.uniform(CROP_SHARES["easy"], CROP_SHARES["hard"])
+    return crop(complete, viewpoint, share), viewpoint
 
 
 def l515(

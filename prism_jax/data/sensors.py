@@ -79,10 +79,9 @@ class L515Config(RangeConfig):
     """Intel RealSense L515.
 
     Range 0.25 to 9 m, depth in counts of 0.25 mm, and a depth error of 2.5 mm standard
-    deviation at 1 m and 15.5 mm at 9 m on a target of 95 % reflectivity: Intel's data
-    sheet (revision 003, January 2021) and its device page, which also allow a mean
-    error of 5 mm and 14 mm that is not modelled. The shares of lost and mixed pixels
-    are our assumption; Intel only says that glossy and slanted surfaces lose signal.
+    deviation at 1 m and 15.5 mm at 9 m on a target of 95 % reflectivity, as Intel's
+    maintainers give it (librealsense, issue 5808), beside a mean error of 5 mm and
+    14 mm that is not modelled. The shares of lost and mixed pixels are our assumption.
     """
 
     min_range: float = 0.25

@@ -17,6 +17,8 @@ class Example(NamedTuple):
         source does not say.
       category: one of the source's `categories`.
       name: unique within the source.
+      ordered: whether both clouds are in farthest-point order, so that every prefix is
+        a farthest-point sample.
     """
 
     complete: Float32[np.ndarray, "M 3"] | None
@@ -24,6 +26,7 @@ class Example(NamedTuple):
     eye: Float32[np.ndarray, "3"] | None
     category: str
     name: str
+    ordered: bool = False
 
 
 @runtime_checkable
@@ -37,6 +40,11 @@ class Source(Protocol):
     @property
     def categories(self) -> tuple[str, ...]:
         """The names that `Example.category` takes."""
+        ...
+
+    @property
+    def views(self) -> int:
+        """Items in a row that show one object: item i is view `i % views`."""
         ...
 
     def __len__(self) -> int: ...

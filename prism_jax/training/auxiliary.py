@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.objective import auxiliary_losses
+from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
@@ -27,7 +28,6 @@ from prism_jax.models.prism import (
     read_depth,
 )
 from prism_jax.models.variables import Variables, apply_training, part
-from prism_jax.training.batches import Batch
 from prism_jax.training.config import PretrainConfig
 from prism_jax.training.leg import Leg, TrainState
 from prism_jax.training.pretrain import adam

@@ -20,9 +20,17 @@ class Checkpoints:
         # Orbax keeps the metrics of a manager that ranks by them.
         self._best = _manager(root / "best", best_fn=_quality)
 
-    def save(self, step: int, state: Any, score: float | None = None) -> bool:
-        """Writes the state; also as the best, if its score is the lowest so far."""
-        self._latest.save(step, args=ocp.args.StandardSave(state))
+    def save(
+        self, step: int, state: Any, reader: Any, score: float | None = None
+    ) -> bool:
+        """Writes the state, and that of what reads the data, as JSON values; the state
+        also as the best, if its score is the lowest so far."""
+        self._latest.save(
+            step,
+            args=ocp.args.Composite(
+                state=ocp.args.StandardSave(state), reader=ocp.args.JsonSave(reader)
+            ),
+        )
         best = self.best_score()
         is_best = score is not None and score < (math.inf if best is None else best)
         if is_best:
@@ -41,13 +49,20 @@ class Checkpoints:
         metrics = self._best.metrics(step)
         return None if metrics is None else float(metrics["score"])
 
-    def restore_latest(self, like: Any) -> Any | None:
-        """The latest state, in the structure of ``like``; None if there is none."""
-        return _restore(self._latest, like)
+    def restore_latest(self, like: Any) -> tuple[Any, Any] | None:
+        """The latest state, in the structure of ``like``, and the reader's; None if
+        there is none."""
+        step = self._latest.latest_step()
+        if step is None:
+            return None
+        args = ocp.args.Composite(state=_as(like), reader=ocp.args.JsonRestore())
+        found = self._latest.restore(step, args=args)
+        return found["state"], found["reader"]
 
     def restore_best(self, like: Any) -> Any | None:
         """The best state, in the structure of ``like``; None if there is none."""
-        return _restore(self._best, like)
+        step = self._best.latest_step()
+        return None if step is None else self._best.restore(step, args=_as(like))
 
     def close(self) -> None:
         """Waits for what is being written."""
@@ -64,9 +79,6 @@ def _quality(metrics: dict[str, float]) -> float:
     return -metrics["score"]
 
 
-def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:
-    step = manager.latest_step()
-    if step is None:
-        return None
+def _as(like: Any) -> ocp.args.StandardRestore:
     abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
-    return manager.restore(step, args=ocp.args.StandardRestore(abstract))
+    return ocp.args.StandardRestore(abstract)

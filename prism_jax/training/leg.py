@@ -8,9 +8,15 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from prism_jax.data.corpus import Examples
+from prism_jax.data.pipeline import (
+    Batch,
+    Framing,
+    frame_example,
+    stack,
+    training_batches,
+)
+from prism_jax.data.source import Source
 from prism_jax.models.variables import Variables
-from prism_jax.training.batches import Batch, TrainingOrder, make_batch
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.run import Log
 
@@ -49,36 +55,52 @@ class Leg(NamedTuple):
     validate_fn: Callable[[Variables, Batch], Float[Array, "B S"]]
 
 
-class Source(NamedTuple):
+class Data(NamedTuple):
     """Where batches come from, and how they are framed."""
 
-    train: Examples
-    validation: Examples
+    train: Source
+    validation: Source
     num_partial: int
     margin: float
     seed: int
     validate_every: int
+    num_workers: int = 0
+
+    def framing(self, num_complete: int) -> Framing:
+        """Of batches with so many points of the complete cloud."""
+        return Framing(self.num_partial, num_complete, self.margin)
 
 
 def train_leg(
-    leg: Leg, source: Source, folder: pathlib.Path, max_steps: int | None = None
+    leg: Leg, data: Data, folder: pathlib.Path, max_steps: int | None = None
 ) -> tuple[Variables, bool]:
     """Trains a leg to its end, or for ``max_steps`` more steps.
 
-    Goes on from the latest checkpoint in ``folder`` if there is one. Returns the
-    variables that did best on the validation examples, and whether the leg is done.
+    Goes on from the latest checkpoint in ``folder`` if there is one, with the batches
+    that would have come next. Returns the variables that did best on the validation
+    examples, and whether the leg is done. The log's ``data_wait`` is the share of the
+    time in which the loop waited for batches.
     """
     checkpoints = Checkpoints(folder / leg.name)
-    state = _fresh(checkpoints.restore_latest(leg.start) or leg.start)
+    state, reader = checkpoints.restore_latest(leg.start) or (leg.start, None)
+    state = _fresh(state)
     step, num_steps = int(state.step), leg.num_samples // leg.batch_size
     last = num_steps if max_steps is None else min(num_steps, step + max_steps)
-    order = TrainingOrder(len(source.train.partial), leg.batch_size, source.seed)
+    batches = training_batches(
+        data.train,
+        data.framing(leg.num_complete),
+        leg.batch_size,
+        data.seed,
+        data.num_workers,
+    )
+    if reader is not None:
+        batches.set_state(reader)
     log = Log(folder, leg.name, leg.num_samples, step * leg.batch_size)
-    validate_steps = max(1, source.validate_every // leg.batch_size)
+    validate_steps = max(1, data.validate_every // leg.batch_size)
     recent = []
     while step < last:
-        rows, mirrored = order.rows(step)
-        batch = _batch(source, source.train, rows, leg.num_complete, mirrored)
+        with log.waiting():
+            batch = next(batches)
         state, losses = leg.step_fn(state, batch)
         recent.append(losses)
         step += 1
@@ -90,9 +112,9 @@ def train_leg(
             log.write(step, losses=mean.tolist())
             log.show(loss=float(mean.sum()), last=float(mean[-1]))
         if at_validation:
-            scores = validate(leg, source, state.variables)
+            scores = validate(leg, data, state.variables)
             log.write(step, validation=scores.tolist())
-            checkpoints.save(step, state, float(scores[-1]))
+            checkpoints.save(step, state, batches.get_state(), float(scores[-1]))
     log.close()
     best = checkpoints.restore_best(state)
     checkpoints.close()
@@ -104,12 +126,6 @@ def _fresh(state: TrainState) -> TrainState:
     return jax.device_put(jax.device_get(state))
 
 
-def _batch(source, examples, rows, num_complete, mirrored=None) -> Batch:
-    return make_batch(
-        examples, rows, source.num_partial, num_complete, source.margin, mirrored
-    )
-
-
 def _finite_mean(losses: list[Array], name: str, step: int) -> np.ndarray:
     mean = np.mean(jax.device_get(losses), axis=0)
     if not np.isfinite(mean).all():
@@ -117,17 +133,18 @@ def _finite_mean(losses: list[Array], name: str, step: int) -> np.ndarray:
     return mean
 
 
-def validate(leg: Leg, source: Source, variables: Variables) -> np.ndarray:
+def validate(leg: Leg, data: Data, variables: Variables) -> np.ndarray:
     """Mean scores over the validation examples, in batches of one size.
 
     Where the last batch would be short it reaches back, and what was scored before is
     left out.
     """
-    count = len(source.validation.partial)
+    count = len(data.validation)
     size = min(leg.batch_size, count)
+    framing = data.framing(VALIDATION_COMPLETE)
     scores = []
     for start in range(0, count, size):
         rows = np.arange(size) + min(start, count - size)
-        batch = _batch(source, source.validation, rows, VALIDATION_COMPLETE)
+        batch = stack([frame_example(data.validation[row], framing) for row in rows])
         scores.append(np.asarray(leg.validate_fn(variables, batch))[rows >= start])
     return np.concatenate(scores).mean(0)

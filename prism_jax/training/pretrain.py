@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from prism_jax.data.pipeline import Batch
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.backbone import (
@@ -17,7 +18,6 @@ from prism_jax.models.backbone import (
 )
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.variables import Variables
-from prism_jax.training.batches import Batch
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.leg import Leg, TrainState
 

@@ -1,10 +1,12 @@
 """A run directory: the resolved configuration, the metrics log, the progress bar."""
 
+import contextlib
 import dataclasses
 import json
 import pathlib
 import subprocess
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from tqdm import tqdm
@@ -63,6 +65,7 @@ class Log:
         self._file = (folder / "metrics.jsonl").open("a")
         self._name = name
         self._start, self._done_at_start = time.monotonic(), done
+        self._waited = 0.0
         self._bar = tqdm(
             total=total, initial=done, desc=name, unit="sample", mininterval=2.0
         )
@@ -71,19 +74,31 @@ class Log:
         """Moves the bar."""
         self._bar.update(samples)
 
+    @contextlib.contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Counts what is done inside as waiting for data."""
+        start = time.monotonic()
+        yield
+        self._waited += time.monotonic() - start
+
     def show(self, **values: float) -> None:
-        """Shows values beside the bar."""
+        """Shows values beside the bar, and the share of the time spent waiting."""
+        values["data_wait"] = self._waited / max(self._seconds(), 1e-9)
         text = {key: f"{value:.4g}" for key, value in values.items()}
         self._bar.set_postfix(text, refresh=False)
 
     def write(self, step: int, **values: Any) -> None:
         """Adds a line."""
-        seconds = time.monotonic() - self._start
-        rate = (self._bar.n - self._done_at_start) / max(seconds, 1e-9)
+        seconds = max(self._seconds(), 1e-9)
+        rate = (self._bar.n - self._done_at_start) / seconds
         line = {"phase": self._name, "step": step, "samples": self._bar.n}
-        line |= {"samples_per_second": round(rate, 2), **values}
+        line |= {"samples_per_second": round(rate, 2)}
+        line |= {"data_wait": round(self._waited / seconds, 4), **values}
         self._file.write(json.dumps(line) + "\n")
         self._file.flush()
+
+    def _seconds(self) -> float:
+        return time.monotonic() - self._start
 
     def close(self) -> None:
         """Ends the bar and the file."""

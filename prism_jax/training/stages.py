@@ -9,13 +9,13 @@ from prism_jax.models.initial import init_auxiliary
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.training.auxiliary import auxiliary_leg
-from prism_jax.training.leg import Leg, Source, train_leg, validate
+from prism_jax.training.leg import Data, Leg, train_leg, validate
 from prism_jax.training.pretrain import backbone_leg
 
 
 def pretrain(
     preset: Preset,
-    source: Source,
+    data: Data,
     folder: pathlib.Path,
     seed: int,
     max_steps: int | None = None,
@@ -30,24 +30,24 @@ def pretrain(
     variables = init_backbone(backbone_key, preset.model.backbone)
     for phase in preset.pretrain.backbone:
         leg = backbone_leg(variables, preset.model.backbone, phase, preset.pretrain)
-        variables, done = train_leg(leg, source, folder, max_steps)
+        variables, done = train_leg(leg, data, folder, max_steps)
         if not done:
             return None
     fresh = init_auxiliary(auxiliary_key, variables, preset.model)
     leg = auxiliary_leg(fresh, preset.adapt, preset.pretrain, seed)
-    variables, done = train_leg(leg, source, folder, max_steps)
-    return _better_refiner(leg, source, variables, fresh) if done else None
+    variables, done = train_leg(leg, data, folder, max_steps)
+    return _better_refiner(leg, data, variables, fresh) if done else None
 
 
 def _better_refiner(
-    leg: Leg, source: Source, variables: Variables, fresh: Variables
+    leg: Leg, data: Data, variables: Variables, fresh: Variables
 ) -> Variables:
     """The trained refiner, or the fresh one if that completes better on validation.
 
     Eq. 3 compares sparse depth maps, through whose holes the far side shows: nothing
     in it says that points must not leave the surface, so it is checked.
     """
-    before, after, _ = validate(leg, source, variables)
+    before, after, _ = validate(leg, data, variables)
     print(f"CD-L2 x1e4: {1e4 * before:.4g} unrefined, {1e4 * after:.4g} refined")
     if after <= before:
         return variables

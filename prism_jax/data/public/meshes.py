@@ -34,6 +34,8 @@ class Meshes:
     first folder below that, "mesh" for files that lie in none.
     """
 
+    views = 1
+
     def __init__(
         self,
         root: str | os.PathLike,

@@ -63,6 +63,7 @@ class MVP:
     """
 
     categories = CATEGORIES
+    views = VIEWS
 
     def __init__(self, root: str | os.PathLike, split: str, num_points: int = 2048):
         root = pathlib.Path(root)

@@ -1,0 +1,154 @@
+"""Folders of generated files: begun, built by several processes, finished, checked.
+
+A folder holds a ``manifest.json`` from the start. It says what the content is made
+from, so that nothing else is ever mixed in, and in the end every file's sha256. A
+build that was broken off goes on where it stopped.
+"""
+
+import concurrent.futures
+import hashlib
+import json
+import multiprocessing
+import os
+import pathlib
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from tqdm import tqdm
+
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.errors import InputError
+
+MANIFEST = "manifest.json"
+
+
+def build(
+    folder: str | os.PathLike,
+    content: Mapping[str, Any],
+    sizes: Sequence[int],
+    is_built: Callable[[int], bool],
+    build_item: Callable[[int], None],
+    unit: str,
+    num_workers: int | None = None,
+    progress: bool = True,
+) -> pathlib.Path:
+    """Builds what is missing of a folder's items, and then its manifest.
+
+    `content` is everything that the bytes depend on, as JSON. Item i holds `sizes[i]`
+    units, which a bar counts; with `progress`, a line tells their rate at the end.
+    Items are built in `num_workers` processes, one a core by default, 0 for this one;
+    `build_item` is pickled for them. A folder with other content raises InputError.
+    """
+    folder = make_output_dir(folder)
+    content = json.loads(json.dumps(content))
+    if _is_finished(folder, content):
+        return folder
+    missing = [number for number in range(len(sizes)) if not is_built(number)]
+    total, done = sum(sizes), sum(sizes) - sum(sizes[number] for number in missing)
+    start = time.perf_counter()
+    with tqdm(
+        total=total, initial=done, desc=folder.name, unit=unit, disable=not progress
+    ) as bar:
+        for number in _run(build_item, missing, num_workers):
+            bar.update(sizes[number])
+    seconds = time.perf_counter() - start
+    write_manifest(folder, {**content, "files": hash_files(folder)})
+    if progress and missing:
+        made = f"{total - done} {unit}s in {seconds:.0f} s"
+        print(f"{folder.name}: {made}, {(total - done) / seconds:.2f} a second")
+    return folder
+
+
+def read_manifest(folder: str | os.PathLike, remedy: str) -> dict[str, Any]:
+    """The manifest of a finished build; InputError, with the remedy, if there is none."""
+    path = pathlib.Path(folder) / MANIFEST
+    try:
+        manifest = json.loads(path.read_text())
+        if manifest["files"] is None:
+            raise InputError(folder, "its build was broken off", remedy)
+        return manifest
+    except FileNotFoundError:
+        raise InputError(folder, "is not built", remedy) from None
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            path, "is not a manifest", f"delete it, then {remedy}"
+        ) from None
+
+
+def write_manifest(folder: pathlib.Path, content: Mapping[str, Any]) -> None:
+    """Writes a folder's manifest, whole or not at all."""
+    text = json.dumps(content, indent=1) + "\n"
+    write_bytes(folder / MANIFEST, text.encode())
+
+
+def hash_files(folder: pathlib.Path) -> dict[str, str]:
+    """The sha256 of every file below a folder but its manifest, by relative path."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    names = {path.relative_to(folder).as_posix(): path for path in paths}
+    return {
+        name: _sha256(path)
+        for name, path in names.items()
+        if name != MANIFEST and not path.name.startswith(".")
+    }
+
+
+def verify(folder: pathlib.Path, files: Mapping[str, str], remedy: str) -> None:
+    """Raises InputError unless every file of a manifest is there with its sha256."""
+    for name, digest in files.items():
+        path = folder / name
+        try:
+            found = _sha256(path)
+        except OSError as error:
+            fault = f"cannot be read ({error.strerror})"
+            raise InputError(path, fault, remedy) from None
+        if found != digest:
+            raise InputError(path, "differs from the manifest's sha256", remedy)
+
+
+def _sha256(path: pathlib.Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
+    """Whether a build of this content is there; begins one in an empty folder."""
+    path = folder / MANIFEST
+    if not path.exists():
+        if any(not entry.name.startswith(".") for entry in folder.iterdir()):
+            raise InputError(folder, "is not empty", "name a new folder")
+        write_manifest(folder, {**content, "files": None})
+        return False
+    try:
+        found = json.loads(path.read_text())
+        files = found.pop("files")
+    except (ValueError, KeyError, AttributeError):
+        raise InputError(path, "is not a manifest", "delete the folder") from None
+    if found != content:
+        changed = [k for k in {*found, *content} if found.get(k) != content.get(k)]
+        fault = f"was built with other settings ({', '.join(sorted(changed))})"
+        raise InputError(folder, fault, "name a new folder, or delete this one")
+    return files is not None
+
+
+def _run(
+    build_item: Callable[[int], None], items: Sequence[int], num_workers: int | None
+) -> Iterator[int]:
+    """The items as they are finished."""
+    if num_workers == 0:
+        for number in items:
+            build_item(number)
+            yield number
+        return
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(num_workers, context) as pool:
+        futures = {pool.submit(build_item, number): number for number in items}
+        try:
+            for future in concurrent.futures.as_completed(futures):
+                future.result()
+                yield futures[future]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

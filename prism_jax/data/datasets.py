@@ -1,0 +1,125 @@
+"""Every data set by the name that flags use, and what a training holds out of it."""
+
+import os
+import pathlib
+from typing import Any
+
+import numpy as np
+
+from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
+from prism_jax.data.public import PUBLIC_SETS, open_public
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.data.roboarm.build import build_roboarm
+from prism_jax.data.source import Example, Source
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import default_cache_dir
+
+GENERATED = ("shapes", "roboarm")
+"""Built on the machine; their folder is the user's cache folder unless named."""
+DATASETS = (*GENERATED, "recordings", *PUBLIC_SETS)
+TEST_ONLY = ("kitti", "shapenet_unseen21", "projected_shapenet_unseen21")
+_WITH_VALIDATION = {"shapes": "validation", "roboarm": "validation"}
+_WITH_VALIDATION |= {"pcn": "val", "completion3d": "val"}
+
+
+def build_dataset(
+    name: str,
+    split: str,
+    data_dir: str | os.PathLike | None = None,
+    num_workers: int | None = None,
+    **changes: Any,
+) -> pathlib.Path:
+    """Builds what is missing of a generated set's split, and returns its folder.
+
+    `changes` are fields of `CorpusConfig`, or arguments of `build_roboarm`. A name that
+    is not `GENERATED` raises InputError.
+    """
+    if name == "shapes":
+        return build_corpus(CorpusConfig(split, **changes), data_dir, num_workers)
+    if name == "roboarm":
+        folder = _roboarm_dir(split, data_dir)
+        return build_roboarm(split, folder, num_workers=num_workers, **changes)
+    raise InputError(name, "is not generated", f"use one of {', '.join(GENERATED)}")
+
+
+def is_built(name: str, split: str, data_dir: str | os.PathLike | None = None) -> bool:
+    """Whether a generated set's split has been begun in its folder."""
+    folders = {"shapes": split_dir, "roboarm": _roboarm_dir}
+    return (folders[name](split, data_dir) / "manifest.json").exists()
+
+
+def open_dataset(
+    name: str, split: str, data_dir: str | os.PathLike | None = None, **options: Any
+) -> Source:
+    """A data set's split as a Source.
+
+    `data_dir` holds the set: the folder given to `make_data`, the root of recordings
+    or of a public set in its published layout. Recordings have the one split "all".
+    Anything that is not there, or not as it should be, raises InputError.
+    """
+    if name not in DATASETS:
+        raise InputError(name, "no such data set", f"use one of {', '.join(DATASETS)}")
+    if name == "shapes":
+        return Corpus(split, data_dir)
+    if name == "roboarm":
+        return RecordedCells(_roboarm_dir(split, data_dir))
+    if data_dir is None:
+        raise InputError(name, "is not generated", "name its folder with --data_dir")
+    if name == "recordings":
+        return RecordedCells(data_dir)
+    return open_public(name, data_dir, split, **options)
+
+
+def open_training(
+    name: str, data_dir: str | os.PathLike | None = None, num_validation: int = 200
+) -> tuple[Source, Source]:
+    """What to train on, and `num_validation` examples to validate with.
+
+    These are a split of their own where the set has one. Else as many objects, evenly
+    spaced through the set and no more than a tenth of it, are held out with all their
+    views. The test split is not opened.
+    """
+    if name in TEST_ONLY:
+        raise InputError(name, "has no training split", "train on another set")
+    whole = "all" if name in ("recordings", "meshes") else "train"
+    train = open_dataset(name, whole, data_dir)
+    if name in _WITH_VALIDATION:
+        validation = open_dataset(name, _WITH_VALIDATION[name], data_dir)
+        rows = np.unique(np.linspace(0, len(validation) - 1, num_validation, dtype=int))
+        return train, Subset(validation, rows)
+    return hold_out(train, num_validation)
+
+
+def hold_out(source: Source, count: int) -> tuple["Subset", "Subset"]:
+    """The source without some objects, and the first view of each of those.
+
+    `count` objects, evenly spaced, or a tenth of all if that is fewer. A source of a
+    single object raises InputError.
+    """
+    objects = len(source) // source.views
+    count = min(count, max(1, objects // 10))
+    if objects < 2:
+        raise InputError("data", "holds a single object", "add more to train on")
+    held = np.unique(np.linspace(0, objects - 1, count + 2, dtype=int)[1:-1])
+    rows = np.arange(len(source))
+    train = rows[~np.isin(rows // source.views, held)]
+    return Subset(source, train, source.views), Subset(source, held * source.views)
+
+
+class Subset:
+    """Some items of a source, in the order of `rows`."""
+
+    def __init__(self, source: Source, rows: np.ndarray, views: int = 1):
+        self._source, self._rows = source, np.asarray(rows)
+        self.categories, self.views = source.categories, views
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, index: int) -> Example:
+        return self._source[int(self._rows[index])]
+
+
+def _roboarm_dir(split: str, data_dir: str | os.PathLike | None) -> pathlib.Path:
+    root = default_cache_dir() if data_dir is None else pathlib.Path(data_dir)
+    return root / f"roboarm-{split}"

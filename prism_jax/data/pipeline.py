@@ -1,0 +1,159 @@
+"""Examples of any source as batches of arrays, shuffled and resumable, by Grain."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import grain
+import numpy as np
+from jaxtyping import Float32
+
+from prism_jax.data.partials import (
+    CROP_SHARES,
+    CROP_VIEWPOINTS,
+    crop,
+    farthest_point_order,
+    random_crop,
+)
+from prism_jax.data.source import Example, Source
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.errors import InputError
+
+UNKNOWN_EYE = 3.0 / np.sqrt(3.0) * np.ones(3)
+"""Where the sensor is taken to be if a source does not say, in the unit workspace: the
+view `front_left_top` of `Camera.fixed_view`."""
+
+
+class Batch(NamedTuple):
+    """Clouds in the unit workspace that each partial determines.
+
+    Attributes:
+      partial: measured points, in farthest-point order.
+      complete: the whole surface, in farthest-point order.
+      eye: where the sensor stood.
+      half_extent: of the workspace, in the frame of the examples: what turns a
+        distance here into one there.
+    """
+
+    partial: Float32[np.ndarray, "*B N 3"]
+    complete: Float32[np.ndarray, "*B M 3"]
+    eye: Float32[np.ndarray, "*B 3"]
+    half_extent: Float32[np.ndarray, "*B"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Framing:
+    """How examples become arrays of one size: points of the partial and of the
+    complete cloud, and the workspace's margin around the partial."""
+
+    num_partial: int
+    num_complete: int
+    margin: float
+
+
+def frame_example(
+    example: Example, framing: Framing, rng: np.random.Generator | None = None
+) -> Batch:
+    """One example in the workspace of its partial, without a batch axis.
+
+    With `rng`, for training: mirrored along x with probability one half, which makes
+    an object of the same kind where left and right are x; and a partial that is None
+    is cropped at random. Without, it is cropped as the median test from the first
+    fixed viewpoint. An example without a complete cloud raises InputError.
+    """
+    example = with_partial(example, rng)
+    partial, complete, eye = example.partial, example.complete, example.eye
+    if rng is not None and rng.random() < 0.5:
+        sign = np.array([-1, 1, 1], np.float32)
+        partial, complete = partial * sign, complete * sign
+        eye = None if eye is None else eye * sign
+    center, half_extent = workspace_of(partial, framing.margin)
+    eye = UNKNOWN_EYE if eye is None else (eye - center) / half_extent
+    return Batch(
+        (_first(partial, framing.num_partial, example) - center) / half_extent,
+        (_first(complete, framing.num_complete, example) - center) / half_extent,
+        np.asarray(eye, np.float32),
+        half_extent,
+    )
+
+
+def with_partial(example: Example, rng: np.random.Generator | None = None) -> Example:
+    """The example with a partial, cropped as `frame_example` has it if it had none.
+
+    An example without a complete cloud raises InputError.
+    """
+    if example.complete is None:
+        fault = "has no complete cloud to learn from or to be compared with"
+        raise InputError(example.name, fault, "use it for completion alone")
+    if example.partial is not None:
+        return example
+    if rng is None:
+        partial = crop(example.complete, CROP_VIEWPOINTS[0], CROP_SHARES["median"])
+    else:
+        partial = random_crop(example.complete, rng)[0]
+    return example._replace(partial=partial, ordered=False)
+
+
+def workspace_of(
+    partial: Float32[np.ndarray, "N 3"], margin: float
+) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, ""]]:
+    """Centre and half extent of the workspace that all of a partial determines."""
+    box = Workspace.from_points(partial, margin)
+    return np.asarray(box.center, np.float32), np.asarray(box.half_extent, np.float32)
+
+
+def training_batches(
+    source: Source,
+    framing: Framing,
+    batch_size: int,
+    seed: int,
+    num_workers: int = 0,
+    shard: tuple[int, int] = (0, 1),
+) -> grain.DatasetIterator[Batch]:
+    """Endless batches: each example once per epoch, freshly shuffled and augmented.
+
+    What the n-th batch holds is a function of the arguments and n alone; the iterator's
+    `get_state` and `set_state` go on from where another one was. `num_workers`
+    processes read ahead, 0 for threads of this one. `shard` is (this process, number
+    of processes) where several train together: each then sees its own share. A source
+    that does not fill one batch raises InputError.
+    """
+    number, count = shard
+    if len(source) < batch_size * count:
+        fault = f"{len(source)} examples do not fill a batch of {batch_size * count}"
+        raise InputError("data", fault, "use more data, or a smaller batch")
+    dataset = (
+        grain.MapDataset.source(source)
+        .seed(seed)
+        .shuffle()
+        .repeat()
+        .slice(slice(number, None, count))
+        .random_map(_Frame(framing))
+        .batch(batch_size, batch_fn=stack)
+    )
+    if num_workers == 0:
+        reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=4)
+        return iter(dataset.to_iter_dataset(reading))
+    reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=2)
+    workers = grain.MultiprocessingOptions(num_workers, per_worker_buffer_size=2)
+    return iter(dataset.to_iter_dataset(reading).mp_prefetch(workers))
+
+
+def stack(rows: Sequence[Batch]) -> Batch:
+    """Examples side by side along a new first axis."""
+    return Batch(*(np.stack(column) for column in zip(*rows, strict=True)))
+
+
+class _Frame(grain.transforms.RandomMap):
+    def __init__(self, framing: Framing):
+        self._framing = framing
+
+    def random_map(self, element: Any, rng: np.random.Generator) -> Batch:
+        return frame_example(element, self._framing, rng)
+
+
+def _first(cloud: np.ndarray, count: int, example: Example) -> np.ndarray:
+    """The first points of the cloud's farthest-point order, repeated if too few."""
+    if not example.ordered:
+        return farthest_point_order(cloud, count)
+    return cloud[:count] if count <= len(cloud) else np.resize(cloud, (count, 3))
