@@ -1,0 +1,43 @@
+"""What every data set yields, and all that a pipeline knows of one."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float32
+
+
+class Example(NamedTuple):
+    """One object or scene: the clouds as their source has them, none resampled.
+
+    Attributes:
+      complete: the ground truth; None where there is none, as for KITTI's cars.
+      partial: what the sensor measured; None where it is still to be cropped from
+        `complete`.
+      eye: the sensor's position, in the frame and units of the clouds; None where the
+        source does not say.
+      category: one of the source's `categories`.
+      name: unique within the source.
+    """
+
+    complete: Float32[np.ndarray, "M 3"] | None
+    partial: Float32[np.ndarray, "N 3"] | None
+    eye: Float32[np.ndarray, "3"] | None
+    category: str
+    name: str
+
+
+class Source(Protocol):
+    """A data set of Examples, read by index: Grain's random-access source.
+
+    A pure function of how it was made: the same index gives the same arrays in every
+    process. It can be pickled, and an index outside the range raises IndexError.
+    """
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """The names that `Example.category` takes."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Example: ...
