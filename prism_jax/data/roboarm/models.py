@@ -23,6 +23,8 @@ class ArmModel:
       root: the first link of the arm, which is bolted down by the joint above it; what
         is not below it is left out. By default the whole robot.
       roll_pitch_yaw: how the root's frame is turned on the pedestal, in degrees.
+      spacer: metres between the pedestal and the root's lowest point, for a shoulder
+        whose next link hangs lower.
       tool_link: a two-finger gripper is put on this link of an arm without a hand,
         pointing along the link's `tool_axis`.
     """
@@ -32,6 +34,7 @@ class ArmModel:
     urdf: str
     root: str | None = None
     roll_pitch_yaw: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    spacer: float = 0.0
     tool_link: str | None = None
     tool_axis: str = "z"
 
@@ -39,7 +42,12 @@ class ArmModel:
 ARMS = {
     "train": (
         ArmModel(
-            "tiago", "PAL", "tiago_description/robots/tiago.urdf", "arm_1_link"
+            "tiago",
+            "PAL",
+            "tiago_description/robots/tiago_no_hand.urdf",
+            "arm_1_link",
+            spacer=0.12,
+            tool_link="wrist_ft_tool_link",
         ),
         ArmModel(
             "pr2",
@@ -59,6 +67,7 @@ ARMS = {
             "romeo_description/urdf/romeo.urdf",
             "LShoulderPitchLink",
             (0.0, -90.0, 0.0),
+            spacer=0.1,
         ),
         ArmModel(
             "talos",
@@ -66,6 +75,7 @@ ARMS = {
             "talos_data/robots/talos_left_arm.urdf",
             None,
             (180.0, 0.0, 0.0),
+            spacer=0.15,
         ),
     ),
     "validation": (
@@ -76,6 +86,7 @@ ARMS = {
             "centauro_description/urdf/centauro.urdf",
             "arm1_1",
             (180.0, 0.0, 0.0),
+            spacer=0.15,
         ),
         ArmModel("so100", "SO-ARM", "so_arm_description/urdf/so100.urdf"),
     ),

@@ -35,15 +35,16 @@ class Robot:
     own, `lower` and `upper` their limits (radians, metres), narrowed to `MAX_TURN`.
 
     Attributes:
-      bodies: for each link, which of the rigid bodies it belongs to: 0 is the root,
-        and links that no joint can move against each other share a number.
+      spacer: height of what the root stands on, which is not part of the meshes.
+      bodies: for each link, the number of the part that moves as one: 0 is the root's.
+        A joint that mimics another starts no part of its own.
       parents: for each body, the one that carries it; the root's is 0.
       probes: points on the links' surfaces, in the frames of the links
         `probe_links`: what collisions are looked for with.
     """
 
     def __init__(self, model: ArmModel):
-        self.name = model.name
+        self.name, self.spacer = model.name, model.spacer
         path = urdf_path(model)
         links, self._chain = _subtree(_parse(path), model.root, path)
         moving = [joint for joint in self._chain if _moves(joint)]
@@ -116,10 +117,10 @@ class Robot:
         return np.stack([poses[name] for name in self._frames], axis=1)
 
     def _stand_on_the_ground(self) -> None:
-        """Lifts the mount so that the root's lowest point is at z = 0."""
+        """Lifts the mount so that the first link's lowest point is at the spacer's."""
         pose = self.link_poses(np.clip(0.0, self.lower, self.upper)[None])[0, 0]
         base = self.meshes[0].vertices @ pose[2, :3] + pose[2, 3]
-        self._mount[2, 3] = -base.min()
+        self._mount[2, 3] = self.spacer - base.min()
 
     def _number_bodies(self) -> None:
         body, self.parents = {self._frames[0]: 0}, [0]
@@ -127,7 +128,7 @@ class Robot:
             if joint.child == self._frames[0]:
                 continue
             carrier = body[joint.parent]
-            if joint.type in _MOVING:
+            if _moves(joint):
                 body[joint.child] = len(self.parents)
                 self.parents.append(carrier)
             else:
