@@ -92,27 +92,29 @@ def _support(reach: float, rng: Rng):
     The table is the first solid.
     """
     height = rng.uniform(0.55, 0.85)
-    half = reach * np.array([rng.uniform(0.55, 0.75), rng.uniform(0.6, 0.85)])
+    half = reach * np.array([rng.uniform(0.35, 0.5), rng.uniform(0.4, 0.6)])
+    half = np.maximum(half, 0.3)
     if rng.random() < 0.6:
         ahead = np.array([rng.uniform(0.0, half[0] - 0.15), 0.0])
-        half = np.maximum(half, 0.3)
-        return table(ahead - half, ahead + half, height), height, ahead - half, ahead + half
-    radius = rng.uniform(0.09, 0.13)
-    ahead = np.array([4 * radius + half[0], rng.uniform(-0.2, 0.2) * reach])
+        solids, top = [], height
+    else:
+        radius = rng.uniform(0.09, 0.13)
+        ahead = np.array([2.5 * radius + half[0], rng.uniform(-0.2, 0.2) * reach])
+        solids, top = pedestal(height, radius), height - rng.uniform(0.02, 0.2) * reach
     lower, upper = ahead - half, ahead + half
-    top = height - rng.uniform(0.02, 0.3) * reach
-    return table(lower, upper, top) + pedestal(height, radius), height, lower, upper
+    return table(lower, upper, top) + solids, height, lower, upper
 
 
 def _fixtures(bench: Bench, reach: float, rng: Rng) -> list[Manifold]:
-    """Two to five fixtures where the robot leaves room for them."""
-    wanted = int(rng.integers(2, 6))
+    """One to four fixtures within reach, where the robot leaves room for them."""
+    wanted = int(rng.integers(1, 5))
     for _ in range(_TRIES):
         kind = FIXTURES[int(rng.integers(len(FIXTURES)))]
-        solid = fixture(kind, reach * rng.uniform(0.15, 0.4), rng)
+        solid = fixture(kind, reach * rng.uniform(0.12, 0.28), rng)
         place = np.append(rng.uniform(bench.lower, bench.upper), bench.top)
         solid = upright(solid, place, rng.uniform(0, np.pi))
-        if bench.holds(solid) and bench.is_clear(solid):
+        near = np.linalg.norm(place[:2]) < 0.8 * reach
+        if near and bench.holds(solid) and bench.is_clear(solid):
             bench.taken.append(solid)
         if len(bench.taken) == wanted:
             break

@@ -16,7 +16,7 @@ from prism_jax.data.solids import box, rod
 
 Rng = np.random.Generator
 
-HIDDEN_SHARE = (0.15, 0.5)
+HIDDEN_SHARE = (0.2, 0.5)
 """Of the robot's surface, over a sequence, that clutter is to hide from the camera."""
 MOST_HIDDEN = 0.7
 """Of the same, in any single frame."""
@@ -37,7 +37,9 @@ class Bench:
     def holds(self, solid: Manifold) -> bool:
         """Whether a solid's box lies over the table."""
         bounds = np.array(solid.bounding_box())
-        return bool(np.all(bounds[:2] >= self.lower) and np.all(bounds[3:5] <= self.upper))
+        return bool(
+            np.all(bounds[:2] >= self.lower) and np.all(bounds[3:5] <= self.upper)
+        )
 
     def ground(self, point: np.ndarray) -> float:
         """The height of what is below a point: the table's top or the floor."""
@@ -102,7 +104,7 @@ def _draw(bench: Bench, eye: np.ndarray, rng: Rng) -> list[Manifold]:
     """Two to four pieces, without those that find no room."""
     placed: list[Manifold] = []
     for _ in range(int(rng.integers(2, 5))):
-        kind = rng.choice(["box", "screen", "fence"], p=[0.45, 0.35, 0.2])
+        kind = rng.choice(["box", "screen", "fence"], p=[0.5, 0.25, 0.25])
         seen = bench.sweep[int(rng.integers(len(bench.sweep)))]
         where = eye + rng.uniform(0.25, 0.8) * (seen - eye)
         ground = bench.ground(where)

@@ -22,6 +22,7 @@ STEADY = 0.03
 """Metres: a pixel between two surfaces is told by its depth, which differs by more than
 this from that of most of its neighbours."""
 MIN_PARTIAL = 64
+_L515 = L515Config()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,8 +38,8 @@ class RoboArmConfig:
     num_waypoints: int = 4
     num_stations: int = NUM_STATIONS
     glossy_share: float = 0.15
-    camera: L515Config = L515Config()
-    survey: OusterConfig = SURVEY
+    depth_sensor: L515Config = _L515
+    survey_sensor: OusterConfig = SURVEY
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,12 +98,12 @@ def make_frame(
     shiny = np.zeros(sum(sizes), bool)
     shiny[: sizes[0]] = glossy[robot.faces_link]
     shiny[sizes[0] : sizes[0] + sizes[1]] = glossy[-1]
-    whole = Scene(trimesh.util.concatenate(parts))
-    counts, faces = l515_depth(whole, cell.camera, rng, config.camera, shiny)
+    whole = Scene(_together(parts))
+    counts, faces = l515_depth(whole, cell.camera, rng, config.depth_sensor, shiny)
     labels = _pixel_labels(faces, face_labels)
 
     open_faces = sum(sizes[:3])
-    uncluttered = Scene(trimesh.util.concatenate(parts[:3]))
+    uncluttered = Scene(_together(parts[:3]))
     wanted = face_labels[:open_faces] != LABELS["clutter"]
     complete = survey(
         uncluttered,
@@ -110,7 +111,7 @@ def make_frame(
         config.complete_points,
         rng,
         shiny[:open_faces],
-        config.survey,
+        config.survey_sensor,
         config.num_stations,
     )
     hidden = _hidden_share(whole, uncluttered, cell.camera, sizes[0])
@@ -125,6 +126,17 @@ def make_frame(
             "positions": dict(zip(robot.joints, positions.tolist(), strict=True)),
             "hidden_share": round(hidden, 4),
         },
+    )
+
+
+def _together(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    sizes = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    return trimesh.Trimesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(
+            [mesh.faces + start for mesh, start in zip(meshes, sizes, strict=False)]
+        ),
+        process=False,
     )
 
 
@@ -144,8 +156,8 @@ def flying_pixels(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
 def _partial(
     counts: UInt16[np.ndarray, "H W"], labels: UInt8[np.ndarray, "H W"], cell: Cell
 ) -> Float32[np.ndarray, "N 3"]:
-    depth = counts * DEPTH_SCALE
     wanted = (labels == LABELS["robot"]) | (labels == LABELS["fixture"])
+    depth = np.where(wanted, counts * DEPTH_SCALE, 0.0)
     points = points_from_depth(depth, wanted & ~flying_pixels(depth), cell.camera)
     points = points[inside(points, cell.lower, cell.upper)]
     if len(points) < MIN_PARTIAL:
@@ -163,7 +175,7 @@ def _hidden_share(
     whole: Scene, uncluttered: Scene, camera: Camera, robot_faces: int
 ) -> float:
     """Of the robot's pixels without the clutter, those that it hides; 1 without any."""
-    exact, rng = L515Config().exact(), np.random.default_rng(0)
+    exact, rng = _L515.exact(), np.random.default_rng(0)
     seen = []
     for scene in (whole, uncluttered):
         _, faces = l515_depth(scene, camera, rng, exact)

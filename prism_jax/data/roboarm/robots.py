@@ -262,7 +262,9 @@ def _mesh_file(name: str, urdf: pathlib.Path) -> pathlib.Path:
     which is looked for in the folders above the URDF."""
     scheme, found, rest = name.partition("://")
     if found and scheme not in ("package", "file"):
-        raise InputError(urdf, f"names a mesh by {scheme}://", "use package:// or a path")
+        raise InputError(
+            urdf, f"names a mesh by {scheme}://", "use package:// or a path"
+        )
     places = [urdf.parent / (rest if found else name)]
     if scheme == "package":
         places = [folder / rest for folder in urdf.parents]

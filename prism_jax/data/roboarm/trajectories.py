@@ -20,7 +20,9 @@ _MAX_DRAWS = 100 * _DRAWS
 
 
 def minimum_jerk(
-    start: Float[np.ndarray, " J"], end: Float[np.ndarray, " J"], times: Float[np.ndarray, " T"]
+    start: Float[np.ndarray, " J"],
+    end: Float[np.ndarray, " J"],
+    times: Float[np.ndarray, " T"],
 ) -> Float64[np.ndarray, "T J"]:
     """Positions at times 0 to 1 of the movement of least jerk, at rest at both ends."""
     share = times**3 * (10 - 15 * times + 6 * times**2)
@@ -73,9 +75,7 @@ class Clearance:
             if 2 * sum(self._touch(points, *pair) for points in probes) < _DRAWS
         ]
 
-    def is_free(
-        self, positions: Float[np.ndarray, "P J"]
-    ) -> Bool[np.ndarray, " P"]:
+    def is_free(self, positions: Float[np.ndarray, "P J"]) -> Bool[np.ndarray, " P"]:
         """Whether each pose is clear."""
         probes = self._robot.probe_points(positions)
         free = (probes[:, self._bodies > 0, 2] > FLOOR_GAP).all(axis=1)
