@@ -79,12 +79,11 @@ class Scene:
         ray = np.flatnonzero(result["primID"] >= 0)
         faces = result["primID"][ray]
         u, v = (result[name][ray, None].astype(np.float64) for name in ("u", "v"))
-        first, second, third = np.moveaxis(self.triangles[faces], 1, 0)
-        points = (1 - u - v) * first + u * second + v * third
+        points = self._on_faces(faces, u, v)
         start = origins[ray] if origins.ndim == 2 else origins
-        along = directions[ray] / np.linalg.norm(directions[ray], axis=1, keepdims=True)
-        distances = np.linalg.norm(points - start, axis=1)
-        cosines = np.abs(np.sum(along * self.normals[faces], axis=1))
+        along = directions[ray]
+        cosines = np.abs(_dot(along, self.normals[faces])) / np.sqrt(_dot(along, along))
+        distances = np.sqrt(_dot(points - start, points - start))
         return Hits(ray, points, faces, distances, np.minimum(cosines, 1.0))
 
     def seen_from_outside(
@@ -99,10 +98,10 @@ class Scene:
         of a closed hollow body is not seen at all. What shows itself to less than about
         1 / `NUM_VIEWPOINTS` of all directions, deep in a slit, may count as unseen.
         """
-        around = VIEWPOINT_DISTANCE * self.radius * _DIRECTIONS
+        around = VIEWPOINT_DISTANCE * self.radius * VIEWPOINT_DIRECTIONS
         eyes = _single(self.center + around - self._shift)
         lifted = _single(points + CRACK * self.radius * normals - self._shift)
-        order = _ORDER[np.argmax(normals @ _DIRECTIONS.T, axis=1)]
+        order = _ORDER[np.argmax(normals @ VIEWPOINT_DIRECTIONS.T, axis=1)]
         hidden = np.arange(len(points))
         for column in range(NUM_VIEWPOINTS):
             if len(hidden) == 0:
@@ -114,6 +113,11 @@ class Scene:
         seen = np.ones(len(points), bool)
         seen[hidden] = False
         return seen
+
+    def _on_faces(self, faces: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Points of faces by the barycentric coordinates of their last two corners."""
+        first, second, third = (self.triangles[:, i][faces] for i in range(3))
+        return (1 - u - v) * first + u * second + v * third
 
 
 def sample_outside(
@@ -133,8 +137,7 @@ def sample_outside(
         u, v = rng.random((2, draw, 1))
         folded = u + v > 1
         u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
-        first, second, third = np.moveaxis(scene.triangles[faces], 1, 0)
-        points = (1 - u - v) * first + u * second + v * third
+        points = scene._on_faces(faces, u, v)
         seen = scene.seen_from_outside(points, scene.normals[faces])
         share = np.mean(seen)
         if share < MIN_SEEN:
@@ -148,6 +151,10 @@ def _single(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(vectors, np.float32)
 
 
+def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", first, second)
+
+
 def _sphere_directions(count: int) -> np.ndarray:
     """Unit vectors spread over the sphere: a Fibonacci lattice."""
     index = np.arange(count) + 0.5
@@ -157,6 +164,8 @@ def _sphere_directions(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
 
 
-_DIRECTIONS = _sphere_directions(NUM_VIEWPOINTS)
-_ORDER = np.argsort(-(_DIRECTIONS @ _DIRECTIONS.T), axis=1, kind="stable")
+VIEWPOINT_DIRECTIONS = _sphere_directions(NUM_VIEWPOINTS)
+_ORDER = np.argsort(
+    -(VIEWPOINT_DIRECTIONS @ VIEWPOINT_DIRECTIONS.T), axis=1, kind="stable"
+)
 """Row i: all viewpoints, those nearest in direction to viewpoint i first."""

@@ -145,6 +145,58 @@ class Returns(NamedTuple):
     ranges: Float64[np.ndarray, " R"]
 
 
+def camera_axes(forward: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Rows: right, down and forward of an OpenCV camera with z up in the world."""
+    forward = forward / np.linalg.norm(forward)
+    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def l515_camera(axes: Float[np.ndarray, "3 3"], eye: Float[np.ndarray, "3"]) -> Camera:
+    """`Camera.l515` of float64 NumPy arrays: 640x480 pixels, 70 by 55 degrees.
+
+    Rows of `axes` are the camera's right, down and forward in the world. No array
+    touches JAX, so that processes that only make data start no device.
+    """
+    height, width = 480, 640
+    focal_x = 0.5 * width / np.tan(np.radians(35.0))
+    focal_y = 0.5 * height / np.tan(np.radians(27.5))
+    return Camera(
+        rotation=axes,
+        translation=-axes @ eye,
+        intrinsics=np.array(
+            [
+                [focal_x, 0.0, 0.5 * (width - 1)],
+                [0.0, focal_y, 0.5 * (height - 1)],
+                [0.0, 0.0, 1.0],
+            ]
+        ),
+        height=height,
+        width=width,
+    )
+
+
+def cropped_to(camera: Camera, points: Float[np.ndarray, "N 3"]) -> Camera:
+    """The part of a camera's image that holds the points: same pose, same pixels.
+
+    Points are in the world and in front of the camera; the part is one pixel at least.
+    """
+    in_camera = np.asarray(camera.to_camera(points))
+    pixels = in_camera @ np.asarray(camera.intrinsics).T
+    pixels = pixels[:, :2] / pixels[:, 2:]
+    size = np.array([camera.width, camera.height])
+    first = np.clip(np.floor(pixels.min(axis=0)), 0, size - 1).astype(int)
+    last = np.clip(np.ceil(pixels.max(axis=0)), first, size - 1).astype(int)
+    intrinsics = np.array(camera.intrinsics)
+    intrinsics[:2, 2] -= first
+    width, height = (int(extent) for extent in last - first + 1)
+    return dataclasses.replace(
+        camera, intrinsics=intrinsics, height=height, width=width
+    )
+
+
 def l515_depth(
     scene: Scene,
     camera: Camera,
