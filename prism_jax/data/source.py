@@ -1,6 +1,6 @@
 """What every data set yields, and all that a pipeline knows of one."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32
@@ -26,6 +26,7 @@ class Example(NamedTuple):
     name: str
 
 
+@runtime_checkable
 class Source(Protocol):
     """A data set of Examples, read by index: Grain's random-access source.
 

@@ -1,0 +1,189 @@
+"""What every published layout has in common: lists of models, folders, sound clouds.
+
+A set that is not laid out as published is refused before the first item is read, and
+each folder is listed once: a network drive answers 30,000 listings far sooner than a
+stat for each of 230,000 files.
+"""
+
+import json
+import os
+import pathlib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from prism_jax.io.arrays import read_npy
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+from prism_jax.io.pcd import read_pcd
+
+_SHOWN = 3
+_TAKE_LIST = "take the list that the set publishes"
+_COPY_AGAIN = "copy this file again from the set"
+_ID = re.compile(r"[\w-]+")
+_READERS = {".npy": read_npy, ".pcd": read_pcd}
+
+
+class Model(NamedTuple):
+    """One object of a list: its category's name, its folder and its own id."""
+
+    category: str
+    folder: str
+    id: str
+
+
+class ListedSource:
+    """The objects of a list, each seen in `views` partial clouds.
+
+    Index i is view `i % views` of object `i // views`, in the list's order. Subclasses
+    add `__getitem__`. Only strings are kept, so that it pickles.
+    """
+
+    def __init__(self, root: pathlib.Path, models: Sequence[Model], views: int):
+        self.root = root
+        self.models = tuple(models)
+        self.views = views
+        self.categories = tuple(sorted({model.category for model in models}))
+
+    def __len__(self) -> int:
+        return len(self.models) * self.views
+
+    def locate(self, index: int) -> tuple[Model, int]:
+        """The object and the view of an item; IndexError outside the range."""
+        number, view = divmod(range(len(self))[index], self.views)
+        return self.models[number], view
+
+
+def choose(flag: str, value: str, choices: Iterable[str]) -> str:
+    """`value` if it is one of the choices; else raises InputError about the flag."""
+    choices = tuple(choices)
+    if value not in choices:
+        remedy = f"use {' or '.join(choices)}"
+        raise InputError(flag, f"unknown value {value!r}", remedy)
+    return value
+
+
+def read_list(
+    path: str | os.PathLike, pattern: str, form: str
+) -> list[tuple[str, ...]]:
+    """The groups of a pattern for each line of a list file that is not blank.
+
+    A list that is missing, empty, holds a line of another form or a line twice raises
+    InputError.
+    """
+    lines = [line.strip() for line in _read_text(path).splitlines() if line.strip()]
+    matches = [re.fullmatch(pattern, line) for line in lines]
+    for line, match in zip(lines, matches, strict=True):
+        if match is None:
+            fault = f"has the line {line[:80]!r}, not {form}"
+            raise InputError(path, fault, _TAKE_LIST)
+    _refuse_doubles(path, lines)
+    return [match.groups() for match in matches if match]
+
+
+def read_json_list(path: str | os.PathLike, split: str) -> list[Model]:
+    """The objects of a split, from a category list as GRNet publishes them.
+
+    It is a JSON list of objects with `taxonomy_id`, `taxonomy_name` and, for each
+    split, a list of ids. Anything else raises InputError.
+    """
+    text = _read_text(path)
+    try:
+        entries = json.loads(text)
+        models = [model for entry in entries for model in _models(entry, split)]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        fault = f"is not a list of categories with the ids of the split {split!r}"
+        raise InputError(path, fault, _TAKE_LIST) from None
+    _refuse_doubles(path, models)
+    return models
+
+
+def require_files(
+    root: pathlib.Path,
+    wanted: Mapping[str, Sequence[str]],
+    listed_in: str,
+    layout: str,
+) -> None:
+    """Raises InputError unless every wanted file is there: folder -> names in it.
+
+    The error counts the missing files, names the first few, and gives the published
+    layout.
+    """
+    missing: list[tuple[str, str]] = []
+    total = 0
+    for folder, names in wanted.items():
+        present = _names_in(root / folder)
+        missing += [(folder, name) for name in names if name not in present]
+        total += len(names)
+    if missing:
+        paths = [str(pathlib.PurePosixPath(*parts)) for parts in missing[:_SHOWN]]
+        first = ", ".join(paths + ["..."] * (len(missing) > _SHOWN))
+        raise InputError(
+            root,
+            f"{len(missing)} of the {total} files that {listed_in} asks for are "
+            f"missing: {first}",
+            f"copy the set here whole, as {layout}",
+        )
+
+
+def read_cloud(
+    path: pathlib.Path, num_points: int | None = None
+) -> Float32[np.ndarray, "N 3"]:
+    """The points of an NPY or PCD file, as `sound_cloud` wants them."""
+    return sound_cloud(_READERS[path.suffix](path), path, num_points)
+
+
+def sound_cloud(
+    points: np.ndarray, subject: str | os.PathLike, num_points: int | None = None
+) -> Float32[np.ndarray, "N 3"]:
+    """The points as float32; another shape or count, or NaN, raises InputError."""
+    is_cloud = points.ndim == 2 and points.shape[1] == 3 and len(points) > 0
+    if not is_cloud or points.dtype.kind not in "fiu":
+        fault = f"holds an array of shape {points.shape} and type {points.dtype}"
+        raise InputError(subject, f"{fault}, which is no cloud", _COPY_AGAIN)
+    if num_points is not None and len(points) != num_points:
+        fault = f"holds {len(points)} points, where the set has {num_points}"
+        raise InputError(subject, fault, _COPY_AGAIN)
+    with np.errstate(over="ignore"):
+        cloud = np.ascontiguousarray(points, np.float32)
+    if not np.isfinite(cloud).all():
+        raise InputError(subject, "has points that are not finite", _COPY_AGAIN)
+    return cloud
+
+
+def _read_text(path: str | os.PathLike) -> str:
+    try:
+        return read_bytes(path).decode()
+    except UnicodeDecodeError:
+        raise InputError(path, "is not a text file", _TAKE_LIST) from None
+
+
+def _models(entry: dict[str, Any], split: str) -> Iterator[Model]:
+    name, folder, ids = entry["taxonomy_name"], entry["taxonomy_id"], entry[split]
+    if not isinstance(name, str) or not isinstance(ids, list):
+        raise ValueError
+    for item in ids:
+        if not _ID.fullmatch(folder) or not _ID.fullmatch(item):
+            raise ValueError
+        yield Model(name, folder, item)
+
+
+def _refuse_doubles(path: str | os.PathLike, entries: Sequence[object]) -> None:
+    if not entries:
+        raise InputError(path, "names no object", _TAKE_LIST)
+    if len(set(entries)) < len(entries):
+        raise InputError(path, "names an object twice", _TAKE_LIST)
+
+
+def _names_in(folder: pathlib.Path) -> set[str]:
+    try:
+        return set(os.listdir(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return set()
+    except OSError as error:
+        raise InputError(
+            folder, f"cannot be listed ({error.strerror})", "check its permissions"
+        ) from None

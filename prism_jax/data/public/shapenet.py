@@ -1,0 +1,144 @@
+"""ShapeNet-55, ShapeNet-34, the 21 unseen categories, and their projected variants.
+
+PoinTr's release (Yu et al., ICCV 2021; https://github.com/yuxumin/PoinTr): `root`, the
+folder ShapeNet55-34, holds shapenet_pc/<synset>-<model>.npy, 8,192 points each, and the
+lists <subset>/train.txt and <subset>/test.txt, one such name a line. The projected
+variants (Yu et al., "AdaPoinTr", TPAMI 2023) have lists of their own in
+Projected_<subset>_noise/, of names with shapenet_pc/ before them, and
+projected_partial_noise/<synset>/<model>/models/<0 to 15>.pcd.
+"""
+
+import os
+import pathlib
+
+import numpy as np
+from jaxtyping import Float32
+
+from prism_jax.data.partials import CROP_SHARES, CROP_VIEWPOINTS, crop
+from prism_jax.data.public.layout import (
+    ListedSource,
+    Model,
+    choose,
+    read_cloud,
+    read_list,
+    require_files,
+)
+from prism_jax.data.public.synsets import SYNSETS
+from prism_jax.data.source import Example
+from prism_jax.io.errors import InputError
+
+SUBSETS = {
+    "ShapeNet-55": ("train", "test"),
+    "ShapeNet-34": ("train", "test"),
+    "ShapeNet-Unseen21": ("test",),
+}
+"""Published lists and their splits."""
+
+NUM_POINTS = 8192
+TRAIN_PROJECTIONS = 16
+_LINE = r"(?:shapenet_pc/)?(\d{8})-([\w-]*)\.npy"
+"""Two published models, 04379243-.npy and 02747177-.npy, have no id."""
+_FORM = "a line such as 02691156-1a04e3eab45ca15dd86060f189eb133.npy"
+
+
+class ShapeNet(ListedSource):
+    """Complete clouds, cropped from eight fixed viewpoints for the published test.
+
+    As PoinTr's loader does, each complete cloud is normalised: its centroid goes to the
+    origin and its farthest point to distance one. Without `difficulty` there is one
+    item a model, `partial` is None, and whoever trains crops it. With it there are
+    eight, one a viewpoint, in PoinTr's order: the share of the points nearest to
+    (+-1, +-1, +-1) is taken away, the viewpoint as it stands, not scaled to length one,
+    and what is left is not normalised again. PoinTr feeds its networks 2,048 farthest
+    points of that. A viewpoint of a crop is no sensor's place: `eye` is None.
+    """
+
+    def __init__(
+        self,
+        subset: str,
+        root: str | os.PathLike,
+        split: str,
+        difficulty: str | None = None,
+    ):
+        root = pathlib.Path(root)
+        self.share = None
+        if difficulty is not None:
+            self.share = CROP_SHARES[choose("difficulty", difficulty, CROP_SHARES)]
+        models = _read_models(root, split, subset, subset)
+        views = 1 if self.share is None else len(CROP_VIEWPOINTS)
+        super().__init__(root, models, views)
+
+    def __getitem__(self, index: int) -> Example:
+        model, view = self.locate(index)
+        name = f"{model.folder}-{model.id}"
+        complete = _normalised(_complete_path(self.root, model))
+        if self.share is None:
+            return Example(complete, None, None, model.category, name)
+        partial = crop(complete, CROP_VIEWPOINTS[view], self.share).astype(np.float32)
+        return Example(complete, partial, None, model.category, f"{name}/{view}")
+
+
+class ProjectedShapeNet(ListedSource):
+    """Complete clouds with partial ones projected from depth images with noise.
+
+    Sixteen partials a model in training, the first alone in the test; as AdaPoinTr's
+    loader does, neither cloud is normalised. The cameras are not published.
+    """
+
+    def __init__(self, subset: str, root: str | os.PathLike, split: str):
+        root = pathlib.Path(root)
+        models = _read_models(root, split, subset, f"Projected_{subset}_noise")
+        views = TRAIN_PROJECTIONS if split == "train" else 1
+        super().__init__(root, models, views)
+        names = [f"{view}.pcd" for view in range(views)]
+        require_files(
+            root,
+            {_projections(model): names for model in models},
+            f"the split {split!r}",
+            "projected_partial_noise/<synset>/<model>/models/<0 to 15>.pcd",
+        )
+
+    def __getitem__(self, index: int) -> Example:
+        model, view = self.locate(index)
+        complete = read_cloud(_complete_path(self.root, model), NUM_POINTS)
+        partial = read_cloud(self.root / _projections(model) / f"{view}.pcd")
+        name = f"{model.folder}-{model.id}/{view}"
+        return Example(complete, partial, None, model.category, name)
+
+
+def _read_models(
+    root: pathlib.Path, split: str, subset: str, folder: str
+) -> list[Model]:
+    """The models of a split's list, all of whose complete clouds are there."""
+    choose("subset", subset, SUBSETS)
+    choose("split", split, SUBSETS[subset])
+    path = root / folder / f"{split}.txt"
+    groups = read_list(path, _LINE, _FORM)
+    models = [Model(SYNSETS.get(key, key), key, model) for key, model in groups]
+    names = [_complete_path(root, model).name for model in models]
+    require_files(
+        root,
+        {"shapenet_pc": names},
+        f"{folder}/{split}.txt",
+        "shapenet_pc/<synset>-<model>.npy beside the folders of lists",
+    )
+    return models
+
+
+def _complete_path(root: pathlib.Path, model: Model) -> pathlib.Path:
+    return root / "shapenet_pc" / f"{model.folder}-{model.id}.npy"
+
+
+def _projections(model: Model) -> str:
+    return f"projected_partial_noise/{model.folder}/{model.id}/models"
+
+
+def _normalised(path: pathlib.Path) -> Float32[np.ndarray, "8192 3"]:
+    """Centroid at the origin, farthest point at distance one."""
+    points = read_cloud(path, NUM_POINTS).astype(np.float64)
+    points -= points.mean(axis=0)
+    radius = np.linalg.norm(points, axis=1).max()
+    if radius == 0:
+        fault = "has an extent of zero: all its points coincide"
+        raise InputError(path, fault, "copy this file again from the set")
+    return (points / radius).astype(np.float32)
