@@ -1,4 +1,4 @@
-"""PLY point clouds: the vertices of any PLY file, and a labelled cloud written back.
+"""PLY point clouds: the vertices of any PLY file, and clouds written back.
 
 The format is Greg Turk's, "The PLY Polygon File Format" (1994). trimesh reads it too,
 but needs every list of a binary element to be equally long, which a range grid's are
@@ -120,6 +120,24 @@ def write_ply(
         "end_header\n",
     ]
     atomic.write_bytes(path, "\n".join(header).encode() + vertices.tobytes())
+
+
+def write_points(path: str | os.PathLike, points: Float[np.ndarray, "M 3"]) -> None:
+    """Write points alone: what `read_ply` reads back bit for bit.
+
+    Binary little-endian, x y z in the type of `points` (float32 or float64). Written
+    whole or not at all.
+    """
+    scalar = "double" if points.dtype == np.float64 else "float"
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(points)}",
+        *[f"property {scalar} {axis}" for axis in _AXES],
+        "end_header\n",
+    ]
+    body = np.ascontiguousarray(points, f"<{_TYPES[scalar]}").tobytes()
+    atomic.write_bytes(path, "\n".join(header).encode() + body)
 
 
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:

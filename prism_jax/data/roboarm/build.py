@@ -1,0 +1,182 @@
+"""Builds the simulated RoboArm-Depth recordings of a split.
+
+They stand in for the paper's data set of that name (Sec. IV-A), which is not public:
+sequences of frames in the layout of `prism_jax.data.recordings`, each with an L515
+depth image, its partial cloud, and an Ouster's complete cloud of robot and fixtures.
+"""
+
+import concurrent.futures
+import dataclasses
+import functools
+import json
+import multiprocessing
+import os
+import pathlib
+import shutil
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from prism_jax.data.recordings import (
+    MANIFEST,
+    RecordedCells,
+    has_frame,
+    hash_files,
+    write_frame,
+)
+from prism_jax.data.roboarm.frames import RoboArmConfig, make_frame, make_sequence
+from prism_jax.data.roboarm.models import ArmModel, arms_of, urdf_path
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.errors import InputError
+
+SPLITS = ("train", "validation", "test")
+GENERATOR_VERSION = 1
+"""Raised with every change of what is drawn, so that builds are never mixed."""
+
+
+def build_roboarm(
+    split: str,
+    output_dir: str | os.PathLike,
+    num_sequences: int = 20,
+    num_frames: int = 10,
+    seed: int = 0,
+    num_workers: int | None = None,
+    progress: bool = True,
+    config: RoboArmConfig = RoboArmConfig(),
+    arms: Sequence[ArmModel] | None = None,
+) -> pathlib.Path:
+    """Builds what is missing of a split's recordings and returns their folder.
+
+    Sequence i has arm `i % len(arms)`, by default of the split's own. The bytes depend
+    on the other arguments alone, not on `num_workers` (by default the number of cores;
+    0 builds in this process) nor on interruptions: a frame appears whole or not at all,
+    and the manifest with every file's sha256 comes last. A folder that holds anything
+    else raises InputError.
+    """
+    arms = tuple(arms_of(split) if arms is None else arms)
+    for model in arms:
+        urdf_path(model)
+    if min(num_sequences, num_frames) < 1 or seed < 0:
+        fault = f"{num_sequences} sequences of {num_frames} frames, seed {seed}"
+        raise InputError("roboarm", fault, "ask for one or more, and a seed from 0 on")
+    folder = make_output_dir(output_dir)
+    content = _content(split, num_sequences, num_frames, seed, config, arms)
+    if _is_finished(folder, content):
+        return folder
+    build = functools.partial(
+        _build_sequence, split, num_frames, seed, config, arms, folder
+    )
+    start = time.perf_counter()
+    with tqdm(
+        total=num_sequences, desc=split, unit="sequence", disable=not progress
+    ) as bar:
+        _run(build, num_sequences, num_workers, bar)
+    _write_manifest(folder, content | {"files": hash_files(folder)})
+    if progress:
+        minutes = (time.perf_counter() - start) / 60
+        print(f"{split}: {num_sequences / minutes:.1f} sequences/min")
+    return folder
+
+
+def copy_first_frames(
+    source: str | os.PathLike, output_dir: str | os.PathLike
+) -> pathlib.Path:
+    """A smaller set of the first frame of every sequence, with a manifest of its own.
+
+    `source` is a finished build; the output folder must be new or empty.
+    """
+    source, folder = pathlib.Path(source), make_output_dir(output_dir)
+    RecordedCells(source)
+    if any(folder.iterdir()):
+        raise InputError(folder, "is not empty", "name another folder")
+    content = json.loads((source / MANIFEST).read_text())
+    for name in content["files"]:
+        if pathlib.PurePath(name).name.startswith("000000."):
+            (folder / name).parent.mkdir(exist_ok=True)
+            shutil.copyfile(source / name, folder / name)
+    _write_manifest(folder, content | {"num_frames": 1, "files": hash_files(folder)})
+    return folder
+
+
+def _run(build, num_sequences: int, num_workers: int | None, bar: tqdm) -> None:
+    if num_workers == 0:
+        for index in range(num_sequences):
+            build(index)
+            bar.update()
+        return
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(num_workers, context) as pool:
+        futures = [pool.submit(build, index) for index in range(num_sequences)]
+        try:
+            for future in concurrent.futures.as_completed(futures):
+                future.result()
+                bar.update()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _build_sequence(
+    split: str,
+    num_frames: int,
+    seed: int,
+    config: RoboArmConfig,
+    arms: Sequence[ArmModel],
+    folder: pathlib.Path,
+    index: int,
+) -> None:
+    model = arms[index % len(arms)]
+    sequence = folder / f"{index:03d}-{model.name}"
+    missing = [n for n in range(num_frames) if not has_frame(sequence, n)]
+    if not missing:
+        return
+    block = SPLITS.index(split)
+    rng = np.random.default_rng((seed, block, index))
+    made = make_sequence(model, num_frames, config, rng)
+    for number in missing:
+        rng = np.random.default_rng((seed, block, index, number))
+        write_frame(sequence, number, make_frame(made, number, config, rng))
+
+
+def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, Any]:
+    """Everything that the bytes depend on, as it reads back from JSON."""
+    content = {
+        "generator": "prism_jax roboarm",
+        "generator_version": GENERATOR_VERSION,
+        "split": split,
+        "num_sequences": num_sequences,
+        "num_frames": num_frames,
+        "seed": seed,
+        "config": dataclasses.asdict(config),
+        "arms": [dataclasses.asdict(model) for model in arms],
+    }
+    return json.loads(json.dumps(content))
+
+
+def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
+    """Whether a build of this content is there whole; begins one where nothing is."""
+    manifest = folder / MANIFEST
+    if not manifest.exists():
+        if any(not path.name.startswith(".") for path in folder.iterdir()):
+            raise InputError(folder, "is not empty", "name a new folder")
+        _write_manifest(folder, content | {"files": None})
+        return False
+    try:
+        found = json.loads(manifest.read_text())
+        files = found.pop("files")
+    except (ValueError, KeyError, AttributeError):
+        raise InputError(
+            manifest, "is not a manifest", "delete it and the folder"
+        ) from None
+    if found != content:
+        fault = "was begun with another split, size, seed, config or version"
+        raise InputError(folder, fault, "name a new folder, or delete this one")
+    return files is not None and all((folder / name).exists() for name in files)
+
+
+def _write_manifest(folder: pathlib.Path, content: dict[str, Any]) -> None:
+    text = json.dumps(content, indent=1) + "\n"
+    write_bytes(folder / MANIFEST, text.encode())

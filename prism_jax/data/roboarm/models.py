@@ -1,0 +1,155 @@
+"""Which arms stand in which split's cells, and where their URDF files are.
+
+The files come with the PyPI package `example-robot-data` (the extra `robots`). An arm
+that belongs to a larger robot is taken off it at the link `root`.
+"""
+
+import dataclasses
+import importlib.metadata
+import os
+import pathlib
+
+from prism_jax.io.errors import InputError
+
+PACKAGE = "example-robot-data"
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmModel:
+    """An arm: `family` is its maker's line; no family is in two splits.
+
+    Attributes:
+      urdf: path of the file; a relative one lies in the package's folder of robots.
+      root: the first link of the arm, which is bolted down by the joint above it; what
+        is not below it is left out. By default the whole robot.
+      roll_pitch_yaw: how the root's frame is turned on the pedestal, in degrees.
+      spacer: metres between the pedestal and the root's lowest point, for a shoulder
+        whose next link hangs lower.
+      tool_link: a two-finger gripper is put on this link of an arm without a hand,
+        pointing along the link's `tool_axis`.
+    """
+
+    name: str
+    family: str
+    urdf: str
+    root: str | None = None
+    roll_pitch_yaw: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    spacer: float = 0.0
+    tool_link: str | None = None
+    tool_axis: str = "z"
+
+
+ARMS = {
+    "train": (
+        ArmModel(
+            "tiago",
+            "PAL",
+            "tiago_description/robots/tiago_no_hand.urdf",
+            "arm_1_link",
+            spacer=0.12,
+            tool_link="wrist_ft_tool_link",
+        ),
+        ArmModel(
+            "pr2",
+            "Willow Garage",
+            "pr2_description/urdf/pr2.urdf",
+            "r_shoulder_pan_link",
+        ),
+        ArmModel(
+            "tiago_pro",
+            "PAL",
+            "tiago_pro_description/robots/tiago_pro.urdf",
+            "arm_left_1_link",
+        ),
+        ArmModel(
+            "romeo",
+            "Aldebaran",
+            "romeo_description/urdf/romeo.urdf",
+            "LShoulderPitchLink",
+            (0.0, -90.0, 0.0),
+            spacer=0.1,
+        ),
+        ArmModel(
+            "talos",
+            "PAL",
+            "talos_data/robots/talos_left_arm.urdf",
+            None,
+            (180.0, 0.0, 0.0),
+            spacer=0.15,
+        ),
+    ),
+    "validation": (
+        ArmModel("so101", "SO-ARM", "so_arm_description/urdf/so101.urdf"),
+        ArmModel(
+            "centauro",
+            "IIT",
+            "centauro_description/urdf/centauro.urdf",
+            "arm1_1",
+            (180.0, 0.0, 0.0),
+            spacer=0.15,
+        ),
+        ArmModel("so100", "SO-ARM", "so_arm_description/urdf/so100.urdf"),
+    ),
+    "test": (
+        ArmModel("panda", "Franka", "panda_description/urdf/panda.urdf"),
+        ArmModel("ur5", "Universal Robots", "ur_description/urdf/ur5_gripper.urdf"),
+        ArmModel("jaco", "Kinova", "kinova_description/robots/kinova.urdf"),
+        ArmModel(
+            "xarm7",
+            "UFACTORY",
+            "xarm_description/urdf/xarm7.urdf",
+            tool_link="link_eef",
+        ),
+        ArmModel(
+            "baxter",
+            "Rethink",
+            "baxter_description/urdf/baxter.urdf",
+            "left_upper_shoulder",
+        ),
+        ArmModel("z1", "Unitree", "z1_description/urdf/z1.urdf"),
+        ArmModel(
+            "ur10",
+            "Universal Robots",
+            "ur_description/urdf/ur10_robot.urdf",
+            tool_link="ee_link",
+            tool_axis="x",
+        ),
+    ),
+}
+"""The arms of each split; sequence i has arm `i % len`."""
+
+
+def arms_of(split: str) -> tuple[ArmModel, ...]:
+    """The arms of a split; an unknown one raises InputError."""
+    if split not in ARMS:
+        raise InputError("split", f"unknown split {split!r}", f"use one of {[*ARMS]}")
+    return ARMS[split]
+
+
+def urdf_path(model: ArmModel) -> pathlib.Path:
+    """The file of an arm; InputError where it is not there."""
+    path = pathlib.Path(model.urdf)
+    if not path.is_absolute():
+        path = robots_folder() / path
+    if not path.is_file():
+        raise InputError(path, "no such file", "name the URDF of another robot")
+    return path
+
+
+def robots_folder() -> pathlib.Path:
+    """Where example-robot-data keeps its robots; InputError where it is not installed.
+
+    The place is asked of the installed package's own list of files.
+    """
+    remedy = 'install the extra: pip install "prism_jax[robots]"'
+    try:
+        files = importlib.metadata.files(PACKAGE) or []
+    except importlib.metadata.PackageNotFoundError:
+        raise InputError(PACKAGE, "is not installed", remedy) from None
+    for file in files:
+        if file.suffix == ".urdf" and "robots" in file.parts:
+            path = pathlib.Path(os.path.abspath(file.locate()))
+            folder = path.parents[len(file.parts) - 2 - file.parts.index("robots")]
+            if folder.is_dir():
+                return folder
+    raise InputError(PACKAGE, "has no robots", remedy)
