@@ -14,6 +14,7 @@ from prism_jax.data.datasets import (
     open_training,
 )
 from prism_jax.presets import Preset, resolve
+from prism_jax.training.indices import index_table
 from prism_jax.training.leg import Data
 from prism_jax.training.run import open_run, started_from
 from prism_jax.training.stages import pretrain
@@ -64,15 +65,20 @@ def open_data(preset: Preset) -> Data:
             if not is_built(FLAGS.dataset, split, FLAGS.data_dir):
                 build_dataset(FLAGS.dataset, split, FLAGS.data_dir)
     train, validation = open_training(FLAGS.dataset, FLAGS.data_dir)
-    return Data(
+    model, config = preset.model, preset.pretrain
+    data = Data(
         train,
         validation,
-        preset.model.backbone.num_points,
-        preset.model.margin,
+        model.backbone.num_points,
+        model.margin,
         FLAGS.seed,
-        preset.pretrain.validate_every,
+        config.validate_every,
         FLAGS.num_workers,
     )
+    if FLAGS.num_workers:
+        return data
+    framing = data.framing(config.num_complete)
+    return data._replace(indices=index_table(train, framing, model.backbone))
 
 
 def run():

@@ -61,7 +61,7 @@ def build(
 
 
 def read_manifest(folder: str | os.PathLike, remedy: str) -> dict[str, Any]:
-    """The manifest of a finished build; InputError, with the remedy, if there is none."""
+    """The manifest of a finished build; if there is none, InputError with `remedy`."""
     path = pathlib.Path(folder) / MANIFEST
     try:
         manifest = json.loads(path.read_text())
@@ -142,6 +142,8 @@ def _run(
             build_item(number)
             yield number
         return
+    # Several BLAS threads in each of several processes wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(num_workers, context) as pool:
         futures = {pool.submit(build_item, number): number for number in items}

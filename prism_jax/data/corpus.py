@@ -23,9 +23,7 @@ from prism_jax.data.examples import (
     make_views,
 )
 from prism_jax.data.partials import PARTIALS
-from prism_jax.data.shapes import CATEGORIES as TRAIN_CATEGORIES
-
-UNSEEN_CATEGORIES = TRAIN_CATEGORIES
+from prism_jax.data.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError

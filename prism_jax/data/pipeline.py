@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import grain
+import jax
 import numpy as np
 from jaxtyping import Float32
 
@@ -33,12 +34,14 @@ class Batch(NamedTuple):
       eye: where the sensor stood.
       half_extent: of the workspace, in the frame of the examples: what turns a
         distance here into one there.
+      indices: what was computed beforehand for the partials, if anything was.
     """
 
     partial: Float32[np.ndarray, "*B N 3"]
     complete: Float32[np.ndarray, "*B M 3"]
     eye: Float32[np.ndarray, "*B 3"]
     half_extent: Float32[np.ndarray, "*B"]
+    indices: Any = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,19 +65,17 @@ def frame_example(
     fixed viewpoint. An example without a complete cloud raises InputError.
     """
     example = with_partial(example, rng)
-    partial, complete, eye = example.partial, example.complete, example.eye
-    if rng is not None and rng.random() < 0.5:
-        sign = np.array([-1, 1, 1], np.float32)
-        partial, complete = partial * sign, complete * sign
-        eye = None if eye is None else eye * sign
-    center, half_extent = workspace_of(partial, framing.margin)
+    center, half_extent = workspace_of(example.partial, framing.margin)
+    eye = example.eye
     eye = UNKNOWN_EYE if eye is None else (eye - center) / half_extent
-    return Batch(
-        (_first(partial, framing.num_partial, example) - center) / half_extent,
-        (_first(complete, framing.num_complete, example) - center) / half_extent,
+    batch = Batch(
+        (_first(example.partial, framing.num_partial, example) - center) / half_extent,
+        (_first(example.complete, framing.num_complete, example) - center)
+        / half_extent,
         np.asarray(eye, np.float32),
         half_extent,
     )
+    return batch if rng is None or rng.random() < 0.5 else _mirrored(batch)
 
 
 def with_partial(example: Example, rng: np.random.Generator | None = None) -> Example:
@@ -109,21 +110,24 @@ def training_batches(
     seed: int,
     num_workers: int = 0,
     shard: tuple[int, int] = (0, 1),
+    indices: Any = None,
 ) -> grain.DatasetIterator[Batch]:
     """Endless batches: each example once per epoch, freshly shuffled and augmented.
 
     What the n-th batch holds is a function of the arguments and n alone; the iterator's
     `get_state` and `set_state` go on from where another one was. `num_workers`
     processes read ahead, 0 for threads of this one. `shard` is (this process, number
-    of processes) where several train together: each then sees its own share. A source
-    that does not fill one batch raises InputError.
+    of processes) where several train together: each then sees its own share.
+    `indices`, a tree of arrays with a row for each item, come with the batches; they
+    must not change under mirroring. A source that does not fill one batch raises
+    InputError.
     """
     number, count = shard
     if len(source) < batch_size * count:
         fault = f"{len(source)} examples do not fill a batch of {batch_size * count}"
         raise InputError("data", fault, "use more data, or a smaller batch")
     dataset = (
-        grain.MapDataset.source(source)
+        grain.MapDataset.source(_WithIndices(source, indices))
         .seed(seed)
         .shuffle()
         .repeat()
@@ -141,7 +145,7 @@ def training_batches(
 
 def stack(rows: Sequence[Batch]) -> Batch:
     """Examples side by side along a new first axis."""
-    return Batch(*(np.stack(column) for column in zip(*rows, strict=True)))
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
 
 
 class _Frame(grain.transforms.RandomMap):
@@ -149,7 +153,30 @@ class _Frame(grain.transforms.RandomMap):
         self._framing = framing
 
     def random_map(self, element: Any, rng: np.random.Generator) -> Batch:
-        return frame_example(element, self._framing, rng)
+        example, indices = element
+        return frame_example(example, self._framing, rng)._replace(indices=indices)
+
+
+class _WithIndices:
+    def __init__(self, source: Source, indices: Any):
+        self._source, self._indices = source, indices
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> tuple[Example, Any]:
+        indices = jax.tree.map(lambda rows: rows[index], self._indices)
+        return self._source[int(index)], indices
+
+
+def _mirrored(batch: Batch) -> Batch:
+    """Along x, which in the unit workspace is a matter of signs."""
+    sign = np.array([-1, 1, 1], np.float32)
+    return batch._replace(
+        partial=batch.partial * sign,
+        complete=batch.complete * sign,
+        eye=batch.eye * sign,
+    )
 
 
 def _first(cloud: np.ndarray, count: int, example: Example) -> np.ndarray:

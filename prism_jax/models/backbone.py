@@ -69,6 +69,7 @@ def train_backbone(
     variables: Variables,
     config: BackboneConfig,
     partial: Float[Array, "B N 3"],
+    indices: EncoderIndices,
     num_blocks: int | None = None,
 ) -> tuple[Decoded, Variables]:
     """All stages with statistics of the batch, and the updated running statistics."""
@@ -76,7 +77,7 @@ def train_backbone(
         PointEncoder(config),
         part(variables, "point_encoder"),
         partial,
-        partial_indices(partial, config),
+        indices,
     )
     decoded, decoder = apply_training(
         Decoder(config),

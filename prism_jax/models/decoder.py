@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import PointFeatures
@@ -54,7 +53,6 @@ class SeedGenerator(nn.Module):
     ) -> tuple[Float[Array, "... S 3"], Float[Array, "... S C"]]:
         config = self.config
         width = config.features
-        search = over_batch(lambda xyz: knn(xyz, xyz, config.patch_neighbors))
         x = UpsamplingAttention(
             width,
             config.attention_features,
@@ -62,7 +60,7 @@ class SeedGenerator(nn.Module):
             config.seed_times,
             config.use_norm,
             name="upsample",
-        )(encoded.patch_xyz, encoded.patch_features, search(encoded.patch_xyz), train)
+        )(encoded.patch_xyz, encoded.patch_features, encoded.patch_neighbors, train)
         context = encoded.global_feature[..., None, :]
         x = ResidualMLP(width, width, name="mlp_1")(x, context)
         x = ResidualMLP(width // 2, width, name="mlp_2")(x)

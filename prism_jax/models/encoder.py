@@ -25,14 +25,17 @@ class EncoderIndices(NamedTuple):
     rows: tuple[Int[Array, "... n"], Int[Array, "... m"]]
     neighbors: tuple[Int[Array, "... n k"], Int[Array, "... m k"]]
     pyramids: tuple[Pyramid, Pyramid]
+    patch_neighbors: Int[Array, "... m k"]
 
 
 class PointFeatures(NamedTuple):
-    """What the decoder and the auxiliary branches see of the partial."""
+    """What the decoder and the auxiliary branches see of the partial: its patches,
+    their neighbours among each other, and all of it at once."""
 
     patch_xyz: Float[Array, "... M 3"]
     patch_features: Float[Array, "... M C"]
     global_feature: Float[Array, "... G"]
+    patch_neighbors: Int[Array, "... M k"]
 
 
 def encoder_indices(
@@ -57,7 +60,8 @@ def encoder_indices(
             )
         )
         cloud = patches
-    return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids))
+    around = knn(cloud, cloud, config.patch_neighbors)
+    return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids), around)
 
 
 class SetAbstraction(nn.Module):
@@ -107,7 +111,7 @@ class PointEncoder(nn.Module):
 
         pointwise = MLP(config.global_features, name="global")(xyz_2, patches)
         global_feature = pointwise.max(-2)
-        return PointFeatures(xyz_2, patches, global_feature)
+        return PointFeatures(xyz_2, patches, global_feature, indices.patch_neighbors)
 
     def _transform(
         self,

@@ -65,6 +65,7 @@ class Data(NamedTuple):
     seed: int
     validate_every: int
     num_workers: int = 0
+    indices: Any = None
 
     def framing(self, num_complete: int) -> Framing:
         """Of batches with so many points of the complete cloud."""
@@ -92,6 +93,7 @@ def train_leg(
         leg.batch_size,
         data.seed,
         data.num_workers,
+        indices=data.indices,
     )
     if reader is not None:
         batches.set_state(reader)

@@ -17,6 +17,7 @@ from prism_jax.models.backbone import (
     train_backbone,
 )
 from prism_jax.models.config import BackboneConfig
+from prism_jax.models.encoder import EncoderIndices
 from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.leg import Leg, TrainState
@@ -65,8 +66,10 @@ def backbone_leg(
 def _backbone_step(model, phase, config, optimiser):
     def loss_fn(params, batch_stats, batch: Batch):
         variables = {"params": params, "batch_stats": batch_stats}
+        partial = jnp.asarray(batch.partial)
+        indices = _indices(batch, partial, model)
         decoded, statistics = train_backbone(
-            variables, model, jnp.asarray(batch.partial), phase.num_blocks
+            variables, model, partial, indices, phase.num_blocks
         )
         losses = jax.vmap(lambda s, c: stage_chamfers(s, c, config.norm))(
             decoded.stages, jnp.asarray(batch.complete)
@@ -85,6 +88,13 @@ def _backbone_step(model, phase, config, optimiser):
         return TrainState(state.step + 1, variables, opt_state), losses
 
     return step
+
+
+def _indices(batch: Batch, partial: Array, model: BackboneConfig) -> EncoderIndices:
+    """Those that come with the batch, or else computed here."""
+    if batch.indices is None:
+        return partial_indices(partial, model)
+    return jax.tree.map(lambda rows: jnp.asarray(rows, jnp.int32), batch.indices)
 
 
 def _backbone_validation(

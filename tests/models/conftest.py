@@ -65,10 +65,10 @@ def run_backbone():
     """``(config, variables, partial, train) -> (stages, statistics)``, compiled."""
 
     def run(config, variables, partial, train=False):
-        if train:
-            decoded, statistics = train_backbone(variables, config, partial)
-            return decoded.stages, statistics
         indices = partial_indices(partial, config)
+        if train:
+            decoded, statistics = train_backbone(variables, config, partial, indices)
+            return decoded.stages, statistics
         encoded = encode_points(variables, config, partial, indices)
         stages = decode(variables, config, partial, encoded).stages
         return stages, variables["batch_stats"]

@@ -23,7 +23,9 @@ def normal(*shape):
     return jnp.asarray(RNG.normal(size=shape), jnp.float32)
 
 
-ENCODED = PointFeatures(normal(12, 3), normal(12, 5), normal(6))
+ENCODED = PointFeatures(
+    normal(12, 3), normal(12, 5), normal(6), np.zeros((12, 4), np.int32)
+)
 POINTS, FEATURES = normal(20, 3), normal(20, 7)
 NEIGHBORS = jnp.asarray(RNG.integers(0, 20, (20, 4)))
 LATENT = normal(8)

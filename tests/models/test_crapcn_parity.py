@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from prism_jax.geometry import knn
 from prism_jax.models.attention import CrossResolutionTransformer
 from prism_jax.models.config import PCN
 from prism_jax.models.decoder import (
@@ -171,8 +172,13 @@ def test_seed_generator(published):
         initial = points(jnp.asarray(pcn.ref("seed")), partial)
         return seeds, features, submodule("upsample"), initial
 
+    patches = pcn.ref("enc_l2_xyz")
+    search = over_batch(lambda xyz: knn(xyz, xyz, PCN.patch_neighbors))
     encoded = PointFeatures(
-        pcn.ref("enc_l2_xyz"), pcn.ref("enc_l2_feat"), pcn.ref("global_feat")[:, 0]
+        patches,
+        pcn.ref("enc_l2_feat"),
+        pcn.ref("global_feat")[:, 0],
+        search(jnp.asarray(patches)),
     )
     variables = pcn.subtree("decoder", "seed_generator")
     seeds, features, raised, initial = run(variables, encoded, pcn.arrays["input"])

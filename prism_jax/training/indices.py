@@ -1,0 +1,51 @@
+"""Encoder indices of a whole training set, made once before the training.
+
+The samples and neighbours of a partial that never changes are the same in every epoch,
+and the same for its mirror image.
+"""
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from prism_jax.data.pipeline import Framing, frame_example, stack
+from prism_jax.data.source import Source
+from prism_jax.models.backbone import partial_indices
+from prism_jax.models.config import BackboneConfig
+from prism_jax.models.encoder import EncoderIndices
+
+MAX_BYTES = 2**31
+"""A larger table is not made: the steps then compute the indices of their batch."""
+_AT_ONCE = 128
+
+
+def index_table(
+    source: Source, framing: Framing, config: BackboneConfig
+) -> EncoderIndices | None:
+    """Indices of every partial, 16 bits each, with a leading axis over the source.
+
+    None if they would take more than `MAX_BYTES`, or if the source has no partials of
+    its own but complete clouds to crop at random.
+    """
+    if source[0].partial is None:
+        return None
+
+    @jax.jit
+    def compute(partials):
+        indices = partial_indices(partials, config)
+        return jax.tree.map(lambda rows: rows.astype(np.uint16), indices)
+
+    shape = jax.ShapeDtypeStruct((len(source), config.num_points, 3), np.float32)
+    table = jax.eval_shape(compute, shape)
+    if sum(leaf.size * 2 for leaf in jax.tree.leaves(table)) > MAX_BYTES:
+        return None
+    table = jax.tree.map(lambda leaf: np.empty(leaf.shape, leaf.dtype), table)
+    with tqdm(total=len(source), desc="indices", unit="cloud", mininterval=2.0) as bar:
+        for start in range(0, len(source), _AT_ONCE):
+            rows = np.minimum(start + np.arange(_AT_ONCE), len(source) - 1)
+            batch = stack([frame_example(source[int(row)], framing) for row in rows])
+            found = jax.device_get(compute(batch.partial))
+            for leaf, new in zip(*map(jax.tree.leaves, (table, found)), strict=True):
+                leaf[rows] = new
+            bar.update(rows[-1] + 1 - start)
+    return table
