@@ -13,8 +13,9 @@ from jaxtyping import Float, Float32, Int16
 from prism_jax.data.partials import (
     farthest_point_order,
     random_viewpoint,
-    visible_points,
+    self_occlusion,
 )
+from prism_jax.data.raycast import Scene
 from prism_jax.data.shapes import category_rng, make_shape
 
 QUANTUM = 2.0**-14
@@ -57,7 +58,7 @@ def make_example(
     center, half = (lower + upper) / 2, (upper - lower).max() / 2
     mesh.vertices = (mesh.vertices - center) / half
     viewpoint = random_viewpoint(rng)
-    hits = visible_points(mesh, viewpoint, PARTIAL_POINTS)
+    hits = self_occlusion(Scene(mesh), viewpoint, PARTIAL_POINTS)
     complete = farthest_point_order((surface - center) / half, complete_points)
     partial = farthest_point_order(hits, PARTIAL_POINTS)
     return quantise(partial), quantise(complete), viewpoint.astype(np.float32)

@@ -1,20 +1,87 @@
-"""One partial view of a mesh: a simulated depth camera, and farthest-point orders.
+"""Partial views of a mesh or of a complete cloud, by name, and farthest-point orders.
 
-All points are float64 in the frame of the mesh that is given. Nothing here is
-differentiable.
+All points are float64 in the frame of the mesh or cloud that is given. Nothing here
+is differentiable.
 """
 
 import fpsample
 import numpy as np
 import trimesh
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Float, Float64
+
+from prism_jax.data.raycast import Scene
+from prism_jax.data.sensors import (
+    L515Config,
+    OusterConfig,
+    camera_axes,
+    cropped_to,
+    l515_camera,
+    l515_depth,
+    ouster_scan,
+)
+from prism_jax.io.depth import points_from_depth
+
+PARTIALS = ("self_occlusion", "crop", "l515", "ouster", "sparse")
+"""Kinds of partial clouds that `make_partial` knows."""
 
 RAYS = 160 * 160
 MAX_RAYS = 16 * RAYS
 BUCKET_LEVELS = 5
 """Levels of the search tree of the bucketed farthest-point search: speed only."""
+
+HALF_EXTENT = 0.6
+"""Metres that the unit of length stands for where a sensor's own scale matters: an
+object whose longest side spans [-1, 1] is 1.2 m long."""
+SPARSE_RETURNS = 256
+
+CROP_SHARES = {"easy": 0.25, "median": 0.5, "hard": 0.75}
+"""Shares of the complete cloud that the three tests of ShapeNet-55 remove."""
+CROP_VIEWPOINTS = np.array(
+    [
+        (1, 1, 1),
+        (1, 1, -1),
+        (1, -1, 1),
+        (-1, 1, 1),
+        (-1, -1, 1),
+        (-1, 1, -1),
+        (1, -1, -1),
+        (-1, -1, -1),
+    ],
+    np.float64,
+)
+"""The fixed viewpoints of ShapeNet-55's tests, in the order of PoinTr's evaluation."""
+
+
+def make_partial(
+    kind: str,
+    scene: Scene,
+    complete: Float[np.ndarray, "M 3"],
+    rng: np.random.Generator,
+    num_points: int,
+) -> tuple[Float64[np.ndarray, "N 3"], Float64[np.ndarray, "3"]]:
+    """One of `PARTIALS` from a random viewpoint: the points as measured, and viewpoint.
+
+    The mesh's box is centred at the origin and its longest side spans [-1, 1];
+    `complete` is a cloud of it. The cloud is not resampled: it has as many points as
+    the sensor measured, where `self_occlusion` aims at no fewer than `num_points`. It
+    may be empty. The viewpoint is `random_viewpoint`, except for `crop`, which takes
+    a random direction, as its published training does, and removes a random share from
+    the easiest to the hardest. An unknown kind raises ValueError.
+    """
+    if kind not in PARTIALS:
+        raise ValueError(f"unknown partial {kind!r}: choose one of {PARTIALS}")
+    if kind == "crop":
+        direction = rng.normal(size=3)
+        viewpoint = direction / np.linalg.norm(direction)
+        share = rng.uniform(CROP_SHARES["easy"], CROP_SHARES["hard"])
+        return crop(np.asarray(complete, np.float64), viewpoint, share), viewpoint
+    viewpoint = random_viewpoint(rng)
+    if kind == "self_occlusion":
+        return self_occlusion(scene, viewpoint, num_points), viewpoint
+    if kind == "sparse":
+        return sparse(scene, viewpoint, rng), viewpoint
+    view = l515 if kind == "l515" else ouster
+    return view(scene, viewpoint, rng), viewpoint
 
 
 def random_viewpoint(
@@ -35,34 +102,99 @@ def random_viewpoint(
     return rng.uniform(*distance) * np.array(direction)
 
 
-def visible_points(
-    mesh: trimesh.Trimesh,
+def self_occlusion(
+    scene: Scene,
     viewpoint: Float[np.ndarray, "3"],
     min_points: int = 2048,
 ) -> Float64[np.ndarray, "N 3"]:
-    """First hits of a regular grid of rays from `viewpoint`, row by row.
+    """First hits of a regular grid of rays from `viewpoint`, row by row, exactly.
 
     The camera looks at the middle of the mesh, z up, and its grid of square pixels
     is the smallest that holds the projected mesh, like a detector's crop: `RAYS` rays,
     and up to `MAX_RAYS` when a slender object catches fewer than `min_points` of them.
     A viewpoint inside the mesh's bounding sphere raises ValueError.
     """
-    center = mesh.bounds.mean(axis=0)
-    if np.linalg.norm(viewpoint - center) <= np.linalg.norm(mesh.extents) / 2:
-        raise ValueError("viewpoint lies inside the mesh's bounding sphere")
-    axes = _camera_axes(center - viewpoint)
-    triangles = np.asarray(mesh.triangles)
-    scene = EmbreeScene()
-    TriangleMesh(scene, triangles.astype(np.float32))
-    in_camera = (np.asarray(mesh.vertices) - viewpoint) @ axes.T
+    axes = _axes_outside(scene, viewpoint)
+    in_camera = (np.asarray(scene.mesh.vertices) - viewpoint) @ axes.T
     tangents = in_camera[:, :2] / in_camera[:, 2:]
 
-    points = _cast(scene, triangles, viewpoint, _grid(tangents, RAYS) @ axes)
+    points = scene.cast(viewpoint, _grid(tangents, RAYS) @ axes).points
     if len(points) < min_points:
         rays = int(RAYS * 1.2 * min_points / max(len(points), 1))
         rays = min(rays, MAX_RAYS)
-        points = _cast(scene, triangles, viewpoint, _grid(tangents, rays) @ axes)
+        points = scene.cast(viewpoint, _grid(tangents, rays) @ axes).points
     return points
+
+
+def sparse(
+    scene: Scene,
+    viewpoint: Float[np.ndarray, "3"],
+    rng: np.random.Generator,
+    num_returns: int = SPARSE_RETURNS,
+) -> Float64[np.ndarray, "N 3"]:
+    """A random `num_returns` of the points of `self_occlusion`, or all if fewer."""
+    points = self_occlusion(scene, viewpoint)
+    count = min(num_returns, len(points))
+    return points[np.sort(rng.choice(len(points), count, replace=False))]
+
+
+def crop(
+    complete: Float[np.ndarray, "M 3"],
+    viewpoint: Float[np.ndarray, "3"],
+    share: float,
+) -> Float[np.ndarray, "N 3"]:
+    """The cloud without the `share` of its points that is nearest to the viewpoint.
+
+    The partial of ShapeNet-55 (Yu et al., PoinTr, ICCV 2021): `int(share * M)` points
+    go, the rest keeps its order, frame and scale. The benchmark tests with
+    `CROP_SHARES` from each of `CROP_VIEWPOINTS`. A share outside [0, 1) raises
+    ValueError.
+    """
+    if not 0 <= share < 1:
+        raise ValueError("the share to crop must be at least 0 and below 1")
+    gaps = np.sum((complete - viewpoint) ** 2, axis=1)
+    nearest_first = np.argsort(gaps, kind="stable")
+    return complete[np.sort(nearest_first[int(share * len(complete)) :])]
+
+
+def l515(
+    scene: Scene,
+    viewpoint: Float[np.ndarray, "3"],
+    rng: np.random.Generator,
+    config: L515Config = L515Config(),
+) -> Float64[np.ndarray, "N 3"]:
+    """What an L515 at `viewpoint` measures of the object, its longest side 1.2 m.
+
+    Of the image only the part that holds the object is computed. Points are scaled
+    back to the mesh's frame, row by row. A viewpoint inside the mesh's bounding sphere
+    raises ValueError.
+    """
+    axes = _axes_outside(scene, viewpoint)
+    camera = l515_camera(axes, viewpoint * HALF_EXTENT)
+    metric = _in_metres(scene)
+    camera = cropped_to(camera, np.asarray(metric.mesh.vertices))
+    counts, _ = l515_depth(metric, camera, rng, config)
+    points = points_from_depth(counts * config.quantum, counts > 0, camera)
+    return points / HALF_EXTENT
+
+
+def ouster(
+    scene: Scene,
+    viewpoint: Float[np.ndarray, "3"],
+    rng: np.random.Generator,
+    config: OusterConfig = OusterConfig(),
+) -> Float64[np.ndarray, "N 3"]:
+    """What an Ouster at `viewpoint` measures of the object, its longest side 1.2 m.
+
+    The sensor is tilted so that its middle beam at column 0 aims at the object's
+    centre. Points are scaled back to the mesh's frame. A viewpoint inside the mesh's
+    bounding sphere raises ValueError.
+    """
+    right, down, forward = _axes_outside(scene, viewpoint)
+    rotation = np.stack([forward, -right, -down], axis=1)
+    position = viewpoint * HALF_EXTENT
+    returns = ouster_scan(_in_metres(scene), position, rng, config, rotation)
+    return returns.points / HALF_EXTENT
 
 
 def farthest_point_order(
@@ -88,13 +220,16 @@ def farthest_point_order(
     return points[np.resize(order.astype(np.int64), num_points)]
 
 
-def _camera_axes(forward: np.ndarray) -> np.ndarray:
-    """Rows: right, down and forward of an OpenCV camera with z up in the world."""
-    forward = forward / np.linalg.norm(forward)
-    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
+def _axes_outside(scene: Scene, viewpoint: np.ndarray) -> np.ndarray:
+    """Axes of a camera at a viewpoint outside the mesh that looks at its middle."""
+    if np.linalg.norm(viewpoint - scene.center) <= scene.radius:
+        raise ValueError("viewpoint lies inside the mesh's bounding sphere")
+    return camera_axes(scene.center - viewpoint)
+
+
+def _in_metres(scene: Scene) -> Scene:
+    vertices = np.asarray(scene.mesh.vertices) * HALF_EXTENT
+    return Scene(trimesh.Trimesh(vertices, scene.mesh.faces, process=False))
 
 
 def _grid(tangents: np.ndarray, rays: int) -> np.ndarray:
@@ -107,19 +242,3 @@ def _grid(tangents: np.ndarray, rays: int) -> np.ndarray:
     )
     x, y = np.meshgrid(columns, rows)
     return np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
-
-
-def _cast(
-    scene: EmbreeScene,
-    triangles: np.ndarray,
-    origin: np.ndarray,
-    directions: np.ndarray,
-) -> np.ndarray:
-    origins = np.broadcast_to(origin.astype(np.float32), directions.shape)
-    result = scene.run(
-        np.ascontiguousarray(origins), directions.astype(np.float32), output=True
-    )
-    hit = result["primID"] >= 0
-    corners = triangles[result["primID"][hit]]
-    u, v = (result[name][hit, None].astype(np.float64) for name in ("u", "v"))
-    return (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]

@@ -1,12 +1,33 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from prism_jax.data.partials import (
+    CROP_SHARES,
+    CROP_VIEWPOINTS,
+    HALF_EXTENT,
+    PARTIALS,
+    crop,
     farthest_point_order,
+    l515,
+    make_partial,
+    ouster,
     random_viewpoint,
-    visible_points,
+    self_occlusion,
+    sparse,
 )
+from prism_jax.data.raycast import Scene, sample_outside
+from prism_jax.data.sensors import (
+    L515Config,
+    OusterConfig,
+    camera_axes,
+    l515_camera,
+    l515_depth,
+    ouster_scan,
+)
+from tests.data.test_raycast import moeller_trumbore
 
 
 def two_boxes() -> trimesh.Trimesh:
@@ -15,59 +36,181 @@ def two_boxes() -> trimesh.Trimesh:
     return trimesh.util.concatenate([near, far])
 
 
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """Two boxes in the frame of stored examples."""
+    mesh = two_boxes()
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    return Scene(mesh.apply_scale(2 / mesh.extents.max()))
+
+
+@pytest.fixture(scope="module")
+def complete(scene) -> np.ndarray:
+    return sample_outside(scene, 4000, np.random.default_rng(0))
+
+
 def test_points_lie_on_the_surface_and_see_the_camera():
     mesh, eye = two_boxes(), np.array([0.3, -3.0, 0.5])
-    points = visible_points(mesh, eye)
+    points = self_occlusion(Scene(mesh), eye)
     assert len(points) >= 2048
     chosen = points[::60]
     _, distance, _ = trimesh.proximity.closest_point_naive(mesh, chosen)
     assert distance.max() < 1e-6
-    for point in chosen:
-        assert not _blocked(mesh.triangles, eye, point)
-
-
-def _blocked(triangles: np.ndarray, eye: np.ndarray, point: np.ndarray) -> bool:
-    """Moeller-Trumbore: is a triangle crossed clearly before the point?"""
-    direction = point - eye
-    first, second = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
-    normal = np.cross(direction, second)
-    scale = np.sum(first * normal, axis=1)
-    safe = np.where(np.abs(scale) < 1e-12, np.nan, scale)
-    offset = eye - triangles[:, 0]
-    u = np.sum(offset * normal, axis=1) / safe
-    other = np.cross(offset, first)
-    v, t = other @ direction / safe, np.sum(second * other, axis=1) / safe
-    return bool(np.any((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1 - 1e-5)))
+    first, _ = moeller_trumbore(
+        mesh.triangles, np.tile(eye, (len(chosen), 1)), chosen - eye
+    )
+    np.testing.assert_allclose(first, np.linalg.norm(chosen - eye, axis=1), atol=1e-6)
 
 
 def test_sphere_shows_its_cap_only():
     """A sphere of radius r at distance d shows cos(angle) >= r / d."""
-    sphere, eye = trimesh.creation.icosphere(4), np.array([0.0, 3.0, 0.0])
-    cosine = visible_points(sphere, eye) @ eye / 3.0
+    sphere, eye = Scene(trimesh.creation.icosphere(4)), np.array([0.0, 3.0, 0.0])
+    cosine = self_occlusion(sphere, eye) @ eye / 3.0
     assert cosine.min() == pytest.approx(1 / 3, abs=0.02)
 
 
 def test_slender_object_gets_more_rays():
     needle = trimesh.creation.box((0.01, 2.0, 0.01))
     needle.apply_transform(trimesh.transformations.rotation_matrix(0.8, (1, 0, 0)))
-    assert len(visible_points(needle, np.array([3.0, 0.5, 0.0]))) >= 2048
+    assert len(self_occlusion(Scene(needle), np.array([3.0, 0.5, 0.0]))) >= 2048
 
 
 def test_camera_straight_above_is_fine_and_camera_inside_is_not():
-    mesh = trimesh.creation.box((1, 1, 1))
-    points = visible_points(mesh, np.array([0.0, 0.0, 3.0]))
+    box = Scene(trimesh.creation.box((1, 1, 1)))
+    points = self_occlusion(box, np.array([0.0, 0.0, 3.0]))
     np.testing.assert_allclose(points[:, 2], 0.5, atol=1e-6)
+    inside, rng = np.array([0.1, 0.0, 0.0]), np.random.default_rng(0)
     with pytest.raises(ValueError, match="inside"):
-        visible_points(mesh, np.array([0.1, 0.0, 0.0]))
+        self_occlusion(box, inside)
+    for view in (sparse, l515, ouster):
+        with pytest.raises(ValueError, match="inside"):
+            view(box, inside, rng)
 
 
 def test_far_from_the_origin_the_view_is_the_same():
     shift = np.array([512.0, -256.0, 128.0])
     mesh, eye = two_boxes(), np.array([1.0, -3.0, 0.5])
-    moved = visible_points(mesh.copy().apply_translation(shift), eye + shift)
-    _, distance, _ = trimesh.proximity.closest_point_naive(mesh, moved[::60] - shift)
-    assert len(moved) >= 2048
+    moved = Scene(mesh.copy().apply_translation(shift))
+    points = self_occlusion(moved, eye + shift)
+    _, distance, _ = trimesh.proximity.closest_point_naive(mesh, points[::60] - shift)
+    assert len(points) >= 2048
     assert distance.max() < 1e-6
+
+
+@pytest.mark.parametrize("share", [*CROP_SHARES.values(), 0.0, 0.43218])
+def test_crop_removes_exactly_the_nearest_share(complete, share):
+    for viewpoint in CROP_VIEWPOINTS:
+        partial = crop(complete, viewpoint, share)
+        gaps = cdist(complete, viewpoint[None])[:, 0]
+        farthest = np.argsort(gaps)[int(share * 4000) :]
+        np.testing.assert_array_equal(partial, complete[np.sort(farthest)])
+
+
+def test_crop_viewpoints_are_the_corners_and_ties_keep_the_count():
+    assert {tuple(np.sign(corner)) for corner in CROP_VIEWPOINTS} == {
+        (x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
+    }
+    np.testing.assert_array_equal(np.abs(CROP_VIEWPOINTS), 1)
+    same = np.zeros((10, 3), np.float32)
+    assert len(crop(same, CROP_VIEWPOINTS[0], 0.25)) == 8
+    assert crop(same, CROP_VIEWPOINTS[0], 0.25).dtype == np.float32
+    for share in (1.0, -0.1, np.nan):
+        with pytest.raises(ValueError, match="share"):
+            crop(same, CROP_VIEWPOINTS[0], share)
+
+
+def test_random_crops_span_the_published_shares_from_the_unit_sphere(scene, complete):
+    rng = np.random.default_rng(1)
+    made = [make_partial("crop", scene, complete, rng, 2048) for _ in range(60)]
+    counts = np.array([len(points) for points, _ in made])
+    assert 1000 <= counts.min() < 1200 and 2800 < counts.max() <= 3000
+    eyes = np.array([eye for _, eye in made])
+    np.testing.assert_allclose(np.linalg.norm(eyes, axis=1), 1, rtol=1e-12)
+    assert np.all(np.abs(eyes.mean(axis=0)) < 4 / np.sqrt(3 * 60))
+
+
+def test_sparse_is_a_random_part_of_self_occlusion(scene):
+    eye = np.array([2.0, 2.0, 1.0])
+    dense = self_occlusion(scene, eye)
+    few = sparse(scene, eye, np.random.default_rng(2))
+    assert len(np.unique(few, axis=0)) == len(few) == 256
+    assert set(map(tuple, few)) <= set(map(tuple, dense))
+    assert len(sparse(scene, eye, np.random.default_rng(2), 10**6)) == len(dense)
+    other = sparse(scene, eye, np.random.default_rng(3))
+    assert not np.array_equal(few, other)
+
+
+@pytest.mark.parametrize(
+    ("view", "config", "allowed"),
+    [(l515, L515Config(), 0.00025), (ouster, OusterConfig(), 0.001)],
+)
+def test_exact_sensors_measure_the_near_side(scene, view, config, allowed):
+    eye = np.array([1.8, -2.0, 1.5])
+    points = view(scene, eye, np.random.default_rng(4), config.exact())
+    chosen = points[:: len(points) // 40]
+    first, _ = moeller_trumbore(
+        scene.triangles, np.tile(eye, (len(chosen), 1)), chosen - eye
+    )
+    error = np.linalg.norm(chosen - eye, axis=1) - first
+    assert np.abs(error).max() <= allowed / HALF_EXTENT
+    assert len(np.unique(points, axis=0)) == len(points) > 2048
+    seen = self_occlusion(scene, eye)
+    assert KDTree(points).query(seen)[0].max() < 0.06
+
+
+def test_sensors_see_the_object_in_metres(scene):
+    """As many returns as of a mesh of 1.2 m, measured without any help."""
+    eye = np.array([1.8, -2.0, 1.5])
+    in_metres = Scene(scene.mesh.copy().apply_scale(0.6))
+    camera = l515_camera(camera_axes(-eye), 0.6 * eye)
+    rng = np.random.default_rng(6)
+    counts, _ = l515_depth(in_metres, camera, rng, L515Config().exact())
+    assert np.sum(counts > 0) == len(l515(scene, eye, rng, L515Config().exact()))
+    right, down, forward = camera_axes(-eye)
+    tilt = np.stack([forward, -right, -down], axis=1)
+    config = OusterConfig().exact()
+    returns = ouster_scan(in_metres, 0.6 * eye, rng, config, tilt)
+    assert len(returns.ranges) == len(ouster(scene, eye, rng, config))
+
+
+@pytest.mark.parametrize("view", [l515, ouster])
+def test_real_sensors_are_noisy_and_lose_returns(scene, view):
+    config = L515Config() if view is l515 else OusterConfig()
+    eye = np.array([-1.8, -2.0, 1.5])
+    exact = view(scene, eye, np.random.default_rng(5), config.exact())
+    noisy = view(scene, eye, np.random.default_rng(5), config)
+    assert 0.8 * len(exact) < len(noisy) < len(exact)
+    gaps = KDTree(exact).query(noisy)[0] * HALF_EXTENT
+    assert 0.001 < np.median(gaps) < 0.02
+
+
+@pytest.mark.parametrize("kind", PARTIALS)
+def test_kinds_by_name(scene, complete, kind):
+    made = [
+        make_partial(kind, scene, complete, np.random.default_rng(seed), 2048)
+        for seed in (0, 0, 1)
+    ]
+    for points, eye in made:
+        assert points.dtype == np.float64 and points.shape[1] == 3
+        assert len(points) >= (256 if kind == "sparse" else 1000)
+        assert KDTree(complete).query(points)[0].mean() < 0.1
+        if kind != "crop":
+            assert 2.5 <= np.linalg.norm(eye) <= 4.0
+    np.testing.assert_array_equal(made[0][0], made[1][0])
+    np.testing.assert_array_equal(made[0][1], made[1][1])
+    assert not np.array_equal(made[0][1], made[2][1])
+
+
+def test_every_viewpoint_of_a_sensor_has_the_object_in_sight(scene, complete):
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        points, _ = make_partial("ouster", scene, complete, rng, 2048)
+        assert len(points) > 500
+
+
+def test_unknown_kinds_are_named(scene, complete):
+    with pytest.raises(ValueError, match="unknown partial 'radar': choose one of"):
+        make_partial("radar", scene, complete, np.random.default_rng(0), 2048)
 
 
 def greedy_order(points: np.ndarray, start: int, count: int) -> list[float]:
