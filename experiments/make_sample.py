@@ -10,13 +10,12 @@ from absl import flags
 
 from experiments.launch import launch
 from prism_jax.data.corpus import CorpusConfig, shape_seed
-from prism_jax.data.examples import dequantise, make_example
+from prism_jax.data.examples import dequantise, make_views
+from prism_jax.data.partials import HALF_EXTENT
 from prism_jax.data.shapes import CATEGORIES
 from prism_jax.io.ply import write_ply
 
 FLAGS = flags.FLAGS
-HALF_EXTENT = 0.6
-"""Metres from the shape's centre to the ends of its longest side."""
 
 
 def define_flags() -> None:
@@ -29,8 +28,8 @@ def define_flags() -> None:
 def main(argv):
     """One example in metres, seen by a sensor at the origin, z up."""
     del argv
-    seed = shape_seed(CorpusConfig(), "validation", FLAGS.index)
-    partial, complete, viewpoint = make_example(FLAGS.category, seed)
+    seed = shape_seed(CorpusConfig("validation"), FLAGS.index)
+    (partial,), complete, (viewpoint,) = make_views(FLAGS.category, seed)
     folder = pathlib.Path(FLAGS.output_dir)
     for name, cloud in {"sample": partial, "sample_complete": complete}.items():
         points = (dequantise(cloud) - viewpoint) * np.float32(HALF_EXTENT)

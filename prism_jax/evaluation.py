@@ -122,6 +122,7 @@ def _scored(
     example: Example, batch: Batch, outputs: tuple, i: int, margin: float
 ) -> Scored:
     points, before, accepted = outputs
+    assert example.partial is not None and example.complete is not None
     center, scale = workspace_of(example.partial, margin)
     measured = (example.partial - center) / scale
 

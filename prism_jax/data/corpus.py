@@ -50,16 +50,16 @@ class CorpusConfig:
     Attributes:
       split: one of `SPLITS`.
       num_shapes: shape i has category `i % len(categories)`, so that every prefix is
-        balanced; None for the split's own number.
-      num_views: partial clouds of each shape; None for the split's own number.
+        balanced; 0 for the split's own number.
+      num_views: partial clouds of each shape; 0 for the split's own number.
       partial: one of `partials.PARTIALS`.
       seed: of the whole corpus.
       shard_shapes: shapes in a file.
     """
 
     split: str
-    num_shapes: int | None = None
-    num_views: int | None = None
+    num_shapes: int = 0
+    num_views: int = 0
     partial: str = "self_occlusion"
     seed: int = 0
     shard_shapes: int = 100
@@ -71,7 +71,7 @@ class CorpusConfig:
                 raise InputError(name, fault, f"use one of {', '.join(known)}")
         own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
         for name, number in own.items():
-            if getattr(self, name) is None:
+            if getattr(self, name) == 0:
                 object.__setattr__(self, name, number)
         for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
             value, lowest = getattr(self, name), 0 if name == "seed" else 1

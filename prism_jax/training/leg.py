@@ -147,6 +147,7 @@ def validate(leg: Leg, data: Data, variables: Variables) -> np.ndarray:
     scores = []
     for start in range(0, count, size):
         rows = np.arange(size) + min(start, count - size)
-        batch = stack([frame_example(data.validation[row], framing) for row in rows])
+        examples = [data.validation[int(row)] for row in rows]
+        batch = stack([frame_example(example, framing) for example in examples])
         scores.append(np.asarray(leg.validate_fn(variables, batch))[rows >= start])
     return np.concatenate(scores).mean(0)
