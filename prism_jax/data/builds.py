@@ -41,8 +41,8 @@ def build(
     `build_item` is pickled for them. A folder with other content raises InputError.
     """
     folder = make_output_dir(folder)
-    content = json.loads(json.dumps(content))
-    if _is_finished(folder, content):
+    wanted: dict[str, Any] = json.loads(json.dumps(content))
+    if _is_finished(folder, wanted):
         return folder
     missing = [number for number in range(len(sizes)) if not is_built(number)]
     total, done = sum(sizes), sum(sizes) - sum(sizes[number] for number in missing)
@@ -53,7 +53,7 @@ def build(
         for number in _run(build_item, missing, num_workers):
             bar.update(sizes[number])
     seconds = time.perf_counter() - start
-    write_manifest(folder, {**content, "files": hash_files(folder)})
+    write_manifest(folder, {**wanted, "files": hash_files(folder)})
     if progress and missing:
         made = f"{total - done} {unit}s in {seconds:.0f} s"
         print(f"{folder.name}: {made}, {(total - done) / seconds:.2f} a second")

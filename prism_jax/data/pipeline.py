@@ -65,6 +65,7 @@ def frame_example(
     fixed viewpoint. An example without a complete cloud raises InputError.
     """
     example = with_partial(example, rng)
+    assert example.partial is not None and example.complete is not None
     center, half_extent = workspace_of(example.partial, framing.margin)
     eye = example.eye
     eye = UNKNOWN_EYE if eye is None else (eye - center) / half_extent
