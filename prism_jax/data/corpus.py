@@ -144,10 +144,11 @@ class Corpus:
     def __getitem__(self, index: int) -> Example:
         shape, view = divmod(range(len(self))[index], self.views)
         shard, row = divmod(shape, self._shard_shapes)
+        eye = np.array(self._array(shard, "eye")[row, view])
         return Example(
             dequantise(self._array(shard, "complete")[row]),
             dequantise(self._array(shard, "partial")[row, view]),
-            np.array(self._array(shard, "eye")[row, view]),
+            None if np.isnan(eye).any() else eye,
             self.categories[shape % len(self.categories)],
             f"{shape:06d}/{view:02d}",
             ordered=True,

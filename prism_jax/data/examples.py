@@ -46,7 +46,8 @@ def make_views(
 
     `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
     from outside. All clouds are in farthest-point order; a partial of fewer than 2,048
-    distinct points is repeated cyclically. More views begin with the same ones.
+    distinct points is repeated cyclically. More views begin with the same ones. What
+    was cropped was seen from nowhere: its viewpoint is NaN.
     """
     rng = category_rng(category, seed, 1)
     mesh = make_shape(category, seed)
@@ -66,5 +67,7 @@ def _view(kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generato
         points, eye = make_partial(kind, scene, complete, rng, PARTIAL_POINTS)
         if len(points) >= MIN_RETURNS:
             ordered = farthest_point_order(points, PARTIAL_POINTS)
+            if kind == "crop":
+                eye = np.full(3, np.nan)
             return quantise(ordered), eye.astype(np.float32)
     raise ValueError(f"no {kind} view of {MIN_RETURNS} points in {MAX_DRAWS} draws")
