@@ -129,9 +129,10 @@ def sample_outside(
     less than `MIN_SEEN` is seen raises ValueError.
     """
     cumulative = np.cumsum(scene.areas)
-    kept, missing, share = [], num_points, 1.0
+    kept, missing = [], num_points
+    drawn, seen_of_drawn = 0, 0
     while missing > 0:
-        draw = int(missing / share) + 1
+        draw = int(missing * max(drawn, 1) / max(seen_of_drawn, 1)) + 1
         faces = np.searchsorted(cumulative, rng.random(draw) * cumulative[-1], "right")
         faces = np.minimum(faces, len(cumulative) - 1)
         u, v = rng.random((2, draw, 1))
@@ -139,8 +140,8 @@ def sample_outside(
         u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
         points = scene._on_faces(faces, u, v)
         seen = scene.seen_from_outside(points, scene.normals[faces])
-        share = np.mean(seen)
-        if share < MIN_SEEN:
+        drawn, seen_of_drawn = drawn + draw, seen_of_drawn + int(seen.sum())
+        if seen_of_drawn < MIN_SEEN * drawn:
             raise ValueError("almost nothing of the surface is seen from outside")
         kept.append(points[seen][:missing])
         missing -= len(kept[-1])

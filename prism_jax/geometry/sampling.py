@@ -50,15 +50,18 @@ def farthest_point_sample(
 def _farthest_indices(
     points: Array, chosen_from: Array, start: Array, num_samples: int
 ) -> Array:
+    # Coordinate by coordinate; the barrier keeps XLA from slicing anew in each step.
+    columns = jax.lax.optimization_barrier(tuple(points[:, i] for i in range(3)))
+
     def add(carry: tuple[Array, Array], _: None):
         distances, last = carry
-        x, y, z = (points[:, i] - points[last, i] for i in range(3))
+        x, y, z = (column - column[last] for column in columns)
         distances = jnp.minimum(distances, x**2 + y**2 + z**2)
-        candidates = jnp.where(chosen_from, distances, -1.0)
-        return (distances, first_highest(candidates)), last
+        return (distances, first_highest(distances)), last
 
-    # float32 of 1e10, as the reference: any first distance is smaller.
-    first = (jnp.full(points.shape[0], 1e10, points.dtype), start)
+    # float32 of 1e10, as the reference: any first distance is smaller. One of -1 stays.
+    unlimited = jnp.asarray(1e10, points.dtype)
+    first = (jnp.where(chosen_from, unlimited, -1.0), start)
     return jax.lax.scan(add, first, None, length=num_samples)[1]
 
 
