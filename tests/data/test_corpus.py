@@ -49,6 +49,14 @@ def test_items_are_the_views_of_shape_after_shape(train, train_config):
             assert example.ordered
 
 
+def test_a_crop_was_seen_from_nowhere(tmp_path):
+    config = CorpusConfig("test", num_shapes=1, num_views=2, partial="crop")
+    build_corpus(config, tmp_path, 0, progress=False)
+    source = Corpus("test", tmp_path)
+    assert [source[index].eye for index in range(2)] == [None, None]
+    assert not np.array_equal(source[0].partial, source[1].partial)
+
+
 def test_no_two_items_are_alike(train):
     examples = [train[index] for index in range(len(train))]
     assert len({example.name for example in examples}) == 8
@@ -175,8 +183,8 @@ def test_sizes_are_the_splits_own_unless_given():
 @pytest.mark.parametrize(
     ("setting", "fault"),
     [
-        ({"num_shapes": 0}, "0 is not within 1"),
-        ({"num_views": 0}, "0 is not within 1"),
+        ({"num_shapes": -1}, "-1 is not within 1"),
+        ({"num_views": -1}, "-1 is not within 1"),
         ({"shard_shapes": 0}, "0 is not within 1"),
         ({"seed": -1}, "-1 is not within 0"),
         ({"split": "dev"}, "unknown value 'dev'; use one of train, "),
