@@ -16,7 +16,9 @@ from prism_jax.data.datasets import (
     open_dataset,
     open_training,
 )
+from prism_jax.data.recordings import Frame, write_frame
 from prism_jax.data.source import Example, Source
+from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 
 
@@ -123,6 +125,28 @@ def test_public_sets_are_validated_on_their_own_split(opened, name):
     train, validation = open_training(name, "folder", 7)
     assert (len(train), len(validation)) == (80, 7)
     assert opened == [(name, "train", "folder"), (name, "val", "folder")]
+
+
+@pytest.mark.parametrize(
+    ("lengths", "views", "sizes"), [((2, 2, 2), 2, (4, 1)), ((3, 1), 1, (3, 1))]
+)
+def test_frames_of_a_sequence_stay_on_one_side(tmp_path, lengths, views, sizes):
+    """Where all sequences are equally long."""
+    points = np.random.default_rng(0).normal(size=(100, 3)).astype(np.float32)
+    camera = Camera.look_at(np.array([3.0, 0, 1]), np.zeros(3))
+    depth = np.ones((camera.height, camera.width), np.uint16)
+    for sequence, length in enumerate(lengths):
+        for number in range(length):
+            frame = Frame(depth, camera, points, points)
+            write_frame(tmp_path / f"{sequence:03d}", number, frame)
+    source = open_dataset("recordings", "all", tmp_path)
+    assert isinstance(source, Source)
+    assert (len(source), source.views) == (sum(lengths), views)
+    train, validation = open_training("recordings", tmp_path)
+    assert (len(train), len(validation)) == sizes
+    if views > 1:
+        sequences = {name.split("/")[0] for name in names(train)}
+        assert names(validation)[0].split("/")[0] not in sequences
 
 
 @pytest.mark.parametrize("name", TEST_ONLY)
