@@ -124,13 +124,13 @@ def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
     try:
         found = json.loads(path.read_text())
         files = found.pop("files")
-    except (ValueError, KeyError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "is not a manifest", "delete the folder") from None
     if found != content:
         changed = [k for k in {*found, *content} if found.get(k) != content.get(k)]
         fault = f"was built with other settings ({', '.join(sorted(changed))})"
         raise InputError(folder, fault, "name a new folder, or delete this one")
-    return files is not None
+    return files is not None and all((folder / name).exists() for name in files)
 
 
 def _run(

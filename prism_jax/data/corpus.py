@@ -40,7 +40,7 @@ GENERATOR_VERSION = 2
 """Raised with every change of shapes or partials, so that builds are never mixed."""
 
 _ARRAYS = ("partial", "complete", "eye")
-"""In the order in which they are written: a shard is whole once it has an eye."""
+"""Of a shard, each a file of its own."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +113,7 @@ def build_corpus(
         folder,
         _content(config),
         [min(config.shard_shapes, config.num_shapes - start) for start in starts],
-        lambda number: _file(folder, number, _ARRAYS[-1]).exists(),
+        lambda number: all(_file(folder, number, name).exists() for name in _ARRAYS),
         functools.partial(_build_shard, config, folder),
         "shape",
         num_workers,

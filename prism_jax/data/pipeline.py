@@ -132,8 +132,8 @@ def training_batches(
         .seed(seed)
         .shuffle()
         .repeat()
-        .slice(slice(number, None, count))
         .random_map(_Frame(framing))
+        .slice(slice(number, None, count))
         .batch(batch_size, batch_fn=stack)
     )
     if num_workers == 0:

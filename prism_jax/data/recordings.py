@@ -13,6 +13,7 @@ the floor at z = 0, the robot's base on the z axis. A frame is there once its ca
 which is written last.
 """
 
+import collections
 import dataclasses
 import hashlib
 import io
@@ -73,7 +74,8 @@ class RecordedCells:
 
     Every file is looked at by name when this is made: what is not the layout, half a
     frame, and, with `verify`, a file that differs from the manifest's sha256, raise
-    InputError. Contents are read with the example.
+    InputError. Contents are read with the example. Frames of a sequence count as views
+    of one object where all sequences have as many.
     """
 
     categories = ("robot cell",)
@@ -84,6 +86,8 @@ class RecordedCells:
         if verify:
             _verify(self.root, found)
         self.frames = tuple(found)
+        lengths = set(collections.Counter(name for name, _ in found).values())
+        self.views = lengths.pop() if len(lengths) == 1 else 1
 
     @classmethod
     def bundled(cls) -> "RecordedCells":
@@ -194,7 +198,7 @@ def _file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
 
 
 def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]]:
-    """The files of every (sequence, frame); hidden files and folders are passed over."""
+    """The files of every (sequence, frame); what is hidden is passed over."""
     if not root.is_dir():
         raise InputError(root, "is not a folder", "name the folder of the recordings")
     frames: dict[tuple[str, str], list[pathlib.Path]] = {}

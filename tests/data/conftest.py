@@ -1,4 +1,6 @@
-"""One small built corpus that the data tests share."""
+"""One small build of the shapes that the data tests share."""
+
+import hashlib
 
 import pytest
 
@@ -6,21 +8,29 @@ from prism_jax.data.corpus import CorpusConfig, build_corpus
 
 
 @pytest.fixture(scope="session")
-def small_config() -> CorpusConfig:
-    """Ten training examples in three shards."""
-    return CorpusConfig(
-        train_examples=10,
-        validation_examples=2,
-        test_examples=2,
-        train_complete_points=512,
-        evaluation_complete_points=512,
-        shard_examples=4,
-    )
+def train_config() -> CorpusConfig:
+    """Four shapes of two views in shards of three and one."""
+    return CorpusConfig("train", num_shapes=4, num_views=2, shard_shapes=3)
 
 
 @pytest.fixture(scope="session")
-def small_corpus(small_config, tmp_path_factory):
-    """Cache folder that holds the training split of `small_config`."""
-    cache_dir = tmp_path_factory.mktemp("corpus")
-    build_corpus("train", small_config, cache_dir, num_workers=0, progress=False)
-    return cache_dir
+def shapes_dir(train_config, tmp_path_factory):
+    """Folder of a training and a validation split."""
+    data_dir = tmp_path_factory.mktemp("shapes")
+    validation = CorpusConfig("validation", num_shapes=3)
+    for config in (train_config, validation):
+        build_corpus(config, data_dir, num_workers=0, progress=False)
+    return data_dir
+
+
+@pytest.fixture(scope="session")
+def digests():
+    """``folder -> {file name: sha256}``."""
+
+    def of(folder):
+        return {
+            path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in folder.iterdir()
+        }
+
+    return of

@@ -1,6 +1,9 @@
+"""The procedural shapes on disk, and as a source."""
+
 import dataclasses
-import hashlib
 import json
+import os
+import pickle
 
 import numpy as np
 import pytest
@@ -8,162 +11,207 @@ import pytest
 from prism_jax.data import corpus
 from prism_jax.data.corpus import (
     SPLITS,
+    Corpus,
     CorpusConfig,
     build_corpus,
-    load_corpus,
     shape_seed,
     split_dir,
 )
-from prism_jax.data.shapes import CATEGORIES
+from prism_jax.data.examples import dequantise, make_views
+from prism_jax.data.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
+from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
 
 
-def digests(folder):
-    return {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in folder.iterdir()
-    }
+@pytest.fixture(scope="module")
+def train(shapes_dir):
+    return Corpus("train", shapes_dir)
 
 
-def test_loaded_examples_have_the_contract(small_config, small_corpus):
-    examples = load_corpus("train", small_config, small_corpus)
-    assert examples.partial.shape == (10, 2048, 3)
-    assert examples.complete.shape == (10, 512, 3)
-    assert examples.categories == CATEGORIES
-    np.testing.assert_array_equal(examples.category, np.arange(10))
-    assert len({partial.tobytes() for partial in examples.partial}) == 10
+def equal(a, b):
+    return all(map(np.array_equal, a, b))
 
 
-def test_limit_reads_a_prefix(small_config, small_corpus):
-    whole = load_corpus("train", small_config, small_corpus)
-    prefix = load_corpus("train", small_config, small_corpus, limit=5)
-    np.testing.assert_array_equal(prefix.complete, whole.complete[:5])
-    assert len(prefix.category) == 5
+def test_items_are_the_views_of_shape_after_shape(train, train_config):
+    assert isinstance(train, Source)
+    assert (len(train), train.views) == (8, 2)
+    assert train.categories == TRAIN_CATEGORIES
+    for shape in (0, 3):
+        category = TRAIN_CATEGORIES[shape]
+        made = make_views(category, shape_seed(train_config, shape), 2)
+        for view in range(2):
+            example = train[2 * shape + view]
+            assert np.array_equal(example.partial, dequantise(made[0][view]))
+            assert np.array_equal(example.complete, dequantise(made[1]))
+            assert np.array_equal(example.eye, made[2][view])
+            assert example.name == f"{shape:06d}/{view:02d}"
+            assert example.category == category
+            assert example.ordered
 
 
-def test_bytes_do_not_depend_on_the_number_of_workers(tmp_path):
-    config = CorpusConfig(validation_examples=2, shard_examples=1)
-    folders = [
-        build_corpus("validation", config, tmp_path / str(count), count, progress=False)
-        for count in (0, 2)
-    ]
-    assert len(digests(folders[0])) == 3
-    assert digests(folders[0]) == digests(folders[1])
+def test_a_crop_was_seen_from_nowhere(tmp_path):
+    config = CorpusConfig("test", num_shapes=1, num_views=2, partial="crop")
+    build_corpus(config, tmp_path, 0, progress=False)
+    source = Corpus("test", tmp_path)
+    assert [source[index].eye for index in range(2)] == [None, None]
+    assert not np.array_equal(source[0].partial, source[1].partial)
 
 
-def test_a_second_build_changes_nothing(small_config, small_corpus, monkeypatch):
-    folder = split_dir("train", small_config, small_corpus)
+def test_no_two_items_are_alike(train):
+    examples = [train[index] for index in range(len(train))]
+    assert len({example.name for example in examples}) == 8
+    assert len({example.partial.tobytes() for example in examples}) == 8
+    assert len({example.complete.tobytes() for example in examples}) == 4
+
+
+def test_indices_count_as_those_of_a_list(train):
+    assert equal(train[-1], train[7])
+    for index in (8, -9):
+        with pytest.raises(IndexError):
+            train[index]
+
+
+def test_it_goes_to_another_process_without_its_arrays(train):
+    train[0]
+    data = pickle.dumps(train)
+    assert len(data) < 2000
+    assert equal(pickle.loads(data)[5], train[5])
+
+
+def test_examples_are_the_callers_own(train):
+    before = train[2]
+    for array in train[2][:3]:
+        array += 1
+    assert equal(train[2], before)
+
+
+def test_arrays_are_mapped_not_read(train):
+    train[0]
+    assert all(isinstance(array, np.memmap) for array in train._shards.values())
+
+
+def test_a_second_build_changes_nothing(train_config, shapes_dir, digests, monkeypatch):
+    folder = split_dir("train", shapes_dir)
     before = digests(folder)
-    monkeypatch.setattr(corpus, "make_example", None)
-    build_corpus("train", small_config, small_corpus, 0, progress=False)
+    monkeypatch.setattr(corpus, "make_views", None)
+    build_corpus(train_config, shapes_dir, 0, progress=False)
     assert digests(folder) == before
 
 
-def test_interrupted_build_leaves_whole_shards_and_resumes(
-    small_config, small_corpus, tmp_path, monkeypatch
+@pytest.mark.parametrize("name", ["partial", "complete", "eye"])
+def test_a_file_that_was_damaged_and_deleted_is_built_again(
+    train_config, shapes_dir, tmp_path, digests, name
 ):
-    make, calls = corpus.make_example, []
-
-    def interrupted(*arguments):
-        calls.append(arguments)
-        if len(calls) == 7:
-            raise KeyboardInterrupt
-        return make(*arguments)
-
-    monkeypatch.setattr(corpus, "make_example", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        build_corpus("train", small_config, tmp_path, 0, progress=False)
-    folder = split_dir("train", small_config, tmp_path)
-    assert [path.name for path in folder.iterdir()] == ["shard-00000.npz"]
-    with pytest.raises(InputError, match="not built"):
-        load_corpus("train", small_config, tmp_path)
-    monkeypatch.setattr(corpus, "make_example", make)
-    build_corpus("train", small_config, tmp_path, 0, progress=False)
-    whole = split_dir("train", small_config, small_corpus)
-    assert digests(folder) == digests(whole)
-
-
-def test_failed_write_leaves_no_half_shard(tmp_path, monkeypatch):
-    config = CorpusConfig(test_examples=1)
-
-    def full_disk(source, target):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.replace", full_disk)
-    with pytest.raises(InputError, match="No space left"):
-        build_corpus("test", config, tmp_path, 0, progress=False)
-    assert list(split_dir("test", config, tmp_path).iterdir()) == []
-
-
-def test_shape_seeds_of_splits_and_corpora_are_disjoint():
-    configs = [CorpusConfig(seed=seed) for seed in (0, 1, 2)]
-    seeds = [
-        shape_seed(config, split, index)
-        for config in configs
-        for split in SPLITS
-        for index in (*range(500), 23999, 2**32 - 1)
-    ]
-    assert len(set(seeds)) == len(seeds)
-
-
-def test_damaged_missing_and_foreign_files_are_named(
-    small_config, small_corpus, tmp_path
-):
-    source = split_dir("train", small_config, small_corpus)
-    folder = split_dir("train", small_config, tmp_path)
+    source, folder = split_dir("train", shapes_dir), split_dir("train", tmp_path)
     folder.mkdir()
     for path in source.iterdir():
         (folder / path.name).write_bytes(path.read_bytes())
-    shard = folder / "shard-00001.npz"
+    shard = folder / f"shard-00001.{name}.npy"
     data = bytearray(shard.read_bytes())
-    data[len(data) // 2] ^= 1
+    data[-1] ^= 1
     shard.write_bytes(data)
-    with pytest.raises(InputError, match=r"shard-00001\.npz: differs"):
-        load_corpus("train", small_config, tmp_path)
+    with pytest.raises(InputError, match=rf"{shard.name}: differs .*; delete it and b"):
+        Corpus("train", tmp_path)
     shard.unlink()
-    with pytest.raises(InputError, match=r"shard-00001\.npz: cannot be read"):
-        load_corpus("train", small_config, tmp_path)
-    (folder / "manifest.json").write_text("{")
-    with pytest.raises(InputError, match="not valid JSON"):
-        load_corpus("train", small_config, tmp_path)
-    with pytest.raises(InputError, match="unknown split 'dev'"):
-        load_corpus("dev", small_config, tmp_path)
+    with pytest.raises(InputError, match=rf"{shard.name}: cannot be read"):
+        Corpus("train", tmp_path)
+    build_corpus(train_config, tmp_path, 0, progress=False)
+    assert digests(folder) == digests(source)
+
+
+def test_failed_write_leaves_no_half_shard(tmp_path, monkeypatch):
+    replace = os.replace
+
+    def full_disk(source, target):
+        if target.suffix == ".npy":
+            raise OSError(28, "No space left on device")
+        replace(source, target)
+
+    monkeypatch.setattr("os.replace", full_disk)
+    config = CorpusConfig("test", num_shapes=1)
+    with pytest.raises(InputError, match="No space left"):
+        build_corpus(config, tmp_path, 0, progress=False)
+    folder = split_dir("test", tmp_path)
+    assert [path.name for path in folder.iterdir()] == ["manifest.json"]
+    with pytest.raises(InputError, match=r"broken off; .* --split=test"):
+        Corpus("test", tmp_path)
+
+
+def test_other_settings_do_not_go_into_the_same_folder(train_config, shapes_dir):
+    changes = {
+        "num_shapes": 5,
+        "num_views": 3,
+        "partial": "sparse",
+        "seed": 1,
+        "shard_shapes": 2,
+    }
+    for name, value in changes.items():
+        config = dataclasses.replace(train_config, **{name: value})
+        with pytest.raises(InputError, match=rf"other settings \({name}\)"):
+            build_corpus(config, shapes_dir, 0, progress=False)
+
+
+def test_nor_does_another_generator(train_config, shapes_dir, monkeypatch):
+    monkeypatch.setattr(corpus, "GENERATOR_VERSION", corpus.GENERATOR_VERSION + 1)
+    with pytest.raises(InputError, match=r"other settings \(generator_version\)"):
+        build_corpus(train_config, shapes_dir, 0, progress=False)
+
+
+def test_shape_seeds_of_splits_and_corpora_are_disjoint():
+    configs = [CorpusConfig(split, seed=seed) for split in SPLITS for seed in range(3)]
+    indices = (*range(500), 23999, 2**32 - 1)
+    seeds = [shape_seed(config, index) for config in configs for index in indices]
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_unseen_categories_are_in_no_other_split():
+    assert CorpusConfig("unseen").categories == UNSEEN_CATEGORIES
+    for split in ("train", "validation", "test"):
+        assert not set(CorpusConfig(split).categories) & set(UNSEEN_CATEGORIES)
+
+
+def test_sizes_are_the_splits_own_unless_given():
+    for split, sizes in SPLITS.items():
+        config = CorpusConfig(split)
+        assert (config.num_shapes, config.num_views) == sizes
+        # Every category as often as every other, but for one.
+        counts = np.bincount(np.arange(sizes[0]) % len(config.categories))
+        assert np.ptp(counts) <= 1
+    assert CorpusConfig("train", num_views=1).num_views == 1
 
 
 @pytest.mark.parametrize(
-    "setting",
-    [{"shard_examples": 0}, {"seed": -1}, {"train_complete_points": 16385}],
+    ("setting", "fault"),
+    [
+        ({"num_shapes": -1}, "-1 is not within 1"),
+        ({"num_views": -1}, "-1 is not within 1"),
+        ({"shard_shapes": 0}, "0 is not within 1"),
+        ({"seed": -1}, "-1 is not within 0"),
+        ({"split": "dev"}, "unknown value 'dev'; use one of train, "),
+        ({"partial": "lidar"}, "unknown value 'lidar'; use one of self_"),
+    ],
 )
-def test_settings_without_sense_are_named(setting):
-    with pytest.raises(InputError, match=f"{next(iter(setting))}: .* is not within"):
-        CorpusConfig(**setting)
+def test_settings_without_sense_are_named(setting, fault):
+    with pytest.raises(InputError, match=f"{next(iter(setting))}: {fault}"):
+        CorpusConfig(**{"split": "train", **setting})
 
 
-def test_limit_must_be_positive(small_config, small_corpus):
-    with pytest.raises(InputError, match="limit: 0 is not positive"):
-        load_corpus("train", small_config, small_corpus, limit=0)
+def test_what_is_not_built_says_how(tmp_path):
+    with pytest.raises(InputError, match=r"not built; .*make_data --split=unseen"):
+        Corpus("unseen", tmp_path)
 
 
-def test_manifest_states_the_content(small_config, small_corpus):
-    folder = split_dir("train", small_config, small_corpus)
+def test_the_cache_folder_is_where_it_is_built_by_default(tmp_path, monkeypatch):
+    monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path))
+    assert split_dir("train") == tmp_path / "shapes-train"
+
+
+def test_the_manifest_states_the_content(train_config, shapes_dir):
+    folder = split_dir("train", shapes_dir)
     manifest = json.loads((folder / "manifest.json").read_text())
-    assert manifest["examples"] == 10
-    assert manifest["complete_points"] == 512
-    assert {e["file"]: e["sha256"] for e in manifest["shards"]} == {
-        name: digest for name, digest in digests(folder).items() if "shard" in name
-    }
-
-
-def test_every_setting_that_changes_content_changes_the_folder(small_config):
-    changes = {
-        "train_examples": 11,
-        "train_complete_points": 256,
-        "seed": 1,
-        "shard_examples": 5,
-    }
-    folders = {
-        split_dir("train", dataclasses.replace(small_config, **{name: value}), ".")
-        for name, value in changes.items()
-    }
-    folders.add(split_dir("train", small_config, "."))
-    assert len(folders) == len(changes) + 1
+    settings = dataclasses.asdict(train_config)
+    assert settings.items() <= manifest.items()
+    assert manifest["complete_points"] == 16384
+    names = ("partial", "complete", "eye")
+    files = {f"shard-0000{i}.{name}.npy" for i in (0, 1) for name in names}
+    assert manifest["files"].keys() == files

@@ -3,34 +3,59 @@
 import numpy as np
 import pytest
 
-from prism_jax.data.corpus import Examples
-from prism_jax.data.examples import quantise
+from prism_jax.data.source import Example
 
 
-def boxes(count, seed):
-    """``count`` examples: surfaces of boxes, and the half that a viewpoint sees."""
-    rng = np.random.default_rng(seed)
-    sizes = rng.uniform(0.3, 1.0, (count, 1, 3))
-    sizes /= sizes.max(-1, keepdims=True)
-    surface = rng.uniform(-1, 1, (count, 4200, 3))
-    surface /= np.abs(surface).max(-1, keepdims=True)
-    eyes = rng.normal(size=(count, 1, 3))
-    eyes *= 3.0 / np.linalg.norm(eyes, axis=-1, keepdims=True)
-    seen = surface[:, :2048] * np.sign((surface[:, :2048] * eyes).sum(-1))[..., None]
-    return Examples(
-        quantise(seen * sizes),
-        quantise(surface * sizes),
-        eyes[:, 0].astype(np.float32),
-        np.arange(count) % 2,
-        ("even", "odd"),
-    )
+class Boxes:
+    """Surfaces of boxes, and the half of each that a sensor sees, in memory."""
+
+    categories = ("even", "odd")
+    views = 1
+
+    def __init__(self, count, seed):
+        rng = np.random.default_rng(seed)
+        sizes = rng.uniform(0.3, 1.0, (count, 1, 3))
+        sizes /= sizes.max(-1, keepdims=True)
+        surface = rng.uniform(-1, 1, (count, 4200, 3))
+        surface /= np.abs(surface).max(-1, keepdims=True)
+        eyes = rng.normal(size=(count, 1, 3))
+        eyes *= 3.0 / np.linalg.norm(eyes, axis=-1, keepdims=True)
+        near = surface[:, :2048]
+        seen = near * np.sign((near * eyes).sum(-1))[..., None]
+        self._complete = (surface * sizes).astype(np.float32)
+        self._partial = (seen * sizes).astype(np.float32)
+        self._eyes = eyes[:, 0].astype(np.float32)
+
+    def __len__(self):
+        return len(self._eyes)
+
+    def __getitem__(self, index):
+        return Example(
+            self._complete[index],
+            self._partial[index],
+            self._eyes[index],
+            self.categories[index % 2],
+            str(index),
+            ordered=True,
+        )
 
 
 @pytest.fixture(scope="session")
 def examples():
-    return boxes(20, seed=0)
+    return Boxes(20, seed=0)
 
 
 @pytest.fixture(scope="session")
 def validation_examples():
-    return boxes(10, seed=1)
+    return Boxes(10, seed=1)
+
+
+@pytest.fixture(scope="session")
+def framed():
+    """``(source, rows, framing) -> Batch`` of those examples as they are."""
+    from prism_jax.data.pipeline import frame_example, stack
+
+    def batch(source, rows, framing):
+        return stack([frame_example(source[int(row)], framing) for row in rows])
+
+    return batch

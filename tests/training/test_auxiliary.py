@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from prism_jax.data.pipeline import Framing
 from prism_jax.training.auxiliary import TRAINED, auxiliary_leg
-from prism_jax.training.batches import make_batch
 from prism_jax.training.checkpoints import Checkpoints
 
 
@@ -21,8 +21,8 @@ def leg(minimal, minimal_variables):
 
 
 @pytest.fixture(scope="module")
-def batch(examples):
-    return make_batch(examples, np.arange(4), 64, 128, 1.4)
+def batch(examples, framed):
+    return framed(examples, range(4), Framing(64, 128, 1.4))
 
 
 def steps(leg, batch, count, variables=None):
@@ -130,8 +130,8 @@ def test_its_state_goes_through_a_checkpoint(leg, batch, tmp_path):
     """Two optimisers, each blind to the other's part; and no step compiles anew."""
     state, _ = steps(leg, batch, 2)
     checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(2, state)
-    restored = checkpoints.restore_latest(leg.start)
+    checkpoints.save(2, state, None)
+    restored, _ = checkpoints.restore_latest(leg.start)
     checkpoints.close()
     assert bitwise(restored, state)
     restored = jax.device_put(jax.device_get(restored))

@@ -25,6 +25,15 @@ def state(step):
 LIKE = state(0)
 
 
+def reader(step):
+    """Something like what an iterator says of itself."""
+    return {"next": step, "workers": {"0": [step, None]}}
+
+
+def save(checkpoints, step, score=None):
+    return checkpoints.save(step, state(step), reader(step), score)
+
+
 def same(a, b):
     assert jax.tree.structure(a) == jax.tree.structure(b)
     leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
@@ -52,33 +61,34 @@ def test_an_empty_folder_has_none(checkpoints):
 
 
 def test_latest_and_best(checkpoints, tmp_path):
-    kept = [checkpoints.save(step, state(step), s) for step, s in [(2, 0.5), (4, 0.3)]]
-    kept += [checkpoints.save(6, state(6), 0.4), checkpoints.save(8, state(8))]
+    kept = [save(checkpoints, step, s) for step, s in [(2, 0.5), (4, 0.3)]]
+    kept += [save(checkpoints, 6, 0.4), save(checkpoints, 8)]
     assert kept == [True, True, False, False]
     checkpoints.close()
     latest, best, score = reopened(tmp_path)
-    assert same(latest, state(8))
+    assert same(latest[0], state(8))
+    assert latest[1] == reader(8)
     assert same(best, state(4))
     assert score == pytest.approx(0.3)
 
 
 def test_an_equal_score_does_not_replace_the_best(checkpoints):
-    assert checkpoints.save(1, state(1), 0.5)
-    assert not checkpoints.save(2, state(2), 0.5)
+    assert save(checkpoints, 1, 0.5)
+    assert not save(checkpoints, 2, 0.5)
     assert same(checkpoints.restore_best(LIKE), state(1))
 
 
 def test_a_score_that_is_not_a_number_is_never_the_best(checkpoints):
     """Nor the first, against which every later one would lose."""
-    assert not checkpoints.save(1, state(1), float("nan"))
-    assert checkpoints.save(2, state(2), 0.5)
-    assert not checkpoints.save(3, state(3), float("nan"))
+    assert not save(checkpoints, 1, float("nan"))
+    assert save(checkpoints, 2, 0.5)
+    assert not save(checkpoints, 3, float("nan"))
     assert same(checkpoints.restore_best(LIKE), state(2))
 
 
 def test_one_of_each_is_kept(checkpoints, tmp_path):
     for step in (1, 2, 3):
-        checkpoints.save(step, state(step), 1.0 / step)
+        save(checkpoints, step, 1.0 / step)
     checkpoints.close()
     for kind in ("latest", "best"):
         steps = [path.name for path in (tmp_path / "checkpoints" / kind).iterdir()]
@@ -98,23 +108,25 @@ def break_off(folder, step, temporary):
 
 
 def test_a_write_that_was_killed_leaves_the_one_before(checkpoints, tmp_path):
-    checkpoints.save(4, state(4), 0.5)
+    save(checkpoints, 4, 0.5)
     checkpoints.close()
     for kind in ("latest", "best"):
         break_off(tmp_path / "checkpoints" / kind, 8, temporary=True)
     latest, best, score = reopened(tmp_path)
-    assert same(latest, state(4))
+    assert same(latest[0], state(4))
+    assert latest[1] == reader(4)
     assert same(best, state(4))
     assert score == pytest.approx(0.5)
 
 
 def test_and_training_goes_on_over_it(checkpoints, tmp_path):
-    checkpoints.save(4, state(4), 0.5)
+    save(checkpoints, 4, 0.5)
     checkpoints.close()
     break_off(tmp_path / "checkpoints" / "latest", 8, temporary=True)
     again = Checkpoints(tmp_path)
-    again.save(8, state(8), 0.4)
+    save(again, 8, 0.4)
     again.close()
     latest, best, _ = reopened(tmp_path)
-    assert same(latest, state(8))
+    assert same(latest[0], state(8))
+    assert latest[1] == reader(8)
     assert same(best, state(8))

@@ -8,9 +8,9 @@ import numpy as np
 import optax
 import pytest
 
-from prism_jax.training.batches import make_batch
+from prism_jax.data.pipeline import training_batches
 from prism_jax.training.checkpoints import Checkpoints
-from prism_jax.training.leg import VALIDATION_COMPLETE, Leg, Source, TrainState
+from prism_jax.training.leg import VALIDATION_COMPLETE, Data, Leg, TrainState
 from prism_jax.training.leg import train_leg as train
 
 BATCH, STEPS, MARGIN = 4, 12, 1.4
@@ -18,9 +18,9 @@ OPTIMISER = optax.adam(0.05)
 
 
 @pytest.fixture
-def source(examples, validation_examples):
+def data(examples, validation_examples):
     """Validation comes every fourth step."""
-    return Source(examples, validation_examples, 64, MARGIN, 7, 4 * BATCH)
+    return Data(examples, validation_examples, 64, MARGIN, 7, 4 * BATCH)
 
 
 def make_leg(step_fn, validate_fn, num_steps=STEPS):
@@ -77,13 +77,23 @@ def bitwise(a, b):
 
 def latest(leg, folder):
     checkpoints = Checkpoints(folder / leg.name)
-    state = checkpoints.restore_latest(leg.start)
+    state, _ = checkpoints.restore_latest(leg.start)
     checkpoints.close()
     return state
 
 
-def test_it_learns(regression, source, tmp_path):
-    variables, done = train(regression, source, tmp_path)
+def recording(leg, seen):
+    """The leg, noting which batch each step is given."""
+
+    def step(state, batch):
+        seen.append((int(state.step), batch))
+        return leg.step_fn(state, batch)
+
+    return leg._replace(step_fn=step)
+
+
+def test_it_learns(regression, data, tmp_path):
+    variables, done = train(regression, data, tmp_path)
     assert done
     losses = [line["losses"][0] for line in lines(tmp_path) if "losses" in line]
     assert losses[-1] < losses[0]
@@ -91,15 +101,13 @@ def test_it_learns(regression, source, tmp_path):
 
 
 @pytest.mark.parametrize("broken_at", [[4], [3, 5], [1, 1, 1]])
-def test_broken_off_and_resumed_it_ends_the_same(
-    regression, source, tmp_path, broken_at
-):
-    expected, _ = train(regression, source, tmp_path / "unbroken")
+def test_broken_off_and_resumed_it_ends_the_same(regression, data, tmp_path, broken_at):
+    expected, _ = train(regression, data, tmp_path / "unbroken")
     for steps in broken_at:
-        _, done = train(regression, source, tmp_path / "broken", max_steps=steps)
+        _, done = train(regression, data, tmp_path / "broken", max_steps=steps)
         assert not done
     assert int(latest(regression, tmp_path / "broken").step) == sum(broken_at)
-    variables, done = train(regression, source, tmp_path / "broken")
+    variables, done = train(regression, data, tmp_path / "broken")
     assert done
     assert bitwise(variables, expected)
     # Moments and step count of the optimiser too.
@@ -108,92 +116,109 @@ def test_broken_off_and_resumed_it_ends_the_same(
 
 
 def test_killed_between_checkpoints_it_repeats_what_was_lost(
-    regression, source, tmp_path
+    regression, data, tmp_path
 ):
-    expected, _ = train(regression, source, tmp_path / "unbroken")
-    calls = []
+    """Steps and batches alike, bit for bit."""
+    unbroken, seen = [], []
+    expected, _ = train(recording(regression, unbroken), data, tmp_path / "unbroken")
+    remembering = recording(regression, seen)
 
     def dying(state, batch):
-        calls.append(int(state.step))
-        if len(calls) == 7:
+        if len(seen) == 6:
             raise KeyboardInterrupt
-        return regression.step_fn(state, batch)
+        return remembering.step_fn(state, batch)
 
     with pytest.raises(KeyboardInterrupt):
-        train(regression._replace(step_fn=dying), source, tmp_path / "killed")
+        train(regression._replace(step_fn=dying), data, tmp_path / "killed")
     assert int(latest(regression, tmp_path / "killed").step) == 4
-    variables, done = train(
-        regression._replace(step_fn=dying), source, tmp_path / "killed"
-    )
+    variables, done = train(remembering, data, tmp_path / "killed")
     assert done
-    assert calls[6:] == [6, 4, 5, 6, 7, 8, 9, 10, 11]
+    assert [step for step, _ in seen] == [*range(6), *range(4, STEPS)]
+    for step, batch in seen:
+        assert bitwise(batch, unbroken[step][1])
     assert bitwise(variables, expected)
 
 
-def test_every_step_has_the_state_of_one_compilation(regression, source, tmp_path):
-    train(regression, source, tmp_path, max_steps=5)
-    train(regression, source, tmp_path)
+def test_the_batches_are_those_of_the_pipeline(data, tmp_path):
+    """From the first on, over more than one epoch, and with what is known of each."""
+    data = data._replace(indices=np.arange(20, dtype=np.uint16))
+    seen = []
+    train(recording(counting(np.ones(STEPS + 1)), seen), data, tmp_path)
+    batches = training_batches(
+        data.train, data.framing(128), BATCH, data.seed, indices=data.indices
+    )
+    assert len(seen) == STEPS
+    for _, batch in seen:
+        assert bitwise(batch, next(batches))
+        assert batch.partial.shape == (BATCH, 64, 3)
+        assert batch.complete.shape == (BATCH, 128, 3)
+    first_epoch = np.concatenate([batch.indices for _, batch in seen[:5]])
+    assert np.array_equal(np.sort(first_epoch), np.arange(20))
+
+
+def test_every_step_has_the_state_of_one_compilation(regression, data, tmp_path):
+    train(regression, data, tmp_path, max_steps=5)
+    train(regression, data, tmp_path)
     assert regression.step_fn._cache_size() == 1
     assert regression.validate_fn._cache_size() == 1
 
 
-def test_what_did_best_on_validation_is_kept(source, tmp_path):
+def test_what_did_best_on_validation_is_kept(data, tmp_path):
     scores = np.full(STEPS + 1, 9.0)
     scores[[4, 8, 12]] = 0.5, 0.2, 0.4
-    variables, _ = train(counting(scores), source, tmp_path)
+    variables, _ = train(counting(scores), data, tmp_path)
     assert np.array_equal(variables["params"]["w"], [8, 8, 8])
     assert int(latest(counting(scores), tmp_path).step) == STEPS
 
 
-def test_a_score_that_is_not_a_number_is_not_kept(source, tmp_path):
+def test_a_score_that_is_not_a_number_is_not_kept(data, tmp_path):
     scores = np.full(STEPS + 1, np.nan)
     scores[8] = 3.0
-    variables, _ = train(counting(scores), source, tmp_path)
+    variables, _ = train(counting(scores), data, tmp_path)
     assert np.array_equal(variables["params"]["w"], [8, 8, 8])
 
 
-def test_a_finished_leg_is_not_trained_again(regression, source, tmp_path):
-    expected, _ = train(regression, source, tmp_path)
+def test_a_finished_leg_is_not_trained_again(regression, data, tmp_path):
+    expected, _ = train(regression, data, tmp_path)
 
     def never(*arguments):
         raise AssertionError("trained")
 
     finished = regression._replace(step_fn=never, validate_fn=never)
-    variables, done = train(finished, source, tmp_path)
+    variables, done = train(finished, data, tmp_path)
     assert done
     assert bitwise(variables, expected)
 
 
-def test_validation_counts_every_example_once(regression, source, tmp_path):
+def test_validation_counts_every_example_once(regression, data, framed, tmp_path):
     """Ten of them, in batches of four."""
-    train(regression, source, tmp_path, max_steps=1)
+    train(regression, data, tmp_path, max_steps=1)
     scores = [line["validation"] for line in lines(tmp_path) if "validation" in line]
-    everything = source.validation
-    rows = np.arange(10)
-    batch = make_batch(everything, rows, 64, VALIDATION_COMPLETE, MARGIN)
+    batch = framed(data.validation, range(10), data.framing(VALIDATION_COMPLETE))
     assert scores[0][0] == pytest.approx(batch.half_extent.mean(), rel=1e-6)
 
 
-def test_a_loss_that_is_not_finite_ends_it(regression, source, tmp_path):
+def test_a_loss_that_is_not_finite_ends_it(regression, data, tmp_path):
     def broken(state, batch):
         state, loss = regression.step_fn(state, batch)
         return state, jnp.where(state.step == 6, jnp.nan, loss)
 
     with pytest.raises(FloatingPointError, match=r"toy: loss .*nan"):
-        train(regression._replace(step_fn=broken), source, tmp_path)
+        train(regression._replace(step_fn=broken), data, tmp_path)
     # The state before it is there to go on from.
     assert int(latest(regression, tmp_path).step) == 4
 
 
-def test_the_log_tells_losses_and_validation(regression, source, tmp_path):
-    train(regression, source, tmp_path)
+def test_the_log_tells_losses_and_validation(regression, data, tmp_path):
+    train(regression, data, tmp_path)
     written = lines(tmp_path)
     assert [line["step"] for line in written if "validation" in line] == [4, 8, 12]
     assert [line["samples"] for line in written if "losses" in line] == [16, 32, 48]
     assert {line["phase"] for line in written} == {"toy"}
+    assert all(0 <= line["data_wait"] <= 1 for line in written)
 
 
-def test_another_seed_sees_other_batches(regression, source, tmp_path):
-    first, _ = train(regression, source, tmp_path / "0")
-    second, _ = train(regression, source._replace(seed=8), tmp_path / "1")
+def test_another_seed_sees_other_batches(regression, data, tmp_path):
+    first, _ = train(regression, data, tmp_path / "0")
+    second, _ = train(regression, data._replace(seed=8), tmp_path / "1")
     assert not bitwise(first, second)

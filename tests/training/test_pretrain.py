@@ -9,13 +9,14 @@ import numpy as np
 import optax
 import pytest
 
-from prism_jax.data.corpus import Examples
-from prism_jax.training.batches import TrainingOrder, make_batch
+from prism_jax.data.datasets import Subset
+from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.training.checkpoints import Checkpoints
-from prism_jax.training.leg import VALIDATION_COMPLETE, Source, train_leg
+from prism_jax.training.indices import index_table
+from prism_jax.training.leg import VALIDATION_COMPLETE, Data, train_leg
 from prism_jax.training.pretrain import adam, backbone_leg
 
-BATCH, MARGIN = 4, 1.4
+BATCH, FRAMING = 4, Framing(64, 128, 1.4)
 
 
 @pytest.fixture(scope="module")
@@ -55,16 +56,22 @@ def stages(preset, backbone):
 
 
 @pytest.fixture(scope="module")
-def source(examples, validation_examples):
+def data(examples, validation_examples):
     """Six examples to validate on, in batches of four."""
-    arrays = [array[:6] for array in validation_examples[:4]]
-    validation = Examples(*arrays, validation_examples.categories)
-    return Source(examples, validation, 64, MARGIN, 0, 4 * BATCH)
+    validation = Subset(validation_examples, np.arange(6))
+    return Data(examples, validation, 64, FRAMING.margin, 0, 4 * BATCH)
 
 
 @pytest.fixture(scope="module")
-def batch(examples):
-    return make_batch(examples, np.arange(BATCH), 64, 128, MARGIN)
+def batch(examples, framed):
+    return framed(examples, range(BATCH), FRAMING)
+
+
+@pytest.fixture(scope="module")
+def indexed(batch, examples, preset):
+    """With what the encoder looks up, made beforehand."""
+    table = index_table(examples, FRAMING, preset.model.backbone)
+    return batch._replace(indices=jax.tree.map(lambda leaf: leaf[:BATCH], table))
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +88,11 @@ def bitwise(a, b):
     return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
-def test_losses_fall_on_one_batch(stages, batch):
+def test_losses_fall_on_one_batch(stages, indexed):
     """Every stage's, over a leg of sixty steps."""
     state, history = stages.start, []
     for _ in range(60):
-        state, losses = stages.step_fn(state, batch)
+        state, losses = stages.step_fn(state, indexed)
         history.append(np.asarray(losses))
     assert history[0].shape == (2,)
     first, last = np.mean(history[:5], axis=0), np.mean(history[-5:], axis=0)
@@ -104,15 +111,23 @@ def test_the_leg_of_the_seeds_leaves_the_later_stages_alone(seeds, after_seeds):
             assert same == name.startswith("block"), name
 
 
-def test_the_whole_decoder_trains(stages, batch):
+def test_the_whole_decoder_trains(stages, indexed):
     """From the second step on: the step size rises from zero."""
     state = stages.start
     for _ in range(2):
-        state, _ = stages.step_fn(state, batch)
+        state, _ = stages.step_fn(state, indexed)
     before, after = stages.start.variables, state.variables
     for kind in ("params", "batch_stats"):
         for name, tree in before[kind]["decoder"].items():
             assert not bitwise(tree, after[kind]["decoder"][name]), name
+
+
+def test_indices_that_come_with_a_batch_are_those_that_are_used(stages, indexed):
+    _, expected = stages.step_fn(stages.start, indexed)
+    others = jax.tree.map(lambda leaf: leaf[::-1].copy(), indexed.indices)
+    _, losses = stages.step_fn(stages.start, indexed._replace(indices=others))
+    assert not np.allclose(losses, expected, rtol=1e-4)
+    assert stages.step_fn._cache_size() == 1
 
 
 def test_the_first_step_is_of_size_zero_and_moves_statistics_alone(seeds, batch):
@@ -122,22 +137,18 @@ def test_the_first_step_is_of_size_zero_and_moves_statistics_alone(seeds, batch)
     assert not bitwise(state.variables["batch_stats"]["point_encoder"], before)
 
 
-def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, source, tmp_path):
+def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     """Bitwise; and every step, before a checkpoint and after, is of one compilation."""
     expected = [jax.device_put(jax.device_get(seeds.start))]
-    order = TrainingOrder(len(source.train.partial), BATCH, source.seed)
-    for step in range(8):
-        rows, mirrored = order.rows(step)
-        inputs = make_batch(
-            source.train, rows, 64, seeds.num_complete, MARGIN, mirrored
-        )
-        expected.append(seeds.step_fn(expected[-1], inputs)[0])
-    _, done = train_leg(seeds, source, tmp_path, max_steps=4)
+    batches = training_batches(data.train, FRAMING, BATCH, data.seed)
+    for _ in range(8):
+        expected.append(seeds.step_fn(expected[-1], next(batches))[0])
+    _, done = train_leg(seeds, data, tmp_path, max_steps=4)
     assert not done
-    best, done = train_leg(seeds, source, tmp_path)
+    best, done = train_leg(seeds, data, tmp_path)
     assert done
     checkpoints = Checkpoints(tmp_path / seeds.name)
-    assert bitwise(checkpoints.restore_latest(seeds.start), expected[8])
+    assert bitwise(checkpoints.restore_latest(seeds.start)[0], expected[8])
     checkpoints.close()
     text = (tmp_path / "metrics.jsonl").read_text()
     written = [json.loads(line) for line in text.splitlines()]
@@ -148,9 +159,10 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, source, tmp_path
     assert seeds.validate_fn._cache_size() == 1
 
 
-def test_validation_is_in_the_units_of_the_examples(seeds, examples):
+def test_validation_is_in_the_units_of_the_examples(seeds, examples, framed):
     variables = seeds.start.variables
-    batch = make_batch(examples, np.arange(BATCH), 64, VALIDATION_COMPLETE, MARGIN)
+    framing = dataclasses.replace(FRAMING, num_complete=VALIDATION_COMPLETE)
+    batch = framed(examples, range(BATCH), framing)
     scores = np.asarray(seeds.validate_fn(variables, batch))
     assert scores.shape == (BATCH, 1)
     assert (scores > 0).all()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import time
 
 import pytest
 
@@ -79,6 +80,21 @@ def test_log_lines(tmp_path, capsys):
     assert first["samples_per_second"] > 0
     assert second["validation"] == [1.0]
     assert "seeds" in capsys.readouterr().err
+
+
+def test_time_spent_waiting_is_told_as_a_share_of_all(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    log = Log(tmp_path, "seeds", total=8, done=0)
+    for waited, worked in [(1.0, 5.0), (2.0, 0.0)]:
+        with log.waiting():
+            now[0] += waited
+        now[0] += worked
+        log.write(1)
+    log.close()
+    lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
+    shares = [json.loads(line)["data_wait"] for line in lines]
+    assert shares == pytest.approx([1 / 6, 3 / 8], abs=1e-4)
 
 
 def test_a_second_log_goes_on_in_the_same_file(tmp_path):

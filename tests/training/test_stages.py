@@ -7,16 +7,16 @@ import pytest
 
 from prism_jax.presets import resolve
 from prism_jax.training import stages
-from prism_jax.training.leg import Leg, Source, TrainState
+from prism_jax.training.leg import Data, Leg, TrainState
 
 PRESET = resolve("tiny", ["pretrain.backbone.0.num_samples=32"])
 BATCH = PRESET.pretrain.batch_size
 
 
 @pytest.fixture
-def source(examples, validation_examples):
+def data(examples, validation_examples):
     """Validation comes every second step."""
-    return Source(examples, validation_examples, 64, 1.4, 0, 2 * BATCH)
+    return Data(examples, validation_examples, 64, 1.4, 0, 2 * BATCH)
 
 
 def counting_leg(name, variables, num_samples, scores_fn):
@@ -71,8 +71,8 @@ def begun(monkeypatch):
     return made
 
 
-def test_each_leg_begins_with_the_best_of_the_one_before(begun, source, tmp_path):
-    variables = stages.pretrain(PRESET, source, tmp_path, seed=0)
+def test_each_leg_begins_with_the_best_of_the_one_before(begun, data, tmp_path):
+    variables = stages.pretrain(PRESET, data, tmp_path, seed=0)
     fresh = {"refiner": 0.0, "harm": 0.0}
     assert begun == [
         ("seeds", {}),
@@ -85,7 +85,7 @@ def test_each_leg_begins_with_the_best_of_the_one_before(begun, source, tmp_path
 
 @pytest.mark.parametrize(("refined", "kept"), [(2.9, 4.0), (3.0, 4.0), (3.1, 0.0)])
 def test_a_refiner_that_makes_it_worse_is_not_kept(
-    monkeypatch, source, tmp_path, refined, kept
+    monkeypatch, data, tmp_path, refined, kept
 ):
     """The distance is 3 without it."""
     fresh = {"refiner": jnp.float32(0), "harm": jnp.float32(refined)}
@@ -94,22 +94,20 @@ def test_a_refiner_that_makes_it_worse_is_not_kept(
         "init_auxiliary",
         lambda key, variables, model: {"params": {**variables["params"], **fresh}},
     )
-    variables = stages.pretrain(PRESET, source, tmp_path, seed=0)
+    variables = stages.pretrain(PRESET, data, tmp_path, seed=0)
     assert float(variables["params"]["refiner"]) == kept
     assert float(variables["params"]["stages"]) == 2.0
 
 
-def test_broken_off_it_has_nothing_and_resumed_it_ends_the_same(
-    begun, source, tmp_path
-):
-    expected = stages.pretrain(PRESET, source, tmp_path / "unbroken", seed=0)
+def test_broken_off_it_has_nothing_and_resumed_it_ends_the_same(begun, data, tmp_path):
+    expected = stages.pretrain(PRESET, data, tmp_path / "unbroken", seed=0)
     begun.clear()
-    assert stages.pretrain(PRESET, source, tmp_path / "run", 0, max_steps=2) is None
+    assert stages.pretrain(PRESET, data, tmp_path / "run", 0, max_steps=2) is None
     assert [name for name, _ in begun] == ["seeds"]
     begun.clear()
-    assert stages.pretrain(PRESET, source, tmp_path / "run", 0, max_steps=6) is None
+    assert stages.pretrain(PRESET, data, tmp_path / "run", 0, max_steps=6) is None
     assert [name for name, _ in begun] == ["seeds", "stages"]
-    resumed = stages.pretrain(PRESET, source, tmp_path / "run", 0)
+    resumed = stages.pretrain(PRESET, data, tmp_path / "run", 0)
     assert resumed["params"].keys() == expected["params"].keys()
     for name, value in expected["params"].items():
         assert np.array_equal(resumed["params"][name], value)

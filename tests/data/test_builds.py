@@ -1,0 +1,167 @@
+"""Folders that are built in parts, by several processes, and checked."""
+
+import json
+
+import pytest
+
+from prism_jax.data import builds
+from prism_jax.data.corpus import CorpusConfig, build_corpus
+from prism_jax.io.errors import InputError
+
+CONTENT = {"generator": "squares", "size": [2, 3]}
+SIZES = [2, 2, 1]
+
+
+class Squares:
+    """A build of small files, that can be broken off."""
+
+    def __init__(self, folder, fails_at=None):
+        self.folder, self.fails_at, self.built = folder, fails_at, []
+
+    def path(self, number):
+        return self.folder / f"{number}.bin"
+
+    def build_item(self, number):
+        if number == self.fails_at:
+            raise KeyboardInterrupt
+        self.built.append(number)
+        self.path(number).write_bytes(bytes([number**2]))
+
+    def build(self, content=CONTENT, progress=False):
+        return builds.build(
+            self.folder,
+            content,
+            SIZES,
+            lambda number: self.path(number).exists(),
+            self.build_item,
+            "square",
+            num_workers=0,
+            progress=progress,
+        )
+
+
+@pytest.fixture
+def squares(tmp_path):
+    """A finished build."""
+    made = Squares(tmp_path / "squares")
+    assert made.build() == made.folder
+    return made
+
+
+def test_bytes_depend_neither_on_workers_nor_on_runs(tmp_path, digests, monkeypatch):
+    """Three shapes in shards of their own."""
+    config = CorpusConfig("test", num_shapes=3, shard_shapes=1)
+
+    def run(name, num_workers):
+        return build_corpus(config, tmp_path / name, num_workers, progress=False)
+
+    expected = digests(run("here", 0))
+    assert len(expected) == 3 * 3 + 1
+    assert digests(run("two", 2)) == expected
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(builds, "_run", _first_only)
+        run("broken", 0)
+    folder = tmp_path / "broken" / "shapes-test"
+    found = digests(folder)
+    assert len(found) == 3 + 1
+    assert found.pop("manifest.json") != expected["manifest.json"]
+    assert found.items() < expected.items()
+    assert digests(run("broken", 1)) == expected
+
+
+def _first_only(build_item, items, num_workers):
+    build_item(items[0])
+    yield items[0]
+    raise KeyboardInterrupt
+
+
+def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squares):
+    broken = Squares(tmp_path / "broken", fails_at=1)
+    with pytest.raises(KeyboardInterrupt):
+        broken.build()
+    names = {path.name for path in broken.folder.iterdir()}
+    assert names == {"manifest.json", "0.bin"}
+    with pytest.raises(InputError, match="was broken off; build it"):
+        builds.read_manifest(broken.folder, "build it")
+    resumed = Squares(tmp_path / "broken")
+    resumed.build()
+    assert resumed.built == [1, 2]
+    for path in squares.folder.iterdir():
+        assert (broken.folder / path.name).read_bytes() == path.read_bytes()
+
+
+def test_what_is_finished_is_not_built_again(squares):
+    manifest = (squares.folder / "manifest.json").read_bytes()
+    again = Squares(squares.folder)
+    again.build()
+    assert again.built == []
+    assert (squares.folder / "manifest.json").read_bytes() == manifest
+
+
+def test_but_what_was_deleted_is(squares):
+    """As the remedy for a damaged file says."""
+    expected = (squares.folder / "manifest.json").read_bytes()
+    squares.path(1).unlink()
+    again = Squares(squares.folder)
+    again.build()
+    assert again.built == [1]
+    assert (squares.folder / "manifest.json").read_bytes() == expected
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_other_content_is_refused(tmp_path, finished):
+    made = Squares(tmp_path, fails_at=None if finished else 2)
+    if finished:
+        made.build()
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            made.build()
+    other = {"generator": "squares", "size": [2, 4], "seed": 1}
+    with pytest.raises(InputError, match=r"other settings \(seed, size\)"):
+        Squares(tmp_path).build(other)
+
+
+def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="is not empty"):
+        Squares(tmp_path).build()
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "{}", '"a"', "null"])
+def test_a_manifest_that_is_none_is_named(squares, text):
+    (squares.folder / "manifest.json").write_text(text)
+    with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
+        builds.read_manifest(squares.folder, "build it")
+    with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
+        Squares(squares.folder).build()
+
+
+def test_a_folder_without_manifest_is_not_built(tmp_path):
+    for folder in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(InputError, match="is not built; build it"):
+            builds.read_manifest(folder, "build it")
+
+
+def test_the_manifest_tells_content_and_files(squares, digests):
+    manifest = json.loads((squares.folder / "manifest.json").read_text())
+    files = digests(squares.folder)
+    del files["manifest.json"]
+    assert manifest == {**CONTENT, "files": files}
+    assert builds.read_manifest(squares.folder, "") == manifest
+
+
+def test_damaged_and_missing_files_are_named(squares):
+    files = builds.read_manifest(squares.folder, "")["files"]
+    builds.verify(squares.folder, files, "delete it")
+    squares.path(2).write_bytes(b"!")
+    with pytest.raises(InputError, match=r"2\.bin: differs from .*; delete it"):
+        builds.verify(squares.folder, files, "delete it")
+    squares.path(2).unlink()
+    with pytest.raises(InputError, match=r"2\.bin: cannot be read"):
+        builds.verify(squares.folder, files, "delete it")
+
+
+def test_a_line_tells_the_rate(tmp_path, capsys):
+    Squares(tmp_path).build(progress=True)
+    assert "5 squares in 0 s" in capsys.readouterr().out

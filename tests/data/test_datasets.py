@@ -1,0 +1,172 @@
+"""Data sets by name, and what is held out of a training."""
+
+import numpy as np
+import pytest
+
+from prism_jax.data import datasets
+from prism_jax.data.corpus import Corpus
+from prism_jax.data.datasets import (
+    DATASETS,
+    GENERATED,
+    TEST_ONLY,
+    Subset,
+    build_dataset,
+    hold_out,
+    is_built,
+    open_dataset,
+    open_training,
+)
+from prism_jax.data.recordings import Frame, write_frame
+from prism_jax.data.source import Example, Source
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError
+
+
+class Views:
+    """Items that know their place; of one object stand `views` in a row."""
+
+    categories = ("thing",)
+
+    def __init__(self, objects, views):
+        self.objects, self.views = objects, views
+
+    def __len__(self):
+        return self.objects * self.views
+
+    def __getitem__(self, index):
+        item, view = divmod(range(len(self))[index], self.views)
+        return Example(None, None, None, "thing", f"{item}/{view}")
+
+
+def names(source):
+    return [source[index].name for index in range(len(source))]
+
+
+@pytest.mark.parametrize("views", [1, 3])
+@pytest.mark.parametrize(
+    ("objects", "count", "held"), [(100, 5, 5), (100, 200, 10), (2, 9, 1), (7, 1, 1)]
+)
+def test_an_object_is_on_one_side_alone(objects, views, count, held):
+    """All its views are gone from the training, the first one validates."""
+    source = Views(objects, views)
+    train, validation = hold_out(source, count)
+    out = [name.split("/")[0] for name in names(validation)]
+    assert len(set(out)) == len(out) == held
+    assert names(validation) == [f"{number}/0" for number in out]
+    kept = [name for name in names(source) if name.split("/")[0] not in out]
+    assert names(train) == kept
+    assert len(kept) == (objects - held) * views
+    assert (train.views, validation.views) == (views, 1)
+    assert isinstance(train, Source)
+
+
+def test_they_are_spread_over_the_set_and_always_the_same():
+    _, validation = hold_out(Views(1000, 2), 9)
+    numbers = [int(name.split("/")[0]) for name in names(validation)]
+    assert np.diff(numbers).min() >= 99
+    assert names(hold_out(Views(1000, 2), 9)[1]) == names(validation)
+
+
+def test_of_a_single_object_nothing_can_be_held_out():
+    with pytest.raises(InputError, match="holds a single object"):
+        hold_out(Views(1, 8), 1)
+
+
+def test_a_subset_has_the_items_of_its_rows():
+    subset = Subset(Views(5, 1), np.array([4, 0, 2]))
+    assert names(subset) == ["4/0", "0/0", "2/0"]
+    assert isinstance(subset, Source)
+    with pytest.raises(IndexError):
+        subset[3]
+
+
+def test_shapes_are_built_and_opened(tmp_path):
+    assert not is_built("shapes", "validation", tmp_path)
+    folder = build_dataset("shapes", "validation", tmp_path, 0, num_shapes=1, seed=5)
+    assert folder == tmp_path / "shapes-validation"
+    assert is_built("shapes", "validation", tmp_path)
+    source = open_dataset("shapes", "validation", tmp_path)
+    assert isinstance(source, Corpus)
+    assert names(source) == ["000000/00"]
+
+
+def test_a_set_with_a_validation_split_trains_on_all_of_its_training_split(shapes_dir):
+    train, validation = open_training("shapes", shapes_dir)
+    assert (len(train), train.views) == (8, 2)
+    whole = open_dataset("shapes", "validation", shapes_dir)
+    assert names(validation) == names(whole)
+    assert len(open_training("shapes", shapes_dir, 2)[1]) == 2
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """What `open_training` opens."""
+    found = []
+
+    def open_any(*arguments):
+        found.append(arguments)
+        return Views(40, 2)
+
+    monkeypatch.setattr(datasets, "open_dataset", open_any)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "split"), [("mvp", "train"), ("meshes", "all"), ("recordings", "all")]
+)
+def test_of_another_some_objects_are_held_out(opened, name, split):
+    train, validation = open_training(name, "folder")
+    assert (len(train), len(validation)) == (72, 4)
+    assert opened == [(name, split, "folder")]
+
+
+@pytest.mark.parametrize("name", ["pcn", "completion3d"])
+def test_public_sets_are_validated_on_their_own_split(opened, name):
+    train, validation = open_training(name, "folder", 7)
+    assert (len(train), len(validation)) == (80, 7)
+    assert opened == [(name, "train", "folder"), (name, "val", "folder")]
+
+
+@pytest.mark.parametrize(
+    ("lengths", "views", "sizes"), [((2, 2, 2), 2, (4, 1)), ((3, 1), 1, (3, 1))]
+)
+def test_frames_of_a_sequence_stay_on_one_side(tmp_path, lengths, views, sizes):
+    """Where all sequences are equally long."""
+    points = np.random.default_rng(0).normal(size=(100, 3)).astype(np.float32)
+    camera = Camera.look_at(np.array([3.0, 0, 1]), np.zeros(3))
+    depth = np.ones((camera.height, camera.width), np.uint16)
+    for sequence, length in enumerate(lengths):
+        for number in range(length):
+            frame = Frame(depth, camera, points, points)
+            write_frame(tmp_path / f"{sequence:03d}", number, frame)
+    source = open_dataset("recordings", "all", tmp_path)
+    assert isinstance(source, Source)
+    assert (len(source), source.views) == (sum(lengths), views)
+    train, validation = open_training("recordings", tmp_path)
+    assert (len(train), len(validation)) == sizes
+    if views > 1:
+        sequences = {name.split("/")[0] for name in names(train)}
+        assert names(validation)[0].split("/")[0] not in sequences
+
+
+@pytest.mark.parametrize("name", TEST_ONLY)
+def test_sets_without_a_training_split_are_refused(name, tmp_path):
+    assert name in DATASETS
+    with pytest.raises(InputError, match="has no training split"):
+        open_training(name, tmp_path)
+
+
+def test_what_there_is_not_is_refused(tmp_path):
+    with pytest.raises(InputError, match="shapez: no such data set; use one of shapes"):
+        open_dataset("shapez", "train")
+    with pytest.raises(InputError, match="mvp: is not generated; use one of shapes"):
+        build_dataset("mvp", "train", tmp_path)
+    for name in sorted({*DATASETS} - {*GENERATED}):
+        with pytest.raises(InputError, match="name its folder with --data_dir"):
+            open_dataset(name, "train")
+
+
+@pytest.mark.parametrize("name", DATASETS)
+def test_an_empty_folder_is_none_of_them(name, tmp_path):
+    with pytest.raises(InputError):
+        open_dataset(name, "train", tmp_path)

@@ -1,0 +1,135 @@
+"""An example in the workspace of its partial."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from prism_jax.data.pipeline import Framing, frame_example, stack
+from prism_jax.data.source import Example
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.errors import InputError
+
+FRAMING = Framing(64, 128, 1.4)
+
+
+def cloud(rng, count):
+    return (rng.normal(size=(count, 3)) * [1, 2, 0.5] + [5, 0, -1]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def example():
+    """Far from the origin, and not in farthest-point order."""
+    rng = np.random.default_rng(0)
+    eye = np.array([5, -9, 2], np.float32)
+    return Example(cloud(rng, 1000), cloud(rng, 300), eye, "thing", "0")
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_frame_is_the_workspace_of_the_partial(example, ordered):
+    """All of it, in double precision."""
+    workspace = Workspace.from_points(example.partial.astype(np.float64), 1.4)
+    batch = frame_example(example._replace(ordered=ordered), FRAMING)
+    assert batch.partial.shape == (64, 3)
+    assert batch.complete.shape == (128, 3)
+    assert {array.dtype for array in batch[:4]} == {np.dtype(np.float32)}
+    assert batch.half_extent == pytest.approx(float(workspace.half_extent))
+    eye = workspace.to_unit(example.eye.astype(np.float64))
+    np.testing.assert_allclose(batch.eye, eye, atol=1e-6)
+    for found, original in [
+        (batch.partial, example.partial),
+        (batch.complete, example.complete),
+    ]:
+        mapped = workspace.to_unit(original.astype(np.float64))
+        if ordered:
+            np.testing.assert_allclose(found, mapped[: len(found)], atol=1e-6)
+        gaps, chosen = KDTree(mapped).query(found)
+        assert gaps.max() < 1e-6
+        assert len(set(chosen)) == len(found)
+
+
+def test_clouds_in_no_order_are_put_into_farthest_point_order(example):
+    """Distances to the nearest of all points before shrink."""
+    batch = frame_example(example, FRAMING)
+    for points in (batch.partial, batch.complete):
+        gaps = [KDTree(points[:n]).query(points[n])[0] for n in range(1, len(points))]
+        assert np.diff(gaps).max() <= 1e-6
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_cloud_of_too_few_points_is_repeated(example, ordered):
+    few = example._replace(partial=example.partial[:40], ordered=ordered)
+    partial = frame_example(few, FRAMING).partial
+    assert len(np.unique(partial[:40], axis=0)) == 40
+    assert np.array_equal(partial[40:], partial[:24])
+
+
+def test_the_complete_cloud_does_not_decide_the_frame(example):
+    """At test time there is none."""
+    expected = frame_example(example, FRAMING)
+    other = example._replace(complete=example.complete * 3 + 99)
+    changed = frame_example(other, FRAMING)
+    for name in ("partial", "eye", "half_extent"):
+        assert np.array_equal(getattr(changed, name), getattr(expected, name))
+    assert not np.array_equal(changed.complete, expected.complete)
+
+
+def test_nor_does_the_number_of_points_that_the_network_takes(example):
+    few = frame_example(example, FRAMING)
+    many = frame_example(example, Framing(256, 128, 1.4))
+    assert np.array_equal(few.half_extent, many.half_extent)
+    assert np.array_equal(few.partial, many.partial[:64])
+
+
+def test_a_mirror_image_is_that_or_nothing_changes(example):
+    plain, flip = frame_example(example, FRAMING), np.array([-1, 1, 1], np.float32)
+    found = set()
+    for seed in range(10):
+        batch = frame_example(example, FRAMING, np.random.default_rng(seed))
+        sign = 1 if np.array_equal(batch.eye, plain.eye) else flip
+        found.add(sign is flip)
+        for a, b in zip(batch[:3], plain[:3], strict=True):
+            assert np.array_equal(a, b * sign)
+        assert batch.half_extent == plain.half_extent
+    assert found == {True, False}
+
+
+def test_the_source_keeps_its_arrays(example):
+    before = [np.array(array) for array in example[:3]]
+    for seed in range(4):
+        frame_example(example, FRAMING, np.random.default_rng(seed))
+    assert all(map(np.array_equal, before, example[:3]))
+
+
+def test_where_there_is_no_partial_one_is_cropped(example):
+    """For a test always the same half; for training another one each time."""
+    whole = example._replace(partial=None, ordered=True)
+    direction = np.ones(3)
+    gaps = np.linalg.norm(whole.complete.astype(np.float64) - direction, axis=1)
+    half = whole.complete[gaps >= np.median(gaps)]
+    expected = frame_example(whole._replace(partial=half, ordered=False), FRAMING)
+    found = frame_example(whole, FRAMING)
+    assert all(map(np.array_equal, found[:4], expected[:4]))
+    cropped = [
+        frame_example(whole, FRAMING, np.random.default_rng(seed)) for seed in range(4)
+    ]
+    # What a mirror leaves as it is.
+    assert len({batch.partial[:, 1:].tobytes() for batch in cropped}) == 4
+
+
+def test_without_a_complete_cloud_there_is_nothing_to_learn(example):
+    for rng in (None, np.random.default_rng(0)):
+        with pytest.raises(InputError, match="0: has no complete cloud"):
+            frame_example(example._replace(complete=None), FRAMING, rng)
+
+
+def test_a_sensor_at_no_known_place_stands_in_front_left_and_above(example):
+    batch = frame_example(example._replace(eye=None), FRAMING)
+    np.testing.assert_allclose(batch.eye, [3**0.5] * 3, rtol=1e-6)
+
+
+def test_stacked_examples_get_a_batch_axis(example):
+    one = frame_example(example, FRAMING)._replace(indices={"a": np.arange(3)})
+    both = stack([one, one])
+    assert both.partial.shape == (2, 64, 3)
+    assert both.half_extent.shape == (2,)
+    assert both.indices["a"].shape == (2, 3)
