@@ -10,6 +10,7 @@ import functools
 import io
 import os
 import pathlib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -65,10 +66,8 @@ class CorpusConfig:
     shard_shapes: int = 100
 
     def __post_init__(self):
-        for name, known in (("split", SPLITS), ("partial", PARTIALS)):
-            if getattr(self, name) not in known:
-                fault = f"unknown value {getattr(self, name)!r}"
-                raise InputError(name, fault, f"use one of {', '.join(known)}")
+        _check("split", self.split, SPLITS)
+        _check("partial", self.partial, PARTIALS)
         own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
         for name, number in own.items():
             if getattr(self, name) == 0:
@@ -93,6 +92,7 @@ def shape_seed(config: CorpusConfig, index: int) -> int:
 
 def split_dir(split: str, data_dir: str | os.PathLike | None = None) -> pathlib.Path:
     """Folder of a split, by default in the user's cache folder."""
+    _check("split", split, SPLITS)
     root = default_cache_dir() if data_dir is None else pathlib.Path(data_dir)
     return root / f"shapes-{split}"
 
@@ -129,7 +129,9 @@ class Corpus:
 
     def __init__(self, split: str, data_dir: str | os.PathLike | None = None):
         self.root = split_dir(split, data_dir)
-        remedy = f"build it: python -m experiments.make_data --split={split}"
+        command = f"python -m experiments.make_data --dataset=shapes --split={split}"
+        where = "" if data_dir is None else f" --output_dir={data_dir}"
+        remedy = f"build it: {command}{where}"
         manifest = builds.read_manifest(self.root, remedy)
         builds.verify(self.root, manifest["files"], "delete it and build again")
         self.categories = tuple(manifest["categories"])
@@ -164,6 +166,12 @@ class Corpus:
             path = _file(self.root, shard, name)
             self._shards[key] = np.load(path, mmap_mode="r", allow_pickle=False)
         return self._shards[key]
+
+
+def _check(name: str, value: str, known: Iterable[str]) -> None:
+    if value not in known:
+        fault = f"unknown value {value!r}"
+        raise InputError(name, fault, f"use one of {', '.join(known)}")
 
 
 def _content(config: CorpusConfig) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import grain
 import jax
 import numpy as np
+from absl import flags
 from jaxtyping import Float32
 
 from prism_jax.data.partials import (
@@ -139,6 +140,9 @@ def training_batches(
     if num_workers == 0:
         reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=4)
         return iter(dataset.to_iter_dataset(reading))
+    if not flags.FLAGS.is_parsed():
+        # Grain's processes read absl's flags; not every caller is an absl program.
+        flags.FLAGS.mark_as_parsed()
     reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=2)
     workers = grain.MultiprocessingOptions(num_workers, per_worker_buffer_size=2)
     return iter(dataset.to_iter_dataset(reading).mp_prefetch(workers))

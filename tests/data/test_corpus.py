@@ -197,7 +197,7 @@ def test_settings_without_sense_are_named(setting, fault):
 
 
 def test_what_is_not_built_says_how(tmp_path):
-    with pytest.raises(InputError, match=r"not built; .*make_data --split=unseen"):
+    with pytest.raises(InputError, match=r"--split=unseen --output_dir="):
         Corpus("unseen", tmp_path)
 
 

@@ -115,16 +115,15 @@ def test_a_saved_state_goes_on_with_the_next_batch(steps):
 
 
 @pytest.fixture
-def parsed_flags():
-    """Grain's workers read flags, which a launcher has parsed."""
+def flags_left_as_they_are():
+    """Which Grain's workers read, and which only a launcher has parsed."""
     before = flags.FLAGS.is_parsed()
-    flags.FLAGS.mark_as_parsed()
     yield
     if not before:
         flags.FLAGS.unparse_flags()
 
 
-@pytest.mark.usefixtures("parsed_flags")
+@pytest.mark.usefixtures("flags_left_as_they_are")
 def test_and_so_it_does_where_another_process_reads(shapes_dir):
     """Whose batches are those of this process."""
     source, state = Corpus("train", shapes_dir), None
