@@ -194,7 +194,7 @@ def _file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
 
 
 def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]]:
-    """The files of every (sequence, frame); hidden files and folders are passed over."""
+    """The files of every (sequence, frame), without hidden files and folders."""
     if not root.is_dir():
         raise InputError(root, "is not a folder", "name the folder of the recordings")
     frames: dict[tuple[str, str], list[pathlib.Path]] = {}

@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 import trimesh
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from manifold3d import Manifold
 
 from prism_jax.data.roboarm.clutter import GAP, Bench, draw_clutter
@@ -22,6 +22,7 @@ from prism_jax.data.roboarm.furnishings import (
     to_mesh,
     upright,
 )
+from prism_jax.data.roboarm.robots import Robot
 from prism_jax.data.solids import rod
 from prism_jax.geometry.camera import Camera
 
@@ -56,25 +57,26 @@ class Cell:
 
 
 def make_cell(
-    sweep: Float64[np.ndarray, "T N 3"], spacer: float, rng: Rng, camera: Camera
+    robot: Robot, positions: Float[np.ndarray, "T J"], rng: Rng, camera: Camera
 ) -> Cell:
-    """A cell for a robot whose points are `sweep`, frame by frame, in its own frame.
+    """A cell for a robot that takes these joint positions.
 
     `camera` gives the image size and field of view (`Camera.l515`), not the pose.
     """
+    sweep = robot.probe_points(positions)
     reach = np.quantile(np.linalg.norm(sweep, axis=-1), 0.99)
     reach = float(np.clip(reach, 0.3, 1.2))
     supports, height, lower, upper = _support(reach, rng)
     top = supports[0].bounding_box()[5]
-    if spacer:
-        supports.append(rod((0, 0, height), (0, 0, height + spacer), 0.06))
+    if robot.spacer:
+        supports.append(rod((0, 0, height), (0, 0, height + robot.spacer), 0.06))
     sweep = sweep + (0, 0, height)
     bench = Bench(sweep.reshape(-1, 3), lower, upper, top)
     fixtures = _fixtures(bench, reach, rng)
-    target = [bench.sweep, *[_corners(solid) for solid in fixtures]]
-    target = np.concatenate(target)
     posed = _aim(bench.sweep, rng, camera)
-    clutter = draw_clutter(bench, sweep, np.asarray(posed.position), rng)
+    eye = np.asarray(posed.position)
+    clutter = draw_clutter(bench, sweep, robot.probe_weights, eye, rng)
+    target = np.concatenate([bench.sweep, *[_corners(solid) for solid in fixtures]])
     return Cell(
         base_height=height,
         support=to_mesh(supports),

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8, UInt16
 from prism_jax.data.raycast import Scene
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS, Frame
 from prism_jax.data.roboarm.cell import Cell, make_cell
+from prism_jax.data.roboarm.furnishings import together
 from prism_jax.data.roboarm.models import ArmModel
 from prism_jax.data.roboarm.robots import Robot
 from prism_jax.data.roboarm.survey import NUM_STATIONS, SURVEY, survey
@@ -62,7 +63,7 @@ def make_sequence(
     robot = Robot(model)
     positions = random_trajectory(robot, num_frames, config.num_waypoints, rng)
     camera = Camera.l515().resized(config.height, config.width)
-    cell = make_cell(robot.probe_points(positions), robot.spacer, rng, camera)
+    cell = make_cell(robot, positions, rng, camera)
     glossy = rng.random(len(robot.meshes) + 1) < config.glossy_share
     return Sequence(robot, cell, positions, glossy)
 
@@ -98,12 +99,12 @@ def make_frame(
     shiny = np.zeros(sum(sizes), bool)
     shiny[: sizes[0]] = glossy[robot.faces_link]
     shiny[sizes[0] : sizes[0] + sizes[1]] = glossy[-1]
-    whole = Scene(_together(parts))
+    whole = Scene(together(parts))
     counts, faces = l515_depth(whole, cell.camera, rng, config.depth_sensor, shiny)
     labels = _pixel_labels(faces, face_labels)
 
     open_faces = sum(sizes[:3])
-    uncluttered = Scene(_together(parts[:3]))
+    uncluttered = Scene(together(parts[:3]))
     wanted = face_labels[:open_faces] != LABELS["clutter"]
     complete = survey(
         uncluttered,
@@ -126,17 +127,6 @@ def make_frame(
             "positions": dict(zip(robot.joints, positions.tolist(), strict=True)),
             "hidden_share": round(hidden, 4),
         },
-    )
-
-
-def _together(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    sizes = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-    return trimesh.Trimesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate(
-            [mesh.faces + start for mesh, start in zip(meshes, sizes, strict=False)]
-        ),
-        process=False,
     )
 
 
