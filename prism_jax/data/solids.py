@@ -11,6 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
+SPLINTER = 1e-7
+"""Volume below which a separate piece is an artefact of touching faces."""
+
 Vector = Sequence[float | int] | np.ndarray
 
 
@@ -47,6 +50,19 @@ def rod(
     length = float(np.linalg.norm(end - start))
     top = radius if end_radius is None else end_radius
     solid = Manifold.cylinder(length, radius, top, segments)
+    return place(solid, frame_along(end - start), start)
+
+
+def tube(
+    start: Vector, end: Vector, radius: float, bore: float, segments: int = 16
+) -> Manifold:
+    """Cylinder from `start` to `end` with a hole of the radius `bore` right through it,
+    or without one where that is zero."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    section = CrossSection.circle(radius, segments)
+    if bore > 0:
+        section -= CrossSection.circle(bore, segments)
+    solid = section.extrude(float(np.linalg.norm(end - start)))
     return place(solid, frame_along(end - start), start)
 
 
@@ -108,6 +124,25 @@ def side_profile(outline: np.ndarray, width: float) -> Manifold:
     return place(prism(outline, width), cyclic, np.array([-width / 2, 0.0, 0.0]))
 
 
+def front_profile(outline: np.ndarray, depth: float) -> Manifold:
+    """Extrusion along y, centred, of a counter-clockwise polygon of (x, z) pairs."""
+    upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    return place(prism(outline, depth), upright, np.array([0.0, depth / 2, 0.0]))
+
+
+def torus(
+    radius: float,
+    thickness: float,
+    degrees: float = 360.0,
+    segments: int = 24,
+    around: int = 10,
+) -> Manifold:
+    """Torus about z, or its part from the +x axis on; `thickness` is the tube's
+    radius and `around` its number of sides."""
+    section = CrossSection.circle(thickness, around).translate((radius, 0.0))
+    return section.revolve(segments, degrees)
+
+
 def ellipse(center: Vector, radii: Vector, segments: int = 24) -> np.ndarray:
     """Points of an ellipse in the x, z plane at `center`, for hulls along y."""
     angle = np.linspace(0, 2 * np.pi, segments, endpoint=False)
@@ -121,6 +156,22 @@ def loft(sections: Sequence[np.ndarray]) -> list[Manifold]:
         Manifold.hull_points(np.concatenate([first, second]))
         for first, second in itertools.pairwise(sections)
     ]
+
+
+def ring_of(solid: Manifold, count: int, start: float = 0.0) -> list[Manifold]:
+    """Copies of a solid turned about z by equal steps, the first by `start` degrees."""
+    return [solid.rotate((0, 0, start + 360 * k / count)) for k in range(count)]
+
+
+def corners(x: float, y: float) -> list[np.ndarray]:
+    """The four points (+-x, +-y, 0)."""
+    return [np.array((sx * x, sy * y, 0.0)) for sx in (-1, 1) for sy in (-1, 1)]
+
+
+def on_floor(solids: Sequence[Manifold]) -> list[Manifold]:
+    """The solids, moved together along z until the lowest touches z = 0."""
+    lowest = min(solid.bounding_box()[2] for solid in solids)
+    return [solid.translate((0, 0, -lowest)) for solid in solids]
 
 
 def frame_along(direction: np.ndarray) -> np.ndarray:
@@ -140,3 +191,13 @@ def place(solid: Manifold, rotation: np.ndarray, origin: np.ndarray) -> Manifold
 def union(solids: Sequence[Manifold]) -> Manifold:
     """Boolean union of all solids at once."""
     return Manifold.batch_boolean(list(solids), OpType.Add)
+
+
+def assembled(solids: Sequence[Manifold]) -> list[Manifold]:
+    """Their union, moved along z until it touches z = 0; enclosed voids are filled,
+    and the splinters that touching faces leave behind are dropped."""
+    whole = union(on_floor(solids))
+    parts = whole.decompose()
+    if len(parts) > 1:
+        whole = union([part for part in parts if part.volume() > SPLINTER])
+    return [whole]

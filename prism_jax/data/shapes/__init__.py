@@ -10,10 +10,29 @@ import zlib
 import numpy as np
 import trimesh
 
-from prism_jax.data import arms, furniture, interior, vehicles, vessels
+from prism_jax.data.shapes import (
+    arms,
+    beds,
+    benches,
+    cabinets,
+    conveyors,
+    drives,
+    fixtures,
+    frames,
+    furniture,
+    gantries,
+    grippers,
+    interior,
+    monitors,
+    pallets,
+    piping,
+    valves,
+    vehicles,
+    vessels,
+)
 from prism_jax.data.solids import union
 
-_BUILDERS = {
+_TRAIN = {
     "chair": furniture.chair,
     "table": furniture.table,
     "sofa": interior.sofa,
@@ -24,8 +43,28 @@ _BUILDERS = {
     "airplane": vehicles.airplane,
     "car": vehicles.car,
     "arm": arms.arm,
+    "bed": beds.bed,
+    "machine_frame": frames.machine_frame,
+    "conveyor": conveyors.conveyor,
+    "gearbox": drives.gearbox,
+    "pipe_run": piping.pipe_run,
+    "pallet": pallets.pallet,
+    "control_cabinet": cabinets.control_cabinet,
+    "fixture": fixtures.fixture,
 }
-CATEGORIES = tuple(_BUILDERS)
+_UNSEEN = {
+    "bench": benches.bench,
+    "bowl": vessels.bowl,
+    "monitor": monitors.monitor,
+    "gantry": gantries.gantry,
+    "gripper": grippers.gripper,
+    "valve": valves.valve,
+}
+_BUILDERS = _TRAIN | _UNSEEN
+TRAIN_CATEGORIES = tuple(_TRAIN)
+UNSEEN_CATEGORIES = tuple(_UNSEEN)
+"""Kept from training, to see what becomes of kinds of object never met before."""
+CATEGORIES = TRAIN_CATEGORIES + UNSEEN_CATEGORIES
 """Category names; an index into it is the category of an example."""
 
 

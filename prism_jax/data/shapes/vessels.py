@@ -1,4 +1,4 @@
-"""Procedural bottles and mugs.
+"""Procedural bottles, mugs and bowls.
 
 Every function draws one object from a NumPy generator and returns its solids; the
 frame is that of `solids`: z up, front along +y.
@@ -8,9 +8,13 @@ import numpy as np
 from manifold3d import Manifold
 
 from prism_jax.data.solids import (
+    assembled,
+    ball,
     box,
     lathe,
+    ring_of,
     rod,
+    torus,
     tube_along,
     union,
 )
@@ -131,3 +135,89 @@ def _mug_handle(rng: Rng, tall: float, radius_at) -> list[Manifold]:
     solids = tube_along(np.array([(x, 0.0, z) for x, z in path]), thick)
     flat = rng.uniform(0.9, 1.7)
     return [union(solids).scale((1, flat, 1))]
+
+
+def bowl(rng: Rng) -> list[Manifold]:
+    """Round, oval, square, many-sided or fluted; deep to flat; on a foot ring, on a
+    stem, on three feet; with a rim or two ears."""
+    radius, tall = rng.uniform(0.3, 0.5), rng.uniform(0.14, 0.42)
+    wall, floor = rng.uniform(0.015, 0.04), rng.uniform(0.03, 0.07)
+    kind = str(rng.choice(["round", "oval", "square", "sides", "fluted"]))
+    curve = str(rng.choice(["dome", "cone", "flared", "straight"]))
+    if curve == "straight" and kind != "round":
+        curve = "dome"
+    foot, level = radius * rng.uniform(0.3, 0.6), np.linspace(0, 1, 10)
+    rise = {
+        "dome": np.sqrt(1 - (1 - level) ** 2),
+        "cone": level,
+        "flared": 0.55 * np.sqrt(1 - (1 - level) ** 2) + 0.45 * level**3,
+        "straight": np.minimum(1.0, 0.75 + 2.5 * level),
+    }[curve]
+    outer = foot + (radius - foot) * rise
+    outside = [*zip(outer, tall * level, strict=True)]
+    if rng.random() < 0.3:
+        outside[-1:] = [(radius, tall * 0.96), (radius + 0.05, tall * 0.965)]
+        outside.append((radius + 0.05, tall))
+    hollow = np.interp(floor / tall + level * (1 - floor / tall), level, outer) - wall
+    inside = [*zip(hollow, floor + (tall - floor) * level, strict=True)]
+    inside.append((hollow[-1], tall + 0.1))
+    sides = {"square": 4, "sides": int(rng.integers(5, 9)), "fluted": 72}
+    count = sides.get(kind, 40)
+    cup = lathe(outside, count) - lathe(inside, count)
+    parts = [cup, *_bowl_foot(rng, foot, count)]
+    if kind == "square":
+        parts = [part.rotate((0, 0, 45)) for part in parts]
+    if kind != "fluted" and rng.random() < 0.2:
+        flat = np.cos(np.pi / count)
+        high = tall * rng.uniform(0.78, 0.9)
+        parts += _ears(rng, flat * np.interp(high / tall, level, outer), high, wall)
+    if kind == "oval":
+        flat = rng.uniform(0.55, 0.8)
+        parts = [part.scale((1, flat, 1)) for part in parts]
+    if kind == "fluted":
+        lobes, depth = int(rng.integers(5, 13)), rng.uniform(0.04, 0.1)
+        parts[0] = cup.warp_batch(_flutes(lobes, depth, tall))
+    return assembled(parts)
+
+
+def _flutes(lobes: int, depth: float, tall: float):
+    """A warp that moves the wall in and out around the axis, most at the rim."""
+
+    def warp(points: np.ndarray) -> np.ndarray:
+        turn = np.arctan2(points[:, 1], points[:, 0])
+        swing = 1 + depth * np.cos(lobes * turn) * (points[:, 2] / tall) ** 1.5
+        return points * np.stack([swing, swing, np.ones_like(swing)], axis=1)
+
+    return warp
+
+
+def _bowl_foot(rng: Rng, foot: float, count: int) -> list[Manifold]:
+    style = rng.choice(["none", "ring", "stem", "feet"], p=[0.3, 0.4, 0.18, 0.12])
+    if style == "ring":
+        deep = rng.uniform(0.02, 0.05)
+        ring = lathe([(foot * 0.85, -deep), (foot * 0.95, 0.03)], count)
+        return [ring - lathe([(foot * 0.7, -deep - 0.01), (foot * 0.7, -0.002)], count)]
+    if style == "stem":
+        deep, slim = rng.uniform(0.08, 0.25), foot * rng.uniform(0.3, 0.6)
+        profile = [(foot * 1.1, 0), (foot * 1.1, 0.02), (slim, 0.05)]
+        profile += [(slim, deep), (foot * 0.9, deep + 0.02)]
+        return [lathe(profile, count).translate((0, 0, -deep))]
+    if style == "feet":
+        knob = ball((foot * 0.8, 0, -0.02), 0.045, 12)
+        return ring_of(knob, 3, 90)
+    return []
+
+
+def _ears(rng: Rng, radius: float, level: float, wall: float) -> list[Manifold]:
+    """Two loops or two round tabs along +-x, on the wall's radius at this level."""
+    wide, thick = rng.uniform(0.08, 0.14), rng.uniform(0.014, 0.022)
+    if rng.random() < 0.5:
+        tab = rod((0, 0, -thick), (0, 0, thick), wide, segments=24)
+        ear = tab.trim_by_plane((1, 0, 0), -0.5 * wall)
+    else:
+        ear = torus(wide, thick, 200, 20).rotate((0, 0, -100))
+    near = radius - 0.3 * wall
+    return [
+        ear.translate((near, 0, level)),
+        ear.mirror((1, 0, 0)).translate((-near, 0, level)),
+    ]

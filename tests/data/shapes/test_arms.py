@@ -1,6 +1,6 @@
 import numpy as np
 
-from prism_jax.data.arms import posed_chain
+from prism_jax.data.shapes.arms import posed_chain
 
 
 def chain(seed: int, links: int = 5):
