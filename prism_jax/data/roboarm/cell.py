@@ -30,7 +30,7 @@ Rng = np.random.Generator
 
 CAMERA_DISTANCE = (1.2, 2.5)
 _HALF_FIELD = np.radians(27.5)
-_FLOOR = 4.0
+_FLOOR = 2.5
 _TRIES = 40
 
 
@@ -137,18 +137,26 @@ def _aim(sweep: np.ndarray, rng: Rng, camera: Camera) -> Camera:
             np.sin(elevation),
         ]
     )
-    eye = center + distance * direction
-    look = center + rng.normal(0, 0.04, 3) * radius - eye
-    forward = look / np.linalg.norm(look)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    target = center + rng.normal(0, 0.04, 3) * radius
+    rotation, translation = look_at(center + distance * direction, target)
     return dataclasses.replace(
         camera,
         rotation=rotation,
-        translation=-rotation @ eye,
+        translation=translation,
         intrinsics=np.asarray(camera.intrinsics, np.float64),
     )
+
+
+def look_at(
+    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]
+) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]:
+    """A camera's rotation and translation, in double precision; z is up, and the line
+    of sight must not be."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return rotation, -rotation @ eye
 
 
 def _corners(solid: Manifold) -> np.ndarray:

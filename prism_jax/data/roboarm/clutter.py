@@ -109,7 +109,7 @@ def _draw(bench: Bench, eye: np.ndarray, rng: Rng) -> list[Manifold]:
     """Two to four pieces, without those that find no room."""
     placed: list[Manifold] = []
     for _ in range(int(rng.integers(2, 5))):
-        kind = rng.choice(["box", "screen", "fence"], p=[0.5, 0.25, 0.25])
+        kind = rng.choice(["box", "screen", "fence"], p=[0.65, 0.15, 0.2])
         seen = bench.sweep[int(rng.integers(len(bench.sweep)))]
         where = eye + rng.uniform(0.25, 0.8) * (seen - eye)
         ground = bench.ground(where)
@@ -127,9 +127,9 @@ def _draw(bench: Bench, eye: np.ndarray, rng: Rng) -> list[Manifold]:
 def _box(where: np.ndarray, ground: float, rng: Rng) -> Manifold:
     """A box that reaches up to `where`, or a little above."""
     height = max(where[2] - ground + rng.uniform(0.0, 0.15), 0.08)
-    size = np.maximum(rng.uniform(0.12, 0.3, 2), 0.3 * height)
+    size = np.maximum(rng.uniform(0.12, 0.3, 2), 0.25 * height)
     solid = box((0, 0, 0), (*size, height))
-    return upright(solid, np.array([*where[:2], ground]), rng.uniform(0, np.pi))
+    return upright(solid, np.array([*where[:2], ground]), rng.normal(0, 0.15))
 
 
 def _screen(
