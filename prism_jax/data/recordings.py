@@ -119,7 +119,8 @@ def write_frame(folder: str | os.PathLike, number: int, frame: Frame) -> None:
     A frame of that number that is there already is replaced.
     """
     path = make_output_dir(folder) / f"{number:06d}"
-    _file(path, "camera.json").unlink(missing_ok=True)
+    for suffix in _NEEDED + _OPTIONAL:
+        _file(path, suffix).unlink(missing_ok=True)
     write_bytes(_file(path, "depth.png"), _png(frame.depth))
     write_points(_file(path, "partial.ply"), frame.partial)
     if frame.complete is not None:

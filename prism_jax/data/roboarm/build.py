@@ -167,7 +167,7 @@ def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
     try:
         found = json.loads(manifest.read_text())
         files = found.pop("files")
-    except (ValueError, KeyError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             manifest, "is not a manifest", "delete it and the folder"
         ) from None

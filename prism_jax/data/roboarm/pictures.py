@@ -1,4 +1,4 @@
-"""Pictures of simulated frames, to be looked at: is the robot whole, and in its cell?"""
+"""Pictures of simulated frames to look at: is the robot whole, and in its cell?"""
 
 import dataclasses
 

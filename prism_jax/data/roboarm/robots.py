@@ -51,7 +51,7 @@ class Robot:
         links, self._chain = _subtree(_parse(path), model.root, path)
         moving = [joint for joint in self._chain if _moves(joint)]
         self.joints = tuple(joint.name for joint in moving)
-        limits = np.array([_limits(joint) for joint in moving]).reshape(-1, 2)
+        limits = np.array([_limits(joint, path) for joint in moving]).reshape(-1, 2)
         self.lower, self.upper = limits[:, 0], limits[:, 1]
         self._frames = [link.name for link in links]
         self._mount = np.eye(4)
@@ -66,6 +66,7 @@ class Robot:
             if shapes:
                 self.meshes.append(together(shapes))
                 self._link_frames.append(index)
+        self.link_names = tuple(self._frames[index] for index in self._link_frames)
         if not self.meshes:
             raise InputError(path, "has no link with a shape", _REMEDY)
         self._stand_on_the_ground()
@@ -134,8 +135,8 @@ class Robot:
                 self.parents.append(carrier)
             else:
                 body[joint.child] = carrier
-        names = [self._frames[index] for index in self._link_frames]
-        self.bodies: Int[np.ndarray, " L"] = np.array([body[name] for name in names])
+        numbers = [body[name] for name in self.link_names]
+        self.bodies: Int[np.ndarray, " L"] = np.array(numbers)
 
     def _place_probes(self) -> None:
         rng = np.random.default_rng(0)
@@ -197,11 +198,18 @@ def _moves(joint: Any) -> bool:
     return joint.type in _MOVING and joint.mimic is None
 
 
-def _limits(joint: Any) -> tuple[float, float]:
+def _limits(joint: Any, path: pathlib.Path) -> tuple[float, float]:
     limit = joint.limit
-    if joint.type == "continuous" or limit is None or limit.lower is None:
+    if (
+        joint.type == "continuous"
+        or limit is None
+        or None in (limit.lower, limit.upper)
+    ):
         return -MAX_TURN, MAX_TURN
     lower, upper = float(limit.lower), float(limit.upper)
+    if not -np.inf < lower <= upper < np.inf:
+        fault = f"limits its joint {joint.name!r} to {lower:g} to {upper:g}"
+        raise InputError(path, fault, _REMEDY)
     if joint.type == "prismatic":
         return lower, upper
     middle = (lower + upper) / 2
