@@ -1,127 +1,130 @@
 """Shaded pictures of meshes, and sheets of labelled rows of them.
 
-A picture is cast with our own rays: an orthographic view, one light with shadows, the
-sky as far as it is not occluded, and a floor that only shows what falls on it. A sheet
-takes rows of any pictures of one size, whatever drew them.
+A picture is cast with our own rays: an orthographic view, one light that throws
+shadows, the sky as far as nothing hides it, and a white floor that shows only what
+falls on it. A sheet takes rows of pictures of one size, whatever drew them.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
-from jaxtyping import Float, Float64, UInt8
+from jaxtyping import Bool, Float, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-STEEL, AMBER = (0.56, 0.66, 0.78), (0.93, 0.68, 0.36)
-FRONT_RIGHT_ABOVE = (0.8, 1.0, 0.62)
-_TO_LIGHT = np.array([0.9, 0.25, 1.25]) / np.linalg.norm([0.9, 0.25, 1.25])
-_SUPERSAMPLING = 2
-_SKY_RAYS = 16
-_MARGIN = 0.06
+from prism_jax.data.raycast import Scene
+from prism_jax.data.shapes import UNSEEN_CATEGORIES, make_shape
+
+Color = tuple[float, float, float]
+
+STEEL, AMBER = (0.55, 0.66, 0.8), (0.95, 0.68, 0.34)
+TOWARD_VIEWER = (0.8, 1.0, 0.62)
+TOWARD_LIGHT = np.array([1.0, 0.1, 1.25]) / np.linalg.norm([1.0, 0.1, 1.25])
+SUPERSAMPLING = 2
+SKY_RAYS = 16
+SKY_REACH = 0.5
+"""Of the diagonal of the mesh's box: what is farther away hides no sky."""
+GAMMA = 1.5
+MARGIN = 0.06
 
 
 class Row(NamedTuple):
-    """Square pictures of one size with the label that stands above them."""
+    """Square pictures of one size under one label."""
 
     label: str
     pictures: Sequence[UInt8[np.ndarray, "S S 3"]]
 
 
-def draw_mesh(
+def shape_row(category: str, seeds: Sequence[int], size: int) -> Row:
+    """The procedural shapes of some seeds; unseen categories are amber."""
+    color = AMBER if category in UNSEEN_CATEGORIES else STEEL
+    shapes = [make_shape(category, seed) for seed in seeds]
+    return Row(category.replace("_", " "), [draw(s, size, color) for s in shapes])
+
+
+def draw(
     mesh: trimesh.Trimesh,
     size: int,
-    color: tuple[float, float, float] = STEEL,
-    toward_viewer: tuple[float, float, float] = FRONT_RIGHT_ABOVE,
+    color: Color = STEEL,
+    toward_viewer: Color = TOWARD_VIEWER,
 ) -> UInt8[np.ndarray, "S S 3"]:
-    """The mesh on a white floor at its lowest point, filling a square picture.
+    """The mesh on a floor at its lowest point, filling a square picture.
 
-    Orthographic, z up; `toward_viewer` is a direction in the mesh's frame and must not
-    be vertical. `color` is the surface's, of red, green and blue within 0 to 1.
+    z is up; `toward_viewer` is a direction in the mesh's frame that leads upwards but
+    not straight. `color` is the surface's red, green and blue, each within 0 to 1.
+    A mesh without triangles raises ValueError.
     """
-    caster = _Caster(mesh)
-    axes = _view_axes(np.asarray(toward_viewer))
-    points = _pixel_centres(mesh, axes, size * _SUPERSAMPLING)
-    forward = axes[2]
-    hit, distance, normals = caster.first_hits(points, forward)
-    where = points + distance[:, None] * forward
-    floor = mesh.bounds[0, 2]
-    on_floor = ~hit
-    reach = (floor - points[on_floor, 2]) / forward[2]
-    where[on_floor] = points[on_floor] + reach[:, None] * forward
-    normals[on_floor] = (0.0, 0.0, 1.0)
-    radius = mesh.scale
-    light, sky = caster.light_and_sky(where + 1e-4 * radius * normals, normals, radius)
-    shade = np.where(hit, 0.30 * sky + 0.70 * light, 0.0)
-    pixels = shade[:, None] * np.asarray(color)
-    blocked = 0.45 * (1 - sky) + 0.22 * (light <= 0)
-    pixels[on_floor] = (1 - blocked[on_floor])[:, None]
-    side = size * _SUPERSAMPLING
-    image = np.clip(pixels, 0, 1).reshape(side, side, 3) ** (1 / 1.5)
-    image = image.reshape(size, _SUPERSAMPLING, size, _SUPERSAMPLING, 3).mean((1, 3))
-    return np.round(255 * image).astype(np.uint8)
-
-
-class _Caster:
-    """Rays from points outside of a mesh."""
-
-    def __init__(self, mesh: trimesh.Trimesh):
-        self._scene = EmbreeScene()
-        TriangleMesh(self._scene, np.asarray(mesh.triangles, np.float32))
-        self._normals = np.asarray(mesh.face_normals)
-
-    def first_hits(self, origins: np.ndarray, directions: np.ndarray):
-        """What is hit, how far away, and the surface's normal there."""
-        directions = np.broadcast_to(directions, origins.shape).astype(np.float32)
-        result = self._scene.run(
-            np.ascontiguousarray(origins, np.float32), directions, output=True
-        )
-        hit = result["primID"] >= 0
-        normals = self._normals[np.where(hit, result["primID"], 0)]
-        return hit, result["tfar"].astype(float), normals.copy()
-
-    def light_and_sky(
-        self, points: np.ndarray, normals: np.ndarray, radius: float
-    ) -> tuple[Float64[np.ndarray, " N"], Float64[np.ndarray, " N"]]:
-        """The light's cosine, zero in shadow, and the free share of the sky that the
-        surface faces."""
-        cosine = np.clip(normals @ _TO_LIGHT, 0, None)
-        lit = cosine > 0
-        lit[lit] = ~self.first_hits(points[lit], _TO_LIGHT)[0]
-        free = np.zeros(len(points))
-        for direction in _sphere(_SKY_RAYS):
-            # Unit normal plus a point of the unit sphere: distributed as the cosine.
-            ray = normals + 0.999 * direction
-            hit, distance, _ = self.first_hits(points, ray)
-            gap = distance * np.linalg.norm(ray, axis=1) / (0.5 * radius)
-            free += np.where(hit, np.clip(gap, 0, 1), 1.0)
-        return cosine * lit, free / _SKY_RAYS
+    scene, side = Scene(mesh), size * SUPERSAMPLING
+    axes = _view_axes(np.asarray(toward_viewer, float))
+    origins = _pixel_centres(mesh, axes, side)
+    hits = scene.cast(origins, np.broadcast_to(axes[2], origins.shape))
+    to_floor = (mesh.bounds[0, 2] - origins[:, 2]) / axes[2, 2]
+    points = origins + to_floor[:, None] * axes[2]
+    normals = np.tile([0.0, 0.0, 1.0], (len(origins), 1))
+    points[hits.ray], normals[hits.ray] = hits.points, scene.normals[hits.faces]
+    points += 1e-4 * scene.radius * normals
+    lit, sky = _is_lit(scene, points, normals), _open_sky(scene, points, normals)
+    floor = 1 - 0.22 * ~lit - 0.45 * (1 - sky)
+    pixels = np.repeat(floor[:, None], 3, axis=1)
+    light = np.where(lit, normals @ TOWARD_LIGHT, 0.0)
+    pixels[hits.ray] = (0.3 * sky + 0.7 * light)[hits.ray, None] * np.asarray(color)
+    image = np.clip(pixels, 0, 1).reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3)
+    return np.round(255 * image.mean(axis=(1, 3)) ** (1 / GAMMA)).astype(np.uint8)
 
 
 def contact_sheet(
-    rows: Sequence[Row], rows_side_by_side: int = 2, label_height: int = 15
+    rows: Sequence[Row], side_by_side: int = 2, label_height: int = 15
 ) -> Image.Image:
-    """The rows under one another, so many of them side by side, labels above."""
-    size = rows[0].pictures[0].shape[0]
-    columns = max(len(row.pictures) for row in rows)
-    gap = size // 8
-    wide, tall = columns * size + gap, size + label_height
-    lines = -(-len(rows) // rows_side_by_side)
-    sheet = Image.new("RGB", (wide * rows_side_by_side - gap, tall * lines), "white")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(label_height - 3)
-    for index, row in enumerate(rows):
-        line, block = divmod(index, rows_side_by_side)
-        x, y = block * wide, line * tall
+    """The rows under one another, so many of them side by side, labels above each.
+
+    A row may be shorter than others. No rows at all, or pictures of several sizes,
+    raise ValueError.
+    """
+    sizes = {picture.shape[0] for row in rows for picture in row.pictures}
+    if len(sizes) != 1:
+        raise ValueError(f"pictures must have one size, got {sorted(sizes)}")
+    (size,) = sizes
+    across = max(len(row.pictures) for row in rows) * size + size // 8
+    down, lines = size + label_height, -(-len(rows) // side_by_side)
+    sheet = Image.new("RGB", (across * side_by_side - size // 8, down * lines), "white")
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(label_height - 3)
+    places = itertools.product(range(lines), range(side_by_side))
+    for row, (line, block) in zip(rows, places, strict=False):
+        x, y = block * across, line * down
+        pen.text((x + 4, y), row.label, "black", font)
         for column, picture in enumerate(row.pictures):
-            tile = Image.fromarray(picture)
-            sheet.paste(tile, (x + column * size, y + label_height))
-        draw.text((x + 4, y), row.label, "black", font)
+            corner = (x + column * size, y + label_height)
+            sheet.paste(Image.fromarray(picture), corner)
     return sheet
 
 
-def _view_axes(toward_viewer: np.ndarray) -> Float64[np.ndarray, "3 3"]:
+def _is_lit(
+    scene: Scene, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
+) -> Bool[np.ndarray, " N"]:
+    """Whether the surface faces the light and nothing is in between."""
+    lit = normals @ TOWARD_LIGHT > 0
+    faces_it = np.flatnonzero(lit)
+    rays = np.broadcast_to(TOWARD_LIGHT, (len(faces_it), 3))
+    lit[faces_it[scene.cast(points[faces_it], rays).ray]] = False
+    return lit
+
+
+def _open_sky(
+    scene: Scene, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
+) -> Float64[np.ndarray, " N"]:
+    """Share of the half space over each surface, weighted by the cosine, that is free
+    of what is near."""
+    hidden, reach = np.zeros(len(points)), SKY_REACH * 2 * scene.radius
+    for direction in _sphere(SKY_RAYS):
+        # A point of the unit sphere around the normal's tip: distributed as the cosine.
+        hits = scene.cast(points, normals + 0.999 * direction)
+        hidden[hits.ray] += np.clip(1 - hits.distances / reach, 0, 1)
+    return 1 - hidden / SKY_RAYS
+
+
+def _view_axes(toward_viewer: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
     """Rows: right, down and forward."""
     forward = -toward_viewer / np.linalg.norm(toward_viewer)
     right = np.cross(forward, (0.0, 0.0, 1.0))
@@ -135,16 +138,16 @@ def _pixel_centres(
     """Ray origins, row by row, in front of the smallest square that shows the mesh."""
     seen = np.asarray(mesh.vertices) @ axes.T
     lower, upper = seen.min(axis=0), seen.max(axis=0)
-    middle, half = (lower + upper) / 2, (upper - lower)[:2].max() / 2 * (1 + _MARGIN)
+    middle, half = (lower + upper) / 2, (upper - lower)[:2].max() / 2 * (1 + MARGIN)
     ticks = (np.arange(side) + 0.5) / side * 2 - 1
     x, y = np.meshgrid(middle[0] + half * ticks, middle[1] + half * ticks)
     depth = np.full(x.size, lower[2] - 0.1 * half)
     return np.stack([x.ravel(), y.ravel(), depth], axis=1) @ axes
 
 
-def _sphere(count: int) -> Float64[np.ndarray, "N 3"]:
+def _sphere(count: int) -> Iterator[Float64[np.ndarray, "3"]]:
     """Evenly spread points of the unit sphere: a Fibonacci lattice."""
-    step = np.arange(count) + 0.5
-    height, turn = 1 - 2 * step / count, np.pi * (1 + 5**0.5) * step
-    flat = np.sqrt(1 - height**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    for step in np.arange(count) + 0.5:
+        height, turn = 1 - 2 * step / count, np.pi * (1 + 5**0.5) * step
+        flat = np.sqrt(1 - height**2)
+        yield np.array([flat * np.cos(turn), flat * np.sin(turn), height])

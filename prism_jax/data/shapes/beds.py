@@ -146,7 +146,9 @@ def _bed_board(
         for index in np.ndindex(columns, rows):
             x = (index[0] + 0.5) * cell[0] - width / 2
             z = tall - (index[1] + 0.5) * cell[1]
-            solids.append(box((x, y - out * 0.04, z), (cell[0], 0.1, cell[1]), 0.03))
+            solids.append(
+                box((x, y - out * 0.04, z), (1.02 * cell[0], 0.1, 1.02 * cell[1]), 0.03)
+            )
     return solids
 
 

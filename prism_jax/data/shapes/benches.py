@@ -109,23 +109,22 @@ def _bench_back(
     def at(x: float, level: float) -> np.ndarray:
         return np.array((x, -depth / 2 - lean * level, height - 0.05 + tall * level))
 
-    solids = [bar(at(x, 0), at(x, 1), 0.05, 0.05) for x in places]
+    solids = [bar(at(x, 0.0), at(x, 1.0), 0.05, 0.05) for x in places]
     if style == "along":
         count = int(rng.integers(2, 6))
         half = 0.38 / count
         for level in (np.arange(count) + 0.7) / (count + 0.2):
-            ends = at(0, level - half), at(0, level + half)
-            solids.append(bar(*(end + (0, 0.035, 0) for end in ends), length, 0.03))
+            slat = bar(at(0.0, level - half), at(0.0, level + half), length, 0.03)
+            solids.append(slat.translate((0, 0.035, 0)))
         return solids
     if style == "panel":
-        ends = at(0, 0.25), at(0, 1)
-        return [*solids, bar(*(end + (0, 0.03, 0) for end in ends), length, 0.04)]
+        panel = bar(at(0.0, 0.25), at(0.0, 1.0), length, 0.04)
+        return [*solids, panel.translate((0, 0.03, 0))]
     wide = places[-1] - places[0] + 0.05
     for low, high in ((0.2, 0.3), (0.88, 1.05)):
-        solids.append(bar(at(0, low), at(0, high), wide, 0.045))
-    for x in np.linspace(places[0], places[-1], int(wide / rng.uniform(0.08, 0.16)))[
-        1:-1
-    ]:
+        solids.append(bar(at(0.0, low), at(0.0, high), wide, 0.045))
+    count = int(wide / rng.uniform(0.08, 0.16))
+    for x in np.linspace(places[0], places[-1], count)[1:-1]:
         solids.append(bar(at(x, 0.25), at(x, 0.95), 0.035, 0.025))
     return solids
 
@@ -165,7 +164,7 @@ def _curved_bench(rng: Rng) -> list[Manifold]:
     outer = inner + depth
     solids = [sector(inner, outer, height - 0.06, height)]
     if rng.random() < 0.4:
-        solids.append(sector(inner + 0.06, outer - 0.04, 0, height - 0.05))
+        solids.append(sector(inner + 0.06, outer - 0.04, 0.0, height - 0.05))
     else:
         for angle in np.linspace(-0.85 * half, 0.85 * half, int(rng.integers(2, 5))):
             center = (0, -inner - depth / 2, height / 2 - 0.02)

@@ -39,13 +39,7 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
     for index in range(doors):
         x = (index + 0.5) * pitch - width / 2
         hinge = -1 if index % 2 == 0 else 1
-        tall = height * 0.97 / rows
-        levels = (np.arange(rows) - (rows - 1) / 2) * tall
-        door = [
-            part.translate((0, 0, z))
-            for z in levels
-            for part in _door(rng, pitch * 0.96, tall * 0.985, hinge)
-        ]
+        door = _column_of_doors(rng, pitch, height, hinge, rows)
         if index == opened:
             size = (pitch * 0.92, depth, height * 0.92)
             body -= box((x, 0.03, height / 2), size)
@@ -53,14 +47,8 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
             plate += _mounting(rng, pitch * 0.8, height * 0.84)
             back = (x, -depth / 2 + 0.05, height / 2)
             solids += [part.translate(back) for part in plate]
-            edge, angle = hinge * pitch * 0.48, -hinge * rng.uniform(60, 120)
-            door = [d.translate((-edge, 0, 0)).rotate((0, 0, angle)) for d in door]
-            door = [d.translate((edge, 0.02, 0)) for d in door]
-            for z in (-0.36 * height, 0.36 * height):
-                ends = [(edge, 0.02, z + s * 0.04) for s in (-1, 1)]
-                door.append(rod(*ends, 0.026, segments=10))
-        front = (x, depth / 2, height / 2)
-        solids += [part.translate(front) for part in door]
+            door = _opened(rng, door, hinge * pitch * 0.48, height)
+        solids += [part.translate((x, depth / 2, height / 2)) for part in door]
     solids += [body, *_outside(rng, width, depth, height)]
     if kind == "tall":
         if rng.random() < 0.7:
@@ -76,13 +64,38 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
     return assembled(solids)
 
 
+def _column_of_doors(
+    rng: Rng, width: float, height: float, hinge: int, rows: int
+) -> list[Manifold]:
+    """So many doors above one another about the origin, their outsides at +y."""
+    tall = height * 0.97 / rows
+    return [
+        part.translate((0, 0, z))
+        for z in (np.arange(rows) - (rows - 1) / 2) * tall
+        for part in _door(rng, width * 0.96, tall * 0.985, hinge)
+    ]
+
+
+def _opened(
+    rng: Rng, door: list[Manifold], edge: float, height: float
+) -> list[Manifold]:
+    """The door swung out about the upright axis at x = `edge`, and its hinges."""
+    angle = -float(np.sign(edge)) * rng.uniform(60, 120)
+    door = [part.translate((-edge, 0, 0)).rotate((0, 0, angle)) for part in door]
+    door = [part.translate((edge, 0.02, 0)) for part in door]
+    for z in (-0.36 * height, 0.36 * height):
+        ends = [(edge, 0.02, z + s * 0.04) for s in (-1, 1)]
+        door.append(rod(ends[0], ends[1], 0.026, segments=10))
+    return door
+
+
 def _door(rng: Rng, width: float, height: float, hinge: int) -> list[Manifold]:
     """A door about the origin in the plane y = 0, its outside at +y, with hinges at
     the given side, a handle at the other, and what is set into it."""
     solids = [box((0, 0.012, 0), (width, 0.03, height), 0.004)]
     for z in (-0.36, 0.36):
         ends = [(hinge * 0.49 * width, 0.025, z * height + s * 0.04) for s in (-1, 1)]
-        solids.append(rod(*ends, 0.014, segments=8))
+        solids.append(rod(ends[0], ends[1], 0.014, segments=8))
     x = -hinge * 0.4 * width
     if rng.random() < 0.5:
         solids.append(box((x, 0.035, 0), (0.035, 0.03, min(0.2, 0.6 * height))))
@@ -182,65 +195,51 @@ def _outside(rng: Rng, width: float, depth: float, height: float) -> list[Manifo
 
 
 def _desk(rng: Rng) -> list[Manifold]:
-    """A console with a sloping front full of buttons, a screen or two, and doors
+    """A console with a sloping front full of buttons, a screen or more, and doors
     below."""
-    width, depth = rng.uniform(0.7, 1.6), rng.uniform(0.5, 0.7)
+    width, y = rng.uniform(0.7, 1.6), rng.uniform(0.25, 0.35)
     knee, shelf = rng.uniform(0.7, 0.85), rng.uniform(0.2, 0.35)
-    top = knee + rng.uniform(0.15, 0.5)
-    y = depth / 2
-    side = [(-y, 0.0), (y * 0.7, 0.0), (y * 0.7, knee - 0.08), (y + 0.1, knee)]
-    side += [(y - shelf, knee + 0.1), (-0.5 * y, top), (-y, top)]
-    hull = [Manifold.hull_points(_slab(side[:3] + [(-y, knee - 0.08)], width))]
-    hull.append(
-        Manifold.hull_points(
-            _slab([(-y, knee - 0.08), *side[2:5], (-y, knee + 0.1)], width)
-        )
-    )
-    hull.append(
-        Manifold.hull_points(
-            _slab(
-                [
-                    (-y, knee + 0.05),
-                    *side[4:],
-                ],
-                width,
-            )
-        )
-    )
+    low, high, top = knee - 0.08, knee + 0.1, knee + rng.uniform(0.15, 0.5)
+    edge, fold, roof = (y + 0.1, knee), (y - shelf, high), (-0.5 * y, top)
+    solids = [
+        _side_hull([(-y, 0.0), (0.7 * y, 0.0), (0.7 * y, low), (-y, low)], width),
+        _side_hull([(-y, low), (0.7 * y, low), edge, fold, (-y, high)], width),
+        _side_hull([(-y, knee + 0.05), fold, roof, (-y, top)], width),
+    ]
     doors = max(1, round(width / 0.5))
-    pitch, solids = width / doors, hull
-    for index in range(doors):
-        x = (index + 0.5) * pitch - width / 2
-        front = (x, 0.7 * y, (knee - 0.08) / 2)
+    pitch = width / doors
+    for x in (np.arange(doors) + 0.5) * pitch - width / 2:
+        front, handle = (
+            (x, 0.7 * y, low / 2),
+            (x + 0.36 * pitch, 0.7 * y + 0.02, low / 2),
+        )
         solids.append(box(front, (pitch * 0.9, 0.03, knee * 0.74), 0.004))
-        solids.append(box(np.add(front, (0.36 * pitch, 0.02, 0)), (0.03, 0.04, 0.12)))
-    slope = np.array((y - shelf - (y + 0.1), 0.1))
+        solids.append(box(handle, (0.03, 0.04, 0.12)))
     for x in np.arange(-0.42, 0.43, 0.14 / width) * width:
         for share in (0.3, 0.55, 0.8):
             if rng.random() < 0.55:
-                spot = np.array(
-                    (x, y + 0.1 + share * slope[0], knee + share * slope[1])
-                )
-                tall = rng.choice([0.02, 0.045])
-                solids.append(
-                    rod(spot - (0, 0, 0.02), spot + (0, 0, tall), 0.02, segments=10)
-                )
-    face = np.array([(0, y - shelf, knee + 0.1), (0, -0.5 * y, top)])
-    lean = float(
-        np.degrees(np.arctan2(face[0, 1] - face[1, 1], face[1, 2] - face[0, 2]))
-    )
-    long = float(np.linalg.norm(face[1] - face[0]))
+                spot = np.array((x, *np.add(edge, share * np.subtract(fold, edge))))
+                ends = spot - (0, 0, 0.02), spot + (0, 0, rng.choice([0.02, 0.045]))
+                solids.append(rod(*ends, 0.02, segments=10))
+    return solids + _desk_screens(rng, np.array(fold), np.array(roof), width)
+
+
+def _desk_screens(
+    rng: Rng, fold: np.ndarray, roof: np.ndarray, width: float
+) -> list[Manifold]:
+    """One to three screens on the leaning face between two edges, (y, z) pairs."""
+    along, middle = roof - fold, np.array((0, *(fold + roof) / 2))
+    lean = float(np.degrees(np.arctan2(-along[0], along[1])))
     count = int(rng.integers(1, 4))
-    for x in (np.arange(count) - (count - 1) / 2) * width / count:
-        size = (0.7 * width / count, 0.03, 0.7 * long)
-        screen = box((0, 0, 0), size, 0.004) - box(
-            (0, 0.015, 0), np.multiply(size, (0.88, 0.8, 0.84))
-        )
-        solids.append(
-            screen.rotate((lean, 0, 0)).translate(face.mean(axis=0) + (x, 0.006, 0))
-        )
-    return solids
+    size = np.array((0.7 * width / count, 0.03, 0.7 * np.linalg.norm(along)))
+    screen = box((0, 0, 0), size, 0.004)
+    screen -= box((0, 0.015, 0), size * (0.88, 0.8, 0.84))
+    screen = screen.rotate((lean, 0, 0)).translate(middle + (0, 0.006, 0))
+    places = (np.arange(count) - (count - 1) / 2) * width / count
+    return [screen.translate((x, 0, 0)) for x in places]
 
 
-def _slab(side: list[tuple[float, float]], width: float) -> np.ndarray:
-    return np.array([(s * width / 2, y, z) for y, z in side for s in (-1, 1)])
+def _side_hull(side: list[tuple[float, float]], width: float) -> Manifold:
+    """Hull of (y, z) pairs, extruded along x."""
+    points = [(s * width / 2, y, z) for y, z in side for s in (-1, 1)]
+    return Manifold.hull_points(np.array(points))

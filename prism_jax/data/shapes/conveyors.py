@@ -135,8 +135,8 @@ def _legs(rng: Rng, way: tuple, width: float, thick: float) -> list[Manifold]:
             solids.append(bar(head, foot, 0.05, 0.04))
             solids.append(rod(foot, foot + (0, 0, 0.02), 0.06, segments=10))
         for level in [0.25] if top[2] < 0.6 else [0.25, 0.7]:
-            bars = [level * head + (1 - level) * foot for head, foot in feet]
-            solids.append(bar(*bars, 0.03, 0.03))
+            back, front = (level * head + (1 - level) * foot for head, foot in feet)
+            solids.append(bar(back, front, 0.03, 0.03))
     return solids
 
 
@@ -171,7 +171,8 @@ def _drive(
         return [part.translate(hub + 0.03 * side * across[-1]) for part in parts]
     k = len(middle) // 2
     center = (middle[k] + middle[k - 1]) / 2 - (0, 0, 0.5 * thick + 0.12)
-    drum = rod(*(center + s * 0.2 * across[k] for s in (-1, 1)), radius, segments=16)
+    half = 0.2 * across[k]
+    drum = rod(center - half, center + half, radius, segments=16)
     return [box(center + (0, 0, 0.05), (0.34, 0.3, 0.2), 0.015), drum]
 
 

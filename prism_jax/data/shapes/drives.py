@@ -45,7 +45,7 @@ def motor(rng: Rng, radius: float, length: float) -> list[Manifold]:
         )
         plug = (0.9 * radius, 0, length * 0.8)
         return [*solids, rod(plug, np.add(plug, (0.5 * radius, 0, 0)), 0.25 * radius)]
-    solids = [disc(1.15 * radius, -0.002, 0.06 * length), disc(0.9 * radius, 0, end)]
+    solids = [disc(1.15 * radius, -0.002, 0.06 * length), disc(0.9 * radius, 0.0, end)]
     if kind == "ribbed":
         fin = CrossSection.square((0.3 * radius, 0.07 * radius), True)
         fins = [
@@ -124,7 +124,7 @@ def _inline(rng: Rng) -> list[Manifold]:
             foot -= hole
         web = box((0, 0.15 * long, low / 2), (wide, 0.7 * long, -low))
         return [*solids, foot, web]
-    ring = disc(1.5 * radius, 0, 0.04) - disc(0.3 * radius, -1, 1)
+    ring = disc(1.5 * radius, 0.0, 0.04) - disc(0.3 * radius, -1.0, 1.0)
     drilled = bolts(6, 1.3 * radius, 0.1 * radius, -0.02, 0.06)
     return [*solids, *_along_y([ring, *drilled], (0, 0.72 * long, 0))]
 
@@ -150,19 +150,12 @@ def _split_housing(rng: Rng) -> list[Manifold]:
         for y in (-wide / 2 - 0.025, wide / 2 + 0.025):
             low, high = (x, y, lower - 0.04), (x, y, lower + 0.045)
             solids.append(rod(low, high, 0.014, segments=6))
-    through = int(rng.integers(2))
+    through = rng.random() < 0.5
     for index, (x, radius) in enumerate(zip(centres, radii, strict=True)):
-        is_end = index in (0, stages - 1)
         for side in (-1, 1):
-            cap = [
-                disc(radius, 0, wide / 2 + 0.06),
-                disc(0.7 * radius, 0, wide / 2 + 0.08),
-            ]
-            cap += bolts(6, 0.85 * radius, 0.01, 0, wide / 2 + 0.072)
-            faces = (1, -1) if through else (1 if index == 0 else -1,)
-            if is_end and side in faces:
-                end = wide / 2 + 0.08
-                cap += _shaft(rng, radius * 0.42, end - 0.02, end + 0.14)
+            is_end = through or side == (1 if index == 0 else -1)
+            has_shaft = index in (0, stages - 1) and is_end
+            cap = _bearing_cap(rng, radius, wide / 2 + 0.08, has_shaft)
             if side < 0:
                 cap = [part.rotate((180, 0, 0)) for part in cap]
             solids += _along_y(cap, (x, 0, lower))
@@ -181,6 +174,17 @@ def _split_housing(rng: Rng) -> list[Manifold]:
     return solids
 
 
+def _bearing_cap(
+    rng: Rng, radius: float, end: float, has_shaft: bool
+) -> list[Manifold]:
+    """A bolted cover about z, as far as `end`, and the shaft through it in some."""
+    cap = [disc(radius, 0.0, end - 0.02), disc(0.7 * radius, 0.0, end)]
+    cap += bolts(6, 0.85 * radius, 0.01, 0.0, end - 0.008)
+    return cap + (
+        _shaft(rng, 0.42 * radius, end - 0.02, end + 0.14) if has_shaft else []
+    )
+
+
 def _right_angle(rng: Rng) -> list[Manifold]:
     """Box with shafts out of two or three of its faces, each on a round flange."""
     side = rng.uniform(0.26, 0.36)
@@ -189,7 +193,7 @@ def _right_angle(rng: Rng) -> list[Manifold]:
     has_motor = rng.random() < 0.5
     for index, (x, y) in enumerate(ports):
         radius, end = side * rng.uniform(0.32, 0.44), side * 0.5
-        parts = [disc(radius, 0, end + 0.04), disc(0.7 * radius, 0, end + 0.08)]
+        parts = [disc(radius, 0.0, end + 0.04), disc(0.7 * radius, 0.0, end + 0.08)]
         parts += bolts(4, 0.83 * radius, 0.013, end, end + 0.055)
         if index == 1 and has_motor:
             parts += [
@@ -224,7 +228,7 @@ def _worm(rng: Rng) -> list[Manifold]:
     for side in (0, 180):
         case += [
             b.rotate((side, 0, 0))
-            for b in bolts(6, 0.85 * radius, 0.014, 0, 0.56 * deep)
+            for b in bolts(6, 0.85 * radius, 0.014, 0.0, 0.56 * deep)
         ]
     out = _shaft(rng, 0.26 * radius, 0.6 * deep, 0.6 * deep + 0.16)
     hollow = rng.random() < 0.4
@@ -265,7 +269,7 @@ def _planetary(rng: Rng) -> list[Manifold]:
         parts.append(box((0, 0, 0.025), (side, side, 0.05), 0.01))
         parts += bolts(4, 1.3 * radius, 0.02, 0.02, 0.075)
     else:
-        parts.append(disc(flange, 0, 0.045, 36))
+        parts.append(disc(flange, 0.0, 0.045, 36))
         parts += bolts(int(rng.integers(6, 13)), 0.88 * flange, 0.017, 0.02, 0.07)
     size = radius
     for _ in range(int(rng.integers(1, 5))):

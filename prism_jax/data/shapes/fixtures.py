@@ -15,6 +15,7 @@ from prism_jax.data.solids import (
     rod,
     side_profile,
     torus,
+    tube,
     union,
 )
 
@@ -57,60 +58,54 @@ def _base_plate(rng: Rng, width: float, depth: float, thick: float) -> Manifold:
 
 
 def _clamping_plate(rng: Rng) -> list[Manifold]:
-    """A plate, a workpiece on rests, and clamps and stops around it."""
+    """A plate, a workpiece on rests, and clamps or stops on its four sides."""
     width, depth = rng.uniform(0.8, 1.2), rng.uniform(0.55, 0.85)
-    solids = [_base_plate(rng, width, depth, rng.uniform(0.06, 0.1))]
-    long, wide = width * rng.uniform(0.3, 0.5), depth * rng.uniform(0.3, 0.45)
-    lift, tall = rng.uniform(0.03, 0.08), rng.uniform(0.06, 0.18)
-    for foot in corners(0.4 * long, 0.4 * wide):
+    size = np.array((width * rng.uniform(0.3, 0.5), depth * rng.uniform(0.3, 0.45)))
+    lift = rng.uniform(0.03, 0.08)
+    part, size, top = _workpiece(rng, size, lift, rng.uniform(0.06, 0.18))
+    solids = [_base_plate(rng, width, depth, rng.uniform(0.06, 0.1)), *part]
+    for foot in corners(0.4 * size[0], 0.4 * size[1]):
         solids.append(rod(foot - (0, 0, 0.01), foot + (0, 0, lift + 0.01), 0.03))
-    part = rng.choice(["block", "step", "ring", "tube"])
-    low = lift + tall / 2
-    if part == "block":
-        solids.append(box((0, 0, low), (long, wide, tall), rng.uniform(0, 0.03)))
-    elif part == "step":
-        solids.append(box((0, 0, low), (long, wide, tall)))
-        solids.append(
-            box((0.1 * long, 0, low + 0.5 * tall), (0.5 * long, 0.7 * wide, tall))
-        )
-    elif part == "ring":
-        size = min(0.6 * max(long, wide), 0.36 * depth)
-        solids.append(
-            rod((0, 0, lift), (0, 0, lift + tall), size, segments=32)
-            - rod((0, 0, -1), (0, 0, 1), 0.6 * size, segments=32)
-        )
-        long = wide = 2 * size
-    else:
-        radius = 0.5 * wide
-        bore = rod((-9, 0, lift + radius), (9, 0, lift + radius), 0.7 * radius)
-        ends = (-0.6 * long, 0, lift + radius), (0.6 * long, 0, lift + radius)
-        solids.append(rod(*ends, radius, segments=24) - bore)
-        for x in (-0.35 * long, 0.35 * long):
-            vee = [
-                (-wide * 0.6, -0.01),
-                (wide * 0.6, -0.01),
-                (wide * 0.6, lift + radius),
-            ]
-            vee += [(0.0, lift - 0.2 * radius), (-wide * 0.6, lift + radius)]
-            solids.append(side_profile(np.array(vee), 0.07).translate((x, 0, 0)))
-        tall = 2 * radius
-    turns = rng.permutation(4)[: int(rng.integers(1, 5))]
-    kind = rng.choice(["toggle", "strap", "swing"])
+    clamped = rng.permutation(4)[: int(rng.integers(1, 5))]
+    kind = str(rng.choice(["toggle", "strap", "swing"]))
+    stop = rod((0.035, 0, -0.01), (0.035, 0, 0.4 * lift + 0.6 * top), 0.03)
     for turn in range(4):
-        reach = (long if turn % 2 == 0 else wide) / 2
-        if turn in turns:
-            clamp = _clamp(rng, str(kind), reach, lift + tall)
+        reach, wide = size[turn % 2] / 2, size[1 - turn % 2]
+        if turn in clamped:
+            pieces = _clamp(rng, kind, reach, top)
         else:
-            clamp = [
-                rod(
-                    (reach + 0.035, s, -0.01),
-                    (reach + 0.035, s, lift + 0.6 * tall),
-                    0.03,
-                )
-                for s in (-0.12 * wide, 0.12 * wide)
-            ]
-        solids += [piece.rotate((0, 0, 90 * turn)) for piece in clamp]
+            pieces = [stop.translate((reach, s * wide, 0)) for s in (-0.12, 0.12)]
+        solids += [piece.rotate((0, 0, 90 * turn)) for piece in pieces]
     return solids
+
+
+def _workpiece(
+    rng: Rng, size: np.ndarray, lift: float, tall: float
+) -> tuple[list[Manifold], np.ndarray, float]:
+    """Something within `size` from the height `lift` on; what it measures along x and
+    y, and the height of its top."""
+    long, wide = size
+    part, low = rng.choice(["block", "step", "ring", "tube"]), lift + tall / 2
+    if part == "block":
+        block = box((0, 0, low), (long, wide, tall), rng.uniform(0, 0.03))
+        return [block], size, lift + tall
+    if part == "step":
+        block = box((0, 0, low), (long, wide, tall))
+        upper = (0.5 * long, 0.7 * wide, tall)
+        return [block, box((0.1 * long, 0, low + 0.5 * tall), upper)], size, lift + tall
+    if part == "ring":
+        radius = min(0.6 * long, 0.85 * wide)
+        section = tube((0, 0, lift), (0, 0, lift + tall), radius, 0.6 * radius, 32)
+        return [section], np.full(2, 2 * radius), lift + tall
+    radius = 0.5 * wide
+    axis = lift + radius
+    ends = (-0.6 * long, 0, axis), (0.6 * long, 0, axis)
+    solids = [tube(*ends, radius, 0.7 * radius, 24)]
+    vee = [(-0.6 * wide, -0.01), (0.6 * wide, -0.01), (0.6 * wide, axis)]
+    vee += [(0.0, lift - 0.2 * radius), (-0.6 * wide, axis)]
+    for x in (-0.35 * long, 0.35 * long):
+        solids.append(side_profile(np.array(vee), 0.07).translate((x, 0, 0)))
+    return solids, size * (1.2, 1.0), lift + 2 * radius
 
 
 def _clamp(rng: Rng, kind: str, reach: float, top: float) -> list[Manifold]:

@@ -69,7 +69,7 @@ def _crane(rng: Rng) -> list[Manifold]:
     solids.append(box((x, 0, tall + 0.06), (0.3, 0.36 + rows[-1], 0.16), 0.01))
     solids.append(box((x, 0, tall - 0.14), (0.22, 0.2, 0.3), 0.02))
     solids.append(rod((x, 0, tall - 0.1), (x, 0, drop), 0.018, segments=8))
-    hook = torus(0.07, 0.02, 250, 20).rotate((90, 0, 0)).rotate((0, 0, 180))
+    hook = torus(0.07, 0.02, 250.0, 20).rotate((90, 0, 0)).rotate((0, 0, 180))
     solids.append(box((x, 0, drop), (0.1, 0.06, 0.14), 0.01))
     return [*solids, hook.translate((x, 0, drop - 0.12))]
 

@@ -59,57 +59,49 @@ def _flange(rng: Rng) -> list[Manifold]:
 
 
 def _parallel(rng: Rng) -> list[Manifold]:
-    """Two jaws on a rail under a block; straight, stepped or prismatic fingers."""
-    wide, deep, tall = (
-        rng.uniform(0.8, 1.5),
-        rng.uniform(0.4, 0.7),
-        rng.uniform(0.5, 1.0),
-    )
+    """Two jaws on a rail under a block."""
+    wide, deep = rng.uniform(0.8, 1.5), rng.uniform(0.4, 0.7)
+    tall = rng.uniform(0.5, 1.0)
     solids = [box((0, 0, -tall / 2), (wide, deep, tall), 0.04)]
     if rng.random() < 0.4:
-        solids.append(
-            rod(
-                (-wide / 2, 0, -0.6 * tall),
-                (wide / 2 + 0.3, 0, -0.6 * tall),
-                0.3 * deep,
-            )
-        )
-    rail = (1.15 * wide, 0.55 * deep, 0.14)
-    solids.append(box((0, 0, -tall - 0.03), rail))
-    gap, long = rng.uniform(0.08, 0.42) * wide, rng.uniform(0.5, 1.2)
-    thick, broad = rng.uniform(0.1, 0.2), rng.uniform(0.3, 0.9) * deep
-    step, slim = rng.uniform(0.1, 0.35), rng.uniform(0.4, 0.7)
-    style, low = rng.choice(["straight", "stepped", "taper", "fork"]), -tall - 0.05
-    padded = rng.random() < 0.6
-    for side in (-1, 1):
-        carriage = (side * (gap + thick), 0, low - 0.06)
-        solids.append(box(carriage, (2 * thick + 0.06, 0.7 * deep, 0.2), 0.015))
-        x = side * (gap + thick / 2)
-        tip = (x, 0, low - long)
-        if style == "straight":
-            solids.append(box((x, 0, low - long / 2), (thick, broad, long)))
-        elif style == "taper":
-            root = (x + side * 0.3 * thick, 0, low)
-            solids.append(bar(root, tip, 1.6 * thick, broad, slim))
-        elif style == "stepped":
-            out = side * step
-            bridge = (abs(out) + thick, 0.6 * deep, 0.14)
-            solids.append(box((x + out / 2, 0, low - 0.06), bridge))
-            solids.append(
-                box((x + out, 0, low - 0.3 * long), (thick, broad, 0.6 * long))
-            )
-            level = low - 0.6 * long
-            solids.append(
-                box((x + out / 2, 0, level), (abs(out) + thick, broad, thick))
-            )
-            solids.append(box((x, 0, level - 0.2 * long), (thick, broad, 0.4 * long)))
-        else:
-            for y in (-0.4 * deep, 0.4 * deep):
-                solids.append(box((x, y, low - long / 2), (thick, 0.25 * deep, long)))
-            solids.append(box((x, 0, low - 0.1), (thick, deep, 0.2)))
-        if style in ("straight", "stepped") and padded:
-            pad = (x - side * 0.5 * thick, 0, low - 0.85 * long)
-            solids.append(box(pad, (0.08, 1.15 * broad, 0.28 * long), 0.01))
+        level = -0.6 * tall
+        drum = (-wide / 2, 0, level), (wide / 2 + 0.3, 0, level)
+        solids.append(rod(*drum, 0.3 * deep))
+    solids.append(box((0, 0, -tall - 0.03), (1.15 * wide, 0.55 * deep, 0.14)))
+    gap, thick = rng.uniform(0.08, 0.42) * wide, rng.uniform(0.1, 0.2)
+    jaw = _jaw(rng, thick, deep)
+    carriage = box((0.5 * thick, 0, -0.06), (2 * thick + 0.06, 0.7 * deep, 0.2), 0.015)
+    for part in (*jaw, carriage):
+        right = part.translate((gap + thick / 2, 0, -tall - 0.05))
+        solids += [right, right.mirror((1, 0, 0))]
+    return solids
+
+
+def _jaw(rng: Rng, thick: float, deep: float) -> list[Manifold]:
+    """A finger down from the origin that closes towards -x: straight, stepped, tapered
+    or forked, with a pad in some."""
+    long, broad = rng.uniform(0.5, 1.2), rng.uniform(0.3, 0.9) * deep
+    style = rng.choice(["straight", "stepped", "taper", "fork"])
+    if style == "taper":
+        root, slim = (0.3 * thick, 0, 0), rng.uniform(0.4, 0.7)
+        return [bar(root, (0, 0, -long), 1.6 * thick, broad, slim)]
+    if style == "fork":
+        size = (thick, 0.25 * deep, long)
+        tines = [box((0, s * 0.4 * deep, -long / 2), size) for s in (-1, 1)]
+        return [*tines, box((0, 0, -0.1), (thick, deep, 0.2))]
+    if style == "straight":
+        solids = [box((0, 0, -long / 2), (thick, broad, long))]
+    else:
+        out, level = rng.uniform(0.1, 0.35), -0.6 * long
+        solids = [
+            box((out / 2, 0, -0.06), (out + thick, 0.6 * deep, 0.14)),
+            box((out, 0, level / 2), (thick, broad, -level)),
+            box((out / 2, 0, level), (out + thick, broad, thick)),
+            box((0, 0, level - 0.2 * long), (thick, broad, 0.4 * long)),
+        ]
+    if rng.random() < 0.6:
+        size = (0.08, 1.15 * broad, 0.28 * long)
+        solids.append(box((-0.5 * thick, 0, -0.85 * long), size, 0.01))
     return solids
 
 
@@ -138,7 +130,7 @@ def _centric(rng: Rng) -> list[Manifold]:
         finger.append(bar((open_at + 0.35, 0, -tall), out, 0.16, 0.24))
         finger.append(bar(out, (open_at, 0, -tall - long), 0.16, 0.24, 0.6))
     for part in finger:
-        solids += ring_of(part, jaws, 90)
+        solids += ring_of(part, jaws, 90.0)
     if rng.random() < 0.5:
         solids.append(rod((0, 0, -tall - 0.12), (0, 0, -0.9 * tall), 0.25 * radius))
     return solids

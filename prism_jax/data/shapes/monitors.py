@@ -60,7 +60,7 @@ def monitor(rng: Rng) -> list[Manifold]:
 def _pair(rng: Rng, head: list[Manifold], width: float, lift: float) -> list[Manifold]:
     """The same screen twice, turned inwards, on the two arms of a rail."""
     turn, shift, solids = rng.uniform(5, 20), width / 2 + 0.01, []
-    head = [*head, box((0, -0.05, lift), (0.09, 0.064, 0.09))]
+    head = [*head, box((0, -0.051, lift), (0.09, 0.064, 0.03))]
     angle = np.radians(turn)
     out = shift * np.cos(angle) + 0.06 * np.sin(angle)
     ahead = shift * np.sin(angle) - 0.06 * np.cos(angle)

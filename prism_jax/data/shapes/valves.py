@@ -26,6 +26,9 @@ from prism_jax.data.solids import (
 )
 
 Rng = np.random.Generator
+TURNING_DRIVES = {"lever": 0.4, "rack": 0.3, "motor": 0.15, "gear": 0.15}
+LIFTING_DRIVES = {"wheel": 0.4, "diaphragm": 0.22, "motor": 0.13, "rising": 0.25}
+"""What moves the stem of which valves, and how often."""
 
 
 def flange(
@@ -76,29 +79,17 @@ def valve(rng: Rng) -> list[Manifold]:
         ports.append((0, 1, 0) if rng.random() < 0.6 else (0, 0, -1))
     if kind != "butterfly":
         solids += _ends(rng, ports, bore, half)
-    if kind in ("ball", "butterfly", "three_way"):
-        drive = str(
-            rng.choice(["lever", "rack", "motor", "gear"], p=[0.4, 0.3, 0.15, 0.15])
-        )
-    else:
-        drive = str(
-            rng.choice(
-                ["wheel", "diaphragm", "motor", "rising"], p=[0.4, 0.22, 0.13, 0.25]
-            )
-        )
+    turning = kind in ("ball", "butterfly", "three_way")
+    drives = TURNING_DRIVES if turning else LIFTING_DRIVES
+    drive = str(rng.choice(list(drives), p=list(drives.values())))
     solids += _operator(rng, drive, bore, top)
-    hollow = [
-        rod((0, 0, 0), 1.02 * half * np.array(port), 0.8 * bore) for port in ports
-    ]
     if kind == "butterfly":
         plate = rod((-0.1 * bore, 0, 0), (0.1 * bore, 0, 0), 1.65 * bore)
         hole = rod((-bore, 0, 0), (bore, 0, 0), 1.6 * bore, segments=28)
-        turn = rng.uniform(0, 80)
-        return assembled([union(solids) - hole, plate.rotate((0, 0, turn))])
-    holes = [
-        hole.trim_by_plane(port, 0.25 * half)
-        for hole, port in zip(hollow, ports, strict=True)
-    ]
+        plate = plate.rotate((0, 0, rng.uniform(0, 80)))
+        return assembled([union(solids) - hole, plate])
+    outs = half * np.array(ports, float)
+    holes = [rod(0.25 * out, 1.02 * out, 0.8 * bore) for out in outs]
     return assembled([union(solids) - union(holes)])
 
 
@@ -130,18 +121,7 @@ def _body(
         solids += _bonnet(rng, 1.9 * bore, tall)
         return solids, tall + 1.2 * bore
     if kind == "ball":
-        style = rng.choice(["round", "hex", "block"])
-        if style == "round":
-            body = [ball((0, 0, 0), (1.7 * bore, 1.75 * bore, 1.75 * bore), 28)]
-        elif style == "hex":
-            body = [
-                rod((-0.7 * half, 0, 0), (0.7 * half, 0, 0), 1.7 * bore, segments=6)
-            ]
-        else:
-            size = np.array((1.3 * half, 3.2 * bore, 3.2 * bore))
-            body = [box((0, 0, 0), size, 0.5 * bore)]
-        stem = rod((0, 0, bore), (0, 0, 2.4 * bore), 0.6 * bore)
-        return [across, *body, stem], 2.3 * bore
+        return [across, *_ball_body(rng, bore, half)], 2.3 * bore
     if kind == "globe":
         body = [ball((0, 0, 0), (1.8 * bore, 1.9 * bore, 1.9 * bore), 28)]
         body.append(ball((0, 0, 0), (0.94 * half, 1.5 * bore, 1.5 * bore), 24))
@@ -154,6 +134,17 @@ def _body(
     neck = rod((0, 0, bore), (0, 0, 2.4 * bore), 1.3 * bore)
     solids = [across, *body, neck, *_bonnet(rng, 1.7 * bore, 2.2 * bore)]
     return solids, 3.3 * bore
+
+
+def _ball_body(rng: Rng, bore: float, half: float) -> list[Manifold]:
+    style = rng.choice(["round", "hex", "block"])
+    if style == "round":
+        body = ball((0, 0, 0), (1.7 * bore, 1.75 * bore, 1.75 * bore), 28)
+    elif style == "hex":
+        body = rod((-0.7 * half, 0, 0), (0.7 * half, 0, 0), 1.7 * bore, segments=6)
+    else:
+        body = box((0, 0, 0), (1.3 * half, 3.2 * bore, 3.2 * bore), 0.5 * bore)
+    return [body, rod((0, 0, bore), (0, 0, 2.4 * bore), 0.6 * bore)]
 
 
 def _bonnet(rng: Rng, radius: float, level: float) -> list[Manifold]:
@@ -262,22 +253,28 @@ def _actuator(rng: Rng, drive: str, bore: float, level: float) -> list[Manifold]
         ]
         knob = rod((0, 0, high), (0, 0, high + 1.5 * size), 0.4 * size)
         return [body, block, *caps, knob]
-    if drive == "gear":
-        case = rod((0, 0, level), (0, 0, level + bore), 1.3 * bore, segments=28)
-        middle = np.array((0, 1.1 * bore, level + 0.5 * bore))
-        worm = rod(middle - (1.5 * bore, 0, 0), middle + (2.6 * bore, 0, 0), 0.4 * bore)
-        wheel = hand_wheel(rng, bore * rng.uniform(1.4, 2.2), 0.0)
-        turned = [
-            w.rotate((0, 90, 0)).translate(middle + (2.5 * bore, 0, 0)) for w in wheel
-        ]
-        return [case, worm, *turned]
+    return (_gear if drive == "gear" else _electric)(rng, bore, level)
+
+
+def _gear(rng: Rng, bore: float, level: float) -> list[Manifold]:
+    """Worm gear with a hand wheel at its side."""
+    case = rod((0, 0, level), (0, 0, level + bore), 1.3 * bore, segments=28)
+    middle = np.array((0, 1.1 * bore, level + 0.5 * bore))
+    worm = rod(middle - (1.5 * bore, 0, 0), middle + (2.6 * bore, 0, 0), 0.4 * bore)
+    wheel = hand_wheel(rng, bore * rng.uniform(1.4, 2.2), 0.0)
+    end = middle + (2.5 * bore, 0, 0)
+    return [case, worm, *(part.rotate((0, 90, 0)).translate(end) for part in wheel)]
+
+
+def _electric(rng: Rng, bore: float, level: float) -> list[Manifold]:
+    """Electric drive: gear case, motor, terminal box and emergency wheel."""
     size = bore * rng.uniform(1.3, 1.8)
     high = level + size
     case = rod((0, 0, level), (0, 0, level + 2.2 * size), size, segments=28)
     drum = rod((0, 0, high), (2.6 * size, 0, high), 0.75 * size)
-    box_at = (-size, 0, high)
-    cover = box(box_at, (1.2 * size, 1.4 * size, 1.4 * size), 0.2 * size)
-    wheel = hand_wheel(rng, size * rng.uniform(0.8, 1.1), 0.0)
-    turned = [w.rotate((-90, 0, 0)).translate((0, 1.5 * size, high)) for w in wheel]
+    cover = box((-size, 0, high), (1.2 * size, 1.4 * size, 1.4 * size), 0.2 * size)
     axle = rod((0, 0, high), (0, 1.6 * size, high), 0.2 * size)
+    wheel = hand_wheel(rng, size * rng.uniform(0.8, 1.1), 0.0)
+    end = (0, 1.5 * size, high)
+    turned = [part.rotate((-90, 0, 0)).translate(end) for part in wheel]
     return [case, drum, cover, axle, *turned]

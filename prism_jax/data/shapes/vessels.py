@@ -204,7 +204,7 @@ def _bowl_foot(rng: Rng, foot: float, count: int) -> list[Manifold]:
         return [lathe(profile, count).translate((0, 0, -deep))]
     if style == "feet":
         knob = ball((foot * 0.8, 0, -0.02), 0.045, 12)
-        return ring_of(knob, 3, 90)
+        return ring_of(knob, 3, 90.0)
     return []
 
 
@@ -215,7 +215,7 @@ def _ears(rng: Rng, radius: float, level: float, wall: float) -> list[Manifold]:
         tab = rod((0, 0, -thick), (0, 0, thick), wide, segments=24)
         ear = tab.trim_by_plane((1, 0, 0), -0.5 * wall)
     else:
-        ear = torus(wide, thick, 200, 20).rotate((0, 0, -100))
+        ear = torus(wide, thick, 200.0, 20).rotate((0, 0, -100))
     near = radius - 0.3 * wall
     return [
         ear.translate((near, 0, level)),

@@ -2,9 +2,20 @@ import numpy as np
 import pytest
 
 from prism_jax.data.corpus import GENERATOR_VERSION
-from prism_jax.data.shapes import CATEGORIES, category_rng, make_shape
+from prism_jax.data.shapes import (
+    CATEGORIES,
+    TRAIN_CATEGORIES,
+    UNSEEN_CATEGORIES,
+    category_rng,
+    make_shape,
+)
 
 SEEDS = (0, 1, 2**40 + 7)
+OFF_THE_FLOOR = {
+    *("chair", "table", "cabinet", "lamp", "mug", "airplane", "arm"),
+}
+"""What does not stand at z = 0 to the last bit."""
+
 AREA_AND_VOLUME = {
     "chair": (1.214175, 0.019598),
     "table": (1.258672, 0.028628),
@@ -16,6 +27,20 @@ AREA_AND_VOLUME = {
     "airplane": (2.223465, 0.067235),
     "car": (9.715099, 1.314908),
     "arm": (2.392062, 0.105262),
+    "bed": (12.699934, 1.894502),
+    "machine_frame": (5.281766, 0.066427),
+    "conveyor": (4.695516, 0.147638),
+    "gearbox": (1.475136, 0.058765),
+    "pipe_run": (2.886233, 0.053110),
+    "pallet": (5.635306, 0.349655),
+    "control_cabinet": (7.333429, 0.874739),
+    "fixture": (2.459753, 0.070592),
+    "bench": (2.242961, 0.027776),
+    "bowl": (1.454723, 0.020995),
+    "monitor": (0.735401, 0.013066),
+    "gantry": (8.761483, 0.229457),
+    "gripper": (8.393856, 0.509880),
+    "valve": (0.815131, 0.020034),
 }
 """Of the last seed's mesh, by `make_shape(category, SEEDS[-1])`."""
 
@@ -32,6 +57,14 @@ def test_meshes_are_closed_solids_in_one_piece(meshes):
         assert mesh.is_winding_consistent
         assert mesh.volume > 0
         assert mesh.body_count == 1
+
+
+def test_meshes_have_the_size_of_their_unit_and_most_stand_on_the_floor(meshes):
+    category, shapes = meshes
+    for mesh in shapes:
+        assert mesh.extents.min() > 0.05 and 0.4 < mesh.extents.max() < 4.0
+        if category not in OFF_THE_FLOOR:
+            assert abs(mesh.bounds[0, 2]) < 1e-9
 
 
 def test_same_seed_gives_the_same_bits(meshes):
@@ -55,6 +88,12 @@ def test_other_seeds_give_other_shapes(meshes):
     assert len(ratios) == len(SEEDS)
 
 
+def test_seeds_differ_by_more_than_scale(meshes):
+    """Other parts make other triangulations."""
+    _, shapes = meshes
+    assert len({len(mesh.faces) for mesh in shapes}) > 1
+
+
 def test_union_leaves_no_inner_walls(meshes):
     """Winding by ray parity: points just outside a surface sample are outside."""
     _, shapes = meshes
@@ -71,6 +110,16 @@ def test_furniture_and_cars_are_upright_and_centred_sideways(category):
     bounds = np.array([make_shape(category, seed).bounds for seed in range(8)])
     np.testing.assert_allclose(bounds[:, 0, 0], -bounds[:, 1, 0], atol=0.15)
     assert np.all(bounds[:, 0, 2] > -0.05)
+
+
+def test_training_and_unseen_categories_part_the_whole():
+    assert len(TRAIN_CATEGORIES) == 18
+    assert set(UNSEEN_CATEGORIES) == {
+        *("bench", "bowl", "monitor"),
+        *("gantry", "gripper", "valve"),
+    }
+    assert len(set(CATEGORIES)) == 24
+    assert CATEGORIES == TRAIN_CATEGORIES + UNSEEN_CATEGORIES
 
 
 def test_categories_have_independent_streams():

@@ -1,0 +1,49 @@
+"""Draws a picture of the procedural shapes, several seeds of every category.
+
+python -m experiments.contact_sheet --output=docs/shapes.png
+"""
+
+import io
+
+from absl import app, flags
+
+from experiments.launch import launch
+from prism_jax.data.contact_sheet import contact_sheet, shape_row
+from prism_jax.data.shapes import CATEGORIES
+from prism_jax.io.atomic import write_bytes
+
+FLAGS = flags.FLAGS
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
+    flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "What to draw.")
+    flags.DEFINE_integer("seed", 0, "The first of the seeds in a row.", 0)
+    flags.DEFINE_integer("seeds", 4, "Shapes in a row.", 1)
+    flags.DEFINE_integer("columns", 2, "Rows side by side.", 1)
+    flags.DEFINE_integer("size", 96, "Pixels of a picture's side.", 16, 1024)
+    flags.DEFINE_integer("colors", 128, "Colours of the PNG's palette.", 2, 256)
+
+
+def main(argv):
+    """One row a category; steel-blue ones are for training, amber ones are not."""
+    if len(argv) > 1:
+        raise app.UsageError(f"unexpected argument {argv[1]!r}")
+    seeds = range(FLAGS.seed, FLAGS.seed + FLAGS.seeds)
+    rows = [shape_row(name, seeds, FLAGS.size) for name in FLAGS.category]
+    sheet = contact_sheet(rows, FLAGS.columns).quantize(FLAGS.colors)
+    buffer = io.BytesIO()
+    sheet.save(buffer, "PNG", optimize=True)
+    write_bytes(FLAGS.output, buffer.getvalue())
+    print(FLAGS.output)
+
+
+def run():
+    """The entry point."""
+    define_flags()
+    launch("contact_sheet", main)
+
+
+if __name__ == "__main__":
+    run()
