@@ -8,9 +8,18 @@ from jaxtyping import Float, Float64, UInt8
 from prism_jax.data.contact_sheet import Row
 from prism_jax.data.raycast import Scene
 from prism_jax.data.recordings import Frame
+from prism_jax.data.roboarm.build import NUM_FRAMES, own_rng
 from prism_jax.data.roboarm.cell import look_at
-from prism_jax.data.roboarm.frames import PARTS, Sequence, scene_parts
+from prism_jax.data.roboarm.frames import (
+    PARTS,
+    RoboArmConfig,
+    Sequence,
+    make_frame,
+    make_sequence,
+    scene_parts,
+)
 from prism_jax.data.roboarm.furnishings import together
+from prism_jax.data.roboarm.models import arms_of
 from prism_jax.geometry.camera import Camera
 
 COLORS = {
@@ -23,6 +32,15 @@ COLORS = {
 OBSERVED, GROUND_TRUTH = (0.15, 0.39, 0.69), (0.95, 0.75, 0.5)
 _RAMP = np.array([(0.2, 0.1, 0.4), (0.1, 0.5, 0.9), (0.5, 0.9, 0.5), (0.9, 0.3, 0.1)])
 _TO_LIGHT = np.array([0.4, 0.3, 0.85]) / np.linalg.norm([0.4, 0.3, 0.85])
+
+
+def cell_row(split: str, index: int, seed: int, size: int) -> Row:
+    """The first frame of a sequence, as `build_roboarm` makes it by default."""
+    arms, config = arms_of(split), RoboArmConfig()
+    model, rng = arms[index % len(arms)], own_rng(split, seed, index)
+    sequence = make_sequence(model, NUM_FRAMES, config, rng)
+    frame = make_frame(sequence, 0, config, own_rng(split, seed, index, 0))
+    return frame_row(sequence, 0, frame, size)
 
 
 def frame_row(sequence: Sequence, number: int, frame: Frame, size: int) -> Row:
