@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from prism_jax.data.recordings import (
     DEPTH_SCALE,
@@ -270,3 +271,30 @@ def test_files_are_held_against_the_manifest(root):
     (root / MANIFEST).write_text("no JSON")
     with pytest.raises(InputError, match=r"manifest.json: is not a JSON object"):
         RecordedCells(root)
+
+
+def test_the_bundled_cells_are_whole():
+    cells = RecordedCells.bundled()
+    assert len(cells) == check_recordings(cells.root) == 20
+    robots = set()
+    for index, example in enumerate(cells):
+        frame = cells.read(index)
+        assert example.complete.shape == (16384, 3)
+        assert len(example.partial) > 1000
+        assert (frame.camera.width, frame.camera.height) == (640, 480)
+        robots.add(frame.joints["robot"])
+        assert set(np.unique(frame.labels)) <= set(LABELS.values())
+        seen = np.isin(frame.labels, (LABELS["robot"], LABELS["fixture"]))
+        assert 0.6 < len(example.partial) / np.count_nonzero(seen) <= 1
+    assert len(robots) >= 6
+    used = sum(path.stat().st_size for path in cells.root.rglob("*"))
+    assert used < 10e6
+
+
+def test_the_bundled_clouds_are_one_scene_in_one_frame():
+    """What the camera saw lies on the ground truth, to both sensors' noise."""
+    for example in RecordedCells.bundled():
+        distance, _ = cKDTree(example.complete).query(example.partial)
+        assert np.median(distance) < 0.006
+        assert np.mean(distance < 0.02) > 0.95
+        assert example.complete[:, 2].min() > 0
