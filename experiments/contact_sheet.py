@@ -1,6 +1,7 @@
-"""Draws a picture of the procedural shapes, several seeds of every category.
+"""Draws a picture of the procedural shapes, or of the simulated robot cells.
 
 python -m experiments.contact_sheet --output=docs/shapes.png
+python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
 """
 
 import io
@@ -9,6 +10,8 @@ from absl import app, flags
 
 from experiments.launch import launch
 from prism_jax.data.contact_sheet import contact_sheet, shape_row
+from prism_jax.data.roboarm.build import NUM_SEQUENCES, SPLITS
+from prism_jax.data.roboarm.pictures import cell_row
 from prism_jax.data.shapes import CATEGORIES
 from prism_jax.io.atomic import write_bytes
 
@@ -17,9 +20,14 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
+    flags.DEFINE_enum("dataset", "shapes", ["shapes", "roboarm"], "What to draw.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
-    flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "What to draw.")
-    flags.DEFINE_integer("seed", 0, "The first of the seeds in a row.", 0)
+    flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells.")
+    flags.DEFINE_integer("sequences", NUM_SEQUENCES, "Robot cells to draw.", 1)
+    flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "Which shapes.")
+    flags.DEFINE_integer(
+        "seed", 0, "Seed of the cells, or the first of the seeds in a row.", 0
+    )
     flags.DEFINE_integer("seeds", 4, "Shapes in a row.", 1)
     flags.DEFINE_integer("columns", 2, "Rows side by side.", 1)
     flags.DEFINE_integer("size", 96, "Pixels of a picture's side.", 16, 1024)
@@ -27,11 +35,15 @@ def define_flags() -> None:
 
 
 def main(argv):
-    """One row a category; steel-blue ones are for training, amber ones are not."""
+    """One row a category, steel-blue ones for training; or one row a robot cell."""
     if len(argv) > 1:
         raise app.UsageError(f"unexpected argument {argv[1]!r}")
-    seeds = range(FLAGS.seed, FLAGS.seed + FLAGS.seeds)
-    rows = [shape_row(name, seeds, FLAGS.size) for name in FLAGS.category]
+    if FLAGS.dataset == "roboarm":
+        cells = range(FLAGS.sequences)
+        rows = [cell_row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]
+    else:
+        seeds = range(FLAGS.seed, FLAGS.seed + FLAGS.seeds)
+        rows = [shape_row(name, seeds, FLAGS.size) for name in FLAGS.category]
     sheet = contact_sheet(rows, FLAGS.columns).quantize(FLAGS.colors)
     buffer = io.BytesIO()
     sheet.save(buffer, "PNG", optimize=True)

@@ -123,7 +123,8 @@ def write_frame(folder: str | os.PathLike, number: int, frame: Frame) -> None:
     A frame of that number that is there already is replaced.
     """
     path = make_output_dir(folder) / f"{number:06d}"
-    _file(path, "camera.json").unlink(missing_ok=True)
+    for suffix in _NEEDED + _OPTIONAL:
+        _file(path, suffix).unlink(missing_ok=True)
     write_bytes(_file(path, "depth.png"), _png(frame.depth))
     write_points(_file(path, "partial.ply"), frame.partial)
     if frame.complete is not None:
@@ -198,7 +199,7 @@ def _file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
 
 
 def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]]:
-    """The files of every (sequence, frame); what is hidden is passed over."""
+    """The files of every (sequence, frame), without hidden files and folders."""
     if not root.is_dir():
         raise InputError(root, "is not a folder", "name the folder of the recordings")
     frames: dict[tuple[str, str], list[pathlib.Path]] = {}

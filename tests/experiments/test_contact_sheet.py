@@ -8,7 +8,10 @@ from PIL import Image
 
 from experiments import contact_sheet
 
-FLAGS = ("output", "category", "seed", "seeds", "columns", "size", "colors")
+FLAGS = (
+    *("dataset", "output", "split", "sequences", "category"),
+    *("seed", "seeds", "columns", "size", "colors"),
+)
 
 
 def run(*arguments) -> int:
@@ -34,6 +37,14 @@ def test_writes_one_row_a_category(tmp_path):
     before = output.read_bytes()
     assert run(f"--output={output}", "--columns=1", *few) == 0
     assert output.read_bytes() == before
+
+
+def test_writes_one_row_a_robot_cell(tmp_path):
+    output = tmp_path / "sheet.png"
+    one = ["--dataset=roboarm", "--split=train", "--sequences=1", "--size=40"]
+    assert run(f"--output={output}", "--columns=1", *one) == 0
+    with Image.open(output) as sheet:
+        assert sheet.size == (4 * 40, 40 + 15)
 
 
 def test_a_folder_that_is_not_there_ends_in_one_line(tmp_path, capsys):

@@ -33,6 +33,7 @@ from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import InputError
 
 SPLITS = ("train", "validation", "test")
+NUM_SEQUENCES, NUM_FRAMES = 20, 10
 GENERATOR_VERSION = 1
 """Raised with every change of what is drawn, so that builds are never mixed."""
 
@@ -40,8 +41,8 @@ GENERATOR_VERSION = 1
 def build_roboarm(
     split: str,
     output_dir: str | os.PathLike,
-    num_sequences: int = 20,
-    num_frames: int = 10,
+    num_sequences: int = NUM_SEQUENCES,
+    num_frames: int = NUM_FRAMES,
     seed: int = 0,
     num_workers: int | None = None,
     progress: bool = True,
@@ -101,6 +102,11 @@ def copy_first_frames(
     return folder
 
 
+def own_rng(split: str, seed: int, *indices: int) -> np.random.Generator:
+    """The generator of a sequence, or of one of its frames."""
+    return np.random.default_rng((seed, SPLITS.index(split), *indices))
+
+
 def _run(build, num_sequences: int, num_workers: int | None, bar: tqdm) -> None:
     if num_workers == 0:
         for index in range(num_sequences):
@@ -133,11 +139,9 @@ def _build_sequence(
     missing = [n for n in range(num_frames) if not has_frame(sequence, n)]
     if not missing:
         return
-    block = SPLITS.index(split)
-    rng = np.random.default_rng((seed, block, index))
-    made = make_sequence(model, num_frames, config, rng)
+    made = make_sequence(model, num_frames, config, own_rng(split, seed, index))
     for number in missing:
-        rng = np.random.default_rng((seed, block, index, number))
+        rng = own_rng(split, seed, index, number)
         write_frame(sequence, number, make_frame(made, number, config, rng))
 
 
@@ -167,7 +171,7 @@ def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
     try:
         found = json.loads(manifest.read_text())
         files = found.pop("files")
-    except (ValueError, KeyError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             manifest, "is not a manifest", "delete it and the folder"
         ) from None

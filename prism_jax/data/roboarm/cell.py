@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 import trimesh
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from manifold3d import Manifold
 
 from prism_jax.data.roboarm.clutter import GAP, Bench, draw_clutter
@@ -22,6 +22,7 @@ from prism_jax.data.roboarm.furnishings import (
     to_mesh,
     upright,
 )
+from prism_jax.data.roboarm.robots import Robot
 from prism_jax.data.solids import rod
 from prism_jax.geometry.camera import Camera
 
@@ -29,7 +30,7 @@ Rng = np.random.Generator
 
 CAMERA_DISTANCE = (1.2, 2.5)
 _HALF_FIELD = np.radians(27.5)
-_FLOOR = 4.0
+_FLOOR = 2.5
 _TRIES = 40
 
 
@@ -56,25 +57,26 @@ class Cell:
 
 
 def make_cell(
-    sweep: Float64[np.ndarray, "T N 3"], spacer: float, rng: Rng, camera: Camera
+    robot: Robot, positions: Float[np.ndarray, "T J"], rng: Rng, camera: Camera
 ) -> Cell:
-    """A cell for a robot whose points are `sweep`, frame by frame, in its own frame.
+    """A cell for a robot that takes these joint positions.
 
     `camera` gives the image size and field of view (`Camera.l515`), not the pose.
     """
+    sweep = robot.probe_points(positions)
     reach = np.quantile(np.linalg.norm(sweep, axis=-1), 0.99)
     reach = float(np.clip(reach, 0.3, 1.2))
     supports, height, lower, upper = _support(reach, rng)
     top = supports[0].bounding_box()[5]
-    if spacer:
-        supports.append(rod((0, 0, height), (0, 0, height + spacer), 0.06))
+    if robot.spacer:
+        supports.append(rod((0, 0, height), (0, 0, height + robot.spacer), 0.06))
     sweep = sweep + (0, 0, height)
     bench = Bench(sweep.reshape(-1, 3), lower, upper, top)
     fixtures = _fixtures(bench, reach, rng)
-    target = [bench.sweep, *[_corners(solid) for solid in fixtures]]
-    target = np.concatenate(target)
     posed = _aim(bench.sweep, rng, camera)
-    clutter = draw_clutter(bench, sweep, np.asarray(posed.position), rng)
+    eye = np.asarray(posed.position)
+    clutter = draw_clutter(bench, sweep, robot.probe_weights, eye, rng)
+    target = np.concatenate([bench.sweep, *[_corners(solid) for solid in fixtures]])
     return Cell(
         base_height=height,
         support=to_mesh(supports),
@@ -135,18 +137,26 @@ def _aim(sweep: np.ndarray, rng: Rng, camera: Camera) -> Camera:
             np.sin(elevation),
         ]
     )
-    eye = center + distance * direction
-    look = center + rng.normal(0, 0.04, 3) * radius - eye
-    forward = look / np.linalg.norm(look)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    target = center + rng.normal(0, 0.04, 3) * radius
+    rotation, translation = look_at(center + distance * direction, target)
     return dataclasses.replace(
         camera,
         rotation=rotation,
-        translation=-rotation @ eye,
+        translation=translation,
         intrinsics=np.asarray(camera.intrinsics, np.float64),
     )
+
+
+def look_at(
+    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]
+) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]:
+    """A camera's rotation and translation, in double precision; z is up, and the line
+    of sight must not be."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return rotation, -rotation @ eye
 
 
 def _corners(solid: Manifold) -> np.ndarray:

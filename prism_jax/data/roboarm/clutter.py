@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import trimesh
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from manifold3d import Manifold
 
 from prism_jax.data.raycast import Scene
@@ -18,13 +18,13 @@ Rng = np.random.Generator
 
 HIDDEN_SHARE = (0.2, 0.5)
 """Of the robot's surface, over a sequence, that clutter is to hide from the camera."""
-MOST_HIDDEN = 0.7
-"""Of the same, in any single frame."""
+HIDDEN_IN_A_FRAME = (0.08, 0.65)
+"""Of the same, in every single frame."""
 GAP = 0.05
 """Metres that everything keeps from the robot's sampled points."""
 ROOM = 0.3
 """Metres that everything keeps from the camera."""
-_TRIES = 60
+_TRIES = 120
 
 
 class Bench:
@@ -63,10 +63,11 @@ class Bench:
 def draw_clutter(
     bench: Bench,
     sweep: Float64[np.ndarray, "T N 3"],
+    weights: Float64[np.ndarray, " N"],
     eye: Float64[np.ndarray, "3"],
     rng: Rng,
 ) -> list[Manifold]:
-    """Clutter between a camera and the robot's points, frame by frame.
+    """Clutter between a camera and the robot's weighted points, frame by frame.
 
     The first of many draws that hides as much as it should, else the one that comes
     closest; it may be empty where nothing finds room.
@@ -74,11 +75,15 @@ def draw_clutter(
     best, least = [], np.inf
     for _ in range(_TRIES):
         solids = _draw(bench, eye, rng)
-        shares = hidden_shares(to_mesh(solids), sweep, eye) if solids else np.zeros(1)
+        shares = np.zeros(1)
+        if solids:
+            hidden = are_hidden(to_mesh(solids), sweep, eye)
+            shares = hidden @ weights
         excess = max(
             HIDDEN_SHARE[0] - shares.mean(),
             shares.mean() - HIDDEN_SHARE[1],
-            shares.max() - MOST_HIDDEN,
+            HIDDEN_IN_A_FRAME[0] - shares.min(),
+            shares.max() - HIDDEN_IN_A_FRAME[1],
         )
         if excess < least:
             best, least = solids, excess
@@ -87,24 +92,24 @@ def draw_clutter(
     return best
 
 
-def hidden_shares(
+def are_hidden(
     clutter: trimesh.Trimesh,
     points: Float64[np.ndarray, "T N 3"],
     eye: Float64[np.ndarray, "3"],
-) -> Float64[np.ndarray, " T"]:
-    """Which share of each frame's points the clutter stands in front of."""
+) -> Bool[np.ndarray, "T N"]:
+    """Which points the clutter stands in front of."""
     rays = (points - eye).reshape(-1, 3)
     hits = Scene(clutter).cast(eye, rays)
     hidden = np.zeros(len(rays), bool)
     hidden[hits.ray] = hits.distances < np.linalg.norm(rays[hits.ray], axis=1)
-    return hidden.reshape(points.shape[:2]).mean(axis=1)
+    return hidden.reshape(points.shape[:2])
 
 
 def _draw(bench: Bench, eye: np.ndarray, rng: Rng) -> list[Manifold]:
     """Two to four pieces, without those that find no room."""
     placed: list[Manifold] = []
     for _ in range(int(rng.integers(2, 5))):
-        kind = rng.choice(["box", "screen", "fence"], p=[0.5, 0.25, 0.25])
+        kind = rng.choice(["box", "screen", "fence"], p=[0.65, 0.15, 0.2])
         seen = bench.sweep[int(rng.integers(len(bench.sweep)))]
         where = eye + rng.uniform(0.25, 0.8) * (seen - eye)
         ground = bench.ground(where)
@@ -122,9 +127,9 @@ def _draw(bench: Bench, eye: np.ndarray, rng: Rng) -> list[Manifold]:
 def _box(where: np.ndarray, ground: float, rng: Rng) -> Manifold:
     """A box that reaches up to `where`, or a little above."""
     height = max(where[2] - ground + rng.uniform(0.0, 0.15), 0.08)
-    size = np.maximum(rng.uniform(0.12, 0.3, 2), 0.3 * height)
+    size = np.maximum(rng.uniform(0.12, 0.3, 2), 0.25 * height)
     solid = box((0, 0, 0), (*size, height))
-    return upright(solid, np.array([*where[:2], ground]), rng.uniform(0, np.pi))
+    return upright(solid, np.array([*where[:2], ground]), rng.normal(0, 0.15))
 
 
 def _screen(

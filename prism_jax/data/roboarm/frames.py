@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8, UInt16
 from prism_jax.data.raycast import Scene
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS, Frame
 from prism_jax.data.roboarm.cell import Cell, make_cell
+from prism_jax.data.roboarm.furnishings import together
 from prism_jax.data.roboarm.models import ArmModel
 from prism_jax.data.roboarm.robots import Robot
 from prism_jax.data.roboarm.survey import NUM_STATIONS, SURVEY, survey
@@ -22,6 +23,9 @@ STEADY = 0.03
 """Metres: a pixel between two surfaces is told by its depth, which differs by more than
 this from that of most of its neighbours."""
 MIN_PARTIAL = 64
+CLOUD_STEP = 2.0**-12
+"""Metres to which clouds are rounded: finer than either sensor's step, and files of
+such numbers compress to two thirds."""
 _L515 = L515Config()
 
 
@@ -62,7 +66,7 @@ def make_sequence(
     robot = Robot(model)
     positions = random_trajectory(robot, num_frames, config.num_waypoints, rng)
     camera = Camera.l515().resized(config.height, config.width)
-    cell = make_cell(robot.probe_points(positions), robot.spacer, rng, camera)
+    cell = make_cell(robot, positions, rng, camera)
     glossy = rng.random(len(robot.meshes) + 1) < config.glossy_share
     return Sequence(robot, cell, positions, glossy)
 
@@ -98,12 +102,12 @@ def make_frame(
     shiny = np.zeros(sum(sizes), bool)
     shiny[: sizes[0]] = glossy[robot.faces_link]
     shiny[sizes[0] : sizes[0] + sizes[1]] = glossy[-1]
-    whole = Scene(_together(parts))
+    whole = Scene(together(parts))
     counts, faces = l515_depth(whole, cell.camera, rng, config.depth_sensor, shiny)
     labels = _pixel_labels(faces, face_labels)
 
     open_faces = sum(sizes[:3])
-    uncluttered = Scene(_together(parts[:3]))
+    uncluttered = Scene(together(parts[:3]))
     wanted = face_labels[:open_faces] != LABELS["clutter"]
     complete = survey(
         uncluttered,
@@ -119,24 +123,13 @@ def make_frame(
         depth=counts,
         camera=cell.camera,
         partial=_partial(counts, labels, cell),
-        complete=complete.astype(np.float32),
+        complete=_rounded(complete),
         labels=labels,
         joints={
             "robot": robot.name,
             "positions": dict(zip(robot.joints, positions.tolist(), strict=True)),
             "hidden_share": round(hidden, 4),
         },
-    )
-
-
-def _together(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    sizes = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-    return trimesh.Trimesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate(
-            [mesh.faces + start for mesh, start in zip(meshes, sizes, strict=False)]
-        ),
-        process=False,
     )
 
 
@@ -162,7 +155,11 @@ def _partial(
     points = points[inside(points, cell.lower, cell.upper)]
     if len(points) < MIN_PARTIAL:
         raise ValueError(f"the camera sees {len(points)} points of the robot")
-    return points.astype(np.float32)
+    return _rounded(points)
+
+
+def _rounded(points: Float64[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
+    return (np.round(points / CLOUD_STEP) * CLOUD_STEP).astype(np.float32)
 
 
 def _pixel_labels(

@@ -19,11 +19,25 @@ _TOP = 0.04
 def to_mesh(solids: Sequence[Manifold]) -> trimesh.Trimesh:
     """The solids' triangles, solid by solid; none gives an empty mesh."""
     parts = [solid.to_mesh() for solid in solids]
-    meshes = [
-        trimesh.Trimesh(part.vert_properties[:, :3], part.tri_verts, process=False)
-        for part in parts
-    ]
-    return trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh()
+    return together(
+        [
+            trimesh.Trimesh(part.vert_properties[:, :3], part.tri_verts, process=False)
+            for part in parts
+        ]
+    )
+
+
+def together(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """The meshes as one, their triangles in order; none gives an empty mesh."""
+    starts = np.cumsum([0, *[len(mesh.vertices) for mesh in meshes]])
+    return trimesh.Trimesh(
+        np.concatenate([np.empty((0, 3)), *[mesh.vertices for mesh in meshes]]),
+        np.concatenate(
+            [np.empty((0, 3), int)]
+            + [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+        ),
+        process=False,
+    )
 
 
 def table(lower: np.ndarray, upper: np.ndarray, height: float) -> list[Manifold]:
@@ -109,4 +123,4 @@ def upright(solid: Manifold, place: np.ndarray, yaw: float) -> Manifold:
     """The solid, turned by `yaw` radians, standing on the point `place`."""
     low = solid.bounding_box()[2]
     turned = solid.translate((0, 0, -low)).rotate((0, 0, float(np.degrees(yaw))))
-    return turned.translate(tuple(float(x) for x in place))
+    return turned.translate((float(place[0]), float(place[1]), float(place[2])))

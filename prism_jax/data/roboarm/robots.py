@@ -15,6 +15,7 @@ import trimesh
 from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
+from prism_jax.data.roboarm.furnishings import to_mesh, together
 from prism_jax.data.roboarm.models import ArmModel, urdf_path
 from prism_jax.data.solids import box
 from prism_jax.io.errors import InputError
@@ -40,7 +41,8 @@ class Robot:
         A joint that mimics another starts no part of its own.
       parents: for each body, the one that carries it; the root's is 0.
       probes: points on the links' surfaces, in the frames of the links
-        `probe_links`: what collisions are looked for with.
+        `probe_links`: what collisions are looked for with, as many on every link.
+      probe_weights: the share of the surface that each probe stands for.
     """
 
     def __init__(self, model: ArmModel):
@@ -49,7 +51,7 @@ class Robot:
         links, self._chain = _subtree(_parse(path), model.root, path)
         moving = [joint for joint in self._chain if _moves(joint)]
         self.joints = tuple(joint.name for joint in moving)
-        limits = np.array([_limits(joint) for joint in moving]).reshape(-1, 2)
+        limits = np.array([_limits(joint, path) for joint in moving]).reshape(-1, 2)
         self.lower, self.upper = limits[:, 0], limits[:, 1]
         self._frames = [link.name for link in links]
         self._mount = np.eye(4)
@@ -58,15 +60,13 @@ class Robot:
         ).as_matrix()
         self.meshes, self._link_frames = [], []
         for index, link in enumerate(links):
-            mesh = _link_mesh(link, path)
+            shapes = _link_shapes(link, path)
             if link.name == model.tool_link:
-                mesh = trimesh.util.concatenate([*mesh, _gripper(model.tool_axis)])
-            elif mesh:
-                mesh = trimesh.util.concatenate(mesh)
-            else:
-                continue
-            self.meshes.append(mesh)
-            self._link_frames.append(index)
+                shapes.append(_gripper(model.tool_axis))
+            if shapes:
+                self.meshes.append(together(shapes))
+                self._link_frames.append(index)
+        self.link_names = tuple(self._frames[index] for index in self._link_frames)
         if not self.meshes:
             raise InputError(path, "has no link with a shape", _REMEDY)
         self._stand_on_the_ground()
@@ -85,12 +85,14 @@ class Robot:
     def mesh(self, positions: Float[np.ndarray, " J"]) -> trimesh.Trimesh:
         """All links in one pose: `faces_link` names each face's link."""
         placed = [
-            mesh.copy().apply_transform(pose)
+            trimesh.Trimesh(
+                mesh.vertices @ pose[:3, :3].T + pose[:3, 3], mesh.faces, process=False
+            )
             for mesh, pose in zip(
                 self.meshes, self.link_poses(positions[None])[0], strict=True
             )
         ]
-        return trimesh.util.concatenate(placed)
+        return together(placed)
 
     def probe_points(
         self, positions: Float[np.ndarray, "P J"]
@@ -133,8 +135,8 @@ class Robot:
                 self.parents.append(carrier)
             else:
                 body[joint.child] = carrier
-        names = [self._frames[index] for index in self._link_frames]
-        self.bodies: Int[np.ndarray, " L"] = np.array([body[name] for name in names])
+        numbers = [body[name] for name in self.link_names]
+        self.bodies: Int[np.ndarray, " L"] = np.array(numbers)
 
     def _place_probes(self) -> None:
         rng = np.random.default_rng(0)
@@ -144,6 +146,8 @@ class Robot:
         ]
         self.probes = np.concatenate(sampled)
         self.probe_links = np.repeat(np.arange(len(sampled)), POINTS_PER_LINK)
+        areas = np.array([mesh.area for mesh in self.meshes])[self.probe_links]
+        self.probe_weights: Float64[np.ndarray, " N"] = areas / areas.sum()
 
 
 def _parse(path: pathlib.Path) -> Any:
@@ -194,11 +198,18 @@ def _moves(joint: Any) -> bool:
     return joint.type in _MOVING and joint.mimic is None
 
 
-def _limits(joint: Any) -> tuple[float, float]:
+def _limits(joint: Any, path: pathlib.Path) -> tuple[float, float]:
     limit = joint.limit
-    if joint.type == "continuous" or limit is None or limit.lower is None:
+    if (
+        joint.type == "continuous"
+        or limit is None
+        or None in (limit.lower, limit.upper)
+    ):
         return -MAX_TURN, MAX_TURN
     lower, upper = float(limit.lower), float(limit.upper)
+    if not -np.inf < lower <= upper < np.inf:
+        fault = f"limits its joint {joint.name!r} to {lower:g} to {upper:g}"
+        raise InputError(path, fault, _REMEDY)
     if joint.type == "prismatic":
         return lower, upper
     middle = (lower + upper) / 2
@@ -224,7 +235,7 @@ def _motion(joint: Any, positions: dict, count: int) -> Float64[np.ndarray, "P 4
     return motion
 
 
-def _link_mesh(link: Any, path: pathlib.Path) -> list[trimesh.Trimesh]:
+def _link_shapes(link: Any, path: pathlib.Path) -> list[trimesh.Trimesh]:
     """What is seen of a link, or where the file shows nothing, what may be touched."""
     placed = []
     for shape in link.visuals or link.collisions or []:
@@ -280,11 +291,10 @@ def _mesh_file(name: str, urdf: pathlib.Path) -> pathlib.Path:
 
 def _gripper(axis: str) -> trimesh.Trimesh:
     """Two fingers on a palm, 0.16 m long, along +x or +z of its link."""
-    solid = box((0, 0, 0.035), (0.07, 0.1, 0.07), 0.008)
+    solids = [box((0, 0, 0.035), (0.07, 0.1, 0.07), 0.008)]
     for side in (-1, 1):
-        solid += box((0, side * 0.037, 0.115), (0.024, 0.014, 0.09), 0.003)
-    shape = solid.to_mesh()
-    mesh = trimesh.Trimesh(shape.vert_properties[:, :3], shape.tri_verts, process=False)
+        solids.append(box((0, side * 0.037, 0.115), (0.024, 0.014, 0.09), 0.003))
+    mesh = to_mesh(solids)
     if axis == "x":
         mesh.vertices = mesh.vertices[:, [2, 0, 1]]
     return mesh

@@ -45,7 +45,7 @@ def survey(
     """
     corners = scene.triangles[wanted].reshape(-1, 3)
     lower, upper = corners.min(axis=0), corners.max(axis=0)
-    center, radius = (lower + upper) / 2, np.linalg.norm(upper - lower) / 2
+    center, radius = (lower + upper) / 2, float(np.linalg.norm(upper - lower) / 2)
     gathered, count = [], 0
     for _ in range(MAX_ROUNDS):
         for position, rotation in _stations(center, radius, num_stations, rng):

@@ -78,7 +78,7 @@ class Clearance:
     def is_free(self, positions: Float[np.ndarray, "P J"]) -> Bool[np.ndarray, " P"]:
         """Whether each pose is clear."""
         probes = self._robot.probe_points(positions)
-        free = (probes[:, self._bodies > 0, 2] > FLOOR_GAP).all(axis=1)
+        free = np.min(probes[:, self._bodies > 0, 2], axis=1, initial=1) > FLOOR_GAP
         for pose in np.flatnonzero(free):
             free[pose] = not any(self._touch(probes[pose], *p) for p in self._pairs)
         return free
