@@ -15,7 +15,6 @@ which is written last.
 
 import collections
 import dataclasses
-import hashlib
 import io
 import json
 import os
@@ -28,6 +27,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
+from prism_jax.data.builds import MANIFEST, hash_files
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.atomic import make_output_dir, write_bytes
@@ -44,7 +44,6 @@ LABELS = {"nothing": 0, "robot": 1, "clutter": 2, "fixture": 3}
 """What a pixel sees: no return; the robot; what is neither asked for nor in the clouds
 (floor, table, fence, boxes); the fixtures, which are part of the clouds."""
 
-MANIFEST = "manifest.json"
 MAX_METRES = 50.0
 """A coordinate beyond this is not in metres, or not of a cell."""
 NEAR = 0.03
@@ -182,16 +181,6 @@ def check_recordings(root: str | os.PathLike, verify: bool = True) -> int:
     for index in range(len(cells)):
         cells.read(index)
     return len(cells)
-
-
-def hash_files(root: str | os.PathLike) -> dict[str, str]:
-    """The sha256 of every file of the layout, by its path below the root."""
-    root = pathlib.Path(root)
-    paths = [path for files in _find_frames(root).values() for path in files]
-    return {
-        path.relative_to(root).as_posix(): hashlib.sha256(read_bytes(path)).hexdigest()
-        for path in sorted(paths)
-    }
 
 
 def _file(frame: pathlib.Path, suffix: str) -> pathlib.Path:

@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from prism_jax.data.builds import hash_files
 from prism_jax.data.recordings import (
     DEPTH_SCALE,
     LABELS,
@@ -15,7 +16,6 @@ from prism_jax.data.recordings import (
     RecordedCells,
     check_recordings,
     has_frame,
-    hash_files,
     read_frame,
     write_frame,
 )

@@ -5,31 +5,26 @@ sequences of frames in the layout of `prism_jax.data.recordings`, each with an L
 depth image, its partial cloud, and an Ouster's complete cloud of robot and fixtures.
 """
 
-import concurrent.futures
 import dataclasses
 import functools
 import json
-import multiprocessing
 import os
 import pathlib
 import shutil
-import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
+from prism_jax.data import builds
 from prism_jax.data.recordings import (
-    MANIFEST,
     RecordedCells,
     has_frame,
-    hash_files,
     write_frame,
 )
 from prism_jax.data.roboarm.frames import RoboArmConfig, make_frame, make_sequence
 from prism_jax.data.roboarm.models import ArmModel, arms_of, urdf_path
-from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError
 
 SPLITS = ("train", "validation", "test")
@@ -63,23 +58,24 @@ def build_roboarm(
     if min(num_sequences, num_frames) < 1 or seed < 0:
         fault = f"{num_sequences} sequences of {num_frames} frames, seed {seed}"
         raise InputError("roboarm", fault, "ask for one or more, and a seed from 0 on")
-    folder = make_output_dir(output_dir)
-    content = _content(split, num_sequences, num_frames, seed, config, arms)
-    if _is_finished(folder, content):
-        return folder
-    build = functools.partial(
-        _build_sequence, split, num_frames, seed, config, arms, folder
+    folder = pathlib.Path(output_dir)
+    names = [
+        f"{index:03d}-{arms[index % len(arms)].name}" for index in range(num_sequences)
+    ]
+    return builds.build(
+        folder,
+        _content(split, num_sequences, num_frames, seed, config, arms),
+        [num_frames] * num_sequences,
+        lambda index: all(
+            has_frame(folder / names[index], number) for number in range(num_frames)
+        ),
+        functools.partial(
+            _build_sequence, split, num_frames, seed, config, arms, folder
+        ),
+        "frame",
+        num_workers,
+        progress,
     )
-    start = time.perf_counter()
-    with tqdm(
-        total=num_sequences, desc=split, unit="sequence", disable=not progress
-    ) as bar:
-        _run(build, num_sequences, num_workers, bar)
-    _write_manifest(folder, content | {"files": hash_files(folder)})
-    if progress:
-        minutes = (time.perf_counter() - start) / 60
-        print(f"{split}: {num_sequences / minutes:.1f} sequences/min")
-    return folder
 
 
 def copy_first_frames(
@@ -93,36 +89,20 @@ def copy_first_frames(
     RecordedCells(source)
     if any(folder.iterdir()):
         raise InputError(folder, "is not empty", "name another folder")
-    content = json.loads((source / MANIFEST).read_text())
+    content = builds.read_manifest(source, "build it whole")
     for name in content["files"]:
         if pathlib.PurePath(name).name.startswith("000000."):
             (folder / name).parent.mkdir(exist_ok=True)
             shutil.copyfile(source / name, folder / name)
-    _write_manifest(folder, content | {"num_frames": 1, "files": hash_files(folder)})
+    builds.write_manifest(
+        folder, content | {"num_frames": 1, "files": builds.hash_files(folder)}
+    )
     return folder
 
 
 def own_rng(split: str, seed: int, *indices: int) -> np.random.Generator:
     """The generator of a sequence, or of one of its frames."""
     return np.random.default_rng((seed, SPLITS.index(split), *indices))
-
-
-def _run(build, num_sequences: int, num_workers: int | None, bar: tqdm) -> None:
-    if num_workers == 0:
-        for index in range(num_sequences):
-            build(index)
-            bar.update()
-        return
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(num_workers, context) as pool:
-        futures = [pool.submit(build, index) for index in range(num_sequences)]
-        try:
-            for future in concurrent.futures.as_completed(futures):
-                future.result()
-                bar.update()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 def _build_sequence(
@@ -158,29 +138,3 @@ def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, 
         "arms": [dataclasses.asdict(model) for model in arms],
     }
     return json.loads(json.dumps(content))
-
-
-def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
-    """Whether a build of this content is there whole; begins one where nothing is."""
-    manifest = folder / MANIFEST
-    if not manifest.exists():
-        if any(not path.name.startswith(".") for path in folder.iterdir()):
-            raise InputError(folder, "is not empty", "name a new folder")
-        _write_manifest(folder, content | {"files": None})
-        return False
-    try:
-        found = json.loads(manifest.read_text())
-        files = found.pop("files")
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(
-            manifest, "is not a manifest", "delete it and the folder"
-        ) from None
-    if found != content:
-        fault = "was begun with another split, size, seed, config or version"
-        raise InputError(folder, fault, "name a new folder, or delete this one")
-    return files is not None and all((folder / name).exists() for name in files)
-
-
-def _write_manifest(folder: pathlib.Path, content: dict[str, Any]) -> None:
-    text = json.dumps(content, indent=1) + "\n"
-    write_bytes(folder / MANIFEST, text.encode())
