@@ -1,3 +1,6 @@
+import importlib.metadata
+import sys
+
 import numpy as np
 import pytest
 import trimesh
@@ -166,3 +169,17 @@ def test_every_arm_moves_as_yourdfpy_says_and_hangs_together(model):
         gaps = np.linalg.norm(own[:, :, None] - others[:, None], axis=-1)
         assert gaps.min(axis=(1, 2)).max() < 0.1
     assert 0.3 < np.linalg.norm(probes, axis=-1).max() < 1.8
+
+
+def test_the_extra_is_named_where_it_is_not_installed(model, monkeypatch):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(importlib.metadata, "files", missing)
+        with pytest.raises(InputError, match=r"not installed.*prism_jax\[robots\]"):
+            urdf_path(ARMS["test"][0])
+        assert urdf_path(model).is_file()
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    with pytest.raises(InputError, match=r"yourdfpy: is not installed.*\[robots\]"):
+        Robot(model)
