@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from prism_jax.data.recordings import RecordedCells
 from prism_jax.weights import save_weights
 
 README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
@@ -41,9 +42,9 @@ def run(folder, code: str) -> str:
     return ended.stdout
 
 
-def test_there_are_two():
-    assert len(EXAMPLES) == 2
-    assert all('"small"' in code for code in EXAMPLES)
+def test_there_are_three():
+    assert len(EXAMPLES) == 3
+    assert all('"small"' in code for code in EXAMPLES[:2])
 
 
 def test_a_plain_script(folder):
@@ -61,3 +62,9 @@ def test_inside_ones_own_jax_code(folder, minimal):
     half = 0.5 * minimal.model.margin * np.ptp(scan, axis=0).max()
     middle = 0.5 * (scan.min(0) + scan.max(0))
     assert (np.abs(metres - middle) <= half * (1 + 1e-5)).all()
+
+
+def test_ones_own_recordings(folder):
+    (folder / "my_cells").symlink_to(RecordedCells.bundled().root)
+    shown = "\nprint(len(frames), frames[0].partial.shape[1])\n"
+    assert run(folder, EXAMPLES[2] + shown).split() == ["20", "3"]

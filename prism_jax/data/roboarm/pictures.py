@@ -99,7 +99,7 @@ def draw_depth(depth: Float[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def draw_clouds(
-    clouds: list[tuple[Float[np.ndarray, "N 3"], tuple[float, float, float]]],
+    clouds: list[tuple[Float[np.ndarray, "_ 3"], tuple[float, float, float]]],
     camera: Camera,
 ) -> UInt8[np.ndarray, "H W 3"]:
     """Points of 2 x 2 pixels, later clouds over earlier ones, darker farther away."""
