@@ -13,6 +13,7 @@ from prism_jax.data.datasets import (
     is_built,
     open_training,
 )
+from prism_jax.data.source import Source
 from prism_jax.presets import Preset, resolve
 from prism_jax.training.indices import index_table
 from prism_jax.training.leg import Data
@@ -40,8 +41,9 @@ def main(argv):
     """Trains, or goes on training; a finished run leaves weights.safetensors."""
     del argv
     preset = resolve(FLAGS.preset, FLAGS.set)
+    sources = open_sources()
     folder = open_run(FLAGS.workdir, preset, FLAGS.seed, FLAGS.resume)
-    data = open_data(preset)
+    data = make_data(preset, *sources)
     variables = pretrain(preset, data, folder, FLAGS.seed, FLAGS.max_steps)
     if variables is None:
         print(f"stopped; go on with --workdir={folder} --resume")
@@ -58,13 +60,17 @@ def main(argv):
     print(f"written {path}")
 
 
-def open_data(preset: Preset) -> Data:
-    """The training and validation splits; generated sets are built where missing."""
+def open_sources() -> tuple[Source, Source]:
+    """To train on and to validate with; generated sets are built where missing."""
     if FLAGS.dataset in GENERATED:
         for split in ("train", "validation"):
             if not is_built(FLAGS.dataset, split, FLAGS.data_dir):
                 build_dataset(FLAGS.dataset, split, FLAGS.data_dir)
-    train, validation = open_training(FLAGS.dataset, FLAGS.data_dir)
+    return open_training(FLAGS.dataset, FLAGS.data_dir)
+
+
+def make_data(preset: Preset, train: Source, validation: Source) -> Data:
+    """The sources as the preset reads them, with the encoder's indices."""
     model, config = preset.model, preset.pretrain
     data = Data(
         train,
