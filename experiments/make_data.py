@@ -5,12 +5,13 @@ from absl import app, flags
 from experiments.launch import launch
 from prism_jax.data.corpus import SPLITS
 from prism_jax.data.datasets import GENERATED, build_dataset
+from prism_jax.data.roboarm.models import own_arm
 
 FLAGS = flags.FLAGS
 
 _CHANGES = {
     "shapes": ("num_shapes", "num_views", "partial", "seed"),
-    "roboarm": ("num_sequences", "num_frames", "seed"),
+    "roboarm": ("num_sequences", "num_frames", "seed", "urdf"),
 }
 
 
@@ -26,6 +27,7 @@ def define_flags() -> None:
     flags.DEFINE_string("partial", None, "shapes: kind of the partial clouds.")
     flags.DEFINE_integer("num_sequences", None, "roboarm: how many.")
     flags.DEFINE_integer("num_frames", None, "roboarm: frames of each sequence.")
+    flags.DEFINE_multi_string("urdf", None, "roboarm: URDF files of your own robots.")
 
 
 def main(argv):
@@ -37,6 +39,8 @@ def main(argv):
     given = {name: value for name, value in given.items() if value is not None}
     for name in given.keys() - _CHANGES[FLAGS.dataset]:
         raise app.UsageError(f"--{name} does not belong to --dataset={FLAGS.dataset}")
+    if "urdf" in given:
+        given["arms"] = [own_arm(path) for path in given.pop("urdf")]
     print(
         build_dataset(
             FLAGS.dataset, FLAGS.split, FLAGS.output_dir, FLAGS.num_workers, **given

@@ -8,6 +8,7 @@ import dataclasses
 import importlib.metadata
 import os
 import pathlib
+import re
 
 from prism_jax.io.errors import InputError
 
@@ -124,6 +125,13 @@ def arms_of(split: str) -> tuple[ArmModel, ...]:
     if split not in ARMS:
         raise InputError("split", f"unknown split {split!r}", f"use one of {[*ARMS]}")
     return ARMS[split]
+
+
+def own_arm(path: str | os.PathLike) -> ArmModel:
+    """An arm of the user's, the whole robot of a URDF file, named after the file."""
+    path = pathlib.Path(path).absolute()
+    name = re.sub(r"[^\w-]", "_", path.stem)
+    return ArmModel(name, "own", str(path))
 
 
 def urdf_path(model: ArmModel) -> pathlib.Path:

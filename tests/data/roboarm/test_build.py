@@ -1,5 +1,6 @@
 import hashlib
 import json
+import pathlib
 
 import pytest
 
@@ -7,7 +8,7 @@ from prism_jax.data.builds import MANIFEST
 from prism_jax.data.recordings import RecordedCells, check_recordings
 from prism_jax.data.roboarm import build
 from prism_jax.data.roboarm.build import build_roboarm, copy_first_frames
-from prism_jax.data.roboarm.models import ArmModel
+from prism_jax.data.roboarm.models import ArmModel, own_arm
 from prism_jax.io.errors import InputError
 
 
@@ -119,3 +120,12 @@ def test_first_frames_are_a_set_of_their_own(built, tmp_path):
     assert part == {name: whole[name] for name in part} and len(part) == 12
     with pytest.raises(InputError, match="not empty"):
         copy_first_frames(built, copied)
+
+
+def test_ones_own_robot_stands_in_the_cells(model, small, tmp_path):
+    file = tmp_path / "my robot.urdf"
+    file.write_bytes(pathlib.Path(model.urdf).read_bytes())
+    folder = build_roboarm(
+        "test", tmp_path / "cells", 1, 1, 5, 0, False, small, [own_arm(file)]
+    )
+    assert RecordedCells(folder).frames == (("000-my_robot", "000000"),)
