@@ -1,6 +1,11 @@
 """Folders that are built in parts, by several processes, and checked."""
 
 import json
+import os
+import pathlib
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -165,3 +170,45 @@ def test_damaged_and_missing_files_are_named(squares):
 def test_a_line_tells_the_rate(tmp_path, capsys):
     Squares(tmp_path).build(progress=True)
     assert "5 squares in 0 s" in capsys.readouterr().out
+
+
+def wait(folder, number):
+    """An item that leaves its process's number and never ends."""
+    (folder / f"{os.getpid()}.pid").touch()
+    time.sleep(600)
+
+
+_WAITING = """
+import functools, pathlib, sys
+sys.path[:0] = sys.argv[2:]
+from prism_jax.data import builds
+from tests.data.test_builds import wait
+
+if __name__ == "__main__":
+    folder = pathlib.Path(sys.argv[1])
+    build = functools.partial(wait, folder)
+    builds.build(folder, {}, [1], lambda number: False, build, "item", 1)
+"""
+
+
+def test_workers_end_with_a_build_that_is_killed(tmp_path):
+    script = tmp_path / "build.py"
+    script.write_text(_WAITING)
+    folder, root = tmp_path / "items", pathlib.Path(__file__).parents[2]
+    parent = subprocess.Popen([sys.executable, script, folder, root], cwd=root)
+    try:
+        worker = _until(lambda: next(iter(folder.glob("*.pid")), None))
+    finally:
+        parent.kill()
+        parent.wait()
+    number = int(worker.stem)
+    assert _until(lambda: not pathlib.Path(f"/proc/{number}/fd").exists())
+
+
+def _until(found, seconds=60):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if result := found():
+            return result
+        time.sleep(0.1)
+    raise TimeoutError
