@@ -12,9 +12,7 @@ from absl import flags
 from experiments.launch import launch, with_large_pages
 from prism_jax.data.datasets import (
     DATASETS,
-    GENERATED,
-    build_dataset,
-    is_built,
+    build_if_missing,
     open_dataset,
 )
 from prism_jax.evaluation import evaluate, markdown
@@ -45,8 +43,7 @@ def main(argv):
     if FLAGS.steps is not None:
         config = dataclasses.replace(config, num_steps=FLAGS.steps)
     place = (FLAGS.dataset, FLAGS.split, FLAGS.data_dir)
-    if FLAGS.dataset in GENERATED and not is_built(*place):
-        build_dataset(*place)
+    build_if_missing(*place)
     source = open_dataset(*place)
     about = {
         "weights": FLAGS.weights,

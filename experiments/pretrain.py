@@ -8,9 +8,7 @@ from absl import flags
 from experiments.launch import launch, with_large_pages
 from prism_jax.data.datasets import (
     DATASETS,
-    GENERATED,
-    build_dataset,
-    is_built,
+    build_if_missing,
     open_training,
 )
 from prism_jax.data.source import Source
@@ -62,10 +60,8 @@ def main(argv):
 
 def open_sources() -> tuple[Source, Source]:
     """To train on and to validate with; generated sets are built where missing."""
-    if FLAGS.dataset in GENERATED:
-        for split in ("train", "validation"):
-            if not is_built(FLAGS.dataset, split, FLAGS.data_dir):
-                build_dataset(FLAGS.dataset, split, FLAGS.data_dir)
+    for split in ("train", "validation"):
+        build_if_missing(FLAGS.dataset, split, FLAGS.data_dir)
     return open_training(FLAGS.dataset, FLAGS.data_dir)
 
 

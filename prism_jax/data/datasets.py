@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from prism_jax.data.builds import MANIFEST
 from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
 from prism_jax.data.public import PUBLIC_SETS, open_public
 from prism_jax.data.recordings import RecordedCells
@@ -42,10 +43,18 @@ def build_dataset(
     raise InputError(name, "is not generated", f"use one of {', '.join(GENERATED)}")
 
 
-def is_built(name: str, split: str, data_dir: str | os.PathLike | None = None) -> bool:
-    """Whether a generated set's split has been begun in its folder."""
+def build_if_missing(
+    name: str, split: str, data_dir: str | os.PathLike | None = None
+) -> None:
+    """Builds a generated set's split with its defaults, unless one is begun there.
+
+    Sets that are not generated are left alone.
+    """
     folders = {"shapes": split_dir, "roboarm": _roboarm_dir}
-    return (folders[name](split, data_dir) / "manifest.json").exists()
+    if name not in GENERATED:
+        return
+    if not (folders[name](split, data_dir) / MANIFEST).exists():
+        build_dataset(name, split, data_dir)
 
 
 def open_dataset(

@@ -11,8 +11,8 @@ from prism_jax.data.datasets import (
     TEST_ONLY,
     Subset,
     build_dataset,
+    build_if_missing,
     hold_out,
-    is_built,
     open_dataset,
     open_training,
 )
@@ -81,13 +81,21 @@ def test_a_subset_has_the_items_of_its_rows():
 
 
 def test_shapes_are_built_and_opened(tmp_path):
-    assert not is_built("shapes", "validation", tmp_path)
     folder = build_dataset("shapes", "validation", tmp_path, 0, num_shapes=1, seed=5)
     assert folder == tmp_path / "shapes-validation"
-    assert is_built("shapes", "validation", tmp_path)
+    # Which would take the 396 shapes of the defaults, were it not there.
+    build_if_missing("shapes", "validation", tmp_path)
     source = open_dataset("shapes", "validation", tmp_path)
     assert isinstance(source, Corpus)
     assert names(source) == ["000000/00"]
+
+
+def test_what_is_missing_is_built_with_its_defaults(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(datasets, "build_dataset", lambda *place: asked.append(place))
+    for name in ("shapes", "roboarm", "pcn"):
+        build_if_missing(name, "validation", tmp_path)
+    assert asked == [(name, "validation", tmp_path) for name in ("shapes", "roboarm")]
 
 
 def test_a_set_with_a_validation_split_trains_on_all_of_its_training_split(shapes_dir):

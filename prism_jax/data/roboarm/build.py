@@ -7,7 +7,6 @@ depth image, its partial cloud, and an Ouster's complete cloud of robot and fixt
 
 import dataclasses
 import functools
-import json
 import os
 import pathlib
 import shutil
@@ -126,8 +125,8 @@ def _build_sequence(
 
 
 def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, Any]:
-    """Everything that the bytes depend on, as it reads back from JSON."""
-    content = {
+    """Everything that the bytes depend on."""
+    return {
         "generator": "prism_jax roboarm",
         "generator_version": GENERATOR_VERSION,
         "split": split,
@@ -137,4 +136,3 @@ def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, 
         "config": dataclasses.asdict(config),
         "arms": [dataclasses.asdict(model) for model in arms],
     }
-    return json.loads(json.dumps(content))
