@@ -5,10 +5,10 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import AdaptConfig, MetaConfig
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
-from prism_jax.training.config import PhaseConfig, PretrainConfig
+from prism_jax.training.config import MetaTrainConfig, PhaseConfig, PretrainConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,10 +18,15 @@ class Preset:
     Attributes:
       adapt: the networks, and how they adapt to a frame.
       pretrain: how they are trained first.
+      meta: how they then learn to adapt.
+      num_shapes: procedural shapes that are built for it alone, or 0 for the corpus
+        that all share.
     """
 
     adapt: AdaptConfig
     pretrain: PretrainConfig
+    meta: MetaTrainConfig
+    num_shapes: int = 0
 
     @property
     def model(self) -> ModelConfig:
@@ -95,6 +100,24 @@ def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
     )
 
 
+_SMALL_META = MetaTrainConfig(
+    MetaConfig(
+        lambda_aux=0.0,
+        weight_rule="meta",
+        rehearse_depth=True,
+        learn_steps=True,
+        learn_refiner=False,
+    ),
+    num_samples=48_000,
+    num_complete=2048,
+    optimiser="adam",
+    learning_rate=2e-4,
+    final_rate=0.01,
+    warmup_steps=100,
+    clip_norm=1.0,
+    validate_every=8_000,
+)
+
 PRESETS = {
     "tiny": Preset(
         AdaptConfig(
@@ -108,10 +131,15 @@ PRESETS = {
             num_complete=128,
             validate_every=32,
         ),
+        MetaTrainConfig(
+            num_samples=128, batch_size=8, num_complete=128, validate_every=32
+        ),
+        num_shapes=64,
     ),
     "small": Preset(
         AdaptConfig(ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32)),
         PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000),
+        _SMALL_META,
     ),
     "paper": Preset(
         AdaptConfig(ModelConfig(_PAPER)),
@@ -120,6 +148,7 @@ PRESETS = {
             auxiliary_samples=500_000,
             num_complete=16_384,
         ),
+        MetaTrainConfig(MetaConfig(remat=True), at_once=1),
     ),
 }
 

@@ -5,6 +5,7 @@ measured scores as JSON. Nothing is ever unpickled.
 """
 
 import dataclasses
+import hashlib
 import importlib.resources
 import json
 import pathlib
@@ -21,7 +22,7 @@ from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.models.initial import init_variables
-from prism_jax.models.variables import Variables
+from prism_jax.models.variables import Variables, unlearned_steps
 
 SUFFIX = ".safetensors"
 NOT_OURS = "it holds no prism_jax configuration"
@@ -87,6 +88,16 @@ def save_weights(
     write_bytes(path, safetensors.numpy.save(arrays, text))
 
 
+def sha256(variables: Variables) -> str:
+    """Of all arrays, their names, types and shapes: equal for equal bytes alone."""
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_leaves_with_path(variables):
+        array = np.asarray(leaf)
+        digest.update(f"{_key(path)} {array.dtype} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
 def config_from_dict(fields: dict[str, Any]) -> AdaptConfig:
     """The configuration whose ``dataclasses.asdict`` went through JSON."""
     fields = dict(fields)
@@ -133,6 +144,8 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
         for step in path:
             branch = branch.setdefault(step, {})
         branch[name] = jnp.asarray(array)
+    steps = unlearned_steps(variables["params"])
+    variables["weighting"].setdefault("log_steps", steps)
     return variables
 
 
@@ -144,7 +157,10 @@ def _checked_tree(
 
     def pick(leaf_path: tuple[Any, ...], leaf: jax.ShapeDtypeStruct) -> jax.Array:
         key = _key(leaf_path)
-        array = arrays.pop(key, None)
+        if key.startswith("weighting/log_steps/"):
+            array = arrays.pop(key, np.zeros(()))  # files of before they were learned
+        else:
+            array = arrays.pop(key, None)
         if array is None or array.shape != leaf.shape:
             raise InputError(path, f"{key} is missing or misshapen", _remedy())
         return jnp.asarray(array, leaf.dtype)

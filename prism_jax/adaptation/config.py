@@ -1,8 +1,12 @@
-"""Settings of test-time adaptation."""
+"""Settings of test-time adaptation and of the meta-objective."""
 
 import dataclasses
+from typing import Literal
 
+from prism_jax.losses.chamfer import ChamferNorm
 from prism_jax.models.config import ModelConfig
+
+WeightRule = Literal["auxiliary", "meta"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -12,7 +16,7 @@ class AdaptConfig:
     Attributes:
       model: the networks.
       num_steps: gradient steps per frame, K_TTA.
-      step_size: of plain SGD, alpha_TTA.
+      step_size: of plain SGD, alpha_TTA; learned steps are multiples of it.
       depth_weight: of the depth consistency; 1 as in Eq. 13.
       lambda_smooth: of the normals' smoothness in Eq. 5.
       normal_neighbors: neighbourhood of the PCA normals.
@@ -37,3 +41,36 @@ class AdaptConfig:
     transport_epsilon: float = 0.05
     adapt_norm: bool = True
     seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class MetaConfig:
+    """Eq. 11 and 12, with the paper's values where it gives them.
+
+    Attributes:
+      num_steps: of the inner loop, K; its step size is `AdaptConfig.step_size`.
+      first_order: whether the inner gradients count as constants.
+      beta_0: weight of the zero-step term.
+      lambda_aux: of the auxiliary loss that the encoders also descend.
+      weight_rule: what teaches the logits of the loss weights: "auxiliary", the
+        weighted loss itself, as in the paper, or "meta", the primary loss after
+        adaptation.
+      rehearse_depth: whether the inner loop descends the depth consistency too, and so
+        exactly what test time does (Eq. 13 in the place of Eq. 11).
+      learn_steps: whether a step size is learned for each module of the encoders
+        (Meta-SGD, Li et al., 2017).
+      learn_refiner: whether the refiner learns, from Eq. 3; if not, it stays.
+      remat: whether the backward pass computes the networks anew, for memory.
+      norm: Chamfer convention of Eq. 10.
+    """
+
+    num_steps: int = 1
+    first_order: bool = False
+    beta_0: float = 0.1
+    lambda_aux: float = 10.0
+    weight_rule: WeightRule = "auxiliary"
+    rehearse_depth: bool = False
+    learn_steps: bool = False
+    learn_refiner: bool = True
+    remat: bool = False
+    norm: ChamferNorm = "l1"

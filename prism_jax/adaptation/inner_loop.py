@@ -4,31 +4,75 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.models.variables import Variables, pop_encoders
 
 Params = TypeVar("Params")
 Aux = Any
+StepSizes = Any
+"""One step size for all parameters, or a tree of them that has the parameters' tree as
+its own or begins as it does: a step size then holds for all below its place."""
 
 
 def unroll(
     loss_fn: Callable[[Params], tuple[Float[Array, ""], Aux]],
     params: Params,
-    step_size: float | Float[Array, ""],
+    step_sizes: StepSizes,
     num_steps: int,
+    first_order: bool = False,
 ) -> tuple[Params, tuple[Float[Array, " K"], Aux]]:
-    """``num_steps`` of ``params - step_size * grad(loss_fn)(params)``.
+    """``num_steps`` of ``params - step_sizes * grad(loss_fn)(params)``.
 
     ``loss_fn`` returns the loss and anything else worth keeping. Returns the adapted
     parameters, and the losses and extras *before* each step, stacked. The body is
     traced once, whatever the number of steps. Differentiable in ``params``,
-    ``step_size`` and all that ``loss_fn`` closes over, to second order (MAML, Finn et
-    al., ICML 2017).
+    ``step_sizes`` and all that ``loss_fn`` closes over, to second order (MAML, Finn et
+    al., ICML 2017); with ``first_order`` the gradients count as constants, and only
+    ``params`` and ``step_sizes`` have a derivative through the steps.
     """
     value_and_grad = jax.value_and_grad(loss_fn, has_aux=True)
 
     def step(params: Params, _: None):
         (loss, aux), grads = value_and_grad(params)
-        moved = jax.tree.map(lambda p, g: p - step_size * g, params, grads)
-        return moved, (loss, aux)
+        return descend(params, grads, step_sizes, first_order), (loss, aux)
 
     return jax.lax.scan(step, params, None, length=num_steps)
+
+
+def descend(
+    params: Params, grads: Params, step_sizes: StepSizes, first_order: bool = False
+) -> Params:
+    """One step of plain gradient descent."""
+    if first_order:
+        grads = jax.lax.stop_gradient(grads)
+
+    def below(step_size: Any, params: Params, grads: Params) -> Params:
+        return jax.tree.map(lambda p, g: p - step_size * g, params, grads)
+
+    return jax.tree.map(below, step_sizes, params, grads)
+
+
+def step_sizes(variables: Variables, config: AdaptConfig) -> StepSizes:
+    """Of every encoder parameter: the configuration's times what was learned.
+
+    BatchNorm's scales and biases stay where they are if ``adapt_norm`` is off.
+    """
+    encoders, _ = pop_encoders(variables)
+    sizes = jax.tree.map(
+        lambda log_step: config.step_size * jnp.exp(log_step),
+        variables["weighting"]["log_steps"],
+    )
+    if config.adapt_norm:
+        return sizes
+
+    def hold_norms(path: tuple, size: Array) -> Array:
+        is_norm = any(str(step.key).endswith("norm") for step in path)
+        return jnp.zeros_like(size) if is_norm else size
+
+    every = jax.tree.map(
+        lambda size, tree: jax.tree.map(lambda _: size, tree), sizes, encoders
+    )
+    return jax.tree_util.tree_map_with_path(hold_norms, every)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from prism_jax.adaptation.config import AdaptConfig
-from prism_jax.adaptation.inner_loop import unroll
+from prism_jax.adaptation.inner_loop import step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import loss_weights
@@ -67,12 +67,12 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
         @jax.jit
         def loss_fn(moving: Variables):
             losses, prediction = test_time_objective(
-                put_encoders(_allowed(moving, encoders, config), rest), frame, config
+                put_encoders(moving, rest), frame, config
             )
             return losses.objective, (losses, prediction.points)
 
         adapted, (_, (before, points)) = unroll(
-            loss_fn, encoders, config.step_size, config.num_steps
+            loss_fn, encoders, step_sizes(variables, config), config.num_steps
         )
         _, (after, last) = loss_fn(adapted)
         losses = jax.tree.map(
@@ -95,18 +95,6 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
 def _improved(losses: Losses) -> Bool[Array, ""]:
     finite = jnp.isfinite(jnp.stack(losses)).all()
     return finite & (losses.objective[-1] <= losses.objective[0])
-
-
-def _allowed(moving: Variables, encoders: Variables, config: AdaptConfig) -> Variables:
-    """The moving parameters, with those held that the configuration does not adapt."""
-    if config.adapt_norm:
-        return moving
-
-    def choose(path: tuple, new: Array, old: Array) -> Array:
-        is_norm = any(str(step.key).endswith("norm") for step in path)
-        return old if is_norm else new
-
-    return jax.tree_util.tree_map_with_path(choose, moving, encoders)
 
 
 def _check(partial: Array, config: AdaptConfig) -> None:

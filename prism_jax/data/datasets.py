@@ -44,17 +44,20 @@ def build_dataset(
 
 
 def build_if_missing(
-    name: str, split: str, data_dir: str | os.PathLike | None = None
+    name: str,
+    split: str,
+    data_dir: str | os.PathLike | None = None,
+    **changes: Any,
 ) -> None:
-    """Builds a generated set's split with its defaults, unless one is begun there.
+    """Builds a generated set's split, unless one is begun there.
 
-    Sets that are not generated are left alone.
+    Sets that are not generated are left alone. `changes` as in `build_dataset`.
     """
     folders = {"shapes": split_dir, "roboarm": _roboarm_dir}
     if name not in GENERATED:
         return
     if not (folders[name](split, data_dir) / MANIFEST).exists():
-        build_dataset(name, split, data_dir)
+        build_dataset(name, split, data_dir, **changes)
 
 
 def open_dataset(

@@ -18,7 +18,7 @@ from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
 from prism_jax.models.prism import prepare_frame
 from prism_jax.models.refiner import Refiner
-from prism_jax.models.variables import Variables
+from prism_jax.models.variables import Variables, unlearned_steps
 
 
 def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
@@ -58,16 +58,21 @@ def init_auxiliary(
     fresh = jax.jit(init)(key, backbone)
     depth = fresh.pop("depth_encoder")
     params = {name: variables["params"] for name, variables in fresh.items()}
+    params = {
+        **backbone["params"],
+        "depth_encoder": depth["params"],
+        "refiner": params.pop("refiner"),
+        "auxiliary": params,
+    }
     return {
-        "params": {
-            **backbone["params"],
-            "depth_encoder": depth["params"],
-            "refiner": params.pop("refiner"),
-            "auxiliary": params,
-        },
+        "params": params,
         "batch_stats": {
             **backbone["batch_stats"],
             "depth_encoder": depth["batch_stats"],
         },
-        "weighting": {"logits": jnp.zeros(3), "scales": jnp.zeros(3)},
+        "weighting": {
+            "logits": jnp.zeros(3),
+            "scales": jnp.zeros(3),
+            "log_steps": unlearned_steps(params),
+        },
     }

@@ -20,6 +20,7 @@ from prism_jax.models.auxiliary import (
 )
 from prism_jax.models.backbone import decode, encode_points
 from prism_jax.models.config import ModelConfig
+from prism_jax.models.decoder import Decoded
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
 from prism_jax.models.refiner import Refiner
@@ -74,10 +75,12 @@ def prepare_frame(
     camera: Camera,
     key: PRNGKeyArray,
     config: ModelConfig,
+    indices: EncoderIndices | None = None,
 ) -> Frame:
     """The frame of a partial cloud and its camera, both in the unit workspace.
 
-    Nothing here carries a gradient.
+    `indices` are the encoder's, if they are known already. Nothing here carries a
+    gradient.
     """
     partial = jax.lax.stop_gradient(partial)
     depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
@@ -87,7 +90,7 @@ def prepare_frame(
     perturbed = perturb(key, partial, camera.position)
     return Frame(
         partial,
-        encoder_indices(partial, config.backbone),
+        encoder_indices(partial, config.backbone) if indices is None else indices,
         jnp.where(mask, depth - center_depth, 0.0),
         mask,
         view,
@@ -102,10 +105,17 @@ def predict(variables: Variables, frame: Frame, config: ModelConfig) -> Predicti
     """Encode, decode, refine (Eq. 2)."""
     encoded = encode_points(variables, config.backbone, frame.partial, frame.indices)
     decoded = decode(variables, config.backbone, frame.partial, encoded)
-    refiner = Refiner(config.auxiliary)
-    own = part(variables, "refiner")
-    points = apply(refiner, own, decoded.stages[-1], decoded.features)
+    points = refine(variables, decoded, config)
     return Prediction(points, decoded.stages, decoded.features, encoded)
+
+
+def refine(
+    variables: Variables, decoded: Decoded | Prediction, config: ModelConfig
+) -> Float[Array, "N 3"]:
+    """The last stage's points as the refiner leaves them (Eq. 2)."""
+    own = part(variables, "refiner")
+    refiner = Refiner(config.auxiliary)
+    return apply(refiner, own, decoded.stages[-1], decoded.features)
 
 
 def read_depth(

@@ -1,13 +1,16 @@
 """The variables of PRISM, and the encoder subtree that adaptation changes.
 
 ``{"params": {point_encoder, depth_encoder, decoder, refiner, auxiliary},
-"batch_stats": {point_encoder, depth_encoder, decoder}, "weighting": {logits,
-scales}}``: the last holds the learned eta of Eq. 11 and the losses' own scales.
+"batch_stats": {point_encoder, depth_encoder, decoder}, "weighting": {logits, scales,
+log_steps}}``: the last holds the learned eta of Eq. 11, the losses' own scales, and for
+each module of the encoders the logarithm of its learned step size, as a multiple of the
+configuration's.
 """
 
 from typing import Any
 
 import flax.linen as nn
+import jax.numpy as jnp
 
 Variables = dict[str, Any]
 
@@ -26,6 +29,13 @@ def pop_encoders(variables: Variables) -> tuple[Variables, Variables]:
 def put_encoders(encoders: Variables, rest: Variables) -> Variables:
     """The inverse of `pop_encoders`, with these encoders in the place of theirs."""
     return {**rest, "params": {**rest["params"], **encoders}}
+
+
+def unlearned_steps(params: Variables) -> Variables:
+    """The `log_steps` of encoders whose step sizes are the configuration's."""
+    return {
+        name: {module: jnp.zeros(()) for module in params[name]} for name in ENCODERS
+    }
 
 
 def apply(module: nn.Module, variables: Variables, *inputs: Any) -> Any:

@@ -58,6 +58,8 @@ def auxiliary_leg(
         start,
         _step(adapt, optimiser, key),
         _validation(adapt, key),
+        ("refined", "normal", "denoise", "align"),
+        ("unrefined", "refined", "losses"),
     )
 
 

@@ -24,21 +24,25 @@ class Checkpoints:
         self, step: int, state: Any, reader: Any, score: float | None = None
     ) -> bool:
         """Writes the state, and that of what reads the data, as JSON values; the state
-        also as the best, if its score is the lowest so far."""
-        self._latest.save(
-            step,
-            args=ocp.args.Composite(
-                state=ocp.args.StandardSave(state), reader=ocp.args.JsonSave(reader)
-            ),
-        )
+        also as the best, if its score is the lowest so far.
+
+        The best is written first: a run that ends in between goes on from the latest
+        before, and comes here again.
+        """
         best = self.best_score()
         is_best = score is not None and score < (math.inf if best is None else best)
         if is_best:
             self._best.save(
                 step, args=ocp.args.StandardSave(state), metrics={"score": score}
             )
+            self._best.wait_until_finished()
+        self._latest.save(
+            step,
+            args=ocp.args.Composite(
+                state=ocp.args.StandardSave(state), reader=ocp.args.JsonSave(reader)
+            ),
+        )
         self._latest.wait_until_finished()
-        self._best.wait_until_finished()
         return is_best
 
     def best_score(self) -> float | None:

@@ -1,7 +1,9 @@
 """What a training does, in frozen dataclasses."""
 
 import dataclasses
+from typing import Literal
 
+from prism_jax.adaptation.config import MetaConfig
 from prism_jax.losses.chamfer import ChamferNorm
 
 
@@ -51,3 +53,44 @@ class PretrainConfig:
     warmup_steps: int = 200
     clip_norm: float = 1.0
     validate_every: int = 16_000
+
+
+@dataclasses.dataclass(frozen=True)
+class MetaTrainConfig:
+    """Stage B: episodes of adaptation, with the paper's optimiser.
+
+    Attributes:
+      method: the meta-objective.
+      num_samples: frames seen, repetitions counted.
+      batch_size: frames a step, over all devices.
+      at_once: frames that a device takes at once; gradients of the rest of its share
+        are added up one part after the other, for memory. 0 for all.
+      num_complete: points of the complete cloud that a loss looks at.
+      optimiser: of encoders and decoder, "sgd" or "adam".
+      learning_rate: of encoders and decoder, after the warm-up.
+      final_rate: where its cosine ends, as a share of it; 1 for no cosine.
+      warmup_steps: steps in which it rises from zero.
+      clip_norm: bound on the global norm of their gradient; 0 for none.
+      weight_rate: of the loss weights' logits, by plain SGD.
+      step_rate: of the logarithms of learned step sizes, by Adam.
+      refiner_rate: of the refiner, whose optimiser is its own, of the same kind.
+      average_decay: of the moving average of all variables, which is then what is
+        validated and released; 0 for none.
+      validate_every: samples between validations.
+    """
+
+    method: MetaConfig = dataclasses.field(default_factory=MetaConfig)
+    num_samples: int = 8_400_000
+    batch_size: int = 32
+    at_once: int = 0
+    num_complete: int = 16_384
+    optimiser: Literal["sgd", "adam"] = "sgd"
+    learning_rate: float = 5e-5
+    final_rate: float = 1.0
+    warmup_steps: int = 0
+    clip_norm: float = 0.0
+    weight_rate: float = 5e-4
+    step_rate: float = 1e-2
+    refiner_rate: float = 5e-5
+    average_decay: float = 0.0
+    validate_every: int = 64_000

@@ -17,6 +17,7 @@ from prism_jax.data.pipeline import (
 )
 from prism_jax.data.source import Source
 from prism_jax.models.variables import Variables
+from prism_jax.training import parallel
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.run import Log
 
@@ -25,11 +26,24 @@ VALIDATION_COMPLETE = 4096
 
 
 class TrainState(NamedTuple):
-    """What a step changes and a checkpoint holds."""
+    """What a step changes and a checkpoint holds.
+
+    Attributes:
+      step: how many were made.
+      variables: what the next step starts from.
+      opt_state: the optimiser's.
+      average: moving average of the variables, or None if none is kept.
+    """
 
     step: Int[Array, ""]
     variables: Variables
     opt_state: Any
+    average: Variables | None = None
+
+    @property
+    def kept(self) -> Variables:
+        """What is validated, and released: the average where there is one."""
+        return self.variables if self.average is None else self.average
 
 
 class Leg(NamedTuple):
@@ -44,6 +58,7 @@ class Leg(NamedTuple):
       step_fn: jitted; returns the next state and the terms of the loss.
       validate_fn: jitted; terms of each example's score, of which the last decides
         what is kept, lower being better.
+      terms, scores: what the two return, by name, for the log.
     """
 
     name: str
@@ -53,6 +68,8 @@ class Leg(NamedTuple):
     start: TrainState
     step_fn: Callable[[TrainState, Batch], tuple[TrainState, Float[Array, " L"]]]
     validate_fn: Callable[[Variables, Batch], Float[Array, "B S"]]
+    terms: tuple[str, ...]
+    scores: tuple[str, ...]
 
 
 class Data(NamedTuple):
@@ -72,37 +89,56 @@ class Data(NamedTuple):
         return Framing(self.num_partial, num_complete, self.margin)
 
 
+class Trained(NamedTuple):
+    """What a training leaves: the variables that did best on the validation examples,
+    the last state, and whether the leg is done."""
+
+    best: Variables
+    last: TrainState
+    done: bool
+
+
 def train_leg(
-    leg: Leg, data: Data, folder: pathlib.Path, max_steps: int | None = None
-) -> tuple[Variables, bool]:
-    """Trains a leg to its end, or for ``max_steps`` more steps.
+    leg: Leg,
+    data: Data,
+    folder: pathlib.Path,
+    max_steps: int | None = None,
+    tensorboard: bool = False,
+) -> Trained:
+    """Trains a leg to its end, or to step ``max_steps``.
 
     Goes on from the latest checkpoint in ``folder`` if there is one, with the batches
-    that would have come next. Returns the variables that did best on the validation
-    examples, and whether the leg is done. The log's ``data_wait`` is the share of the
+    that would have come next. The log's ``data_wait`` is the share of the
     time in which the loop waited for batches.
+
+    A batch lies over all devices of all processes, each of which reads its own share.
     """
+    parallel.check_batch(leg.batch_size)
+    mesh = parallel.data_mesh()
     checkpoints = Checkpoints(folder / leg.name)
-    state, reader = checkpoints.restore_latest(leg.start) or (leg.start, None)
-    state = _fresh(state)
+    start = parallel.replicate(leg.start, mesh)
+    state, reader = checkpoints.restore_latest(start) or (start, None)
+    state = parallel.replicate(state, mesh)
     step, num_steps = int(state.step), leg.num_samples // leg.batch_size
-    last = num_steps if max_steps is None else min(num_steps, step + max_steps)
+    last = num_steps if max_steps is None else min(num_steps, max_steps)
+    shard = parallel.shard()
     batches = training_batches(
         data.train,
         data.framing(leg.num_complete),
-        leg.batch_size,
+        leg.batch_size // shard[1],
         data.seed,
         data.num_workers,
-        indices=data.indices,
+        shard,
+        data.indices,
     )
     if reader is not None:
         batches.set_state(reader)
-    log = Log(folder, leg.name, leg.num_samples, step * leg.batch_size)
+    log = Log(folder, leg.name, leg.num_samples, step, leg.batch_size, tensorboard)
     validate_steps = max(1, data.validate_every // leg.batch_size)
     recent = []
     while step < last:
         with log.waiting():
-            batch = next(batches)
+            batch = parallel.share(next(batches), mesh)
         state, losses = leg.step_fn(state, batch)
         recent.append(losses)
         step += 1
@@ -111,21 +147,20 @@ def train_leg(
         if step % LOG_EVERY == 0 or at_validation:
             mean = _finite_mean(recent, leg.name, step)
             recent.clear()
-            log.write(step, losses=mean.tolist())
-            log.show(loss=float(mean.sum()), last=float(mean[-1]))
+            log.write(step, losses=_named(leg.terms, mean))
+            log.show(**{leg.terms[-1]: float(mean[-1])})
         if at_validation:
-            scores = validate(leg, data, state.variables)
-            log.write(step, validation=scores.tolist())
+            scores = validate(leg, data, state.kept)
+            log.write(step, validation=_named(leg.scores, scores))
             checkpoints.save(step, state, batches.get_state(), float(scores[-1]))
     log.close()
     best = checkpoints.restore_best(state)
     checkpoints.close()
-    return (state if best is None else best).variables, step == num_steps
+    return Trained((best or state).kept, state, step >= num_steps)
 
 
-def _fresh(state: TrainState) -> TrainState:
-    """The state bound to no device, or the second step would compile anew."""
-    return jax.device_put(jax.device_get(state))
+def _named(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _finite_mean(losses: list[Array], name: str, step: int) -> np.ndarray:
@@ -136,18 +171,22 @@ def _finite_mean(losses: list[Array], name: str, step: int) -> np.ndarray:
 
 
 def validate(leg: Leg, data: Data, variables: Variables) -> np.ndarray:
-    """Mean scores over the validation examples, in batches of one size.
+    """Mean scores over the validation examples, in batches of the training's size.
 
-    Where the last batch would be short it reaches back, and what was scored before is
-    left out.
+    A last batch that would be short goes on from the first example, and what was scored
+    before is left out. Each process frames its own share of a batch.
     """
-    count = len(data.validation)
-    size = min(leg.batch_size, count)
+    count, size = len(data.validation), leg.batch_size
+    mesh, (process, processes) = parallel.data_mesh(), parallel.shard()
     framing = data.framing(VALIDATION_COMPLETE)
     scores = []
     for start in range(0, count, size):
-        rows = np.arange(size) + min(start, count - size)
-        examples = [data.validation[int(row)] for row in rows]
+        rows = np.arange(start, start + size) % count
+        examples = [
+            data.validation[int(row)] for row in np.split(rows, processes)[process]
+        ]
         batch = stack([frame_example(example, framing) for example in examples])
-        scores.append(np.asarray(leg.validate_fn(variables, batch))[rows >= start])
+        batch = parallel.share(batch, mesh)
+        scored = parallel.gather(leg.validate_fn(variables, batch))
+        scores.append(scored[: count - start])
     return np.concatenate(scores).mean(0)

@@ -46,6 +46,8 @@ def backbone_leg(
     config: PretrainConfig,
 ) -> Leg:
     """Encoder and decoder on the stages that the phase trains (Eq. 10)."""
+    blocks = len(model.up_factors) if phase.num_blocks is None else phase.num_blocks
+    stages = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))
     optimiser = adam(
         phase.learning_rate,
         phase.num_samples // config.batch_size,
@@ -60,6 +62,8 @@ def backbone_leg(
         TrainState(jnp.int32(0), variables, optimiser.init(variables["params"])),
         _backbone_step(model, phase, config, optimiser),
         _backbone_validation(model, phase.num_blocks),
+        stages,
+        stages,
     )
 
 

@@ -1,8 +1,8 @@
 """A run directory: the resolved configuration, the metrics log, the progress bar."""
 
 import contextlib
-import dataclasses
 import json
+import os
 import pathlib
 import subprocess
 import time
@@ -13,22 +13,36 @@ from tqdm import tqdm
 
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import InputError
+from prism_jax.training.parallel import is_first, wait_for_all
 
 
-def open_run(workdir: str, config: Any, seed: int, resume: bool) -> pathlib.Path:
+def open_run(
+    workdir: str, config: dict[str, Any], seed: int, resume: bool
+) -> pathlib.Path:
     """The run's folder, with config, seed and commit written to ``config.json``.
 
     A folder that holds a run already is refused unless ``resume`` is set, and then
     only the same configuration and seed may go on in it.
     """
     folder = make_output_dir(pathlib.Path(workdir))
+    if not is_first():
+        wait_for_all("the run's folder")
+        return folder
+    _check_in(folder, config, seed, resume)
+    wait_for_all("the run's folder")
+    return folder
+
+
+def _check_in(
+    folder: pathlib.Path, config: dict[str, Any], seed: int, resume: bool
+) -> None:
     path = folder / "config.json"
-    resolved = {"config": dataclasses.asdict(config), "seed": seed}
+    resolved = {"config": config, "seed": seed}
     resolved = json.loads(json.dumps(resolved))
     if not path.exists():
         text = json.dumps({**resolved, "commit": commit()}, indent=2)
         write_bytes(path, text.encode())
-        return folder
+        return
     if not resume:
         remedy = "pass --resume to go on with it, or choose another --workdir"
         raise InputError(str(folder), "it holds a run already", remedy)
@@ -36,7 +50,6 @@ def open_run(workdir: str, config: Any, seed: int, resume: bool) -> pathlib.Path
     if any(before[key] != resolved[key] for key in resolved):
         remedy = "resume with the settings of its config.json"
         raise InputError(str(folder), "its run has another configuration", remedy)
-    return folder
 
 
 def started_from(folder: pathlib.Path) -> str | None:
@@ -59,15 +72,37 @@ def commit() -> str | None:
 
 
 class Log:
-    """One JSON object a line in ``metrics.jsonl``, and a progress bar on stderr."""
+    """One JSON object a line in ``metrics.jsonl``, and a progress bar on stderr.
 
-    def __init__(self, folder: pathlib.Path, name: str, total: int, done: int):
-        self._file = (folder / "metrics.jsonl").open("a")
+    Lines that a run wrote after the step that it goes on from are dropped. Of several
+    processes the first writes.
+    """
+
+    def __init__(
+        self,
+        folder: pathlib.Path,
+        name: str,
+        total: int,
+        step: int,
+        batch_size: int,
+        tensorboard: bool = False,
+    ):
+        done = step * batch_size
+        path = folder / "metrics.jsonl" if is_first() else pathlib.Path(os.devnull)
+        if path.exists() and is_first():
+            _drop_after(path, name, step)
+        self._file = path.open("a")
+        self._board = _board(folder) if tensorboard and is_first() else None
         self._name = name
         self._start, self._done_at_start = time.monotonic(), done
         self._waited = 0.0
         self._bar = tqdm(
-            total=total, initial=done, desc=name, unit="sample", mininterval=2.0
+            total=total,
+            initial=done,
+            desc=name,
+            unit="sample",
+            mininterval=2.0,
+            disable=not is_first(),
         )
 
     def advance(self, samples: int) -> None:
@@ -87,7 +122,7 @@ class Log:
         text = {key: f"{value:.4g}" for key, value in values.items()}
         self._bar.set_postfix(text, refresh=False)
 
-    def write(self, step: int, **values: Any) -> None:
+    def write(self, step: int, **values: dict[str, float]) -> None:
         """Adds a line."""
         seconds = max(self._seconds(), 1e-9)
         rate = (self._bar.n - self._done_at_start) / seconds
@@ -96,6 +131,11 @@ class Log:
         line |= {"data_wait": round(self._waited / seconds, 4), **values}
         self._file.write(json.dumps(line) + "\n")
         self._file.flush()
+        if self._board is not None:
+            for kind, terms in values.items():
+                for term, value in terms.items():
+                    tag = f"{self._name}/{kind}/{term}"
+                    self._board.add_scalar(tag, value, line["samples"])
 
     def _seconds(self) -> float:
         return time.monotonic() - self._start
@@ -104,3 +144,27 @@ class Log:
         """Ends the bar and the file."""
         self._bar.close()
         self._file.close()
+        if self._board is not None:
+            self._board.close()
+
+
+def _board(folder: pathlib.Path) -> Any:
+    try:
+        from tensorboardX import SummaryWriter  # pyright: ignore
+    except ImportError:
+        remedy = "pip install 'prism_jax[tensorboard]'"
+        raise InputError("--tensorboard", "tensorboardX is missing", remedy) from None
+    return SummaryWriter(str(folder / "tensorboard"))
+
+
+def _drop_after(path: pathlib.Path, name: str, step: int) -> None:
+    """Leaves the phase's lines up to this step, those of others, and no broken one."""
+    kept = []
+    for text in path.read_text().splitlines():
+        try:
+            line = json.loads(text)
+        except ValueError:
+            continue
+        if line["phase"] != name or line["step"] <= step:
+            kept.append(text + "\n")
+    write_bytes(path, "".join(kept).encode())

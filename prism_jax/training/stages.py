@@ -19,6 +19,7 @@ def pretrain(
     folder: pathlib.Path,
     seed: int,
     max_steps: int | None = None,
+    tensorboard: bool = False,
 ) -> Variables | None:
     """Trains the backbone leg by leg, then all that reads it (gap 4).
 
@@ -30,13 +31,14 @@ def pretrain(
     variables = init_backbone(backbone_key, preset.model.backbone)
     for phase in preset.pretrain.backbone:
         leg = backbone_leg(variables, preset.model.backbone, phase, preset.pretrain)
-        variables, done = train_leg(leg, data, folder, max_steps)
-        if not done:
+        trained = train_leg(leg, data, folder, max_steps, tensorboard)
+        if not trained.done:
             return None
+        variables = trained.best
     fresh = init_auxiliary(auxiliary_key, variables, preset.model)
     leg = auxiliary_leg(fresh, preset.adapt, preset.pretrain, seed)
-    variables, done = train_leg(leg, data, folder, max_steps)
-    return _better_refiner(leg, data, variables, fresh) if done else None
+    trained = train_leg(leg, data, folder, max_steps, tensorboard)
+    return _better_refiner(leg, data, trained.best, fresh) if trained.done else None
 
 
 def _better_refiner(

@@ -23,10 +23,12 @@ def data(examples, validation_examples):
     return Data(examples, validation_examples, 64, MARGIN, 7, 4 * BATCH)
 
 
-def make_leg(step_fn, validate_fn, num_steps=STEPS):
+def make_leg(step_fn, validate_fn, count_scores=2, num_steps=STEPS):
     variables = {"params": {"w": jnp.zeros(3)}}
     start = TrainState(jnp.int32(0), variables, OPTIMISER.init(variables["params"]))
-    return Leg("toy", num_steps * BATCH, BATCH, 128, start, step_fn, validate_fn)
+    size = num_steps * BATCH
+    names = ("loss",), ("first", "last")[-count_scores:]
+    return Leg("toy", size, BATCH, 128, start, step_fn, validate_fn, *names)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +64,7 @@ def counting(scores):
         score = jnp.asarray(scores)[variables["params"]["w"][0].astype(int)]
         return jnp.full((len(batch.eye), 1), score)
 
-    return make_leg(step, validate)
+    return make_leg(step, validate, 1)
 
 
 def lines(folder):
@@ -93,21 +95,22 @@ def recording(leg, seen):
 
 
 def test_it_learns(regression, data, tmp_path):
-    variables, done = train(regression, data, tmp_path)
+    variables, last, done = train(regression, data, tmp_path)
     assert done
-    losses = [line["losses"][0] for line in lines(tmp_path) if "losses" in line]
+    losses = [line["losses"]["loss"] for line in lines(tmp_path) if "losses" in line]
     assert losses[-1] < losses[0]
     assert bitwise(variables, latest(regression, tmp_path).variables)
+    assert bitwise(last, latest(regression, tmp_path))
 
 
-@pytest.mark.parametrize("broken_at", [[4], [3, 5], [1, 1, 1]])
+@pytest.mark.parametrize("broken_at", [[4], [3, 8], [1, 2, 3]])
 def test_broken_off_and_resumed_it_ends_the_same(regression, data, tmp_path, broken_at):
-    expected, _ = train(regression, data, tmp_path / "unbroken")
+    expected, *_ = train(regression, data, tmp_path / "unbroken")
     for steps in broken_at:
-        _, done = train(regression, data, tmp_path / "broken", max_steps=steps)
+        *_, done = train(regression, data, tmp_path / "broken", max_steps=steps)
         assert not done
-    assert int(latest(regression, tmp_path / "broken").step) == sum(broken_at)
-    variables, done = train(regression, data, tmp_path / "broken")
+    assert int(latest(regression, tmp_path / "broken").step) == broken_at[-1]
+    variables, _, done = train(regression, data, tmp_path / "broken")
     assert done
     assert bitwise(variables, expected)
     # Moments and step count of the optimiser too.
@@ -120,7 +123,7 @@ def test_killed_between_checkpoints_it_repeats_what_was_lost(
 ):
     """Steps and batches alike, bit for bit."""
     unbroken, seen = [], []
-    expected, _ = train(recording(regression, unbroken), data, tmp_path / "unbroken")
+    expected, *_ = train(recording(regression, unbroken), data, tmp_path / "unbroken")
     remembering = recording(regression, seen)
 
     def dying(state, batch):
@@ -131,7 +134,7 @@ def test_killed_between_checkpoints_it_repeats_what_was_lost(
     with pytest.raises(KeyboardInterrupt):
         train(regression._replace(step_fn=dying), data, tmp_path / "killed")
     assert int(latest(regression, tmp_path / "killed").step) == 4
-    variables, done = train(remembering, data, tmp_path / "killed")
+    variables, _, done = train(remembering, data, tmp_path / "killed")
     assert done
     assert [step for step, _ in seen] == [*range(6), *range(4, STEPS)]
     for step, batch in seen:
@@ -166,7 +169,7 @@ def test_every_step_has_the_state_of_one_compilation(regression, data, tmp_path)
 def test_what_did_best_on_validation_is_kept(data, tmp_path):
     scores = np.full(STEPS + 1, 9.0)
     scores[[4, 8, 12]] = 0.5, 0.2, 0.4
-    variables, _ = train(counting(scores), data, tmp_path)
+    variables, *_ = train(counting(scores), data, tmp_path)
     assert np.array_equal(variables["params"]["w"], [8, 8, 8])
     assert int(latest(counting(scores), tmp_path).step) == STEPS
 
@@ -174,18 +177,18 @@ def test_what_did_best_on_validation_is_kept(data, tmp_path):
 def test_a_score_that_is_not_a_number_is_not_kept(data, tmp_path):
     scores = np.full(STEPS + 1, np.nan)
     scores[8] = 3.0
-    variables, _ = train(counting(scores), data, tmp_path)
+    variables, *_ = train(counting(scores), data, tmp_path)
     assert np.array_equal(variables["params"]["w"], [8, 8, 8])
 
 
 def test_a_finished_leg_is_not_trained_again(regression, data, tmp_path):
-    expected, _ = train(regression, data, tmp_path)
+    expected, *_ = train(regression, data, tmp_path)
 
     def never(*arguments):
         raise AssertionError("trained")
 
     finished = regression._replace(step_fn=never, validate_fn=never)
-    variables, done = train(finished, data, tmp_path)
+    variables, _, done = train(finished, data, tmp_path)
     assert done
     assert bitwise(variables, expected)
 
@@ -195,7 +198,7 @@ def test_validation_counts_every_example_once(regression, data, framed, tmp_path
     train(regression, data, tmp_path, max_steps=1)
     scores = [line["validation"] for line in lines(tmp_path) if "validation" in line]
     batch = framed(data.validation, range(10), data.framing(VALIDATION_COMPLETE))
-    assert scores[0][0] == pytest.approx(batch.half_extent.mean(), rel=1e-6)
+    assert scores[0]["first"] == pytest.approx(batch.half_extent.mean(), rel=1e-6)
 
 
 def test_a_loss_that_is_not_finite_ends_it(regression, data, tmp_path):
@@ -219,6 +222,6 @@ def test_the_log_tells_losses_and_validation(regression, data, tmp_path):
 
 
 def test_another_seed_sees_other_batches(regression, data, tmp_path):
-    first, _ = train(regression, data, tmp_path / "0")
-    second, _ = train(regression, data._replace(seed=8), tmp_path / "1")
+    first, *_ = train(regression, data, tmp_path / "0")
+    second, *_ = train(regression, data._replace(seed=8), tmp_path / "1")
     assert not bitwise(first, second)

@@ -143,16 +143,16 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     batches = training_batches(data.train, FRAMING, BATCH, data.seed)
     for _ in range(8):
         expected.append(seeds.step_fn(expected[-1], next(batches))[0])
-    _, done = train_leg(seeds, data, tmp_path, max_steps=4)
+    *_, done = train_leg(seeds, data, tmp_path, max_steps=4)
     assert not done
-    best, done = train_leg(seeds, data, tmp_path)
+    best, _, done = train_leg(seeds, data, tmp_path)
     assert done
     checkpoints = Checkpoints(tmp_path / seeds.name)
     assert bitwise(checkpoints.restore_latest(seeds.start)[0], expected[8])
     checkpoints.close()
     text = (tmp_path / "metrics.jsonl").read_text()
     written = [json.loads(line) for line in text.splitlines()]
-    scores = [line["validation"][-1] for line in written if "validation" in line]
+    scores = [line["validation"]["seeds"] for line in written if "validation" in line]
     assert len(scores) == 2
     assert bitwise(best, expected[4 if scores[0] <= scores[1] else 8].variables)
     assert seeds.step_fn._cache_size() == 1

@@ -10,7 +10,12 @@ from prism_jax.io.errors import InputError
 from prism_jax.presets import resolve
 from prism_jax.training.run import Log, commit, open_run
 
-PRESET = resolve("tiny")
+
+def settings(*arguments):
+    return dataclasses.asdict(resolve(*arguments))
+
+
+PRESET = settings("tiny")
 
 
 def test_a_new_folder_holds_the_resolved_configuration(tmp_path):
@@ -18,7 +23,7 @@ def test_a_new_folder_holds_the_resolved_configuration(tmp_path):
     written = json.loads((folder / "config.json").read_text())
     assert written["seed"] == 7
     assert written["commit"] == commit()
-    plain = json.loads(json.dumps(dataclasses.asdict(PRESET)))
+    plain = json.loads(json.dumps(PRESET))
     assert written["config"] == plain
     assert plain["adapt"]["model"]["backbone"]["num_points"] == 64
 
@@ -37,9 +42,9 @@ def test_a_used_folder_needs_resume(tmp_path):
     ("preset", "seed"),
     [
         (PRESET, 1),
-        (resolve("small"), 0),
-        (resolve("tiny", ["adapt.model.margin=1.2"]), 0),
-        (resolve("tiny", ["pretrain.backbone.0.num_blocks=1"]), 0),
+        (settings("small"), 0),
+        (settings("tiny", ["adapt.model.margin=1.2"]), 0),
+        (settings("tiny", ["pretrain.backbone.0.num_blocks=1"]), 0),
     ],
 )
 def test_another_configuration_does_not_go_on(tmp_path, preset, seed):
@@ -65,27 +70,27 @@ def test_commit_is_a_digest_or_nothing():
 
 
 def test_log_lines(tmp_path, capsys):
-    log = Log(tmp_path, "seeds", total=64, done=16)
+    log = Log(tmp_path, "seeds", total=64, step=2, batch_size=8)
     log.advance(8)
     log.show(loss=0.25)
-    log.write(3, losses=[0.5, 0.25])
-    log.write(3, validation=[1.0])
+    log.write(3, losses={"a": 0.5, "b": 0.25})
+    log.write(3, validation={"c": 1.0})
     # Readable while the run goes on.
     lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
     log.close()
     first, second = map(json.loads, lines)
     assert first["phase"] == "seeds"
     assert (first["step"], first["samples"]) == (3, 24)
-    assert first["losses"] == [0.5, 0.25]
+    assert first["losses"] == {"a": 0.5, "b": 0.25}
     assert first["samples_per_second"] > 0
-    assert second["validation"] == [1.0]
+    assert second["validation"] == {"c": 1.0}
     assert "seeds" in capsys.readouterr().err
 
 
 def test_time_spent_waiting_is_told_as_a_share_of_all(tmp_path, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    log = Log(tmp_path, "seeds", total=8, done=0)
+    log = Log(tmp_path, "seeds", 8, step=0, batch_size=1)
     for waited, worked in [(1.0, 5.0), (2.0, 0.0)]:
         with log.waiting():
             now[0] += waited
@@ -99,8 +104,25 @@ def test_time_spent_waiting_is_told_as_a_share_of_all(tmp_path, monkeypatch):
 
 def test_a_second_log_goes_on_in_the_same_file(tmp_path):
     for name in ("seeds", "stages"):
-        log = Log(tmp_path, name, total=8, done=0)
-        log.write(1, losses=[0.0])
+        log = Log(tmp_path, name, 8, step=0, batch_size=1)
+        log.write(1, losses={"a": 0.0})
         log.close()
     lines = (tmp_path / "metrics.jsonl").read_text().splitlines()
     assert [json.loads(line)["phase"] for line in lines] == ["seeds", "stages"]
+
+
+def test_going_on_drops_what_was_written_after_the_checkpoint(tmp_path):
+    log = Log(tmp_path, "seeds", 8, step=0, batch_size=1)
+    for step in (1, 2, 3):
+        log.write(step, losses={"a": float(step)})
+    log.close()
+    path = tmp_path / "metrics.jsonl"
+    other = json.dumps({"phase": "stages", "step": 9})
+    path.write_text(path.read_text() + other + '\n{"phase": "seeds", "st')
+    Log(tmp_path, "seeds", 8, step=2, batch_size=1).close()
+    left = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [(line["phase"], line["step"]) for line in left] == [
+        ("seeds", 1),
+        ("seeds", 2),
+        ("stages", 9),
+    ]

@@ -19,7 +19,7 @@ def data(examples, validation_examples):
     return Data(examples, validation_examples, 64, 1.4, 0, 2 * BATCH)
 
 
-def counting_leg(name, variables, num_samples, scores_fn):
+def counting_leg(name, variables, num_samples, scores_fn, num_scores):
     """Adds one to its own parameter at every step."""
 
     def step(state, batch):
@@ -33,7 +33,8 @@ def counting_leg(name, variables, num_samples, scores_fn):
 
     params = {name: jnp.float32(0), **variables["params"]}
     start = TrainState(jnp.int32(0), {"params": params}, ())
-    return Leg(name, num_samples, BATCH, 128, start, step, validate)
+    names = ("loss",), ("unrefined", "refined", "last")[-num_scores:]
+    return Leg(name, num_samples, BATCH, 128, start, step, validate, *names)
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +51,7 @@ def begun(monkeypatch):
         def scores(params):
             return [jnp.abs(params[phase.name] - 2.0)]
 
-        return counting_leg(phase.name, variables, phase.num_samples, scores)
+        return counting_leg(phase.name, variables, phase.num_samples, scores, 1)
 
     def auxiliary_leg(variables, adapt, config, seed):
         made.append(("refiner", jax.tree.map(float, variables["params"])))
@@ -58,7 +59,7 @@ def begun(monkeypatch):
         def scores(params):
             return [jnp.float32(3), params["harm"], jnp.abs(params["refiner"] - 4.0)]
 
-        return counting_leg("refiner", variables, config.auxiliary_samples, scores)
+        return counting_leg("refiner", variables, config.auxiliary_samples, scores, 3)
 
     def init_auxiliary(key, variables, model):
         fresh = {"refiner": jnp.float32(0), "harm": jnp.float32(0)}

@@ -1,0 +1,77 @@
+"""What the launchers that train share: flags, data, several processes."""
+
+import jax
+from absl import flags
+
+from prism_jax.data.datasets import DATASETS, build_if_missing, open_training
+from prism_jax.data.source import Source
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import default_cache_dir
+from prism_jax.presets import Preset
+from prism_jax.training.indices import index_table
+from prism_jax.training.leg import Data
+from prism_jax.training.parallel import wait_for_all
+
+FLAGS = flags.FLAGS
+
+
+def define_training_flags() -> None:
+    """The flags of a launcher that trains."""
+    flags.DEFINE_string("preset", "small", "Configuration: tiny, small or paper.")
+    flags.DEFINE_string("workdir", None, "Run directory.", required=True)
+    flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
+    flags.DEFINE_bool("resume", False, "Go on with the run in --workdir.")
+    flags.DEFINE_integer("max_steps", None, "End a leg at this step.")
+    flags.DEFINE_bool("tensorboard", False, "Log for TensorBoard too (extra).")
+    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
+    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
+    flags.DEFINE_integer("num_workers", 0, "Processes that read ahead; 0 for threads.")
+    flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
+    flags.DEFINE_string("coordinator", None, "host:port of the first of --processes.")
+    flags.DEFINE_integer("processes", 1, "Processes that train together.")
+    flags.DEFINE_integer("process", 0, "Which of them this one is.")
+
+
+def join_processes() -> None:
+    """Waits for the other processes, if the flags tell of any."""
+    if FLAGS.processes == 1:
+        return
+    if FLAGS.coordinator is None:
+        remedy = "give host:port of process 0 to each of them"
+        raise InputError("--coordinator", "several processes need it", remedy)
+    jax.distributed.initialize(FLAGS.coordinator, FLAGS.processes, FLAGS.process)
+
+
+def training_data(preset: Preset, num_complete: int, validate_every: int) -> Data:
+    """The flags' data set as the preset reads it, with the encoder's indices.
+
+    Generated sets are built where missing: for a preset with a `num_shapes` of its own,
+    so many shapes in a folder of its own.
+    """
+    train, validation = _sources(preset)
+    data = Data(
+        train,
+        validation,
+        preset.model.backbone.num_points,
+        preset.model.margin,
+        FLAGS.seed,
+        validate_every,
+        FLAGS.num_workers,
+    )
+    if FLAGS.num_workers:
+        return data
+    framing = data.framing(num_complete)
+    indices = index_table(train, framing, preset.model.backbone)
+    return data._replace(indices=indices)
+
+
+def _sources(preset: Preset) -> tuple[Source, Source]:
+    name, data_dir, changes = FLAGS.dataset, FLAGS.data_dir, {}
+    if name == "shapes" and data_dir is None and preset.num_shapes:
+        data_dir = str(default_cache_dir() / FLAGS.preset)
+        changes = {"num_shapes": preset.num_shapes}
+    if FLAGS.process == 0:
+        for split in ("train", "validation"):
+            build_if_missing(name, split, data_dir, **changes)
+    wait_for_all("the data")
+    return open_training(name, data_dir)

@@ -1,0 +1,204 @@
+"""The meta-objective, Eq. 12: a completion is judged after its encoders have adapted.
+
+An episode is one frame, as at test time: its own encoders take ``num_steps`` steps on
+the weighted auxiliary losses (Eq. 11), and Eq. 10 of what they then encode, decoded by
+the shared decoder, is differentiated through those steps.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from prism_jax.adaptation.config import AdaptConfig, MetaConfig
+from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
+from prism_jax.adaptation.objective import Losses, test_time_objective
+from prism_jax.losses.depth import depth_supervised
+from prism_jax.losses.primary import primary_loss
+from prism_jax.losses.weighting import update_scale, weighted_auxiliary
+from prism_jax.models.prism import Frame, Prediction, predict, refine
+from prism_jax.models.variables import (
+    ENCODERS,
+    Variables,
+    pop_encoders,
+    put_encoders,
+)
+
+
+class MetaTerms(NamedTuple):
+    """What a meta-step measures, as means over its frames.
+
+    Attributes:
+      adapted: Eq. 10 with the adapted encoders.
+      zero_step: Eq. 10 with the encoders as they are.
+      losses: of Eq. 11 and 13 before adaptation; ``objective`` is what the inner loop
+        descends.
+      refined: Eq. 3 of the refined points.
+    """
+
+    adapted: Float[Array, "*B"]
+    zero_step: Float[Array, "*B"]
+    losses: Losses
+    refined: Float[Array, "*B"]
+
+
+def meta_gradients(
+    variables: Variables,
+    frames: Frame,
+    complete: Float[Array, "B M 3"],
+    adapt: AdaptConfig,
+    config: MetaConfig,
+) -> tuple[Variables, MetaTerms]:
+    """Gradients of Eq. 12 over a batch of frames, each to the leaf that it is for.
+
+    The tree is that of the variables, with what learns and nothing else:
+
+    - encoders: from ``(1 - beta_0) (L_pri(enc', dec) + lambda_aux L_aux(enc)) + beta_0
+      L_pri(enc)``, differentiated through the inner loop;
+    - decoder: from ``(1 - beta_0) L_pri(enc', dec)`` with the adapted encoders as
+      given: the zero-step term of Eq. 12 names no decoder, and the inner loop, as at
+      test time, holds it fixed. Without inner steps both terms are one, and it has all;
+    - refiner: from Eq. 3 of the adapted completion alone, if it learns;
+    - logits: from L_aux of Eq. 11 (``weight_rule="auxiliary"``), or from the adapted
+      primary loss (``"meta"``);
+    - log_steps: from the adapted primary loss, if they are learned.
+
+    `complete` is in farthest-point order. Auxiliary modules and BatchNorm statistics
+    are read as they are, as at test time.
+    """
+    moving = _by_primary(learned_part(variables, config))
+
+    def loss_fn(moving: Variables):
+        mapped = jax.vmap(lambda f, c: episode(moving, variables, f, c, adapt, config))
+        losses, episodes = mapped(frames, complete)
+        return losses.mean(), episodes
+
+    grads, episodes = jax.grad(loss_fn, has_aux=True)(moving)
+    terms, auxiliary, refiner = _mean(episodes)
+    params, weighting = grads["params"], grads["weighting"]
+    if config.learn_refiner:
+        params["refiner"] = refiner
+    if config.lambda_aux:
+        factor = (1.0 - config.beta_0) * config.lambda_aux
+        for name, tree in auxiliary.items():
+            params[name] = jax.tree.map(lambda g, a: g + factor * a, params[name], tree)
+    if config.weight_rule == "auxiliary":
+        own = variables["weighting"]
+        weighting["logits"] = jax.grad(weighted_auxiliary)(
+            own["logits"], _three(terms.losses), own["scales"]
+        )
+    return grads, terms
+
+
+def episode(
+    moving: Variables,
+    variables: Variables,
+    frame: Frame,
+    complete: Float[Array, "M 3"],
+    adapt: AdaptConfig,
+    config: MetaConfig,
+) -> tuple[Float[Array, ""], tuple[MetaTerms, Variables, Variables]]:
+    """The primary terms of Eq. 12 for one frame, differentiable in ``moving``.
+
+    Beside them its terms, and two gradients that no other derivative is to pass
+    through: of L_aux in the encoders, and of Eq. 3 in the refiner.
+    """
+    variables = put_learned(moving, variables)
+    encoders, rest = pop_encoders(variables)
+    held = _hold_decoder(rest) if config.num_steps else rest
+    inner = adapt
+    if not config.rehearse_depth:
+        inner = dataclasses.replace(adapt, depth_weight=0.0)
+
+    def objective(encoders: Variables):
+        losses, prediction = test_time_objective(
+            put_encoders(encoders, held), frame, inner
+        )
+        return losses.objective, (losses, prediction)
+
+    def completed(encoders: Variables) -> Prediction:
+        return predict(put_encoders(encoders, rest), frame, adapt.model)
+
+    if config.remat:
+        objective, completed = jax.checkpoint(objective), jax.checkpoint(completed)
+    sizes = step_sizes(variables, adapt)
+    (_, (losses, before)), auxiliary = jax.value_and_grad(objective, has_aux=True)(
+        encoders
+    )
+    after = before
+    if config.num_steps:
+        encoders = descend(encoders, auxiliary, sizes, config.first_order)
+        if config.num_steps > 1:
+            encoders, _ = unroll(
+                objective, encoders, sizes, config.num_steps - 1, config.first_order
+            )
+        after = completed(encoders)
+    zero_step = primary_loss(before.stages, complete, config.norm)
+    adapted = primary_loss(after.stages, complete, config.norm)
+    refined, refiner = jax.value_and_grad(_refined)(
+        variables["params"]["refiner"], after, frame, complete, adapt
+    )
+    loss = (1.0 - config.beta_0) * adapted + config.beta_0 * zero_step
+    terms = MetaTerms(adapted, zero_step, losses, refined)
+    return loss, jax.lax.stop_gradient((terms, auxiliary, refiner))
+
+
+def learned_part(variables: Variables, config: MetaConfig) -> Variables:
+    """What a meta-step learns: the part of the variables that has gradients."""
+    modules, weights = [*ENCODERS, "decoder"], ["logits"]
+    if config.learn_refiner:
+        modules.append("refiner")
+    if config.learn_steps:
+        weights.append("log_steps")
+    return {
+        "params": {name: variables["params"][name] for name in modules},
+        "weighting": {name: variables["weighting"][name] for name in weights},
+    }
+
+
+def put_learned(learned: Variables, variables: Variables) -> Variables:
+    """The variables with these in the place of theirs."""
+    return {
+        **variables,
+        "params": {**variables["params"], **learned["params"]},
+        "weighting": {**variables["weighting"], **learned["weighting"]},
+    }
+
+
+def _hold_decoder(rest: Variables) -> Variables:
+    decoder = jax.lax.stop_gradient(rest["params"]["decoder"])
+    return {**rest, "params": {**rest["params"], "decoder": decoder}}
+
+
+def _by_primary(learned: Variables) -> Variables:
+    """What the primary losses teach: all that learns but the refiner."""
+    params = {name: learned["params"][name] for name in (*ENCODERS, "decoder")}
+    return {**learned, "params": params}
+
+
+def measured_scales(variables: Variables, terms: MetaTerms) -> Float[Array, "3"]:
+    """The scales of Eq. 11, moved towards what this step measured."""
+    return update_scale(variables["weighting"]["scales"], _three(terms.losses))
+
+
+def _refined(
+    refiner: Variables,
+    after: Prediction,
+    frame: Frame,
+    complete: Float[Array, "M 3"],
+    adapt: AdaptConfig,
+) -> Float[Array, ""]:
+    after = jax.lax.stop_gradient(after)
+    own = {"params": {"refiner": refiner}, "batch_stats": {}}
+    points = refine(own, after, adapt.model)
+    return depth_supervised(points, complete, frame.view)
+
+
+def _three(losses: Losses) -> Float[Array, "3"]:
+    return jnp.stack([losses.normal, losses.denoise, losses.align])
+
+
+def _mean(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf.mean(0), tree)

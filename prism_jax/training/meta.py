@@ -1,0 +1,216 @@
+"""Meta-training, stage B: Eq. 12 over batches of frames, on all devices."""
+
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.meta import (
+    MetaTerms,
+    learned_part,
+    measured_scales,
+    meta_gradients,
+    put_learned,
+)
+from prism_jax.adaptation.test_time import make_adapt
+from prism_jax.data.pipeline import Batch
+from prism_jax.geometry.camera import Camera
+from prism_jax.losses.chamfer import chamfer
+from prism_jax.losses.weighting import entropy, loss_weights
+from prism_jax.models.prism import Frame, prepare_frame
+from prism_jax.models.variables import Variables
+from prism_jax.training.config import MetaTrainConfig
+from prism_jax.training.leg import Leg, TrainState
+from prism_jax.training.parallel import DATA, data_mesh
+
+TERMS = (
+    "zero_step",
+    "objective",
+    "depth_consistency",
+    "normal",
+    "denoise",
+    "align",
+    "refined",
+    "weight_normal",
+    "weight_denoise",
+    "weight_align",
+    "weight_entropy",
+    "adapted",
+)
+SCORES = ("unadapted", "accepted", "adapted")
+
+
+def meta_leg(
+    variables: Variables, adapt: AdaptConfig, config: MetaTrainConfig, seed: int
+) -> Leg:
+    """Episodes from these variables on (Eq. 11, 12).
+
+    Encoders and decoder, refiner, logits and step sizes each have an optimiser of their
+    own; all else stays as it is, bit for bit, but for the scales of Eq. 11. The score
+    is CD-L2 of the completion after test-time adaptation, in the units of the stored
+    examples.
+    """
+    optimiser = _optimiser(config)
+    learned = learned_part(variables, config.method)
+    average = variables if config.average_decay else None
+    key = jax.random.key(seed)
+    return Leg(
+        "meta",
+        config.num_samples,
+        config.batch_size,
+        config.num_complete,
+        TrainState(jnp.int32(0), variables, optimiser.init(learned), average),
+        _step(adapt, config, optimiser, key),
+        _validation(adapt),
+        TERMS,
+        SCORES,
+    )
+
+
+def _optimiser(config: MetaTrainConfig) -> optax.GradientTransformation:
+    """One for each kind of parameter, by its place in `learned_part`."""
+    num_steps = config.num_samples // config.batch_size
+    make = {"sgd": optax.sgd, "adam": optax.adam}[config.optimiser]
+
+    def rate(peak: float) -> optax.Schedule:
+        return optax.warmup_cosine_decay_schedule(
+            0.0 if config.warmup_steps else peak,
+            peak,
+            min(config.warmup_steps, num_steps // 2),
+            num_steps,
+            config.final_rate * peak,
+        )
+
+    def network(peak: float) -> optax.GradientTransformation:
+        clip = optax.clip_by_global_norm(config.clip_norm or jnp.inf)
+        return optax.chain(clip, make(rate(peak)))
+
+    return optax.partition(
+        {
+            "backbone": network(config.learning_rate),
+            "refiner": network(config.refiner_rate),
+            "logits": optax.sgd(config.weight_rate),
+            "log_steps": optax.adam(config.step_rate),
+        },
+        lambda learned: {
+            "params": {
+                name: "refiner" if name == "refiner" else "backbone"
+                for name in learned["params"]
+            },
+            "weighting": {name: name for name in learned["weighting"]},
+        },
+    )
+
+
+def _step(
+    adapt: AdaptConfig,
+    config: MetaTrainConfig,
+    optimiser: optax.GradientTransformation,
+    key: PRNGKeyArray,
+) -> Callable[[TrainState, Batch], tuple[TrainState, Float[Array, " L"]]]:
+    method = config.method
+
+    def gradients(variables: Variables, batch: Batch, key: PRNGKeyArray):
+        frames = _frames(batch, key, adapt)
+        complete = jnp.asarray(batch.complete)
+        return meta_gradients(variables, frames, complete, adapt, method)
+
+    def device_step(state: TrainState, batch: Batch):
+        """What every device does with its share, and then with the mean of all."""
+        variables = state.variables
+        now = jax.random.fold_in(key, state.step)
+        found = _in_parts(
+            lambda part: gradients(variables, part, now), batch, config.at_once
+        )
+        grads, terms = jax.lax.pmean(found, DATA)
+        learned = learned_part(variables, method)
+        updates, opt_state = optimiser.update(grads, state.opt_state, learned)
+        moved: Variables = optax.apply_updates(learned, updates)  # pyright: ignore
+        scales = measured_scales(variables, terms)
+        variables = put_learned(moved, variables)
+        variables["weighting"]["scales"] = scales
+        average = _averaged(state.average, variables, config.average_decay)
+        state = TrainState(state.step + 1, variables, opt_state, average)
+        return state, _measured(terms, variables)
+
+    return jax.jit(
+        jax.shard_map(
+            device_step,
+            mesh=data_mesh(),
+            in_specs=(PartitionSpec(), PartitionSpec(DATA)),
+            out_specs=PartitionSpec(),
+            check_vma=False,
+        )
+    )
+
+
+def _in_parts(fn: Callable[[Batch], tuple], batch: Batch, at_once: int) -> tuple:
+    """The mean of a function's results over equal parts of a batch, in turn."""
+    share = batch.partial.shape[0]
+    count = share // math.gcd(share, at_once)
+    if count == 1:
+        return fn(batch)
+    parts = jax.tree.map(lambda x: x.reshape(count, -1, *x.shape[1:]), batch)
+    zeros = jax.tree.map(
+        lambda x: jnp.zeros(x.shape, x.dtype),
+        jax.eval_shape(fn, jax.tree.map(lambda x: x[0], parts)),
+    )
+
+    def add(total: tuple, part: Batch):
+        return jax.tree.map(jnp.add, total, fn(part)), None
+
+    total, _ = jax.lax.scan(add, zeros, parts)
+    return jax.tree.map(lambda x: x / count, total)
+
+
+def _averaged(
+    average: Variables | None, variables: Variables, decay: float
+) -> Variables | None:
+    if average is None:
+        return None
+    return jax.tree.map(lambda a, v: decay * a + (1 - decay) * v, average, variables)
+
+
+def _measured(terms: MetaTerms, variables: Variables) -> Float[Array, " L"]:
+    """In the order of `TERMS`."""
+    weights = loss_weights(variables["weighting"]["logits"])
+    losses = (terms.zero_step, *terms.losses, terms.refined)
+    return jnp.stack([*losses, *weights, entropy(weights), terms.adapted])
+
+
+def _frames(batch: Batch, key: PRNGKeyArray, adapt: AdaptConfig) -> Frame:
+    """Every frame of a step has the same perturbation, whatever the devices."""
+
+    def frame(partial, eye, indices):
+        camera = Camera.framing(partial, eye)
+        return prepare_frame(partial, camera, key, adapt.model, indices)
+
+    indices = jax.tree.map(lambda rows: jnp.asarray(rows, jnp.int32), batch.indices)
+    return jax.vmap(frame)(jnp.asarray(batch.partial), jnp.asarray(batch.eye), indices)
+
+
+def _validation(
+    adapt: AdaptConfig,
+) -> Callable[[Variables, Batch], Float[Array, "B S"]]:
+    """CD-L2 without and with adaptation, and whether that was accepted."""
+    complete_frame = make_adapt(adapt)
+
+    @jax.jit
+    def validate(variables: Variables, batch: Batch):
+        def one(partial, eye, complete, half_extent):
+            done = complete_frame(variables, partial, Camera.framing(partial, eye))
+            before, after = (
+                chamfer(points, complete) * half_extent**2
+                for points in (done.before, done.points)
+            )
+            return jnp.stack([before, done.accepted.astype(before.dtype), after])
+
+        arrays = (batch.partial, batch.eye, batch.complete, batch.half_extent)
+        return jax.vmap(one)(*map(jnp.asarray, arrays))
+
+    return validate
