@@ -137,7 +137,10 @@ PRESETS = {
         num_shapes=64,
     ),
     "small": Preset(
-        AdaptConfig(ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32)),
+        AdaptConfig(
+            ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
+            normal_stride=4,
+        ),
         PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000),
         _SMALL_META,
     ),

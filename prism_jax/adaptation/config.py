@@ -20,6 +20,7 @@ class AdaptConfig:
       depth_weight: of the depth consistency; 1 as in Eq. 13.
       lambda_smooth: of the normals' smoothness in Eq. 5.
       normal_neighbors: neighbourhood of the PCA normals.
+      normal_stride: Eq. 5 is the mean over every so many-th point.
       lambda_offset: of the denoiser's offsets in Eq. 6.
       lambda_sigma: of the covariances in Eq. 7.
       lambda_transport: of the optimal transport in Eq. 9.
@@ -35,6 +36,7 @@ class AdaptConfig:
     depth_weight: float = 1.0
     lambda_smooth: float = 0.1
     normal_neighbors: int = 16
+    normal_stride: int = 1
     lambda_offset: float = 0.1
     lambda_sigma: float = 1.0
     lambda_transport: float = 1.0
