@@ -18,9 +18,10 @@ def pca_normals(
 
     The neighbourhood is the ``k`` nearest points, self included (all of them if there
     are fewer), or the given ``neighbors`` indices, a row for each normal. Signs are
-    arbitrary but repeatable. No gradient flows (the anchors of PRISM, Eq. 5): that of an eigenvector is infinite
-    at equal eigenvalues. Units do not matter. Collinear neighbours give some direction
-    across their line, coincident ones (1, 0, 0). Points must be finite.
+    arbitrary but repeatable. No gradient flows (the anchors of PRISM, Eq. 5): that of
+    an eigenvector is infinite at equal eigenvalues. Units do not matter. Collinear
+    neighbours give some direction across their line, coincident ones (1, 0, 0). Points
+    must be finite.
 
     H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
