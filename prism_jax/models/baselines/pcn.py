@@ -76,6 +76,8 @@ class PCN(nn.Module):
     def __call__(
         self, partial: Float[Array, "*batch N 3"], train: bool = False
     ) -> tuple[Float[Array, "*batch C 3"], Float[Array, "*batch M 3"]]:
+        if partial.shape[-2] == 0:
+            raise ValueError("an empty cloud cannot be completed")
         config = self.config
         points = MLP(config.local_features, name="local")(partial)
         highest = points.max(-2, keepdims=True)
