@@ -108,15 +108,15 @@ _SMALL_META = MetaTrainConfig(
         learn_steps=True,
         learn_refiner=False,
     ),
-    num_samples=48_000,
+    num_samples=16_000,
     num_complete=2048,
     optimiser="adam",
-    learning_rate=2e-4,
+    learning_rate=1e-4,
     final_rate=0.01,
     warmup_steps=100,
     clip_norm=1.0,
     step_rate=5e-3,
-    validate_every=8_000,
+    validate_every=4_000,
 )
 
 PRESETS = {
@@ -140,6 +140,8 @@ PRESETS = {
     "small": Preset(
         AdaptConfig(
             ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
+            num_steps=1,
+            step_size=1e-2,
             clip_norm=1.0,
             normal_stride=4,
         ),
