@@ -1,6 +1,6 @@
-"""Times against named peers: operations, adaptation, training, start-up.
+"""Times against named peers: operations, adaptation, training, start-up; memory.
 
-python -m experiments.benchmark --suite=ops|adapt|training|startup --output=FILE.json
+python -m experiments.benchmark --suite=SUITE --output=FILE.json
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from experiments.launch import launch, with_large_pages
 from prism_jax.io.atomic import write_bytes
 
 FLAGS = flags.FLAGS
-SUITES = ("ops", "adapt", "training", "startup")
+SUITES = ("ops", "adapt", "training", "startup", "memory")
 HEADER = (
     "| what | ours | peer | its | ratio | target | holds | compile s | MiB |\n"
     "| --- | --- | --- | --- | --- | --- | --- | --- | --- |"

@@ -155,7 +155,7 @@ PRESETS = {
             auxiliary_samples=500_000,
             num_complete=16_384,
         ),
-        MetaTrainConfig(MetaConfig(remat=True), at_once=1),
+        MetaTrainConfig(MetaConfig(remat=True), at_once=4),
     ),
 }
 

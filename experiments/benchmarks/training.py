@@ -62,5 +62,5 @@ def _batch(settings: Preset) -> Batch:
         cloud(size, count, 3) for count in (backbone.num_points, config.num_complete)
     )
     indices = jax.jit(lambda clouds: partial_indices(clouds, backbone))(partial)
-    eye = np.tile(np.float32([2.0, -2.0, 1.0]), (size, 1))
+    eye = np.tile(np.array([2.0, -2.0, 1.0], np.float32), (size, 1))
     return Batch(partial, complete, eye, np.ones(size, np.float32), indices)

@@ -28,9 +28,9 @@ def unroll(
     """``num_steps`` of ``params - step_sizes * grad(loss_fn)(params)``.
 
     A gradient whose global norm is above ``clip_norm``, if that is not zero, is scaled
-    down to it. ``loss_fn`` returns the loss and anything else worth keeping. Returns the adapted
-    parameters, and the losses and extras *before* each step, stacked. The body is
-    traced once, whatever the number of steps. Differentiable in ``params``,
+    down to it. ``loss_fn`` returns the loss and anything else worth keeping. Returns
+    the adapted parameters, and the losses and extras *before* each step, stacked. The
+    body is traced once, whatever the number of steps. Differentiable in ``params``,
     ``step_sizes`` and all that ``loss_fn`` closes over, to second order (MAML, Finn et
     al., ICML 2017); with ``first_order`` the gradients count as constants, and only
     ``params`` and ``step_sizes`` have a derivative through the steps.

@@ -30,7 +30,7 @@ from prism_jax.models.prism import (
 from prism_jax.models.variables import Variables, apply_training, part
 from prism_jax.training.config import PretrainConfig
 from prism_jax.training.leg import Leg, TrainState
-from prism_jax.training.pretrain import adam
+from prism_jax.training.supervised import adam
 
 TRAINED = ("refiner", "depth_encoder", "auxiliary")
 

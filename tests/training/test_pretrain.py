@@ -11,10 +11,12 @@ import pytest
 
 from prism_jax.data.datasets import Subset
 from prism_jax.data.pipeline import Framing, training_batches
+from prism_jax.training import parallel
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.indices import index_table
 from prism_jax.training.leg import VALIDATION_COMPLETE, Data, train_leg
-from prism_jax.training.pretrain import adam, backbone_leg
+from prism_jax.training.pretrain import backbone_leg
+from prism_jax.training.supervised import adam
 
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
 
@@ -139,10 +141,12 @@ def test_the_first_step_is_of_size_zero_and_moves_statistics_alone(seeds, batch)
 
 def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     """Bitwise; and every step, before a checkpoint and after, is of one compilation."""
-    expected = [jax.device_put(jax.device_get(seeds.start))]
+    mesh = parallel.data_mesh()
+    expected = [parallel.replicate(seeds.start, mesh)]
     batches = training_batches(data.train, FRAMING, BATCH, data.seed)
     for _ in range(8):
-        expected.append(seeds.step_fn(expected[-1], next(batches))[0])
+        batch = parallel.share(next(batches), mesh)
+        expected.append(seeds.step_fn(expected[-1], batch)[0])
     *_, done = train_leg(seeds, data, tmp_path, max_steps=4)
     assert not done
     best, _, done = train_leg(seeds, data, tmp_path)

@@ -1,0 +1,117 @@
+"""Training on Eq. 10 alone: the backbone's legs, and any network to compare with."""
+
+from collections.abc import Callable
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from prism_jax.data.pipeline import Batch
+from prism_jax.losses.chamfer import chamfer
+from prism_jax.losses.primary import stage_chamfers
+from prism_jax.models.variables import Variables, apply, apply_training
+from prism_jax.training.config import PhaseConfig, PretrainConfig
+from prism_jax.training.leg import Leg, TrainState
+
+Stages = tuple[Float[Array, "B _ 3"], ...]
+
+
+def adam(
+    learning_rate: float, num_steps: int, final_rate: float, config: PretrainConfig
+) -> optax.GradientTransformation:
+    """Adam under a clipped gradient: linear warm-up, then a cosine."""
+    schedule = optax.warmup_cosine_decay_schedule(
+        init_value=0.0,
+        peak_value=learning_rate,
+        warmup_steps=min(config.warmup_steps, num_steps // 2),
+        decay_steps=num_steps,
+        end_value=final_rate * learning_rate,
+    )
+    return optax.chain(
+        optax.clip_by_global_norm(config.clip_norm), optax.adam(schedule)
+    )
+
+
+def supervised_leg(
+    variables: Variables,
+    train_fn: Callable[[Variables, Batch], tuple[Stages, Variables]],
+    stages_fn: Callable[[Variables, Batch], Stages],
+    names: tuple[str, ...],
+    phase: PhaseConfig,
+    config: PretrainConfig,
+) -> Leg:
+    """Eq. 10 over the stages that ``train_fn`` makes with BatchNorm's statistics of the
+    batch, which it returns too; validated on those of ``stages_fn``, by CD-L2 in the
+    units of the stored examples. ``names`` are the stages', coarse first."""
+    num_steps = phase.num_samples // config.batch_size
+    optimiser = adam(phase.learning_rate, num_steps, phase.final_rate, config)
+
+    def loss_fn(params: Variables, batch_stats: Variables, batch: Batch):
+        variables = {"params": params, "batch_stats": batch_stats}
+        stages, statistics = train_fn(variables, batch)
+        losses = jax.vmap(lambda s, c: stage_chamfers(s, c, config.norm))(
+            stages, jnp.asarray(batch.complete)
+        ).mean(0)
+        return losses.sum(), (losses, statistics)
+
+    @jax.jit
+    def step(state: TrainState, batch: Batch):
+        variables = state.variables
+        grads, (losses, statistics) = jax.grad(loss_fn, has_aux=True)(
+            variables["params"], variables["batch_stats"], batch
+        )
+        updates, opt_state = optimiser.update(grads, state.opt_state)
+        params: Variables = optax.apply_updates(  # pyright: ignore
+            variables["params"], updates
+        )
+        variables = {"params": params, "batch_stats": statistics}
+        return TrainState(state.step + 1, variables, opt_state), losses
+
+    @jax.jit
+    def validate(variables: Variables, batch: Batch):
+        complete = jnp.asarray(batch.complete)
+        stages = stages_fn(variables, batch)
+        distances = [jax.vmap(chamfer)(stage, complete) for stage in stages]
+        return jnp.stack(distances, -1) * jnp.asarray(batch.half_extent)[:, None] ** 2
+
+    return Leg(
+        phase.name,
+        phase.num_samples,
+        config.batch_size,
+        config.num_complete,
+        TrainState(jnp.int32(0), variables, optimiser.init(variables["params"])),
+        step,
+        validate,
+        names,
+        names,
+    )
+
+
+def network_leg(
+    module: nn.Module,
+    num_points: int,
+    phase: PhaseConfig,
+    config: PretrainConfig,
+    seed: int,
+) -> Leg:
+    """A network from ``(B, num_points, 3)`` to its stages, from fresh variables on."""
+
+    def init(key: Array) -> Variables:
+        first, second = jax.random.split(key)
+        cloud = jax.random.uniform(first, (1, num_points, 3), minval=-1.0)
+        made = module.init(second, cloud)
+        return {kind: made.get(kind, {}) for kind in ("params", "batch_stats")}
+
+    def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
+        return apply_training(module, variables, jnp.asarray(batch.partial))
+
+    def stages(variables: Variables, batch: Batch) -> Stages:
+        return apply(module, variables, jnp.asarray(batch.partial))
+
+    variables = jax.jit(init)(jax.random.key(seed))
+    cloud = jax.ShapeDtypeStruct((1, num_points, 3), jnp.float32)
+    made = jax.eval_shape(lambda cloud: apply(module, variables, cloud), cloud)
+    names = tuple(f"stage_{i}" for i in range(len(made)))
+    return supervised_leg(variables, train, stages, names, phase, config)
