@@ -102,7 +102,7 @@ def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
 
 _SMALL_META = MetaTrainConfig(
     MetaConfig(
-        lambda_aux=0.1,
+        lambda_aux=0.001,
         weight_rule="meta",
         rehearse_depth=True,
         learn_steps=True,
