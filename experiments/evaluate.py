@@ -61,10 +61,10 @@ def define_flags() -> None:
         "the paper, or nothing; partial, or own if published.",
     )
     flags.DEFINE_integer(
-        "steps", None, "Adaptation steps, the weights' own if not given."
+        "steps", None, "Adaptation steps, the weights' own if not given.", 0
     )
-    flags.DEFINE_integer("limit", None, "Score the first so many examples only.")
-    flags.DEFINE_integer("batch_size", 20, "Examples completed at once.")
+    flags.DEFINE_integer("limit", None, "Score the first so many examples only.", 1)
+    flags.DEFINE_integer("batch_size", 20, "Examples completed at once.", 1)
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 
 

@@ -110,11 +110,11 @@ def _reduced(cost: np.ndarray) -> np.ndarray:
     """Costs less a number for each row and one for each column, none negative.
 
     Every assignment loses the same sum, so that the best one stays the best, whatever
-    the numbers. They are the prices of the assignment between the first quarters of
-    both clouds, carried over to the others: where they are nearly right, an augmenting
-    path is short.
+    the numbers. They are the prices of the assignment between the first three eighths
+    of both clouds, carried over to the others: where they are nearly right, an
+    augmenting path is short.
     """
-    few = len(cost) // 4
+    few = 3 * len(cost) // 8
     if few < _FEWEST:
         return cost
     prices = _prices(cost[:few, :few])

@@ -82,7 +82,8 @@ def given(
     workspace = workspace_for(example, protocol)
     partial = first_points(example.partial, protocol.num_partial, example.ordered)
     eye = UNKNOWN_EYE if example.eye is None else workspace.to_unit(example.eye)
-    return np.float32(workspace.to_unit(partial)), np.float32(eye)
+    unit = workspace.to_unit(partial)
+    return np.asarray(unit, np.float32), np.asarray(eye, np.float32)
 
 
 def first_points(

@@ -4,7 +4,7 @@ import collections
 import concurrent.futures
 import itertools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -30,12 +30,13 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.models.variables import Variables
 
 CompleteFn = Callable[
-    [Float[Array, "B N 3"], Float[Array, "B 3"]], dict[str, Float[Array, "B ..."]]
+    [Float[np.ndarray, "B N 3"], Float[np.ndarray, "B 3"]],
+    Mapping[str, Array | np.ndarray],
 ]
 """What is scored: partial clouds and the sensors' places, in the unit workspace, to
 clouds there. ``output`` (B, M, 3) must be in the result; ``unadapted`` (B, M, 3), the
-output without adaptation, and ``accepted`` (B,), whether it was adapted, may be. Any
-function of arrays will do; NumPy's are given and may be returned."""
+output without adaptation, and ``accepted`` (B,), whether it was adapted, may be.
+Jitted functions and plain ones will do."""
 
 
 def prism_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
@@ -135,14 +136,17 @@ def _score(item: _Item, protocol: Protocol) -> Scores:
     assert example.partial is not None and example.complete is not None
     workspace, frame = workspace_for(example, protocol), scored_in(example, protocol)
 
+    def scaled(cloud: np.ndarray) -> np.ndarray:
+        return np.asarray(frame.to_unit(cloud.astype(np.float64)))
+
     def from_workspace(cloud: np.ndarray) -> np.ndarray:
-        return frame.to_unit(workspace.from_unit(cloud.astype(np.float64)))
+        return scaled(np.asarray(workspace.from_unit(cloud.astype(np.float64))))
 
     few = first_points(example.complete, EMD_POINTS, example.ordered)
     scene = Scene(
-        complete=frame.to_unit(example.complete.astype(np.float64)),
-        few=frame.to_unit(few.astype(np.float64)),
-        measured=frame.to_unit(example.partial.astype(np.float64)),
+        complete=scaled(example.complete),
+        few=scaled(few),
+        measured=scaled(example.partial),
         partial=from_workspace(item.partial),
         predictions={
             name: from_workspace(item.completed[name])

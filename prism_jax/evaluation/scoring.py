@@ -56,30 +56,31 @@ def score(scene: Scene, with_emd: bool = True) -> dict[str, dict[str, float]]:
     Python's lock.
     """
     tree = KDTree(scene.complete)
+
+    def scored(found: _Found) -> dict[str, float]:
+        scores = metrics.from_distances(found.forward, found.backward)
+        if with_emd:
+            few = farthest_point_order(found.cloud, EMD_POINTS)
+            scores["emd"] = metrics.emd(few, scene.few)
+        return {metric: scores[metric] for metric in METRICS if metric in scores}
+
     control = _find(scene.measured, scene.complete, tree)
-    found = {"control": control}
+    scores = {"control": scored(control)}
     for name, cloud in scene.predictions.items():
+        if np.array_equal(cloud, scene.predictions["output"]) and "output" in scores:
+            # As where the adaptation was not accepted.
+            scores |= {name: scores["output"], MERGED[name]: scores["merged"]}
+            continue
         prediction = _find(cloud, scene.complete, tree)
         keep = keep_unmeasured(cloud, scene.measured, scene.partial)
-        found[name] = prediction
-        found[MERGED[name]] = _merged(control, prediction, keep, scene.complete)
-    scores = {
-        name: metrics.from_distances(one.forward, one.backward)
-        for name, one in found.items()
-    }
-    if with_emd:
-        for name, one in found.items():
-            few = farthest_point_order(one.cloud, EMD_POINTS)
-            scores[name]["emd"] = metrics.emd(few, scene.few)
-    return {
-        name: {metric: row[metric] for metric in METRICS if metric in row}
-        for name, row in scores.items()
-    }
+        merged = _merged(control, prediction, keep, scene.complete)
+        scores |= {name: scored(prediction), MERGED[name]: scored(merged)}
+    return scores
 
 
 def _find(cloud: np.ndarray, complete: np.ndarray, tree: KDTree) -> _Found:
     backward, rows = KDTree(cloud).query(complete)
-    return _Found(cloud, tree.query(cloud)[0], backward, rows)
+    return _Found(cloud, tree.query(cloud)[0], backward, np.asarray(rows))
 
 
 def _merged(

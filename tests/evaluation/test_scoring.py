@@ -45,6 +45,13 @@ def test_shared_searches_change_no_score():
             assert np.isclose(scores[name][metric], value, rtol=1e-12), (name, metric)
 
 
+def test_equal_predictions_have_equal_scores():
+    output = RNG.normal(size=(300, 3))
+    scores = score(scene(output=output, unadapted=output.copy()), with_emd=False)
+    assert scores["unadapted"] == scores["output"]
+    assert scores["merged_unadapted"] == scores["merged"]
+
+
 def test_a_prediction_of_measured_points_adds_nothing():
     scores = score(scene(output=MEASURED[::3]), with_emd=False)
     assert scores["merged"] == scores["control"]
