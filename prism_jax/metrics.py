@@ -6,7 +6,7 @@ not finite raises `ValueError`. Published tables scale CD-L1 by 1e3 and CD-L2 by
 or 1e4: nothing is scaled here.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,8 @@ _BLOCK_PAIRS = 1 << 18
 _TINY = 1e-30
 _FEWEST = 16
 """Fewer points than this are not worth an assignment of their own."""
+_ROUNDS = 10
+"""Of relaxing the prices of a whole assignment; more cost more than they save."""
 
 
 def cd_l1(
@@ -91,7 +93,28 @@ def emd(
     Memory is quadratic (8 bytes a pair), time up to cubic, and a few times shorter for
     clouds in farthest-point order.
     """
-    prediction, target = _checked(prediction, target)
+    return emds([prediction], target)[0]
+
+
+def emds(
+    predictions: Sequence[Float[np.ndarray, "N 3"]], target: Float[np.ndarray, "M 3"]
+) -> list[float]:
+    """`emd` of several clouds to one target: the same values, and for clouds that are
+    alike sooner than one by one."""
+    values, prices = [], None
+    for prediction in predictions:
+        cloud, goal = _checked(prediction, target)
+        _check_counts(cloud, goal)
+        cost = cdist(cloud, goal)
+        start = _coarse_prices(cost) if prices is None else prices
+        columns = linear_sum_assignment(_reduced(cost, start))[1]
+        values.append(float(cost[np.arange(len(cost)), columns].mean()))
+        if prices is None and len(predictions) > 1:
+            prices = _relaxed(start, cost, columns, _ROUNDS)
+    return values
+
+
+def _check_counts(prediction: np.ndarray, target: np.ndarray) -> None:
     if len(prediction) != len(target):
         raise ValueError(
             f"emd is one-to-one and needs equal counts, not {len(prediction)} and "
@@ -102,38 +125,42 @@ def emd(
             f"emd is exact and takes up to {MAX_EXACT_POINTS} points, not "
             f"{len(prediction)}: use fewer, or emd_sinkhorn"
         )
-    cost = cdist(prediction, target)
-    return float(cost[linear_sum_assignment(_reduced(cost))].mean())
 
 
-def _reduced(cost: np.ndarray) -> np.ndarray:
-    """Costs less a number for each row and one for each column, none negative.
+def _reduced(cost: np.ndarray, prices: np.ndarray) -> np.ndarray:
+    """Costs less the columns' prices, and less the lowest of each row.
 
     Every assignment loses the same sum, so that the best one stays the best, whatever
-    the numbers. They are the prices of the assignment between the first three eighths
-    of both clouds, carried over to the others: where they are nearly right, an
-    augmenting path is short.
+    the prices. Where they are nearly its dual variables, augmenting paths are short.
     """
-    few = 3 * len(cost) // 8
-    if few < _FEWEST:
-        return cost
-    prices = _prices(cost[:few, :few])
-    rows = np.min(cost[:, :few] - prices, axis=1, keepdims=True)
-    reduced = cost - np.min(cost - rows, axis=0)
+    reduced = cost - prices
     reduced -= reduced.min(axis=1, keepdims=True)
     return reduced
 
 
-def _prices(cost: np.ndarray) -> np.ndarray:
-    """Dual variables of the columns of the best assignment.
+def _coarse_prices(cost: np.ndarray) -> np.ndarray:
+    """Those of the assignment between the first three eighths of both clouds, carried
+    over to the others."""
+    few = 3 * len(cost) // 8
+    if few < _FEWEST:
+        return np.zeros(len(cost))
+    coarse = cost[:few, :few]
+    columns = linear_sum_assignment(coarse)[1]
+    prices = _relaxed(np.zeros(few), coarse, columns, few)
+    rows = np.min(cost[:, :few] - prices, axis=1, keepdims=True)
+    return np.min(cost - rows, axis=0)
+
+
+def _relaxed(
+    prices: np.ndarray, cost: np.ndarray, columns: np.ndarray, rounds: int
+) -> np.ndarray:
+    """Prices nearer to the dual variables of the best assignment, `columns`.
 
     They are lengths of shortest paths from column to column, by Bellman and Ford: from
     one to another leads what its row would pay more there.
     """
-    rows, columns = linear_sum_assignment(cost)
-    more = cost - cost[rows, columns][:, None]
-    prices = np.zeros(len(cost))
-    for _ in range(len(cost)):
+    more = cost - np.take_along_axis(cost, columns[:, None], axis=1)
+    for _ in range(rounds):
         lower = np.minimum(prices, np.min(prices[columns][:, None] + more, axis=0))
         if (prices - lower).max() <= 1e-9 * cost.max():
             break

@@ -122,6 +122,15 @@ def test_emd_is_the_assignment_of_the_costs_as_they_are(count, order):
     cost = cdist(prediction, target)
     expected = cost[linear_sum_assignment(cost)].mean()
     assert np.isclose(metrics.emd(prediction, target), expected, rtol=1e-12)
+    others = [target[::-1] + 0.1, prediction, prediction + 0.01 * cloud(count)]
+    values = metrics.emds([*others, prediction], target)
+    for one, value in zip(others, values, strict=False):
+        cost = cdist(one, target)
+        best = cost[linear_sum_assignment(cost)].mean()
+        assert np.isclose(value, best, rtol=1e-12)
+    assert np.isclose(values[1], expected, rtol=1e-12)
+    assert values[3] == values[1]
+    assert metrics.emds([], target) == []
 
 
 def test_emd_sinkhorn_bounds_the_exact_value_from_below():

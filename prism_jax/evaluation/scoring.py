@@ -56,26 +56,35 @@ def score(scene: Scene, with_emd: bool = True) -> dict[str, dict[str, float]]:
     Python's lock.
     """
     tree = KDTree(scene.complete)
-
-    def scored(found: _Found) -> dict[str, float]:
-        scores = metrics.from_distances(found.forward, found.backward)
-        if with_emd:
-            few = farthest_point_order(found.cloud, EMD_POINTS)
-            scores["emd"] = metrics.emd(few, scene.few)
-        return {metric: scores[metric] for metric in METRICS if metric in scores}
-
     control = _find(scene.measured, scene.complete, tree)
-    scores = {"control": scored(control)}
-    for name, cloud in scene.predictions.items():
-        if np.array_equal(cloud, scene.predictions["output"]) and "output" in scores:
-            # As where the adaptation was not accepted.
-            scores |= {name: scores["output"], MERGED[name]: scores["merged"]}
-            continue
+    found, predictions = {"control": control}, scene.predictions
+    for name, cloud in predictions.items():
+        if name != "output" and np.array_equal(cloud, predictions["output"]):
+            continue  # Adaptation was not accepted.
         prediction = _find(cloud, scene.complete, tree)
         keep = keep_unmeasured(cloud, scene.measured, scene.partial)
-        merged = _merged(control, prediction, keep, scene.complete)
-        scores |= {name: scored(prediction), MERGED[name]: scored(merged)}
-    return scores
+        found[name] = prediction
+        found[MERGED[name]] = _merged(control, prediction, keep, scene.complete)
+    scores = {
+        name: metrics.from_distances(one.forward, one.backward)
+        for name, one in found.items()
+    }
+    if with_emd:
+        few = {
+            name: farthest_point_order(one.cloud, EMD_POINTS)
+            for name, one in found.items()
+        }
+        # The partial is unlike the others, which are much like each other.
+        values = [metrics.emd(few.pop("control"), scene.few)]
+        values += metrics.emds(list(few.values()), scene.few)
+        for row, value in zip(scores.values(), values, strict=True):
+            row["emd"] = value
+    for name in predictions.keys() - scores.keys():
+        scores |= {name: scores["output"], MERGED[name]: scores["merged"]}
+    return {
+        name: {metric: row[metric] for metric in METRICS if metric in row}
+        for name, row in scores.items()
+    }
 
 
 def _find(cloud: np.ndarray, complete: np.ndarray, tree: KDTree) -> _Found:
