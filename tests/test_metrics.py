@@ -5,9 +5,11 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, directed_hausdorff
 
 from prism_jax import metrics
+from prism_jax.data.partials import farthest_point_order
 
 RNG = np.random.default_rng(3)
 NAMES = {
@@ -76,6 +78,16 @@ def test_agrees_with_all_pairs():
     )
 
 
+def test_distances_serve_all_metrics():
+    prediction, target = cloud(70), cloud(90)
+    distances = cdist(prediction, target)
+    scores = metrics.from_distances(distances.min(1), distances.min(0), 0.5)
+    assert np.isclose(scores["cd_l2"], metrics.cd_l2(prediction, target))
+    assert np.isclose(scores["cd_l1"], metrics.cd_l1(prediction, target))
+    assert np.isclose(scores["f_score"], metrics.f_score(prediction, target, 0.5))
+    assert np.isclose(scores["hd"], metrics.hausdorff(prediction, target))
+
+
 def test_f_score_threshold_is_strict_and_unsquared():
     one = np.zeros((1, 3))
     two = np.asarray([[0.0, 0.0, 0.0], [0.0, 0.0, 0.25]])
@@ -93,6 +105,32 @@ def test_emd_is_the_best_of_all_assignments():
         for order in itertools.permutations(range(5))
     )
     assert np.isclose(metrics.emd(prediction, target), best)
+
+
+@pytest.mark.parametrize("count", [63, 64, 200])
+@pytest.mark.parametrize("order", ["farthest", "random", "sorted", "one point"])
+def test_emd_is_the_assignment_of_the_costs_as_they_are(count, order):
+    prediction, target = cloud(count), cloud(count) * [1.0, 2.0, 0.1] + [3.0, 0.0, 0.0]
+    if order == "farthest":
+        prediction = farthest_point_order(prediction, count)
+        target = farthest_point_order(target, count)
+    elif order == "sorted":
+        prediction, target = np.sort(prediction, axis=0), -np.sort(-target, axis=0)
+    elif order == "one point":
+        target[: count // 2] = target[0]
+        prediction[count // 3 :] = target[0]
+    cost = cdist(prediction, target)
+    expected = cost[linear_sum_assignment(cost)].mean()
+    assert np.isclose(metrics.emd(prediction, target), expected, rtol=1e-12)
+    others = [target[::-1] + 0.1, prediction, prediction + 0.01 * cloud(count)]
+    values = metrics.emds([*others, prediction], target)
+    for one, value in zip(others, values, strict=False):
+        cost = cdist(one, target)
+        best = cost[linear_sum_assignment(cost)].mean()
+        assert np.isclose(value, best, rtol=1e-12)
+    assert np.isclose(values[1], expected, rtol=1e-12)
+    assert values[3] == values[1]
+    assert metrics.emds([], target) == []
 
 
 def test_emd_sinkhorn_bounds_the_exact_value_from_below():

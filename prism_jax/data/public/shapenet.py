@@ -50,7 +50,8 @@ class ShapeNet(ListedSource):
     eight, one a viewpoint, in PoinTr's order: the share of the points nearest to
     (+-1, +-1, +-1) is taken away, the viewpoint as it stands, not scaled to length one,
     and what is left is not normalised again. PoinTr feeds its networks 2,048 farthest
-    points of that. A viewpoint of a crop is no sensor's place: `eye` is None.
+    points of that. The difficulty "all" has the three one after the other for each
+    model. A viewpoint of a crop is no sensor's place: `eye` is None.
     """
 
     def __init__(
@@ -61,21 +62,26 @@ class ShapeNet(ListedSource):
         difficulty: str | None = None,
     ):
         root = pathlib.Path(root)
-        self.share = None
+        self.difficulties: tuple[str, ...] = ()
         if difficulty is not None:
-            self.share = CROP_SHARES[choose("difficulty", difficulty, CROP_SHARES)]
+            choose("difficulty", difficulty, (*CROP_SHARES, "all"))
+            every = difficulty == "all"
+            self.difficulties = tuple(CROP_SHARES) if every else (difficulty,)
         models = _read_models(root, split, subset, subset)
-        views = 1 if self.share is None else len(CROP_VIEWPOINTS)
+        views = len(self.difficulties) * len(CROP_VIEWPOINTS) or 1
         super().__init__(root, models, views)
 
     def __getitem__(self, index: int) -> Example:
         model, view = self.locate(index)
         name = f"{model.folder}-{model.id}"
         complete = _normalised(_complete_path(self.root, model))
-        if self.share is None:
+        if not self.difficulties:
             return Example(complete, None, None, model.category, name)
-        partial = crop(complete, CROP_VIEWPOINTS[view], self.share).astype(np.float32)
-        return Example(complete, partial, None, model.category, f"{name}/{view}")
+        difficulty, view = divmod(view, len(CROP_VIEWPOINTS))
+        difficulty = self.difficulties[difficulty]
+        partial = crop(complete, CROP_VIEWPOINTS[view], CROP_SHARES[difficulty])
+        name = f"{name}/{difficulty}/{view}"
+        return Example(complete, partial.astype(np.float32), None, model.category, name)
 
 
 class ProjectedShapeNet(ListedSource):

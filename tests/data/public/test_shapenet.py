@@ -75,6 +75,18 @@ def test_the_test_crops_take_the_points_nearest_to_the_corners(root, difficulty,
     assert corners[0] == (1, 1, 1)
 
 
+def test_all_difficulties_are_the_three_one_after_the_other(root):
+    every = ShapeNet("ShapeNet-55", root, "test", difficulty="all")
+    assert (len(every), every.views) == (48, 24)
+    assert len({example.name for example in every}) == 48
+    for i, difficulty in enumerate(("easy", "median", "hard")):
+        one = ShapeNet("ShapeNet-55", root, "test", difficulty=difficulty)
+        for view in (0, 5):
+            example, other = every[24 + 8 * i + view], one[8 + view]
+            assert example.name == other.name
+            np.testing.assert_array_equal(example.partial, other.partial)
+
+
 def test_items_are_the_same_in_every_process(root):
     source = ShapeNet("ShapeNet-55", root, "test", difficulty="hard")
     other = pickle.loads(pickle.dumps(source))
@@ -119,7 +131,7 @@ def test_the_published_model_without_an_id_is_one_like_the_others(
 
 
 def test_an_unknown_difficulty_is_refused(root):
-    with pytest.raises(InputError, match="use easy or median or hard"):
+    with pytest.raises(InputError, match="use easy or median or hard or all"):
         ShapeNet("ShapeNet-55", root, "test", difficulty="medium")
 
 

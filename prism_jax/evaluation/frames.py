@@ -1,0 +1,95 @@
+"""The frame in which a completer works, and the unit in which it is scored.
+
+They are two matters. What a completer returns is taken back from its workspace before
+it is scored, so that results of several normalisations have the same unit.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from prism_jax.data.partials import farthest_point_order
+from prism_jax.data.pipeline import UNKNOWN_EYE
+from prism_jax.data.source import Example
+from prism_jax.geometry.workspace import Workspace
+
+NORMALISATIONS = ("partial", "oracle", "own")
+
+UNITS = {
+    "complete": "half the longest side of the complete cloud",
+    "own": "the data set's own unit",
+}
+"""What scores can be in, and in words."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Protocol:
+    """What a completer is given, and how its output is scored.
+
+    Attributes:
+      num_partial: points of the partial cloud, in farthest-point order.
+      margin: side of the workspace over the longest side of the box in it.
+      normalisation: what places the workspace. ``partial``: the partial's box, which is
+        all that a deployment has. ``oracle``: the complete cloud's box, in the same way
+        and with the same margin, so that a network whose margin is 1 gets the partial
+        exactly as the paper's does, in the frame where the complete cloud spans
+        [-1, 1], and one with another margin gets it as large as it was trained on.
+        ``own``: nothing, the data set's coordinates are the workspace's.
+      unit: of the scores, one of `UNITS`. ``complete``: the complete cloud's longest
+        side spans [-1, 1], as in the paper, whatever the data set's unit. ``own``: as
+        published tables of the data set have it.
+      with_emd: whether the earth mover's distance is taken, which costs the most.
+    """
+
+    num_partial: int
+    margin: float
+    normalisation: str = "partial"
+    unit: str = "complete"
+    with_emd: bool = True
+
+    def __post_init__(self):
+        if self.normalisation not in NORMALISATIONS:
+            raise ValueError(f"normalisation must be one of {NORMALISATIONS}")
+        if self.unit not in UNITS:
+            raise ValueError(f"unit must be one of {tuple(UNITS)}")
+
+
+def workspace_for(example: Example, protocol: Protocol) -> Workspace:
+    """Where the completer works, in the frame of the example."""
+    if protocol.normalisation == "own":
+        return Workspace(np.zeros(3), np.ones(()))
+    oracle = protocol.normalisation == "oracle"
+    cloud = example.complete if oracle else example.partial
+    assert cloud is not None
+    return Workspace.from_points(cloud.astype(np.float64), protocol.margin)
+
+
+def scored_in(example: Example, protocol: Protocol) -> Workspace:
+    """The frame whose unit is that of the scores."""
+    if protocol.unit == "own":
+        return Workspace(np.zeros(3), np.ones(()))
+    assert example.complete is not None
+    return Workspace.from_points(example.complete.astype(np.float64), 1.0)
+
+
+def given(
+    example: Example, protocol: Protocol
+) -> tuple[Float32[np.ndarray, "N 3"], Float32[np.ndarray, "3"]]:
+    """What the completer gets: the partial and where the sensor stood, `UNKNOWN_EYE` if
+    the source does not say, in the workspace."""
+    assert example.partial is not None
+    workspace = workspace_for(example, protocol)
+    partial = first_points(example.partial, protocol.num_partial, example.ordered)
+    eye = UNKNOWN_EYE if example.eye is None else workspace.to_unit(example.eye)
+    unit = workspace.to_unit(partial)
+    return np.asarray(unit, np.float32), np.asarray(eye, np.float32)
+
+
+def first_points(
+    cloud: Float[np.ndarray, "N 3"], count: int, ordered: bool
+) -> Float[np.ndarray, "M 3"]:
+    """`count` farthest points, repeated if there are fewer; a prefix if `ordered`."""
+    if not ordered:
+        return farthest_point_order(cloud, count)
+    return cloud[:count] if count <= len(cloud) else np.resize(cloud, (count, 3))

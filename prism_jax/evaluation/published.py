@@ -1,0 +1,60 @@
+"""The columns of published tables, of results by the published protocols.
+
+ShapeNet-55 and -34 (Yu et al., "PoinTr", ICCV 2021): the test objects from eight fixed
+viewpoints, 25, 50 and 75 % of the points removed (easy, median, hard); CD-L2 x1e3 as
+CD-S, CD-M, CD-H and their mean, and F-score at 1 %. PCN (Yuan et al., 3DV 2018, with
+GRNet's test split): CD-L1 x1e3 by category. Both in the data set's own normalisation.
+An average is the mean over categories of each category's mean, as PoinTr's released
+evaluation takes it.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from prism_jax.evaluation.summary import scores_of
+
+PUBLISHED = ("shapenet55", "shapenet34", "shapenet_unseen21", "pcn")
+"""Data sets whose published protocol is known here; the test split of each."""
+
+_LETTERS = {"easy": "S", "median": "M", "hard": "H"}
+
+
+def published_options(dataset: str) -> dict[str, str]:
+    """How to open a data set for its published test."""
+    return {} if dataset == "pcn" else {"difficulty": "all"}
+
+
+def published_columns(
+    dataset: str, result: Mapping[str, Any], cloud: str = "output"
+) -> dict[str, float]:
+    """The columns of the data set's published table, scaled as there.
+
+    `result` is that of `evaluate` on the test split opened with `published_options`,
+    in the data set's own unit; `cloud` one of its clouds.
+    """
+    scores = scores_of(result, cloud)["per_category"]
+    f_score = float(np.mean([means["f_score"] for means in scores.values()]))
+    if dataset == "pcn":
+        columns = {name: 1e3 * means["cd_l1"] for name, means in scores.items()}
+        average = float(np.mean(list(columns.values())))
+        return {**columns, "Average": average, "F-Score@1%": f_score}
+    columns = {
+        f"CD-{letter}": _of_difficulty(result["per_example"], cloud, difficulty)
+        for difficulty, letter in _LETTERS.items()
+    }
+    average = float(np.mean(list(columns.values())))
+    return {**columns, "CD-Avg": average, "F-Score@1%": f_score}
+
+
+def _of_difficulty(examples: Mapping[str, Any], cloud: str, difficulty: str) -> float:
+    """CD-L2 x1e3 of one difficulty, by the names that the source gives."""
+    by_category: dict[str, list[float]] = {}
+    values = examples[cloud]["cd_l2"]
+    for name, category, value in zip(
+        examples["name"], examples["category"], values, strict=True
+    ):
+        if name.split("/")[1] == difficulty:
+            by_category.setdefault(category, []).append(value)
+    return 1e3 * float(np.mean([np.mean(rows) for rows in by_category.values()]))

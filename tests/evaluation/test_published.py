@@ -1,0 +1,89 @@
+"""Published columns, of results with known values and of sets in their layouts."""
+
+import numpy as np
+import pytest
+
+from prism_jax.data.public.pcn import PCN
+from prism_jax.data.public.shapenet import ShapeNet
+from prism_jax.evaluation import Protocol, evaluate, published_columns
+from prism_jax.evaluation.published import published_options
+from prism_jax.evaluation.scoring import METRICS
+from prism_jax.evaluation.summary import Scores, summarise
+from tests.public_sets import write_pcn, write_shapenet55
+
+DIFFICULTIES = {"easy": 1.0, "median": 2.0, "hard": 6.0}
+
+
+def row(name, category, value) -> Scores:
+    scores = dict.fromkeys(METRICS, value)
+    return Scores(name, category, None, {"control": scores, "output": scores})
+
+
+def test_shapenet_averages_categories_and_not_examples():
+    """Three cars at ten times the only bag's distances."""
+    factors = {"bag-0": 1.0, "car-1": 10.0, "car-2": 10.0, "car-3": 10.0}
+    rows = [
+        row(f"{name}/{difficulty}/{view}", name[:3], 1e-3 * factor * value)
+        for name, factor in factors.items()
+        for difficulty, value in DIFFICULTIES.items()
+        for view in range(8)
+    ]
+    result = summarise(rows, ("bag", "car"), views=24)
+    columns = published_columns("shapenet55", result)
+    assert list(columns) == ["CD-S", "CD-M", "CD-H", "CD-Avg", "F-Score@1%"]
+    expected = [5.5, 11.0, 33.0, 16.5, 1e-3 * 16.5]
+    np.testing.assert_allclose(list(columns.values()), expected, rtol=1e-6)
+    assert published_columns("shapenet55", result, "control") == columns
+
+
+def test_pcn_has_a_column_a_category():
+    rows = [row(f"{i}", "car" if i else "bag", 1e-3 * (i + 1)) for i in range(4)]
+    columns = published_columns("pcn", summarise(rows, ("bag", "car")))
+    expected = {"bag": 1.0, "car": 3.0, "Average": 2.0, "F-Score@1%": 2e-3}
+    assert columns == pytest.approx(expected)
+
+
+def test_the_published_test_of_shapenet(tmp_path):
+    """The partial given back, of a single model."""
+    write_shapenet55(tmp_path, 1)
+    options = published_options("shapenet55")
+    source = ShapeNet("ShapeNet-55", tmp_path, "test", **options)
+    assert (len(source), source.views) == (24, 24)
+    names = [source[i].name for i in (0, 7, 8, 23)]
+    tails = ["easy/0", "easy/7", "median/0", "hard/7"]
+    assert names == [f"02691156-model0/{tail}" for tail in tails]
+    assert [len(source[i].partial) for i in (0, 8, 16)] == [6144, 4096, 2048]
+    given = []
+
+    def same(partials, eyes):
+        given.extend(partials)
+        return {"output": partials}
+
+    protocol = Protocol(256, 1.4, "own", "own", with_emd=False)
+    result = evaluate(same, source, protocol, batch_size=8)
+    assert (result["num_examples"], result["num_objects"]) == (24, 1)
+    columns = published_columns("shapenet55", result)
+    # All pairs, of the first test of each difficulty.
+    for start, head in ((0, "CD-S"), (8, "CD-M"), (16, "CD-H")):
+        kept = result["per_example"]["output"]["cd_l2"][start : start + 8]
+        assert np.isclose(columns[head], 1e3 * np.mean(kept), rtol=1e-6)
+        complete, partial = source[start].complete, given[start]
+        gaps = np.linalg.norm(complete[:, None] - partial, axis=2).astype(np.float64)
+        expected = (gaps.min(0) ** 2).mean() + (gaps.min(1) ** 2).mean()
+        assert np.isclose(kept[0], expected, rtol=1e-4)
+    assert columns["CD-S"] < columns["CD-M"] < columns["CD-H"]
+
+
+def test_the_published_test_of_pcn(tmp_path):
+    """Answers that are known, moved by far less than points lie apart."""
+    write_pcn(tmp_path)
+    source = PCN(tmp_path, "test", **published_options("pcn"))
+    protocol = Protocol(128, 1.4, "own", "own", with_emd=False)
+    answers = np.stack([source[i].complete for i in range(2)])
+    moved = {"output": answers + np.float32([0.002, 0.0, 0.0])}
+    result = evaluate(lambda p, e: moved, source, protocol)
+    columns = published_columns("pcn", result)
+    assert list(columns) == ["airplane", "car", "Average", "F-Score@1%"]
+    assert np.isclose(columns["car"], 2.0, rtol=0.01)
+    assert np.isclose(columns["Average"], 2.0, rtol=0.01)
+    assert columns["F-Score@1%"] == 1.0

@@ -1,0 +1,163 @@
+"""Completers that are no networks, run over a source and scored."""
+
+import jax
+import numpy as np
+import pytest
+
+from prism_jax import metrics
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.data.source import Example
+from prism_jax.evaluation import (
+    NORMALISATIONS,
+    Protocol,
+    evaluate,
+    paired_difference,
+    prism_completer,
+)
+from prism_jax.io import InputError
+
+METRES = {"scale": 0.35, "shift": (2.0, -1.0, 4.0)}
+CLOUDS = ("control", "unadapted", "merged", "merged_unadapted")
+
+
+def same(partials, eyes):
+    """Returns what it is given."""
+    assert partials.shape[2] == eyes.shape[1] == 3
+    return {"output": partials}
+
+
+def mirrored(partials, eyes):
+    """Adapted by mirroring, where the partial lies upwards of the workspace."""
+    accepted = partials[:, :, 2].mean(axis=1) > 0
+    output = partials * np.float32([1, 1, -1])
+    return {"output": output, "unadapted": partials, "accepted": accepted}
+
+
+def protocol(normalisation="partial", **changes) -> Protocol:
+    return Protocol(60, 1.4, normalisation, with_emd=False, **changes)
+
+
+@pytest.mark.parametrize("normalisation", NORMALISATIONS)
+def test_a_partial_returned_is_a_partial_scored(boxes, normalisation):
+    """In every frame, and in metres as in any unit."""
+    source = boxes(**METRES)
+    result = evaluate(same, source, protocol(normalisation))
+    expected = []
+    for i in range(len(source)):
+        clouds = source[i].partial, source[i].complete
+        expected.append(metrics.cd_l1(*clouds) / METRES["scale"])
+    assert np.isclose(result["control"]["mean"]["cd_l1"], np.mean(expected), rtol=1e-4)
+    unit = boxes()
+    few = evaluate(same, unit, protocol("partial"))
+    assert np.isclose(result["mean"]["cd_l2"], few["mean"]["cd_l2"], rtol=1e-4)
+    assert result["unit"] == "half the longest side of the complete cloud"
+    assert result["num_partial"] == 60
+
+
+def test_who_knows_the_answer_scores_zero(boxes):
+    """In the oracle's frame, the complete cloud is as large as the margin says."""
+    source = boxes(objects=1, **METRES)
+    answer = boxes(objects=1)[0].complete / np.float32(1.4)
+    result = evaluate(lambda p, e: {"output": answer[None]}, source, protocol("oracle"))
+    assert result["mean"]["hd"] < 1e-5
+    assert result["mean"]["f_score"] == 1
+    blind = evaluate(lambda p, e: {"output": answer[None]}, source, protocol())
+    assert blind["mean"]["hd"] > 0.01
+
+
+def test_the_own_unit_is_the_data_sets(boxes):
+    source, metres = boxes(), boxes(**METRES)
+    one = evaluate(same, source, protocol("own", unit="own"))
+    other = evaluate(same, metres, protocol("own", unit="own"))
+    assert other["unit"] == "the data set's own unit"
+    ratio = other["mean"]["cd_l1"] / one["mean"]["cd_l1"]
+    assert np.isclose(ratio, METRES["scale"], rtol=1e-4)
+
+
+@pytest.mark.parametrize("batch_size", [1, 2, 3, 20])
+def test_batches_change_nothing(boxes, batch_size):
+    source = boxes(objects=4, views=2)
+    whole = evaluate(mirrored, source, protocol(), limit=5, batch_size=5)
+    parts = evaluate(mirrored, source, protocol(), limit=5, batch_size=batch_size)
+    assert parts == whole
+    assert parts["num_examples"] == 5
+    assert parts["num_objects"] == 3
+    assert parts["per_example"]["name"] == ["0/0", "0/1", "1/0", "1/1", "2/0"]
+    assert parts["per_example"]["category"][2] == "tall"
+
+
+def test_batches_all_have_one_size(boxes):
+    sizes = []
+    evaluate(
+        lambda p, e: sizes.append(len(p)) or same(p, e),
+        boxes(objects=5),
+        protocol(),
+        batch_size=2,
+    )
+    assert sizes == [2, 2, 2]
+
+
+def test_an_adapted_output_has_one_that_is_not(boxes):
+    result = evaluate(mirrored, boxes(), protocol())
+    assert all(
+        set(result[name]) == {"mean", "intervals", "per_category"} for name in CLOUDS
+    )
+    assert result["accepted"] == 1
+    # A partial seen from above, mirrored in the middle of its own box, is farther away.
+    change = paired_difference(result, result, clouds=("unadapted", "output"))["change"]
+    means = result["mean"]["cd_l2"], result["unadapted"]["mean"]["cd_l2"]
+    assert np.isclose(change, means[0] / means[1] - 1, rtol=1e-4)
+    without = evaluate(same, boxes(), protocol())
+    assert without["mean"] == result["unadapted"]["mean"]
+    assert without["merged"]["mean"] == result["merged_unadapted"]["mean"]
+    assert not {"accepted", "unadapted", "merged_unadapted"} & without.keys()
+
+
+def test_a_jitted_function_is_a_completer(boxes):
+    plain = evaluate(mirrored, boxes(), protocol())
+    jitted = evaluate(jax.jit(mirrored), boxes(), protocol())
+    assert jitted["per_example"]["name"] == plain["per_example"]["name"]
+    np.testing.assert_allclose(jitted["mean"]["hd"], plain["mean"]["hd"], rtol=1e-6)
+
+
+def test_every_metric_is_there(boxes):
+    result = evaluate(same, boxes(objects=1), Protocol(60, 1.4))
+    assert list(result["mean"]) == ["cd_l2", "cd_l1", "f_score", "emd", "hd"]
+    assert 0 < result["mean"]["emd"] < 1
+
+
+def test_a_fault_of_the_completer_ends_it(boxes):
+    def broken(partials, eyes):
+        raise RuntimeError("no network")
+
+    with pytest.raises(RuntimeError, match="no network"):
+        evaluate(broken, boxes(), protocol())
+    with pytest.raises(ValueError, match="finite"):
+        evaluate(lambda p, e: {"output": p * np.nan}, boxes(), protocol())
+
+
+def test_an_example_without_truth_is_refused(boxes):
+    class Blind(boxes):
+        def __getitem__(self, index) -> Example:
+            return super().__getitem__(index)._replace(complete=None)
+
+    with pytest.raises(InputError, match="no complete cloud"):
+        evaluate(same, Blind(), protocol())
+
+
+@pytest.mark.parametrize("steps", [0, 3])
+def test_prism_is_a_completer(minimal, minimal_variables, steps):
+    config = AdaptConfig(minimal.model, steps, normal_neighbors=4)
+    points = minimal.model.backbone.num_points
+    shapes = jax.eval_shape(
+        prism_completer(config, minimal_variables),
+        np.zeros((2, points, 3), np.float32),
+        np.zeros((2, 3), np.float32),
+    )
+    outputs = minimal.model.backbone.stage_sizes[-1]
+    assert shapes["output"].shape == (2, outputs, 3)
+    if steps == 0:
+        assert shapes.keys() == {"output"}
+        return
+    assert shapes["unadapted"].shape == (2, outputs, 3)
+    assert (shapes["accepted"].shape, shapes["accepted"].dtype) == ((2,), bool)

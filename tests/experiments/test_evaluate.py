@@ -1,0 +1,158 @@
+"""The launcher: what it writes, and how it ends. The network is a fake."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from absl import flags
+
+from experiments import evaluate
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.evaluation import paired_difference
+from prism_jax.metrics import hausdorff
+from tests.public_sets import write_pcn, write_shapenet55
+
+FLAGS = (
+    *("weights", "dataset", "data_dir", "split", "protocol", "normalisation"),
+    *("steps", "limit", "batch_size", "output"),
+)
+
+
+def fake(config, variables):
+    """Moves the partial up, by the number of steps; accepts every other frame."""
+
+    def complete(partials, eyes):
+        if config.num_steps == 0:
+            return {"output": partials}
+        moved = partials + np.float32([0, 0, 0.01 * config.num_steps])
+        accepted = np.arange(len(partials)) % 2 == 0
+        return {"output": moved, "unadapted": partials, "accepted": accepted}
+
+    return complete
+
+
+def run(*arguments) -> int:
+    """The command with these arguments; its exit status."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["evaluate", *arguments])
+        patch.setattr(evaluate, "prism_completer", fake)
+        patch.setattr(evaluate, "with_large_pages", lambda: None)
+        try:
+            with pytest.raises(SystemExit) as ended:
+                evaluate.run()
+        finally:
+            # A process defines its flags once; these tests do so again and again.
+            for name in FLAGS:
+                delattr(flags.FLAGS, name)
+    return ended.value.code or 0
+
+
+def scored(output, *arguments) -> dict:
+    """What a run that ends well writes."""
+    assert run(*arguments, f"--output={output}") == 0
+    return json.loads(output.read_text())
+
+
+@pytest.fixture(scope="module")
+def cells(tmp_path_factory):
+    """Results on two frames of the robot cells that ship, in metres."""
+    root = RecordedCells.bundled().root
+    place = ["--dataset=recordings", f"--data_dir={root}", "--split=all", "--limit=2"]
+    folder = tmp_path_factory.mktemp("cells")
+    runs = {
+        "adapted": ["--steps=2"],
+        "plain": ["--steps=0"],
+        "oracle": ["--steps=0", "--normalisation=oracle"],
+    }
+    return {
+        name: scored(folder / f"{name}.json", *place, *arguments)
+        | {"table": (folder / f"{name}.md").read_text()}
+        for name, arguments in runs.items()
+    }
+
+
+def test_a_result_says_what_it_is_of(cells):
+    result = cells["adapted"]
+    assert list(result)[:9] == [
+        *("data", "split", "protocol", "normalisation", "weights", "seed"),
+        *("weights_commit", "steps", "commit"),
+    ]
+    assert (result["data"], result["split"]) == ("recordings", "all")
+    assert (result["weights"], result["seed"], result["steps"]) == ("small", 0, 2)
+    assert len(result["weights_commit"]) == 40
+    assert (result["protocol"], result["normalisation"]) == ("standard", "partial")
+    assert (result["num_examples"], result["accepted"]) == (2, 0.5)
+    assert result["unit"] == "half the longest side of the complete cloud"
+    table = result["table"]
+    assert table.startswith("data recordings, split all, protocol standard, ")
+    assert "weights small, seed 0, steps 2, commit " in table
+
+
+def test_cells_are_scored_in_their_own_size_under_both_normalisations(cells):
+    """What is given back has the partial's scores, by any frame."""
+    partial, oracle = cells["plain"], cells["oracle"]
+    assert oracle["normalisation"] == "oracle"
+    assert oracle["control"] == partial["control"]
+    for metric, value in partial["mean"].items():
+        assert np.isclose(oracle["mean"][metric], value, rtol=1e-3), metric
+    source = RecordedCells.bundled()
+    expected = []
+    for example in (source[0], source[1]):
+        half = np.ptp(example.complete, axis=0).max() / 2
+        assert half < 0.9
+        expected.append(hausdorff(example.partial, example.complete) / half)
+    found = partial["control"]["mean"]["hd"]
+    assert np.isclose(found, np.mean(expected), rtol=1e-5)
+
+
+def test_two_files_can_be_compared(cells):
+    change = paired_difference(cells["plain"], cells["adapted"])
+    assert change["change"] != 0
+    assert change["num_examples"] == 2
+    same = paired_difference(
+        cells["plain"], cells["adapted"], clouds=("output", "unadapted")
+    )
+    assert (same["change"], same["interval"]) == (0, [0, 0])
+
+
+def test_the_published_test_of_shapenet55_prints_its_columns(tmp_path, capsys):
+    write_shapenet55(tmp_path / "set", 1)
+    place = ["--dataset=shapenet55", f"--data_dir={tmp_path / 'set'}"]
+    result = scored(tmp_path / "a.json", *place, "--protocol=published", "--steps=0")
+    heads = ["CD-S", "CD-M", "CD-H", "CD-Avg", "F-Score@1%"]
+    assert list(result["published"]) == heads
+    assert (result["split"], result["normalisation"]) == ("test", "own")
+    assert result["unit"] == "the data set's own unit"
+    assert f"| CD-L2 x1e3 | {' | '.join(heads)} |" in capsys.readouterr().out
+    assert "emd" not in result["mean"]
+
+
+def test_the_published_test_of_pcn_prints_its_columns(tmp_path, capsys):
+    write_pcn(tmp_path / "set")
+    place = ["--dataset=pcn", f"--data_dir={tmp_path / 'set'}", "--protocol=published"]
+    result = scored(tmp_path / "a.json", *place, "--normalisation=partial")
+    heads = ["airplane", "car", "Average", "F-Score@1%"]
+    assert list(result["published"]) == heads
+    assert (result["split"], result["normalisation"]) == ("test", "partial")
+    assert f"| CD-L1 x1e3 | {' | '.join(heads)} |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (["--dataset=mvp"], "no published protocol of mvp's split 'test'"),
+        (["--dataset=pcn", "--split=val"], "no published protocol of pcn's split"),
+    ],
+)
+def test_a_test_that_was_not_published_ends_in_one_line(capsys, arguments, fault):
+    assert run("--protocol=published", "--data_dir=none", *arguments) == 2
+    error = capsys.readouterr().err
+    assert fault in error
+    assert error.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert run(f"--output={tmp_path / 'file' / 'a.json'}") == 2
+    assert "cannot be written to" in capsys.readouterr().err
