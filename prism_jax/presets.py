@@ -102,7 +102,7 @@ def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
 
 _SMALL_META = MetaTrainConfig(
     MetaConfig(
-        lambda_aux=0.0,
+        lambda_aux=0.1,
         weight_rule="meta",
         rehearse_depth=True,
         learn_steps=True,
@@ -115,6 +115,7 @@ _SMALL_META = MetaTrainConfig(
     final_rate=0.01,
     warmup_steps=100,
     clip_norm=1.0,
+    step_rate=5e-3,
     validate_every=8_000,
 )
 
@@ -137,7 +138,11 @@ PRESETS = {
         num_shapes=64,
     ),
     "small": Preset(
-        AdaptConfig(ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32)),
+        AdaptConfig(
+            ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
+            clip_norm=1.0,
+            normal_stride=4,
+        ),
         PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000),
         _SMALL_META,
     ),

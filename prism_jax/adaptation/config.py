@@ -17,9 +17,12 @@ class AdaptConfig:
       model: the networks.
       num_steps: gradient steps per frame, K_TTA.
       step_size: of plain SGD, alpha_TTA; learned steps are multiples of it.
+      clip_norm: bound on the global norm of the gradient of a step; 0 for none. One
+        frame's can be ten times another's.
       depth_weight: of the depth consistency; 1 as in Eq. 13.
       lambda_smooth: of the normals' smoothness in Eq. 5.
       normal_neighbors: neighbourhood of the PCA normals.
+      normal_stride: Eq. 5 is the mean over every so many-th point.
       lambda_offset: of the denoiser's offsets in Eq. 6.
       lambda_sigma: of the covariances in Eq. 7.
       lambda_transport: of the optimal transport in Eq. 9.
@@ -32,9 +35,11 @@ class AdaptConfig:
     model: ModelConfig = dataclasses.field(default_factory=ModelConfig)
     num_steps: int = 3
     step_size: float = 1e-3
+    clip_norm: float = 0.0
     depth_weight: float = 1.0
     lambda_smooth: float = 0.1
     normal_neighbors: int = 16
+    normal_stride: int = 1
     lambda_offset: float = 0.1
     lambda_sigma: float = 1.0
     lambda_transport: float = 1.0

@@ -23,10 +23,12 @@ def unroll(
     step_sizes: StepSizes,
     num_steps: int,
     first_order: bool = False,
+    clip_norm: float = 0.0,
 ) -> tuple[Params, tuple[Float[Array, " K"], Aux]]:
     """``num_steps`` of ``params - step_sizes * grad(loss_fn)(params)``.
 
-    ``loss_fn`` returns the loss and anything else worth keeping. Returns the adapted
+    A gradient whose global norm is above ``clip_norm``, if that is not zero, is scaled
+    down to it. ``loss_fn`` returns the loss and anything else worth keeping. Returns the adapted
     parameters, and the losses and extras *before* each step, stacked. The body is
     traced once, whatever the number of steps. Differentiable in ``params``,
     ``step_sizes`` and all that ``loss_fn`` closes over, to second order (MAML, Finn et
@@ -37,17 +39,27 @@ def unroll(
 
     def step(params: Params, _: None):
         (loss, aux), grads = value_and_grad(params)
-        return descend(params, grads, step_sizes, first_order), (loss, aux)
+        moved = descend(params, grads, step_sizes, first_order, clip_norm)
+        return moved, (loss, aux)
 
     return jax.lax.scan(step, params, None, length=num_steps)
 
 
 def descend(
-    params: Params, grads: Params, step_sizes: StepSizes, first_order: bool = False
+    params: Params,
+    grads: Params,
+    step_sizes: StepSizes,
+    first_order: bool = False,
+    clip_norm: float = 0.0,
 ) -> Params:
-    """One step of plain gradient descent."""
+    """One step of plain gradient descent, as `unroll` makes it."""
     if first_order:
         grads = jax.lax.stop_gradient(grads)
+    if clip_norm:
+        squares = sum(jnp.sum(g**2) for g in jax.tree.leaves(grads))
+        # The norm's derivative at zero would not be finite.
+        norm = jnp.sqrt(jnp.maximum(squares, clip_norm**2))
+        grads = jax.tree.map(lambda g: g * (clip_norm / norm), grads)
 
     def below(step_size: Any, params: Params, grads: Params) -> Params:
         return jax.tree.map(lambda p, g: p - step_size * g, params, grads)

@@ -129,11 +129,10 @@ def episode(
     )
     after = before
     if config.num_steps:
-        encoders = descend(encoders, auxiliary, sizes, config.first_order)
+        how = (config.first_order, adapt.clip_norm)
+        encoders = descend(encoders, auxiliary, sizes, *how)
         if config.num_steps > 1:
-            encoders, _ = unroll(
-                objective, encoders, sizes, config.num_steps - 1, config.first_order
-            )
+            encoders, _ = unroll(objective, encoders, sizes, config.num_steps - 1, *how)
         after = completed(encoders)
     zero_step = primary_loss(before.stages, complete, config.norm)
     adapted = primary_loss(after.stages, complete, config.norm)

@@ -37,7 +37,11 @@ def auxiliary_losses(
 ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
     """L_normal, L_denoise and L_align of one frame (Eq. 5, 6 and 9)."""
     normal = normal_loss(
-        seen.normals, prediction.points, config.lambda_smooth, config.normal_neighbors
+        seen.normals,
+        prediction.points,
+        config.lambda_smooth,
+        config.normal_neighbors,
+        stride=config.normal_stride,
     )
     denoise = denoise_loss(
         frame.perturbed + seen.offsets,

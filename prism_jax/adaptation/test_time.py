@@ -72,7 +72,11 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
             return losses.objective, (losses, prediction.points)
 
         adapted, (_, (before, points)) = unroll(
-            loss_fn, encoders, step_sizes(variables, config), config.num_steps
+            loss_fn,
+            encoders,
+            step_sizes(variables, config),
+            config.num_steps,
+            clip_norm=config.clip_norm,
         )
         _, (after, last) = loss_fn(adapted)
         losses = jax.tree.map(

@@ -12,25 +12,27 @@ _SWEEPS = 5
 def pca_normals(
     points: Float[Array, "N 3"],
     k: int = 16,
-    neighbors: Int[Array, "N K"] | None = None,
-) -> Float[Array, "N 3"]:
+    neighbors: Int[Array, "M K"] | None = None,
+) -> Float[Array, "M 3"]:
     """Unit normals: the direction of least variance among each point's neighbours.
 
     The neighbourhood is the ``k`` nearest points, self included (all of them if there
-    are fewer), or the given ``neighbors`` indices. Signs are arbitrary but repeatable.
-    No gradient flows (the anchors of PRISM, Eq. 5): that of an eigenvector is infinite
-    at equal eigenvalues. Units do not matter. Collinear neighbours give some direction
-    across their line, coincident ones (1, 0, 0). Points must be finite.
+    are fewer), or the given ``neighbors`` indices, a row for each normal. Signs are
+    arbitrary but repeatable. No gradient flows (the anchors of PRISM, Eq. 5): that of
+    an eigenvector is infinite at equal eigenvalues. Units do not matter. Collinear
+    neighbours give some direction across their line, coincident ones (1, 0, 0). Points
+    must be finite.
 
     H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
     points = jax.lax.stop_gradient(points)
     if neighbors is None:
         neighbors = knn(points, points, min(k, points.shape[0]))
-    # About the point itself first: exact where the cloud is far from the origin.
+    # About one of them first: exact where the cloud is far from the origin.
     # Coordinate by coordinate, neighbours by points: every operation is then along
     # the points, as many as there are.
-    offsets = [points[:, i][neighbors.T] - points[:, i] for i in range(3)]
+    around = [points[:, i][neighbors.T] for i in range(3)]
+    offsets = [axis - axis[0] for axis in around]
     offsets = [offset - offset.mean(axis=0) for offset in offsets]
     covariance = [[(a * b).sum(axis=0) for b in offsets] for a in offsets]
     return _least_eigenvector(covariance)

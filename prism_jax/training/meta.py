@@ -51,11 +51,14 @@ def meta_leg(
     """Episodes from these variables on (Eq. 11, 12).
 
     Encoders and decoder, refiner, logits and step sizes each have an optimiser of their
-    own; all else stays as it is, bit for bit, but for the scales of Eq. 11. The score
-    is CD-L2 of the completion after test-time adaptation, in the units of the stored
+    own; all else stays as it is, bit for bit, but for the scales of Eq. 11, which are
+    measured anew: what the branches' own training left had not settled. The score is
+    CD-L2 of the completion after test-time adaptation, in the units of the stored
     examples.
     """
     optimiser = _optimiser(config)
+    weighting = {**variables["weighting"], "scales": jnp.zeros(3)}
+    variables = {**variables, "weighting": weighting}
     learned = learned_part(variables, config.method)
     average = variables if config.average_decay else None
     key = jax.random.key(seed)

@@ -1,0 +1,1 @@
+"""Completion by other means, to compare with: published networks and trivial ones."""

@@ -1,0 +1,224 @@
+"""PCN against its formulas, and what the paper claims of it."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from prism_jax.losses.primary import primary_loss
+from prism_jax.models.baselines.pcn import PCN, PCN_SMALL, PCNConfig, folding_grid
+
+TINY = PCNConfig(
+    num_points=24,
+    local_features=(8, 16),
+    global_features=(16, 32),
+    coarse_features=(32, 32),
+    num_coarse=8,
+    fold_features=(16, 16),
+    grid_size=2,
+)
+RNG = np.random.default_rng(0)
+PARTIAL = jnp.asarray(RNG.uniform(-1, 1, (3, 24, 3)), jnp.float32)
+COMPLETE = jnp.asarray(RNG.uniform(-1, 1, (3, 32, 3)), jnp.float32)
+
+DEGENERATE = {
+    "one point many times": np.tile([[0.3, -0.2, 0.7]], (24, 1)),
+    "one point": np.array([[0.3, -0.2, 0.7]]),
+    "all at the origin": np.zeros((24, 3)),
+    "collinear": np.linspace(-1, 1, 24)[:, None] * [1.0, 2.0, -1.0],
+    "far from the origin": RNG.uniform(-1, 1, (24, 3)) + 1e4,
+}
+
+
+@pytest.fixture(scope="module")
+def variables():
+    """With biases that are not zero."""
+    fresh = jax.jit(PCN(TINY).init)(jax.random.key(0), PARTIAL)
+    return jax.tree.map(lambda leaf: leaf + 0.1 * (leaf.ndim == 1), fresh)
+
+
+@pytest.fixture(scope="module")
+def complete_fn(quick_jit):
+    return quick_jit(PCN(TINY).apply)
+
+
+@pytest.fixture(scope="module")
+def loss_and_grad(quick_jit):
+    """Eq. 10 over a batch, and its gradient in the variables."""
+
+    def loss(variables, partial, complete):
+        stages = PCN(TINY).apply(variables, partial)
+        return jax.vmap(primary_loss)(stages, complete).mean()
+
+    return quick_jit(jax.value_and_grad(loss))
+
+
+def by_hand(variables, partial):
+    """The paper's two equations for one cloud, with every concatenation made."""
+    params = jax.tree.map(np.float64, variables["params"])
+
+    def mlp(name, x):
+        layers = [params[name][f"dense_{i}"] for i in range(len(params[name]))]
+        for layer in layers[:-1]:
+            x = np.maximum(x @ layer["kernel"] + layer["bias"], 0)
+        return x @ layers[-1]["kernel"] + layers[-1]["bias"]
+
+    f = mlp("local", np.float64(partial))
+    f = mlp("global", np.concatenate([f, np.tile(f.max(0), (len(f), 1))], 1))
+    feature = f.max(0)
+    coarse = mlp("coarse", feature).reshape(8, 3)
+    dense = [
+        center + mlp("fold", np.concatenate([[u, v], center, feature]))
+        for center in coarse
+        for v in (-0.05, 0.05)
+        for u in (-0.05, 0.05)
+    ]
+    return coarse, np.array(dense)
+
+
+def test_the_papers_formulas(complete_fn, variables):
+    coarse, dense = complete_fn(variables, PARTIAL)
+    for i in range(3):
+        expected = by_hand(variables, PARTIAL[i])
+        np.testing.assert_allclose(coarse[i], expected[0], atol=2e-6)
+        np.testing.assert_allclose(dense[i], expected[1], atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("config", "stages"),
+    [(PCNConfig(), (1024, 16384)), (PCN_SMALL, (128, 2048)), (TINY, (8, 32))],
+)
+def test_points_of_every_stage(config, stages):
+    partial = jax.ShapeDtypeStruct((2, config.num_points, 3), jnp.float32)
+    make = functools.partial(PCN(config).init_with_output, train=True)
+    made, _ = jax.eval_shape(make, jax.random.key(0), partial)
+    assert [stage.shape for stage in made] == [(2, n, 3) for n in stages]
+    assert config.num_outputs == stages[-1]
+    assert hash(config) == hash(PCNConfig(**vars(config)))
+
+
+def test_published_number_of_parameters():
+    """The fully connected layers of the authors' code, each with a bias."""
+    layers = [
+        *[(3, 128), (128, 256)],
+        *[(2 * 256, 512), (512, 1024)],
+        *[(1024, 1024), (1024, 1024), (1024, 3 * 1024)],
+        *[(2 + 3 + 1024, 512), (512, 512), (512, 3)],
+    ]
+    assert count(PCNConfig()) == sum(i * o + o for i, o in layers) == 6_861_059
+    assert count(PCN_SMALL) == 1_127_427
+
+
+def count(config):
+    partial = jax.ShapeDtypeStruct((1, config.num_points, 3), jnp.float32)
+    variables = jax.eval_shape(PCN(config).init, jax.random.key(0), partial)
+    assert set(variables) == {"params"}
+    return sum(leaf.size for leaf in jax.tree.leaves(variables))
+
+
+def test_published_grid():
+    """Four by four points, 0.1 wide, evenly spaced around the origin."""
+    grid = np.asarray(folding_grid(PCNConfig()))
+    assert grid.shape == (16, 2)
+    assert len(np.unique(grid.round(6), axis=0)) == 16
+    values = np.unique(grid.round(6))
+    np.testing.assert_allclose(values, [-0.05, -0.05 / 3, 0.05 / 3, 0.05], atol=1e-6)
+
+
+def test_children_stand_around_their_coarse_point(complete_fn, variables):
+    """And where nothing is folded, upon it."""
+    flat = jax.tree_util.tree_map_with_path(
+        lambda path, leaf: 0 * leaf if "fold" in str(path) else leaf, variables
+    )
+    coarse, dense = complete_fn(flat, PARTIAL)
+    assert np.array_equal(dense, np.repeat(coarse, 4, axis=1))
+
+
+def test_order_and_repetition_of_the_points_do_not_matter(complete_fn, variables):
+    expected = complete_fn(variables, PARTIAL)
+    order = np.random.default_rng(1).permutation(24)
+    twice = jnp.concatenate([PARTIAL, PARTIAL[:, :7]], axis=1)
+    for other in (PARTIAL[:, order], twice):
+        for a, b in zip(complete_fn(variables, other), expected, strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-6)
+    changed = complete_fn(variables, PARTIAL.at[:, 0].add(0.5))
+    assert np.abs(np.asarray(changed[1]) - np.asarray(expected[1])).max() > 1e-3
+
+
+def test_gradients_reach_every_parameter(loss_and_grad, variables):
+    _, grads = loss_and_grad(variables, PARTIAL, COMPLETE)
+    for leaf in jax.tree.leaves(grads):
+        assert np.isfinite(leaf).all()
+        assert np.abs(leaf).max() > 0
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradients_are_those_of_finite_differences(quick_jit, variables):
+    """Along random directions, of a smooth function of both stages."""
+    double = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), variables)
+    partial = jnp.asarray(PARTIAL, jnp.float64)
+
+    @quick_jit
+    @jax.value_and_grad
+    def loss(variables):
+        return sum(jnp.sin(3 * s).sum() for s in PCN(TINY).apply(variables, partial))
+
+    _, grads = loss(double)
+    rng, step = np.random.default_rng(2), 1e-6
+    for _ in range(3):
+        direction = jax.tree.map(lambda leaf: rng.normal(size=leaf.shape), double)
+        ends = [
+            loss(jax.tree.map(lambda x, d, h=h: x + h * d, double, direction))[0]
+            for h in (step, -step)
+        ]
+        slope = sum(
+            (g * d).sum()
+            for g, d in zip(*map(jax.tree.leaves, (grads, direction)), strict=True)
+        )
+        difference = float(ends[0] - ends[1]) / (2 * step)
+        assert difference == pytest.approx(float(slope), rel=1e-5)
+
+
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_degenerate_clouds(name, complete_fn, loss_and_grad, variables):
+    """One is as good as many of it; every number is finite."""
+    cloud = np.resize(DEGENERATE[name], (24, 3))
+    partial = jnp.asarray(np.stack([cloud] * 3), jnp.float32)
+    for stage in complete_fn(variables, partial):
+        assert np.isfinite(stage).all()
+    loss, grads = loss_and_grad(variables, partial, COMPLETE)
+    assert np.isfinite(loss)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(grads))
+
+
+def test_a_cloud_of_no_points(variables):
+    with pytest.raises(ValueError, match="empty cloud"):
+        jax.eval_shape(PCN(TINY).apply, variables, PARTIAL[:, :0])
+
+
+def test_any_leading_axes(complete_fn, quick_jit, variables):
+    """As a batch, mapped, one by one and folded into two axes, it is all the same."""
+    together = complete_fn(variables, PARTIAL)
+    mapped = quick_jit(jax.vmap(functools.partial(PCN(TINY).apply, variables)))(PARTIAL)
+    nested = complete_fn(variables, PARTIAL.reshape(3, 1, 24, 3))
+    alone = [complete_fn(variables, cloud) for cloud in PARTIAL]
+    for i, stage in enumerate(together):
+        np.testing.assert_allclose(mapped[i], stage, atol=1e-6)
+        np.testing.assert_allclose(nested[i][:, 0], stage, atol=1e-6)
+        for stages, expected in zip(alone, stage, strict=True):
+            np.testing.assert_allclose(stages[i], expected, atol=1e-6)
+
+
+def test_some_steps_of_adam_lower_the_loss(loss_and_grad, quick_jit, variables):
+    optimizer = optax.adam(3e-3)
+    update = quick_jit(optimizer.update)
+    state, losses = optimizer.init(variables), []
+    for _ in range(20):
+        loss, grads = loss_and_grad(variables, PARTIAL, COMPLETE)
+        losses.append(float(loss))
+        updates, state = update(grads, state)
+        variables = optax.apply_updates(variables, updates)
+    assert losses[-1] < 0.8 * losses[0]
