@@ -3,7 +3,7 @@
 import ast
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from prism_jax.adaptation.config import AdaptConfig, MetaConfig
 from prism_jax.io.errors import InputError
@@ -186,10 +186,19 @@ def _replaced(config: Any, path: list[str], text: str, change: str) -> Any:
         remedy = f"use one of {', '.join(known)}" if known else "leave it out"
         raise InputError(change, f"no field {name!r}", remedy)
     value = _replaced(known[name], rest, text, change)
+    _check_choice(config, name, value, change)
     if isinstance(config, tuple):
         index = int(name)
         return (*config[:index], value, *config[index + 1 :])
     return dataclasses.replace(config, **{name: value})
+
+
+def _check_choice(config: Any, name: str, value: Any, change: str) -> None:
+    """Raises InputError for a word that is none of those that the field takes."""
+    hint = None if isinstance(config, tuple) else get_type_hints(type(config))[name]
+    if get_origin(hint) is Literal and value not in get_args(hint):
+        words = ", ".join(get_args(hint))
+        raise InputError(change, f"no such {name}", f"use one of {words}")
 
 
 def _fields(config: Any) -> dict[str, Any]:

@@ -35,6 +35,14 @@ def test_paper_has_the_papers_values():
     assert (paper.adapt.num_steps, paper.adapt.step_size) == (3, 1e-3)
     assert paper.model.auxiliary.max_offset == 0.1
     assert paper.model.depth_pixels == paper.model.consistency_pixels == 128
+    meta = paper.meta
+    assert (meta.optimiser, meta.batch_size) == ("sgd", 32)
+    assert (meta.learning_rate, meta.weight_rate) == (5e-5, 5e-4)
+    assert (meta.final_rate, meta.warmup_steps, meta.clip_norm) == (1.0, 0, 0.0)
+    assert (meta.method.beta_0, meta.method.lambda_aux) == (0.1, 10.0)
+    assert meta.method.weight_rule == "auxiliary"
+    assert not meta.method.first_order
+    assert not meta.method.learn_steps
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -43,6 +51,8 @@ def test_every_leg_is_a_whole_number_of_batches(name):
     for phase in training.backbone:
         assert phase.num_samples % training.batch_size == 0
     assert training.auxiliary_samples % training.batch_size == 0
+    meta = resolve(name).meta
+    assert meta.num_samples % meta.batch_size == 0
 
 
 def test_changes_reach_every_level_and_leave_the_preset_alone():
@@ -85,6 +95,9 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
         ("=1", "no field ''"),
         ("adapt..seed=1", "no field ''"),
         ("adapt.num_steps=1.5", "not of type int"),
+        ("pretrain.norm=l3", "no such norm"),
+        ("meta.optimiser=adamw", "no such optimiser"),
+        ("meta.method.weight_rule=own", "no such weight_rule"),
         ("adapt.num_steps=True", "not of type int"),
         ("adapt.num_steps=three", "not a value"),
         ("adapt.num_steps=__import__('os')", "not a value"),
