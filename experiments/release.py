@@ -29,7 +29,12 @@ def main(argv):
     config, variables = load_pretrained(FLAGS.weights)
     about = {k: v for k, v in read_metadata(FLAGS.weights).items() if k != "config"}
     evaluations = [json.loads(pathlib.Path(path).read_text()) for path in FLAGS.scores]
-    about["scores"] = {result["split"]: result for result in evaluations}
+    about["scores"] = {
+        f"{result['data']}-{result['split']}": {
+            key: value for key, value in result.items() if key != "per_example"
+        }
+        for result in evaluations
+    }
     about["notes"] = FLAGS.note
     path = ASSETS / f"{FLAGS.name}{SUFFIX}"
     save_weights(path, config, variables, about)
