@@ -98,10 +98,11 @@ POINTR_SMALL = PoinTrConfig(
     num_centers=(256, 64),
     center_features=(8, 16, 32, 32, 64),
     center_neighbors=8,
-    features=96,
+    features=80,
+    num_heads=5,
     depth=(3, 4),
     position_features=64,
-    global_features=192,
+    global_features=224,
     num_queries=96,
     fold_side=4,
     fold_features=(64, 32),
@@ -228,7 +229,7 @@ class Attention(nn.Module):
 
 class GeometryAwareAttention(nn.Module):
     """Attention, and where neighbours are given an edge convolution over them beside
-    it; a linear layer joins the two (section 3.3)."""
+    it; a linear layer joins the two. The paper's geometry-aware block."""
 
     num_heads: int
 
@@ -327,10 +328,12 @@ class PoinTr(nn.Module):
 
     Deviations from the paper and the release: ``train=True`` moves the running
     statistics of BatchNorm by a constant 0.1, where the release begins at 0.9 and
-    lowers it, and keeps the batch's own variance, not the unbiased one; kernels start from LeCun's normal distribution, there from a truncated
-    normal of 0.02 and Xavier's; sampling does not leave out points near the origin,
-    as the CUDA kernel used there does. `POINTR_SMALL` has half the blocks, narrower,
-    and neither BatchNorm nor GroupNorm.
+    lowers it, and takes the batch's own variance, where PyTorch takes the unbiased one;
+    kernels start from LeCun's normal distribution, there from a truncated normal of
+    0.02 and from Xavier's; sampling does not leave out points near the origin, as the
+    CUDA kernel used there does. `POINTR_SMALL` has half the blocks, narrower, and
+    neither BatchNorm nor GroupNorm. The release trains on CD-L1 of both stages against
+    the whole complete cloud.
     """
 
     config: PoinTrConfig = PoinTrConfig()
@@ -367,7 +370,7 @@ class PoinTr(nn.Module):
         return x
 
     def _queries(self, encoded: Array, train: bool) -> tuple[Array, Array]:
-        """Centres from the encoder's global feature, and a query for each (3.4)."""
+        """Centres from the encoder's global feature, and a query for each."""
         width, count = self.config.global_features, self.config.num_queries
         context = self._global_feature("encoded", encoded, train)
         centers = MLP((width, 3 * count), name="centers")(context)
@@ -389,7 +392,7 @@ class PoinTr(nn.Module):
         return x
 
     def _rebuild(self, centers: Array, decoded: Array, train: bool) -> Array:
-        """Each centre with a grid folded twice around it (3.5)."""
+        """Each centre with a grid folded twice around it."""
         config = self.config
         context = self._global_feature("decoded", decoded, train)
         x = MLP((config.features,), name="reduce")(decoded, centers, context)
