@@ -282,7 +282,7 @@ def _layer_norm(name: str) -> nn.LayerNorm:
 
 class ProxyExtractor(nn.Module):
     """A feature for each proxy's neighbourhood: four edge convolutions over fewer and
-    fewer points (section 3.1)."""
+    fewer points."""
 
     config: PoinTrConfig
 
