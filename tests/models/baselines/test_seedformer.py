@@ -13,9 +13,11 @@ from jax.test_util import check_grads
 from prism_jax.losses.primary import primary_loss
 from prism_jax.models.baselines.seedformer import (
     SEEDFORMER_SMALL,
+    Patches,
     PointTransformer,
     SeedFormer,
     SeedFormerConfig,
+    SeedGenerator,
     UpsampleTransformer,
 )
 
@@ -71,13 +73,13 @@ def apply(quick_jit):
 
 @pytest.fixture(scope="module")
 def value_and_grad(quick_jit):
-    """Loss and gradient of the tiny network on a batch."""
+    """Loss, stages and gradient of the tiny network on a batch."""
 
     def loss(params, partial, complete):
         stages = MODEL.apply({"params": params}, partial)
-        return jax.vmap(primary_loss)(stages, complete).mean()
+        return jax.vmap(primary_loss)(stages, complete).mean(), stages
 
-    return quick_jit(jax.value_and_grad(loss))
+    return quick_jit(jax.value_and_grad(loss, has_aux=True))
 
 
 @pytest.fixture(scope="module")
@@ -97,8 +99,9 @@ def clouds():
 def test_stages_and_parameters(config, sizes, parameters):
     partial = jnp.zeros((2, config.num_points, 3))
     network = SeedFormer(config)
-    variables = jax.eval_shape(lambda: network.init(jax.random.key(0), partial))
-    stages = jax.eval_shape(network.apply, variables, partial)
+    stages, variables = jax.eval_shape(
+        lambda: network.init_with_output(jax.random.key(0), partial)
+    )
     assert [stage.shape for stage in stages] == [(2, size, 3) for size in sizes]
     assert config.num_outputs == sizes[-1]
     assert num_parameters(variables) == parameters
@@ -205,12 +208,12 @@ def test_point_transformer_agrees_with_a_loop(quick_jit):
         np.testing.assert_allclose(actual[i], expected, rtol=1e-4, atol=1e-4)
 
 
-def test_gradient_of_the_upsample_transformer(x64, quick_jit):
+def test_gradient_of_the_upsample_transformer(x64):
     module = UpsampleTransformer(TINY, 2)
     inputs = upsampling_inputs(True)
     variables, neighbors = drawn(module, *inputs), inputs[3]
 
-    @quick_jit
+    @jax.jit
     def total(variables, xyz, query, key, seed):
         made = module.apply(variables, xyz, query, key, neighbors, seed)
         return jnp.sin(made).sum()
@@ -219,12 +222,13 @@ def test_gradient_of_the_upsample_transformer(x64, quick_jit):
     check_grads(total, (variables, *floats), order=1, modes=["rev"])
 
 
-def test_a_cloud_alone_mapped_and_in_a_batch(variables, apply, quick_jit, clouds):
-    partial = clouds[0]
-    alone = [apply(variables, cloud) for cloud in partial]
+def test_a_cloud_alone_mapped_and_in_a_batch(
+    variables, apply, value_and_grad, quick_jit, clouds
+):
+    alone = [apply(variables, cloud) for cloud in clouds[0]]
     looped = [jnp.stack(stage) for stage in zip(*alone, strict=True)]
-    together = quick_jit(MODEL.apply)(variables, partial)
-    mapped = quick_jit(jax.vmap(lambda cloud: MODEL.apply(variables, cloud)))(partial)
+    (_, together), _ = value_and_grad(variables["params"], *clouds)
+    mapped = quick_jit(jax.vmap(lambda cloud: MODEL.apply(variables, cloud)))(clouds[0])
     assert [stage.shape for stage in looped] == [(3, 16, 3), (3, 20, 3), (3, 40, 3)]
     for one, two, three in zip(looped, together, mapped, strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-5, atol=1e-5)
@@ -260,7 +264,7 @@ def test_without_offsets_every_stage_is_made_of_seeds_and_partial(
 
 
 def test_gradients_reach_every_leaf(variables, value_and_grad, clouds):
-    loss, gradient = value_and_grad(variables["params"], *clouds)
+    (loss, _), gradient = value_and_grad(variables["params"], *clouds)
     assert np.isfinite(loss)
     leaves = flatten_dict(gradient, sep="/")
     # A softmax does not see its logits' bias, nor a difference that of its terms.
@@ -292,22 +296,22 @@ def degenerate(kind):
 
 @pytest.mark.parametrize("kind", ["one point", "origin", "collinear", "far"])
 def test_degenerate_clouds_stay_finite(variables, value_and_grad, clouds, kind):
-    loss, gradient = value_and_grad(variables["params"], degenerate(kind), clouds[1])
+    partial = degenerate(kind)
+    (loss, _), gradient = value_and_grad(variables["params"], partial, clouds[1])
     assert np.isfinite(loss)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
-def test_seeds_from_patches_start_at_the_patches(quick_jit, clouds):
-    partial = clouds[0][0]
-    network = SeedFormer(dataclasses.replace(TINY, seeds_from_patches=True))
-    variables = drawn(network, partial)
-    seed_generator = variables["params"]["seed_generator"]
-    last = seed_generator["coordinates"]["dense_1"]
-    seed_generator["coordinates"]["dense_1"] = jax.tree.map(jnp.zeros_like, last)
-    seeds = quick_jit(network.apply)(variables, partial)[0]
-    np.testing.assert_array_equal(seeds[::2], seeds[1::2])
-    distances = np.linalg.norm(seeds[::2, None] - partial, axis=-1)
-    assert len(set(distances.argmin(1))) == 8 and (distances.min(1) == 0).all()
+def test_seeds_from_patches_start_at_the_patches(quick_jit):
+    generator = SeedGenerator(dataclasses.replace(TINY, seeds_from_patches=True))
+    xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
+    patches = Patches(xyz, features, neighbors, normal(8))
+    variables = drawn(generator, patches)
+    coordinates = variables["params"]["coordinates"]
+    last = coordinates["dense_1"]
+    coordinates["dense_1"] = jax.tree.map(jnp.zeros_like, last)
+    seeds, _ = quick_jit(generator.apply)(variables, patches)
+    np.testing.assert_array_equal(seeds, np.repeat(xyz, 2, axis=0))
 
 
 def test_training_moves_the_statistics_and_nothing_else_does(quick_jit, clouds):
@@ -327,14 +331,19 @@ def test_training_moves_the_statistics_and_nothing_else_does(quick_jit, clouds):
     jax.eval_shape(network.apply, variables, partial)
 
 
-def test_a_few_steps_lower_the_loss(value_and_grad, quick_jit, clouds):
-    params = quick_jit(MODEL.init)(jax.random.key(0), clouds[0])["params"]
+def test_a_few_steps_lower_the_loss(variables, value_and_grad, quick_jit, clouds):
+    params = variables["params"]
     optimiser = optax.adam(1e-2)
-    state = optimiser.init(params)
+    state = quick_jit(optimiser.init)(params)
+
+    @quick_jit
+    def step(params, state, gradient):
+        updates, state = optimiser.update(gradient, state)
+        return optax.apply_updates(params, updates), state
+
     losses = []
     for _ in range(8):
-        loss, gradient = value_and_grad(params, *clouds)
-        updates, state = optimiser.update(gradient, state)
-        params = optax.apply_updates(params, updates)
+        (loss, _), gradient = value_and_grad(params, *clouds)
+        params, state = step(params, state, gradient)
         losses.append(float(loss))
     assert losses[-1] < 0.8 * losses[0]
