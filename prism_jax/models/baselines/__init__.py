@@ -1,1 +1,1 @@
-"""Networks to compare with, each written from its paper."""
+"""Completion by other means, to compare with: published networks and trivial ones."""

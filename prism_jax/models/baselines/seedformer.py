@@ -88,7 +88,8 @@ SEEDFORMER_SMALL = SeedFormerConfig(
     up_factors=(1, 8),
     use_norm=False,
 )
-"""512 points in, 128 / 256 / 2,048 out: the sizes of the backbone's preset `small`."""
+"""512 points in, 128 / 256 / 2,048 out: the sizes of the backbone's preset `small`.
+634,089 parameters."""
 
 
 class Patches(NamedTuple):
@@ -106,8 +107,9 @@ class SeedFormer(nn.Module):
     The stages are 256 / 512 / 2,048 / 16,384 points by default, in the units and the
     frame of the partial, which should about fill ``[-1, 1]^3``: the network sees
     absolute coordinates. Differentiable in the parameters and the partial; samples and
-    neighbours carry no gradient. Coordinates must be finite. The order of the partial's
-    points does not matter but for the first, where sampling starts.
+    neighbours carry no gradient. The order of the partial's points does not matter but
+    for the first, where sampling starts. An empty cloud raises ValueError; NaN
+    coordinates give NaN. Without BatchNorm there is nothing that `train` changes.
 
     The default has 3,308,620 parameters. The authors' code has 3,311,820, of which
     3,200 belong to BatchNorm layers that it never applies. Deviations: the
@@ -116,12 +118,14 @@ class SeedFormer(nn.Module):
     to the caller. With `seeds_from_patches`, seeds are not absolute.
     """
 
-    config: SeedFormerConfig
+    config: SeedFormerConfig = SeedFormerConfig()
 
     @nn.compact
     def __call__(
-        self, partial: Float[Array, "... N 3"], train: bool = False
-    ) -> tuple[Float[Array, "... _ 3"], ...]:
+        self, partial: Float[Array, "*batch N 3"], train: bool = False
+    ) -> tuple[Float[Array, "*batch _ 3"], ...]:
+        if partial.shape[-2] == 0:
+            raise ValueError("an empty cloud cannot be completed")
         config = self.config
         patches = Encoder(config, name="encoder")(partial, train)
         seeds = SeedGenerator(config, name="seed_generator")(patches, train)

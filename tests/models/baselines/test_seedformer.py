@@ -302,6 +302,11 @@ def test_degenerate_clouds_stay_finite(variables, value_and_grad, clouds, kind):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
+def test_an_empty_cloud_is_refused(variables):
+    with pytest.raises(ValueError, match="empty cloud"):
+        jax.eval_shape(MODEL.apply, variables, jnp.zeros((0, 3)))
+
+
 def test_seeds_from_patches_start_at_the_patches(quick_jit):
     generator = SeedGenerator(dataclasses.replace(TINY, seeds_from_patches=True))
     xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
