@@ -98,12 +98,34 @@ def _logits_and_values(
     neighbors: Array,
     train: bool,
 ) -> tuple[Array, Array]:
-    """The hidden attention layer and ``v + delta``; submodules belong to the caller."""
+    """`hidden_and_values` of features; submodules belong to the caller."""
     query_xyz, query_features, support_xyz, support_features = clouds
     width = module.attention_features
     query = Dense(width, name="query")(query_features)
     key = Dense(width, name="key")(support_features)
     value = Dense(width, name="value")(support_features)
+    queries, supports = (query_xyz, query), (support_xyz, key, value)
+    norm = module.use_norm
+    return hidden_and_values(queries, supports, neighbors, module.ratio, norm, train)
+
+
+def hidden_and_values(
+    queries: tuple[Float[Array, "... N 3"], Float[Array, "... N C"]],
+    supports: tuple[
+        Float[Array, "... M 3"], Float[Array, "... M C"], Float[Array, "... M C"]
+    ],
+    neighbors: Int[Array, "... N k"],
+    ratio: int,
+    use_norm: bool,
+    train: bool,
+) -> tuple[Float[Array, "... N k H"], Float[Array, "... N k C"]]:
+    """The hidden attention layer and ``v + delta``, for each query and neighbour.
+
+    Of queries ``(xyz, q)`` and supports ``(xyz, k, v)``. To be called inside a compact
+    module, to which the submodules made here belong.
+    """
+    (query_xyz, query), (support_xyz, key, value) = queries, supports
+    width = query.shape[-1]
     position = Dense(width, name="position_0")
 
     # The first layer of the offset is linear: applied to points, before they are
@@ -113,13 +135,13 @@ def _logits_and_values(
     support = jax.lax.optimization_barrier(jnp.concatenate(support, axis=-1))
     key, offset, value = jnp.split(gather(support, neighbors), 3, -1)
     offset = position(query_xyz)[..., None, :] - offset
-    if module.use_norm:
+    if use_norm:
         offset = batch_norm(train, "position_norm")(offset)
     embedding = Dense(width, name="position_1")(nn.relu(offset))
-    logits = Dense(module.ratio * width, name="attention_0")(
+    logits = Dense(ratio * width, name="attention_0")(
         query[..., None, :] - key + embedding
     )
-    if module.use_norm:
+    if use_norm:
         logits = batch_norm(train)(logits)
     return nn.relu(logits), value + embedding
 

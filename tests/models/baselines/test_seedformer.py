@@ -1,0 +1,354 @@
+"""SeedFormer: its transformers against loops in NumPy, and what is known of it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from flax.traverse_util import flatten_dict
+from jax.test_util import check_grads
+
+from prism_jax.losses.primary import primary_loss
+from prism_jax.models.baselines.seedformer import (
+    SEEDFORMER_SMALL,
+    Patches,
+    PointTransformer,
+    SeedFormer,
+    SeedFormerConfig,
+    SeedGenerator,
+    UpsampleTransformer,
+)
+
+RNG = np.random.default_rng(0)
+TINY = SeedFormerConfig(
+    num_points=40,
+    patch_points=(16, 8),
+    patch_features=((6, 8), (8, 12)),
+    global_features=(8, 8),
+    patch_neighbors=4,
+    num_neighbors=3,
+    features=8,
+    attention_features=4,
+    attention_ratio=2,
+    num_initial=20,
+    up_factors=(1, 2),
+    use_norm=False,
+)
+NORMED = dataclasses.replace(TINY, use_norm=True)
+MODEL, INPUTS = SeedFormer(TINY), 6
+
+
+def normal(*shape):
+    """Single precision, or double in the tests of gradients."""
+    return jnp.asarray(RNG.normal(size=shape), jnp.result_type(float))
+
+
+def drawn(module, *inputs):
+    """Variables of the module, biases and statistics included, drawn anew."""
+    tree = jax.eval_shape(lambda: module.init(jax.random.key(0), *inputs))
+
+    def draw(path, leaf):
+        values = normal(*leaf.shape) / np.sqrt(leaf.shape[0])
+        return abs(values) + 0.1 if path[-1].key == "var" else values
+
+    return jax.tree_util.tree_map_with_path(draw, tree)
+
+
+def num_parameters(variables):
+    return sum(leaf.size for leaf in jax.tree.leaves(variables["params"]))
+
+
+@pytest.fixture(scope="module")
+def variables():
+    return drawn(MODEL, normal(40, 3))
+
+
+@pytest.fixture(scope="module")
+def apply(quick_jit):
+    """The tiny network on a single cloud."""
+    return quick_jit(MODEL.apply)
+
+
+@pytest.fixture(scope="module")
+def value_and_grad(quick_jit):
+    """Loss, stages and gradient of the tiny network on a batch."""
+
+    def loss(params, partial, complete):
+        stages = MODEL.apply({"params": params}, partial)
+        return jax.vmap(primary_loss)(stages, complete).mean(), stages
+
+    return quick_jit(jax.value_and_grad(loss, has_aux=True))
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    complete = normal(3, TINY.num_outputs, 3) * 0.4
+    return complete[:, :40], complete
+
+
+@pytest.mark.parametrize(
+    ("config", "sizes", "parameters"),
+    [
+        (SeedFormerConfig(), (256, 512, 2048, 16384), 3_308_620),
+        (SEEDFORMER_SMALL, (128, 256, 2048), 634_089),
+    ],
+    ids=["published", "small"],
+)
+def test_stages_and_parameters(config, sizes, parameters):
+    partial = jnp.zeros((2, config.num_points, 3))
+    network = SeedFormer(config)
+    stages, variables = jax.eval_shape(
+        lambda: network.init_with_output(jax.random.key(0), partial)
+    )
+    assert [stage.shape for stage in stages] == [(2, size, 3) for size in sizes]
+    assert config.num_outputs == sizes[-1]
+    assert num_parameters(variables) == parameters
+    assert ("batch_stats" in variables) == config.use_norm
+
+
+def dense(params, x):
+    return x @ params["kernel"] + params["bias"]
+
+
+def norm_relu(params, x):
+    x = (x - params["mean"]) / np.sqrt(params["var"] + 1e-5)
+    return np.maximum(x * params["scale"] + params["bias"], 0)
+
+
+def residual_mlp(params, x):
+    hidden = np.maximum(dense(params["dense_0"], x), 0)
+    return dense(params["dense_1"], hidden) + dense(params["shortcut"], x)
+
+
+def as_numpy(variables):
+    """Parameters as float64, with the statistics beside them."""
+    params = jax.tree.map(np.float64, dict(variables["params"]))
+    for name, stats in jax.tree.map(np.float64, variables["batch_stats"]).items():
+        params[name] |= stats
+    return params
+
+
+def softmax(logits):
+    weights = np.exp(logits - logits.max(0))
+    return weights / weights.sum(0)
+
+
+def looped_upsampling(params, times, xyz, query, key, neighbors, seed):
+    """One point, one child and one neighbour at a time."""
+    xyz, query, key = map(np.float64, (xyz, query, key))
+    joined = residual_mlp(params["join"], np.concatenate([key, query], -1))
+    keys, values = dense(params["key"], key), dense(params["value"], joined)
+    seeds = np.zeros_like(keys) if seed is None else dense(params["seed"], seed)
+    queries = dense(params["query"], query)
+    rows = []
+    for i, near in enumerate(np.asarray(neighbors)):
+        hidden, terms = [], []
+        for j in near:
+            offset = dense(params["position_0"], xyz[i] - xyz[j])
+            offset = norm_relu(params["position_norm"], offset)
+            added = dense(params["position_1"], offset) + seeds[i] - seeds[j]
+            pair = dense(params["attention_0"], queries[i] - keys[j] + added)
+            hidden.append(norm_relu(params["norm"], pair))
+            terms.append(values[j] + added)
+        last = params["attention_1"]
+        residual = joined[i]
+        if "residual" in params:
+            residual = dense(params["residual"], residual)
+        for child in range(times):
+            logits = np.stack(hidden) @ last["dense"]["kernel"][:, child]
+            logits = logits + last["bias"]
+            weights = logits if seed is None else softmax(logits)
+            attended = (weights * np.stack(terms)).sum(0)
+            rows.append(dense(params["end"], attended) + residual)
+    return np.stack(rows)
+
+
+def upsampling_inputs(with_seeds, channels=TINY.features, num_points=7):
+    neighbors = jnp.asarray(RNG.integers(0, num_points, (num_points, 3)))
+    xyz, query, key = (normal(num_points, c) for c in (3, channels, channels))
+    return xyz, query, key, neighbors, normal(num_points, 5) if with_seeds else None
+
+
+@pytest.mark.parametrize(
+    ("times", "with_seeds", "channels"),
+    [(3, True, TINY.features), (2, False, INPUTS)],
+    ids=["layer", "seed generator"],
+)
+def test_upsample_transformer_agrees_with_a_loop(
+    quick_jit, times, with_seeds, channels
+):
+    module = UpsampleTransformer(NORMED, times)
+    inputs = upsampling_inputs(with_seeds, channels)
+    variables = drawn(module, *inputs)
+    assert ("residual" in variables["params"]) == (channels != TINY.features)
+    actual = quick_jit(module.apply)(variables, *inputs)
+    expected = looped_upsampling(as_numpy(variables), times, *inputs)
+    assert actual.shape == (7 * times, TINY.features)
+    np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_point_transformer_agrees_with_a_loop(quick_jit):
+    module = PointTransformer(NORMED)
+    xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
+    variables = drawn(module, xyz, features, neighbors)
+    actual = quick_jit(module.apply)(variables, xyz, features, neighbors)
+
+    params = as_numpy(variables)
+    x = dense(params["start"], np.float64(features))
+    query, key, value = (dense(params[name], x) for name in ("query", "key", "value"))
+    for i, near in enumerate(np.asarray(neighbors)):
+        offset = dense(params["position_0"], np.float64(xyz[i] - xyz[near]))
+        offset = dense(params["position_1"], norm_relu(params["position_norm"], offset))
+        hidden = dense(params["attention_0"], query[i] - key[near] + offset)
+        logits = dense(params["attention_1"], norm_relu(params["norm"], hidden))
+        attended = (softmax(logits) * (value[near] + offset)).sum(0)
+        expected = dense(params["end"], attended) + np.float64(features[i])
+        np.testing.assert_allclose(actual[i], expected, rtol=1e-4, atol=1e-4)
+
+
+def test_gradient_of_the_upsample_transformer(x64):
+    module = UpsampleTransformer(TINY, 2)
+    inputs = upsampling_inputs(True)
+    variables, neighbors = drawn(module, *inputs), inputs[3]
+
+    @jax.jit
+    def total(variables, xyz, query, key, seed):
+        made = module.apply(variables, xyz, query, key, neighbors, seed)
+        return jnp.sin(made).sum()
+
+    floats = (*inputs[:3], inputs[4])
+    check_grads(total, (variables, *floats), order=1, modes=["rev"])
+
+
+def test_a_cloud_alone_mapped_and_in_a_batch(
+    variables, apply, value_and_grad, quick_jit, clouds
+):
+    alone = [apply(variables, cloud) for cloud in clouds[0]]
+    looped = [jnp.stack(stage) for stage in zip(*alone, strict=True)]
+    (_, together), _ = value_and_grad(variables["params"], *clouds)
+    mapped = quick_jit(jax.vmap(lambda cloud: MODEL.apply(variables, cloud)))(clouds[0])
+    assert [stage.shape for stage in looped] == [(3, 16, 3), (3, 20, 3), (3, 40, 3)]
+    for one, two, three in zip(looped, together, mapped, strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(one, three, rtol=1e-5, atol=1e-5)
+
+
+def test_the_order_of_points_is_free_but_for_the_first(variables, apply, clouds):
+    partial = clouds[0][0]
+    order = np.concatenate([[0], 1 + RNG.permutation(39)])
+    expected = apply(variables, partial)
+    for stage, other in zip(expected, apply(variables, partial[order]), strict=True):
+        np.testing.assert_allclose(other, stage, rtol=1e-5, atol=1e-5)
+    moved = apply(variables, partial + 0.5)
+    assert abs(moved[0] - expected[0]).max() > 1e-3
+
+
+def test_without_offsets_every_stage_is_made_of_seeds_and_partial(
+    variables, apply, clouds
+):
+    partial = clouds[0][0]
+    still = jax.tree_util.tree_map_with_path(
+        lambda path, leaf: leaf * ("offset" not in jax.tree_util.keystr(path)),
+        variables,
+    )
+    seeds, first, last = apply(still, partial)
+    np.testing.assert_array_equal(last, np.repeat(first, 2, axis=0))
+    known = np.concatenate([seeds, partial])
+    distances = np.linalg.norm(known[:, None] - first, axis=-1)
+    assert (distances.min(0) == 0).all()
+    # Farthest points: sampled ones are farther apart than any other is from them.
+    apart = np.linalg.norm(first[:, None] - first, axis=-1)[np.triu_indices(20, 1)]
+    assert distances.min(1).max() <= apart.min()
+
+
+def test_gradients_reach_every_leaf(variables, value_and_grad, clouds):
+    (loss, _), gradient = value_and_grad(variables["params"], *clouds)
+    assert np.isfinite(loss)
+    leaves = flatten_dict(gradient, sep="/")
+    # A softmax does not see its logits' bias, nor a difference that of its terms.
+    unseen = {f"encoder/transformer_{i}/attention_1/bias" for i in range(2)}
+    for layer in ("layer_0", "layer_1"):
+        for name in ("transformer", "upsample"):
+            unseen |= {f"{layer}/{name}/attention_1/bias", f"{layer}/{name}/seed/bias"}
+    assert unseen <= leaves.keys()
+    for name, leaf in leaves.items():
+        assert np.isfinite(leaf).all(), name
+        if name in unseen:
+            assert abs(leaf).max() < 1e-5, name
+        else:
+            assert abs(leaf).max() > 1e-5, name
+
+
+def degenerate(kind):
+    points = np.array(normal(3, 40, 3)) * 0.4
+    if kind == "one point":
+        points[:] = [0.3, -0.2, 0.1]
+    if kind == "origin":
+        points[:] = 0
+    if kind == "collinear":
+        points = points[..., :1] * np.array([1.0, 2.0, -1.0])
+    if kind == "far":
+        points += 100
+    return jnp.asarray(points, jnp.float32)
+
+
+@pytest.mark.parametrize("kind", ["one point", "origin", "collinear", "far"])
+def test_degenerate_clouds_stay_finite(variables, value_and_grad, clouds, kind):
+    partial = degenerate(kind)
+    (loss, _), gradient = value_and_grad(variables["params"], partial, clouds[1])
+    assert np.isfinite(loss)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_an_empty_cloud_is_refused(variables):
+    with pytest.raises(ValueError, match="empty cloud"):
+        jax.eval_shape(MODEL.apply, variables, jnp.zeros((0, 3)))
+
+
+def test_seeds_from_patches_start_at_the_patches(quick_jit):
+    generator = SeedGenerator(dataclasses.replace(TINY, seeds_from_patches=True))
+    xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
+    patches = Patches(xyz, features, neighbors, normal(8))
+    variables = drawn(generator, patches)
+    coordinates = variables["params"]["coordinates"]
+    last = coordinates["dense_1"]
+    coordinates["dense_1"] = jax.tree.map(jnp.zeros_like, last)
+    seeds, _ = quick_jit(generator.apply)(variables, patches)
+    np.testing.assert_array_equal(seeds, np.repeat(xyz, 2, axis=0))
+
+
+def test_training_moves_the_statistics_and_nothing_else_does(quick_jit, clouds):
+    network, partial = SeedFormer(NORMED), clouds[0]
+    variables = drawn(network, partial)
+    trained = quick_jit(
+        lambda v, p: network.apply(v, p, train=True, mutable=["batch_stats"])
+    )
+    stages, updated = trained(variables, partial)
+    assert all(np.isfinite(stage).all() for stage in stages)
+    before = flatten_dict(variables["batch_stats"])
+    after = flatten_dict(updated["batch_stats"])
+    assert before.keys() == after.keys()
+    for path, leaf in after.items():
+        assert abs(leaf - before[path]).max() > 1e-6, path
+    # Statistics are not mutable here, so that touching them would raise.
+    jax.eval_shape(network.apply, variables, partial)
+
+
+def test_a_few_steps_lower_the_loss(variables, value_and_grad, quick_jit, clouds):
+    params = variables["params"]
+    optimiser = optax.adam(1e-2)
+    state = quick_jit(optimiser.init)(params)
+
+    @quick_jit
+    def step(params, state, gradient):
+        updates, state = optimiser.update(gradient, state)
+        return optax.apply_updates(params, updates), state
+
+    losses = []
+    for _ in range(8):
+        (loss, _), gradient = value_and_grad(params, *clouds)
+        params, state = step(params, state, gradient)
+        losses.append(float(loss))
+    assert losses[-1] < 0.8 * losses[0]
