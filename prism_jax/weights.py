@@ -11,6 +11,7 @@ import json
 import pathlib
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +21,7 @@ import safetensors.numpy
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
+from prism_jax.models.baselines.networks import NETWORKS
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables, unlearned_steps
@@ -79,12 +81,52 @@ def save_weights(
     metadata: dict[str, Any],
 ) -> None:
     """Writes weights whole or not at all; metadata values become JSON."""
+    _write(path, variables, {"config": dataclasses.asdict(config), **metadata})
+
+
+def save_network(
+    path: str | pathlib.Path,
+    name: str,
+    size: str,
+    variables: Variables,
+    metadata: dict[str, Any],
+) -> None:
+    """As `save_weights`, of one of `NETWORKS` to compare with."""
+    _write(path, variables, {"network": name, "size": size, **metadata})
+
+
+def load_network(name_or_path: str) -> tuple[nn.Module, Variables]:
+    """A network to compare with and its variables, by name or by file.
+
+    A file that is not of one of `NETWORKS` raises `prism_jax.io.InputError`.
+    """
+    path = pathlib.Path(name_or_path)
+    if name_or_path in NETWORKS:
+        folder = importlib.resources.files("prism_jax") / "assets" / "baselines"
+        path = pathlib.Path(str(folder / f"{name_or_path}{SUFFIX}"))
+    remedy = f"give a file of experiments.train_baseline, or one of {sorted(NETWORKS)}"
+    if not path.is_file():
+        raise InputError(name_or_path, "no such network", remedy)
+    metadata, arrays = _read(path)
+    try:
+        module = NETWORKS[metadata["network"]][metadata["size"]]
+    except (KeyError, TypeError):
+        raise InputError(path, "not a network to compare with", remedy) from None
+    num_points: int = module.config.num_points  # pyright: ignore
+    cloud = jnp.zeros((1, num_points, 3))
+    made = jax.eval_shape(lambda: module.init(jax.random.key(0), cloud))
+    wanted = {kind: made.get(kind, {}) for kind in ("params", "batch_stats")}
+    return module, _checked(arrays, wanted, path)
+
+
+def _write(
+    path: str | pathlib.Path, variables: Variables, metadata: dict[str, Any]
+) -> None:
     arrays = {
         _key(leaf_path): np.asarray(leaf)
         for leaf_path, leaf in jax.tree_util.tree_leaves_with_path(variables)
     }
-    everything = {"config": dataclasses.asdict(config), **metadata}
-    text = {key: json.dumps(value, sort_keys=True) for key, value in everything.items()}
+    text = {key: json.dumps(value, sort_keys=True) for key, value in metadata.items()}
     write_bytes(path, safetensors.numpy.save(arrays, text))
 
 
@@ -152,8 +194,15 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
 def _checked_tree(
     arrays: dict[str, np.ndarray], config: AdaptConfig, path: pathlib.Path
 ) -> Variables:
-    """The arrays in the tree that the configuration asks for, every shape checked."""
+    """The arrays in the tree that the configuration asks for."""
     wanted = jax.eval_shape(lambda: init_variables(jax.random.key(0), config.model))
+    return _checked(arrays, wanted, path)
+
+
+def _checked(
+    arrays: dict[str, np.ndarray], wanted: Variables, path: pathlib.Path
+) -> Variables:
+    """The arrays in a tree of such shapes, every one checked."""
 
     def pick(leaf_path: tuple[Any, ...], leaf: jax.ShapeDtypeStruct) -> jax.Array:
         key = _key(leaf_path)

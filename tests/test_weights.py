@@ -6,19 +6,24 @@ import json
 import pickle
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import safetensors.numpy
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.io.errors import InputError
+from prism_jax.models.baselines.networks import NETWORKS
 from prism_jax.presets import PRESETS
 from prism_jax.weights import (
     available_weights,
     config_from_dict,
+    load_network,
     load_pretrained,
     read_metadata,
+    save_network,
     save_weights,
+    sha256,
 )
 
 METADATA = {"seed": 3, "scores": {"cd_l2": [1.5, 2.0]}, "commit": None}
@@ -191,3 +196,28 @@ def test_a_failed_write_leaves_what_was_there(file, tmp_path, tiny, tiny_variabl
     assert path.read_bytes() == file.read_bytes()
     with pytest.raises(InputError, match="cannot be written"):
         save_weights(tmp_path / "no" / "such.safetensors", tiny, {}, {})
+
+
+@pytest.mark.parametrize("name", ["pcn", "seedformer"])
+def test_a_network_to_compare_with_comes_back(tmp_path, name):
+    module = NETWORKS[name]["small"]
+    cloud = jnp.zeros((1, module.config.num_points, 3))
+    shapes = jax.eval_shape(lambda: module.init(jax.random.key(0), cloud))
+    rng = np.random.default_rng(0)
+    fill = lambda leaf: rng.normal(size=leaf.shape).astype(np.float32)  # noqa: E731
+    variables = {"params": jax.tree.map(fill, shapes["params"]), "batch_stats": {}}
+    path = tmp_path / "network.safetensors"
+    save_network(path, name, "small", variables, {"seed": 3})
+    again, loaded = load_network(str(path))
+    assert again == module
+    assert sha256(loaded) == sha256(variables)
+    with pytest.raises(InputError, match="no prism_jax configuration"):
+        load_pretrained(str(path))
+
+
+def test_what_is_not_a_network_to_compare_with(tmp_path, tiny, tiny_variables):
+    save_weights(tmp_path / "ours.safetensors", tiny, tiny_variables, {})
+    with pytest.raises(InputError, match="not a network to compare with"):
+        load_network(str(tmp_path / "ours.safetensors"))
+    with pytest.raises(InputError, match="no such network"):
+        load_network("resnet")

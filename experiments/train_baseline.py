@@ -1,0 +1,71 @@
+"""Trains a network to compare with, as our own backbone is trained.
+
+python -m experiments.train_baseline --network=pcn --workdir=DIR [--resume]
+"""
+
+import dataclasses
+
+from absl import flags
+
+from experiments.launch import launch, with_large_pages
+from experiments.training import define_training_flags, join_processes, training_data
+from prism_jax.io.errors import InputError
+from prism_jax.models.baselines.networks import NETWORKS
+from prism_jax.presets import resolve
+from prism_jax.training.config import PhaseConfig
+from prism_jax.training.leg import train_leg
+from prism_jax.training.parallel import is_first
+from prism_jax.training.run import open_run, started_from
+from prism_jax.training.supervised import network_leg
+from prism_jax.weights import save_network
+
+FLAGS = flags.FLAGS
+
+
+def main(argv):
+    """Trains on as many samples as the preset's backbone, all stages at once."""
+    del argv
+    join_processes()
+    preset = resolve(FLAGS.preset, FLAGS.set)
+    sizes = NETWORKS[FLAGS.network]
+    if FLAGS.preset not in sizes:
+        fault = f"{FLAGS.network} has no size for {FLAGS.preset}"
+        raise InputError("--preset", fault, f"use one of {', '.join(sizes)}")
+    config, network = preset.pretrain, sizes[FLAGS.preset]
+    num_samples = sum(leg.num_samples for leg in config.backbone)
+    phase = PhaseConfig(FLAGS.network, num_samples, None)
+    data = training_data(preset, config.num_complete, config.validate_every)
+    run = {
+        "network": FLAGS.network,
+        "sizes": dataclasses.asdict(network.config),  # pyright: ignore
+        "pretrain": dataclasses.asdict(config),
+    }
+    folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
+    num_points = preset.model.backbone.num_points
+    leg = network_leg(network, num_points, phase, config, FLAGS.seed)
+    trained = train_leg(leg, data, folder, FLAGS.max_steps, FLAGS.tensorboard)
+    if not trained.done:
+        print(f"stopped; go on with --workdir={folder} --resume")
+    elif is_first():
+        about = {
+            "seed": FLAGS.seed,
+            "commit": started_from(folder),
+            "data": FLAGS.dataset,
+            "samples": num_samples,
+        }
+        path = folder / "weights.safetensors"
+        save_network(path, FLAGS.network, FLAGS.preset, trained.best, about)
+        print(f"written {path}")
+
+
+def run():
+    """The entry point."""
+    with_large_pages()
+    define_training_flags()
+    names = sorted(NETWORKS)
+    flags.DEFINE_enum("network", None, names, "Which.", required=True)
+    launch("train_baseline", main)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,21 @@
+"""The networks to compare with, by name and by the preset whose input and output counts
+they have."""
+
+import flax.linen as nn
+
+from prism_jax.models.baselines.pcn import PCN, PCN_SMALL, PCNConfig
+from prism_jax.models.baselines.pointr import POINTR_SMALL, PoinTr, PoinTrConfig
+from prism_jax.models.baselines.seedformer import (
+    SEEDFORMER_SMALL,
+    SeedFormer,
+    SeedFormerConfig,
+)
+
+NETWORKS: dict[str, dict[str, nn.Module]] = {
+    "pcn": {"small": PCN(PCN_SMALL), "paper": PCN(PCNConfig())},
+    "pointr": {"small": PoinTr(POINTR_SMALL), "paper": PoinTr(PoinTrConfig())},
+    "seedformer": {
+        "small": SeedFormer(SEEDFORMER_SMALL),
+        "paper": SeedFormer(SeedFormerConfig()),
+    },
+}

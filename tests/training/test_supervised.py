@@ -1,0 +1,71 @@
+"""A network to compare with, trained on Eq. 10."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.data.pipeline import Framing
+from prism_jax.losses.primary import stage_chamfers
+from prism_jax.models.baselines.pcn import PCN, PCNConfig
+from prism_jax.presets import resolve
+from prism_jax.training.config import PhaseConfig
+from prism_jax.training.supervised import network_leg
+
+BATCH = 4
+MODULE = PCN(
+    PCNConfig(64, (8, 16), (16, 32), (32,), num_coarse=32, fold_features=(16,))
+)
+
+
+@pytest.fixture(scope="module")
+def leg():
+    config = dataclasses.replace(
+        resolve("tiny").pretrain, batch_size=BATCH, warmup_steps=2
+    )
+    phase = PhaseConfig("pcn", 40 * BATCH, None, learning_rate=3e-3)
+    return network_leg(MODULE, 64, phase, config, seed=0)
+
+
+@pytest.fixture(scope="module")
+def batch(examples, framed):
+    return framed(examples, range(BATCH), Framing(64, 128, 1.4))
+
+
+def test_the_terms_are_eq_10_stage_by_stage(leg, batch):
+    _, losses = leg.step_fn(leg.start, batch)
+    stages = MODULE.apply(leg.start.variables, jnp.asarray(batch.partial))
+    complete = jnp.asarray(batch.complete)
+    each = jax.vmap(lambda s, c: stage_chamfers(s, c, "l1"))(stages, complete)
+    np.testing.assert_allclose(losses, each.mean(0), rtol=1e-5)
+    assert leg.terms == leg.scores == ("stage_0", "stage_1")
+
+
+def test_it_learns_and_only_parameters_change(leg, batch):
+    state, first = leg.step_fn(leg.start, batch)
+    for _ in range(20):
+        state, last = leg.step_fn(state, batch)
+    assert last.sum() < 0.8 * first.sum()
+    assert int(state.step) == 21
+    assert state.variables["batch_stats"] == {}
+
+
+def test_the_score_is_in_the_units_of_the_examples(leg, batch):
+    scores = np.asarray(leg.validate_fn(leg.start.variables, batch))
+    doubled = batch._replace(half_extent=2 * batch.half_extent)
+    twice = np.asarray(leg.validate_fn(leg.start.variables, doubled))
+    assert scores.shape == (BATCH, 2)
+    np.testing.assert_allclose(twice, 4 * scores, rtol=1e-6)
+
+
+def test_a_seed_is_one_start(leg):
+    config, phase = resolve("tiny").pretrain, PhaseConfig("pcn", 64, None)
+    same = network_leg(MODULE, 64, phase, config, seed=0).start.variables
+    other = network_leg(MODULE, 64, phase, config, seed=1).start.variables
+    first = jax.tree.leaves(leg.start.variables)
+    pairs = zip(first, jax.tree.leaves(same), strict=True)
+    assert all(np.array_equal(a, b) for a, b in pairs)
+    pairs = zip(first, jax.tree.leaves(other), strict=True)
+    assert any(not np.array_equal(a, b) for a, b in pairs)
