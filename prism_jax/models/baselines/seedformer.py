@@ -108,14 +108,15 @@ class SeedFormer(nn.Module):
     frame of the partial, which should about fill ``[-1, 1]^3``: the network sees
     absolute coordinates. Differentiable in the parameters and the partial; samples and
     neighbours carry no gradient. The order of the partial's points does not matter but
-    for the first, where sampling starts. An empty cloud raises ValueError; NaN
-    coordinates give NaN. Without BatchNorm there is nothing that `train` changes.
+    for the first, where sampling starts. Coordinates must be finite; an empty cloud
+    raises ValueError. Without BatchNorm, `train` changes nothing.
 
     The default has 3,308,620 parameters. The authors' code has 3,311,820, of which
-    3,200 belong to BatchNorm layers that it never applies. Deviations: the
-    initialisers are this package's, and offsets start near zero (`offset_init`); the
-    loss is not part of the network, so that the paper's partial matching term is left
-    to the caller. With `seeds_from_patches`, seeds are not absolute.
+    3,200 belong to BatchNorm layers that it never applies; sizes, and weights by
+    inverse squared distance, are as there. Deviations: the initialisers are this
+    package's, and offsets start near zero (`offset_init`); the loss is not part of the
+    network, so that the paper's partial matching term is left to the caller. With
+    `seeds_from_patches`, seeds are not absolute.
     """
 
     config: SeedFormerConfig = SeedFormerConfig()
