@@ -12,7 +12,10 @@ CONFIG = AuxiliaryConfig(hidden=8)
 RNG = np.random.default_rng(0)
 POINTS = jnp.asarray(RNG.uniform(-1, 1, (40, 3)), jnp.float32)
 FEATURES = jnp.asarray(RNG.normal(size=(40, 6)), jnp.float32)
-VARIABLES = Refiner(CONFIG).init(jax.random.key(0), POINTS, FEATURES)
+FRESH = Refiner(CONFIG).init(jax.random.key(0), POINTS, FEATURES)
+VARIABLES = jax.tree.map(
+    lambda leaf: jnp.asarray(0.3 * RNG.normal(size=leaf.shape), jnp.float32), FRESH
+)
 
 refine = jax.jit(Refiner(CONFIG).apply)
 
@@ -57,9 +60,18 @@ def test_stays_in_the_workspace_exactly():
     assert np.array_equal(outside, np.asarray(edge))
 
 
-def test_starts_near_the_identity():
-    moved = np.asarray(refine(VARIABLES, 0.5 * POINTS, FEATURES))
-    assert np.abs(moved - 0.5 * np.asarray(POINTS)).max() < 0.01
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+def test_starts_as_the_identity_whatever_the_features(scale):
+    moved = refine(FRESH, 0.5 * POINTS, scale * FEATURES)
+    assert np.array_equal(moved, 0.5 * POINTS)
+
+
+def test_from_the_identity_on_it_learns():
+    def loss(variables):
+        return (refine(variables, 0.5 * POINTS, FEATURES) ** 2).sum()
+
+    last = jax.grad(loss)(FRESH)["params"]["g"]["dense_1"]
+    assert all(np.abs(leaf).max() > 0 for leaf in jax.tree.leaves(last))
 
 
 def test_gradients_are_finite_and_reach_the_features():
