@@ -124,14 +124,20 @@ def test_stages_have_the_configured_sizes(outputs, tiny):
     assert prediction.features.shape == (sizes[-1], tiny.model.backbone.features)
 
 
-def test_prediction_is_the_last_stage_refined_within_bounds(outputs, tiny):
-    """Eq. 2."""
-    prediction, _, _ = outputs
-    points, last = np.asarray(prediction.points), np.asarray(prediction.stages[-1])
+def test_prediction_is_the_last_stage_refined_within_bounds(
+    outputs, run, tiny, tiny_variables, frame
+):
+    """Eq. 2: at first the last stage itself, kept in the workspace."""
+    fresh, _, _ = outputs
+    inside = np.clip(fresh.stages[-1], -1, 1)
+    assert np.array_equal(fresh.points, inside)
+    trained = jax.tree.map(lambda x: x + 0.3, tiny_variables["params"]["refiner"])
+    params = {**tiny_variables["params"], "refiner": trained}
+    prediction, _, _ = run({**tiny_variables, "params": params}, frame)
+    points = np.asarray(prediction.points)
     assert np.abs(points).max() <= 1.0
-    bound = tiny.model.auxiliary.max_offset
-    assert np.abs(points - np.clip(last, -1, 1)).max() <= bound
-    assert not np.array_equal(points, np.clip(last, -1, 1))
+    assert np.abs(points - inside).max() <= tiny.model.auxiliary.max_offset + 1e-7
+    assert not np.array_equal(points, inside)
 
 
 def test_branches(outputs, tiny):
