@@ -127,7 +127,18 @@ def _write(
         for leaf_path, leaf in jax.tree_util.tree_leaves_with_path(variables)
     }
     text = {key: json.dumps(value, sort_keys=True) for key, value in metadata.items()}
-    write_bytes(path, safetensors.numpy.save(arrays, text))
+    write_bytes(path, _in_order(safetensors.numpy.save(arrays, text)))
+
+
+def _in_order(file: bytes) -> bytes:
+    """The same file with its metadata sorted: safetensors writes them in any order, and
+    equal weights would not be equal files."""
+    size = int.from_bytes(file[:8], "little")
+    header = json.loads(file[8 : 8 + size])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + file[8 + size :]
 
 
 def sha256(variables: Variables) -> str:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from prism_jax.models.config import AuxiliaryConfig
 from prism_jax.models.depth_encoder import DepthFeatures
 from prism_jax.models.encoder import PointFeatures
-from prism_jax.models.layers import MLP, Dense, gather
+from prism_jax.models.layers import MLP, Dense, gather, highest
 
 
 class Tokens(NamedTuple):
@@ -95,7 +95,7 @@ class Denoiser(nn.Module):
     ) -> Float[Array, "... N 3"]:
         hidden = self.config.hidden
         offsets = gather(perturbed, neighbors) - perturbed[..., None, :]
-        local = MLP((hidden // 2, hidden), name="local")(offsets).max(-2)
+        local = highest(MLP((hidden // 2, hidden), name="local")(offsets))
         init = nn.initializers.normal(0.01)
         mlp = MLP((hidden, hidden, 3), final_init=init, name="mlp")
         return mlp(perturbed, local, latent[..., None, :])

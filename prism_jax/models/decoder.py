@@ -16,6 +16,7 @@ from prism_jax.models.layers import (
     ResidualMLP,
     SplitPoints,
     batch_norm,
+    highest,
     over_batch,
     repeat_in_place,
 )
@@ -97,9 +98,9 @@ class UpsamplingBlock(nn.Module):
     def _point_features(self, xyz: Array, global_feature: Array) -> Array:
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
-        highest = x.max(-2, keepdims=True)
+        whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
-        return mlp(x, highest, global_feature[..., None, :])
+        return mlp(x, whole, global_feature[..., None, :])
 
     def _transformer(self, name: str) -> CrossResolutionTransformer:
         return CrossResolutionTransformer(

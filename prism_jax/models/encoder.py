@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.layers import MLP, Dense, gather, take
+from prism_jax.models.layers import MLP, Dense, gather, highest, take
 from prism_jax.models.pyramid import (
     Pyramid,
     build_pyramid,
@@ -81,7 +81,7 @@ class SetAbstraction(nn.Module):
         together = gather(jnp.concatenate([xyz, features], -1), neighbors)
         relative = together[..., :3] - centers[..., None, :]
         grouped = jnp.concatenate([relative, together[..., 3:]], -1)
-        return MLP(self.widths, name="mlp")(grouped).max(-2)
+        return highest(MLP(self.widths, name="mlp")(grouped))
 
 
 class PointEncoder(nn.Module):
@@ -110,7 +110,7 @@ class PointEncoder(nn.Module):
         patches = Dense(patches.shape[-1], name="expand")(reduced) + patches
 
         pointwise = MLP(config.global_features, name="global")(xyz_2, patches)
-        global_feature = pointwise.max(-2)
+        global_feature = highest(pointwise)
         return PointFeatures(xyz_2, patches, global_feature, indices.patch_neighbors)
 
     def _transform(

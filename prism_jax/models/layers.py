@@ -17,6 +17,18 @@ take = jnp.vectorize(lambda features, i: features[i], signature="(n,c),(m)->(m,c
 """Rows of ``(..., N, C)`` features at ``(..., M)`` indices."""
 
 
+def highest(features: Float[Array, "... N C"]) -> Float[Array, "... C"]:
+    """The maximum over the points; the first of several has the derivative.
+
+    The derivative of `jnp.max` compares the maximum with its operand, and divides by
+    how many are equal. Compiled, the two may come from different fusions and differ in
+    the last bit: none is equal then, and the derivative is NaN. NaN gives NaN.
+    """
+    place = jnp.argmax(jax.lax.stop_gradient(features), axis=-2, keepdims=True)
+    chosen = jnp.arange(features.shape[-2])[:, None] == place
+    return jnp.where(chosen, features, 0.0).sum(-2)
+
+
 # Whenever a parameter is read, Flax traces its initialiser to compare shapes. These are
 # traced once for each shape: a quarter of what tracing an adaptation took.
 kernel_init = jax.jit(nn.linear.default_kernel_init, static_argnums=1)

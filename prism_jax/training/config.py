@@ -74,8 +74,8 @@ class MetaTrainConfig:
       weight_rate: of the loss weights' logits, by plain SGD.
       step_rate: of the logarithms of learned step sizes, by Adam.
       refiner_rate: of the refiner, whose optimiser is its own, of the same kind.
-      average_decay: of the moving average of all variables, which is then what is
-        validated and released; 0 for none.
+      average_decay: of the moving average of all variables but the scales, which is
+        then what is validated and released; 0 for none.
       validate_every: samples between validations.
     """
 

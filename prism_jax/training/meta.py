@@ -174,9 +174,12 @@ def _in_parts(fn: Callable[[Batch], tuple], batch: Batch, at_once: int) -> tuple
 def _averaged(
     average: Variables | None, variables: Variables, decay: float
 ) -> Variables | None:
+    """But the scales: they are averages already, and start at zero, unmeasured."""
     if average is None:
         return None
-    return jax.tree.map(lambda a, v: decay * a + (1 - decay) * v, average, variables)
+    mean = jax.tree.map(lambda a, v: decay * a + (1 - decay) * v, average, variables)
+    mean["weighting"]["scales"] = variables["weighting"]["scales"]
+    return mean
 
 
 def _measured(terms: MetaTerms, variables: Variables) -> Float[Array, " L"]:

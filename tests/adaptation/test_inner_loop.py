@@ -261,6 +261,50 @@ def test_a_step_size_holds_for_all_below_its_place(sizes, expected):
         assert (np.asarray(leaf) == -size).all()
 
 
+def test_a_gradient_above_the_bound_is_scaled_down_to_it(x64):
+    """By its global norm, before the step sizes; one below it is as it was."""
+    grads = {"a": jnp.array([3.0, 0.0]), "b": {"c": jnp.array(-4.0)}}
+    params = jax.tree.map(jnp.zeros_like, grads)
+    sizes = {"a": 0.5, "b": 2.0}
+    moved = descend(params, grads, sizes, clip_norm=0.1)
+    np.testing.assert_allclose(moved["a"], [-0.5 * 0.06, 0], rtol=1e-12)
+    np.testing.assert_allclose(moved["b"]["c"], 2.0 * 0.08, rtol=1e-12)
+    plain = descend(params, grads, sizes)
+    for bound in (5.0, 6.0):
+        below = descend(params, grads, sizes, clip_norm=bound)
+        for a, b in zip(*map(jax.tree.leaves, (below, plain)), strict=True):
+            assert np.array_equal(a, b)
+
+
+def test_derivative_through_a_bounded_gradient(x64):
+    """x_1 = x_0 - a c g / |g|: the derivative is I - a c (I - g g' / |g|^2) H / |g|."""
+    bound = 0.3
+
+    def adapted(x, first_order=False):
+        moved, _ = unroll(quadratic, x, STEP_SIZE, 1, first_order, bound)
+        return moved
+
+    gradient = HESSIAN @ (START - TARGET)
+    norm = np.linalg.norm(gradient)
+    assert norm > 2 * bound
+    start = jnp.array(START)
+    expected = START - STEP_SIZE * bound * gradient / norm
+    np.testing.assert_allclose(adapted(start), expected, rtol=1e-12)
+    across = np.eye(SIZE) - np.outer(gradient, gradient) / norm**2
+    expected = np.eye(SIZE) - STEP_SIZE * bound / norm * across @ HESSIAN
+    np.testing.assert_allclose(jax.jacrev(adapted)(start), expected, rtol=1e-11)
+    first = jax.jacrev(lambda x: adapted(x, True))(start)
+    np.testing.assert_allclose(first, np.eye(SIZE), rtol=1e-12)
+
+
+def test_a_gradient_of_zero_can_be_bounded(x64):
+    """At the minimum: no step, and the derivative of a gradient that is not bounded."""
+    jacobian = jax.jacrev(
+        lambda x: unroll(quadratic, x, STEP_SIZE, 1, clip_norm=0.5)[0]
+    )(jnp.array(TARGET))
+    np.testing.assert_allclose(jacobian, np.eye(SIZE) - STEP_SIZE * HESSIAN, rtol=1e-12)
+
+
 @pytest.mark.parametrize("sizes", [{"a": 0.1}, {"a": 0.1, "c": 0.1}])
 def test_step_sizes_of_another_tree_are_refused(sizes):
     params = {"a": jnp.zeros(2), "b": jnp.zeros(2)}

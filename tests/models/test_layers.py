@@ -15,6 +15,7 @@ from prism_jax.models.layers import (
     SplitPoints,
     batch_norm,
     gather,
+    highest,
     over_batch,
     repeat_in_place,
     take,
@@ -52,6 +53,36 @@ def test_gather_and_take_pick_rows_of_each_cloud():
             np.testing.assert_array_equal(
                 taken[cloud][row], features[cloud][many[cloud][row, 0]]
             )
+
+
+@pytest.mark.parametrize("shape", [(5, 3), (1, 2), (2, 4, 8, 3)])
+def test_highest_is_the_maximum_and_so_is_its_derivative(shape):
+    features, weights = normal(*shape), normal(*shape[:-2], shape[-1])
+    np.testing.assert_array_equal(jax.jit(highest)(features), features.max(-2))
+    derivatives = [
+        jax.grad(lambda x, pool=pool: (pool(x) ** 2 * weights).sum())(features)
+        for pool in (highest, lambda x: x.max(-2))
+    ]
+    np.testing.assert_array_equal(*derivatives)
+
+
+def test_of_equal_points_the_first_has_the_derivative():
+    gradient = jax.grad(lambda x: highest(x).sum())(jnp.array([[1.0], [2.0], [2.0]]))
+    np.testing.assert_array_equal(gradient[:, 0], [0, 1, 0])
+
+
+def test_highest_of_what_is_not_a_number_is_none():
+    points = jnp.array([[1.0, 3.0], [jnp.nan, -jnp.inf]])
+    np.testing.assert_array_equal(highest(points), [jnp.nan, 3.0])
+
+
+def test_the_derivative_of_highest_divides_by_nothing():
+    """What `jnp.max` divides by can be zero, when compiled."""
+    for pool, divides in ((highest, False), (lambda x: x.max(-2), True)):
+        twice = jax.grad(
+            lambda x, f=pool: (jax.grad(lambda y: (f(y) ** 3).sum())(x)).sum()
+        )
+        assert ("div" in str(jax.make_jaxpr(twice)(jnp.ones((4, 2))))) == divides
 
 
 def test_gather_gives_each_row_a_gradient_per_use():
