@@ -109,13 +109,14 @@ _SMALL_META = MetaTrainConfig(
         learn_refiner=False,
     ),
     num_samples=16_000,
+    at_once=8,
     num_complete=2048,
     optimiser="adam",
     learning_rate=1e-4,
     final_rate=0.01,
     warmup_steps=100,
     clip_norm=1.0,
-    step_rate=5e-3,
+    step_rate=2e-2,
     validate_every=4_000,
 )
 

@@ -64,6 +64,9 @@ class MetaConfig:
         exactly what test time does (Eq. 13 in the place of Eq. 11).
       learn_steps: whether a step size is learned for each module of the encoders
         (Meta-SGD, Li et al., 2017).
+      learn_auxiliary: whether the auxiliary modules learn too, from the primary loss
+        after adaptation: what the inner loop descends is then itself learned (Bechtle
+        et al., Meta-learning via learned loss, 2019). In the paper they are frozen.
       learn_refiner: whether the refiner learns, from Eq. 3; if not, it stays.
       remat: whether the backward pass computes the networks anew, for memory.
       norm: Chamfer convention of Eq. 10.
@@ -76,6 +79,7 @@ class MetaConfig:
     weight_rule: WeightRule = "auxiliary"
     rehearse_depth: bool = False
     learn_steps: bool = False
+    learn_auxiliary: bool = False
     learn_refiner: bool = True
     remat: bool = False
     norm: ChamferNorm = "l1"

@@ -5,6 +5,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from prism_jax.adaptation.config import AdaptConfig
@@ -56,15 +57,21 @@ def descend(
     if first_order:
         grads = jax.lax.stop_gradient(grads)
     if clip_norm:
-        squares = sum(jnp.sum(g**2) for g in jax.tree.leaves(grads))
-        # The norm's derivative at zero would not be finite.
-        norm = jnp.sqrt(jnp.maximum(squares, clip_norm**2))
-        grads = jax.tree.map(lambda g: g * (clip_norm / norm), grads)
+        grads = _clipped(grads, clip_norm)
 
     def below(step_size: Any, params: Params, grads: Params) -> Params:
         return jax.tree.map(lambda p, g: p - step_size * g, params, grads)
 
     return jax.tree.map(below, step_sizes, params, grads)
+
+
+def _clipped(grads: Params, clip_norm: float) -> Params:
+    # As one vector: of a sum over a hundred leaves, and of its derivative, XLA's CPU
+    # backend computes every term anew wherever the gradients are used.
+    flat, unravel = ravel_pytree(grads)
+    # The norm's derivative at zero would not be finite.
+    norm = jnp.sqrt(jnp.maximum((flat**2).sum(), clip_norm**2))
+    return unravel(flat * (clip_norm / norm))
 
 
 def step_sizes(variables: Variables, config: AdaptConfig) -> StepSizes:

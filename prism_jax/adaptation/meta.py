@@ -18,7 +18,15 @@ from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import update_scale, weighted_auxiliary
-from prism_jax.models.prism import Frame, Prediction, predict, refine
+from prism_jax.models.encoder import PointFeatures
+from prism_jax.models.prism import (
+    Frame,
+    Prediction,
+    completed,
+    encode,
+    hold_decoding,
+    refine,
+)
 from prism_jax.models.variables import (
     ENCODERS,
     Variables,
@@ -38,10 +46,10 @@ class MetaTerms(NamedTuple):
       refined: Eq. 3 of the refined points.
     """
 
-    adapted: Float[Array, "*B"]
-    zero_step: Float[Array, "*B"]
+    adapted: Float[Array, ""]
+    zero_step: Float[Array, ""]
     losses: Losses
-    refined: Float[Array, "*B"]
+    refined: Float[Array, ""]
 
 
 def meta_gradients(
@@ -60,23 +68,21 @@ def meta_gradients(
     - decoder: from ``(1 - beta_0) L_pri(enc', dec)`` with the adapted encoders as
       given: the zero-step term of Eq. 12 names no decoder, and the inner loop, as at
       test time, holds it fixed. Without inner steps both terms are one, and it has all;
+    - auxiliary modules: from the adapted primary loss, if they learn;
     - refiner: from Eq. 3 of the adapted completion alone, if it learns;
     - logits: from L_aux of Eq. 11 (``weight_rule="auxiliary"``), or from the adapted
       primary loss (``"meta"``);
     - log_steps: from the adapted primary loss, if they are learned.
 
-    `complete` is in farthest-point order. Auxiliary modules and BatchNorm statistics
-    are read as they are, as at test time.
+    `complete` is in farthest-point order. BatchNorm statistics are read as they are,
+    as at test time.
     """
     moving = _by_primary(learned_part(variables, config))
 
     def loss_fn(moving: Variables):
-        mapped = jax.vmap(lambda f, c: episode(moving, variables, f, c, adapt, config))
-        losses, episodes = mapped(frames, complete)
-        return losses.mean(), episodes
+        return _primary_terms(moving, variables, frames, complete, adapt, config)
 
-    grads, episodes = jax.grad(loss_fn, has_aux=True)(moving)
-    terms, auxiliary, refiner = _mean(episodes)
+    grads, (terms, auxiliary, refiner) = jax.grad(loss_fn, has_aux=True)(moving)
     params, weighting = grads["params"], grads["weighting"]
     if config.learn_refiner:
         params["refiner"] = refiner
@@ -92,22 +98,71 @@ def meta_gradients(
     return grads, terms
 
 
-def episode(
+def _primary_terms(
     moving: Variables,
     variables: Variables,
-    frame: Frame,
-    complete: Float[Array, "M 3"],
+    frames: Frame,
+    complete: Float[Array, "B M 3"],
     adapt: AdaptConfig,
     config: MetaConfig,
 ) -> tuple[Float[Array, ""], tuple[MetaTerms, Variables, Variables]]:
-    """The primary terms of Eq. 12 for one frame, differentiable in ``moving``.
+    """The primary terms of Eq. 12, differentiable in ``moving``.
 
-    Beside them its terms, and two gradients that no other derivative is to pass
+    Beside them all terms, and two gradients that no other derivative is to pass
     through: of L_aux in the encoders, and of Eq. 3 in the refiner.
     """
     variables = put_learned(moving, variables)
+
+    def primary(stages: tuple[Array, ...], complete: Array) -> Array:
+        return primary_loss(stages, complete, config.norm)
+
+    def one(frame: Frame, complete: Array):
+        found = episode(variables, frame, adapt, config)
+        return found, primary(found.before, complete)
+
+    def decoded(encoded: PointFeatures) -> Prediction:
+        return completed(variables, frames, encoded, adapt.model)
+
+    if config.remat:
+        decoded = jax.checkpoint(decoded)
+    held = jax.lax.stop_gradient(variables)
+    frames = jax.vmap(lambda f: hold_decoding(held, f, adapt.model))(frames)
+    episodes, zero_step = jax.vmap(one)(frames, complete)
+    # All frames share the decoder: as one batch, its derivative is one product.
+    after = decoded(episodes.encoded)
+    adapted = jax.vmap(primary)(after.stages, complete).mean()
+    zero_step = zero_step.mean() if config.num_steps else adapted
+    refined, refiner = jax.value_and_grad(_refined)(
+        variables["params"]["refiner"], after, frames, complete, adapt
+    )
+    loss = (1.0 - config.beta_0) * adapted + config.beta_0 * zero_step
+    losses, auxiliary = _mean((episodes.losses, episodes.auxiliary))
+    terms = MetaTerms(adapted, zero_step, losses, refined)
+    return loss, jax.lax.stop_gradient((terms, auxiliary, refiner))
+
+
+class Episode(NamedTuple):
+    """What the inner loop makes of one frame.
+
+    Attributes:
+      encoded: by the adapted encoders.
+      before: the decoder's stages before adaptation.
+      losses: before adaptation.
+      auxiliary: gradient, in the encoders, of what the inner loop descends.
+    """
+
+    encoded: PointFeatures
+    before: tuple[Float[Array, "_ 3"], ...]
+    losses: Losses
+    auxiliary: Variables
+
+
+def episode(
+    variables: Variables, frame: Frame, adapt: AdaptConfig, config: MetaConfig
+) -> Episode:
+    """One frame's inner loop, which holds the decoder."""
     encoders, rest = pop_encoders(variables)
-    held = _hold_decoder(rest) if config.num_steps else rest
+    held = _hold_decoder(rest)
     inner = adapt
     if not config.rehearse_depth:
         inner = dataclasses.replace(adapt, depth_weight=0.0)
@@ -116,37 +171,30 @@ def episode(
         losses, prediction = test_time_objective(
             put_encoders(encoders, held), frame, inner
         )
-        return losses.objective, (losses, prediction)
+        return losses.objective, (losses, prediction.stages)
 
-    def completed(encoders: Variables) -> Prediction:
-        return predict(put_encoders(encoders, rest), frame, adapt.model)
+    def encoded(encoders: Variables) -> PointFeatures:
+        return encode(put_encoders(encoders, rest), frame, adapt.model)
 
     if config.remat:
-        objective, completed = jax.checkpoint(objective), jax.checkpoint(completed)
+        objective, encoded = jax.checkpoint(objective), jax.checkpoint(encoded)
     sizes = step_sizes(variables, adapt)
     (_, (losses, before)), auxiliary = jax.value_and_grad(objective, has_aux=True)(
         encoders
     )
-    after = before
     if config.num_steps:
         how = (config.first_order, adapt.clip_norm)
         encoders = descend(encoders, auxiliary, sizes, *how)
         if config.num_steps > 1:
             encoders, _ = unroll(objective, encoders, sizes, config.num_steps - 1, *how)
-        after = completed(encoders)
-    zero_step = primary_loss(before.stages, complete, config.norm)
-    adapted = primary_loss(after.stages, complete, config.norm)
-    refined, refiner = jax.value_and_grad(_refined)(
-        variables["params"]["refiner"], after, frame, complete, adapt
-    )
-    loss = (1.0 - config.beta_0) * adapted + config.beta_0 * zero_step
-    terms = MetaTerms(adapted, zero_step, losses, refined)
-    return loss, jax.lax.stop_gradient((terms, auxiliary, refiner))
+    return Episode(encoded(encoders), before, losses, auxiliary)
 
 
 def learned_part(variables: Variables, config: MetaConfig) -> Variables:
     """What a meta-step learns: the part of the variables that has gradients."""
     modules, weights = [*ENCODERS, "decoder"], ["logits"]
+    if config.learn_auxiliary:
+        modules.append("auxiliary")
     if config.learn_refiner:
         modules.append("refiner")
     if config.learn_steps:
@@ -173,7 +221,7 @@ def _hold_decoder(rest: Variables) -> Variables:
 
 def _by_primary(learned: Variables) -> Variables:
     """What the primary losses teach: all that learns but the refiner."""
-    params = {name: learned["params"][name] for name in (*ENCODERS, "decoder")}
+    params = {k: v for k, v in learned["params"].items() if k != "refiner"}
     return {**learned, "params": params}
 
 
@@ -185,14 +233,14 @@ def measured_scales(variables: Variables, terms: MetaTerms) -> Float[Array, "3"]
 def _refined(
     refiner: Variables,
     after: Prediction,
-    frame: Frame,
-    complete: Float[Array, "M 3"],
+    frames: Frame,
+    complete: Float[Array, "B M 3"],
     adapt: AdaptConfig,
 ) -> Float[Array, ""]:
     after = jax.lax.stop_gradient(after)
     own = {"params": {"refiner": refiner}, "batch_stats": {}}
     points = refine(own, after, adapt.model)
-    return depth_supervised(points, complete, frame.view)
+    return jax.vmap(depth_supervised)(points, complete, frames.view).mean()
 
 
 def _three(losses: Losses) -> Float[Array, "3"]:

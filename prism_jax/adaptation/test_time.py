@@ -12,7 +12,7 @@ from prism_jax.adaptation.inner_loop import step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import loss_weights
-from prism_jax.models.prism import prepare_frame
+from prism_jax.models.prism import hold_decoding, prepare_frame
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
 
@@ -25,7 +25,8 @@ class Completion(NamedTuple):
       accepted: whether the adapted completion is the one returned.
       losses: every term before each step, and after the last: K + 1 values.
       weights: of the auxiliary losses, softmax(eta*).
-      encoders: the encoders' parameters that made ``points``.
+      encoders: the encoders' parameters that made ``points``, with the samples
+        and neighbours of the decoding before (`prism_jax.models.prism.hold_decoding`).
     """
 
     points: Float[Array, "N 3"]
@@ -61,6 +62,7 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
         frame = prepare_frame(
             partial, camera, jax.random.key(config.seed), config.model
         )
+        frame = hold_decoding(variables, frame, config.model)
         encoders, rest = pop_encoders(variables)
 
         # Compiled, so that it is traced once for the steps and for what follows them.

@@ -4,7 +4,7 @@ import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.decoder import Decoded, Decoder
+from prism_jax.models.decoder import Decoded, Decoder, DecoderIndices
 from prism_jax.models.encoder import (
     EncoderIndices,
     PointEncoder,
@@ -60,9 +60,11 @@ def decode(
     config: BackboneConfig,
     partial: Float[Array, "... N 3"],
     encoded: PointFeatures,
+    indices: DecoderIndices | None = None,
 ) -> Decoded:
     """All stages, with BatchNorm statistics as they are."""
-    return apply(Decoder(config), part(variables, "decoder"), partial, encoded)
+    own = part(variables, "decoder")
+    return apply(Decoder(config), own, partial, encoded, indices=indices)
 
 
 def train_backbone(

@@ -19,6 +19,7 @@ from prism_jax.models.layers import (
     highest,
     over_batch,
     repeat_in_place,
+    take,
 )
 from prism_jax.models.pyramid import (
     Pyramid,
@@ -28,19 +29,34 @@ from prism_jax.models.pyramid import (
 )
 
 
+class DecoderIndices(NamedTuple):
+    """The samples and neighbours of one decoding.
+
+    They jump where its points move by a little, and have no derivative.
+
+    Attributes:
+      initial: rows of the seeds and the partial, joined, that the blocks start from.
+      pyramids: of every block, between the levels and within its own.
+    """
+
+    initial: Int[Array, "... n"]
+    pyramids: tuple[tuple[Pyramid, Pyramid], ...]
+
+
 class Decoded(NamedTuple):
-    """Every stage's points, seeds first, and the last stage's per-point features."""
+    """Every stage's points, seeds first, the last stage's per-point features, and the
+    indices that led to them."""
 
     stages: tuple[Float[Array, "... N 3"], ...]
     features: Float[Array, "... N C"]
+    indices: DecoderIndices
 
 
 class Cloud(NamedTuple):
-    """A stage's points, their features, and their farthest-point order."""
+    """A stage's points and their features."""
 
     xyz: Float[Array, "... N 3"]
     features: Float[Array, "... N C"]
-    order: Int[Array, "... n"]
 
 
 class SeedGenerator(nn.Module):
@@ -128,7 +144,8 @@ class Decoder(nn.Module):
     """CRA-PCN's decoder, from the encoded partial to every stage's points.
 
     ``num_blocks`` stops after so many up-sampling blocks, for training coarse stages
-    first; the default is all.
+    first; the default is all. With the ``indices`` of another decoding, whose points
+    are near, the stages are a continuous function of what is encoded.
     """
 
     config: BackboneConfig
@@ -140,31 +157,36 @@ class Decoder(nn.Module):
         encoded: PointFeatures,
         train: bool = False,
         num_blocks: int | None = None,
+        indices: DecoderIndices | None = None,
     ) -> Decoded:
         config = self.config
-        seeds, seed_features = SeedGenerator(config, name="seed_generator")(
-            encoded, train
-        )
-        previous = _cloud(seeds, seed_features)
-        features = seed_features
-        stages = [seeds]
-        xyz = over_batch(lambda s, p: initial_points(s, p, config.num_initial))(
-            seeds, partial
-        )
-        order = jnp.broadcast_to(jnp.arange(xyz.shape[-2]), xyz.shape[:-1])
+        seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
+        together = jnp.concatenate([seeds, partial], axis=-2)
+        if indices is None:
+            initial = _order(together, config.num_initial)
+            order = jnp.broadcast_to(jnp.arange(config.num_initial), initial.shape)
+            support_order = _order(seeds, seeds.shape[-2] // 2)
+        else:
+            initial = indices.initial
+        stages, pyramids = [seeds], []
+        previous, xyz = Cloud(seeds, features), take(together, initial)
         blocks = list(zip(config.up_factors, config.level_rates, strict=True))
         for i, (times, rates) in enumerate(blocks[:num_blocks]):
-            inter, intra = _pyramids(xyz, order, previous, rates, config.num_neighbors)
+            if indices is None:
+                if i:
+                    support_order, order = order, _order(xyz, xyz.shape[-2] // 2)
+                orders, near = (order, support_order), config.num_neighbors
+                pair = _pyramids(xyz, previous.xyz, orders, rates, near)
+            else:
+                pair = indices.pyramids[i]
+            pyramids.append(pair)
             block = UpsamplingBlock(config, times, name=f"block_{i}")
             children, block_features, features = block(
-                xyz, encoded.global_feature, previous, inter, intra, train
+                xyz, encoded.global_feature, previous, *pair, train
             )
-            previous = Cloud(xyz, block_features, order)
-            xyz = children
+            previous, xyz = Cloud(xyz, block_features), children
             stages.append(xyz)
-            if i + 1 < len(blocks[:num_blocks]):
-                order = _order(xyz)
-        return Decoded(tuple(stages), features)
+        return Decoded(tuple(stages), features, DecoderIndices(initial, (*pyramids,)))
 
 
 def initial_points(
@@ -175,19 +197,15 @@ def initial_points(
     return together[farthest_order(together, num_points)]
 
 
-def _order(xyz: Array) -> Array:
-    """Farthest-point order as far as a coarser resolution looks at it."""
-    return over_batch(lambda cloud: farthest_order(cloud, cloud.shape[0] // 2))(xyz)
-
-
-def _cloud(xyz: Array, features: Array) -> Cloud:
-    return Cloud(xyz, features, _order(xyz))
+def _order(xyz: Array, num_samples: int) -> Array:
+    """Farthest-point order, as far as anything looks at it."""
+    return over_batch(lambda cloud: farthest_order(cloud, num_samples))(xyz)
 
 
 def _pyramids(
     xyz: Array,
-    order: Array,
-    support: Cloud,
+    support: Array,
+    orders: tuple[Array, Array],
     rates: tuple[int, ...],
     num_neighbors: tuple[int, ...],
 ) -> tuple[Pyramid, Pyramid]:
@@ -198,5 +216,5 @@ def _pyramids(
         intra = build_pyramid(xyz, xyz, rows, rows, num_neighbors, same=True)
         return inter, intra
 
-    clouds = jax.lax.stop_gradient((xyz, support.xyz))
-    return over_batch(build)(clouds[0], order, clouds[1], support.order)
+    xyz, support = jax.lax.stop_gradient((xyz, support))
+    return over_batch(build)(xyz, orders[0], support, orders[1])

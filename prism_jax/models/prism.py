@@ -20,7 +20,7 @@ from prism_jax.models.auxiliary import (
 )
 from prism_jax.models.backbone import decode, encode_points
 from prism_jax.models.config import ModelConfig
-from prism_jax.models.decoder import Decoded
+from prism_jax.models.decoder import Decoded, DecoderIndices
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
 from prism_jax.models.refiner import Refiner
@@ -38,6 +38,7 @@ class Frame(NamedTuple):
       reference, reference_mask: the partial's depth map in that view.
       perturbed, perturbed_neighbors: A(P) of Eq. 6 and its neighbour graph.
       upsampled: U(P) of Eq. 6.
+      decoding: samples and neighbours of the decoder, where they are held.
     """
 
     partial: Float[Array, "N 3"]
@@ -50,14 +51,18 @@ class Frame(NamedTuple):
     perturbed: Float[Array, "N 3"]
     perturbed_neighbors: Int[Array, "N k"]
     upsampled: Float[Array, "M 3"]
+    decoding: DecoderIndices | None = None
 
 
 class Prediction(NamedTuple):
-    """A completion: the refined points, the decoder's stages and last features."""
+    """A completion: the refined points, the decoder's stages and last features.
 
-    points: Float[Array, "N 3"]
-    stages: tuple[Float[Array, "_ 3"], ...]
-    features: Float[Array, "N C"]
+    Of one frame, or of a batch.
+    """
+
+    points: Float[Array, "... N 3"]
+    stages: tuple[Float[Array, "... _ 3"], ...]
+    features: Float[Array, "... N C"]
     encoded: PointFeatures
 
 
@@ -101,17 +106,41 @@ def prepare_frame(
     )
 
 
+def hold_decoding(variables: Variables, frame: Frame, config: ModelConfig) -> Frame:
+    """The frame with the samples and neighbours that these variables decode it by.
+
+    Its completion is then a continuous function of the encoders. Without, the smallest
+    of steps chooses other farthest points, and the losses of Eq. 13 jump by more than a
+    gradient step lowers them.
+    """
+    encoded = encode(variables, frame, config)
+    decoded = decode(variables, config.backbone, frame.partial, encoded)
+    return frame._replace(decoding=decoded.indices)
+
+
 def predict(variables: Variables, frame: Frame, config: ModelConfig) -> Prediction:
     """Encode, decode, refine (Eq. 2)."""
-    encoded = encode_points(variables, config.backbone, frame.partial, frame.indices)
-    decoded = decode(variables, config.backbone, frame.partial, encoded)
+    return completed(variables, frame, encode(variables, frame, config), config)
+
+
+def encode(variables: Variables, frame: Frame, config: ModelConfig) -> PointFeatures:
+    """The point stream."""
+    return encode_points(variables, config.backbone, frame.partial, frame.indices)
+
+
+def completed(
+    variables: Variables, frame: Frame, encoded: PointFeatures, config: ModelConfig
+) -> Prediction:
+    """Decode, refine. A batch of frames is one pass through the decoder."""
+    cloud, held = frame.partial, frame.decoding
+    decoded = decode(variables, config.backbone, cloud, encoded, held)
     points = refine(variables, decoded, config)
     return Prediction(points, decoded.stages, decoded.features, encoded)
 
 
 def refine(
     variables: Variables, decoded: Decoded | Prediction, config: ModelConfig
-) -> Float[Array, "N 3"]:
+) -> Float[Array, "... N 3"]:
     """The last stage's points as the refiner leaves them (Eq. 2)."""
     own = part(variables, "refiner")
     refiner = Refiner(config.auxiliary)

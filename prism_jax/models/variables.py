@@ -38,12 +38,14 @@ def unlearned_steps(params: Variables) -> Variables:
     }
 
 
-def apply(module: nn.Module, variables: Variables, *inputs: Any) -> Any:
+def apply(
+    module: nn.Module, variables: Variables, *inputs: Any, **settings: Any
+) -> Any:
     """What a module makes of its own variables, with BatchNorm statistics as they are.
 
     Touching the statistics raises, as they are not mutable here.
     """
-    return module.apply(variables, *inputs)
+    return module.apply(variables, *inputs, **settings)
 
 
 def apply_training(

@@ -73,6 +73,7 @@ class MetaTrainConfig:
       clip_norm: bound on the global norm of their gradient; 0 for none.
       weight_rate: of the loss weights' logits, by plain SGD.
       step_rate: of the logarithms of learned step sizes, by Adam.
+      auxiliary_rate: of the auxiliary modules, if they learn.
       refiner_rate: of the refiner, whose optimiser is its own, of the same kind.
       average_decay: of the moving average of all variables but the scales, which is
         then what is validated and released; 0 for none.
@@ -91,6 +92,7 @@ class MetaTrainConfig:
     clip_norm: float = 0.0
     weight_rate: float = 5e-4
     step_rate: float = 1e-2
+    auxiliary_rate: float = 1e-3
     refiner_rate: float = 5e-5
     average_decay: float = 0.0
     validate_every: int = 64_000

@@ -96,13 +96,14 @@ def _optimiser(config: MetaTrainConfig) -> optax.GradientTransformation:
     return optax.partition(
         {
             "backbone": network(config.learning_rate),
+            "auxiliary": network(config.auxiliary_rate),
             "refiner": network(config.refiner_rate),
             "logits": optax.sgd(config.weight_rate),
             "log_steps": optax.adam(config.step_rate),
         },
         lambda learned: {
             "params": {
-                name: "refiner" if name == "refiner" else "backbone"
+                name: name if name in ("auxiliary", "refiner") else "backbone"
                 for name in learned["params"]
             },
             "weighting": {name: name for name in learned["weighting"]},

@@ -208,7 +208,7 @@ def test_upsampling_block(published, variant, number):
     def run(variables, xyz, global_feature, support_xyz, support_features):
         inter = pyramid_of(xyz, support_xyz, rates)
         intra = pyramid_of(xyz, xyz, rates)
-        support = Cloud(support_xyz, support_features, None)
+        support = Cloud(support_xyz, support_features)
         inputs = (xyz, global_feature, support, inter, intra)
         block = UpsamplingBlock(config, times)
         output, submodule = apply_captured(block, variables, *inputs)

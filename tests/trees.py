@@ -1,0 +1,45 @@
+"""Trees of arrays, compared and averaged."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def as_double(tree):
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), tree)
+
+
+def mean(trees):
+    return jax.tree.map(lambda *leaves: sum(leaves) / len(leaves), *trees)
+
+
+def row(tree, i):
+    return jax.tree.map(lambda leaf: leaf[i], tree)
+
+
+def dot(a, b):
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return float(sum((x * y).sum() for x, y in pairs))
+
+
+def assert_close(found, expected, rtol):
+    """Leaf by leaf, as a share of the leaf's largest number; what is below 1e-15 is
+    rounding: a bias before a softmax has a gradient of zero."""
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for (path, a), b in zip(
+        jax.tree_util.tree_leaves_with_path(found),
+        jax.tree.leaves(expected),
+        strict=True,
+    ):
+        name = jax.tree_util.keystr(path)
+        atol = max(rtol * float(np.abs(b).max()), 1e-15)
+        np.testing.assert_allclose(a, b, rtol=0, atol=atol, err_msg=name)
+
+
+def equal(a, b):
+    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(np.array_equal(x, y) for x, y in leaves)
+
+
+def is_zero(tree):
+    return all((np.asarray(leaf) == 0).all() for leaf in jax.tree.leaves(tree))
