@@ -9,6 +9,7 @@ import hashlib
 import importlib.resources
 import json
 import pathlib
+from importlib.resources.abc import Traversable
 from typing import Any
 
 import flax.linen as nn
@@ -32,7 +33,15 @@ NOT_OURS = "it holds no prism_jax configuration"
 
 def available_weights() -> list[str]:
     """Names of the weights that ship with the package."""
-    folder = importlib.resources.files("prism_jax") / "assets"
+    return _shipped(importlib.resources.files("prism_jax") / "assets")
+
+
+def available_networks() -> list[str]:
+    """Names of the networks to compare with whose weights ship."""
+    return _shipped(importlib.resources.files("prism_jax") / "assets" / "baselines")
+
+
+def _shipped(folder: Traversable) -> list[str]:
     names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
     return sorted(n.removesuffix(SUFFIX) for n in names if n.endswith(SUFFIX))
 

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
+import flax.linen as nn
 import jax
 import numpy as np
 from jaxtyping import Array, Float
@@ -27,7 +28,7 @@ from prism_jax.evaluation.frames import (
 from prism_jax.evaluation.scoring import EMD_POINTS, Scene, score
 from prism_jax.evaluation.summary import Scores, summarise
 from prism_jax.geometry.camera import Camera
-from prism_jax.models.variables import Variables
+from prism_jax.models.variables import Variables, apply
 
 CompleteFn = Callable[
     [Float[np.ndarray, "B N 3"], Float[np.ndarray, "B 3"]],
@@ -58,6 +59,13 @@ def prism_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
 
     batched = jax.jit(jax.vmap(one, (None, 0, 0)))
     return lambda partials, eyes: batched(variables, partials, eyes)
+
+
+def network_completer(module: nn.Module, variables: Variables) -> CompleteFn:
+    """A network from partials to its stages, the last of which is its output; jitted,
+    and compiled for each size of a batch."""
+    batched = jax.jit(lambda variables, partials: apply(module, variables, partials))
+    return lambda partials, eyes: {"output": batched(variables, partials)[-1]}
 
 
 def evaluate(

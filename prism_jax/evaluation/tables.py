@@ -31,11 +31,10 @@ def markdown(result: Mapping[str, Any]) -> str:
     means, by_category = [], []
     for name, label in labels.items():
         scores = scores_of(result, name)
-        cells = []
-        for metric, (_, factor) in columns.items():
-            low, high = (factor * bound for bound in scores["intervals"][metric])
-            mean = factor * scores["mean"][metric]
-            cells.append(f"{mean:.4g} [{low:.4g}, {high:.4g}]")
+        cells = [
+            _cell(scores["mean"][m], scores["intervals"][m], factor)
+            for m, (_, factor) in columns.items()
+        ]
         means.append([label, *cells])
         cells = [scores["per_category"][name]["cd_l2"] for name in categories]
         by_category.append([label, *(f"{1e4 * cell:.4g}" for cell in cells)])
@@ -48,6 +47,40 @@ def markdown(result: Mapping[str, Any]) -> str:
             "",
         ]
     )
+
+
+def comparison_markdown(table: Mapping[str, Any]) -> str:
+    """What names a `comparison`, and its rows."""
+    rows, against = table["rows"], table["against"]
+    metrics = next(iter(rows.values()))["mean"]
+    columns = {m: c for m, c in _COLUMNS.items() if m in metrics}
+    heads = [head for head, _ in columns.values()]
+    counted = any(row["parameters"] for row in rows.values())
+    lines = []
+    for label, row in rows.items():
+        cells = [
+            _cell(row["mean"][m], row["intervals"][m], factor)
+            for m, (_, factor) in columns.items()
+        ]
+        change = row["change"]["cd_l2"]
+        cells.append("" if label == against else _percent(**change))
+        if counted:
+            number = row["parameters"]
+            cells.append(f"{number / 1e6:.2f} M" if number else "")
+        lines.append([label, *cells])
+    head = ["", *heads, f"CD-L2 against {against}"]
+    head += ["parameters"] if counted else []
+    return "\n".join([f"{_title(table)}\n", *_table(head, lines), ""])
+
+
+def _cell(mean: float, interval: Sequence[float], factor: float) -> str:
+    low, high = (factor * bound for bound in interval)
+    return f"{factor * mean:.4g} [{low:.4g}, {high:.4g}]"
+
+
+def _percent(change: float, interval: Sequence[float]) -> str:
+    low, high = (f"{100 * bound:+.1f}" for bound in interval)
+    return f"{100 * change:+.1f} % [{low}, {high}]"
 
 
 def published_markdown(dataset: str, result: Mapping[str, Any]) -> str:

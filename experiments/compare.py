@@ -1,0 +1,99 @@
+"""Table I: PRISM beside other networks and completions that need none.
+
+python -m experiments.compare --split=test --output=tables/table_1.json
+"""
+
+import dataclasses
+
+import jax
+import numpy as np
+from absl import flags
+
+from experiments.launch import launch, with_large_pages
+from experiments.scoring import (
+    define_scoring_flags,
+    deliver,
+    make_protocol,
+    named,
+    open_split,
+    prepare_output,
+    scored,
+)
+from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
+from prism_jax.models.baselines.trivial import mirrored, training_mean
+from prism_jax.models.variables import Variables
+from prism_jax.weights import available_networks, load_network, load_pretrained
+
+FLAGS = flags.FLAGS
+LABELS = {"pcn": "PCN", "pointr": "PoinTr", "seedformer": "SeedFormer"}
+BACKBONE = "CRA-PCN"
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    define_scoring_flags(split="test")
+    flags.DEFINE_string("weights", "small", "PRISM's, by name or by file.")
+    flags.DEFINE_string(
+        "backbone",
+        "small-pretrained",
+        "Of the backbone trained without the method, by name or by file.",
+    )
+    flags.DEFINE_multi_string(
+        "network", None, "Others, by name or by file; all that ship if not given."
+    )
+
+
+def main(argv):
+    """Scores every row on the same examples, input and output counts."""
+    del argv
+    prepare_output()
+    config, variables = load_pretrained(FLAGS.weights)
+    alone, backbone = load_pretrained(FLAGS.backbone)
+    names = available_networks() if FLAGS.network is None else FLAGS.network
+    others = {name: load_network(name) for name in names}
+    source, protocol = open_split(FLAGS.split), make_protocol(config)
+    num_outputs = config.model.backbone.stage_sizes[-1]
+    mean = training_mean(open_split("train"), protocol.margin, num_outputs)
+
+    mirror = jax.jit(lambda partials: {"output": mirrored(partials, num_outputs)})
+
+    def run(complete_fn):
+        return scored(complete_fn, source, protocol)
+
+    adapted = run(prism_completer(config, variables))
+    rows = {
+        "partial itself": Row(adapted, "control"),
+        "training mean": Row(
+            run(lambda partials, _: {"output": np.stack([mean] * len(partials))})
+        ),
+        "partial and its mirror image": Row(run(lambda partials, _: mirror(partials))),
+    }
+    for name, (module, own) in others.items():
+        found = run(network_completer(module, own))
+        rows[LABELS.get(name, name)] = Row(found, parameters=count(own))
+    alone = dataclasses.replace(alone, num_steps=0)
+    found = run(prism_completer(alone, backbone))
+    rows[BACKBONE] = Row(found, parameters=count(backbone, "point_encoder", "decoder"))
+    number = count(variables)
+    rows["PRISM, not adapted"] = Row(adapted, "unadapted", number)
+    rows["PRISM"] = Row(adapted, "output", number)
+    about = named(protocol) | {"weights": FLAGS.weights, "steps": config.num_steps}
+    deliver(comparison(rows, BACKBONE, **about))
+
+
+def count(variables: Variables, *parts: str) -> int:
+    """Parameters, of these modules or of all."""
+    params = variables["params"]
+    chosen = [params[name] for name in parts] if parts else params
+    return sum(leaf.size for leaf in jax.tree.leaves(chosen))
+
+
+def run():
+    """The entry point."""
+    with_large_pages()
+    define_flags()
+    launch("compare", main)
+
+
+if __name__ == "__main__":
+    run()

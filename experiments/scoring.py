@@ -1,0 +1,90 @@
+"""What the launchers that score share: flags, frames, what they write."""
+
+import json
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+from absl import flags
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.data.datasets import DATASETS, build_if_missing, open_dataset
+from prism_jax.data.source import Source
+from prism_jax.evaluation import (
+    NORMALISATIONS,
+    CompleteFn,
+    Protocol,
+    comparison_markdown,
+    evaluate,
+)
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.training.run import commit
+
+FLAGS = flags.FLAGS
+
+
+def define_scoring_flags(split: str | None) -> None:
+    """The flags of a launcher that scores, and its default split."""
+    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to score on.")
+    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
+    flags.DEFINE_string("split", split, "The data set's split.")
+    flags.DEFINE_enum(
+        "normalisation",
+        None,
+        NORMALISATIONS,
+        "What frames the network's input: the partial cloud, the complete one as in "
+        "the paper, or nothing; partial, or own if published.",
+    )
+    flags.DEFINE_integer("limit", None, "Score the first so many examples only.", 1)
+    flags.DEFINE_integer("batch_size", 20, "Examples completed at once.", 1)
+    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+
+
+def prepare_output() -> None:
+    """Raises InputError now for an output that could not be written at the end."""
+    if FLAGS.output is not None:
+        make_output_dir(pathlib.Path(FLAGS.output).parent)
+
+
+def open_split(split: str) -> Source:
+    """The flags' data set, built where it is missing."""
+    place = (FLAGS.dataset, split, FLAGS.data_dir)
+    build_if_missing(*place)
+    return open_dataset(*place)
+
+
+def make_protocol(config: AdaptConfig, published: bool = False) -> Protocol:
+    """What the flags say of frames and units; a published test needs no EMD."""
+    default = "own" if published else "partial"
+    return Protocol(
+        config.model.backbone.num_points,
+        config.model.margin,
+        FLAGS.normalisation or default,
+        unit="own" if published else "complete",
+        with_emd=not published,
+    )
+
+
+def scored(complete_fn: CompleteFn, source: Source, protocol: Protocol) -> dict:
+    """`evaluate` as the flags say."""
+    return evaluate(complete_fn, source, protocol, FLAGS.limit, FLAGS.batch_size)
+
+
+def named(protocol: Protocol) -> dict[str, Any]:
+    """What names a comparison."""
+    return {
+        "data": FLAGS.dataset,
+        "split": FLAGS.split,
+        "normalisation": protocol.normalisation,
+        "commit": commit(),
+    }
+
+
+def deliver(result: Mapping[str, Any], table: str | None = None) -> None:
+    """Prints the table, and writes both if --output says where."""
+    table = comparison_markdown(result) if table is None else table
+    print(table)
+    if FLAGS.output is not None:
+        path = pathlib.Path(FLAGS.output)
+        write_bytes(path, json.dumps(result, indent=1).encode())
+        write_bytes(path.with_suffix(".md"), table.encode())

@@ -1,0 +1,55 @@
+"""Several results of one set of examples, side by side."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from prism_jax.evaluation.summary import KEPT, paired_difference, scores_of
+
+
+class Row(NamedTuple):
+    """One line of a comparison.
+
+    Attributes:
+      result: of `evaluate`.
+      cloud: which of its clouds counts.
+      parameters: of the network, if there is one.
+    """
+
+    result: Mapping[str, Any]
+    cloud: str = "output"
+    parameters: int | None = None
+
+
+def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str, Any]:
+    """Means and intervals of every row, as JSON, and its change against one of them.
+
+    ``about`` says what else names the comparison. Rows of other examples than those of
+    ``against`` raise ValueError.
+    """
+    reference = rows[against]
+
+    def entry(row: Row) -> dict[str, Any]:
+        scores = scores_of(row.result, row.cloud)
+        changes = {
+            metric: paired_difference(
+                reference.result, row.result, metric, (reference.cloud, row.cloud)
+            )
+            for metric in KEPT
+        }
+        return {
+            "mean": scores["mean"],
+            "intervals": scores["intervals"],
+            "change": {
+                metric: {key: found[key] for key in ("change", "interval")}
+                for metric, found in changes.items()
+            },
+            "parameters": row.parameters,
+        }
+
+    named = ("unit", "num_examples", "num_objects")
+    return {
+        **about,
+        **{name: reference.result[name] for name in named},
+        "against": against,
+        "rows": {label: entry(row) for label, row in rows.items()},
+    }

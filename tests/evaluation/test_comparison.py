@@ -1,0 +1,71 @@
+"""Results side by side."""
+
+import json
+
+import pytest
+
+from prism_jax.evaluation import Row, comparison, comparison_markdown
+from prism_jax.evaluation.scoring import METRICS
+from prism_jax.evaluation.summary import Scores, summarise
+
+
+def result(first, second, objects="ab"):
+    """Of two objects, scored these in every metric; the partial twice as much."""
+    rows = [
+        Scores(name, "bag", None, {"output": scores, "control": twice})
+        for name, value in zip(objects, (first, second), strict=True)
+        for scores in [dict.fromkeys(METRICS, value)]
+        for twice in [dict.fromkeys(METRICS, 2 * value)]
+    ]
+    return {"unit": "metres", **summarise(rows, ("bag",))}
+
+
+@pytest.fixture
+def table():
+    before, after = result(0.1, 0.3), result(0.1, 0.2)
+    rows = {
+        "partial": Row(before, "control"),
+        "net": Row(before, parameters=1_500_000),
+        "better": Row(after, parameters=2_000_000),
+    }
+    return comparison(rows, "net", data="boxes", split="test", commit="0" * 40)
+
+
+def test_rows_have_their_own_cloud_and_the_change_against_one(table):
+    rows = table["rows"]
+    assert list(rows) == ["partial", "net", "better"]
+    assert rows["partial"]["mean"]["cd_l2"] == pytest.approx(0.4)
+    assert rows["net"]["mean"]["hd"] == pytest.approx(0.2)
+    assert rows["net"]["change"]["cd_l2"] == {"change": 0, "interval": [0, 0]}
+    assert rows["partial"]["change"]["f_score"]["change"] == pytest.approx(1)
+    better = rows["better"]["change"]["cd_l2"]
+    assert better["change"] == pytest.approx(-0.25)
+    # Resampled, both objects are the first, or both the second.
+    assert better["interval"] == pytest.approx([-1 / 3, 0])
+    assert (table["num_examples"], table["against"]) == (2, "net")
+
+
+def test_json_and_table_tell_the_same(table):
+    text = comparison_markdown(json.loads(json.dumps(table)))
+    assert text == comparison_markdown(table)
+    lines = text.splitlines()
+    assert lines[0] == (
+        "data boxes, split test, commit 000000000000, 2 examples of 2 objects. Unit of "
+        "length: metres."
+    )
+    assert lines[2].endswith("| CD-L2 against net | parameters |")
+    assert lines[4].startswith("| partial | 4000 [2000, 6000] | ")
+    assert lines[4].endswith("| +100.0 % [+100.0, +100.0] |  |")
+    assert lines[5].endswith("|  | 1.50 M |")
+    assert lines[6].endswith("| -25.0 % [-33.3, +0.0] | 2.00 M |")
+
+
+def test_without_networks_there_is_no_column_for_parameters():
+    rows = {"net": Row(result(0.1, 0.3))}
+    assert "parameters" not in comparison_markdown(comparison(rows, "net"))
+
+
+def test_results_of_other_examples_are_refused():
+    rows = {"net": Row(result(0.1, 0.3)), "other": Row(result(0.1, 0.3, "ac"))}
+    with pytest.raises(ValueError, match="not of the same examples"):
+        comparison(rows, "net")

@@ -1,0 +1,125 @@
+"""The launchers of Tables I and II. The networks are fakes, or adapt by none."""
+
+import json
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from absl import flags
+
+from experiments import adaptation, compare
+from prism_jax.adaptation.test_time import Completion
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.models.variables import pop_encoders
+from prism_jax.weights import load_pretrained
+
+SCORING = ["dataset", "data_dir", "split", "normalisation", "limit", "batch_size"]
+SCORING += ["output", "weights"]
+
+
+def fake(config, variables):
+    """Moves the partial up, by its steps and the weight of the first loss."""
+
+    def complete(partials, eyes):
+        weight = float(jnp.exp(variables["weighting"]["logits"][0]))
+        moved = partials + np.float32([0, 0, 0.01 * weight * config.num_steps])
+        accepted = np.ones(len(partials), bool)
+        return {"output": moved, "unadapted": partials, "accepted": accepted}
+
+    return complete
+
+
+def run(module, output, own_flags, *arguments):
+    """The table that the command writes, and what it prints."""
+    with pytest.MonkeyPatch.context() as patch:
+        root = RecordedCells.bundled().root
+        place = ["--dataset=recordings", f"--data_dir={root}", "--limit=3"]
+        place += ["--split=all", f"--output={output}"]
+        patch.setattr(sys, "argv", ["table", *place, *arguments])
+        patch.setattr(module, "prism_completer", fake)
+        patch.setattr(module, "with_large_pages", lambda: None)
+        try:
+            with pytest.raises(SystemExit) as ended:
+                module.run()
+        finally:
+            for name in (*SCORING, *own_flags):
+                delattr(flags.FLAGS, name)
+    assert not ended.value.code
+    return json.loads(output.read_text()), output.with_suffix(".md").read_text()
+
+
+def test_table_one(tmp_path):
+    own = ("backbone", "network")
+    table, text = run(compare, tmp_path / "1.json", own, "--backbone=small")
+    rows = table["rows"]
+    assert list(rows) == [
+        *("partial itself", "training mean", "partial and its mirror image"),
+        *(compare.LABELS[name] for name in compare.available_networks()),
+        *("CRA-PCN", "PRISM, not adapted", "PRISM"),
+    ]
+    assert table["against"] == "CRA-PCN"
+    # The fake gives back the partial, of 512 points, if it does not adapt.
+    plain, adapted = rows["PRISM, not adapted"]["mean"], rows["PRISM"]["mean"]
+    assert rows["CRA-PCN"]["mean"] == pytest.approx(plain)
+    assert adapted["cd_l2"] != pytest.approx(plain["cd_l2"], rel=0.01)
+    _, variables = load_pretrained("small")
+    assert rows["PRISM"]["parameters"] == compare.count(variables)
+    assert 0 < rows["CRA-PCN"]["parameters"] < rows["PRISM"]["parameters"]
+    assert rows["training mean"]["parameters"] is None
+    assert "| training mean | " in text
+    assert table["data"] == "recordings"
+
+
+def test_table_two(tmp_path, monkeypatch):
+    def online(config, variables):
+        return fake(config, adaptation.equally_weighted(variables))
+
+    monkeypatch.setattr(adaptation, "online_completer", online)
+    own = ("pretrained", "steps")
+    arguments = ("--pretrained=small", "--steps=1", "--steps=4")
+    table, _ = run(adaptation, tmp_path / "2.json", own, *arguments)
+    rows = table["rows"]
+    steps = load_pretrained("small")[0].num_steps
+    assert list(rows) == [
+        *(f"pretrained, K = {k}" for k in (0, 1, 4)),
+        *(f"meta-trained, K = {k}" for k in (0, 1, 4)),
+        f"meta-trained, K = {steps}, equal weights",
+        f"meta-trained, K = {steps}, online",
+    ]
+    means = {label: row["mean"]["cd_l2"] for label, row in rows.items()}
+    assert means["pretrained, K = 0"] == means["meta-trained, K = 0"]
+    assert len({means[f"meta-trained, K = {k}"] for k in (0, 1, 4)}) == 3
+    assert table["against"] == "pretrained, K = 0"
+
+
+def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
+    def make_adapt(config):
+        def adapt(variables, partial, camera):
+            encoders, rest = pop_encoders(variables)
+            assert rest["params"] == {"decoder": 0}
+            count = encoders["point_encoder"]
+            after = {"point_encoder": count + 1, "depth_encoder": count}
+            there = partial + count
+            return Completion(there, partial, jnp.bool_(True), None, None, after)
+
+        return adapt
+
+    monkeypatch.setattr(adaptation, "make_adapt", make_adapt)
+    params = {"point_encoder": jnp.float32(0), "depth_encoder": jnp.float32(0)}
+    variables = {"params": {**params, "decoder": 0}}
+    complete = adaptation.online_completer(None, variables)
+    partials, eyes = np.zeros((2, 4, 3), np.float32), np.ones((2, 3), np.float32)
+    partials[:, 0] = 1.0
+    outputs = [complete(partials, eyes)["output"] for _ in range(2)]
+    moved = np.concatenate(outputs)[:, 1, 0]
+    assert moved.tolist() == [0, 1, 2, 3]
+
+
+def test_equal_weights_are_those_before_learning():
+    _, variables = load_pretrained("small")
+    logits = variables["weighting"]["logits"] + jnp.array([1.0, 2.0, 3.0])
+    moved = {**variables, "weighting": {**variables["weighting"], "logits": logits}}
+    found = adaptation.equally_weighted(moved)
+    assert not found["weighting"]["logits"].any()
+    assert found["params"] is variables["params"]
