@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax import io, metrics
+from prism_jax.adaptation.config import BRANCHES
 from prism_jax.figures import subsample
 from prism_jax.report import render_report
 
@@ -28,9 +29,6 @@ MAX_SCORED_POINTS = 50_000
 
 F_SCORE_THRESHOLD = 0.01
 """One hundredth of the workspace's half extent."""
-
-LOSS_WEIGHT_NAMES = ("normal", "denoise", "align")
-"""What the three weights of Eq. 11 and 13 belong to."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,7 +118,7 @@ def summarize(
         "up": axis_up(job, scan),
         "camera_given": scan.camera is not None,
         "losses": dict(result.losses),
-        "loss_weights": dict(zip(LOSS_WEIGHT_NAMES, result.weights, strict=True)),
+        "loss_weights": dict(zip(BRANCHES, result.weights, strict=True)),
         "metrics": None,
     }
 

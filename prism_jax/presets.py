@@ -196,11 +196,15 @@ def _replaced(config: Any, path: list[str], text: str, change: str) -> Any:
 
 
 def _check_choice(config: Any, name: str, value: Any, change: str) -> None:
-    """Raises InputError for a word that is none of those that the field takes."""
-    hint = None if isinstance(config, tuple) else get_type_hints(type(config))[name]
-    if get_origin(hint) is Literal and value not in get_args(hint):
-        words = ", ".join(get_args(hint))
-        raise InputError(change, f"no such {name}", f"use one of {words}")
+    """Raises InputError for a word, or one of several, that the field does not take."""
+    if isinstance(config, tuple):
+        return
+    hint, words = get_type_hints(type(config))[name], (value,)
+    if get_origin(hint) is tuple:
+        hint, words = get_args(hint)[0], value
+    if get_origin(hint) is Literal and not set(words) <= set(get_args(hint)):
+        known = ", ".join(get_args(hint))
+        raise InputError(change, f"no such {name}", f"use one of {known}")
 
 
 def _fields(config: Any) -> dict[str, Any]:

@@ -98,6 +98,7 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
         ("pretrain.norm=l3", "no such norm"),
         ("meta.optimiser=adamw", "no such optimiser"),
         ("meta.method.weight_rule=own", "no such weight_rule"),
+        ("meta.method.branches=('align', 'colour')", "no such branches"),
         ("adapt.num_steps=True", "not of type int"),
         ("adapt.num_steps=three", "not a value"),
         ("adapt.num_steps=__import__('os')", "not a value"),

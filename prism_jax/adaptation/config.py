@@ -1,12 +1,16 @@
 """Settings of test-time adaptation and of the meta-objective."""
 
 import dataclasses
-from typing import Literal
+from typing import Literal, get_args
 
 from prism_jax.losses.chamfer import ChamferNorm
 from prism_jax.models.config import ModelConfig
 
 WeightRule = Literal["auxiliary", "meta"]
+Branch = Literal["normal", "denoise", "align"]
+
+BRANCHES: tuple[Branch, ...] = get_args(Branch)
+"""The auxiliary losses, in the order of their weights."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +64,8 @@ class MetaConfig:
       weight_rule: what teaches the logits of the loss weights: "auxiliary", the
         weighted loss itself, as in the paper, or "meta", the primary loss after
         adaptation.
+      branches: the losses of Eq. 11 that count; the others get no weight, in training
+        and ever after.
       rehearse_depth: whether the inner loop descends the depth consistency too, and so
         exactly what test time does (Eq. 13 in the place of Eq. 11).
       learn_steps: whether a step size is learned for each module of the encoders
@@ -77,6 +83,7 @@ class MetaConfig:
     beta_0: float = 0.1
     lambda_aux: float = 10.0
     weight_rule: WeightRule = "auxiliary"
+    branches: tuple[Branch, ...] = BRANCHES
     rehearse_depth: bool = False
     learn_steps: bool = False
     learn_auxiliary: bool = False

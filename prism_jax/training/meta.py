@@ -9,7 +9,7 @@ import optax
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import BRANCHES, AdaptConfig
 from prism_jax.adaptation.meta import (
     MetaTerms,
     learned_part,
@@ -57,7 +57,10 @@ def meta_leg(
     examples.
     """
     optimiser = _optimiser(config)
-    weighting = {**variables["weighting"], "scales": jnp.zeros(3)}
+    counts = jnp.array([name in config.method.branches for name in BRANCHES])
+    logits = jnp.where(counts, variables["weighting"]["logits"], -jnp.inf)
+    scales = jnp.zeros(len(BRANCHES))
+    weighting = {**variables["weighting"], "logits": logits, "scales": scales}
     variables = {**variables, "weighting": weighting}
     learned = learned_part(variables, config.method)
     average = variables if config.average_decay else None

@@ -12,6 +12,7 @@ from prism_jax.adaptation.config import AdaptConfig, MetaConfig
 from prism_jax.adaptation.meta import MetaTerms
 from prism_jax.adaptation.objective import Losses
 from prism_jax.data.pipeline import Framing
+from prism_jax.losses.weighting import loss_weights
 from prism_jax.models.variables import ENCODERS
 from prism_jax.presets import PRESETS
 from prism_jax.training import meta, parallel
@@ -193,6 +194,18 @@ def test_what_does_not_learn_stays(leg_of, batch, learn_steps, learn_refiner):
     expected |= {"refiner"} if learn_refiner else set()
     expected |= {"log_steps"} if learn_steps else set()
     assert changed(states[0].variables, states[2].variables) == expected
+
+
+def test_branches_that_do_not_count_never_have_a_weight(leg_of, batch):
+    method = MetaConfig(branches=("denoise", "align"))
+    leg = leg_of(MetaTrainConfig(method, 40, 4, weight_rate=0.1))
+    states, terms = steps(leg, batch, 3)
+    assert np.isfinite([list(measured.values()) for measured in terms]).all()
+    for state in states:
+        weights = loss_weights(state.variables["weighting"]["logits"])
+        assert weights[0] == 0
+        assert np.isclose(weights.sum(), 1)
+        assert np.isfinite(state.variables["weighting"]["scales"]).all()
 
 
 def moves(states, *path):
