@@ -9,6 +9,7 @@ import pathlib
 from absl import flags
 
 from experiments.launch import launch
+from prism_jax.presets import changed
 from prism_jax.weights import SUFFIX, load_pretrained, read_metadata, save_weights
 
 FLAGS = flags.FLAGS
@@ -20,6 +21,7 @@ def define_flags() -> None:
     flags.DEFINE_string("weights", None, "File of a finished run.", required=True)
     flags.DEFINE_multi_string("scores", [], "JSON files of experiments.evaluate.")
     flags.DEFINE_string("name", None, "Name to ship under.", required=True)
+    flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
     flags.DEFINE_multi_string("note", [], "What else is to be known of the weights.")
 
 
@@ -27,6 +29,7 @@ def main(argv):
     """Copies the arrays, and adds scores and notes to what is known of them."""
     del argv
     config, variables = load_pretrained(FLAGS.weights)
+    config = changed(config, FLAGS.set)
     about = {k: v for k, v in read_metadata(FLAGS.weights).items() if k != "config"}
     evaluations = [json.loads(pathlib.Path(path).read_text()) for path in FLAGS.scores]
     about["scores"] = {

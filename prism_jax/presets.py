@@ -57,6 +57,7 @@ _SMALL_AUXILIARY = AuxiliaryConfig(
     num_tokens=16,
     token_features=64,
     hidden=64,
+    max_coordinate=2.0,
 )
 
 _PAPER = BackboneConfig(
@@ -170,13 +171,17 @@ def resolve(name: str, changes: Sequence[str] = ()) -> Preset:
     if name not in PRESETS:
         known = ", ".join(PRESETS)
         raise InputError(name, "no such preset", f"use one of {known}")
-    preset = PRESETS[name]
+    return changed(PRESETS[name], changes)
+
+
+def changed(config: Any, changes: Sequence[str]) -> Any:
+    """A configuration with ``path.to.field=value`` changes applied, as in `resolve`."""
     for change in changes:
         path, equals, text = change.partition("=")
         if not equals:
             raise InputError(change, "not a change", "write path.to.field=value")
-        preset = _replaced(preset, path.split("."), text, change)
-    return preset
+        config = _replaced(config, path.split("."), text, change)
+    return config
 
 
 def _replaced(config: Any, path: list[str], text: str, change: str) -> Any:

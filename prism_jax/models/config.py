@@ -72,6 +72,9 @@ class AuxiliaryConfig:
       token_features: width of the tokens of both streams (d).
       hidden: hidden width of the refiner, the normal head and the denoiser.
       max_offset: bound on the refiner's offsets, delta_max of Eq. 2.
+      max_coordinate: bound on refined coordinates. Eq. 2 has 1, which holds everything
+        where the complete cloud places the workspace; where the partial does, some of
+        the shape lies outside.
       denoise_neighbors: neighbours that the denoiser sees of a point.
     """
 
@@ -81,6 +84,7 @@ class AuxiliaryConfig:
     token_features: int = 256
     hidden: int = 128
     max_offset: float = 0.1
+    max_coordinate: float = 1.0
     denoise_neighbors: int = 8
 
 

@@ -9,7 +9,7 @@ from prism_jax.models.layers import MLP
 
 
 class Refiner(nn.Module):
-    """Eq. 2: ``clamp(c + delta_max * tanh(g(c, phi)), -1, 1)``, in the workspace.
+    """Eq. 2: ``clamp(c + delta_max * tanh(g(c, phi)), -1, 1)``, or another bound.
 
     It starts as the identity: features may be large, and small random offsets are then
     not small.
@@ -23,4 +23,6 @@ class Refiner(nn.Module):
     ) -> Float[Array, "... N 3"]:
         init = nn.initializers.zeros
         g = MLP((self.config.hidden, 3), final_init=init, name="g")(points, features)
-        return jnp.clip(points + self.config.max_offset * jnp.tanh(g), -1.0, 1.0)
+        refined = points + self.config.max_offset * jnp.tanh(g)
+        bound = self.config.max_coordinate
+        return jnp.clip(refined, -bound, bound)

@@ -51,6 +51,14 @@ def test_no_point_moves_further_than_the_bound(max_offset):
     assert np.median(offset) > 0.99 * max_offset
 
 
+def test_a_wider_bound_leaves_what_is_inside():
+    module = Refiner(AuxiliaryConfig(hidden=8, max_coordinate=2.0))
+    outside = 3 * jnp.sign(POINTS)
+    assert np.array_equal(module.apply(VARIABLES, outside, FEATURES), outside * 2 / 3)
+    inside = module.apply(FRESH, 1.9 * POINTS, FEATURES)
+    assert np.array_equal(inside, 1.9 * POINTS)
+
+
 def test_stays_in_the_workspace_exactly():
     edge = jnp.sign(POINTS)
     moved = np.asarray(refine(scaled(1e3), edge, FEATURES))
