@@ -117,6 +117,7 @@ _SMALL_META = MetaTrainConfig(
     final_rate=0.01,
     warmup_steps=50,
     clip_norm=1.0,
+    weight_rate=1e-2,
     step_rate=2e-2,
     average_decay=0.99,
     validate_every=4_000,

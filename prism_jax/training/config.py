@@ -71,7 +71,7 @@ class MetaTrainConfig:
       final_rate: where its cosine ends, as a share of it; 1 for no cosine.
       warmup_steps: steps in which it rises from zero.
       clip_norm: bound on the global norm of their gradient; 0 for none.
-      weight_rate: of the loss weights' logits, by plain SGD.
+      weight_rate: of the loss weights' logits, whose optimiser is of the same kind.
       step_rate: of the logarithms of learned step sizes, by Adam.
       auxiliary_rate: of the auxiliary modules, if they learn.
       refiner_rate: of the refiner, whose optimiser is its own, of the same kind.

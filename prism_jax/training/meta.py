@@ -101,7 +101,7 @@ def _optimiser(config: MetaTrainConfig) -> optax.GradientTransformation:
             "backbone": network(config.learning_rate),
             "auxiliary": network(config.auxiliary_rate),
             "refiner": network(config.refiner_rate),
-            "logits": optax.sgd(config.weight_rate),
+            "logits": make(config.weight_rate),
             "log_steps": optax.adam(config.step_rate),
         },
         lambda learned: {
