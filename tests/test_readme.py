@@ -1,5 +1,6 @@
 """The README's Python examples, run as they stand with a smaller network."""
 
+import json
 import pathlib
 import re
 import subprocess
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from prism_jax.data.recordings import RecordedCells
+from prism_jax.evaluation import comparison_markdown, markdown
 from prism_jax.weights import save_weights
 
 README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
@@ -68,3 +70,22 @@ def test_ones_own_recordings(folder):
     (folder / "my_cells").symlink_to(RecordedCells.bundled().root)
     shown = "\nprint(len(frames), frames[0].partial.shape[1])\n"
     assert run(folder, EXAMPLES[2] + shown).split() == ["20", "3"]
+
+
+TABLES = sorted((README.parent / "docs" / "tables").glob("*.json"))
+
+
+@pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
+def test_tables_are_those_of_their_results(path):
+    """As the commands wrote them: JSON, Markdown and what the README shows."""
+    result = json.loads(path.read_text())
+    text = comparison_markdown(result) if "rows" in result else markdown(result)
+    assert path.with_suffix(".md").read_text() == text
+    lines = [line for line in text.splitlines() if line]
+    readme = README.read_text()
+    assert len(lines) > 4
+    assert not [line for line in lines if line not in readme]
+
+
+def test_there_are_tables():
+    assert TABLES
