@@ -77,7 +77,8 @@ def meta_gradients(
     `complete` is in farthest-point order. BatchNorm statistics are read as they are,
     as at test time.
     """
-    moving = _by_primary(learned_part(variables, config))
+    by_primary = dataclasses.replace(config, learn_refiner=False)
+    moving = learned_part(variables, by_primary)
 
     def loss_fn(moving: Variables):
         return _primary_terms(moving, variables, frames, complete, adapt, config)
@@ -125,8 +126,9 @@ def _primary_terms(
 
     if config.remat:
         decoded = jax.checkpoint(decoded)
-    held = jax.lax.stop_gradient(variables)
-    frames = jax.vmap(lambda f: hold_decoding(held, f, adapt.model))(frames)
+    if config.num_steps:
+        held = jax.lax.stop_gradient(variables)
+        frames = jax.vmap(lambda f: hold_decoding(held, f, adapt.model))(frames)
     episodes, zero_step = jax.vmap(one)(frames, complete)
     # All frames share the decoder: as one batch, its derivative is one product.
     after = decoded(episodes.encoded)
@@ -217,12 +219,6 @@ def put_learned(learned: Variables, variables: Variables) -> Variables:
 def _hold_decoder(rest: Variables) -> Variables:
     decoder = jax.lax.stop_gradient(rest["params"]["decoder"])
     return {**rest, "params": {**rest["params"], "decoder": decoder}}
-
-
-def _by_primary(learned: Variables) -> Variables:
-    """What the primary losses teach: all that learns but the refiner."""
-    params = {k: v for k, v in learned["params"].items() if k != "refiner"}
-    return {**learned, "params": params}
 
 
 def measured_scales(variables: Variables, terms: MetaTerms) -> Float[Array, "3"]:

@@ -62,7 +62,8 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
         frame = prepare_frame(
             partial, camera, jax.random.key(config.seed), config.model
         )
-        frame = hold_decoding(variables, frame, config.model)
+        if config.num_steps:
+            frame = hold_decoding(variables, frame, config.model)
         encoders, rest = pop_encoders(variables)
 
         # Compiled, so that it is traced once for the steps and for what follows them.

@@ -161,15 +161,14 @@ class Decoder(nn.Module):
     ) -> Decoded:
         config = self.config
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
-        together = jnp.concatenate([seeds, partial], axis=-2)
         if indices is None:
-            initial = _order(together, config.num_initial)
+            initial = initial_rows(seeds, partial, config.num_initial)
             order = jnp.broadcast_to(jnp.arange(config.num_initial), initial.shape)
             support_order = _order(seeds, seeds.shape[-2] // 2)
         else:
             initial = indices.initial
         stages, pyramids = [seeds], []
-        previous, xyz = Cloud(seeds, features), take(together, initial)
+        previous, xyz = Cloud(seeds, features), initial_points(seeds, partial, initial)
         blocks = list(zip(config.up_factors, config.level_rates, strict=True))
         for i, (times, rates) in enumerate(blocks[:num_blocks]):
             if indices is None:
@@ -189,12 +188,20 @@ class Decoder(nn.Module):
         return Decoded(tuple(stages), features, DecoderIndices(initial, (*pyramids,)))
 
 
+def initial_rows(
+    seeds: Float[Array, "... S 3"], partial: Float[Array, "... N 3"], num_points: int
+) -> Int[Array, "... num_points"]:
+    """Farthest points of the seeds and the partial, joined in this order."""
+    return _order(jnp.concatenate([seeds, partial], axis=-2), num_points)
+
+
 def initial_points(
-    seeds: Float[Array, "S 3"], partial: Float[Array, "N 3"], num_points: int
-) -> Float[Array, "num_points 3"]:
-    """Farthest points of the seeds and the partial, in farthest-point order."""
-    together = jnp.concatenate([seeds, partial])
-    return together[farthest_order(together, num_points)]
+    seeds: Float[Array, "... S 3"],
+    partial: Float[Array, "... N 3"],
+    rows: Int[Array, "... n"],
+) -> Float[Array, "... n 3"]:
+    """These rows of the seeds and the partial, joined in this order."""
+    return take(jnp.concatenate([seeds, partial], axis=-2), rows)
 
 
 def _order(xyz: Array, num_samples: int) -> Array:

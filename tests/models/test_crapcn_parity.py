@@ -17,6 +17,7 @@ from prism_jax.models.decoder import (
     SeedGenerator,
     UpsamplingBlock,
     initial_points,
+    initial_rows,
 )
 from prism_jax.models.encoder import PointEncoder, PointFeatures, encoder_indices
 from prism_jax.models.layers import over_batch
@@ -168,8 +169,9 @@ def test_seed_generator(published):
         (seeds, features), submodule = apply_captured(
             SeedGenerator(PCN), variables, encoded
         )
-        points = over_batch(lambda s, p: initial_points(s, p, PCN.num_initial))
-        initial = points(jnp.asarray(pcn.ref("seed")), partial)
+        reference = jnp.asarray(pcn.ref("seed"))
+        rows = initial_rows(reference, partial, PCN.num_initial)
+        initial = initial_points(reference, partial, rows)
         return seeds, features, submodule("upsample"), initial
 
     patches = pcn.ref("enc_l2_xyz")

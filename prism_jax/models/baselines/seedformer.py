@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import attend, hidden_and_values, interpolate
-from prism_jax.models.decoder import initial_points
+from prism_jax.models.decoder import initial_points, initial_rows
 from prism_jax.models.encoder import SetAbstraction
 from prism_jax.models.layers import (
     MLP,
@@ -130,9 +130,8 @@ class SeedFormer(nn.Module):
         config = self.config
         patches = Encoder(config, name="encoder")(partial, train)
         seeds = SeedGenerator(config, name="seed_generator")(patches, train)
-        xyz = over_batch(lambda s, p: initial_points(s, p, config.num_initial))(
-            seeds[0], partial
-        )
+        rows = initial_rows(seeds[0], partial, config.num_initial)
+        xyz = initial_points(seeds[0], partial, rows)
         stages, features = [seeds[0]], None
         for i, times in enumerate(config.up_factors):
             layer = UpsamplingLayer(config, times, name=f"layer_{i}")
