@@ -23,7 +23,8 @@ FLAGS = flags.FLAGS
 
 
 def main(argv):
-    """Trains on as many samples as the preset's backbone, all stages at once."""
+    """Trains on as many samples as the preset's network has seen at the end of its
+    meta-training, all stages at once."""
     del argv
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
@@ -33,6 +34,7 @@ def main(argv):
         raise InputError("--preset", fault, f"use one of {', '.join(sizes)}")
     config, network = preset.pretrain, sizes[FLAGS.preset]
     num_samples = sum(leg.num_samples for leg in config.backbone)
+    num_samples += preset.meta.num_samples
     phase = PhaseConfig(FLAGS.network, num_samples, None)
     data = training_data(preset, config.num_complete, config.validate_every)
     run = {
