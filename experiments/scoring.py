@@ -23,9 +23,18 @@ from prism_jax.training.run import commit
 FLAGS = flags.FLAGS
 
 
-def define_scoring_flags(split: str | None) -> None:
-    """The flags of a launcher that scores, and its default split."""
-    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to score on.")
+def define_scoring_flags(split: str | None, dataset: str = "shapes") -> None:
+    """The flags of a launcher that scores, and what it scores on by default."""
+    define_frame_flags(split, dataset)
+    flags.DEFINE_integer("batch_size", 20, "Examples completed at once.", 1)
+    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+
+
+def define_frame_flags(
+    split: str | None, dataset: str = "shapes", limit: int | None = None
+) -> None:
+    """The flags that say which frames, and how a network gets them."""
+    flags.DEFINE_enum("dataset", dataset, DATASETS, "What to score on.")
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_string("split", split, "The data set's split.")
     flags.DEFINE_enum(
@@ -35,9 +44,7 @@ def define_scoring_flags(split: str | None) -> None:
         "What frames the network's input: the partial cloud, the complete one as in "
         "the paper, or nothing; partial, or own if published.",
     )
-    flags.DEFINE_integer("limit", None, "Score the first so many examples only.", 1)
-    flags.DEFINE_integer("batch_size", 20, "Examples completed at once.", 1)
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_integer("limit", limit, "The first so many examples only.", 1)
 
 
 def prepare_output() -> None:

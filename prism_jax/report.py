@@ -84,9 +84,9 @@ def render_report(
 
 
 def viewing_direction(
-    camera: Camera, axis_up: str = "z"
+    camera: Camera, axis_up: str = "z", turn_degrees: float = 35.0
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Toward the viewer, and up: as the camera saw it, turned 35 and raised 20 degrees.
+    """Toward the viewer, and up: as the camera saw it, turned and raised 20 degrees.
 
     Unit vectors in the points' frame; `axis_up` is one of x, y, z, -x, -y, -z. Looking
     from where the sensor stood would hide depth; from elsewhere, what it saw.
@@ -98,7 +98,7 @@ def viewing_direction(
     if np.linalg.norm(level) < 0.1:
         level = np.roll(up, 1)
     level = level / np.linalg.norm(level)
-    turn, rise = np.deg2rad(35.0), np.deg2rad(20.0)
+    turn, rise = np.deg2rad(turn_degrees), np.deg2rad(20.0)
     level = np.cos(turn) * level + np.sin(turn) * np.cross(up, level)
     return np.cos(rise) * level + np.sin(rise) * up, up
 

@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from prism_jax.data.raycast import Scene
 from prism_jax.data.shapes import UNSEEN_CATEGORIES, make_shape
+from prism_jax.geometry.camera import Camera
 
 Color = tuple[float, float, float]
 
@@ -72,6 +73,38 @@ def draw(
     pixels[hits.ray] = (0.3 * sky + 0.7 * light)[hits.ray, None] * np.asarray(color)
     image = np.clip(pixels, 0, 1).reshape(size, SUPERSAMPLING, size, SUPERSAMPLING, 3)
     return np.round(255 * image.mean(axis=(1, 3)) ** (1 / GAMMA)).astype(np.uint8)
+
+
+def draw_clouds(
+    clouds: Sequence[tuple[Float[np.ndarray, "_ 3"], Color | Float[np.ndarray, "_ 3"]]],
+    camera: Camera,
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Points of 2 x 2 pixels, later clouds over earlier ones, darker farther away.
+
+    Each cloud has one colour, or one for every point.
+    """
+    picture = np.ones((camera.height, camera.width, 3))
+    for points, color in clouds:
+        if not len(points):
+            continue
+        seen = np.asarray(camera.to_camera(points.astype(float)))
+        far_first = np.argsort(-seen[:, 2])
+        seen = seen[far_first]
+        colors = np.broadcast_to(color, points.shape)[far_first]
+        pixels = seen @ np.asarray(camera.intrinsics).T
+        columns, rows = np.round(pixels[:, :2] / pixels[:, 2:]).astype(int).T
+        nearest = seen[-1, 2]
+        shade = 1 - 0.5 * (seen[:, 2] - nearest) / max(np.ptp(seen[:, 2]), 1e-9)
+        for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            row = np.clip(rows + down, 0, camera.height - 1)
+            column = np.clip(columns + right, 0, camera.width - 1)
+            picture[row, column] = shade[:, None] * colors
+    return to_bytes(picture)
+
+
+def to_bytes(picture: np.ndarray) -> UInt8[np.ndarray, "H W 3"]:
+    """Red, green and blue within 0 to 1 as bytes."""
+    return np.round(255 * np.clip(picture, 0, 1)).astype(np.uint8)
 
 
 def contact_sheet(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from absl import flags
 
-from experiments import adaptation, compare
+from experiments import ablate, adaptation, compare
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.models.variables import pop_encoders
@@ -91,6 +91,27 @@ def test_table_two(tmp_path, monkeypatch):
     assert means["pretrained, K = 0"] == means["meta-trained, K = 0"]
     assert len({means[f"meta-trained, K = {k}"] for k in (0, 1, 4)}) == 3
     assert table["against"] == "pretrained, K = 0"
+
+
+def test_table_three(tmp_path):
+    arguments = [f"--weights={label}=small" for label in ablate.VARIANTS]
+    table, _ = run(ablate, tmp_path / "3.json", (), *arguments)
+    rows = table["rows"]
+    assert list(rows) == [
+        *("partial itself", "none", "align, not adapted", "align"),
+        *("align + normal, not adapted", "align + normal"),
+        *("align + denoise, not adapted", "align + denoise", "all, not adapted", "all"),
+    ]
+    means = {label: row["mean"]["cd_l2"] for label, row in rows.items()}
+    # The fake moves by its steps: not those of "none", whatever its weights say.
+    assert means["none"] == means["all, not adapted"] != means["all"]
+    assert table["against"] == "none"
+
+
+def test_table_three_asks_for_a_label(tmp_path, capsys):
+    with pytest.raises(AssertionError):
+        run(ablate, tmp_path / "3.json", (), "--weights=small")
+    assert "write LABEL=NAME|FILE" in capsys.readouterr().err
 
 
 def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Float64, UInt8
 
-from prism_jax.data.contact_sheet import Row
+from prism_jax.data.contact_sheet import Row, draw_clouds, to_bytes
 from prism_jax.data.raycast import Scene
 from prism_jax.data.recordings import Frame
 from prism_jax.data.roboarm.build import NUM_FRAMES, own_rng
@@ -84,7 +84,7 @@ def draw_scene(
     light = 0.35 + 0.25 * hits.cosines + 0.4 * lit
     picture = np.ones((len(rays), 3))
     picture[hits.ray] = colors[hits.faces] * light[:, None]
-    return _bytes(picture.reshape(camera.height, camera.width, 3))
+    return to_bytes(picture.reshape(camera.height, camera.width, 3))
 
 
 def draw_depth(depth: Float[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W 3"]:
@@ -95,26 +95,7 @@ def draw_depth(depth: Float[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W 3"]:
     low = np.minimum(share.astype(int), len(_RAMP) - 2)
     mix = (share - low)[..., None]
     picture = (1 - mix) * _RAMP[low] + mix * _RAMP[low + 1]
-    return _bytes(np.where(seen[..., None], picture, 0.0))
-
-
-def draw_clouds(
-    clouds: list[tuple[Float[np.ndarray, "_ 3"], tuple[float, float, float]]],
-    camera: Camera,
-) -> UInt8[np.ndarray, "H W 3"]:
-    """Points of 2 x 2 pixels, later clouds over earlier ones, darker farther away."""
-    picture = np.ones((camera.height, camera.width, 3))
-    for points, color in clouds:
-        seen = np.asarray(camera.to_camera(points.astype(float)))
-        seen = seen[np.argsort(-seen[:, 2])]
-        pixels = seen @ np.asarray(camera.intrinsics).T
-        columns, rows = np.round(pixels[:, :2] / pixels[:, 2:]).astype(int).T
-        shade = 1 - 0.5 * (seen[:, 2] - seen[:, 2].min()) / np.ptp(seen[:, 2])
-        for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            row = np.clip(rows + down, 0, camera.height - 1)
-            column = np.clip(columns + right, 0, camera.width - 1)
-            picture[row, column] = shade[:, None] * color
-    return _bytes(picture)
+    return to_bytes(np.where(seen[..., None], picture, 0.0))
 
 
 def _beside(sequence: Sequence, size: int) -> Camera:
@@ -142,7 +123,3 @@ def _rays(camera: Camera) -> Float64[np.ndarray, "P 3"]:
     rows, columns = np.indices((camera.height, camera.width))
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
     return np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation
-
-
-def _bytes(picture: np.ndarray) -> UInt8[np.ndarray, "H W 3"]:
-    return np.round(255 * np.clip(picture, 0, 1)).astype(np.uint8)

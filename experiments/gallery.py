@@ -1,0 +1,67 @@
+"""The paper's figures 4 and 5: completions to look at, as a page and as a picture.
+
+python -m experiments.gallery --dataset=shapes --output=gallery.html
+python -m experiments.gallery --dataset=roboarm --output=robots.html
+"""
+
+import io
+import pathlib
+
+from absl import flags
+
+from experiments.launch import launch
+from experiments.scoring import (
+    define_frame_flags,
+    make_protocol,
+    open_split,
+    prepare_output,
+)
+from prism_jax.data.contact_sheet import contact_sheet
+from prism_jax.evaluation import prism_completer
+from prism_jax.evaluation.frames import UNITS
+from prism_jax.evaluation.gallery import gallery_page, picture_row, show
+from prism_jax.io.atomic import write_bytes
+from prism_jax.weights import load_pretrained
+
+FLAGS = flags.FLAGS
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    define_frame_flags(split="test", limit=18)
+    flags.DEFINE_string("output", "gallery.html", "Page to write; PNG goes beside it.")
+    flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
+    flags.DEFINE_integer("columns", 2, "Rows of pictures side by side.", 1)
+    flags.DEFINE_integer("size", 128, "Pixels of a picture's side.", 16, 1024)
+
+
+def main(argv):
+    """Draws the first view of the first objects; the picture lies beside the page."""
+    del argv
+    prepare_output()
+    config, variables = load_pretrained(FLAGS.weights)
+    source, protocol = open_split(FLAGS.split), make_protocol(config)
+    indices = range(0, len(source), source.views)[: FLAGS.limit]
+    shown = show(prism_completer(config, variables), source, indices, protocol)
+    page = pathlib.Path(FLAGS.output)
+    caption = (
+        f"{FLAGS.weights} on {FLAGS.dataset}, {FLAGS.split}: the first {len(shown)} "
+        f"objects. Unit of length: {UNITS[protocol.unit]}."
+    )
+    write_bytes(page, gallery_page(shown, caption).encode())
+    rows = [picture_row(item, FLAGS.size) for item in shown]
+    buffer = io.BytesIO()
+    sheet = contact_sheet(rows, FLAGS.columns).quantize(128)
+    sheet.save(buffer, "PNG", optimize=True)
+    write_bytes(page.with_suffix(".png"), buffer.getvalue())
+    print(f"written {page} and {page.with_suffix('.png')}")
+
+
+def run():
+    """The entry point."""
+    define_flags()
+    launch("gallery", main)
+
+
+if __name__ == "__main__":
+    run()

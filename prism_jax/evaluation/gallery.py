@@ -1,0 +1,172 @@
+"""Completions to look at, as the paper's figures 4 and 5 show them."""
+
+import html
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from prism_jax import metrics
+from prism_jax.completion import keep_unmeasured
+from prism_jax.data.contact_sheet import Row, draw_clouds
+from prism_jax.data.pipeline import with_partial
+from prism_jax.data.source import Example, Source
+from prism_jax.evaluation.frames import Protocol, given, scored_in, workspace_for
+from prism_jax.evaluation.run import CompleteFn
+from prism_jax.figures import (
+    COMPLETED_COLOR,
+    GROUND_TRUTH_COLOR,
+    OBSERVED_COLOR,
+    Cloud,
+    Panel,
+    View,
+    distance_colors,
+    views_figure,
+)
+from prism_jax.geometry.camera import Camera
+from prism_jax.report import viewing_direction
+
+COLUMNS = (
+    "Partial",
+    "Completion: measured and added",
+    "Ground truth",
+    "Distance to the ground truth",
+)
+UP = np.array([0.0, 0.0, 1.0])
+TURN = 75.0
+"""Degrees from the sensor's view: so far that both sides show."""
+
+
+class Shown(NamedTuple):
+    """One example, in the frame and unit of the scores.
+
+    Attributes:
+      name: of the example, after its category.
+      measured: the partial as it was measured.
+      added: predicted points where nothing was measured.
+      complete: the ground truth.
+      errors: distance of every measured and then every added point to the nearest of
+        the ground truth.
+      before, after: CD-L2 of the partial, and with the added points.
+      toward_viewer: a direction from the points.
+    """
+
+    name: str
+    measured: Float[np.ndarray, "N 3"]
+    added: Float[np.ndarray, "P 3"]
+    complete: Float[np.ndarray, "M 3"]
+    errors: Float[np.ndarray, " N+P"]
+    before: float
+    after: float
+    toward_viewer: Float[np.ndarray, "3"]
+
+    @property
+    def label(self) -> str:
+        before, after = 1e4 * self.before, 1e4 * self.after
+        return f"{self.name}: CD-L2 x1e4 {before:.4g}, completed {after:.4g}"
+
+
+def show(
+    complete_fn: CompleteFn, source: Source, indices: Sequence[int], protocol: Protocol
+) -> list[Shown]:
+    """The examples of these indices, completed as `evaluate` completes them."""
+    examples = [with_partial(source[index]) for index in indices]
+    framed = [given(example, protocol) for example in examples]
+    partials, eyes = (np.stack(arrays) for arrays in zip(*framed, strict=True))
+    outputs = np.asarray(complete_fn(partials, eyes)["output"])
+    rows = zip(examples, partials, eyes, outputs, strict=True)
+    return [_shown(*row, protocol) for row in rows]
+
+
+def _shown(
+    example: Example,
+    partial: Float[np.ndarray, "N 3"],
+    eye: Float[np.ndarray, "3"],
+    output: Float[np.ndarray, "P 3"],
+    protocol: Protocol,
+) -> Shown:
+    assert example.partial is not None and example.complete is not None
+    workspace, frame = workspace_for(example, protocol), scored_in(example, protocol)
+
+    def scaled(cloud: np.ndarray) -> np.ndarray:
+        return np.asarray(frame.to_unit(cloud.astype(np.float64)))
+
+    def from_workspace(cloud: np.ndarray) -> np.ndarray:
+        return scaled(np.asarray(workspace.from_unit(cloud.astype(np.float64))))
+
+    measured, complete = scaled(example.partial), scaled(example.complete)
+    predicted = from_workspace(output)
+    added = predicted[keep_unmeasured(predicted, measured, from_workspace(partial))]
+    cloud = np.concatenate([measured, added])
+    errors = KDTree(complete).query(cloud)[0]
+    camera = Camera.framing(jnp.asarray(partial), eye)
+    return Shown(
+        f"{example.category.replace('_', ' ')} {example.name}",
+        measured,
+        added,
+        complete,
+        errors,
+        _chamfer(errors[: len(measured)], measured, complete),
+        _chamfer(errors, cloud, complete),
+        viewing_direction(camera, turn_degrees=TURN)[0],
+    )
+
+
+def _chamfer(errors: np.ndarray, cloud: np.ndarray, complete: np.ndarray) -> float:
+    return metrics.from_distances(errors, KDTree(cloud).query(complete)[0])["cd_l2"]
+
+
+def picture_row(shown: Shown, size: int) -> Row:
+    """Four square pictures, in the order of `COLUMNS`, all from one side."""
+    everything = np.concatenate([shown.complete, shown.measured, shown.added])
+    center = (everything.min(0) + everything.max(0)) / 2
+    eye = center + 4.0 * np.ptp(everything, axis=0).max() * shown.toward_viewer
+    camera = Camera.framing(jnp.asarray(everything), eye, 1.05, size, size)
+    seen, added, truth = (
+        _per_point(color, cloud)
+        for color, cloud in (
+            (OBSERVED_COLOR, shown.measured),
+            (COMPLETED_COLOR, shown.added),
+            (GROUND_TRUTH_COLOR, shown.complete),
+        )
+    )
+    completed = np.concatenate([shown.measured, shown.added])
+    pictures = (
+        [(shown.measured, seen)],
+        [(shown.added, added), (shown.measured, seen)],
+        [(shown.complete, truth)],
+        [(completed, distance_colors(shown.errors))],
+    )
+    return Row(shown.label, [draw_clouds(clouds, camera) for clouds in pictures])
+
+
+def _per_point(css: str, cloud: np.ndarray) -> Float[np.ndarray, "N 3"]:
+    color = np.array([float(channel) for channel in css[4:-1].split(",")]) / 255
+    return np.tile(color, (len(cloud), 1))
+
+
+def gallery_page(shown: Sequence[Shown], caption: str) -> str:
+    """All examples in 3-D, one at a time, as HTML that needs no network."""
+    views = {f"{i + 1}. {item.label}": _view(item) for i, item in enumerate(shown)}
+    figure = views_figure(views, UP).update_layout(
+        title={"text": html.escape(caption), "font": {"size": 13}, "x": 0.01}
+    )
+    return figure.to_html(
+        config={"displaylogo": False, "responsive": True}, default_height="100%"
+    )
+
+
+def _view(shown: Shown) -> View:
+    measured = Cloud("measured", shown.measured, OBSERVED_COLOR)
+    added = Cloud("added", shown.added, COMPLETED_COLOR)
+    truth = Cloud("ground truth", shown.complete, GROUND_TRUTH_COLOR)
+    completed = np.concatenate([shown.measured, shown.added])
+    errors = Cloud("distance", completed, COMPLETED_COLOR, shown.errors)
+    clouds = ([measured], [measured, added], [truth], [errors])
+    return View(
+        [Panel(t, c) for t, c in zip(COLUMNS, clouds, strict=True)],
+        shown.toward_viewer,
+    )
