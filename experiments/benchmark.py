@@ -15,7 +15,7 @@ from experiments.launch import launch, with_large_pages
 from prism_jax.io.atomic import write_bytes
 
 FLAGS = flags.FLAGS
-SUITES = ("ops", "adapt", "training", "startup", "memory")
+SUITES = ("ops", "adapt", "evaluation", "training", "startup", "memory")
 HEADER = (
     "| what | ours | peer | its | ratio | target | holds | compile s | MiB |\n"
     "| --- | --- | --- | --- | --- | --- | --- | --- | --- |"

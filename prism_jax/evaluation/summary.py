@@ -39,7 +39,7 @@ def summarise(
 
     def summary(cloud: str) -> dict[str, Any]:
         values = np.array([[row.clouds[cloud][m] for m in metrics] for row in rows])
-        low, high = _bootstrap(_sums(values, objects))
+        low, high = mean_intervals(values, objects)
 
         def named(means: np.ndarray) -> dict[str, float]:
             return dict(zip(metrics, means.tolist(), strict=True))
@@ -119,6 +119,18 @@ def paired_difference(
     }
 
 
+def mean_intervals(
+    values: Float[np.ndarray, "E K"], objects: Int[np.ndarray, " E"]
+) -> tuple[list[float], list[float]]:
+    """Bounds of the 95 % percentile bootstrap intervals of each column's mean.
+
+    Objects are drawn, with all of their examples.
+    """
+    means = _resampled_means(_sums(values, objects))
+    low, high = np.quantile(means, [0.025, 0.975], axis=0)
+    return low.tolist(), high.tolist()
+
+
 def _sums(
     values: Float[np.ndarray, "E K"], objects: Int[np.ndarray, " E"]
 ) -> Float[np.ndarray, "G K+1"]:
@@ -127,12 +139,6 @@ def _sums(
     sums = np.zeros((int(objects.max()) + 1, rows.shape[1]))
     np.add.at(sums, objects, rows)
     return sums
-
-
-def _bootstrap(sums: Float[np.ndarray, "G K"]) -> tuple[list[float], list[float]]:
-    """95 % percentile interval of the mean over examples."""
-    low, high = np.quantile(_resampled_means(sums), [0.025, 0.975], axis=0)
-    return low.tolist(), high.tolist()
 
 
 def _resampled_means(sums: Float[np.ndarray, "G K"]) -> Float[np.ndarray, "R K-1"]:

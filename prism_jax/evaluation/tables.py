@@ -73,6 +73,17 @@ def comparison_markdown(table: Mapping[str, Any]) -> str:
     return "\n".join([f"{_title(table)}\n", *_table(head, lines), ""])
 
 
+def agreement_markdown(result: Mapping[str, Any]) -> str:
+    """What names the result of `agreement`, and its rows."""
+    rows = []
+    for label, row in result["losses"].items():
+        low, high = row["interval"]
+        mean = f"{row['mean']:+.3f} [{low:+.3f}, {high:+.3f}]"
+        rows.append([label, mean, f"{100 * row['positive']:.0f} %"])
+    head = ["gradient of", f"cosine with that of {result['error']}", "positive"]
+    return "\n".join([f"{_title(result)}\n", *_table(head, rows), ""])
+
+
 def _cell(mean: float, interval: Sequence[float], factor: float) -> str:
     low, high = (factor * bound for bound in interval)
     return f"{factor * mean:.4g} [{low:.4g}, {high:.4g}]"
@@ -107,7 +118,8 @@ def _title(result: Mapping[str, Any]) -> str:
     parts.append(f"{count} examples of {objects} objects")
     if "accepted" in result:
         parts.append(f"adaptation accepted for {100 * result['accepted']:.0f} %")
-    return f"{', '.join(parts)}. Unit of length: {result['unit']}."
+    unit = f" Unit of length: {result['unit']}." if "unit" in result else ""
+    return f"{', '.join(parts)}.{unit}"
 
 
 def _labels(result: Mapping[str, Any]) -> dict[str, str]:

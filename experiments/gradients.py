@@ -1,0 +1,45 @@
+"""How far the label-free losses point where the error falls, frame by frame.
+
+python -m experiments.gradients --weights=small --limit=200 --output=FILE.json
+"""
+
+from absl import flags
+
+from experiments.launch import launch, with_large_pages
+from experiments.scoring import (
+    define_scoring_flags,
+    deliver,
+    make_protocol,
+    named,
+    open_split,
+    prepare_output,
+)
+from prism_jax.evaluation.agreement import agreement
+from prism_jax.evaluation.tables import agreement_markdown
+from prism_jax.weights import load_pretrained
+
+FLAGS = flags.FLAGS
+
+
+def main(argv):
+    """Prints the mean cosine of every loss, with its interval."""
+    del argv
+    prepare_output()
+    config, variables = load_pretrained(FLAGS.weights)
+    source, protocol = open_split(FLAGS.split), make_protocol(config)
+    sizes = (FLAGS.limit, FLAGS.batch_size)
+    found = agreement(config, variables, source, protocol, *sizes)
+    result = {**named(protocol), "weights": FLAGS.weights, **found}
+    deliver(result, agreement_markdown(result))
+
+
+def run():
+    """The entry point."""
+    with_large_pages()
+    define_scoring_flags(split="validation")
+    flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
+    launch("gradients", main)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,148 @@
+"""Whether a step that lowers a label-free loss also lowers the error: the cosines of
+their gradients in the point encoder."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+from tqdm import tqdm
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.objective import test_time_objective
+from prism_jax.data.pipeline import with_partial
+from prism_jax.data.source import Source
+from prism_jax.evaluation.frames import Protocol, first_points, given, workspace_for
+from prism_jax.evaluation.summary import mean_intervals
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.neighbors import nearest
+from prism_jax.geometry.sampling import resample
+from prism_jax.losses.chamfer import chamfer
+from prism_jax.models.prism import Frame, hold_decoding, predict, prepare_frame
+from prism_jax.models.variables import Variables
+
+ERROR = "CD-L2 to the complete cloud"
+LOSSES = (
+    "depth consistency, Eq. 4",
+    "normals, Eq. 5",
+    "denoising, Eq. 6",
+    "alignment, Eq. 9",
+    "measured points to the completion",
+    "hidden measured points to the completion of the rest",
+)
+HIDDEN = 0.25
+"""Share of the partial, nearest to one of its points, that is hidden."""
+
+NUM_COMPLETE = 2048
+
+
+def agreement(
+    config: AdaptConfig,
+    variables: Variables,
+    source: Source,
+    protocol: Protocol,
+    limit: int | None = None,
+    batch_size: int = 20,
+) -> dict[str, Any]:
+    """Cosines between the gradients of `LOSSES` and that of `ERROR`, as JSON.
+
+    Of every example's own completion, with the samples and neighbours of the decoder
+    held as adaptation holds them: ``mean`` over examples, its 95 % bootstrap
+    ``interval`` over objects, and the share that is ``positive``. Where a loss has no
+    gradient, its cosine counts as 0.
+    """
+    count = len(source) if limit is None else min(limit, len(source))
+    size = min(batch_size, count)
+    cosines = jax.jit(jax.vmap(cosines_of(config), (None, 0, 0, 0, 0)))
+    rows = []
+    for start in tqdm(range(0, count, size), desc="gradients", unit="batch"):
+        indices = np.arange(start, start + size) % count
+        framed = [_framed(source, int(index), protocol) for index in indices]
+        arrays = (jnp.asarray(np.stack(one)) for one in zip(*framed, strict=True))
+        keys = jax.vmap(jax.random.key)(indices)
+        rows.extend(np.asarray(cosines(variables, *arrays, keys))[: count - start])
+    values = np.array(rows, np.float64)
+    low, high = mean_intervals(values, np.arange(count) // source.views)
+    return {
+        "num_examples": count,
+        "num_objects": (count - 1) // source.views + 1,
+        "error": ERROR,
+        "losses": {
+            name: {
+                "mean": float(values[:, i].mean()),
+                "interval": [low[i], high[i]],
+                "positive": float((values[:, i] > 0).mean()),
+            }
+            for i, name in enumerate(LOSSES)
+        },
+    }
+
+
+def _framed(
+    source: Source, index: int, protocol: Protocol
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Partial, sensor's place and complete cloud in the workspace."""
+    example = with_partial(source[index])
+    assert example.complete is not None
+    complete = first_points(example.complete, NUM_COMPLETE, example.ordered)
+    complete = workspace_for(example, protocol).to_unit(complete)
+    return (*given(example, protocol), np.asarray(complete, np.float32))
+
+
+def cosines_of(
+    config: AdaptConfig,
+) -> Callable[[Variables, Array, Array, Array, Array], Float[Array, " L"]]:
+    """A pure function of variables, partial (N, 3), eye (3,), complete (M, 3), all in
+    the unit workspace, and a key that chooses what is hidden; to the cosines of
+    `LOSSES`."""
+
+    def prepared(variables: Variables, partial: Array, eye: Array) -> Frame:
+        camera = Camera.framing(partial, eye)
+        key = jax.random.key(config.seed)
+        frame = prepare_frame(partial, camera, key, config.model)
+        return hold_decoding(variables, frame, config.model)
+
+    def cosines(
+        variables: Variables, partial: Array, eye: Array, complete: Array, key: Array
+    ) -> Float[Array, " L"]:
+        frame = prepared(variables, partial, eye)
+        hidden, left = _parted(partial, key)
+        rest = prepared(variables, left, eye)
+        params = variables["params"]
+
+        def values(encoder: Variables) -> Float[Array, " terms"]:
+            own = {**variables, "params": {**params, "point_encoder": encoder}}
+            losses, prediction = test_time_objective(own, frame, config)
+            completed_rest = predict(own, rest, config.model)
+            terms = (
+                losses.depth_consistency,
+                losses.normal,
+                losses.denoise,
+                losses.align,
+                nearest(partial, prediction.points)[0].mean(),
+                nearest(hidden, completed_rest.points)[0].mean(),
+                chamfer(prediction.points, complete),
+            )
+            return jnp.stack(terms)
+
+        jacobian = jax.jacrev(values)(params["point_encoder"])
+        rows = jax.vmap(lambda tree: ravel_pytree(tree)[0])(jacobian)
+        norms = jnp.sqrt((rows**2).sum(-1))
+        products = norms[:-1] * norms[-1]
+        found = rows[:-1] @ rows[-1]
+        return jnp.where(products > 0, found / jnp.where(products > 0, products, 1), 0)
+
+    return cosines
+
+
+def _parted(partial: Float[Array, "N 3"], key: Array) -> tuple[Array, Array]:
+    """`HIDDEN` of the partial, around one of its points, and what is left, as many
+    points as the whole."""
+    count = len(partial)
+    around = partial[jax.random.randint(key, (), 0, count)]
+    order = jnp.argsort(((partial - around) ** 2).sum(-1))
+    hidden = int(HIDDEN * count)
+    return partial[order[:hidden]], resample(partial[order[hidden:]], count)

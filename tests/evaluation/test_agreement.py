@@ -1,0 +1,92 @@
+"""Cosines of gradients, against finite steps along them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from prism_jax.adaptation.objective import test_time_objective as objective
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.evaluation import Protocol
+from prism_jax.evaluation.agreement import LOSSES, agreement, cosines_of
+from prism_jax.evaluation.tables import agreement_markdown
+from prism_jax.geometry.camera import Camera
+from prism_jax.losses.chamfer import chamfer
+from prism_jax.models.initial import init_variables
+from prism_jax.models.prism import hold_decoding, prepare_frame
+from prism_jax.presets import PRESETS
+
+CONFIG = PRESETS["tiny"].adapt
+EYE = jnp.array([2.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def variables():
+    return init_variables(jax.random.key(0), CONFIG.model)
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    keys = jax.random.split(jax.random.key(1))
+    return [jax.random.uniform(key, (64, 3), minval=-0.7, maxval=0.7) for key in keys]
+
+
+def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
+    partial, complete = clouds
+    found = jax.jit(cosines_of(CONFIG))(
+        variables, partial, EYE, complete, jax.random.key(0)
+    )
+    camera = Camera.framing(partial, EYE)
+    frame = prepare_frame(partial, camera, jax.random.key(0), CONFIG.model)
+    frame = hold_decoding(variables, frame, CONFIG.model)
+    start, unravel = ravel_pytree(variables["params"]["point_encoder"])
+
+    def values(flat):
+        params = {**variables["params"], "point_encoder": unravel(flat)}
+        losses, prediction = objective({**variables, "params": params}, frame, CONFIG)
+        return losses.denoise, chamfer(prediction.points, complete)
+
+    values = jax.jit(values)
+    by_loss, by_error = (jax.grad(lambda x, i=i: values(x)[i])(start) for i in (0, 1))
+    step = 1e-3 * by_loss / jnp.linalg.norm(by_loss)
+    rise = (values(start + step)[1] - values(start - step)[1]) / 2e-3
+    cosine = float(rise / jnp.linalg.norm(by_error))
+    assert found[LOSSES.index("denoising, Eq. 6")] == pytest.approx(cosine, abs=0.02)
+    assert np.abs(found).max() <= 1.0001
+
+
+def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch):
+    partial, complete = clouds
+
+    def itself(variables, frame, config):
+        losses, prediction = objective(variables, frame, config)
+        error = chamfer(prediction.points, complete)
+        return losses._replace(normal=3 * error, align=-error, denoise=0 * error), (
+            prediction
+        )
+
+    monkeypatch.setattr("prism_jax.evaluation.agreement.test_time_objective", itself)
+    found = jax.jit(cosines_of(CONFIG))(
+        variables, partial, EYE, complete, jax.random.key(0)
+    )
+    named = dict(zip(LOSSES, np.asarray(found), strict=True))
+    assert named["normals, Eq. 5"] == pytest.approx(1, abs=1e-5)
+    assert named["alignment, Eq. 9"] == pytest.approx(-1, abs=1e-5)
+    assert named["denoising, Eq. 6"] == 0
+
+
+def test_table_of_a_source(variables):
+    source = RecordedCells.bundled()
+    protocol = Protocol(CONFIG.model.backbone.num_points, CONFIG.model.margin)
+    result = agreement(CONFIG, variables, source, protocol, limit=3, batch_size=2)
+    assert (result["num_examples"], result["num_objects"]) == (3, 3)
+    again = agreement(CONFIG, variables, source, protocol, limit=3, batch_size=2)
+    assert result == again
+    for row in result["losses"].values():
+        low, high = row["interval"]
+        assert low <= row["mean"] <= high
+        assert 0 <= row["positive"] <= 1
+    text = agreement_markdown(result)
+    assert all(f"| {name} | " in text for name in LOSSES)
+    assert "3 examples of 3 objects" in text
