@@ -32,6 +32,7 @@ from prism_jax.evaluation import (
     published_options,
 )
 from prism_jax.io.errors import InputError
+from prism_jax.presets import changed
 from prism_jax.training.run import commit
 from prism_jax.weights import load_pretrained, read_metadata
 
@@ -51,6 +52,9 @@ def define_flags() -> None:
     flags.DEFINE_integer(
         "steps", None, "Adaptation steps, the weights' own if not given.", 0
     )
+    flags.DEFINE_multi_string(
+        "set", [], "Changes to how they adapt, as path.to.field=value."
+    )
 
 
 def main(argv):
@@ -58,6 +62,7 @@ def main(argv):
     del argv
     prepare_output()
     config, variables = load_pretrained(FLAGS.weights)
+    config = changed(config, FLAGS.set)
     if FLAGS.steps is not None:
         config = dataclasses.replace(config, num_steps=FLAGS.steps)
     published = FLAGS.protocol == "published"
@@ -95,6 +100,7 @@ def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]
         "seed": known.get("seed"),
         "weights_commit": known.get("commit"),
         "steps": config.num_steps,
+        **({"set": " ".join(FLAGS.set)} if FLAGS.set else {}),
         "commit": commit(),
     }
 

@@ -14,8 +14,7 @@ from experiments.scoring import (
     open_split,
     prepare_output,
 )
-from prism_jax.evaluation.agreement import agreement
-from prism_jax.evaluation.tables import agreement_markdown
+from prism_jax.evaluation import agreement, agreement_markdown
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS

@@ -101,6 +101,14 @@ def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
     )
 
 
+_SMALL_ADAPT = AdaptConfig(
+    ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
+    num_steps=1,
+    step_size=1e-2,
+    clip_norm=1.0,
+    normal_stride=4,
+)
+
 _SMALL_META = MetaTrainConfig(
     MetaConfig(
         lambda_aux=0.001,
@@ -123,6 +131,34 @@ _SMALL_META = MetaTrainConfig(
     validate_every=4_000,
 )
 
+_PAPER_PRETRAIN = PretrainConfig(
+    _legs(2_000_000, 8_000_000), auxiliary_samples=500_000, num_complete=16_384
+)
+
+_PAPER_META = MetaTrainConfig(MetaConfig(remat=True), at_once=4)
+
+# The paper's sizes and samples with what helped `small` on validation.
+_PLUS = Preset(
+    AdaptConfig(
+        ModelConfig(
+            dataclasses.replace(_PAPER, seeds_from_patches=True),
+            AuxiliaryConfig(max_coordinate=2.0),
+        ),
+        step_size=_SMALL_ADAPT.step_size,
+        clip_norm=_SMALL_ADAPT.clip_norm,
+        normal_stride=_SMALL_ADAPT.normal_stride,
+    ),
+    _PAPER_PRETRAIN,
+    dataclasses.replace(
+        _SMALL_META,
+        method=dataclasses.replace(_SMALL_META.method, remat=True),
+        num_samples=_PAPER_META.num_samples,
+        at_once=_PAPER_META.at_once,
+        num_complete=_PAPER_META.num_complete,
+        validate_every=_PAPER_META.validate_every,
+    ),
+)
+
 PRESETS = {
     "tiny": Preset(
         AdaptConfig(
@@ -142,25 +178,12 @@ PRESETS = {
         num_shapes=64,
     ),
     "small": Preset(
-        AdaptConfig(
-            ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
-            num_steps=1,
-            step_size=1e-2,
-            clip_norm=1.0,
-            normal_stride=4,
-        ),
+        _SMALL_ADAPT,
         PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000),
         _SMALL_META,
     ),
-    "paper": Preset(
-        AdaptConfig(ModelConfig(_PAPER)),
-        PretrainConfig(
-            _legs(2_000_000, 8_000_000),
-            auxiliary_samples=500_000,
-            num_complete=16_384,
-        ),
-        MetaTrainConfig(MetaConfig(remat=True), at_once=4),
-    ),
+    "paper": Preset(AdaptConfig(ModelConfig(_PAPER)), _PAPER_PRETRAIN, _PAPER_META),
+    "plus": _PLUS,
 }
 
 

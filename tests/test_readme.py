@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import comparison_markdown, markdown
+from prism_jax.evaluation import agreement_markdown, comparison_markdown, markdown
 from prism_jax.weights import save_weights
 
 README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
@@ -77,14 +77,17 @@ TABLES = sorted((README.parent / "docs" / "tables").glob("*.json"))
 
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
 def test_tables_are_those_of_their_results(path):
-    """As the commands wrote them: JSON, Markdown and what the README shows."""
+    """As the commands wrote them: JSON, Markdown and what README or notes show."""
     result = json.loads(path.read_text())
-    text = comparison_markdown(result) if "rows" in result else markdown(result)
+    kinds = {"rows": comparison_markdown, "losses": agreement_markdown}
+    (text,) = [make(result) for kind, make in kinds.items() if kind in result] or [
+        markdown(result)
+    ]
     assert path.with_suffix(".md").read_text() == text
     lines = [line for line in text.splitlines() if line]
-    readme = README.read_text()
+    shown = README.read_text() + README.with_name("BUILD_NOTES.md").read_text()
     assert len(lines) > 4
-    assert not [line for line in lines if line not in readme]
+    assert not [line for line in lines if line not in shown]
 
 
 def test_there_are_tables():

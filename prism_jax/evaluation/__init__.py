@@ -1,5 +1,6 @@
 """Scores of anything that completes clouds, on any data set."""
 
+from prism_jax.evaluation.agreement import agreement
 from prism_jax.evaluation.comparison import Row, comparison
 from prism_jax.evaluation.frames import NORMALISATIONS, Protocol
 from prism_jax.evaluation.published import (
@@ -15,6 +16,7 @@ from prism_jax.evaluation.run import (
 )
 from prism_jax.evaluation.summary import paired_difference
 from prism_jax.evaluation.tables import (
+    agreement_markdown,
     comparison_markdown,
     markdown,
     published_markdown,
@@ -26,6 +28,8 @@ __all__ = [
     "CompleteFn",
     "Protocol",
     "Row",
+    "agreement",
+    "agreement_markdown",
     "comparison",
     "comparison_markdown",
     "evaluate",

@@ -111,7 +111,8 @@ def published_markdown(dataset: str, result: Mapping[str, Any]) -> str:
 
 def _title(result: Mapping[str, Any]) -> str:
     """One line of what the result was made from, as far as it says."""
-    named = ("data", "split", "protocol", "normalisation", "weights", "seed", "steps")
+    named = ("data", "split", "protocol", "normalisation", "weights", "seed")
+    named += ("steps", "set")
     parts = [f"{name} {result[name]}" for name in named if name in result]
     parts += [f"commit {result['commit'][:12]}"] if result.get("commit") else []
     count, objects = result["num_examples"], result["num_objects"]

@@ -1,5 +1,7 @@
 """Cosines of gradients, against finite steps along them."""
 
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,9 +10,8 @@ from jax.flatten_util import ravel_pytree
 
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Protocol
-from prism_jax.evaluation.agreement import LOSSES, agreement, cosines_of
-from prism_jax.evaluation.tables import agreement_markdown
+from prism_jax.evaluation import Protocol, agreement, agreement_markdown
+from prism_jax.evaluation.agreement import LOSSES, cosines_of
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.initial import init_variables
@@ -66,7 +67,8 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
             prediction
         )
 
-    monkeypatch.setattr("prism_jax.evaluation.agreement.test_time_objective", itself)
+    module = sys.modules[cosines_of.__module__]  # its name is also the function's
+    monkeypatch.setattr(module, "test_time_objective", itself)
     found = jax.jit(cosines_of(CONFIG))(
         variables, partial, EYE, complete, jax.random.key(0)
     )

@@ -15,7 +15,7 @@ from tests.public_sets import write_pcn, write_shapenet55
 
 FLAGS = (
     *("weights", "dataset", "data_dir", "split", "protocol", "normalisation"),
-    *("steps", "limit", "batch_size", "output"),
+    *("steps", "set", "limit", "batch_size", "output"),
 )
 
 
@@ -63,6 +63,7 @@ def cells(tmp_path_factory):
     runs = {
         "adapted": ["--steps=2"],
         "plain": ["--steps=0"],
+        "changed": ["--set=num_steps=2", "--set=step_size=0.5"],
         "oracle": ["--steps=0", "--normalisation=oracle"],
     }
     return {
@@ -70,6 +71,15 @@ def cells(tmp_path_factory):
         | {"table": (folder / f"{name}.md").read_text()}
         for name, arguments in runs.items()
     }
+
+
+def test_changes_are_made_and_named(cells):
+    changed = cells["changed"]
+    assert changed["set"] == "num_steps=2 step_size=0.5"
+    assert "set num_steps=2 step_size=0.5" in changed["table"]
+    assert changed["steps"] == 2
+    assert changed["mean"] == cells["adapted"]["mean"]
+    assert "set" not in cells["adapted"]
 
 
 def test_a_result_says_what_it_is_of(cells):
