@@ -9,6 +9,7 @@ import pathlib
 from absl import flags
 
 from experiments.launch import launch
+from prism_jax.io.atomic import make_output_dir
 from prism_jax.presets import changed
 from prism_jax.weights import SUFFIX, load_pretrained, read_metadata, save_weights
 
@@ -21,6 +22,7 @@ def define_flags() -> None:
     flags.DEFINE_string("weights", None, "File of a finished run.", required=True)
     flags.DEFINE_multi_string("scores", [], "JSON files of experiments.evaluate.")
     flags.DEFINE_string("name", None, "Name to ship under.", required=True)
+    flags.DEFINE_string("output_dir", str(ASSETS), "Where it goes.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
     flags.DEFINE_multi_string("note", [], "What else is to be known of the weights.")
 
@@ -39,7 +41,7 @@ def main(argv):
         for result in evaluations
     }
     about["notes"] = FLAGS.note
-    path = ASSETS / f"{FLAGS.name}{SUFFIX}"
+    path = make_output_dir(pathlib.Path(FLAGS.output_dir)) / f"{FLAGS.name}{SUFFIX}"
     save_weights(path, config, variables, about)
     print(f"written {path}, {path.stat().st_size / 1e6:.1f} MB")
 

@@ -18,7 +18,7 @@ def run(*arguments) -> int:
             with pytest.raises(SystemExit) as ended:
                 release.run()
         finally:
-            for name in ("weights", "scores", "name", "set", "note"):
+            for name in ("weights", "scores", "name", "output_dir", "set", "note"):
                 delattr(flags.FLAGS, name)
     return ended.value.code or 0
 

@@ -1,0 +1,123 @@
+"""From nothing to weights that can ship: trains, compares, scores, exports.
+
+python -m experiments.train_release --preset=small --workdir=DIR
+"""
+
+import pathlib
+import subprocess
+import sys
+from typing import NamedTuple
+
+from absl import flags
+
+from experiments.launch import launch
+from prism_jax.data.datasets import DATASETS
+from prism_jax.io.atomic import make_output_dir
+from prism_jax.presets import resolve
+from prism_jax.weights import SUFFIX
+
+FLAGS = flags.FLAGS
+WITHOUT_METHOD = (
+    "meta.method.num_steps=0",
+    "meta.method.lambda_aux=0.0",
+    "meta.method.learn_steps=False",
+    "meta.method.learn_auxiliary=False",
+    "adapt.num_steps=0",
+)
+"""What makes the control of meta-training: as many samples of the same, no episodes."""
+
+
+class Step(NamedTuple):
+    """One command of the plan, and the file that says that it is done."""
+
+    module: str
+    arguments: tuple[str, ...]
+    done: pathlib.Path
+
+    @property
+    def command(self) -> list[str]:
+        return [sys.executable, "-m", f"experiments.{self.module}", *self.arguments]
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("preset", "small", "Configuration: small, paper or plus.")
+    flags.DEFINE_string("name", None, "Of the weights; the preset's if not given.")
+    flags.DEFINE_string("workdir", None, "Where everything goes.", required=True)
+    flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
+    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train and score on.")
+    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
+    flags.DEFINE_integer("max_steps", None, "End every leg of training at this step.")
+    flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
+
+
+def plan(folder: pathlib.Path) -> list[Step]:
+    """What the flags ask for, in order. Every command goes on where it was broken off,
+    and one whose last file is there is not run again."""
+    name = FLAGS.name or FLAGS.preset
+    data = [f"--dataset={FLAGS.dataset}"]
+    data += [] if FLAGS.data_dir is None else [f"--data_dir={FLAGS.data_dir}"]
+    changes = [f"--set={change}" for change in FLAGS.set]
+    control = [f"--set={change}" for change in WITHOUT_METHOD]
+
+    def training(module: str, name: str, *arguments: str) -> Step:
+        run = folder / name
+        resume = ["--resume"] if (run / "config.json").exists() else []
+        common = [f"--preset={FLAGS.preset}", f"--seed={FLAGS.seed}", *data, *changes]
+        if FLAGS.max_steps is not None:
+            common.append(f"--max_steps={FLAGS.max_steps}")
+        arguments = (*common, *arguments, f"--workdir={run}", *resume)
+        return Step(module, arguments, run / "weights.safetensors")
+
+    def scores(weights: Step, split: str) -> Step:
+        output = folder / f"{weights.done.parent.name}-{split}.json"
+        own = (f"--weights={weights.done}", f"--split={split}", f"--output={output}")
+        return Step("evaluate", (*data, *own), output)
+
+    def release(weights: Step, scored: list[Step], name: str) -> Step:
+        found = [f"--scores={step.done}" for step in scored]
+        place = (f"--name={name}", f"--output_dir={folder}")
+        arguments = (f"--weights={weights.done}", *found, *place)
+        return Step("release", arguments, folder / f"{name}{SUFFIX}")
+
+    pretrained = training("pretrain", "pretrained")
+    start = f"--weights={pretrained.done}"
+    meta = training("meta_train", "meta", start)
+    alone = training("meta_train", "control", start, *control)
+    steps = [pretrained, meta, alone]
+    splits = ["validation", "test"] + ["unseen"] * (FLAGS.dataset == "shapes")
+    for weights, label in ((meta, name), (alone, f"{name}-pretrained")):
+        scored = [scores(weights, split) for split in splits]
+        steps += [*scored, release(weights, scored, label)]
+    return steps
+
+
+def main(argv):
+    """Runs what is not done yet, each command as its own process."""
+    del argv
+    resolve(FLAGS.preset, FLAGS.set)  # a mistake in the flags shows at once
+    folder = make_output_dir(pathlib.Path(FLAGS.workdir)).resolve()
+    steps = plan(folder)
+    for number, step in enumerate(steps, start=1):
+        place = f"{number}/{len(steps)} {step.module}: {step.done}"
+        if step.done.exists():
+            print(f"{place} is there", flush=True)
+            continue
+        print(place, flush=True)
+        ended = subprocess.run(step.command, check=False)
+        if ended.returncode:
+            sys.exit(ended.returncode)
+        if not step.done.exists():
+            print("stopped; the same command goes on")
+            return
+    print(f"written {', '.join(str(s.done) for s in steps if s.module == 'release')}")
+
+
+def run():
+    """The entry point."""
+    define_flags()
+    launch("train_release", main)
+
+
+if __name__ == "__main__":
+    run()

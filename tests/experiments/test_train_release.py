@@ -1,0 +1,120 @@
+"""The plan from nothing to weights: its order, and how it goes on. The commands are
+fakes; those of `tiny` were run by hand, as they take minutes."""
+
+import subprocess
+import sys
+
+import pytest
+from absl import flags
+
+from experiments import train_release
+
+OWN = ["preset", "name", "workdir", "seed", "dataset", "data_dir", "max_steps", "set"]
+
+
+class Commands:
+    """Takes the commands in; each writes its file, but for those that fail or stop."""
+
+    def __init__(self):
+        self.run, self.fails, self.stops = [], set(), set()
+
+    def __call__(self, command, check):
+        assert command[:2] == [sys.executable, "-m"]
+        arguments = dict(part.partition("=")[::2] for part in command[3:])
+        places = ("--workdir", "--output", "--output_dir")
+        place = next(arguments[name] for name in places if name in arguments)
+        self.run.append((command[2], command[3:]))
+        step = (command[2].removeprefix("experiments."), place.rpartition("/")[2])
+        if step in self.fails:
+            return subprocess.CompletedProcess(command, 3)
+        if step not in self.stops:
+            self._write(command[2], place, arguments)
+        return subprocess.CompletedProcess(command, 0)
+
+    def _write(self, module, place, arguments):
+        folder = train_release.pathlib.Path(place)
+        if module == "experiments.evaluate":
+            folder.write_text("{}")
+        elif module == "experiments.release":
+            (folder / f"{arguments['--name']}.safetensors").write_text("")
+        else:
+            folder.mkdir(exist_ok=True)
+            (folder / "config.json").write_text("{}")
+            (folder / "weights.safetensors").write_text("")
+
+
+@pytest.fixture
+def commands(monkeypatch):
+    fake = Commands()
+    monkeypatch.setattr(train_release.subprocess, "run", fake)
+    return fake
+
+
+def run(*arguments) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["train_release", *arguments])
+        try:
+            with pytest.raises(SystemExit) as ended:
+                train_release.run()
+        finally:
+            for name in OWN:
+                delattr(flags.FLAGS, name)
+    return ended.value.code or 0
+
+
+def test_the_plan_in_order(commands, tmp_path):
+    changes = ["--set=meta.num_samples=64", "--data_dir=/data"]
+    assert run("--preset=tiny", f"--workdir={tmp_path}", "--seed=4", *changes) == 0
+    modules = [module.removeprefix("experiments.") for module, _ in commands.run]
+    scored = ["evaluate"] * 3 + ["release"]
+    assert modules == ["pretrain", "meta_train", "meta_train", *scored, *scored]
+    for module, arguments in commands.run:
+        assert "release" in module or "--data_dir=/data" in arguments
+    pretrain, meta, control, *_ = (arguments for _, arguments in commands.run)
+    for arguments in (pretrain, meta, control):
+        assert {"--preset=tiny", "--seed=4", changes[0]} <= set(arguments)
+    start = f"--weights={tmp_path}/pretrained/weights.safetensors"
+    assert start in meta and start in control
+    # The control is the same run, but for the method.
+    own = {f"--set={change}" for change in train_release.WITHOUT_METHOD}
+    other = {f"--workdir={tmp_path}/{name}" for name in ("meta", "control")}
+    assert set(meta) ^ set(control) == own | other
+    names = [a for m, args in commands.run if "release" in m for a in args]
+    assert "--name=tiny" in names and "--name=tiny-pretrained" in names
+    assert (tmp_path / "tiny.safetensors").exists()
+
+
+def test_goes_on_where_it_failed(commands, tmp_path):
+    commands.fails.add(("meta_train", "control"))
+    assert run("--preset=tiny", f"--workdir={tmp_path}") == 3
+    assert len(commands.run) == 3
+    commands.fails.clear()
+    (tmp_path / "control").mkdir()
+    (tmp_path / "control" / "config.json").write_text("{}")
+    assert run("--preset=tiny", f"--workdir={tmp_path}") == 0
+    again = commands.run[3]
+    assert f"--workdir={tmp_path}/control" in again[1] and "--resume" in again[1]
+    assert len(commands.run) == 3 + 9
+    assert run("--preset=tiny", f"--workdir={tmp_path}") == 0
+    assert len(commands.run) == 3 + 9
+
+
+def test_a_bounded_run_stops_and_says_so(commands, tmp_path, capsys):
+    commands.stops.add(("pretrain", "pretrained"))
+    assert run("--preset=tiny", f"--workdir={tmp_path}", "--max_steps=5") == 0
+    assert len(commands.run) == 1
+    assert "--max_steps=5" in commands.run[0][1]
+    assert "the same command goes on" in capsys.readouterr().out
+
+
+def test_a_mistake_shows_before_anything_runs(commands, tmp_path, capsys):
+    assert run("--preset=tiny", f"--workdir={tmp_path}", "--set=no.field=1") == 2
+    assert not commands.run
+    assert "no field 'no'" in capsys.readouterr().err
+
+
+def test_robots_have_no_unseen_split(commands, tmp_path):
+    assert run(f"--workdir={tmp_path}", "--dataset=roboarm", "--name=arms") == 0
+    splits = {a for _, args in commands.run for a in args if "--split" in a}
+    assert splits == {"--split=validation", "--split=test"}
+    assert (tmp_path / "arms-pretrained.safetensors").exists()
