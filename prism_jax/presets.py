@@ -104,29 +104,31 @@ def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
 _SMALL_ADAPT = AdaptConfig(
     ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
     num_steps=1,
-    step_size=1e-2,
+    step_size=3e-2,
     clip_norm=1.0,
     normal_stride=4,
 )
 
 _SMALL_META = MetaTrainConfig(
     MetaConfig(
-        lambda_aux=0.001,
+        lambda_aux=0.0,
         weight_rule="meta",
         rehearse_depth=True,
         learn_steps=True,
+        learn_auxiliary=True,
         learn_refiner=False,
     ),
-    num_samples=12_000,
+    num_samples=24_000,
     at_once=8,
     num_complete=2048,
     optimiser="adam",
-    learning_rate=5e-5,
+    learning_rate=1e-4,
     final_rate=0.01,
     warmup_steps=50,
     clip_norm=1.0,
     weight_rate=1e-2,
     step_rate=2e-2,
+    auxiliary_rate=3e-3,
     average_decay=0.99,
     validate_every=4_000,
 )
