@@ -8,6 +8,7 @@ import numpy as np
 
 from prism_jax.data.builds import MANIFEST
 from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
+from prism_jax.data.packed import Packed
 from prism_jax.data.public import PUBLIC_SETS, open_public
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.roboarm.build import build_roboarm
@@ -17,9 +18,9 @@ from prism_jax.io.files import default_cache_dir
 
 GENERATED = ("shapes", "roboarm")
 """Built on the machine; their folder is the user's cache folder unless named."""
-DATASETS = (*GENERATED, "recordings", *PUBLIC_SETS)
+DATASETS = (*GENERATED, "packed", "recordings", *PUBLIC_SETS)
 TEST_ONLY = ("kitti", "shapenet_unseen21", "projected_shapenet_unseen21")
-_WITH_VALIDATION = {"shapes": "validation", "roboarm": "validation"}
+_WITH_VALIDATION = {name: "validation" for name in (*GENERATED, "packed")}
 _WITH_VALIDATION |= {"pcn": "val", "completion3d": "val"}
 
 
@@ -66,7 +67,8 @@ def open_dataset(
     """A data set's split as a Source.
 
     `data_dir` holds the set: the folder given to `make_data`, the root of recordings
-    or of a public set in its published layout. Recordings have the one split "all".
+    or of a public set in its published layout, or what `experiments.pack` filled.
+    Recordings have the one split "all".
     Anything that is not there, or not as it should be, raises InputError.
     """
     if name not in DATASETS:
@@ -77,6 +79,8 @@ def open_dataset(
         return RecordedCells(_roboarm_dir(split, data_dir))
     if data_dir is None:
         raise InputError(name, "is not generated", "name its folder with --data_dir")
+    if name == "packed":
+        return Packed(pathlib.Path(data_dir) / split)
     if name == "recordings":
         return RecordedCells(data_dir)
     return open_public(name, data_dir, split, **options)

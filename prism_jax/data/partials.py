@@ -250,3 +250,12 @@ def _grid(tangents: np.ndarray, rays: int) -> np.ndarray:
     )
     x, y = np.meshgrid(columns, rows)
     return np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+
+
+def first_points(
+    cloud: Float[np.ndarray, "N 3"], count: int, ordered: bool
+) -> Float[np.ndarray, "M 3"]:
+    """`count` farthest points, repeated if there are fewer; a prefix if `ordered`."""
+    if not ordered:
+        return farthest_point_order(cloud, count)
+    return cloud[:count] if count <= len(cloud) else np.resize(cloud, (count, 3))

@@ -14,7 +14,7 @@ from prism_jax.data.partials import (
     CROP_SHARES,
     CROP_VIEWPOINTS,
     crop,
-    farthest_point_order,
+    first_points,
     random_crop,
 )
 from prism_jax.data.source import Example, Source
@@ -68,11 +68,12 @@ def frame_example(
     example = with_partial(example, rng)
     assert example.partial is not None and example.complete is not None
     center, half_extent = workspace_of(example.partial, framing.margin)
-    eye = example.eye
+    ordered, eye = example.ordered, example.eye
     eye = UNKNOWN_EYE if eye is None else (eye - center) / half_extent
     batch = Batch(
-        (_first(example.partial, framing.num_partial, example) - center) / half_extent,
-        (_first(example.complete, framing.num_complete, example) - center)
+        (first_points(example.partial, framing.num_partial, ordered) - center)
+        / half_extent,
+        (first_points(example.complete, framing.num_complete, ordered) - center)
         / half_extent,
         np.asarray(eye, np.float32),
         half_extent,
@@ -182,10 +183,3 @@ def _mirrored(batch: Batch) -> Batch:
         complete=batch.complete * sign,
         eye=batch.eye * sign,
     )
-
-
-def _first(cloud: np.ndarray, count: int, example: Example) -> np.ndarray:
-    """The first points of the cloud's farthest-point order, repeated if too few."""
-    if not example.ordered:
-        return farthest_point_order(cloud, count)
-    return cloud[:count] if count <= len(cloud) else np.resize(cloud, (count, 3))

@@ -7,9 +7,9 @@ it is scored, so that results of several normalisations have the same unit.
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
-from prism_jax.data.partials import farthest_point_order
+from prism_jax.data.partials import first_points
 from prism_jax.data.pipeline import UNKNOWN_EYE
 from prism_jax.data.source import Example
 from prism_jax.geometry.workspace import Workspace
@@ -84,12 +84,3 @@ def given(
     eye = UNKNOWN_EYE if example.eye is None else workspace.to_unit(example.eye)
     unit = workspace.to_unit(partial)
     return np.asarray(unit, np.float32), np.asarray(eye, np.float32)
-
-
-def first_points(
-    cloud: Float[np.ndarray, "N 3"], count: int, ordered: bool
-) -> Float[np.ndarray, "M 3"]:
-    """`count` farthest points, repeated if there are fewer; a prefix if `ordered`."""
-    if not ordered:
-        return farthest_point_order(cloud, count)
-    return cloud[:count] if count <= len(cloud) else np.resize(cloud, (count, 3))

@@ -1,0 +1,49 @@
+"""Packs data sets into one folder of quantised shards, ready to be trained on.
+
+python -m experiments.pack --dataset=roboarm --dataset=shapes --limit=4000 \
+    --split=train --output_dir=DIR
+"""
+
+import pathlib
+
+from absl import flags
+
+from experiments.launch import launch
+from prism_jax.data.datasets import DATASETS, build_if_missing, open_dataset
+from prism_jax.data.packed import PackConfig, pack
+
+FLAGS = flags.FLAGS
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_multi_enum("dataset", ["shapes"], DATASETS, "What; one or several.")
+    flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
+    flags.DEFINE_string("split", "train", "The sets' split, and the packed one's.")
+    flags.DEFINE_string("output_dir", None, "Where it goes.", required=True)
+    flags.DEFINE_integer("limit", 0, "Most of a set, evenly spaced; 0 for all.", 0)
+    flags.DEFINE_integer("num_partial", 2048, "Points of a partial cloud.", 1)
+    flags.DEFINE_integer("num_complete", 16_384, "Points of a complete cloud.", 1)
+    flags.DEFINE_integer("num_workers", None, "By default one for every core.", 0)
+
+
+def main(argv):
+    """Packs what is missing, and prints the folder."""
+    del argv
+    sources = {}
+    for name in FLAGS.dataset:
+        build_if_missing(name, FLAGS.split, FLAGS.data_dir)
+        sources[name] = open_dataset(name, FLAGS.split, FLAGS.data_dir)
+    config = PackConfig(FLAGS.num_partial, FLAGS.num_complete, FLAGS.limit)
+    folder = pathlib.Path(FLAGS.output_dir) / FLAGS.split
+    print(pack(sources, folder, config, FLAGS.num_workers))
+
+
+def run():
+    """The entry point."""
+    define_flags()
+    launch("pack", main)
+
+
+if __name__ == "__main__":
+    run()

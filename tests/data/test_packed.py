@@ -1,0 +1,162 @@
+"""Packed sources: what comes back, whole shards, and several sources together."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from prism_jax.data import packed
+from prism_jax.data.builds import MANIFEST
+from prism_jax.data.datasets import open_dataset, open_training
+from prism_jax.data.packed import PackConfig, Packed, pack
+from prism_jax.data.pipeline import Framing, frame_example
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.data.source import Example, Source
+from prism_jax.io.errors import InputError
+
+CONFIG = PackConfig(num_partial=64, num_complete=128)
+
+
+class Balls:
+    """Ordered clouds of any place and size, some without a known sensor."""
+
+    categories, views = ("ball", "egg"), 1
+
+    def __init__(self, count=5):
+        self.count = count
+
+    def __len__(self):
+        return self.count
+
+    def __getitem__(self, index):
+        rng = np.random.default_rng(range(self.count)[index])
+        cloud = rng.normal(size=(200, 3)) * 10.0**index + 100 * index
+        cloud = cloud.astype(np.float32)
+        eye = None if index % 2 else np.float32([index, 2, 3])
+        category = self.categories[index % 2]
+        return Example(cloud, cloud[:90], eye, category, f"{index}", ordered=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    sources = {"balls": Balls(), "cells": RecordedCells.bundled()}
+    folder = tmp_path_factory.mktemp("packed") / "train"
+    return pack(sources, folder, CONFIG, num_workers=0, progress=False)
+
+
+def test_clouds_come_back_to_half_a_step(folder):
+    source = Packed(folder)
+    assert isinstance(source, Source)
+    for index in range(5):
+        given, found = Balls()[index], source[index]
+        side = np.ptp(given.complete, axis=0).max()
+        for cloud, whole in (
+            (found.partial, given.partial[:64]),
+            (found.complete, given.complete[:128]),
+        ):
+            assert cloud.dtype == np.float32
+            # Half a step, and the rounding of single precision far from the origin.
+            bound = 0.51 * side / 65535 + 2e-7 * np.abs(whole).max()
+            assert np.abs(cloud - whole).max() <= bound
+        assert (found.category, found.name) == (given.category, f"balls/{index}")
+        assert found.ordered
+        if given.eye is None:
+            assert found.eye is None
+        else:
+            np.testing.assert_array_equal(found.eye, given.eye)
+
+
+def test_unordered_clouds_are_ordered(folder):
+    """Framed for a training they are what they were, to a step."""
+    framing = Framing(32, 64, 1.4)
+    given = frame_example(RecordedCells.bundled()[3], framing)
+    found = frame_example(Packed(folder)[5 + 3], framing)
+    half = float(given.half_extent)
+    assert float(found.half_extent) == pytest.approx(half, rel=0.05)
+    partial = found.partial * found.half_extent
+    center = (given.partial * half)[0] - partial[0]
+    np.testing.assert_allclose(partial + center, given.partial * half, atol=1e-3 * half)
+
+
+def test_sources_stand_one_after_the_other(folder):
+    source = Packed(folder)
+    assert len(source) == 5 + 20
+    assert set(source.categories) == {"ball", "egg", "robot cell"}
+    assert source[5].name == f"cells/{RecordedCells.bundled()[0].name}"
+    with pytest.raises(IndexError):
+        source[25]
+    again = pickle.loads(pickle.dumps(source))
+    np.testing.assert_array_equal(again[7].complete, source[7].complete)
+
+
+def test_a_limit_takes_evenly(tmp_path):
+    config = PackConfig(8, 8, limit=3)
+    pack({"a": Balls(9), "b": Balls(2)}, tmp_path / "x", config, 0, False)
+    names = [Packed(tmp_path / "x")[i].name for i in range(5)]
+    assert names == ["a/0", "a/4", "a/8", "b/0", "b/1"]
+
+
+def test_bytes_are_the_same_and_a_broken_build_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(packed, "SHARD_EXAMPLES", 2)
+    one, other = tmp_path / "one", tmp_path / "other"
+    pack({"balls": Balls()}, one, CONFIG, 0, False)
+    build_shard = packed._build_shard
+
+    def broken(*arguments):
+        if arguments[-1] == 1:
+            raise KeyboardInterrupt
+        build_shard(*arguments)
+
+    monkeypatch.setattr(packed, "_build_shard", broken)
+    with pytest.raises(KeyboardInterrupt):
+        pack({"balls": Balls()}, other, CONFIG, 0, False)
+    with pytest.raises(InputError, match="broken off"):
+        Packed(other)
+    monkeypatch.setattr(packed, "_build_shard", build_shard)
+    pack({"balls": Balls()}, other, CONFIG, 0, False)
+    files = json.loads((one / MANIFEST).read_text())["files"]
+    assert files == json.loads((other / MANIFEST).read_text())["files"]
+    assert len(files) == 3 * 5
+
+
+def test_what_is_damaged_or_missing_is_refused(tmp_path, folder):
+    with pytest.raises(InputError, match="not built"):
+        Packed(tmp_path / "nothing")
+    pack({"balls": Balls()}, tmp_path / "x", CONFIG, 0, False)
+    path = next((tmp_path / "x").glob("*.partial.npy"))
+    path.write_bytes(path.read_bytes()[:-1] + b"x")
+    with pytest.raises(InputError, match="sha256"):
+        Packed(tmp_path / "x")
+
+
+def test_an_example_without_a_partial_is_refused(tmp_path):
+    class Whole(Balls):
+        def __getitem__(self, index):
+            return super().__getitem__(index)._replace(partial=None)
+
+    with pytest.raises(InputError, match="both clouds"):
+        pack({"whole": Whole()}, tmp_path / "x", CONFIG, 0, False)
+
+
+def test_one_point_and_a_flat_cloud(tmp_path):
+    class Degenerate(Balls):
+        def __getitem__(self, index):
+            cloud = np.full((1, 3), 7.0, np.float32)
+            if index:
+                cloud = np.float32([[0, 0, 5], [1, 0, 5], [0, 2, 5]])
+            return Example(cloud, cloud[:1], None, "ball", f"{index}", ordered=False)
+
+    pack({"d": Degenerate(2)}, tmp_path / "x", PackConfig(4, 4), 0, False)
+    point, flat = Packed(tmp_path / "x")[0], Packed(tmp_path / "x")[1]
+    np.testing.assert_allclose(point.complete, np.full((4, 3), 7.0))
+    np.testing.assert_allclose(flat.complete[:, 2], 5.0)
+    assert np.ptp(flat.complete[:, 1]) == pytest.approx(2, abs=1e-4)
+
+
+def test_opens_as_a_data_set_and_for_a_training(folder, tmp_path):
+    pack({"balls": Balls(3)}, tmp_path / "validation", CONFIG, 0, False)
+    (tmp_path / "train").symlink_to(folder)
+    train, validation = open_training("packed", tmp_path)
+    assert (len(train), len(validation)) == (25, 3)
+    assert open_dataset("packed", "validation", tmp_path)[0].name == "balls/0"
