@@ -17,7 +17,7 @@ FLAGS = flags.FLAGS
 
 def define_training_flags() -> None:
     """The flags of a launcher that trains."""
-    flags.DEFINE_string("preset", "small", "Configuration: tiny, small or paper.")
+    flags.DEFINE_string("preset", "small", "Configuration: tiny, small, paper or plus.")
     flags.DEFINE_string("workdir", None, "Run directory.", required=True)
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
     flags.DEFINE_bool("resume", False, "Go on with the run in --workdir.")

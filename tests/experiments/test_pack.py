@@ -1,0 +1,49 @@
+"""The command that packs: what a training then opens."""
+
+import sys
+
+import pytest
+from absl import flags
+
+from experiments import pack
+from prism_jax.data.datasets import open_dataset
+from prism_jax.data.recordings import RecordedCells
+
+OWN = ["dataset", "data_dir", "split", "output_dir", "limit", "num_partial"]
+OWN += ["num_complete", "num_workers"]
+
+
+def run(*arguments) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["pack", *arguments])
+        try:
+            with pytest.raises(SystemExit) as ended:
+                pack.run()
+        finally:
+            for name in OWN:
+                delattr(flags.FLAGS, name)
+    return ended.value.code or 0
+
+
+def test_packs_a_split_and_does_not_do_it_twice(tmp_path, capsys):
+    root = RecordedCells.bundled().root
+    place = ["--dataset=recordings", f"--data_dir={root}", "--split=all"]
+    sizes = ["--limit=2", "--num_partial=32", "--num_complete=64", "--num_workers=0"]
+    assert run(*place, *sizes, f"--output_dir={tmp_path}") == 0
+    assert str(tmp_path / "all") in capsys.readouterr().out
+    source = open_dataset("packed", "all", tmp_path)
+    assert len(source) == 2
+    assert source[0].partial.shape == (32, 3)
+    assert source[1].name == f"recordings/{RecordedCells.bundled()[19].name}"
+    before = {path: path.stat().st_mtime_ns for path in source.root.iterdir()}
+    assert run(*place, *sizes, f"--output_dir={tmp_path}") == 0
+    assert before == {path: path.stat().st_mtime_ns for path in source.root.iterdir()}
+
+
+def test_other_sizes_are_not_mixed_in(tmp_path, capsys):
+    root = RecordedCells.bundled().root
+    place = ["--dataset=recordings", f"--data_dir={root}", "--split=all", "--limit=1"]
+    where = [f"--output_dir={tmp_path}", "--num_workers=0"]
+    assert run(*place, *where, "--num_complete=64") == 0
+    assert run(*place, *where, "--num_complete=32") == 2
+    assert "other settings (num_complete)" in capsys.readouterr().err
