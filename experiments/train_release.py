@@ -4,6 +4,7 @@ python -m experiments.train_release --preset=small --workdir=DIR
 """
 
 import pathlib
+import signal
 import subprocess
 import sys
 from typing import NamedTuple
@@ -96,6 +97,8 @@ def main(argv):
     """Runs what is not done yet, each command as its own process."""
     del argv
     resolve(FLAGS.preset, FLAGS.set)  # a mistake in the flags shows at once
+    # `subprocess.run` kills its command when it is left by an exception.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     folder = make_output_dir(pathlib.Path(FLAGS.workdir)).resolve()
     steps = plan(folder)
     for number, step in enumerate(steps, start=1):
