@@ -141,14 +141,13 @@ _PAPER_META = MetaTrainConfig(MetaConfig(remat=True), at_once=4)
 
 # The paper's sizes and samples with what helped `small` on validation.
 _PLUS = Preset(
-    AdaptConfig(
-        ModelConfig(
+    dataclasses.replace(
+        _SMALL_ADAPT,
+        model=ModelConfig(
             dataclasses.replace(_PAPER, seeds_from_patches=True),
             AuxiliaryConfig(max_coordinate=2.0),
         ),
-        step_size=_SMALL_ADAPT.step_size,
-        clip_norm=_SMALL_ADAPT.clip_norm,
-        normal_stride=_SMALL_ADAPT.normal_stride,
+        num_steps=AdaptConfig().num_steps,
     ),
     _PAPER_PRETRAIN,
     dataclasses.replace(

@@ -5,6 +5,7 @@ it is scored, so that results of several normalisations have the same unit.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float32
@@ -71,6 +72,22 @@ def scored_in(example: Example, protocol: Protocol) -> Workspace:
         return Workspace(np.zeros(3), np.ones(()))
     assert example.complete is not None
     return Workspace.from_points(example.complete.astype(np.float64), 1.0)
+
+
+def into_scored(
+    example: Example, protocol: Protocol
+) -> tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]:
+    """Two functions into the frame of the scores: of clouds in the example's own frame,
+    and of clouds in the workspace."""
+    workspace, frame = workspace_for(example, protocol), scored_in(example, protocol)
+
+    def from_own(cloud: np.ndarray) -> np.ndarray:
+        return np.asarray(frame.to_unit(cloud.astype(np.float64)))
+
+    def from_workspace(cloud: np.ndarray) -> np.ndarray:
+        return from_own(np.asarray(workspace.from_unit(cloud.astype(np.float64))))
+
+    return from_own, from_workspace
 
 
 def given(

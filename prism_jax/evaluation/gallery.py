@@ -7,14 +7,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from PIL import ImageColor
 from scipy.spatial import KDTree
 
 from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
-from prism_jax.data.contact_sheet import Row, draw_clouds
+from prism_jax.data.contact_sheet import Color, Row, draw_clouds
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
-from prism_jax.evaluation.frames import Protocol, given, scored_in, workspace_for
+from prism_jax.evaluation.frames import Protocol, given, into_scored
 from prism_jax.evaluation.run import CompleteFn
 from prism_jax.figures import (
     COMPLETED_COLOR,
@@ -64,6 +65,11 @@ class Shown(NamedTuple):
     toward_viewer: Float[np.ndarray, "3"]
 
     @property
+    def completed(self) -> Float[np.ndarray, "_ 3"]:
+        """The measured points, and then the added ones."""
+        return np.concatenate([self.measured, self.added])
+
+    @property
     def label(self) -> str:
         before, after = 1e4 * self.before, 1e4 * self.after
         return f"{self.name}: CD-L2 x1e4 {before:.4g}, completed {after:.4g}"
@@ -89,14 +95,7 @@ def _shown(
     protocol: Protocol,
 ) -> Shown:
     assert example.partial is not None and example.complete is not None
-    workspace, frame = workspace_for(example, protocol), scored_in(example, protocol)
-
-    def scaled(cloud: np.ndarray) -> np.ndarray:
-        return np.asarray(frame.to_unit(cloud.astype(np.float64)))
-
-    def from_workspace(cloud: np.ndarray) -> np.ndarray:
-        return scaled(np.asarray(workspace.from_unit(cloud.astype(np.float64))))
-
+    scaled, from_workspace = into_scored(example, protocol)
     measured, complete = scaled(example.partial), scaled(example.complete)
     predicted = from_workspace(output)
     added = predicted[keep_unmeasured(predicted, measured, from_workspace(partial))]
@@ -121,31 +120,23 @@ def _chamfer(errors: np.ndarray, cloud: np.ndarray, complete: np.ndarray) -> flo
 
 def picture_row(shown: Shown, size: int) -> Row:
     """Four square pictures, in the order of `COLUMNS`, all from one side."""
-    everything = np.concatenate([shown.complete, shown.measured, shown.added])
+    everything = np.concatenate([shown.complete, shown.completed])
     center = (everything.min(0) + everything.max(0)) / 2
     eye = center + 4.0 * np.ptp(everything, axis=0).max() * shown.toward_viewer
     camera = Camera.framing(jnp.asarray(everything), eye, 1.05, size, size)
-    seen, added, truth = (
-        _per_point(color, cloud)
-        for color, cloud in (
-            (OBSERVED_COLOR, shown.measured),
-            (COMPLETED_COLOR, shown.added),
-            (GROUND_TRUTH_COLOR, shown.complete),
-        )
-    )
-    completed = np.concatenate([shown.measured, shown.added])
+    measured = shown.measured, _rgb(OBSERVED_COLOR)
     pictures = (
-        [(shown.measured, seen)],
-        [(shown.added, added), (shown.measured, seen)],
-        [(shown.complete, truth)],
-        [(completed, distance_colors(shown.errors))],
+        [measured],
+        [(shown.added, _rgb(COMPLETED_COLOR)), measured],
+        [(shown.complete, _rgb(GROUND_TRUTH_COLOR))],
+        [(shown.completed, distance_colors(shown.errors))],
     )
     return Row(shown.label, [draw_clouds(clouds, camera) for clouds in pictures])
 
 
-def _per_point(css: str, cloud: np.ndarray) -> Float[np.ndarray, "N 3"]:
-    color = np.array([float(channel) for channel in css[4:-1].split(",")]) / 255
-    return np.tile(color, (len(cloud), 1))
+def _rgb(css: str) -> Color:
+    red, green, blue = ImageColor.getrgb(css)[:3]
+    return red / 255, green / 255, blue / 255
 
 
 def gallery_page(shown: Sequence[Shown], caption: str) -> str:
@@ -163,8 +154,7 @@ def _view(shown: Shown) -> View:
     measured = Cloud("measured", shown.measured, OBSERVED_COLOR)
     added = Cloud("added", shown.added, COMPLETED_COLOR)
     truth = Cloud("ground truth", shown.complete, GROUND_TRUTH_COLOR)
-    completed = np.concatenate([shown.measured, shown.added])
-    errors = Cloud("distance", completed, COMPLETED_COLOR, shown.errors)
+    errors = Cloud("distance", shown.completed, COMPLETED_COLOR, shown.errors)
     clouds = ([measured], [measured, added], [truth], [errors])
     return View(
         [Panel(t, c) for t, c in zip(COLUMNS, clouds, strict=True)],

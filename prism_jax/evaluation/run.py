@@ -22,8 +22,7 @@ from prism_jax.evaluation.frames import (
     UNITS,
     Protocol,
     given,
-    scored_in,
-    workspace_for,
+    into_scored,
 )
 from prism_jax.evaluation.scoring import EMD_POINTS, Scene, score
 from prism_jax.evaluation.summary import Scores, summarise
@@ -142,14 +141,7 @@ def _score(item: _Item, protocol: Protocol) -> Scores:
     """One example's scores, in their frame."""
     example, accepted = item.example, item.completed.get("accepted")
     assert example.partial is not None and example.complete is not None
-    workspace, frame = workspace_for(example, protocol), scored_in(example, protocol)
-
-    def scaled(cloud: np.ndarray) -> np.ndarray:
-        return np.asarray(frame.to_unit(cloud.astype(np.float64)))
-
-    def from_workspace(cloud: np.ndarray) -> np.ndarray:
-        return scaled(np.asarray(workspace.from_unit(cloud.astype(np.float64))))
-
+    scaled, from_workspace = into_scored(example, protocol)
     few = first_points(example.complete, EMD_POINTS, example.ordered)
     scene = Scene(
         complete=scaled(example.complete),

@@ -1,7 +1,5 @@
 """Cosines of gradients, against finite steps along them."""
 
-import sys
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,8 +8,8 @@ from jax.flatten_util import ravel_pytree
 
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Protocol, agreement, agreement_markdown
-from prism_jax.evaluation.agreement import LOSSES, cosines_of
+from prism_jax.evaluation import Protocol, agreement, agreement_markdown, gradients
+from prism_jax.evaluation.gradients import LOSSES, cosines_of
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.initial import init_variables
@@ -67,8 +65,7 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
             prediction
         )
 
-    module = sys.modules[cosines_of.__module__]  # its name is also the function's
-    monkeypatch.setattr(module, "test_time_objective", itself)
+    monkeypatch.setattr(gradients, "test_time_objective", itself)
     found = jax.jit(cosines_of(CONFIG))(
         variables, partial, EYE, complete, jax.random.key(0)
     )
