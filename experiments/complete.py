@@ -19,6 +19,7 @@ from prism_jax.completion_job import CompletionJob
 from prism_jax.io import InputError
 
 FLAGS = flags.FLAGS
+LIST = "list"
 
 
 def define_flags() -> None:
@@ -54,7 +55,9 @@ def define_flags() -> None:
             "image, as in a camera's frame, and z for a cloud.",
         ),
         flags.DEFINE_string(
-            "weights", default.weights, "Name of released weights, or a file of them."
+            "weights",
+            default.weights,
+            f"Name of released weights, or a file of them; {LIST} prints what ships.",
         ),
         flags.DEFINE_bool(
             "adapt", default.adapt, "Adapt the network to the scan before completing."
@@ -73,6 +76,9 @@ def main(argv: Sequence[str]) -> None:
     try:
         if len(argv) > 1:
             raise InputError(argv[1], "is no flag", f"write --input={argv[1]}")
+        if FLAGS.weights == LIST:
+            print(shipped())
+            return
         job = CompletionJob(
             input=FLAGS.input,
             ground_truth=FLAGS.ground_truth,
@@ -87,6 +93,15 @@ def main(argv: Sequence[str]) -> None:
     except InputError as error:
         completion_job.say(str(error))
         sys.exit(2)
+
+
+def shipped() -> str:
+    """A card of all weights that ship."""
+    # It imports the data sets and the scores, which a completion does not wait for.
+    from prism_jax.model_card import model_card
+    from prism_jax.weights import available_weights
+
+    return "\n".join(model_card(name) for name in available_weights())
 
 
 def outcome(summary: dict[str, Any], output_dir: str) -> str:

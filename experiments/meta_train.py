@@ -14,6 +14,7 @@ from experiments.training import (
     join_processes,
     training_data,
 )
+from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
@@ -46,7 +47,7 @@ def main(argv):
             "preset": FLAGS.preset,
             "seed": FLAGS.seed,
             "commit": started_from(folder),
-            "data": FLAGS.dataset,
+            "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
             "samples": config.num_samples,
             "meta": dataclasses.asdict(config),
             "pretrained": before,
@@ -68,7 +69,7 @@ def _start(preset: Preset) -> tuple[Variables, dict | None]:
     if adapt.model != preset.model:
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
-    known = ("preset", "seed", "commit", "data", "samples")
+    known = ("preset", "seed", "commit", "data", "samples", "pretrained")
     metadata = read_metadata(FLAGS.weights)
     return variables, {key: metadata[key] for key in known if key in metadata}
 

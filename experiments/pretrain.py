@@ -13,6 +13,7 @@ from experiments.training import (
     join_processes,
     training_data,
 )
+from prism_jax.data.datasets import parts_of
 from prism_jax.presets import resolve
 from prism_jax.training.run import open_run, started_from
 from prism_jax.training.stages import pretrain
@@ -39,7 +40,7 @@ def main(argv):
         "preset": FLAGS.preset,
         "seed": FLAGS.seed,
         "commit": started_from(folder),
-        "data": FLAGS.dataset,
+        "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
         "samples": sum(leg.num_samples for leg in config.backbone),
     }
     path = folder / "weights.safetensors"

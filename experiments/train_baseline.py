@@ -9,6 +9,7 @@ from absl import flags
 
 from experiments.launch import launch, with_large_pages
 from experiments.training import define_training_flags, join_processes, training_data
+from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
 from prism_jax.models.baselines.networks import NETWORKS
 from prism_jax.presets import resolve
@@ -52,7 +53,7 @@ def main(argv):
         about = {
             "seed": FLAGS.seed,
             "commit": started_from(folder),
-            "data": FLAGS.dataset,
+            "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
             "samples": num_samples,
         }
         path = folder / "weights.safetensors"

@@ -11,6 +11,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 LAYERS = (
     "experiments",
     "prism_jax",
+    "prism_jax.model_card",
     "prism_jax.completion_job prism_jax.evaluation",
     "prism_jax.completion prism_jax.export",
     "prism_jax.weights",

@@ -3,9 +3,19 @@
 import functools
 from collections.abc import Iterator
 
+import jax
+import numpy as np
+
 from experiments.benchmarks.measure import Row, in_turn, row
+from prism_jax import metrics
+from prism_jax.completion import keep_unmeasured
+from prism_jax.data.partials import farthest_point_order, first_points
+from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Protocol, evaluate, prism_completer
+from prism_jax.data.source import Source
+from prism_jax.evaluation import CompleteFn, Protocol, evaluate, prism_completer
+from prism_jax.evaluation.frames import given, into_scored
+from prism_jax.evaluation.scoring import EMD_POINTS
 from prism_jax.weights import load_pretrained
 
 MOST = 1 / 5
@@ -13,18 +23,50 @@ MOST = 1 / 5
 
 def suite(weights: str = "small") -> Iterator[Row]:
     """The frames that ship, twenty at once and scored on all cores, against each
-    completed and then scored alone; with and without the earth mover's distance."""
+    completed alone and each of its clouds scored by the functions of
+    `prism_jax.metrics`, and against batches of one in one thread."""
     config, variables = load_pretrained(weights)
     source = RecordedCells.bundled()
     completer = prism_completer(config, variables)
-    sizes = config.model.backbone.num_points, config.model.margin
-    for with_emd in (True, False):
-        protocol = Protocol(*sizes, with_emd=with_emd)
-        run = functools.partial(evaluate, completer, source, protocol)
-        ours, theirs = in_turn(
-            lambda run=run: run(batch_size=len(source)),
-            lambda run=run: run(batch_size=1, num_workers=1),
-        )
-        suffix = "" if with_emd else " without EMD"
-        name = f"{weights}, {len(source)} frames evaluated{suffix}"
-        yield row(name, ours, "one after the other", theirs, MOST)
+    protocol = Protocol(config.model.backbone.num_points, config.model.margin)
+    run = functools.partial(evaluate, completer, source, protocol)
+    ours, separate, batches_of_one = in_turn(
+        lambda: run(batch_size=len(source)),
+        lambda: score_separately(completer, source, protocol),
+        lambda: run(batch_size=1, num_workers=1),
+    )
+    name = f"{weights}, {len(source)} frames evaluated"
+    yield row(name, ours, "frame by frame, cloud by cloud", separate, MOST)
+    yield row(name, ours, "batches of one", batches_of_one)
+
+
+def score_separately(
+    completer: CompleteFn, source: Source, protocol: Protocol
+) -> list[dict[str, dict[str, float]]]:
+    """What `evaluate` scores, of one frame and cloud after the other."""
+    rows = []
+    for example in (with_partial(source[index]) for index in range(len(source))):
+        partial, eye = given(example, protocol)
+        done = jax.device_get(completer(partial[None], eye[None]))
+        assert example.complete is not None and example.partial is not None
+        from_own, from_workspace = into_scored(example, protocol)
+        complete, measured = from_own(example.complete), from_own(example.partial)
+        few = first_points(complete, EMD_POINTS, example.ordered)
+        clouds = {"control": measured}
+        for name in ("output", "unadapted"):
+            cloud = from_workspace(done[name][0])
+            keep = keep_unmeasured(cloud, measured, from_workspace(partial))
+            merged = np.concatenate([measured, cloud[keep]])
+            clouds |= {name: cloud, f"{name}, merged": merged}
+        scores = {}
+        for name, cloud in clouds.items():
+            fewer = farthest_point_order(cloud, EMD_POINTS)
+            scores[name] = {
+                "cd_l2": metrics.cd_l2(cloud, complete),
+                "cd_l1": metrics.cd_l1(cloud, complete),
+                "f_score": metrics.f_score(cloud, complete),
+                "emd": metrics.emd(fewer, few),
+                "hd": metrics.hausdorff(cloud, complete),
+            }
+        rows.append(scores)
+    return rows

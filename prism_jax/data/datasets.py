@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from prism_jax.data.builds import MANIFEST
+from prism_jax.data.builds import MANIFEST, read_manifest
 from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
 from prism_jax.data.packed import Packed
 from prism_jax.data.public import PUBLIC_SETS, open_public
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.roboarm.build import build_roboarm
+from prism_jax.data.roboarm.models import arms_of
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
@@ -104,6 +105,24 @@ def open_training(
         rows = np.unique(np.linspace(0, len(validation) - 1, num_validation, dtype=int))
         return train, Subset(validation, rows)
     return hold_out(train, num_validation)
+
+
+def parts_of(name: str, data_dir: str | os.PathLike | None = None) -> list[str]:
+    """The sets that a training on this one sees: those packed into it, or itself."""
+    if name == "packed" and data_dir is not None:
+        manifest = read_manifest(pathlib.Path(data_dir) / "train", "pack it")
+        return sorted(manifest["sources"])
+    return [name]
+
+
+def mesh_licences(name: str) -> str:
+    """Whose meshes a set's training split is made of, and how they are licensed."""
+    if name == "shapes":
+        return "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
+    if name == "roboarm":
+        arms = ", ".join(f"{arm.name} {arm.licence}" for arm in arms_of("train"))
+        return f"arms of example-robot-data ({arms}), the rest procedural"
+    return "as its publisher licenses it"
 
 
 def hold_out(source: Source, count: int) -> tuple["Subset", "Subset"]:

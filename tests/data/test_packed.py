@@ -8,7 +8,7 @@ import pytest
 
 from prism_jax.data import packed
 from prism_jax.data.builds import MANIFEST
-from prism_jax.data.datasets import open_dataset, open_training
+from prism_jax.data.datasets import open_dataset, open_training, parts_of
 from prism_jax.data.packed import PackConfig, Packed, pack
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.data.recordings import RecordedCells
@@ -65,6 +65,10 @@ def test_clouds_come_back_to_half_a_step(folder):
             assert found.eye is None
         else:
             np.testing.assert_array_equal(found.eye, given.eye)
+
+
+def test_the_parts_are_named(folder):
+    assert parts_of("packed", folder.parent) == ["balls", "cells"]
 
 
 def test_unordered_clouds_are_ordered(folder):

@@ -13,6 +13,7 @@ from absl import flags
 
 from experiments import complete
 from prism_jax import completion_job
+from prism_jax.weights import available_weights
 from tests.fake_completer import FakeCompleter
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -99,6 +100,15 @@ def test_without_input_it_completes_the_sample(monkeypatch, folder):
     assert run() == 0
     result = json.loads(pathlib.Path("prism_output/result.json").read_text())
     assert result["input"]["file"] == str(folder / "scan.npy")
+
+
+def test_lists_the_weights_that_ship(capsys):
+    assert run("--weights=list") == 0
+    printed = capsys.readouterr().out
+    assert [line for line in printed.splitlines() if line.startswith("# ")] == [
+        f"# {name}" for name in available_weights()
+    ]
+    assert not os.path.exists("prism_output")
 
 
 FAULTS = [

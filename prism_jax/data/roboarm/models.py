@@ -28,6 +28,7 @@ class ArmModel:
         whose next link hangs lower.
       tool_link: a two-finger gripper is put on this link of an arm without a hand,
         pointing along the link's `tool_axis`.
+      licence: of its meshes, as `example-robot-data` gives it.
     """
 
     name: str
@@ -38,6 +39,7 @@ class ArmModel:
     spacer: float = 0.0
     tool_link: str | None = None
     tool_axis: str = "z"
+    licence: str = "its owner's"
 
 
 ARMS = {
@@ -49,18 +51,21 @@ ARMS = {
             "arm_1_link",
             spacer=0.12,
             tool_link="wrist_ft_tool_link",
+            licence="Apache-2.0",
         ),
         ArmModel(
             "pr2",
             "Willow Garage",
             "pr2_description/urdf/pr2.urdf",
             "r_shoulder_pan_link",
+            licence="BSD",
         ),
         ArmModel(
             "tiago_pro",
             "PAL",
             "tiago_pro_description/robots/tiago_pro.urdf",
             "arm_left_1_link",
+            licence="Apache-2.0",
         ),
         ArmModel(
             "romeo",
@@ -69,6 +74,7 @@ ARMS = {
             "LShoulderPitchLink",
             (0.0, -90.0, 0.0),
             spacer=0.1,
+            licence="BSD",
         ),
         ArmModel(
             "talos",
@@ -77,10 +83,16 @@ ARMS = {
             None,
             (180.0, 0.0, 0.0),
             spacer=0.15,
+            licence="Apache-2.0",
         ),
     ),
     "validation": (
-        ArmModel("so101", "SO-ARM", "so_arm_description/urdf/so101.urdf"),
+        ArmModel(
+            "so101",
+            "SO-ARM",
+            "so_arm_description/urdf/so101.urdf",
+            licence="Apache-2.0",
+        ),
         ArmModel(
             "centauro",
             "IIT",
@@ -88,32 +100,50 @@ ARMS = {
             "arm1_1",
             (180.0, 0.0, 0.0),
             spacer=0.15,
+            licence="Apache-2.0",
         ),
-        ArmModel("so100", "SO-ARM", "so_arm_description/urdf/so100.urdf"),
+        ArmModel(
+            "so100",
+            "SO-ARM",
+            "so_arm_description/urdf/so100.urdf",
+            licence="Apache-2.0",
+        ),
     ),
     "test": (
-        ArmModel("panda", "Franka", "panda_description/urdf/panda.urdf"),
-        ArmModel("ur5", "Universal Robots", "ur_description/urdf/ur5_gripper.urdf"),
-        ArmModel("jaco", "Kinova", "kinova_description/robots/kinova.urdf"),
+        ArmModel(
+            "panda", "Franka", "panda_description/urdf/panda.urdf", licence="Apache-2.0"
+        ),
+        ArmModel(
+            "ur5",
+            "Universal Robots",
+            "ur_description/urdf/ur5_gripper.urdf",
+            licence="BSD",
+        ),
+        ArmModel(
+            "jaco", "Kinova", "kinova_description/robots/kinova.urdf", licence="BSD"
+        ),
         ArmModel(
             "xarm7",
             "UFACTORY",
             "xarm_description/urdf/xarm7.urdf",
             tool_link="link_eef",
+            licence="BSD-3-Clause",
         ),
         ArmModel(
             "baxter",
             "Rethink",
             "baxter_description/urdf/baxter.urdf",
             "left_upper_shoulder",
+            licence="BSD",
         ),
-        ArmModel("z1", "Unitree", "z1_description/urdf/z1.urdf"),
+        ArmModel("z1", "Unitree", "z1_description/urdf/z1.urdf", licence="MPL-2.0"),
         ArmModel(
             "ur10",
             "Universal Robots",
             "ur_description/urdf/ur10_robot.urdf",
             tool_link="ee_link",
             tool_axis="x",
+            licence="BSD",
         ),
     ),
 }
