@@ -103,7 +103,7 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
         subplot_titles=titles,
         horizontal_spacing=0.01,
     )
-    distance = 0.9 + 0.4 * len(titles)
+    distance = 1.3 + 0.4 * len(titles)
     owners, cameras = [], {}
     for label, view in views.items():
         eye = _vector(distance * view.toward_viewer)
@@ -117,15 +117,28 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
                 figure.add_trace(trace, 1, column)
                 in_legend.add(cloud.name)
                 owners.append(label)
-    shown = [c.points for v in views.values() for p in v.panels for c in p.clouds]
+    clouds = [c for v in views.values() for p in v.panels for c in p.clouds]
     figure.update_scenes(
-        _box(np.concatenate(shown)),
+        _box(np.concatenate([cloud.points for cloud in clouds])),
         dragmode="orbit",
         camera=next(iter(cameras.values())),
     )
     if len(views) > 1:
         scenes = ["scene", *(f"scene{i}" for i in range(2, len(titles) + 1))]
         figure.update_layout(updatemenus=[_menu(owners, cameras, scenes)])
+    if any(cloud.distances is not None for cloud in clouds):
+        figure.update_layout(
+            coloraxis={
+                "colorscale": [[s, _css(c)] for s, c in DISTANCE_COLORS],
+                "cmin": 0.0,
+                "cmax": FAR,
+                "colorbar": {
+                    "title": {"text": "distance"},
+                    "thickness": 14,
+                    "len": 0.8,
+                },
+            }
+        )
     return _styled(figure, height=520 if len(views) == 1 else 640).update_layout(
         legend={
             "orientation": "h",
@@ -134,12 +147,6 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
             "xanchor": "center",
             "y": 0,
             "yanchor": "top",
-        },
-        coloraxis={
-            "colorscale": [[s, _css(c)] for s, c in DISTANCE_COLORS],
-            "cmin": 0.0,
-            "cmax": FAR,
-            "colorbar": {"title": {"text": "distance"}, "thickness": 14, "len": 0.8},
         },
         margin={"t": 64 if len(views) == 1 else 104},
     )
