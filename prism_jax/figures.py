@@ -127,18 +127,9 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
         scenes = ["scene", *(f"scene{i}" for i in range(2, len(titles) + 1))]
         figure.update_layout(updatemenus=[_menu(owners, cameras, scenes)])
     if any(cloud.distances is not None for cloud in clouds):
-        figure.update_layout(
-            coloraxis={
-                "colorscale": [[s, _css(c)] for s, c in DISTANCE_COLORS],
-                "cmin": 0.0,
-                "cmax": FAR,
-                "colorbar": {
-                    "title": {"text": "distance"},
-                    "thickness": 14,
-                    "len": 0.8,
-                },
-            }
-        )
+        bar = {"title": {"text": "distance"}, "thickness": 14, "len": 0.8}
+        scale = [[share, _css(color)] for share, color in DISTANCE_COLORS]
+        figure.update_coloraxes(colorscale=scale, cmin=0, cmax=FAR, colorbar=bar)
     return _styled(figure, height=520 if len(views) == 1 else 640).update_layout(
         legend={
             "orientation": "h",
