@@ -62,7 +62,8 @@ def main(argv):
     for label, (config, variables) in loaded.items():
         if label == NONE:
             config = dataclasses.replace(config, num_steps=0)
-        found = scored(prism_completer(config, variables), source, protocol)
+        measured = dataclasses.replace(protocol, with_measured=label == NONE)
+        found = scored(prism_completer(config, variables), source, measured)
         if label == NONE:
             rows["partial itself"] = Row(found, "control")
         else:

@@ -54,7 +54,8 @@ def main(argv):
         META: load_pretrained(FLAGS.weights),
     }
     own, variables = both[META]
-    source, protocol = open_split(FLAGS.split), make_protocol(own)
+    source = open_split(FLAGS.split)
+    protocol = dataclasses.replace(make_protocol(own), with_measured=False)
     rows = {}
     for name, (config, weights) in both.items():
         for steps in FLAGS.steps:

@@ -58,9 +58,10 @@ def main(argv):
     mirror = jax.jit(lambda partials: {"output": mirrored(partials, num_outputs)})
 
     def run(complete_fn):
-        return scored(complete_fn, source, protocol)
+        without = dataclasses.replace(protocol, with_measured=False)
+        return scored(complete_fn, source, without)
 
-    adapted = run(prism_completer(config, variables))
+    adapted = scored(prism_completer(config, variables), source, protocol)
     rows = {
         "partial itself": Row(adapted, "control"),
         "training mean": Row(

@@ -41,6 +41,8 @@ class Protocol:
         side spans [-1, 1], as in the paper, whatever the data set's unit. ``own``: as
         published tables of the data set have it.
       with_emd: whether the earth mover's distance is taken, which costs the most.
+      with_measured: whether the partial itself is scored, and the predictions with the
+        measured points kept; about half of the time.
     """
 
     num_partial: int
@@ -48,6 +50,7 @@ class Protocol:
     normalisation: str = "partial"
     unit: str = "complete"
     with_emd: bool = True
+    with_measured: bool = True
 
     def __post_init__(self):
         if self.normalisation not in NORMALISATIONS:

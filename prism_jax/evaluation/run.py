@@ -79,10 +79,10 @@ def evaluate(
 
     ``mean``, ``intervals`` and ``per_category`` are of the output; ``unadapted``,
     ``control`` (the partial itself), ``merged`` and ``merged_unadapted`` (the measured
-    points kept) have the same three. Distances are in ``unit``, squared where the
-    metric is, and nothing is scaled. ``accepted`` is the share of frames whose
-    adaptation was. ``per_example`` holds CD-L2 and F-score of every cloud, for
-    `paired_difference`.
+    points kept) have the same three; the last three only with
+    `Protocol.with_measured`. Distances are in ``unit``, squared where the metric is, and
+    nothing is scaled. ``accepted`` is the share of frames whose adaptation was.
+    ``per_example`` holds CD-L2 and F-score of every cloud, for `paired_difference`.
 
     Of the source's examples the first ``limit`` count; one without a complete cloud
     raises InputError. While one batch is completed, the one before is scored by
@@ -158,5 +158,5 @@ def _score(item: _Item, protocol: Protocol) -> Scores:
         example.name,
         example.category,
         None if accepted is None else bool(accepted),
-        score(scene, protocol.with_emd),
+        score(scene, protocol.with_emd, protocol.with_measured),
     )

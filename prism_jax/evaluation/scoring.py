@@ -47,24 +47,28 @@ class _Found(NamedTuple):
     rows: np.ndarray
 
 
-def score(scene: Scene, with_emd: bool = True) -> dict[str, dict[str, float]]:
-    """`METRICS` of ``control``, the partial itself, of each prediction, and of each
-    with the measured points kept (`MERGED`).
+def score(
+    scene: Scene, with_emd: bool = True, with_measured: bool = True
+) -> dict[str, dict[str, float]]:
+    """`METRICS` of each prediction and, `with_measured`, of ``control``, the partial
+    itself, and of each prediction with the measured points kept (`MERGED`).
 
     As the functions of `prism_jax.metrics` give them, but for the last bits. Without
     `with_emd`, ``emd`` is left out. Pure NumPy and SciPy on one thread, mostly without
     Python's lock.
     """
     tree = KDTree(scene.complete)
-    control = _find(scene.measured, scene.complete, tree)
-    found, predictions = {"control": control}, scene.predictions
+    found, predictions = {}, scene.predictions
+    if with_measured:
+        found["control"] = _find(scene.measured, scene.complete, tree)
     for name, cloud in predictions.items():
         if name != "output" and np.array_equal(cloud, predictions["output"]):
             continue  # Adaptation was not accepted.
-        prediction = _find(cloud, scene.complete, tree)
-        keep = keep_unmeasured(cloud, scene.measured, scene.partial)
-        found[name] = prediction
-        found[MERGED[name]] = _merged(control, prediction, keep, scene.complete)
+        found[name] = prediction = _find(cloud, scene.complete, tree)
+        if with_measured:
+            keep = keep_unmeasured(cloud, scene.measured, scene.partial)
+            merged = _merged(found["control"], prediction, keep, scene.complete)
+            found[MERGED[name]] = merged
     scores = {
         name: metrics.from_distances(one.forward, one.backward)
         for name, one in found.items()
@@ -75,12 +79,15 @@ def score(scene: Scene, with_emd: bool = True) -> dict[str, dict[str, float]]:
             for name, one in found.items()
         }
         # The partial is unlike the others, which are much like each other.
-        values = [metrics.emd(few.pop("control"), scene.few)]
-        values += metrics.emds(list(few.values()), scene.few)
-        for row, value in zip(scores.values(), values, strict=True):
-            row["emd"] = value
+        alike = [name for name in few if name != "control"]
+        for names in (few.keys() - alike, alike):
+            values = metrics.emds([few[name] for name in names], scene.few)
+            for name, value in zip(names, values, strict=True):
+                scores[name]["emd"] = value
     for name in predictions.keys() - scores.keys():
-        scores |= {name: scores["output"], MERGED[name]: scores["merged"]}
+        scores[name] = scores["output"]
+        if with_measured:
+            scores[MERGED[name]] = scores["merged"]
     return {
         name: {metric: row[metric] for metric in METRICS if metric in row}
         for name, row in scores.items()

@@ -45,6 +45,18 @@ def test_shared_searches_change_no_score():
             assert np.isclose(scores[name][metric], value, rtol=1e-12), (name, metric)
 
 
+def test_the_predictions_alone_have_the_same_scores():
+    output = RNG.normal(size=(300, 3))
+    both = scene(output=output, unadapted=output + 0.01)
+    whole, alone = score(both), score(both, with_measured=False)
+    assert list(alone) == ["output", "unadapted"]
+    for name, row in alone.items():
+        assert row == pytest.approx(whole[name], rel=1e-12)
+    same = scene(output=output, unadapted=output.copy())
+    scores = score(same, with_emd=False, with_measured=False)
+    assert list(scores) == ["output", "unadapted"]
+
+
 def test_equal_predictions_have_equal_scores():
     output = RNG.normal(size=(300, 3))
     scores = score(scene(output=output, unadapted=output.copy()), with_emd=False)
