@@ -107,7 +107,9 @@ def shipped() -> str:
 def outcome(summary: dict[str, Any], output_dir: str) -> str:
     """What was done, in three lines."""
     points, adapted = summary["points"], "not asked for"
-    if summary["adapt"]:
+    if summary["adapt"] and len(summary["losses"]["objective"]) == 1:
+        adapted = "none, these weights take no step"
+    elif summary["adapt"]:
         adapted = "accepted" if summary["accepted"] else "not accepted, left out"
     return (
         f"points      {points['observed']:,} observed, {points['completed']:,} added\n"

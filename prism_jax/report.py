@@ -122,8 +122,9 @@ def _verdict(summary: Mapping[str, Any]) -> str:
     objective = summary["losses"].get("objective") or [None]
     first, last = _number(objective[0]), _number(objective[-1])
     steps = f"{len(objective) - 1} step{'s' if len(objective) != 2 else ''}"
-    if not summary["adapt"]:
-        kind, text = "off", "Completed without test-time adaptation, as asked."
+    if len(objective) == 1:
+        why = "of which these weights take no step" if summary["adapt"] else "as asked"
+        kind, text = "off", f"Completed without test-time adaptation, {why}."
     elif summary["accepted"]:
         kind = "good"
         text = (

@@ -80,6 +80,7 @@ def test_says_what_result_json_says():
         (False, {}, "without test-time adaptation, as asked"),
         (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
         (False, {"losses": {}}, "without test-time adaptation"),
+        (True, {"losses": {"objective": [1.0]}}, "of which these weights take no step"),
     ],
 )
 def test_verdict(adapt, changes, verdict):

@@ -80,8 +80,8 @@ def evaluate(
     ``mean``, ``intervals`` and ``per_category`` are of the output; ``unadapted``,
     ``control`` (the partial itself), ``merged`` and ``merged_unadapted`` (the measured
     points kept) have the same three; the last three only with
-    `Protocol.with_measured`. Distances are in ``unit``, squared where the metric is, and
-    nothing is scaled. ``accepted`` is the share of frames whose adaptation was.
+    `Protocol.with_measured`. Distances are in ``unit``, squared where the metric is,
+    and nothing is scaled. ``accepted`` is the share of frames whose adaptation was.
     ``per_example`` holds CD-L2 and F-score of every cloud, for `paired_difference`.
 
     Of the source's examples the first ``limit`` count; one without a complete cloud

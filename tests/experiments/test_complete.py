@@ -82,7 +82,9 @@ def test_every_flag_reaches_the_job(monkeypatch):
     def record(job):
         jobs.append(job)
         points = {"observed": 0, "completed": 0}
-        return {"points": points, "adapt": job.adapt, "accepted": False}
+        losses = {"objective": [2.0, 1.0]}
+        told = {"points": points, "adapt": job.adapt, "accepted": False}
+        return told | {"losses": losses}
 
     monkeypatch.setattr(completion_job, "run_job", record)
     given = ["--input=a.ply", "--ground_truth", "b.ply", "--camera=c.json"]
@@ -93,6 +95,18 @@ def test_every_flag_reaches_the_job(monkeypatch):
         "a.ply", "b.ply", "c.json", "-1,-1,-1,1,1,1", "-y", "w", False, "d"
     )
     assert jobs == [expected, completion_job.CompletionJob()]
+
+
+def test_says_why_nothing_was_adapted():
+    points = {"observed": 1, "completed": 2}
+    summary = {"points": points, "adapt": True, "accepted": False}
+    held = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
+    assert "none, these weights take no step" in held
+    refused = complete.outcome(summary | {"losses": {"objective": [1.0, 2.0]}}, "out")
+    assert "not accepted, left out" in refused
+    summary["adapt"] = False
+    left_out = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
+    assert "not asked for" in left_out
 
 
 def test_without_input_it_completes_the_sample(monkeypatch, folder):
