@@ -21,7 +21,7 @@ FLAGS = flags.FLAGS
 
 
 def main(argv):
-    """Prints the mean cosine of every loss, with its interval."""
+    """Prints the mean cosine of every loss, and the error after a step along it."""
     del argv
     prepare_output()
     config, variables = load_pretrained(FLAGS.weights)

@@ -1,5 +1,5 @@
 """Whether a step that lowers a label-free loss also lowers the error: the cosines of
-their gradients in the point encoder."""
+their gradients in the point encoder, and the error after a step along each."""
 
 from collections.abc import Callable
 from typing import Any
@@ -26,6 +26,7 @@ from prism_jax.models.prism import Frame, hold_decoding, predict, prepare_frame
 from prism_jax.models.variables import Variables
 
 ERROR = "CD-L2 to the complete cloud"
+ORACLE = "that error itself, which nobody knows"
 LOSSES = (
     "depth consistency, Eq. 4",
     "normals, Eq. 5",
@@ -48,36 +49,46 @@ def agreement(
     limit: int | None = None,
     batch_size: int = 20,
 ) -> dict[str, Any]:
-    """Cosines between the gradients of `LOSSES` and that of `ERROR`, as JSON.
+    """Cosines between the gradients of `LOSSES` and that of `ERROR`, as JSON, and the
+    error after a step against each gradient.
 
     Of every example's own completion, with the samples and neighbours of the decoder
     held as adaptation holds them: ``mean`` over examples, its 95 % bootstrap
-    ``interval`` over objects, and the share that is ``positive``. Where a loss has no
-    gradient, its cosine counts as 0.
+    ``interval`` over objects, and the share that is ``positive``. A step has the length
+    ``config.step_size``; ``change`` is the mean share by which it raises the error, and
+    ``change_interval`` the same bootstrap of it. `ORACLE` steps against the error's own
+    gradient. Where a loss has no gradient, its cosine counts as 0 and nothing moves.
     """
     count = len(source) if limit is None else min(limit, len(source))
     size = min(batch_size, count)
-    cosines = jax.jit(jax.vmap(cosines_of(config), (None, 0, 0, 0, 0)))
+    followed = jax.jit(jax.vmap(gradients_followed(config), (None, 0, 0, 0, 0)))
     rows = []
     for start in tqdm(range(0, count, size), desc="gradients", unit="batch"):
         indices = np.arange(start, start + size) % count
         framed = [_framed(source, int(index), protocol) for index in indices]
         arrays = (jnp.asarray(np.stack(one)) for one in zip(*framed, strict=True))
         keys = jax.vmap(jax.random.key)(indices)
-        rows.extend(np.asarray(cosines(variables, *arrays, keys))[: count - start])
+        rows.extend(np.asarray(followed(variables, *arrays, keys))[: count - start])
     values = np.array(rows, np.float64)
-    low, high = mean_intervals(values, np.arange(count) // source.views)
+    objects = np.arange(count) // source.views
+    means = values.mean(0)
+    low, high = np.array(mean_intervals(values.reshape(count, -1), objects)).reshape(
+        2, *means.shape
+    )
     return {
         "num_examples": count,
         "num_objects": (count - 1) // source.views + 1,
         "error": ERROR,
+        "step_length": config.step_size,
         "losses": {
             name: {
-                "mean": float(values[:, i].mean()),
-                "interval": [low[i], high[i]],
-                "positive": float((values[:, i] > 0).mean()),
+                "mean": float(means[0, i]),
+                "interval": [float(low[0, i]), float(high[0, i])],
+                "positive": float((values[:, 0, i] > 0).mean()),
+                "change": float(means[1, i]),
+                "change_interval": [float(low[1, i]), float(high[1, i])],
             }
-            for i, name in enumerate(LOSSES)
+            for i, name in enumerate((*LOSSES, ORACLE))
         },
     }
 
@@ -93,12 +104,13 @@ def _framed(
     return (*given(example, protocol), np.asarray(complete, np.float32))
 
 
-def cosines_of(
+def gradients_followed(
     config: AdaptConfig,
-) -> Callable[[Variables, Array, Array, Array, Array], Float[Array, " L"]]:
+) -> Callable[[Variables, Array, Array, Array, Array], Float[Array, "2 L"]]:
     """A pure function of variables, partial (N, 3), eye (3,), complete (M, 3), all in
     the unit workspace, and a key that chooses what is hidden; to the cosines of
-    `LOSSES`."""
+    `LOSSES` and `ORACLE`, and to the shares by which a step against each raises the
+    error."""
 
     def prepared(variables: Variables, partial: Array, eye: Array) -> Frame:
         camera = Camera.framing(partial, eye)
@@ -106,9 +118,9 @@ def cosines_of(
         frame = prepare_frame(partial, camera, key, config.model)
         return hold_decoding(variables, frame, config.model)
 
-    def cosines(
+    def followed(
         variables: Variables, partial: Array, eye: Array, complete: Array, key: Array
-    ) -> Float[Array, " L"]:
+    ) -> Float[Array, "2 L"]:
         frame = prepared(variables, partial, eye)
         hidden, left = _parted(partial, key)
         rest = prepared(variables, left, eye)
@@ -129,14 +141,20 @@ def cosines_of(
             )
             return jnp.stack(terms)
 
-        jacobian = jax.jacrev(values)(params["point_encoder"])
-        rows = jax.vmap(lambda tree: ravel_pytree(tree)[0])(jacobian)
-        norms = jnp.sqrt((rows**2).sum(-1))
-        products = norms[:-1] * norms[-1]
-        found = rows[:-1] @ rows[-1]
-        return jnp.where(products > 0, found / jnp.where(products > 0, products, 1), 0)
+        start, unravel = ravel_pytree(params["point_encoder"])
+        rows = jax.jacrev(lambda flat: values(unravel(flat)))(start)
+        norms = jnp.sqrt((rows**2).sum(-1, keepdims=True))
+        units = jnp.where(norms > 0, rows / jnp.where(norms > 0, norms, 1), 0)
 
-    return cosines
+        def error(flat: Array) -> Float[Array, ""]:
+            encoder = unravel(flat)
+            own = {**variables, "params": {**params, "point_encoder": encoder}}
+            return chamfer(predict(own, frame, config.model).points, complete)
+
+        moved = jax.lax.map(lambda unit: error(start - config.step_size * unit), units)
+        return jnp.stack([units @ units[-1], moved / error(start) - 1])
+
+    return followed
 
 
 def _parted(partial: Float[Array, "N 3"], key: Array) -> tuple[Array, Array]:

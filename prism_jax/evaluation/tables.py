@@ -79,8 +79,10 @@ def agreement_markdown(result: Mapping[str, Any]) -> str:
     for label, row in result["losses"].items():
         low, high = row["interval"]
         mean = f"{row['mean']:+.3f} [{low:+.3f}, {high:+.3f}]"
-        rows.append([label, mean, f"{100 * row['positive']:.0f} %"])
+        change = _percent(row["change"], row["change_interval"])
+        rows.append([label, mean, f"{100 * row['positive']:.0f} %", change])
     head = ["gradient of", f"cosine with that of {result['error']}", "positive"]
+    head.append(f"the error after a step of length {result['step_length']:g}")
     return "\n".join([f"{_title(result)}\n", *_table(head, rows), ""])
 
 

@@ -1,4 +1,4 @@
-"""Cosines of gradients, against finite steps along them."""
+"""Cosines of gradients and steps against them, beside plain steps and differences."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from jax.flatten_util import ravel_pytree
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation import Protocol, agreement, agreement_markdown, gradients
-from prism_jax.evaluation.gradients import LOSSES, cosines_of
+from prism_jax.evaluation.gradients import LOSSES, ORACLE, gradients_followed
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.initial import init_variables
@@ -33,7 +33,7 @@ def clouds():
 
 def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
     partial, complete = clouds
-    found = jax.jit(cosines_of(CONFIG))(
+    found = jax.jit(gradients_followed(CONFIG))(
         variables, partial, EYE, complete, jax.random.key(0)
     )
     camera = Camera.framing(partial, EYE)
@@ -51,8 +51,15 @@ def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
     step = 1e-3 * by_loss / jnp.linalg.norm(by_loss)
     rise = (values(start + step)[1] - values(start - step)[1]) / 2e-3
     cosine = float(rise / jnp.linalg.norm(by_error))
-    assert found[LOSSES.index("denoising, Eq. 6")] == pytest.approx(cosine, abs=0.02)
-    assert np.abs(found).max() <= 1.0001
+    cosines, changes = np.asarray(found)
+    place = LOSSES.index("denoising, Eq. 6")
+    assert cosines[place] == pytest.approx(cosine, abs=0.02)
+    assert np.abs(cosines).max() <= 1.0001
+    for row, gradient in ((place, by_loss), (-1, by_error)):
+        unit = gradient / jnp.linalg.norm(gradient)
+        after = values(start - CONFIG.step_size * unit)[1] / values(start)[1] - 1
+        assert changes[row] == pytest.approx(float(after), rel=1e-3, abs=1e-6)
+    assert changes[-1] < 0
 
 
 def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch):
@@ -66,13 +73,18 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
         )
 
     monkeypatch.setattr(gradients, "test_time_objective", itself)
-    found = jax.jit(cosines_of(CONFIG))(
+    found = jax.jit(gradients_followed(CONFIG))(
         variables, partial, EYE, complete, jax.random.key(0)
     )
-    named = dict(zip(LOSSES, np.asarray(found), strict=True))
-    assert named["normals, Eq. 5"] == pytest.approx(1, abs=1e-5)
-    assert named["alignment, Eq. 9"] == pytest.approx(-1, abs=1e-5)
-    assert named["denoising, Eq. 6"] == 0
+    names = (*LOSSES, ORACLE)
+    cosine, change = (dict(zip(names, row, strict=True)) for row in np.asarray(found))
+    assert cosine[ORACLE] == pytest.approx(1, abs=1e-5)
+    assert cosine["normals, Eq. 5"] == pytest.approx(1, abs=1e-5)
+    assert cosine["alignment, Eq. 9"] == pytest.approx(-1, abs=1e-5)
+    assert cosine["denoising, Eq. 6"] == 0
+    assert change[ORACLE] < 0 < change["alignment, Eq. 9"]
+    assert change["normals, Eq. 5"] == pytest.approx(change[ORACLE], rel=1e-3)
+    assert change["denoising, Eq. 6"] == pytest.approx(0, abs=1e-6)
 
 
 def test_table_of_a_source(variables):
@@ -86,6 +98,9 @@ def test_table_of_a_source(variables):
         low, high = row["interval"]
         assert low <= row["mean"] <= high
         assert 0 <= row["positive"] <= 1
+        low, high = row["change_interval"]
+        assert low <= row["change"] <= high
+    assert list(result["losses"]) == [*LOSSES, ORACLE]
     text = agreement_markdown(result)
     assert all(f"| {name} | " in text for name in LOSSES)
     assert "3 examples of 3 objects" in text
