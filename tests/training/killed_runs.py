@@ -5,6 +5,7 @@ are forked from one process that has imported everything and run nothing.
 """
 
 import json
+import math
 import multiprocessing
 import os
 import pathlib
@@ -24,7 +25,10 @@ from prism_jax.training.run import open_run
 from prism_jax.weights import sha256
 from tests.training.conftest import Boxes
 
-BATCH, STEPS, EVERY = 4, 24, 2
+BATCH, STEPS, EVERY = 4, 40, 2
+# Changes of its folder that a killed training gets to. Two saves make about as many,
+# and all the kills together end no training.
+CHANGES = 150
 BALLAST = 500_000
 OPTIMISER = optax.adam(0.3)
 
@@ -61,20 +65,26 @@ def toy_leg():
     return Leg("toy", STEPS * BATCH, BATCH, 128, start, step, validate, *names)
 
 
-def train(folder, dies_at):
-    """To the end, which it notes; or until so many changes of the folder are begun."""
+def train(folder, how, dies_at):
+    """To the end, which it notes; or until it is killed, for which it waits before it
+    has come too far: "in a save", before its first save is whole, and else after so
+    many changes of the folder."""
     begun = 0
 
-    def count(event, arguments):
+    def wait_or_die(event, arguments):
         nonlocal begun
         if event in ("os.mkdir", "os.rename", "os.remove", "os.rmdir") or (
             event == "open" and str(arguments[0]).startswith(str(folder))
         ):
             begun += 1
-            if begun == dies_at:
+            if begun >= dies_at:
                 os.kill(os.getpid(), signal.SIGKILL)
+            save_is_whole = event == "os.rename" and "checkpoint" in str(arguments[0])
+            while begun >= CHANGES or (how == "in a save" and save_is_whole):
+                time.sleep(1)
 
-    sys.addaudithook(count)
+    if how:
+        sys.addaudithook(wait_or_die)
     open_run(str(folder), {}, 0, resume=True)
     data = Data(Boxes(20, 0), Boxes(10, 1), 64, 1.4, 7, EVERY * BATCH)
     trained = train_leg(toy_leg(), data, folder)
@@ -87,9 +97,9 @@ def train(folder, dies_at):
     (folder / "ended.json").write_text(json.dumps(ended))
 
 
-def start(folder, dies_at=0):
+def start(folder, how=None, dies_at=math.inf):
     process = multiprocessing.get_context("fork").Process(
-        target=train, args=(folder, dies_at)
+        target=train, args=(folder, how, dies_at)
     )
     process.start()
     return process
@@ -105,15 +115,14 @@ def kill(folder, how, rng, seconds):
     """Starts a training and kills it. Returns how it ended, whether in a save, and at
     which step the next one begins."""
     before = half_written(folder)
-    if how == "at a change":
-        process = start(folder, dies_at=rng.randint(1, 150))
-    else:
-        process = start(folder)
-        if how == "at a moment":
-            process.join(rng.uniform(0, seconds / 3))
-        else:
-            while process.is_alive() and half_written(folder) <= before:
-                time.sleep(1e-3)
+    dies_at = rng.randint(1, CHANGES) if how == "at a change" else math.inf
+    process = start(folder, how, dies_at)
+    if how == "at a moment":
+        process.join(rng.uniform(0, seconds / 3))
+    elif how == "in a save":
+        while process.is_alive() and half_written(folder) <= before:
+            time.sleep(1e-3)
+    if how != "at a change":
         process.kill()
     process.join()
     steps = (folder / "toy" / "checkpoints" / "latest").glob("[0-9]*")
