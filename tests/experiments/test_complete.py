@@ -1,6 +1,5 @@
 """The command: what it prints, and how it ends."""
 
-import dataclasses
 import json
 import os
 import pathlib
@@ -9,11 +8,11 @@ import sys
 
 import numpy as np
 import pytest
-from absl import flags
 
 from experiments import complete
 from prism_jax import completion_job
 from prism_jax.weights import available_weights
+from tests import launching
 from tests.fake_completer import FakeCompleter
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -43,21 +42,8 @@ def folder(tmp_path, monkeypatch):
 
 
 def run(*arguments) -> int:
-    """The command with these arguments; its exit status."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["prism-complete", *arguments])
-        try:
-            with pytest.raises(SystemExit) as ended:
-                complete.run()
-        finally:
-            forget_flags()
-    return ended.value.code or 0
-
-
-def forget_flags() -> None:
-    """A process defines its flags once; these tests do so again and again."""
-    for field in dataclasses.fields(completion_job.CompletionJob):
-        delattr(flags.FLAGS, field.name)
+    """The command's exit status with these arguments."""
+    return launching.run(complete, *arguments)
 
 
 def test_completes_a_scan(capsys):
@@ -173,10 +159,8 @@ def test_a_bug_is_not_hidden(monkeypatch):
         raise KeyError("a bug")
 
     monkeypatch.setattr(completion_job, "run_job", fail)
-    monkeypatch.setattr(sys, "argv", ["prism-complete"])
     with pytest.raises(KeyError):
-        complete.run()
-    forget_flags()
+        run()
 
 
 def test_help_lists_the_flags(capsys):

@@ -1,31 +1,14 @@
 """The launcher: what it writes, and how it ends."""
 
-import sys
-
-import pytest
-from absl import flags
 from PIL import Image
 
 from experiments import contact_sheet
-
-FLAGS = (
-    *("dataset", "output", "split", "sequences", "category"),
-    *("seed", "seeds", "columns", "size", "colors"),
-)
+from tests import launching
 
 
 def run(*arguments) -> int:
-    """The command with these arguments; its exit status."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["contact_sheet", *arguments])
-        try:
-            with pytest.raises(SystemExit) as ended:
-                contact_sheet.run()
-        finally:
-            # A process defines its flags once; these tests do so again and again.
-            for name in FLAGS:
-                delattr(flags.FLAGS, name)
-    return ended.value.code or 0
+    """The command's exit status with these arguments."""
+    return launching.run(contact_sheet, *arguments)
 
 
 def test_writes_one_row_a_category(tmp_path):

@@ -1,22 +1,16 @@
 """The launcher: what it writes, and how it ends. The network is a fake."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
-from absl import flags
 
 from experiments import evaluate
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation import paired_difference
 from prism_jax.metrics import hausdorff
+from tests import launching
 from tests.public_sets import write_pcn, write_shapenet55
-
-FLAGS = (
-    *("weights", "dataset", "data_dir", "split", "protocol", "normalisation"),
-    *("steps", "set", "limit", "batch_size", "output"),
-)
 
 
 def fake(config, variables):
@@ -33,19 +27,10 @@ def fake(config, variables):
 
 
 def run(*arguments) -> int:
-    """The command with these arguments; its exit status."""
+    """The command's exit status with these arguments."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["evaluate", *arguments])
         patch.setattr(evaluate, "prism_completer", fake)
-        patch.setattr(evaluate, "with_large_pages", lambda: None)
-        try:
-            with pytest.raises(SystemExit) as ended:
-                evaluate.run()
-        finally:
-            # A process defines its flags once; these tests do so again and again.
-            for name in FLAGS:
-                delattr(flags.FLAGS, name)
-    return ended.value.code or 0
+        return launching.run(evaluate, *arguments)
 
 
 def scored(output, *arguments) -> dict:

@@ -7,24 +7,17 @@ and files are the real ones.
 import dataclasses
 import json
 import re
-import sys
 
 import jax
 import numpy as np
 import pytest
-from absl import flags
 
 from experiments import meta_train, training
 from prism_jax.data.corpus import CorpusConfig, build_corpus
 from prism_jax.models.variables import ENCODERS
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
-from tests import fake_meta
+from tests import fake_meta, launching
 
-FLAGS = (
-    *("preset", "workdir", "seed", "resume", "max_steps", "tensorboard", "dataset"),
-    *("data_dir", "num_workers", "set", "coordinator", "processes", "process"),
-    "weights",
-)
 NETWORK = (
     "num_neighbors=(4,)",
     "encoder_rates=(1,)",
@@ -62,22 +55,13 @@ def run(data_dir, minimal_variables):
     """``run(arguments)``: the command's exit status."""
 
     def run(*arguments) -> int:
-        given = ["meta_train", "--preset=tiny", f"--data_dir={data_dir}", *arguments]
+        given = ["--preset=tiny", f"--data_dir={data_dir}", *arguments]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(sys, "argv", given)
-            patch.setattr(meta_train, "with_large_pages", lambda: None)
             fresh = lambda key, model: minimal_variables  # noqa: E731
             patch.setattr(meta_train, "init_variables", fresh)
             patch.setattr(training, "index_table", lambda *arguments: None)
             fake_meta.replace_networks(patch)
-            try:
-                with pytest.raises(SystemExit) as ended:
-                    meta_train.run()
-            finally:
-                # A process defines its flags once; these tests do so again and again.
-                for name in FLAGS:
-                    delattr(flags.FLAGS, name)
-        return ended.value.code or 0
+            return launching.run(meta_train, *given)
 
     return run
 

@@ -1,28 +1,14 @@
 """The command that packs: what a training then opens."""
 
-import sys
-
-import pytest
-from absl import flags
-
 from experiments import pack
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.recordings import RecordedCells
-
-OWN = ["dataset", "data_dir", "split", "output_dir", "limit", "num_partial"]
-OWN += ["num_complete", "num_workers"]
+from tests import launching
 
 
 def run(*arguments) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["pack", *arguments])
-        try:
-            with pytest.raises(SystemExit) as ended:
-                pack.run()
-        finally:
-            for name in OWN:
-                delattr(flags.FLAGS, name)
-    return ended.value.code or 0
+    """The command's exit status with these arguments."""
+    return launching.run(pack, *arguments)
 
 
 def test_packs_a_split_and_does_not_do_it_twice(tmp_path, capsys):

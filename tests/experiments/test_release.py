@@ -1,26 +1,17 @@
 """The launcher that ships weights: what they then say of themselves."""
 
 import json
-import sys
 
 import pytest
-from absl import flags
 
 from experiments import release
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+from tests import launching
 
 
 def run(*arguments) -> int:
-    """The command with these arguments; its exit status."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["release", *arguments])
-        try:
-            with pytest.raises(SystemExit) as ended:
-                release.run()
-        finally:
-            for name in ("weights", "scores", "name", "output_dir", "set", "note"):
-                delattr(flags.FLAGS, name)
-    return ended.value.code or 0
+    """The command's exit status with these arguments."""
+    return launching.run(release, *arguments)
 
 
 @pytest.fixture

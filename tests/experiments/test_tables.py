@@ -1,21 +1,17 @@
 """The launchers of Tables I and II. The networks are fakes, or adapt by none."""
 
 import json
-import sys
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from absl import flags
 
 from experiments import ablate, adaptation, compare
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.models.variables import pop_encoders
 from prism_jax.weights import load_pretrained
-
-SCORING = ["dataset", "data_dir", "split", "normalisation", "limit", "batch_size"]
-SCORING += ["output", "weights"]
+from tests import launching
 
 
 def fake(config, variables):
@@ -30,28 +26,19 @@ def fake(config, variables):
     return complete
 
 
-def run(module, output, own_flags, *arguments):
+def run(module, output, *arguments):
     """The table that the command writes, and what it prints."""
+    root = RecordedCells.bundled().root
+    place = ["--dataset=recordings", f"--data_dir={root}", "--limit=3"]
+    place += ["--split=all", f"--output={output}"]
     with pytest.MonkeyPatch.context() as patch:
-        root = RecordedCells.bundled().root
-        place = ["--dataset=recordings", f"--data_dir={root}", "--limit=3"]
-        place += ["--split=all", f"--output={output}"]
-        patch.setattr(sys, "argv", ["table", *place, *arguments])
         patch.setattr(module, "prism_completer", fake)
-        patch.setattr(module, "with_large_pages", lambda: None)
-        try:
-            with pytest.raises(SystemExit) as ended:
-                module.run()
-        finally:
-            for name in (*SCORING, *own_flags):
-                delattr(flags.FLAGS, name)
-    assert not ended.value.code
+        assert launching.run(module, *place, *arguments) == 0
     return json.loads(output.read_text()), output.with_suffix(".md").read_text()
 
 
 def test_table_one(tmp_path):
-    own = ("backbone", "network")
-    table, text = run(compare, tmp_path / "1.json", own, "--backbone=small")
+    table, text = run(compare, tmp_path / "1.json", "--backbone=small")
     rows = table["rows"]
     assert list(rows) == [
         *("partial itself", "training mean", "partial and its mirror image"),
@@ -76,9 +63,8 @@ def test_table_two(tmp_path, monkeypatch):
         return fake(config, adaptation.equally_weighted(variables))
 
     monkeypatch.setattr(adaptation, "online_completer", online)
-    own = ("pretrained", "steps")
     arguments = ("--pretrained=small", "--steps=1", "--steps=4")
-    table, _ = run(adaptation, tmp_path / "2.json", own, *arguments)
+    table, _ = run(adaptation, tmp_path / "2.json", *arguments)
     rows = table["rows"]
     steps = load_pretrained("small")[0].num_steps
     assert list(rows) == [
@@ -95,7 +81,7 @@ def test_table_two(tmp_path, monkeypatch):
 
 def test_table_three(tmp_path):
     arguments = [f"--weights={label}=small" for label in ablate.VARIANTS]
-    table, _ = run(ablate, tmp_path / "3.json", (), *arguments)
+    table, _ = run(ablate, tmp_path / "3.json", *arguments)
     rows = table["rows"]
     assert list(rows) == [
         *("partial itself", "none", "align, not adapted", "align"),
@@ -110,7 +96,7 @@ def test_table_three(tmp_path):
 
 def test_table_three_asks_for_a_label(tmp_path, capsys):
     with pytest.raises(AssertionError):
-        run(ablate, tmp_path / "3.json", (), "--weights=small")
+        run(ablate, tmp_path / "3.json", "--weights=small")
     assert "write LABEL=NAME|FILE" in capsys.readouterr().err
 
 

@@ -5,11 +5,9 @@ import subprocess
 import sys
 
 import pytest
-from absl import flags
 
 from experiments import train_release
-
-OWN = ["preset", "name", "workdir", "seed", "dataset", "data_dir", "max_steps", "set"]
+from tests import launching
 
 
 class Commands:
@@ -51,15 +49,8 @@ def commands(monkeypatch):
 
 
 def run(*arguments) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["train_release", *arguments])
-        try:
-            with pytest.raises(SystemExit) as ended:
-                train_release.run()
-        finally:
-            for name in OWN:
-                delattr(flags.FLAGS, name)
-    return ended.value.code or 0
+    """The command's exit status with these arguments."""
+    return launching.run(train_release, *arguments)
 
 
 def test_the_plan_in_order(commands, tmp_path):
