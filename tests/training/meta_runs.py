@@ -70,6 +70,10 @@ def train(folder, weights, devices, max_steps, coordinator, processes, process):
     leaves = jax.tree_util.tree_leaves_with_path(trained)
     arrays = {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
     np.savez(f"{name}.npz", **arrays)
+    if processes > 1:
+        # As JAX does when a program ends, which a forked process leaves out: without it
+        # the first process may be gone before the others are, and they die of that.
+        jax.distributed.shutdown()
 
 
 def run(folder, weights, devices=1, max_steps=None, processes=1):
