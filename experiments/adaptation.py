@@ -59,8 +59,8 @@ def main(argv):
     rows = {}
     for name, (config, weights) in both.items():
         for steps in FLAGS.steps:
-            # All with the settings of the meta-trained: what differs is the weights, its
-            # learned step sizes among them.
+            # All with the settings of the meta-trained: what differs is the weights,
+            # its learned step sizes among them.
             changed = dataclasses.replace(own, model=config.model, num_steps=steps)
             found = scored(prism_completer(changed, weights), source, protocol)
             rows.setdefault(f"{name}, K = 0", Row(found, "unadapted"))

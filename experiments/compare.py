@@ -22,7 +22,13 @@ from experiments.scoring import (
 from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
 from prism_jax.models.baselines.trivial import mirrored, training_mean
 from prism_jax.models.variables import Variables
-from prism_jax.weights import available_networks, load_network, load_pretrained
+from prism_jax.weights import (
+    available_networks,
+    load_network,
+    load_pretrained,
+    read_metadata,
+    samples_seen,
+)
 
 FLAGS = flags.FLAGS
 LABELS = {"pcn": "PCN", "pointr": "PoinTr", "seedformer": "SeedFormer"}
@@ -71,13 +77,14 @@ def main(argv):
     }
     for name, (module, own) in others.items():
         found = run(network_completer(module, own))
-        rows[LABELS.get(name, name)] = Row(found, parameters=count(own))
+        rows[LABELS.get(name, name)] = Row(found, "output", count(own), seen(name))
     alone = dataclasses.replace(alone, num_steps=0)
     found = run(prism_completer(alone, backbone))
-    rows[BACKBONE] = Row(found, parameters=count(backbone, "point_encoder", "decoder"))
-    number = count(variables)
-    rows["PRISM, not adapted"] = Row(adapted, "unadapted", number)
-    rows["PRISM"] = Row(adapted, "output", number)
+    number = count(backbone, "point_encoder", "decoder")
+    rows[BACKBONE] = Row(found, "output", number, seen(FLAGS.backbone))
+    number, samples = count(variables), seen(FLAGS.weights)
+    rows["PRISM, not adapted"] = Row(adapted, "unadapted", number, samples)
+    rows["PRISM"] = Row(adapted, "output", number, samples)
     about = named(protocol) | {"weights": FLAGS.weights, "steps": config.num_steps}
     deliver(comparison(rows, BACKBONE, **about))
 
@@ -87,6 +94,11 @@ def count(variables: Variables, *parts: str) -> int:
     params = variables["params"]
     chosen = [params[name] for name in parts] if parts else params
     return sum(leaf.size for leaf in jax.tree.leaves(chosen))
+
+
+def seen(weights: str) -> int:
+    """Samples that these weights were trained on."""
+    return samples_seen(read_metadata(weights))
 
 
 def run():

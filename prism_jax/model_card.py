@@ -7,7 +7,12 @@ import jax
 
 from prism_jax.data.datasets import mesh_licences
 from prism_jax.evaluation.tables import markdown
-from prism_jax.weights import load_pretrained, read_metadata
+from prism_jax.weights import (
+    load_pretrained,
+    read_metadata,
+    samples_seen,
+    trainings,
+)
 
 WORST = 3
 """Kinds that are named of each data set, the ones with the highest CD-L2."""
@@ -41,18 +46,14 @@ def model_card(name_or_path: str) -> str:
 
 def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
     """One line for each training, the first one first, then the meshes."""
-    runs, sets = [about], {}
-    while runs[-1].get("pretrained"):
-        runs.append(runs[-1]["pretrained"])
-    total = 0
-    for run in reversed(runs):
+    sets = {}
+    for run in trainings(about):
         samples, data = run.get("samples", 0), run.get("data", "unknown")
-        total += samples
         sets |= dict.fromkeys(data.split(", "))
         made = f"preset {run.get('preset')}, seed {run.get('seed')}"
         where = f"commit {(run.get('commit') or 'unknown')[:12]}"
         yield f"{samples:,} samples of {data}, {made}, {where}"
-    yield f"{total:,} samples in all"
+    yield f"{samples_seen(about):,} samples in all"
     yield from (f"meshes of {name}: {mesh_licences(name)}" for name in sets)
 
 

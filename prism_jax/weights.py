@@ -9,6 +9,7 @@ import hashlib
 import importlib.resources
 import json
 import pathlib
+from collections.abc import Mapping
 from importlib.resources.abc import Traversable
 from typing import Any
 
@@ -64,8 +65,25 @@ def load_pretrained(name_or_path: str = "small") -> tuple[AdaptConfig, Variables
 
 
 def read_metadata(name_or_path: str) -> dict[str, Any]:
-    """What is known of released weights: data, seed, commit, samples, scores."""
-    return _read(_locate(name_or_path))[0]
+    """What is known of weights: data, seed, commit, samples, scores.
+
+    Of released weights, by name or by file, or of a network to compare with.
+    """
+    find = _locate_network if name_or_path in NETWORKS else _locate
+    return _read(find(name_or_path))[0]
+
+
+def trainings(metadata: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What is known of each training that led to the weights, the first one first."""
+    runs = [metadata]
+    while runs[0].get("pretrained"):
+        runs.insert(0, runs[0]["pretrained"])
+    return runs
+
+
+def samples_seen(metadata: Mapping[str, Any]) -> int:
+    """Samples of all `trainings` together."""
+    return sum(run.get("samples", 0) for run in trainings(metadata))
 
 
 def _read(path: pathlib.Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -109,18 +127,13 @@ def load_network(name_or_path: str) -> tuple[nn.Module, Variables]:
 
     A file that is not of one of `NETWORKS` raises `prism_jax.io.InputError`.
     """
-    path = pathlib.Path(name_or_path)
-    if name_or_path in NETWORKS:
-        folder = importlib.resources.files("prism_jax") / "assets" / "baselines"
-        path = pathlib.Path(str(folder / f"{name_or_path}{SUFFIX}"))
-    remedy = f"give a file of experiments.train_baseline, or one of {sorted(NETWORKS)}"
-    if not path.is_file():
-        raise InputError(name_or_path, "no such network", remedy)
+    path = _locate_network(name_or_path)
     metadata, arrays = _read(path)
     try:
         module = NETWORKS[metadata["network"]][metadata["size"]]
     except (KeyError, TypeError):
-        raise InputError(path, "not a network to compare with", remedy) from None
+        fault = "not a network to compare with"
+        raise InputError(path, fault, _network_remedy()) from None
     num_points: int = module.config.num_points  # pyright: ignore
     cloud = jnp.zeros((1, num_points, 3))
     made = jax.eval_shape(lambda: module.init(jax.random.key(0), cloud))
@@ -183,6 +196,20 @@ def _locate(name_or_path: str) -> pathlib.Path:
     if not path.is_file():
         raise InputError(name_or_path, "no such weights", _remedy())
     return path
+
+
+def _locate_network(name_or_path: str) -> pathlib.Path:
+    path = pathlib.Path(name_or_path)
+    if name_or_path in NETWORKS:
+        folder = importlib.resources.files("prism_jax") / "assets" / "baselines"
+        path = pathlib.Path(str(folder / f"{name_or_path}{SUFFIX}"))
+    if not path.is_file():
+        raise InputError(name_or_path, "no such network", _network_remedy())
+    return path
+
+
+def _network_remedy() -> str:
+    return f"give a file of experiments.train_baseline, or one of {sorted(NETWORKS)}"
 
 
 def _remedy() -> str:

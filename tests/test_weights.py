@@ -21,9 +21,11 @@ from prism_jax.weights import (
     load_network,
     load_pretrained,
     read_metadata,
+    samples_seen,
     save_network,
     save_weights,
     sha256,
+    trainings,
 )
 
 METADATA = {"seed": 3, "scores": {"cd_l2": [1.5, 2.0]}, "commit": None}
@@ -75,6 +77,14 @@ def test_metadata(file):
     metadata = read_metadata(str(file))
     assert {key: metadata[key] for key in METADATA} == METADATA
     assert metadata["config"]["model"]["backbone"]["num_points"] == 64
+
+
+def test_samples_of_all_trainings():
+    first = {"data": "shapes", "samples": 200}
+    last = {"samples": 30, "pretrained": {"samples": 4, "pretrained": first}}
+    assert [run["samples"] for run in trainings(last)] == [200, 4, 30]
+    assert samples_seen(last) == 234
+    assert samples_seen({}) == 0
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -211,6 +221,7 @@ def test_a_network_to_compare_with_comes_back(tmp_path, name):
     again, loaded = load_network(str(path))
     assert again == module
     assert sha256(loaded) == sha256(variables)
+    assert read_metadata(str(path))["seed"] == 3
     with pytest.raises(InputError, match="no prism_jax configuration"):
         load_pretrained(str(path))
 

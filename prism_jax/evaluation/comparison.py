@@ -13,11 +13,13 @@ class Row(NamedTuple):
       result: of `evaluate`.
       cloud: which of its clouds counts.
       parameters: of the network, if there is one.
+      samples: that it was trained on, all trainings together.
     """
 
     result: Mapping[str, Any]
     cloud: str = "output"
     parameters: int | None = None
+    samples: int | None = None
 
 
 def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str, Any]:
@@ -44,6 +46,7 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
                 for metric, found in changes.items()
             },
             "parameters": row.parameters,
+            "samples": row.samples,
         }
 
     named = ("unit", "num_examples", "num_objects")

@@ -67,9 +67,10 @@ def comparison_markdown(table: Mapping[str, Any]) -> str:
         if counted:
             number = row["parameters"]
             cells.append(f"{number / 1e6:.2f} M" if number else "")
+            cells.append(f"{row['samples']:,}" if row["samples"] else "")
         lines.append([label, *cells])
     head = ["", *heads, f"CD-L2 against {against}"]
-    head += ["parameters"] if counted else []
+    head += ["parameters", "samples"] if counted else []
     return "\n".join([f"{_title(table)}\n", *_table(head, lines), ""])
 
 

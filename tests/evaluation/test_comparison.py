@@ -25,7 +25,7 @@ def table():
     before, after = result(0.1, 0.3), result(0.1, 0.2)
     rows = {
         "partial": Row(before, "control"),
-        "net": Row(before, parameters=1_500_000),
+        "net": Row(before, parameters=1_500_000, samples=9000),
         "better": Row(after, parameters=2_000_000),
     }
     return comparison(rows, "net", data="boxes", split="test", commit="0" * 40)
@@ -53,14 +53,14 @@ def test_json_and_table_tell_the_same(table):
         "data boxes, split test, commit 000000000000, 2 examples of 2 objects. Unit of "
         "length: metres."
     )
-    assert lines[2].endswith("| CD-L2 against net | parameters |")
+    assert lines[2].endswith("| CD-L2 against net | parameters | samples |")
     assert lines[4].startswith("| partial | 4000 [2000, 6000] | ")
-    assert lines[4].endswith("| +100.0 % [+100.0, +100.0] |  |")
-    assert lines[5].endswith("|  | 1.50 M |")
-    assert lines[6].endswith("| -25.0 % [-33.3, +0.0] | 2.00 M |")
+    assert lines[4].endswith("| +100.0 % [+100.0, +100.0] |  |  |")
+    assert lines[5].endswith("|  | 1.50 M | 9,000 |")
+    assert lines[6].endswith("| -25.0 % [-33.3, +0.0] | 2.00 M |  |")
 
 
-def test_without_networks_there_is_no_column_for_parameters():
+def test_without_networks_there_is_no_columns_for_their_sizes():
     rows = {"net": Row(result(0.1, 0.3))}
     assert "parameters" not in comparison_markdown(comparison(rows, "net"))
 

@@ -10,7 +10,7 @@ from experiments import ablate, adaptation, compare
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.models.variables import pop_encoders
-from prism_jax.weights import load_pretrained
+from prism_jax.weights import load_pretrained, read_metadata, samples_seen
 from tests import launching
 
 
@@ -54,6 +54,9 @@ def test_table_one(tmp_path):
     assert rows["PRISM"]["parameters"] == compare.count(variables)
     assert 0 < rows["CRA-PCN"]["parameters"] < rows["PRISM"]["parameters"]
     assert rows["training mean"]["parameters"] is None
+    assert rows["training mean"]["samples"] is None
+    assert rows["PRISM"]["samples"] == samples_seen(read_metadata("small"))
+    assert rows["PCN"]["samples"] == samples_seen(read_metadata("pcn"))
     assert "| training mean | " in text
     assert table["data"] == "recordings"
 
