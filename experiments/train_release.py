@@ -46,8 +46,11 @@ def define_flags() -> None:
     flags.DEFINE_string("name", None, "Of the weights; the preset's if not given.")
     flags.DEFINE_string("workdir", None, "Where everything goes.", required=True)
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
-    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train and score on.")
-    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
+    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
+    flags.DEFINE_multi_enum(
+        "scored", None, DATASETS, "What to score on; the same if not given."
+    )
+    flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
     flags.DEFINE_integer("max_steps", None, "End every leg of training at this step.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
 
@@ -56,29 +59,31 @@ def plan(folder: pathlib.Path) -> list[Step]:
     """What the flags ask for, in order. Every command goes on where it was broken off,
     and one whose last file is there is not run again."""
     name = FLAGS.name or FLAGS.preset
-    data = [f"--dataset={FLAGS.dataset}"]
-    data += [] if FLAGS.data_dir is None else [f"--data_dir={FLAGS.data_dir}"]
+    place = [] if FLAGS.data_dir is None else [f"--data_dir={FLAGS.data_dir}"]
     changes = [f"--set={change}" for change in FLAGS.set]
     control = [f"--set={change}" for change in WITHOUT_METHOD]
 
     def training(module: str, name: str, *arguments: str) -> Step:
         run = folder / name
         resume = ["--resume"] if (run / "config.json").exists() else []
-        common = [f"--preset={FLAGS.preset}", f"--seed={FLAGS.seed}", *data, *changes]
+        common = [f"--preset={FLAGS.preset}", f"--seed={FLAGS.seed}", *changes]
+        common += [f"--dataset={FLAGS.dataset}", *place]
         if FLAGS.max_steps is not None:
             common.append(f"--max_steps={FLAGS.max_steps}")
         arguments = (*common, *arguments, f"--workdir={run}", *resume)
         return Step(module, arguments, run / "weights.safetensors")
 
-    def scores(weights: Step, split: str) -> Step:
-        output = folder / f"{weights.done.parent.name}-{split}.json"
-        own = (f"--weights={weights.done}", f"--split={split}", f"--output={output}")
-        return Step("evaluate", (*data, *own), output)
+    def scores(weights: Step, dataset: str, split: str) -> Step:
+        output = folder / f"{weights.done.parent.name}-{dataset}-{split}.json"
+        what = (f"--weights={weights.done}", f"--dataset={dataset}", *place)
+        return Step(
+            "evaluate", (*what, f"--split={split}", f"--output={output}"), output
+        )
 
     def release(weights: Step, scored: list[Step], name: str) -> Step:
         found = [f"--scores={step.done}" for step in scored]
-        place = (f"--name={name}", f"--output_dir={folder}")
-        arguments = (f"--weights={weights.done}", *found, *place)
+        named = (f"--name={name}", f"--output_dir={folder}")
+        arguments = (f"--weights={weights.done}", *found, *named)
         return Step("release", arguments, folder / f"{name}{SUFFIX}")
 
     pretrained = training("pretrain", "pretrained")
@@ -86,9 +91,14 @@ def plan(folder: pathlib.Path) -> list[Step]:
     meta = training("meta_train", "meta", start)
     alone = training("meta_train", "control", start, *control)
     steps = [pretrained, meta, alone]
-    splits = ["validation", "test"] + ["unseen"] * (FLAGS.dataset == "shapes")
+    splits = [
+        (dataset, split)
+        for dataset in FLAGS.scored or [FLAGS.dataset]
+        for split in ("validation", "test", "unseen")
+        if split != "unseen" or dataset == "shapes"
+    ]
     for weights, label in ((meta, name), (alone, f"{name}-pretrained")):
-        scored = [scores(weights, split) for split in splits]
+        scored = [scores(weights, *split) for split in splits]
         steps += [*scored, release(weights, scored, label)]
     return steps
 
@@ -102,11 +112,11 @@ def main(argv):
     folder = make_output_dir(pathlib.Path(FLAGS.workdir)).resolve()
     steps = plan(folder)
     for number, step in enumerate(steps, start=1):
-        place = f"{number}/{len(steps)} {step.module}: {step.done}"
+        label = f"{number}/{len(steps)} {step.module}: {step.done}"
         if step.done.exists():
-            print(f"{place} is there", flush=True)
+            print(f"{label} is there", flush=True)
             continue
-        print(place, flush=True)
+        print(label, flush=True)
         ended = subprocess.run(step.command, check=False)
         if ended.returncode:
             sys.exit(ended.returncode)

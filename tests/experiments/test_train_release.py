@@ -104,6 +104,21 @@ def test_a_mistake_shows_before_anything_runs(commands, tmp_path, capsys):
     assert "no field 'no'" in capsys.readouterr().err
 
 
+def test_what_was_trained_on_a_mixture_is_scored_on_its_parts(commands, tmp_path):
+    parts = ["--scored=shapes", "--scored=roboarm"]
+    mixture = ["--dataset=packed", "--data_dir=mixture", *parts]
+    assert run("--preset=tiny", f"--workdir={tmp_path}", *mixture) == 0
+    for _, arguments in commands.run[:3]:
+        assert "--dataset=packed" in arguments and not set(parts) & set(arguments)
+    found = [set(args) for m, args in commands.run if "evaluate" in m]
+    assert len(found) == 2 * 5
+    for arguments in found:
+        assert "--data_dir=mixture" in arguments
+        assert ("--dataset=shapes" in arguments) != ("--dataset=roboarm" in arguments)
+    scores = [a for _, args in commands.run for a in args if a.startswith("--scores")]
+    assert len(set(scores)) == 2 * 5
+
+
 def test_robots_have_no_unseen_split(commands, tmp_path):
     assert run(f"--workdir={tmp_path}", "--dataset=roboarm", "--name=arms") == 0
     splits = {a for _, args in commands.run for a in args if "--split" in a}
