@@ -53,6 +53,18 @@ def define_flags() -> None:
     flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
     flags.DEFINE_integer("max_steps", None, "End every leg of training at this step.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
+    flags.DEFINE_multi_string(
+        "branches",
+        [],
+        "Meta-trained with the losses of these alone besides, as align,normal (Table "
+        "III); again for others.",
+    )
+    flags.DEFINE_multi_string("note", [], "What else is to be known of the weights.")
+
+
+def only(branches: str) -> str:
+    """The change with which the losses of these branches count, and no others."""
+    return f"meta.method.branches={tuple(branches.split(','))}"
 
 
 def plan(folder: pathlib.Path) -> list[Step]:
@@ -82,7 +94,8 @@ def plan(folder: pathlib.Path) -> list[Step]:
 
     def release(weights: Step, scored: list[Step], name: str) -> Step:
         found = [f"--scores={step.done}" for step in scored]
-        named = (f"--name={name}", f"--output_dir={folder}")
+        notes = [f"--note={note}" for note in FLAGS.note]
+        named = (f"--name={name}", f"--output_dir={folder}", *notes)
         arguments = (f"--weights={weights.done}", *found, *named)
         return Step("release", arguments, folder / f"{name}{SUFFIX}")
 
@@ -90,14 +103,19 @@ def plan(folder: pathlib.Path) -> list[Step]:
     start = f"--weights={pretrained.done}"
     meta = training("meta_train", "meta", start)
     alone = training("meta_train", "control", start, *control)
-    steps = [pretrained, meta, alone]
+    trained = {name: meta, f"{name}-pretrained": alone}
+    for branches in FLAGS.branches:
+        label = branches.replace(",", "-")
+        own = (start, f"--set={only(branches)}")
+        trained[f"{name}-{label}"] = training("meta_train", f"meta-{label}", *own)
+    steps = [pretrained, *trained.values()]
     splits = [
         (dataset, split)
         for dataset in FLAGS.scored or [FLAGS.dataset]
         for split in ("validation", "test", "unseen")
         if split != "unseen" or dataset == "shapes"
     ]
-    for weights, label in ((meta, name), (alone, f"{name}-pretrained")):
+    for label, weights in trained.items():
         scored = [scores(weights, *split) for split in splits]
         steps += [*scored, release(weights, scored, label)]
     return steps
@@ -107,6 +125,8 @@ def main(argv):
     """Runs what is not done yet, each command as its own process."""
     del argv
     resolve(FLAGS.preset, FLAGS.set)  # a mistake in the flags shows at once
+    for branches in FLAGS.branches:
+        resolve(FLAGS.preset, [*FLAGS.set, only(branches)])
     # `subprocess.run` kills its command when it is left by an exception.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     folder = make_output_dir(pathlib.Path(FLAGS.workdir)).resolve()

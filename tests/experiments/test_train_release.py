@@ -119,6 +119,29 @@ def test_what_was_trained_on_a_mixture_is_scored_on_its_parts(commands, tmp_path
     assert len(set(scores)) == 2 * 5
 
 
+def test_branches_alone(commands, tmp_path):
+    flags = ["--branches=align", "--branches=normal,align", "--note=upright"]
+    assert run("--preset=tiny", f"--workdir={tmp_path}", *flags) == 0
+    meta, _, align, both = (args for m, args in commands.run if "meta_train" in m)
+    for name, kinds, arguments in (
+        ("align", ("align",), align),
+        ("normal-align", ("normal", "align"), both),
+    ):
+        own = {f"--set=meta.method.branches={kinds}"}
+        workdirs = {f"--workdir={tmp_path}/{n}" for n in ("meta", f"meta-{name}")}
+        assert set(meta) ^ set(arguments) == own | workdirs
+        assert (tmp_path / f"tiny-{name}.safetensors").exists()
+    releases = [args for m, args in commands.run if "release" in m]
+    assert len(releases) == 4 and all("--note=upright" in args for args in releases)
+
+
+def test_no_such_branch(commands, tmp_path, capsys):
+    given = (f"--workdir={tmp_path}", "--branches=align,normals")
+    assert run("--preset=tiny", *given) == 2
+    assert not commands.run
+    assert "normals" in capsys.readouterr().err
+
+
 def test_robots_have_no_unseen_split(commands, tmp_path):
     assert run(f"--workdir={tmp_path}", "--dataset=roboarm", "--name=arms") == 0
     splits = {a for _, args in commands.run for a in args if "--split" in a}
