@@ -118,7 +118,7 @@ _SMALL_META = MetaTrainConfig(
         learn_auxiliary=True,
         learn_refiner=False,
     ),
-    num_samples=24_000,
+    num_samples=32_000,
     at_once=8,
     num_complete=2048,
     optimiser="adam",
@@ -180,7 +180,7 @@ PRESETS = {
     ),
     "small": Preset(
         _SMALL_ADAPT,
-        PretrainConfig(_legs(96_000, 160_000), auxiliary_samples=16_000),
+        PretrainConfig(_legs(200_000, 768_000), auxiliary_samples=20_000),
         _SMALL_META,
     ),
     "paper": Preset(AdaptConfig(ModelConfig(_PAPER)), _PAPER_PRETRAIN, _PAPER_META),
