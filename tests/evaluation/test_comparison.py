@@ -60,7 +60,7 @@ def test_json_and_table_tell_the_same(table):
     assert lines[6].endswith("| -25.0 % [-33.3, +0.0] | 2.00 M |  |")
 
 
-def test_without_networks_there_is_no_columns_for_their_sizes():
+def test_without_networks_there_are_no_columns_for_their_sizes():
     rows = {"net": Row(result(0.1, 0.3))}
     assert "parameters" not in comparison_markdown(comparison(rows, "net"))
 

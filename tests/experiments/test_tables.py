@@ -1,4 +1,4 @@
-"""The launchers of Tables I and II. The networks are fakes, or adapt by none."""
+"""The launchers of Tables I to III. The networks are fakes, or adapt by none."""
 
 import json
 
