@@ -10,12 +10,13 @@ from absl import flags
 
 from experiments.launch import launch, with_large_pages
 from experiments.training import (
+    define_start_flag,
     define_training_flags,
     join_processes,
+    started_from_weights,
     training_data,
 )
 from prism_jax.data.datasets import parts_of
-from prism_jax.io.errors import InputError
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset, resolve
@@ -23,7 +24,7 @@ from prism_jax.training.leg import train_leg
 from prism_jax.training.meta import meta_leg
 from prism_jax.training.parallel import is_first
 from prism_jax.training.run import open_run, started_from
-from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+from prism_jax.weights import save_weights, sha256
 
 FLAGS = flags.FLAGS
 
@@ -34,7 +35,7 @@ def main(argv):
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
     config = preset.meta
-    variables, before = _start(preset)
+    variables, before = started_from_weights(preset) or (_fresh(preset), None)
     data = training_data(preset, config.num_complete, config.validate_every)
     run = {"preset": dataclasses.asdict(preset), "start": sha256(variables)}
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
@@ -60,25 +61,15 @@ def main(argv):
     print(f"sha256 {sha256(trained.last.variables)}")
 
 
-def _start(preset: Preset) -> tuple[Variables, dict | None]:
-    """What to start from, and what is known of it."""
-    if FLAGS.weights is None:
-        key = jax.random.key(FLAGS.seed)
-        return init_variables(key, preset.model), None
-    adapt, variables = load_pretrained(FLAGS.weights)
-    if adapt.model != preset.model:
-        remedy = "choose the preset that they were trained with, or --set its fields"
-        raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
-    known = ("preset", "seed", "commit", "data", "samples", "pretrained")
-    metadata = read_metadata(FLAGS.weights)
-    return variables, {key: metadata[key] for key in known if key in metadata}
+def _fresh(preset: Preset) -> Variables:
+    return init_variables(jax.random.key(FLAGS.seed), preset.model)
 
 
 def run():
     """The entry point."""
     with_large_pages()
     define_training_flags()
-    flags.DEFINE_string("weights", None, "Pretrained weights, by name or by file.")
+    define_start_flag()
     launch("meta_train", main)
 
 

@@ -1,6 +1,6 @@
 """Pretrains a preset on a data set, the procedural shapes unless told otherwise.
 
-python -m experiments.pretrain --preset=small --workdir=DIR [--resume]
+python -m experiments.pretrain --preset=small --workdir=DIR [--weights=FILE] [--resume]
 """
 
 import dataclasses
@@ -9,15 +9,17 @@ from absl import flags
 
 from experiments.launch import launch, with_large_pages
 from experiments.training import (
+    define_start_flag,
     define_training_flags,
     join_processes,
+    started_from_weights,
     training_data,
 )
 from prism_jax.data.datasets import parts_of
 from prism_jax.presets import resolve
 from prism_jax.training.run import open_run, started_from
 from prism_jax.training.stages import pretrain
-from prism_jax.weights import save_weights
+from prism_jax.weights import save_weights, sha256
 
 FLAGS = flags.FLAGS
 
@@ -28,11 +30,13 @@ def main(argv):
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
     config = preset.pretrain
+    variables, before = started_from_weights(preset) or (None, None)
+    start = None if variables is None else sha256(variables)
     data = training_data(preset, config.num_complete, config.validate_every)
-    settings = dataclasses.asdict(preset)
-    folder = open_run(FLAGS.workdir, settings, FLAGS.seed, FLAGS.resume)
+    run = {"preset": dataclasses.asdict(preset), "start": start}
+    folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     ending = (FLAGS.max_steps, FLAGS.tensorboard)
-    variables = pretrain(preset, data, folder, FLAGS.seed, *ending)
+    variables = pretrain(preset, data, folder, FLAGS.seed, *ending, variables)
     if variables is None:
         print(f"stopped; go on with --workdir={folder} --resume")
         return
@@ -42,6 +46,7 @@ def main(argv):
         "commit": started_from(folder),
         "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
         "samples": sum(leg.num_samples for leg in config.backbone),
+        "pretrained": before,
     }
     path = folder / "weights.safetensors"
     save_weights(path, preset.adapt, variables, about)
@@ -52,6 +57,7 @@ def run():
     """The entry point."""
     with_large_pages()
     define_training_flags()
+    define_start_flag()
     launch("pretrain", main)
 
 

@@ -1,6 +1,7 @@
-"""From nothing to weights that can ship: trains, compares, scores, exports.
+"""From nothing, or from other weights, to weights that can ship: trains, compares,
+scores, exports.
 
-python -m experiments.train_release --preset=small --workdir=DIR
+python -m experiments.train_release --preset=small --workdir=DIR [--weights=FILE]
 """
 
 import pathlib
@@ -44,6 +45,7 @@ def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("preset", "small", "Configuration: small, paper or plus.")
     flags.DEFINE_string("name", None, "Of the weights; the preset's if not given.")
+    flags.DEFINE_string("weights", None, "To go on from; from nothing if not given.")
     flags.DEFINE_string("workdir", None, "Where everything goes.", required=True)
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
     flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
@@ -99,7 +101,8 @@ def plan(folder: pathlib.Path) -> list[Step]:
         arguments = (f"--weights={weights.done}", *found, *named)
         return Step("release", arguments, folder / f"{name}{SUFFIX}")
 
-    pretrained = training("pretrain", "pretrained")
+    begun = [] if FLAGS.weights is None else [f"--weights={FLAGS.weights}"]
+    pretrained = training("pretrain", "pretrained", *begun)
     start = f"--weights={pretrained.done}"
     meta = training("meta_train", "meta", start)
     alone = training("meta_train", "control", start, *control)

@@ -1,5 +1,7 @@
 """What the launchers that train share: flags, data, several processes."""
 
+from typing import Any
+
 import jax
 from absl import flags
 
@@ -7,10 +9,12 @@ from prism_jax.data.datasets import DATASETS, build_if_missing, open_training
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
+from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.training.indices import index_table
 from prism_jax.training.leg import Data
 from prism_jax.training.parallel import wait_for_all
+from prism_jax.weights import load_pretrained, read_metadata
 
 FLAGS = flags.FLAGS
 
@@ -32,6 +36,11 @@ def define_training_flags() -> None:
     flags.DEFINE_integer("process", 0, "Which of them this one is.")
 
 
+def define_start_flag() -> None:
+    """The flag of a launcher that can go on from other weights."""
+    flags.DEFINE_string("weights", None, "To start from, by name or by file.")
+
+
 def join_processes() -> None:
     """Waits for the other processes, if the flags tell of any."""
     if FLAGS.processes == 1:
@@ -40,6 +49,22 @@ def join_processes() -> None:
         remedy = "give host:port of process 0 to each of them"
         raise InputError("--coordinator", "several processes need it", remedy)
     jax.distributed.initialize(FLAGS.coordinator, FLAGS.processes, FLAGS.process)
+
+
+def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | None:
+    """The variables of --weights and what is known of their training, if it is given.
+
+    Weights of a network that is not the preset's raise InputError.
+    """
+    if FLAGS.weights is None:
+        return None
+    adapt, variables = load_pretrained(FLAGS.weights)
+    if adapt.model != preset.model:
+        remedy = "choose the preset that they were trained with, or --set its fields"
+        raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
+    known = ("preset", "seed", "commit", "data", "samples", "pretrained")
+    metadata = read_metadata(FLAGS.weights)
+    return variables, {key: metadata[key] for key in known if key in metadata}
 
 
 def training_data(preset: Preset, num_complete: int, validate_every: int) -> Data:

@@ -20,16 +20,25 @@ def pretrain(
     seed: int,
     max_steps: int | None = None,
     tensorboard: bool = False,
+    start: Variables | None = None,
 ) -> Variables | None:
     """Trains the backbone leg by leg, then all that reads it (gap 4).
 
     Each leg begins with what did best on validation in the leg before, and goes on
-    from its own checkpoint where one is found. Returns the best variables, or None if
-    ``max_steps`` ended a leg early.
+    from its own checkpoint where one is found; one without samples is left out. The
+    first begins with the backbone of ``start``, or a fresh one; what reads it begins
+    afresh. Returns the best variables, or None if ``max_steps`` ended a leg early.
     """
     backbone_key, auxiliary_key = jax.random.split(jax.random.key(seed))
     variables = init_backbone(backbone_key, preset.model.backbone)
+    if start is not None:
+        variables = {
+            kind: {name: start[kind][name] for name in parts}
+            for kind, parts in variables.items()
+        }
     for phase in preset.pretrain.backbone:
+        if not phase.num_samples:
+            continue
         leg = backbone_leg(variables, preset.model.backbone, phase, preset.pretrain)
         trained = train_leg(leg, data, folder, max_steps, tensorboard)
         if not trained.done:

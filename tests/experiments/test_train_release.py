@@ -75,6 +75,15 @@ def test_the_plan_in_order(commands, tmp_path):
     assert (tmp_path / "tiny.safetensors").exists()
 
 
+def test_it_goes_on_from_other_weights(commands, tmp_path):
+    """The first training does; the others go on from the first."""
+    given = (f"--workdir={tmp_path}", "--weights=before.safetensors")
+    assert run("--preset=tiny", *given) == 0
+    pretrain, meta, control, *_ = (arguments for _, arguments in commands.run)
+    assert given[1] in pretrain
+    assert given[1] not in meta and given[1] not in control
+
+
 def test_goes_on_where_it_failed(commands, tmp_path):
     commands.fails.add(("meta_train", "control"))
     assert run("--preset=tiny", f"--workdir={tmp_path}") == 3

@@ -84,6 +84,19 @@ def test_each_leg_begins_with_the_best_of_the_one_before(begun, data, tmp_path):
     assert found == {"seeds": 2.0, "stages": 2.0, "refiner": 4.0, "harm": 0.0}
 
 
+def test_from_other_weights_and_without_a_leg(begun, data, tmp_path, monkeypatch):
+    """The backbone is theirs, what reads it is not."""
+    preset = resolve("tiny", ["pretrain.backbone.0.num_samples=0"])
+    fresh = {"params": {"encoder": jnp.float32(0)}}
+    monkeypatch.setattr(stages, "init_backbone", lambda key, config: fresh)
+    start = {"params": {"encoder": jnp.float32(7), "refiner": jnp.float32(9)}}
+    stages.pretrain(preset, data, tmp_path, seed=0, start=start)
+    assert begun == [
+        ("stages", {"encoder": 7.0}),
+        ("refiner", {"encoder": 7.0, "stages": 2.0, "refiner": 0.0, "harm": 0.0}),
+    ]
+
+
 @pytest.mark.parametrize(("refined", "kept"), [(2.9, 4.0), (3.0, 4.0), (3.1, 0.0)])
 def test_a_refiner_that_makes_it_worse_is_not_kept(
     monkeypatch, data, tmp_path, refined, kept

@@ -1,0 +1,89 @@
+"""The launcher: what it starts from, and what its weights tell. The training is a
+stand-in; `tests/training/test_stages.py` has the real order of the legs."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from experiments import pretrain
+from prism_jax.data.corpus import CorpusConfig, build_corpus
+from prism_jax.models.initial import init_variables
+from prism_jax.presets import resolve
+from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+from tests import launching
+
+CHANGES = [
+    f"--set=pretrain.backbone.{i}.num_samples={n}" for i, n in enumerate((0, 32))
+]
+BEFORE = {"preset": "tiny", "seed": 5, "commit": None, "data": "shapes", "samples": 64}
+
+
+@pytest.fixture(scope="module")
+def data_dir(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    build_corpus(CorpusConfig("train", num_shapes=8, num_views=1), folder, 0, False)
+    build_corpus(CorpusConfig("validation", num_shapes=2), folder, 0, False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def variables():
+    return init_variables(jax.random.key(1), resolve("tiny").model)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory, variables):
+    path = tmp_path_factory.mktemp("weights") / "before.safetensors"
+    save_weights(path, resolve("tiny").adapt, variables, BEFORE)
+    return path
+
+
+@pytest.fixture
+def run(data_dir, variables, monkeypatch):
+    """``run(arguments)``: the command's exit status, and what it started from."""
+    starts = []
+
+    def train(preset, data, folder, seed, max_steps, tensorboard, start):
+        starts.append(start)
+        return None if max_steps else variables
+
+    def run(*arguments):
+        given = ["--preset=tiny", f"--data_dir={data_dir}", *CHANGES, *arguments]
+        return launching.run(pretrain, *given), starts
+
+    monkeypatch.setattr(pretrain, "pretrain", train)
+    return run
+
+
+def test_it_goes_on_from_weights_and_tells_of_both_trainings(
+    run, weights, variables, tmp_path
+):
+    status, (start,) = run(f"--workdir={tmp_path}", f"--weights={weights}")
+    assert status == 0
+    assert jax.tree.structure(start) == jax.tree.structure(variables)
+    assert jax.tree.all(jax.tree.map(np.array_equal, start, variables))
+    metadata = read_metadata(str(tmp_path / "weights.safetensors"))
+    known = {key: metadata[key] for key in ("preset", "seed", "data", "samples")}
+    assert known == {"preset": "tiny", "seed": 0, "data": "shapes", "samples": 32}
+    assert metadata["pretrained"] == BEFORE
+    begun = json.loads((tmp_path / "config.json").read_text())["config"]
+    assert begun["start"] == sha256(load_pretrained(str(weights))[1])
+
+
+def test_without_weights_it_starts_afresh(run, tmp_path, capsys):
+    assert run(f"--workdir={tmp_path}", "--max_steps=1") == (0, [None])
+    assert (
+        f"stopped; go on with --workdir={tmp_path} --resume" in capsys.readouterr().out
+    )
+    assert run(f"--workdir={tmp_path}", "--resume")[0] == 0
+    assert read_metadata(str(tmp_path / "weights.safetensors"))["pretrained"] is None
+
+
+def test_weights_of_another_network_are_refused(run, weights, tmp_path, capsys):
+    change = "--set=adapt.model.backbone.num_initial=64"
+    status, starts = run(f"--workdir={tmp_path}/run", f"--weights={weights}", change)
+    assert (status, starts) == (2, [])
+    assert "not weights of tiny; choose the preset" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
