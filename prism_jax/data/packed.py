@@ -23,7 +23,7 @@ from prism_jax.data.source import Example, Source
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 
-GENERATOR_VERSION = 1
+GENERATOR_VERSION = 2
 SHARD_EXAMPLES = 100
 
 _ARRAYS = ("partial", "complete", "box", "eye")
@@ -101,7 +101,7 @@ class Packed:
         self.categories = tuple(manifest["categories"])
         self._count = manifest["num_examples"]
         self._shard_examples = manifest["shard_examples"]
-        self._shards: dict[int, tuple[dict[str, np.ndarray], list[list[str]]]] = {}
+        self._shards: dict[int, tuple[dict[str, np.ndarray], list[list[Any]]]] = {}
 
     def __len__(self) -> int:
         return self._count
@@ -110,7 +110,7 @@ class Packed:
         number, row = divmod(range(len(self))[index], self._shard_examples)
         arrays, names = self._shard(number)
         partial, complete, box, eye = (arrays[name][row] for name in _ARRAYS)
-        category, name = names[row]
+        category, name, any_heading = names[row]
         return Example(
             _restored(complete, box),
             _restored(partial, box),
@@ -118,13 +118,15 @@ class Packed:
             category,
             name,
             ordered=True,
+            any_heading=any_heading,
         )
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_shards": {}}
 
-    def _shard(self, number: int) -> tuple[dict[str, np.ndarray], list[list[str]]]:
-        """A shard's arrays, mapped into memory once, and its examples' names."""
+    def _shard(self, number: int) -> tuple[dict[str, np.ndarray], list[list[Any]]]:
+        """A shard's arrays, mapped into memory once, and what else is known of its
+        examples."""
         if number not in self._shards:
             arrays = {
                 name: np.load(
@@ -167,7 +169,8 @@ def _build_shard(
         packed = (_quantised(partial, box), _quantised(complete, box), box, eye)
         for name, array in zip(_ARRAYS, packed, strict=True):
             columns[name].append(array)
-        names.append([example.category, f"{source}/{example.name}"])
+        name = f"{source}/{example.name}"
+        names.append([example.category, name, example.any_heading])
     for name, rows in columns.items():
         buffer = io.BytesIO()
         array = np.stack(rows)

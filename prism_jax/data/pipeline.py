@@ -61,11 +61,14 @@ def frame_example(
     """One example in the workspace of its partial, without a batch axis.
 
     With `rng`, for training: mirrored along x with probability one half, which makes
-    an object of the same kind where left and right are x; and a partial that is None
-    is cropped at random. Without, it is cropped as the median test from the first
+    an object of the same kind where left and right are x; turned about the vertical at
+    random where it may have any heading; and a partial that is None is cropped at
+    random. Without, it is cropped as the median test from the first
     fixed viewpoint. An example without a complete cloud raises InputError.
     """
     example = with_partial(example, rng)
+    if rng is not None and example.any_heading:
+        example = _turned(example, rng.uniform(0.0, 2.0 * np.pi))
     assert example.partial is not None and example.complete is not None
     center, half_extent = workspace_of(example.partial, framing.margin)
     ordered, eye = example.ordered, example.eye
@@ -122,8 +125,8 @@ def training_batches(
     processes read ahead, 0 for threads of this one. `shard` is (this process, number
     of processes) where several train together: each then sees its own share.
     `indices`, a tree of arrays with a row for each item, come with the batches; they
-    must not change under mirroring. A source that does not fill one batch raises
-    InputError.
+    must not change under mirroring and turning. A source that does not fill one batch
+    raises InputError.
     """
     number, count = shard
     if len(source) < batch_size * count:
@@ -173,6 +176,18 @@ class _WithIndices:
     def __getitem__(self, index: int) -> tuple[Example, Any]:
         indices = jax.tree.map(lambda rows: rows[index], self._indices)
         return self._source[int(index)], indices
+
+
+def _turned(example: Example, angle: float) -> Example:
+    """About the vertical through the origin; framing takes no notice of where it is."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
+    assert example.partial is not None and example.complete is not None
+    return example._replace(
+        partial=example.partial @ turn,
+        complete=example.complete @ turn,
+        eye=None if example.eye is None else example.eye @ turn,
+    )
 
 
 def _mirrored(batch: Batch) -> Batch:

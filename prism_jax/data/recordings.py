@@ -108,6 +108,7 @@ class RecordedCells:
             eye=np.asarray(camera.position, np.float32),
             category=self.categories[0],
             name=f"{sequence}/{name}",
+            any_heading=True,
         )
 
     def read(self, index: int) -> Frame:

@@ -19,6 +19,8 @@ class Example(NamedTuple):
       name: unique within the source.
       ordered: whether both clouds are in farthest-point order, so that every prefix is
         a farthest-point sample.
+      any_heading: whether it may stand turned about the vertical, z, in any way, as a
+        robot cell may and a chair whose front is along y may not.
     """
 
     complete: Float32[np.ndarray, "M 3"] | None
@@ -27,6 +29,7 @@ class Example(NamedTuple):
     category: str
     name: str
     ordered: bool = False
+    any_heading: bool = False
 
 
 @runtime_checkable

@@ -93,6 +93,37 @@ def test_a_mirror_image_is_that_or_nothing_changes(example):
     assert found == {True, False}
 
 
+def test_what_may_have_any_heading_is_turned_about_the_vertical(example):
+    """In training: the same shape in its workspace, each time in another direction."""
+    turning = example._replace(any_heading=True)
+    assert all(
+        map(
+            np.array_equal,
+            frame_example(turning, FRAMING)[:4],
+            frame_example(example, FRAMING)[:4],
+        )
+    )
+    first = example.partial[0].astype(np.float64)
+    angles = []
+    for seed in range(8):
+        batch = frame_example(
+            turning._replace(ordered=True), FRAMING, np.random.default_rng(seed)
+        )
+        half = float(batch.half_extent)
+        found = half * np.concatenate([batch.partial, batch.eye[None]])
+        given = np.concatenate([example.partial[:64], example.eye[None]])
+        found, given = found - found[0], given.astype(np.float64) - first
+        np.testing.assert_allclose(found[:, 2], given[:, 2], atol=1e-5)
+        flat_found, flat_given = (x[:, :2] @ [1, 1j] for x in (found, given))
+        ratio = flat_found[1:] / flat_given[1:]
+        if np.ptp(ratio.real) > 1e-3:
+            ratio = -flat_found[1:].conj() / flat_given[1:]
+        np.testing.assert_allclose(ratio, ratio[0], atol=1e-4)
+        np.testing.assert_allclose(abs(ratio), 1, atol=1e-4)
+        angles.append(np.angle(ratio[0]))
+    assert np.ptp(angles) > 2 and len(np.unique(np.round(angles, 3))) == 8
+
+
 def test_the_source_keeps_its_arrays(example):
     before = [np.array(array) for array in example[:3]]
     for seed in range(4):

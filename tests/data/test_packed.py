@@ -61,6 +61,7 @@ def test_clouds_come_back_to_half_a_step(folder):
             assert np.abs(cloud - whole).max() <= bound
         assert (found.category, found.name) == (given.category, f"balls/{index}")
         assert found.ordered
+        assert not found.any_heading
         if given.eye is None:
             assert found.eye is None
         else:
@@ -88,6 +89,7 @@ def test_sources_stand_one_after_the_other(folder):
     assert len(source) == 5 + 20
     assert set(source.categories) == {"ball", "egg", "robot cell"}
     assert source[5].name == f"cells/{RecordedCells.bundled()[0].name}"
+    assert source[5].any_heading and RecordedCells.bundled()[0].any_heading
     with pytest.raises(IndexError):
         source[25]
     again = pickle.loads(pickle.dumps(source))
