@@ -7,7 +7,7 @@ import dataclasses
 
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -74,7 +74,7 @@ def main(argv):
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_flags()
     launch("ablate", main)
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -108,7 +108,7 @@ def online_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_flags()
     launch("adaptation", main)
 

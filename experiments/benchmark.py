@@ -11,7 +11,7 @@ import pathlib
 from absl import flags
 
 from experiments.benchmarks.measure import Row
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from prism_jax.io.atomic import write_bytes
 
 FLAGS = flags.FLAGS
@@ -63,7 +63,7 @@ def markdown(row: Row) -> str:
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_flags()
     launch("benchmark", main)
 

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -103,7 +103,7 @@ def seen(weights: str) -> int:
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_flags()
     launch("compare", main)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -107,7 +107,7 @@ def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_flags()
     launch("evaluate", main)
 

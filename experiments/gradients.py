@@ -5,7 +5,7 @@ python -m experiments.gradients --weights=small --limit=200 --output=FILE.json
 
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -34,7 +34,7 @@ def main(argv):
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_scoring_flags(split="validation")
     flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
     launch("gradients", main)

@@ -8,7 +8,7 @@ import dataclasses
 import jax
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.training import (
     define_start_flag,
     define_training_flags,
@@ -67,7 +67,7 @@ def _fresh(preset: Preset) -> Variables:
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_training_flags()
     define_start_flag()
     launch("meta_train", main)

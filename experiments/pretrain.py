@@ -7,7 +7,7 @@ import dataclasses
 
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.training import (
     define_start_flag,
     define_training_flags,
@@ -55,7 +55,7 @@ def main(argv):
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_training_flags()
     define_start_flag()
     launch("pretrain", main)

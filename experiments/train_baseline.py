@@ -7,7 +7,7 @@ import dataclasses
 
 from absl import flags
 
-from experiments.launch import launch, with_large_pages
+from experiments.launch import launch, with_kept_pages
 from experiments.training import define_training_flags, join_processes, training_data
 from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
@@ -63,7 +63,7 @@ def main(argv):
 
 def run():
     """The entry point."""
-    with_large_pages()
+    with_kept_pages()
     define_training_flags()
     names = sorted(NETWORKS)
     flags.DEFINE_enum("network", None, names, "Which.", required=True)

@@ -14,7 +14,7 @@ def run(command: ModuleType, *arguments: str) -> int:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", [command.__name__, *arguments])
         # Which would start the tests anew.
-        patch.setattr(command, "with_large_pages", lambda: None, raising=False)
+        patch.setattr(command, "with_kept_pages", lambda: None, raising=False)
         try:
             with pytest.raises(SystemExit) as ended:
                 command.run()

@@ -1,0 +1,52 @@
+"""How a launcher starts itself anew for memory that is kept."""
+
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import os, sys
+from experiments.launch import with_kept_pages
+print("started", flush=True)
+with_kept_pages()
+print(os.environ["GLIBC_TUNABLES"], sys.argv[1:])
+"""
+KEPT = {"hugetlb": "1", "mmap_max": "0", "trim_threshold": str(2**40), "arena_max": "1"}
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's settings")
+
+
+def started(monkeypatch, before: str | None) -> tuple[int, dict[str, str]]:
+    """How often the program started, and its settings in the end."""
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    if before is not None:
+        monkeypatch.setenv("GLIBC_TUNABLES", before)
+    command = [sys.executable, "-c", PROGRAM, "--flag=a b"]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True)
+    *starts, last = printed.stdout.splitlines()
+    settings, _, arguments = last.partition(" ")
+    assert arguments == "['--flag=a b']"
+    return len(starts), dict(pair.split("=") for pair in settings.split(":"))
+
+
+def test_once_and_with_the_same_arguments(monkeypatch):
+    kept = {f"glibc.malloc.{name}": value for name, value in KEPT.items()}
+    assert started(monkeypatch, None) == (2, kept)
+
+
+def test_what_the_user_set_stays(monkeypatch):
+    given = "glibc.malloc.hugetlb=0:glibc.malloc.check=3"
+    starts, settings = started(monkeypatch, given)
+    assert starts == 2
+    assert settings.pop("glibc.malloc.check") == "3"
+    assert settings.pop("glibc.malloc.hugetlb") == "0"
+    kept = {f"glibc.malloc.{name}": value for name, value in KEPT.items()}
+    kept.pop("glibc.malloc.hugetlb")
+    assert settings == kept
+
+
+def test_not_where_all_is_set(monkeypatch):
+    given = ":".join(f"glibc.malloc.{name}=1" for name in KEPT)
+    starts, settings = started(monkeypatch, given)
+    assert starts == 1 and set(settings.values()) == {"1"}
