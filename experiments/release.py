@@ -5,11 +5,13 @@ python -m experiments.release --weights=FILE --scores=EVALUATION.json --name=sma
 
 import json
 import pathlib
+from typing import Any
 
 from absl import flags
 
 from experiments.launch import launch
 from prism_jax.io.atomic import make_output_dir
+from prism_jax.io.errors import InputError
 from prism_jax.presets import changed
 from prism_jax.weights import SUFFIX, load_pretrained, read_metadata, save_weights
 
@@ -33,17 +35,25 @@ def main(argv):
     config, variables = load_pretrained(FLAGS.weights)
     config = changed(config, FLAGS.set)
     about = {k: v for k, v in read_metadata(FLAGS.weights).items() if k != "config"}
-    evaluations = [json.loads(pathlib.Path(path).read_text()) for path in FLAGS.scores]
-    about["scores"] = {
-        f"{result['data']}-{result['split']}": {
-            key: value for key, value in result.items() if key != "per_example"
-        }
-        for result in evaluations
-    }
+    results = [_scores(path) for path in FLAGS.scores]
+    about["scores"] = {f"{found['data']}-{found['split']}": found for found in results}
     about["notes"] = FLAGS.note
     path = make_output_dir(pathlib.Path(FLAGS.output_dir)) / f"{FLAGS.name}{SUFFIX}"
     save_weights(path, config, variables, about)
     print(f"written {path}, {path.stat().st_size / 1e6:.1f} MB")
+
+
+def _scores(path: str) -> dict[str, Any]:
+    """What an evaluation of these weights found, under the name that they get."""
+    result = json.loads(pathlib.Path(path).read_text())
+    if (
+        pathlib.Path(result["weights"]).resolve()
+        != pathlib.Path(FLAGS.weights).resolve()
+    ):
+        fault = f"scores of {result['weights']}, not of {FLAGS.weights}"
+        raise InputError(path, fault, "evaluate the weights that are released")
+    del result["per_example"]
+    return {**result, "weights": FLAGS.name}
 
 
 def run():

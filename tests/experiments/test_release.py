@@ -22,7 +22,8 @@ def finished(tmp_path, tiny, tiny_variables, monkeypatch):
     save_weights(path, tiny, tiny_variables, {"seed": 3, "commit": "c0ffee"})
     for split in ("test", "unseen"):
         result = {"data": "shapes", "split": split, "mean": {"cd_l2": 0.1}}
-        text = json.dumps(result | {"per_example": {"name": ["a"]}})
+        result |= {"weights": str(path), "per_example": {"name": ["a"]}}
+        text = json.dumps(result)
         (tmp_path / f"{split}.json").write_text(text)
     return tmp_path, path
 
@@ -39,7 +40,17 @@ def test_arrays_stay_and_scores_come_with_them(finished, tiny, tiny_variables):
     assert list(about["scores"]) == ["shapes-test", "shapes-unseen"]
     assert about["scores"]["shapes-test"]["mean"] == {"cd_l2": 0.1}
     assert "per_example" not in about["scores"]["shapes-unseen"]
+    assert {found["weights"] for found in about["scores"].values()} == {"new"}
     assert about["notes"] == ["a trial"]
+
+
+def test_scores_of_other_weights_are_refused(finished, capsys):
+    folder, path = finished
+    result = json.loads((folder / "test.json").read_text()) | {"weights": "small"}
+    (folder / "test.json").write_text(json.dumps(result))
+    assert run(f"--weights={path}", "--name=new", f"--scores={folder}/test.json") == 2
+    assert f"scores of small, not of {path}" in capsys.readouterr().err
+    assert not (folder / "new.safetensors").exists()
 
 
 def test_a_setting_may_change(finished, tiny):
