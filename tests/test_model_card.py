@@ -6,6 +6,7 @@ import pytest
 
 from prism_jax.data.datasets import parts_of
 from prism_jax.data.roboarm.models import arms_of
+from prism_jax.evaluation import markdown
 from prism_jax.io import InputError
 from prism_jax.model_card import model_card
 from prism_jax.weights import available_weights, read_metadata, save_weights
@@ -41,13 +42,16 @@ def test_all_that_ship_have_one(name):
         assert f"with the measured points kept: {worst} (" in card
 
 
-def test_the_readme_shows_the_scores_that_small_ships_with():
-    lines = [line for line in model_card("small").splitlines() if "adapted |" in line]
-    assert len(lines) >= 8
-    shown = README.read_text()
-    means = [line for line in lines if "[" in line]
-    assert means
-    assert not [line for line in means if line not in shown]
+@pytest.mark.parametrize("name", ["small", "small-robocell"])
+def test_what_they_ship_with_of_the_test_splits_is_shown(name):
+    scores = read_metadata(name)["scores"]
+    shown = README.read_text() + README.with_name("BUILD_NOTES.md").read_text()
+    splits = [split for split in scores if "validation" not in split]
+    assert splits
+    for split in splits:
+        lines = [line for line in markdown(scores[split]).splitlines() if "[" in line]
+        assert len(lines) == 5
+        assert not [line for line in lines if line not in shown]
 
 
 def test_every_training_counts(card_of):
