@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from experiments import meta_train, training
-from prism_jax.data.corpus import CorpusConfig, build_corpus
 from prism_jax.models.variables import ENCODERS
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 from tests import fake_meta, launching
@@ -33,15 +32,6 @@ BEFORE = {"preset": "tiny", "seed": 5, "commit": None, "data": "shapes", "sample
 
 
 @pytest.fixture(scope="module")
-def data_dir(tmp_path_factory):
-    """Eight examples to train on, two to validate with."""
-    folder = tmp_path_factory.mktemp("data")
-    build_corpus(CorpusConfig("train", num_shapes=8, num_views=1), folder, 0, False)
-    build_corpus(CorpusConfig("validation", num_shapes=2), folder, 0, False)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def weights(tmp_path_factory, minimal, minimal_variables):
     """Pretrained ones, as the pretraining leaves them."""
     path = tmp_path_factory.mktemp("weights") / "pretrained.safetensors"
@@ -51,11 +41,11 @@ def weights(tmp_path_factory, minimal, minimal_variables):
 
 
 @pytest.fixture(scope="module")
-def run(data_dir, minimal_variables):
+def run(few_shapes, minimal_variables):
     """``run(arguments)``: the command's exit status."""
 
     def run(*arguments) -> int:
-        given = ["--preset=tiny", f"--data_dir={data_dir}", *arguments]
+        given = ["--preset=tiny", f"--data_dir={few_shapes}", *arguments]
         with pytest.MonkeyPatch.context() as patch:
             fresh = lambda key, model: minimal_variables  # noqa: E731
             patch.setattr(meta_train, "init_variables", fresh)

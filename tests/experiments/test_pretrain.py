@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from experiments import pretrain
-from prism_jax.data.corpus import CorpusConfig, build_corpus
 from prism_jax.models.initial import init_variables
 from prism_jax.presets import resolve
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
@@ -18,14 +17,6 @@ CHANGES = [
     f"--set=pretrain.backbone.{i}.num_samples={n}" for i, n in enumerate((0, 32))
 ]
 BEFORE = {"preset": "tiny", "seed": 5, "commit": None, "data": "shapes", "samples": 64}
-
-
-@pytest.fixture(scope="module")
-def data_dir(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("data")
-    build_corpus(CorpusConfig("train", num_shapes=8, num_views=1), folder, 0, False)
-    build_corpus(CorpusConfig("validation", num_shapes=2), folder, 0, False)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +32,7 @@ def weights(tmp_path_factory, variables):
 
 
 @pytest.fixture
-def run(data_dir, variables, monkeypatch):
+def run(few_shapes, variables, monkeypatch):
     """``run(arguments)``: the command's exit status, and what it started from."""
     starts = []
 
@@ -50,7 +41,7 @@ def run(data_dir, variables, monkeypatch):
         return None if max_steps else variables
 
     def run(*arguments):
-        given = ["--preset=tiny", f"--data_dir={data_dir}", *CHANGES, *arguments]
+        given = ["--preset=tiny", f"--data_dir={few_shapes}", *CHANGES, *arguments]
         return launching.run(pretrain, *given), starts
 
     monkeypatch.setattr(pretrain, "pretrain", train)
