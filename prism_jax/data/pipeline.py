@@ -33,15 +33,15 @@ class Batch(NamedTuple):
       partial: measured points, in farthest-point order.
       complete: the whole surface, in farthest-point order.
       eye: where the sensor stood.
-      half_extent: of the workspace, in the frame of the examples: what turns a
-        distance here into one there.
+      scale: what turns a distance here into one in the unit of the scores, half the
+        longest side of the complete cloud.
       indices: what was computed beforehand for the partials, if anything was.
     """
 
     partial: Float32[np.ndarray, "*B N 3"]
     complete: Float32[np.ndarray, "*B M 3"]
     eye: Float32[np.ndarray, "*B 3"]
-    half_extent: Float32[np.ndarray, "*B"]
+    scale: Float32[np.ndarray, "*B"]
     indices: Any = None
 
 
@@ -71,6 +71,7 @@ def frame_example(
         example = _turned(example, rng.uniform(0.0, 2.0 * np.pi))
     assert example.partial is not None and example.complete is not None
     center, half_extent = workspace_of(example.partial, framing.margin)
+    _, unit = workspace_of(example.complete, 1.0)
     ordered, eye = example.ordered, example.eye
     eye = UNKNOWN_EYE if eye is None else (eye - center) / half_extent
     batch = Batch(
@@ -79,7 +80,7 @@ def frame_example(
         (first_points(example.complete, framing.num_complete, ordered) - center)
         / half_extent,
         np.asarray(eye, np.float32),
-        half_extent,
+        half_extent / unit,
     )
     return batch if rng is None or rng.random() < 0.5 else _mirrored(batch)
 
@@ -102,10 +103,10 @@ def with_partial(example: Example, rng: np.random.Generator | None = None) -> Ex
 
 
 def workspace_of(
-    partial: Float32[np.ndarray, "N 3"], margin: float
+    cloud: Float32[np.ndarray, "N 3"], margin: float
 ) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, ""]]:
-    """Centre and half extent of the workspace that all of a partial determines."""
-    box = Workspace.from_points(partial, margin)
+    """Centre and half extent of the workspace that all of a cloud determines."""
+    box = Workspace.from_points(cloud, margin)
     return np.asarray(box.center, np.float32), np.asarray(box.half_extent, np.float32)
 
 

@@ -108,7 +108,7 @@ def _validation(adapt: AdaptConfig, key: PRNGKeyArray):
         )
         terms, _, predictions = _terms(variables, frames, depth_features, batch, adapt)
         complete = jnp.asarray(batch.complete)
-        scale = jnp.asarray(batch.half_extent) ** 2
+        scale = jnp.asarray(batch.scale) ** 2
         clouds = (predictions.stages[-1], predictions.points)
         distances = [jax.vmap(chamfer)(cloud, complete) * scale for cloud in clouds]
         return jnp.stack([*distances, jnp.broadcast_to(terms.sum(), scale.shape)], -1)

@@ -212,15 +212,15 @@ def _validation(
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        def one(partial, eye, complete, half_extent):
+        def one(partial, eye, complete, scale):
             done = complete_frame(variables, partial, Camera.framing(partial, eye))
             before, after = (
-                chamfer(points, complete) * half_extent**2
+                chamfer(points, complete) * scale**2
                 for points in (done.before, done.points)
             )
             return jnp.stack([before, done.accepted.astype(before.dtype), after])
 
-        arrays = (batch.partial, batch.eye, batch.complete, batch.half_extent)
+        arrays = (batch.partial, batch.eye, batch.complete, batch.scale)
         return jax.vmap(one)(*map(jnp.asarray, arrays))
 
     return validate

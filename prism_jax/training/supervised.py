@@ -44,7 +44,7 @@ def supervised_leg(
 ) -> Leg:
     """Eq. 10 over the stages that ``train_fn`` makes with BatchNorm's statistics of the
     batch, which it returns too; validated on those of ``stages_fn``, by CD-L2 in the
-    units of the stored examples. ``names`` are the stages', coarse first."""
+    unit of the scores. ``names`` are the stages', coarse first."""
     num_steps = phase.num_samples // config.batch_size
     optimiser = adam(phase.learning_rate, num_steps, phase.final_rate, config)
 
@@ -74,7 +74,7 @@ def supervised_leg(
         complete = jnp.asarray(batch.complete)
         stages = stages_fn(variables, batch)
         distances = [jax.vmap(chamfer)(stage, complete) for stage in stages]
-        return jnp.stack(distances, -1) * jnp.asarray(batch.half_extent)[:, None] ** 2
+        return jnp.stack(distances, -1) * jnp.asarray(batch.scale)[:, None] ** 2
 
     return Leg(
         phase.name,

@@ -32,7 +32,6 @@ def test_frame_is_the_workspace_of_the_partial(example, ordered):
     assert batch.partial.shape == (64, 3)
     assert batch.complete.shape == (128, 3)
     assert {array.dtype for array in batch[:4]} == {np.dtype(np.float32)}
-    assert batch.half_extent == pytest.approx(float(workspace.half_extent))
     eye = workspace.to_unit(example.eye.astype(np.float64))
     np.testing.assert_allclose(batch.eye, eye, atol=1e-6)
     for found, original in [
@@ -68,16 +67,28 @@ def test_the_complete_cloud_does_not_decide_the_frame(example):
     expected = frame_example(example, FRAMING)
     other = example._replace(complete=example.complete * 3 + 99)
     changed = frame_example(other, FRAMING)
-    for name in ("partial", "eye", "half_extent"):
-        assert np.array_equal(getattr(changed, name), getattr(expected, name))
+    assert np.array_equal(changed.partial, expected.partial)
+    assert np.array_equal(changed.eye, expected.eye)
     assert not np.array_equal(changed.complete, expected.complete)
 
 
 def test_nor_does_the_number_of_points_that_the_network_takes(example):
     few = frame_example(example, FRAMING)
     many = frame_example(example, Framing(256, 128, 1.4))
-    assert np.array_equal(few.half_extent, many.half_extent)
+    assert np.array_equal(few.scale, many.scale)
     assert np.array_equal(few.partial, many.partial[:64])
+
+
+def test_the_scale_leads_to_the_unit_of_the_scores(example):
+    """There the longest side of the complete cloud has length two."""
+    example = example._replace(partial=example.partial / 3)
+    batch = frame_example(example, Framing(64, len(example.complete), 1.4))
+    scored = batch.complete * batch.scale
+    assert np.ptp(scored, axis=0).max() == pytest.approx(2, rel=1e-5)
+    far = example._replace(
+        partial=example.partial * 40, complete=example.complete * 40, eye=None
+    )
+    assert frame_example(far, FRAMING).scale == pytest.approx(batch.scale, rel=1e-5)
 
 
 def test_a_mirror_image_is_that_or_nothing_changes(example):
@@ -89,7 +100,7 @@ def test_a_mirror_image_is_that_or_nothing_changes(example):
         found.add(sign is flip)
         for a, b in zip(batch[:3], plain[:3], strict=True):
             assert np.array_equal(a, b * sign)
-        assert batch.half_extent == plain.half_extent
+        assert batch.scale == plain.scale
     assert found == {True, False}
 
 
@@ -109,9 +120,9 @@ def test_what_may_have_any_heading_is_turned_about_the_vertical(example):
         batch = frame_example(
             turning._replace(ordered=True), FRAMING, np.random.default_rng(seed)
         )
-        half = float(batch.half_extent)
-        found = half * np.concatenate([batch.partial, batch.eye[None]])
+        found = np.concatenate([batch.partial, batch.eye[None]])
         given = np.concatenate([example.partial[:64], example.eye[None]])
+        found = found * np.ptp(given[:, 2]) / np.ptp(found[:, 2])
         found, given = found - found[0], given.astype(np.float64) - first
         np.testing.assert_allclose(found[:, 2], given[:, 2], atol=1e-5)
         flat_found, flat_given = (x[:, :2] @ [1, 1j] for x in (found, given))
@@ -162,5 +173,5 @@ def test_stacked_examples_get_a_batch_axis(example):
     one = frame_example(example, FRAMING)._replace(indices={"a": np.arange(3)})
     both = stack([one, one])
     assert both.partial.shape == (2, 64, 3)
-    assert both.half_extent.shape == (2,)
+    assert both.scale.shape == (2,)
     assert both.indices["a"].shape == (2, 3)

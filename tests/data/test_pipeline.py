@@ -89,11 +89,11 @@ def test_batches_are_a_function_of_seed_and_number_alone():
 
 
 def test_indices_travel_with_their_example():
-    """The half extent tells which example it is: 0.7 of its number."""
+    """Where the sensor stands in the workspace tells which example it is."""
     for batch in batches_of(Numbered(10), 4, 6):
-        np.testing.assert_allclose(
-            batch.half_extent, 0.7 * (batch.indices["row"] + 1.0), rtol=1e-6
-        )
+        size = batch.indices["row"] + 1.0
+        expected = abs(3 - 0.5 * size) / (0.7 * size)
+        np.testing.assert_allclose(abs(batch.eye[:, 0]), expected, atol=1e-6)
         assert batch.indices["row"].dtype == np.uint16
 
 

@@ -120,7 +120,7 @@ def test_validation_scores_before_and_after_the_refiner(leg, batch, trained):
     params = {**variables["params"], "refiner": idle}
     other = np.asarray(leg.validate_fn({**variables, "params": params}, batch))
     assert np.array_equal(other[:, 0], scores[:, 0])
-    doubled = batch._replace(half_extent=2 * batch.half_extent)
+    doubled = batch._replace(scale=2 * batch.scale)
     larger = np.asarray(leg.validate_fn(variables, doubled))
     np.testing.assert_allclose(larger[:, :2], 4 * scores[:, :2], rtol=1e-6)
     np.testing.assert_allclose(larger[:, 2], scores[:, 2], rtol=1e-6)

@@ -48,7 +48,7 @@ def regression():
 
     @jax.jit
     def validate(variables, batch):
-        return jnp.stack([batch.half_extent, errors(variables["params"], batch)], -1)
+        return jnp.stack([batch.scale, errors(variables["params"], batch)], -1)
 
     return make_leg(step, validate)
 
@@ -198,7 +198,7 @@ def test_validation_counts_every_example_once(regression, data, framed, tmp_path
     train(regression, data, tmp_path, max_steps=1)
     scores = [line["validation"] for line in lines(tmp_path) if "validation" in line]
     batch = framed(data.validation, range(10), data.framing(VALIDATION_COMPLETE))
-    assert scores[0]["first"] == pytest.approx(batch.half_extent.mean(), rel=1e-6)
+    assert scores[0]["first"] == pytest.approx(batch.scale.mean(), rel=1e-6)
 
 
 def test_a_loss_that_is_not_finite_ends_it(regression, data, tmp_path):

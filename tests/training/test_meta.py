@@ -441,6 +441,6 @@ def test_validation_scores(leg_of, batch, variables):
             back = cKDTree(points).query(complete)[0]
             return (there**2).mean() + (back**2).mean()
 
-        area = batch.half_extent[i] ** 2
+        area = batch.scale[i] ** 2
         expected = [area * chamfer(partial), above[i], area * chamfer(after)]
         np.testing.assert_allclose(scores[i], expected, rtol=1e-4)

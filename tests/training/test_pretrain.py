@@ -164,14 +164,14 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     assert seeds.validate_fn._cache_size() == 1
 
 
-def test_validation_is_in_the_units_of_the_examples(seeds, examples, framed):
+def test_validation_is_in_the_unit_of_the_scores(seeds, examples, framed):
     variables = seeds.start.variables
     framing = dataclasses.replace(FRAMING, num_complete=VALIDATION_COMPLETE)
     batch = framed(examples, range(BATCH), framing)
     scores = np.asarray(seeds.validate_fn(variables, batch))
     assert scores.shape == (BATCH, 1)
     assert (scores > 0).all()
-    doubled = batch._replace(half_extent=2 * batch.half_extent)
+    doubled = batch._replace(scale=2 * batch.scale)
     np.testing.assert_allclose(
         seeds.validate_fn(variables, doubled), 4 * scores, rtol=1e-6
     )

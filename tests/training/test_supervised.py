@@ -52,9 +52,9 @@ def test_it_learns_and_only_parameters_change(leg, batch):
     assert state.variables["batch_stats"] == {}
 
 
-def test_the_score_is_in_the_units_of_the_examples(leg, batch):
+def test_the_score_is_in_the_unit_of_the_scores(leg, batch):
     scores = np.asarray(leg.validate_fn(leg.start.variables, batch))
-    doubled = batch._replace(half_extent=2 * batch.half_extent)
+    doubled = batch._replace(scale=2 * batch.scale)
     twice = np.asarray(leg.validate_fn(leg.start.variables, doubled))
     assert scores.shape == (BATCH, 2)
     np.testing.assert_allclose(twice, 4 * scores, rtol=1e-6)
