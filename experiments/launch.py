@@ -33,8 +33,14 @@ def keep_compiled() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-_MALLOC = {"hugetlb": 1, "mmap_max": 0, "trim_threshold": 2**40, "arena_max": 1}
-"""Large pages, and one heap that gives nothing back."""
+_MALLOC = {
+    "hugetlb": 1,
+    "mmap_threshold": 2**31,
+    "trim_threshold": 2**40,
+    "arena_max": 1,
+}
+"""Large pages, and one heap that gives nothing back but blocks of 2 GiB and more, which
+would leave holes as large."""
 
 
 def with_kept_pages() -> None:

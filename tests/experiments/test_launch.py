@@ -12,7 +12,12 @@ print("started", flush=True)
 with_kept_pages()
 print(os.environ["GLIBC_TUNABLES"], sys.argv[1:])
 """
-KEPT = {"hugetlb": "1", "mmap_max": "0", "trim_threshold": str(2**40), "arena_max": "1"}
+KEPT = {
+    "hugetlb": "1",
+    "mmap_threshold": str(2**31),
+    "trim_threshold": str(2**40),
+    "arena_max": "1",
+}
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's settings")
 
@@ -44,6 +49,28 @@ def test_what_the_user_set_stays(monkeypatch):
     kept = {f"glibc.malloc.{name}": value for name, value in KEPT.items()}
     kept.pop("glibc.malloc.hugetlb")
     assert settings == kept
+
+
+def test_freed_blocks_stay_unless_they_are_large(monkeypatch):
+    """Written to and freed: 256 MiB are the program's still, 2 GiB are not."""
+    program = """
+import numpy as np
+from experiments.launch import with_kept_pages
+def resident():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096
+with_kept_pages()
+for size in (2**28, 2**31):
+    before = resident()
+    block = np.ones(size, np.uint8)
+    held = resident()
+    del block
+    print(held - before > 0.9 * size, resident() - before > 0.9 * size)
+"""
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    command = [sys.executable, "-c", program]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert printed.stdout.split() == ["True", "True", "True", "False"]
 
 
 def test_not_where_all_is_set(monkeypatch):
