@@ -108,8 +108,9 @@ def train_leg(
     """Trains a leg to its end, or to step ``max_steps``.
 
     Goes on from the latest checkpoint in ``folder`` if there is one, with the batches
-    that would have come next. The log's ``data_wait`` is the share of the
-    time in which the loop waited for batches.
+    that would have come next. One step is always queued behind the one that runs, no
+    more, so that the bar is where the work is. The log's ``data_wait`` is the share of
+    the time in which the loop waited for batches.
 
     A batch lies over all devices of all processes, each of which reads its own share.
     """
@@ -135,13 +136,15 @@ def train_leg(
         batches.set_state(reader)
     log = Log(folder, leg.name, leg.num_samples, step, leg.batch_size, tensorboard)
     validate_steps = max(1, data.validate_every // leg.batch_size)
-    recent = []
+    recent, before = [], None
     while step < last:
         with log.waiting():
             batch = parallel.share(next(batches), mesh)
         state, losses = leg.step_fn(state, batch)
         recent.append(losses)
         step += 1
+        jax.block_until_ready(before)
+        before = losses
         log.advance(leg.batch_size)
         at_validation = step % validate_steps == 0 or step == last
         if step % LOG_EVERY == 0 or at_validation:

@@ -12,6 +12,7 @@ from prism_jax.data.pipeline import training_batches
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.leg import VALIDATION_COMPLETE, Data, Leg, TrainState
 from prism_jax.training.leg import train_leg as train
+from prism_jax.training.run import Log
 
 BATCH, STEPS, MARGIN = 4, 12, 1.4
 OPTIMISER = optax.adam(0.05)
@@ -116,6 +117,31 @@ def test_broken_off_and_resumed_it_ends_the_same(regression, data, tmp_path, bro
     # Moments and step count of the optimiser too.
     ends = [latest(regression, tmp_path / name) for name in ("unbroken", "broken")]
     assert bitwise(*ends)
+
+
+def test_one_step_is_queued_and_no_more(regression, data, tmp_path, monkeypatch):
+    """When the bar moves, all steps but the last are done."""
+    queued = []
+
+    @jax.jit
+    def late(losses):
+        square = jnp.full((512, 512), losses[0])
+        work = jax.lax.fori_loop(0, 10, lambda _, x: x @ square / 512, square)
+        return losses + 0.0 * work[0, 0]
+
+    def step(state, batch):
+        state, losses = regression.step_fn(state, batch)
+        queued.append(late(losses))
+        return state, queued[-1]
+
+    def advance(log, samples):
+        done.append([losses.is_ready() for losses in queued])
+
+    done = []
+    monkeypatch.setattr(Log, "advance", advance)
+    train(regression._replace(step_fn=step), data, tmp_path)
+    assert all(all(ready[:-1]) for ready in done)
+    assert not all(ready[-1] for ready in done)
 
 
 def test_killed_between_checkpoints_it_repeats_what_was_lost(
