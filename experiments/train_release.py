@@ -52,6 +52,7 @@ def define_flags() -> None:
     flags.DEFINE_multi_enum(
         "scored", None, DATASETS, "What to score on; the same if not given."
     )
+    flags.DEFINE_integer("scored_at_once", 20, "Examples, as memory allows.", 1)
     flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
     flags.DEFINE_integer("max_steps", None, "End every leg of training at this step.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
@@ -90,6 +91,7 @@ def plan(folder: pathlib.Path) -> list[Step]:
     def scores(weights: Step, dataset: str, split: str) -> Step:
         output = folder / f"{weights.done.parent.name}-{dataset}-{split}.json"
         what = (f"--weights={weights.done}", f"--dataset={dataset}", *place)
+        what += (f"--batch_size={FLAGS.scored_at_once}",)
         return Step(
             "evaluate", (*what, f"--split={split}", f"--output={output}"), output
         )
@@ -141,6 +143,11 @@ def main(argv):
             continue
         print(label, flush=True)
         ended = subprocess.run(step.command, check=False)
+        if ended.returncode < 0:
+            name = signal.Signals(-ended.returncode).name
+            hint = "; for want of memory?" if name == "SIGKILL" else ""
+            print(f"stopped by {name}{hint}; the same command goes on")
+            sys.exit(128 - ended.returncode)
         if ended.returncode:
             sys.exit(ended.returncode)
         if not step.done.exists():

@@ -14,7 +14,7 @@ class Commands:
     """Takes the commands in; each writes its file, but for those that fail or stop."""
 
     def __init__(self):
-        self.run, self.fails, self.stops = [], set(), set()
+        self.run, self.fails, self.stops, self.status = [], set(), set(), 3
 
     def __call__(self, command, check):
         assert command[:2] == [sys.executable, "-m"]
@@ -24,7 +24,7 @@ class Commands:
         self.run.append((command[2], command[3:]))
         step = (command[2].removeprefix("experiments."), place.rpartition("/")[2])
         if step in self.fails:
-            return subprocess.CompletedProcess(command, 3)
+            return subprocess.CompletedProcess(command, self.status)
         if step not in self.stops:
             self._write(command[2], place, arguments)
         return subprocess.CompletedProcess(command, 0)
@@ -97,6 +97,20 @@ def test_goes_on_where_it_failed(commands, tmp_path):
     assert len(commands.run) == 3 + 9
     assert run("--preset=tiny", f"--workdir={tmp_path}") == 0
     assert len(commands.run) == 3 + 9
+
+
+def test_a_killed_command_is_told_of(commands, tmp_path, capsys):
+    commands.fails, commands.status = {("meta_train", "meta")}, -9
+    assert run("--preset=tiny", f"--workdir={tmp_path}") == 128 + 9
+    assert "stopped by SIGKILL; for want of memory?" in capsys.readouterr().out
+    commands.fails = set()
+    assert run("--preset=tiny", f"--workdir={tmp_path}") == 0
+
+
+def test_so_many_are_scored_at_once(commands, tmp_path):
+    assert run("--preset=tiny", f"--workdir={tmp_path}", "--scored_at_once=2") == 0
+    scored = [part for module, part in commands.run if module.endswith("evaluate")]
+    assert scored and all("--batch_size=2" in arguments for arguments in scored)
 
 
 def test_a_bounded_run_stops_and_says_so(commands, tmp_path, capsys):
