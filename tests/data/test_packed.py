@@ -10,7 +10,7 @@ from prism_jax.data import packed
 from prism_jax.data.builds import MANIFEST
 from prism_jax.data.datasets import open_dataset, open_training, parts_of
 from prism_jax.data.packed import PackConfig, Packed, pack
-from prism_jax.data.pipeline import Framing, frame_example
+from prism_jax.data.pipeline import Framing, frame_example, workspace_of
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
@@ -75,11 +75,11 @@ def test_the_parts_are_named(folder):
 def test_unordered_clouds_are_ordered(folder):
     """Framed for a training they are what they were, to a step."""
     framing = Framing(32, 64, 1.4)
-    given = frame_example(RecordedCells.bundled()[3], framing)
-    found = frame_example(Packed(folder)[5 + 3], framing)
-    half = float(given.half_extent)
-    assert float(found.half_extent) == pytest.approx(half, rel=0.05)
-    partial = found.partial * found.half_extent
+    examples = RecordedCells.bundled()[3], Packed(folder)[5 + 3]
+    given, found = (frame_example(example, framing) for example in examples)
+    half, packed = (float(workspace_of(e.partial, 1.4)[1]) for e in examples)
+    assert packed == pytest.approx(half, rel=0.05)
+    partial = found.partial * packed
     center = (given.partial * half)[0] - partial[0]
     np.testing.assert_allclose(partial + center, given.partial * half, atol=1e-3 * half)
 
