@@ -32,7 +32,9 @@ def main(argv):
     config = preset.pretrain
     variables, before = started_from_weights(preset) or (None, None)
     start = None if variables is None else sha256(variables)
-    data = training_data(preset, config.num_complete, config.validate_every)
+    num_samples = sum(leg.num_samples for leg in config.backbone)
+    reading = (config.num_complete, config.validate_every, num_samples)
+    data = training_data(preset, *reading)
     run = {"preset": dataclasses.asdict(preset), "start": start}
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     ending = (FLAGS.max_steps, FLAGS.tensorboard)
@@ -45,7 +47,7 @@ def main(argv):
         "seed": FLAGS.seed,
         "commit": started_from(folder),
         "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
-        "samples": sum(leg.num_samples for leg in config.backbone),
+        "samples": num_samples,
         "pretrained": before,
     }
     path = folder / "weights.safetensors"

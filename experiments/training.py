@@ -67,11 +67,14 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     return variables, {key: metadata[key] for key in known if key in metadata}
 
 
-def training_data(preset: Preset, num_complete: int, validate_every: int) -> Data:
-    """The flags' data set as the preset reads it, with the encoder's indices.
+def training_data(
+    preset: Preset, num_complete: int, validate_every: int, encoded: int
+) -> Data:
+    """The flags' data set as the preset reads it.
 
-    Generated sets are built where missing: for a preset with a `num_shapes` of its own,
-    so many shapes in a folder of its own.
+    `encoded` is how many examples the run encodes: if more than there are, the
+    encoder's indices are made beforehand. Generated sets are built where missing: for a
+    preset with a `num_shapes` of its own, so many shapes in a folder of its own.
     """
     train, validation = _sources(preset)
     data = Data(
@@ -83,7 +86,7 @@ def training_data(preset: Preset, num_complete: int, validate_every: int) -> Dat
         validate_every,
         FLAGS.num_workers,
     )
-    if FLAGS.num_workers:
+    if FLAGS.num_workers or encoded <= len(train):
         return data
     framing = data.framing(num_complete)
     indices = index_table(train, framing, preset.model.backbone)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import pretrain
+from experiments import pretrain, training
 from prism_jax.models.initial import init_variables
 from prism_jax.presets import resolve
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
@@ -61,6 +61,19 @@ def test_it_goes_on_from_weights_and_tells_of_both_trainings(
     assert metadata["pretrained"] == BEFORE
     begun = json.loads((tmp_path / "config.json").read_text())["config"]
     assert begun["start"] == sha256(load_pretrained(str(weights))[1])
+
+
+@pytest.mark.parametrize(("num_samples", "made"), [(8, False), (16, True)])
+def test_indices_are_made_beforehand_where_examples_come_again(
+    run, tmp_path, monkeypatch, num_samples, made
+):
+    """The corpus has eight."""
+    monkeypatch.setattr(training, "index_table", lambda *arguments: "made")
+    seen = []
+    monkeypatch.setattr(pretrain, "pretrain", lambda _, data, *rest: seen.append(data))
+    changed = f"--set=pretrain.backbone.1.num_samples={num_samples}"
+    assert run(f"--workdir={tmp_path}", changed)[0] == 0
+    assert [data.indices for data in seen] == ["made" if made else None]
 
 
 def test_without_weights_it_starts_afresh(run, tmp_path, capsys):
