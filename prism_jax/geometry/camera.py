@@ -19,6 +19,10 @@ Vector = Sequence[float | int] | Float[Array | np.ndarray, "3"]
 MIN_DEPTH = 1e-6
 """Points whose depth is not greater than this count as behind the camera."""
 
+exact_products = jax.default_matmul_precision("highest")
+"""Accelerators round the factors of a float32 product to fewer bits unless told
+otherwise: a thousandth of a coordinate."""
+
 VIEWS = {
     "front": (1.0, 0.0, 0.0),
     "back": (-1.0, 0.0, 0.0),
@@ -61,16 +65,19 @@ class Camera:
     width: int
 
     @property
+    @exact_products
     def position(self) -> Float[Array | np.ndarray, "*batch 3"]:
         """The camera centre in the points' frame, ``-R^T t``. Differentiable."""
         return -(self.translation[..., None, :] @ self.rotation)[..., 0, :]
 
+    @exact_products
     def to_camera(
         self, points: Float[Array | np.ndarray, "N 3"]
     ) -> Float[Array | np.ndarray, "N 3"]:
         """Points in the camera's frame. Differentiable."""
         return points @ self.rotation.T + self.translation
 
+    @exact_products
     def project(
         self, points: Float[Array | np.ndarray, "N 3"]
     ) -> tuple[Float[Array, "N 2"], Float[Array, " N"]]:
@@ -85,6 +92,7 @@ class Camera:
         homogeneous = in_camera @ self.intrinsics.T
         return homogeneous[:, :2] / safe_z[:, None], z
 
+    @exact_products
     def unproject(
         self,
         depth: Float[Array | np.ndarray, "H W"],
@@ -101,6 +109,7 @@ class Camera:
         z = jnp.where(mask, depth, 0.0).reshape(-1, 1)
         return (rays * z - self.translation) @ self.rotation
 
+    @exact_products
     def resized(self, height: int, width: int) -> "Camera":
         """The same view on another pixel grid covering the same field of view."""
         x_scale, y_scale = width / self.width, height / self.height
@@ -117,6 +126,7 @@ class Camera:
         )
 
     @classmethod
+    @exact_products
     def look_at(
         cls,
         eye: Vector,

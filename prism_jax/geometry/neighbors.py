@@ -84,7 +84,8 @@ def three_point_interpolate(
     offsets = query[:, None] - support[neighbors]
     weights = 1.0 / ((offsets**2).sum(-1) + 1e-8)
     weights = weights / weights.sum(-1, keepdims=True)
-    return jnp.einsum("nk,nkc->nc", weights, features[neighbors])
+    found = features[neighbors]
+    return jnp.einsum("nk,nkc->nc", weights, found, precision="highest")
 
 
 def _by_rows(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.camera import Camera, exact_products
 
 
 @functools.partial(
@@ -42,6 +42,7 @@ class Workspace:
         """Workspace units to metres, the inverse of ``to_unit``."""
         return points * self.half_extent + self.center
 
+    @exact_products
     def camera_to_unit(self, camera: Camera) -> Camera:
         """The same view for points in workspace units: same pixels, depth / half side.
 
