@@ -1,10 +1,11 @@
 """Times against named peers: operations, adaptation, training, start-up; memory.
 
-python -m experiments.benchmark --suite=SUITE --output=FILE.json
+python -m experiments.benchmark --suite=SUITE [--of=NAME] --output=FILE.json
 """
 
 import dataclasses
 import importlib
+import inspect
 import json
 import pathlib
 
@@ -13,6 +14,7 @@ from absl import flags
 from experiments.benchmarks.measure import Row
 from experiments.launch import launch, with_kept_pages
 from prism_jax.io.atomic import write_bytes
+from prism_jax.io.errors import InputError
 
 FLAGS = flags.FLAGS
 SUITES = ("ops", "adapt", "evaluation", "training", "startup", "memory")
@@ -25,16 +27,22 @@ HEADER = (
 def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_enum("suite", "ops", SUITES, "What is measured.")
+    flags.DEFINE_string(
+        "of", None, "Preset (training, memory) or weights (adapt, evaluation)."
+    )
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 
 
 def main(argv):
     """Prints each row when it is measured; the machine should be otherwise idle."""
     del argv
+    suite = importlib.import_module(f"experiments.benchmarks.{FLAGS.suite}").suite
+    given = [] if FLAGS.of is None else [FLAGS.of]
+    if given and not inspect.signature(suite).parameters:
+        raise InputError("--of", f"{FLAGS.suite} has no network", "leave it out")
     rows, lines = [], [HEADER]
     print(HEADER, flush=True)
-    suite = importlib.import_module(f"experiments.benchmarks.{FLAGS.suite}").suite
-    for row in suite():
+    for row in suite(*given):
         rows.append(dataclasses.asdict(row))
         lines.append(markdown(row))
         print(lines[-1], flush=True)

@@ -58,7 +58,11 @@ def row(
 
 
 class Compiled:
-    """A jitted function of fixed arguments, with what its compilation took."""
+    """A jitted function of fixed arguments, with what its compilation took.
+
+    ``flops`` is the compiler's count: a loop's body counts once, and kernels of our own
+    not at all.
+    """
 
     def __init__(self, fn: Callable[..., Any], *arguments: Any):
         start = time.perf_counter()
@@ -67,6 +71,7 @@ class Compiled:
         self._arguments = arguments
         analysis = self._fn.memory_analysis()
         self.peak_mib = None if analysis is None else analysis.temp_size_in_bytes / MIB
+        self.flops = (self._fn.cost_analysis() or {}).get("flops", 0.0)
 
     def __call__(self) -> Any:
         return jax.block_until_ready(self._fn(*self._arguments))

@@ -9,7 +9,7 @@ import numpy as np
 from experiments.benchmarks.measure import MIB, Row, row
 from prism_jax.data.pipeline import Batch
 from prism_jax.models.initial import init_variables
-from prism_jax.presets import PRESETS
+from prism_jax.presets import resolve
 from prism_jax.training.auxiliary import auxiliary_leg
 from prism_jax.training.leg import Leg
 from prism_jax.training.meta import meta_leg
@@ -20,7 +20,7 @@ GPU_MIB = 80e9 / MIB
 
 def suite(preset: str = "paper") -> Iterator[Row]:
     """A whole batch of every leg on one device, beside an accelerator of 80 GB."""
-    settings = PRESETS[preset]
+    settings = resolve(preset)
     shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), settings.model))
     variables = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
     backbone = settings.model.backbone

@@ -1,15 +1,16 @@
 """Training steps of `small`: supervised, and of the meta-objective."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from experiments.benchmarks.measure import Row, in_turn, row
+from experiments.benchmarks.measure import Compiled, Row, in_turn, row
 from prism_jax.data.pipeline import Batch
 from prism_jax.models.backbone import partial_indices
 from prism_jax.models.initial import init_variables
-from prism_jax.presets import PRESETS, Preset
+from prism_jax.presets import Preset, resolve
 from prism_jax.training.leg import Leg
 from prism_jax.training.meta import meta_leg
 from prism_jax.training.pretrain import backbone_leg
@@ -17,14 +18,17 @@ from prism_jax.training.pretrain import backbone_leg
 SAMPLES_PER_SECOND = 100
 MOST = 4.0
 """Times a supervised step, for a meta-step with one inner step."""
+SIDE = 4096
+"""Of the matrices whose product tells what arithmetic this machine does at best."""
 
 
 def suite(preset: str = "small") -> Iterator[Row]:
     """Each leg of the preset's pretraining, and a meta-step beside the last of them.
 
     On random clouds, the encoder's indices made beforehand as they are for a data set.
+    A step stands also beside the time in which a matrix product has as many operations.
     """
-    settings = PRESETS[preset]
+    settings = resolve(preset)
     config, backbone = settings.pretrain, settings.model.backbone
     variables = init_variables(jax.random.key(0), settings.model)
     kinds = ("params", "batch_stats")
@@ -33,21 +37,29 @@ def suite(preset: str = "small") -> Iterator[Row]:
         for kind in kinds
     }
     batch, step = _batch(settings), None
+    product = Compiled(jnp.matmul, *(np.ones((2, SIDE, SIDE), np.float32)))
+    (products,) = in_turn(product, seconds=5.0)
+    best = np.median(products) / product.flops
     wanted = [1e3 * config.batch_size / SAMPLES_PER_SECOND]
     for phase in config.backbone:
         step = _step(backbone_leg(own, backbone, phase, config), batch)
         (times,) = in_turn(step, seconds=20.0)
         name = f"{preset}, {phase.name}, step of {config.batch_size} samples"
-        yield row(name, times, f"{SAMPLES_PER_SECOND} samples a second", wanted, 1.0)
+        peer = f"{SAMPLES_PER_SECOND} samples a second"
+        yield row(name, times, peer, wanted, 1.0, **step.costs)
+        yield row(name, times, "its operations, as a product", [best * step.flops])
     assert step is not None
     meta = _step(meta_leg(variables, settings.adapt, settings.meta, 0), batch)
     ours, theirs = in_turn(meta, step, seconds=30.0)
     name = f"{preset}, meta-step of {settings.meta.batch_size} samples"
-    yield row(name, ours, f"{config.backbone[-1].name}, step", theirs, MOST)
+    yield row(
+        name, ours, f"{config.backbone[-1].name}, step", theirs, MOST, **meta.costs
+    )
+    yield row(name, ours, "its operations, as a product", [best * meta.flops])
 
 
-def _step(leg: Leg, batch: Batch) -> Callable[[], object]:
-    return lambda: jax.block_until_ready(leg.step_fn(leg.start, batch)[1])
+def _step(leg: Leg, batch: Batch) -> Compiled:
+    return Compiled(leg.step_fn, leg.start, batch)
 
 
 def _batch(settings: Preset) -> Batch:

@@ -1,0 +1,53 @@
+"""The launcher: what it passes on and writes. What it measures is a stand-in."""
+
+import json
+
+import pytest
+
+from experiments import benchmark
+from experiments.benchmarks import ops, training
+from experiments.benchmarks.measure import Compiled, row
+from tests import launching
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """The presets that rows were asked of."""
+    presets = []
+
+    def suite(preset="small"):
+        presets.append(preset)
+        yield row("slow", [3.0, 5.0, 4.0], "fast", [2.0], 1.5)
+
+    monkeypatch.setattr(training, "suite", suite)
+    return presets
+
+
+def test_rows_are_printed_and_written(asked, tmp_path, capsys):
+    path = tmp_path / "rows.json"
+    assert launching.run(benchmark, "--suite=training", f"--output={path}") == 0
+    line = "| slow | 4 ms (3 to 5) | fast | 2 ms | 2 | 1.5 | no |  |  |"
+    assert line in capsys.readouterr().out
+    assert line in path.with_suffix(".md").read_text()
+    (written,) = json.loads(path.read_text())
+    assert (written["ratio"], written["holds"]) == (2.0, False)
+    assert asked == ["small"]
+
+
+def test_of_another_preset(asked):
+    assert launching.run(benchmark, "--suite=training", "--of=paper") == 0
+    assert asked == ["paper"]
+
+
+@pytest.mark.parametrize(
+    ("suite", "fault"),
+    [("ops", "--of: ops has no network"), ("training", "none: no such preset")],
+)
+def test_what_cannot_be_measured_is_refused(suite, fault, capsys):
+    assert launching.run(benchmark, f"--suite={suite}", "--of=none") == 2
+    assert f"benchmark: {fault}; " in capsys.readouterr().err
+
+
+def test_operations_of_a_product():
+    a, b = ops._cloud(8, 0), ops._cloud(5, 1)
+    assert Compiled(lambda a, b: a @ b.T, a, b).flops == 2 * 8 * 5 * 3
