@@ -28,7 +28,10 @@ def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_enum("suite", "ops", SUITES, "What is measured.")
     flags.DEFINE_string(
-        "of", None, "Preset (training, memory) or weights (adapt, evaluation)."
+        "of",
+        None,
+        "Preset (training, memory) or weights (adapt, evaluation); small if not given, "
+        "paper for memory.",
     )
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 

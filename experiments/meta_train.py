@@ -36,8 +36,9 @@ def main(argv):
     preset = resolve(FLAGS.preset, FLAGS.set)
     config = preset.meta
     variables, before = started_from_weights(preset) or (_fresh(preset), None)
-    reading = (config.num_complete, config.validate_every, config.num_samples)
-    data = training_data(preset, *reading)
+    data = training_data(
+        preset, config.num_complete, config.validate_every, encoded=config.num_samples
+    )
     run = {"preset": dataclasses.asdict(preset), "start": sha256(variables)}
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     leg = meta_leg(variables, preset.adapt, config, FLAGS.seed)

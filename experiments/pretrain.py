@@ -33,8 +33,9 @@ def main(argv):
     variables, before = started_from_weights(preset) or (None, None)
     start = None if variables is None else sha256(variables)
     num_samples = sum(leg.num_samples for leg in config.backbone)
-    reading = (config.num_complete, config.validate_every, num_samples)
-    data = training_data(preset, *reading)
+    data = training_data(
+        preset, config.num_complete, config.validate_every, encoded=num_samples
+    )
     run = {"preset": dataclasses.asdict(preset), "start": start}
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     ending = (FLAGS.max_steps, FLAGS.tensorboard)

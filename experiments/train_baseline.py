@@ -37,7 +37,7 @@ def main(argv):
     num_samples = sum(leg.num_samples for leg in config.backbone)
     num_samples += preset.meta.num_samples
     phase = PhaseConfig(FLAGS.network, num_samples, None)
-    data = training_data(preset, config.num_complete, config.validate_every, 0)
+    data = training_data(preset, config.num_complete, config.validate_every, encoded=0)
     run = {
         "network": FLAGS.network,
         "sizes": dataclasses.asdict(network.config),  # pyright: ignore

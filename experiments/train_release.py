@@ -91,10 +91,8 @@ def plan(folder: pathlib.Path) -> list[Step]:
     def scores(weights: Step, dataset: str, split: str) -> Step:
         output = folder / f"{weights.done.parent.name}-{dataset}-{split}.json"
         what = (f"--weights={weights.done}", f"--dataset={dataset}", *place)
-        what += (f"--batch_size={FLAGS.scored_at_once}",)
-        return Step(
-            "evaluate", (*what, f"--split={split}", f"--output={output}"), output
-        )
+        how = (f"--batch_size={FLAGS.scored_at_once}", f"--output={output}")
+        return Step("evaluate", (*what, f"--split={split}", *how), output)
 
     def release(weights: Step, scored: list[Step], name: str) -> Step:
         found = [f"--scores={step.done}" for step in scored]

@@ -1,4 +1,4 @@
-"""Memory of a step of `paper`, as the compiler plans it; nothing is run."""
+"""Memory of a preset's steps, as the compiler plans it; nothing is run."""
 
 from collections.abc import Iterator
 

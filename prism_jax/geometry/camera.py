@@ -11,6 +11,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from prism_jax.geometry.precision import exact_products
+
 if TYPE_CHECKING:
     import prism_jax.geometry.workspace
 
@@ -18,10 +20,6 @@ Vector = Sequence[float | int] | Float[Array | np.ndarray, "3"]
 
 MIN_DEPTH = 1e-6
 """Points whose depth is not greater than this count as behind the camera."""
-
-exact_products = jax.default_matmul_precision("highest")
-"""Accelerators round the factors of a float32 product to fewer bits unless told
-otherwise: a thousandth of a coordinate."""
 
 VIEWS = {
     "front": (1.0, 0.0, 0.0),

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from prism_jax.geometry import kernels
 from prism_jax.geometry.extrema import first_lowest
+from prism_jax.geometry.precision import exact_products
 
 _NEAREST_RUN = 32
 _KNN_RUN = 8
@@ -67,6 +68,7 @@ def knn(
     return jnp.concatenate([indices, last], axis=1)
 
 
+@exact_products
 def three_point_interpolate(
     query: Float[Array, "N 3"],
     support: Float[Array, "M 3"],
@@ -84,8 +86,7 @@ def three_point_interpolate(
     offsets = query[:, None] - support[neighbors]
     weights = 1.0 / ((offsets**2).sum(-1) + 1e-8)
     weights = weights / weights.sum(-1, keepdims=True)
-    found = features[neighbors]
-    return jnp.einsum("nk,nkc->nc", weights, found, precision="highest")
+    return jnp.einsum("nk,nkc->nc", weights, features[neighbors])
 
 
 def _by_rows(

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from prism_jax.geometry.camera import Camera, exact_products
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.precision import exact_products
 
 
 @functools.partial(

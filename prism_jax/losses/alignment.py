@@ -4,13 +4,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from prism_jax.geometry.precision import exact_products
 from prism_jax.geometry.transport import sinkhorn
 
 # Below this mean cost the tokens coincide and any plan will do.
 MIN_MEAN_COST = 1e-12
-
-# Accelerators round float32 products to fewer bits unless told otherwise.
-PRECISION = jax.lax.Precision.HIGHEST
 
 
 def manifold_matching(
@@ -68,21 +66,22 @@ def alignment_loss(
     return matching + lambda_ot * transport
 
 
+@exact_products
 def _mean_and_covariance(
     tokens: Float[Array, "n d"],
 ) -> tuple[Float[Array, " d"], Float[Array, "d d"]]:
     mean = jnp.mean(tokens, axis=0)
     centred = tokens - mean
-    covariance = jnp.matmul(centred.T, centred, precision=PRECISION) / tokens.shape[0]
+    covariance = centred.T @ centred / tokens.shape[0]
     return mean, covariance
 
 
+@exact_products
 def _squared_distances(
     a: Float[Array, "m d"], b: Float[Array, "n d"]
 ) -> Float[Array, "m n"]:
     """Without the m x n x d array of differences, and centred, against cancellation."""
     center = jax.lax.stop_gradient(jnp.mean(jnp.concatenate([a, b]), axis=0))
     a, b = a - center, b - center
-    product = jnp.matmul(a, b.T, precision=PRECISION)
     squares = jnp.sum(a**2, axis=-1)[:, None] + jnp.sum(b**2, axis=-1)
-    return jnp.maximum(squares - 2.0 * product, 0.0)
+    return jnp.maximum(squares - 2.0 * (a @ b.T), 0.0)
