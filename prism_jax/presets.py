@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 from collections.abc import Sequence
+from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from prism_jax.adaptation.config import AdaptConfig, MetaConfig
@@ -205,58 +206,48 @@ def changed(config: Any, changes: Sequence[str]) -> Any:
         path, equals, text = change.partition("=")
         if not equals:
             raise InputError(change, "not a change", "write path.to.field=value")
-        config = _replaced(config, path.split("."), text, change)
+        config = _replaced(config, type(config), path.split("."), text, change)
     return config
 
 
-def _replaced(config: Any, path: list[str], text: str, change: str) -> Any:
+def _replaced(config: Any, kind: Any, path: list[str], text: str, change: str) -> Any:
     if not path:
-        return _typed(config, text, change)
+        return _value(kind, text, change)
     name, *rest = path
-    known = _fields(config)
-    if name not in known:
-        remedy = f"use one of {', '.join(known)}" if known else "leave it out"
+    parts = _parts(config, kind)
+    if name not in parts:
+        remedy = f"use one of {', '.join(parts)}" if parts else "leave it out"
         raise InputError(change, f"no field {name!r}", remedy)
-    value = _replaced(known[name], rest, text, change)
-    _check_choice(config, name, value, change)
+    value = _replaced(*parts[name], rest, text, change)
     if isinstance(config, tuple):
         index = int(name)
         return (*config[:index], value, *config[index + 1 :])
     return dataclasses.replace(config, **{name: value})
 
 
-def _check_choice(config: Any, name: str, value: Any, change: str) -> None:
-    """Raises InputError for a word, or one of several, that the field does not take."""
+def _parts(config: Any, kind: Any) -> dict[str, tuple[Any, Any]]:
+    """Named parts of a dataclass, numbered ones of a tuple, none of a plain value; each
+    with the type that is asked of it."""
     if isinstance(config, tuple):
-        return
-    hint, words = get_type_hints(type(config))[name], (value,)
-    if get_origin(hint) is tuple:
-        hint, words = get_args(hint)[0], value
-    if get_origin(hint) is Literal and not set(words) <= set(get_args(hint)):
-        known = ", ".join(get_args(hint))
-        raise InputError(change, f"no such {name}", f"use one of {known}")
-
-
-def _fields(config: Any) -> dict[str, Any]:
-    """Named parts of a dataclass, numbered ones of a tuple, none of a plain value."""
-    if isinstance(config, tuple):
-        return {str(index): item for index, item in enumerate(config)}
+        items = zip(config, _items(kind, len(config)), strict=True)
+        return {str(index): item for index, item in enumerate(items)}
     if not dataclasses.is_dataclass(config):
         return {}
-    fields = dataclasses.fields(config)
-    return {field.name: getattr(config, field.name) for field in fields}
+    kinds = get_type_hints(type(config))
+    return {name: (getattr(config, name), kind) for name, kind in kinds.items()}
 
 
-def _typed(old: Any, text: str, change: str) -> Any:
-    if isinstance(old, str):
-        return text
-    new = _literal(text, change)
-    if isinstance(old, float) and type(new) is int:
-        new = float(new)
-    if old is not None and type(new) is not type(old):
-        wanted = type(old).__name__
-        raise InputError(change, f"not of type {wanted}", f"give it a {wanted}")
-    return new
+def _value(kind: Any, text: str, change: str) -> Any:
+    """The text as a value of that type: words as they are, the rest as in Python."""
+    word = get_origin(kind) is Literal
+    value = text if word or kind is str else _literal(text, change)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if not _fits(value, kind):
+        name = kind.__name__ if isinstance(kind, type) else str(kind)
+        choice = f"one of {', '.join(get_args(kind))}" if word else f"of type {name}"
+        raise InputError(change, f"not {choice}", "give a value that is")
+    return value
 
 
 def _literal(text: str, change: str) -> Any:
@@ -264,3 +255,23 @@ def _literal(text: str, change: str) -> Any:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError):
         raise InputError(change, "not a value", "write a Python literal") from None
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    options = get_args(kind)
+    if get_origin(kind) is Literal:
+        return value in options
+    if get_origin(kind) is UnionType:
+        return any(_fits(value, option) for option in options)
+    if get_origin(kind) is not tuple:
+        return type(value) is kind
+    if type(value) is not tuple:
+        return False
+    items = _items(kind, len(value))
+    return len(value) == len(items) and all(map(_fits, value, items))
+
+
+def _items(kind: Any, count: int) -> tuple[Any, ...]:
+    """The types of a tuple's items: of so many, where the number is open."""
+    items = get_args(kind)
+    return items[:1] * count if items[-1] is Ellipsis else items

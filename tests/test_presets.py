@@ -67,6 +67,7 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
             "adapt.model.auxiliary.max_offset=0.2",
             "pretrain.backbone.1.num_samples=8",
             "pretrain.backbone.0.name=first",
+            "pretrain.backbone.0.num_blocks=None",
             "pretrain.backbone.1.num_blocks=1",
             "pretrain.norm=l2",
             "adapt.num_steps=2",
@@ -80,7 +81,7 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
     assert changed.model.auxiliary.max_offset == 0.2
     assert [phase.num_samples for phase in changed.pretrain.backbone] == [64, 8]
     assert changed.pretrain.backbone[0].name == "first"
-    assert changed.pretrain.backbone[1].num_blocks == 1
+    assert [phase.num_blocks for phase in changed.pretrain.backbone] == [None, 1]
     assert changed.pretrain.norm == "l2"
     assert resolve("tiny") == PRESETS["tiny"]
     same = dataclasses.replace(changed.pretrain, backbone=(), norm="l1")
@@ -96,10 +97,11 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
         ("=1", "no field ''"),
         ("adapt..seed=1", "no field ''"),
         ("adapt.num_steps=1.5", "not of type int"),
-        ("pretrain.norm=l3", "no such norm"),
-        ("meta.optimiser=adamw", "no such optimiser"),
-        ("meta.method.weight_rule=own", "no such weight_rule"),
-        ("meta.method.branches=('align', 'colour')", "no such branches"),
+        ("pretrain.norm=l3", "not one of l2, l1"),
+        ("meta.optimiser=adamw", "not one of sgd, adam"),
+        ("meta.method.weight_rule=own", "not one of auxiliary, meta"),
+        ("meta.method.branches=('align', 'colour')", "'normal', 'denoise', 'align'"),
+        ("meta.method.branches=('align', 1)", "'normal', 'denoise', 'align'"),
         ("adapt.num_steps=True", "not of type int"),
         ("adapt.num_steps=three", "not a value"),
         ("adapt.num_steps=__import__('os')", "not a value"),
@@ -107,6 +109,10 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
         ("adapt.adapt_norm=1", "not of type bool"),
         ("adapt.step_size='1'", "not of type float"),
         ("adapt.model.backbone.up_factors=2", "not of type tuple"),
+        ("adapt.model.backbone.up_factors=(1, 2.5)", "not of type tuple"),
+        ("adapt.model.backbone.patch_points=(32,)", "not of type tuple"),
+        ("pretrain.backbone.1.num_blocks=all", "not a value"),
+        ("pretrain.backbone.1.num_blocks='all'", "not of type int | None"),
         ("adapt=1", "not of type AdaptConfig"),
         ("adapt.num_steps.more=1", "'more'"),
         ("pretrain.backbone.5.num_samples=1", "'5'"),
