@@ -45,9 +45,8 @@ def define_flags() -> None:
     )
 
 
-def main(argv):
+def main():
     """Scores every variant, adapted with its own settings, on the same frames."""
-    del argv
     prepare_output()
     variants = dict(VARIANTS)
     for change in FLAGS.weights:

@@ -45,9 +45,8 @@ def define_flags() -> None:
     )
 
 
-def main(argv):
+def main():
     """Scores both weights with each number of steps, and the variations of one."""
-    del argv
     prepare_output()
     both = {
         PRETRAINED: load_pretrained(FLAGS.pretrained),

@@ -36,9 +36,8 @@ def define_flags() -> None:
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 
 
-def main(argv):
+def main():
     """Prints each row when it is measured; the machine should be otherwise idle."""
-    del argv
     suite = importlib.import_module(f"experiments.benchmarks.{FLAGS.suite}").suite
     given = [] if FLAGS.of is None else [FLAGS.of]
     if given and not inspect.signature(suite).parameters:

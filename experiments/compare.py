@@ -49,9 +49,8 @@ def define_flags() -> None:
     )
 
 
-def main(argv):
+def main():
     """Scores every row on the same examples, input and output counts."""
-    del argv
     prepare_output()
     config, variables = load_pretrained(FLAGS.weights)
     alone, backbone = load_pretrained(FLAGS.backbone)

@@ -6,7 +6,7 @@ python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
 
 import io
 
-from absl import app, flags
+from absl import flags
 
 from experiments.launch import launch
 from prism_jax.data.contact_sheet import contact_sheet, shape_row
@@ -34,10 +34,8 @@ def define_flags() -> None:
     flags.DEFINE_integer("colors", 128, "Colours of the PNG's palette.", 2, 256)
 
 
-def main(argv):
+def main():
     """One row a category, steel-blue ones for training; or one row a robot cell."""
-    if len(argv) > 1:
-        raise app.UsageError(f"unexpected argument {argv[1]!r}")
     if FLAGS.dataset == "roboarm":
         cells = range(FLAGS.sequences)
         rows = [cell_row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]

@@ -57,9 +57,8 @@ def define_flags() -> None:
     )
 
 
-def main(argv):
+def main():
     """Builds the split where it is missing, scores, writes and prints the table."""
-    del argv
     prepare_output()
     config, variables = load_pretrained(FLAGS.weights)
     config = changed(config, FLAGS.set)

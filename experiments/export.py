@@ -23,9 +23,8 @@ def define_flags() -> None:
     flags.DEFINE_string("output", "adapt.jaxexport", "File to write.")
 
 
-def main(argv):
+def main():
     """Traces, lowers for every platform, writes."""
-    del argv
     config, variables = load_pretrained(FLAGS.weights)
     data = export_adapt(config, variables, FLAGS.batch_size, FLAGS.platforms)
     write_bytes(FLAGS.output, data)

@@ -35,9 +35,8 @@ def define_flags() -> None:
     flags.DEFINE_integer("size", 128, "Pixels of a picture's side.", 16, 1024)
 
 
-def main(argv):
+def main():
     """Draws the first view of the first objects; the picture lies beside the page."""
-    del argv
     prepare_output()
     config, variables = load_pretrained(FLAGS.weights)
     source, protocol = open_split(FLAGS.split), make_protocol(config)

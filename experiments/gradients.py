@@ -20,9 +20,8 @@ from prism_jax.weights import load_pretrained
 FLAGS = flags.FLAGS
 
 
-def main(argv):
+def main():
     """Prints the mean cosine of every loss, and the error after a step along it."""
-    del argv
     prepare_output()
     config, variables = load_pretrained(FLAGS.weights)
     source, protocol = open_split(FLAGS.split), make_protocol(config)

@@ -11,12 +11,18 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 
 
-def launch(name: str, main: Callable[[Sequence[str]], None]) -> None:
+def launch(name: str, main: Callable[[], None]) -> None:
     """Runs ``main`` under absl; an `InputError` ends in one line and exit status 2."""
+
+    def without_arguments(argv: Sequence[str]) -> None:
+        if len(argv) > 1:
+            raise InputError(argv[1], "is no flag", "write --name=value for each")
+        main()
+
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:
-        app.run(main)
+        app.run(without_arguments)
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)

@@ -30,10 +30,8 @@ def define_flags() -> None:
     flags.DEFINE_multi_string("urdf", None, "roboarm: URDF files of your own robots.")
 
 
-def main(argv):
+def main():
     """Builds what is missing of the split and prints its folder."""
-    if len(argv) > 1:
-        raise app.UsageError(f"unexpected argument {argv[1]!r}")
     known = {name for names in _CHANGES.values() for name in names}
     given = {name: FLAGS[name].value for name in sorted(known)}
     given = {name: value for name, value in given.items() if value is not None}

@@ -25,9 +25,8 @@ def define_flags() -> None:
     flags.DEFINE_string("output_dir", "prism_jax/assets", "Where the files go.")
 
 
-def main(argv):
+def main():
     """One example in metres, seen by a sensor at the origin, z up."""
-    del argv
     seed = shape_seed(CorpusConfig("validation"), FLAGS.index)
     (partial,), complete, (viewpoint,) = make_views(FLAGS.category, seed)
     folder = pathlib.Path(FLAGS.output_dir)

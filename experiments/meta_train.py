@@ -29,9 +29,8 @@ from prism_jax.weights import save_weights, sha256
 FLAGS = flags.FLAGS
 
 
-def main(argv):
+def main():
     """Trains, or goes on training; ends with the SHA-256 of the last variables."""
-    del argv
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
     config = preset.meta

@@ -27,9 +27,8 @@ def define_flags() -> None:
     flags.DEFINE_integer("num_workers", None, "By default one for every core.", 0)
 
 
-def main(argv):
+def main():
     """Packs what is missing, and prints the folder."""
-    del argv
     sources = {}
     for name in FLAGS.dataset:
         build_if_missing(name, FLAGS.split, FLAGS.data_dir)

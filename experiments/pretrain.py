@@ -24,9 +24,8 @@ from prism_jax.weights import save_weights, sha256
 FLAGS = flags.FLAGS
 
 
-def main(argv):
+def main():
     """Trains, or goes on training; a finished run leaves weights.safetensors."""
-    del argv
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
     config = preset.pretrain

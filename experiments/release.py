@@ -29,9 +29,8 @@ def define_flags() -> None:
     flags.DEFINE_multi_string("note", [], "What else is to be known of the weights.")
 
 
-def main(argv):
+def main():
     """Copies the arrays, and adds scores and notes to what is known of them."""
-    del argv
     config, variables = load_pretrained(FLAGS.weights)
     config = changed(config, FLAGS.set)
     about = {k: v for k, v in read_metadata(FLAGS.weights).items() if k != "config"}

@@ -23,10 +23,9 @@ from prism_jax.weights import save_network
 FLAGS = flags.FLAGS
 
 
-def main(argv):
+def main():
     """Trains on as many samples as the preset's network has seen at the end of its
     meta-training, all stages at once."""
-    del argv
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
     sizes = NETWORKS[FLAGS.network]

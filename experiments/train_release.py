@@ -124,9 +124,8 @@ def plan(folder: pathlib.Path) -> list[Step]:
     return steps
 
 
-def main(argv):
+def main():
     """Runs what is not done yet, each command as its own process."""
-    del argv
     resolve(FLAGS.preset, FLAGS.set)  # a mistake in the flags shows at once
     for branches in FLAGS.branches:
         resolve(FLAGS.preset, [*FLAGS.set, only(branches)])

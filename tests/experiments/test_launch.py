@@ -1,9 +1,12 @@
-"""How a launcher starts itself anew for memory that is kept."""
+"""What the launchers share."""
 
 import subprocess
 import sys
 
 import pytest
+
+from experiments import evaluate, make_data, pretrain
+from tests.launching import run
 
 PROGRAM = """
 import os, sys
@@ -19,7 +22,24 @@ KEPT = {
     "arena_max": "1",
 }
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's settings")
+with_glibc = pytest.mark.skipif(sys.platform != "linux", reason="glibc's settings")
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [
+        (evaluate, ["small-robocell", "--split=test"]),
+        (pretrain, ["--workdir=w", "--set", "meta.num_samples=64", "adapt.seed=1"]),
+        (make_data, ["shapes"]),
+    ],
+)
+def test_what_is_no_flag_is_refused(capsys, command, arguments):
+    """And not dropped, as absl has it after the first of several values."""
+    stray = next(word for word in reversed(arguments) if "--" not in word)
+    assert run(command, *arguments) == 2
+    name = command.__name__.rpartition(".")[2]
+    wanted = f"{name}: {stray}: is no flag; write --name=value for each"
+    assert capsys.readouterr().err.splitlines()[-1] == wanted
 
 
 def started(monkeypatch, before: str | None) -> tuple[int, dict[str, str]]:
@@ -35,11 +55,13 @@ def started(monkeypatch, before: str | None) -> tuple[int, dict[str, str]]:
     return len(starts), dict(pair.split("=") for pair in settings.split(":"))
 
 
+@with_glibc
 def test_once_and_with_the_same_arguments(monkeypatch):
     kept = {f"glibc.malloc.{name}": value for name, value in KEPT.items()}
     assert started(monkeypatch, None) == (2, kept)
 
 
+@with_glibc
 def test_what_the_user_set_stays(monkeypatch):
     given = "glibc.malloc.hugetlb=0:glibc.malloc.check=3"
     starts, settings = started(monkeypatch, given)
@@ -51,6 +73,7 @@ def test_what_the_user_set_stays(monkeypatch):
     assert settings == kept
 
 
+@with_glibc
 def test_freed_blocks_stay_unless_they_are_large(monkeypatch):
     """Written to and freed: 256 MiB are the program's still, 2 GiB are not."""
     program = """
@@ -73,6 +96,7 @@ for size in (2**28, 2**31):
     assert printed.stdout.split() == ["True", "True", "True", "False"]
 
 
+@with_glibc
 def test_not_where_all_is_set(monkeypatch):
     given = ":".join(f"glibc.malloc.{name}=1" for name in KEPT)
     starts, settings = started(monkeypatch, given)
