@@ -67,18 +67,25 @@ def frame_example(
     fixed viewpoint. An example without a complete cloud raises InputError.
     """
     example = with_partial(example, rng)
-    if rng is not None and example.any_heading:
-        example = _turned(example, rng.uniform(0.0, 2.0 * np.pi))
     assert example.partial is not None and example.complete is not None
-    center, half_extent = workspace_of(example.partial, framing.margin)
-    _, unit = workspace_of(example.complete, 1.0)
-    ordered, eye = example.ordered, example.eye
+    clouds = {
+        "partial": example.partial,
+        "complete": example.complete,
+        # Before it is turned, so that the order is the same in every heading.
+        "few": first_points(example.partial, framing.num_partial, example.ordered),
+        "many": first_points(example.complete, framing.num_complete, example.ordered),
+    }
+    eye = example.eye
+    if rng is not None and example.any_heading:
+        turn = _about_vertical(rng.uniform(0.0, 2.0 * np.pi))
+        clouds = {name: cloud @ turn for name, cloud in clouds.items()}
+        eye = None if eye is None else eye @ turn
+    center, half_extent = workspace_of(clouds["partial"], framing.margin)
+    _, unit = workspace_of(clouds["complete"], 1.0)
     eye = UNKNOWN_EYE if eye is None else (eye - center) / half_extent
     batch = Batch(
-        (first_points(example.partial, framing.num_partial, ordered) - center)
-        / half_extent,
-        (first_points(example.complete, framing.num_complete, ordered) - center)
-        / half_extent,
+        (clouds["few"] - center) / half_extent,
+        (clouds["many"] - center) / half_extent,
         np.asarray(eye, np.float32),
         half_extent / unit,
     )
@@ -179,16 +186,10 @@ class _WithIndices:
         return self._source[int(index)], indices
 
 
-def _turned(example: Example, angle: float) -> Example:
-    """About the vertical through the origin; framing takes no notice of where it is."""
+def _about_vertical(angle: float) -> Float32[np.ndarray, "3 3"]:
+    """Turns points, as rows, about z; framing takes no notice of where the axis is."""
     cosine, sine = np.cos(angle), np.sin(angle)
-    turn = np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
-    assert example.partial is not None and example.complete is not None
-    return example._replace(
-        partial=example.partial @ turn,
-        complete=example.complete @ turn,
-        eye=None if example.eye is None else example.eye @ turn,
-    )
+    return np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
 
 
 def _mirrored(batch: Batch) -> Batch:

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from prism_jax.data.pipeline import Framing, training_batches
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.geometry import knn
 from prism_jax.models.backbone import partial_indices
 from prism_jax.training import indices
 from prism_jax.training.indices import index_table
@@ -52,6 +54,23 @@ def test_and_of_every_batch_mirrored_or_not(table, examples, framed, search):
         known = {partial.tobytes() for partial in plain.partial}
         mirrored += sum(partial.tobytes() not in known for partial in batch.partial)
     assert 5 < mirrored < 35
+
+
+def test_they_name_the_same_points_of_what_is_turned_and_in_no_order(config):
+    """The neighbours of the table are the nearest points of the turned partials too."""
+    cells = RecordedCells.bundled()
+    assert cells[0].any_heading and not cells[0].ordered
+    table = index_table(cells, FRAMING, config)
+
+    def found_and_nearest(partial, indices):
+        centers = partial[indices.rows[0]]
+        found = partial[indices.neighbors[0]]
+        nearest = partial[knn(centers, partial, found.shape[1])]
+        return [((near - centers[:, None]) ** 2).sum(-1) for near in (found, nearest)]
+
+    batch = next(training_batches(cells, FRAMING, 20, seed=0, indices=table))
+    found, nearest = jax.vmap(found_and_nearest)(batch.partial, batch.indices)
+    np.testing.assert_allclose(found, nearest, rtol=1e-3, atol=1e-5)
 
 
 def test_a_table_that_is_too_large_is_not_made(table, examples, config, monkeypatch):
