@@ -1,5 +1,7 @@
-"""`argmin` and `argmax` as two plain reductions, which a CPU vectorises as it does
-not those."""
+"""The lowest, the highest and the k lowest, as a CPU can vectorise them: `argmin`,
+`argmax` and `top_k` it does not."""
+
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -24,3 +26,29 @@ def first_highest(values: Float[Array, "... N"]) -> Int[Array, "..."]:
 def _first(chosen: Array) -> Array:
     last = chosen.shape[-1] - 1
     return jnp.where(chosen, jnp.arange(last + 1, dtype=jnp.int32), last).min(-1)
+
+
+def inserted(
+    values: Sequence[Float[Array, " N"]],
+    indices: Sequence[Int[Array, " N"]],
+    new: Float[Array, " N"],
+    index: Int[Array, "..."],
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """N ascending lists, their places side by side, with a new value sunk into each.
+
+    What falls off the end is lost. Of equal values the one that came first stays first.
+    """
+    lower = [new < value for value in values]
+    # Each place takes the new entry, keeps its own, or takes the one before it.
+    entries = [
+        (jnp.where(low, new, value), jnp.where(low, index, old))
+        for low, value, old in zip(lower, values, indices, strict=True)
+    ]
+    for i in range(1, len(values)):
+        moves, (value, old) = lower[i - 1], entries[i]
+        entries[i] = (
+            jnp.where(moves, values[i - 1], value),
+            jnp.where(moves, indices[i - 1], old),
+        )
+    found, places = zip(*entries, strict=True)
+    return found, places

@@ -16,6 +16,8 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 from jaxtyping import Array, Bool, Float, Int
 
+from prism_jax.geometry.extrema import inserted
+
 MAX_FARTHEST_POINTS = 16384
 """Of a cloud that one program holds in its registers."""
 
@@ -82,28 +84,17 @@ def knn_indices(
     def kernel(query_ref, support_ref, index_ref):
         x, y, z = (query_ref[i, :] for i in range(3))
 
-        def insert(j, squared, best):
-            distances, indices = (list(each) for each in best)
-            index = jnp.full(_QUERIES, j, jnp.int32)
-            for rank in range(k):
-                closer = squared < distances[rank]
-                distances[rank], squared = (
-                    jnp.where(closer, squared, distances[rank]),
-                    jnp.where(closer, distances[rank], squared),
-                )
-                indices[rank], index = (
-                    jnp.where(closer, index, indices[rank]),
-                    jnp.where(closer, indices[rank], index),
-                )
-            return tuple(distances), tuple(indices)
-
         def point(j, best):
             a, b, c = (support_ref[i, j] for i in range(3))
             squared = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
             # After the first points hardly one enters any of the lists.
             enters = jnp.max((squared < best[0][-1]).astype(jnp.int32)) > 0
+            index = jnp.full(_QUERIES, j, jnp.int32)
             return jax.lax.cond(
-                enters, lambda best: insert(j, squared, best), lambda best: best, best
+                enters,
+                lambda best: inserted(*best, squared, index),
+                lambda best: best,
+                best,
             )
 
         farthest = jnp.full(_QUERIES, jnp.inf, query.dtype)

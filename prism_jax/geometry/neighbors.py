@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from prism_jax.geometry import kernels
-from prism_jax.geometry.extrema import first_lowest
+from prism_jax.geometry.extrema import first_lowest, inserted
 from prism_jax.geometry.precision import exact_products
 
 _NEAREST_RUN = 32
@@ -179,21 +179,7 @@ def _k_lowest(
 
     def insert(lists, indexed):
         index, member = indexed
-        values, indices = lists
-        new = value_fn(member)
-        lower = [new < value for value in values]
-        # Each place takes the new entry, keeps its own, or takes the one before it.
-        entries = [
-            (jnp.where(low, new, value), jnp.where(low, index, old))
-            for low, value, old in zip(lower, values, indices, strict=True)
-        ]
-        for i in range(1, k):
-            moves, (value, old) = lower[i - 1], entries[i]
-            entries[i] = (
-                jnp.where(moves, values[i - 1], value),
-                jnp.where(moves, indices[i - 1], old),
-            )
-        return tuple(zip(*entries, strict=True)), None
+        return inserted(*lists, value_fn(member), index), None
 
     empty = jax.eval_shape(value_fn, members[0])
     lists = (

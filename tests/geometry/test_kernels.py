@@ -68,6 +68,17 @@ def test_knn(kind, sizes, k):
         atol=1e-12,
     )
     assert all(len(set(row)) == k for row in np.asarray(found).tolist())
+    if kind == "duplicated":
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_knn_keeps_ties_in_order_when_a_nearer_point_comes():
+    query = jnp.zeros((1, 3))
+    support = jnp.array([[1.0, 0, 0], [-1, 0, 0], [0.5, 0, 0], [0, 1, 0]])
+    for k in (1, 2, 3, 4):
+        found = kernels.knn_indices(query, support, k, True)
+        np.testing.assert_array_equal(found[0], [2, 0, 1, 3][:k])
+        np.testing.assert_array_equal(found, knn(query, support, k))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,7 +7,7 @@ import pytest
 from jax.test_util import check_grads
 from scipy.spatial import KDTree
 
-from prism_jax.geometry import knn, nearest, three_point_interpolate
+from prism_jax.geometry import knn, nearest, neighbors, three_point_interpolate
 
 RNG = np.random.default_rng(0)
 jit_nearest = jax.jit(nearest)
@@ -62,15 +62,20 @@ def test_knn_agrees_with_a_tree(sizes, k, kind):
     assert all(len(set(row)) == k for row in indices)
 
 
-def test_blocks_of_queries_change_nothing():
-    """2,100 x 2,100 pairs are searched in two blocks."""
-    points = cloud(2100)
-    tree = KDTree(np.float64(points))
-    query = points + np.float32(0.05) * RNG.normal(size=points.shape).astype("f4")
-    distances, _ = jit_nearest(query, points)
-    assert np.allclose(distances, tree.query(query)[0] ** 2, rtol=1e-5, atol=1e-12)
-    found = squared(points, points, jit_knn(points, points, 4))
-    assert np.allclose(found, tree.query(points, 4)[0] ** 2, rtol=1e-5, atol=1e-12)
+@pytest.mark.parametrize("support_size", [40, 2000])
+def test_blocks_of_queries_change_nothing(support_size, monkeypatch):
+    support = cloud(support_size)
+    query = cloud(50) + np.float32(0.05)
+
+    def found():
+        """Compiled anew."""
+        return jax.jit(lambda q, s: (*nearest(q, s), knn(q, s, 4)))(query, support)
+
+    whole = found()
+    for name in ("_NEAREST_PAIRS", "_KNN_PAIRS"):
+        assert query.shape[0] * support_size <= getattr(neighbors, name)
+        monkeypatch.setattr(neighbors, name, 7 * support_size)
+    assert all(map(np.array_equal, found(), whole))
 
 
 def test_a_point_finds_itself_first():
