@@ -32,8 +32,9 @@ def main():
     variables, before = started_from_weights(preset) or (None, None)
     start = None if variables is None else sha256(variables)
     num_samples = sum(leg.num_samples for leg in config.backbone)
+    encoded = num_samples + config.auxiliary_samples
     data = training_data(
-        preset, config.num_complete, config.validate_every, encoded=num_samples
+        preset, config.num_complete, config.validate_every, encoded=encoded
     )
     run = {"preset": dataclasses.asdict(preset), "start": start}
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)

@@ -8,12 +8,11 @@ point stream's tokens are the fixed side of that, or both would collapse to a co
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.objective import auxiliary_losses
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.camera import Camera
 from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
@@ -24,12 +23,12 @@ from prism_jax.models.prism import (
     Prediction,
     branches,
     predict,
-    prepare_frame,
     read_depth,
 )
 from prism_jax.models.variables import Variables, apply_training, part
 from prism_jax.training.config import PretrainConfig
-from prism_jax.training.leg import Leg, TrainState
+from prism_jax.training.frames import frames_of
+from prism_jax.training.leg import Leg, TrainState, steps_of
 from prism_jax.training.supervised import adam
 
 TRAINED = ("refiner", "depth_encoder", "auxiliary")
@@ -39,7 +38,7 @@ def auxiliary_leg(
     variables: Variables, adapt: AdaptConfig, config: PretrainConfig, seed: int
 ) -> Leg:
     """Everything but the backbone, on the losses of Eq. 3, 5, 6 and 9."""
-    num_steps = config.auxiliary_samples // config.batch_size
+    num_steps = steps_of("auxiliary", config.auxiliary_samples, config.batch_size)
     optimiser = optax.partition(
         {
             name: adam(config.auxiliary_rate, num_steps, 0.01, config)
@@ -66,7 +65,7 @@ def auxiliary_leg(
 def _step(adapt: AdaptConfig, optimiser, key: PRNGKeyArray):
     def loss_fn(trained, variables, batch, key):
         variables = {**variables, "params": {**variables["params"], **trained}}
-        frames = _frames(batch, key, adapt)
+        frames = frames_of(batch, _keys(key, batch), adapt)
         depth_features, statistics = apply_training(
             DepthEncoder(adapt.model.auxiliary),
             part(variables, "depth_encoder"),
@@ -98,11 +97,12 @@ def _step(adapt: AdaptConfig, optimiser, key: PRNGKeyArray):
 
 
 def _validation(adapt: AdaptConfig, key: PRNGKeyArray):
-    """CD-L2 before and after the refiner, and the sum of the leg's losses."""
+    """CD-L2 before and after the refiner, and the sum of the leg's losses, that of the
+    whole batch: Eq. 7 looks at all of its tokens."""
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        frames = _frames(batch, key, adapt)
+        frames = frames_of(batch, _keys(key, batch), adapt)
         depth_features = jax.vmap(lambda f: read_depth(variables, f, adapt.model))(
             frames
         )
@@ -116,12 +116,9 @@ def _validation(adapt: AdaptConfig, key: PRNGKeyArray):
     return validate
 
 
-def _frames(batch: Batch, key: PRNGKeyArray, adapt: AdaptConfig) -> Frame:
-    def frame(partial, eye, key):
-        return prepare_frame(partial, Camera.framing(partial, eye), key, adapt.model)
-
-    keys = jax.random.split(key, batch.partial.shape[0])
-    return jax.vmap(frame)(jnp.asarray(batch.partial), jnp.asarray(batch.eye), keys)
+def _keys(key: PRNGKeyArray, batch: Batch) -> Key[Array, " B"]:
+    """One for each frame."""
+    return jax.random.split(key, batch.partial.shape[0])
 
 
 def _terms(

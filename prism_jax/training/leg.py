@@ -5,8 +5,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.data.pipeline import (
     Batch,
@@ -16,6 +17,7 @@ from prism_jax.data.pipeline import (
     training_batches,
 )
 from prism_jax.data.source import Source
+from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.training import parallel
 from prism_jax.training.checkpoints import Checkpoints
@@ -56,8 +58,8 @@ class Leg(NamedTuple):
       num_complete: points of the complete cloud that a batch holds.
       start: the state at step 0.
       step_fn: jitted; returns the next state and the terms of the loss.
-      validate_fn: jitted; terms of each example's score, of which the last decides
-        what is kept, lower being better.
+      validate_fn: jitted; terms of each example's score, or of its batch's; the last
+        decides what is kept, lower being better.
       terms, scores: what the two return, by name, for the log.
     """
 
@@ -113,6 +115,9 @@ def train_leg(
     the time in which the loop waited for batches.
 
     A batch lies over all devices of all processes, each of which reads its own share.
+    A loss or a variable that is not a number raises FloatingPointError, and the
+    checkpoint before it stays. What ``max_steps`` ends between validations is not
+    validated, so that a leg that goes on keeps what an unbroken one keeps.
     """
     parallel.check_batch(leg.batch_size)
     mesh = parallel.data_mesh()
@@ -120,7 +125,8 @@ def train_leg(
     start = parallel.replicate(leg.start, mesh)
     state, reader = checkpoints.restore_latest(start) or (start, None)
     state = parallel.replicate(state, mesh)
-    step, num_steps = int(state.step), leg.num_samples // leg.batch_size
+    num_steps = steps_of(leg.name, leg.num_samples, leg.batch_size)
+    step = int(state.step)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
     shard = parallel.shard()
     batches = training_batches(
@@ -146,20 +152,33 @@ def train_leg(
         jax.block_until_ready(before)
         before = losses
         log.advance(leg.batch_size)
-        at_validation = step % validate_steps == 0 or step == last
-        if step % LOG_EVERY == 0 or at_validation:
+        at_validation = step % validate_steps == 0 or step == num_steps
+        if step % LOG_EVERY == 0 or at_validation or step == last:
             mean = _finite_mean(recent, leg.name, step)
             recent.clear()
             log.write(step, losses=_named(leg.terms, mean))
             log.show(**{leg.terms[-1]: float(mean[-1])})
+        if not at_validation and step != last:
+            continue
+        _check_numbers(state.variables, leg.name, step)
+        score = None
         if at_validation:
             scores = validate(leg, data, state.kept)
             log.write(step, validation=_named(leg.scores, scores))
-            checkpoints.save(step, state, batches.get_state(), float(scores[-1]))
+            score = float(scores[-1])
+        checkpoints.save(step, state, batches.get_state(), score)
     log.close()
     best = checkpoints.restore_best(state)
     checkpoints.close()
     return Trained((best or state).kept, state, step >= num_steps)
+
+
+def steps_of(name: str, num_samples: int, batch_size: int) -> int:
+    """Of a leg; InputError if its samples do not fill one batch."""
+    if num_samples < batch_size:
+        fault = f"{num_samples} samples do not fill a batch of {batch_size}"
+        raise InputError(name, fault, "train on more, or in smaller batches")
+    return num_samples // batch_size
 
 
 def _named(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
@@ -171,6 +190,18 @@ def _finite_mean(losses: list[Array], name: str, step: int) -> np.ndarray:
     if not np.isfinite(mean).all():
         raise FloatingPointError(f"{name}: loss {mean} before step {step}")
     return mean
+
+
+def _check_numbers(variables: Variables, name: str, step: int) -> None:
+    """A step may turn a finite loss into variables that are not numbers."""
+    if jax.device_get(_any_nan(variables)):
+        raise FloatingPointError(f"{name}: variables are not numbers at step {step}")
+
+
+@jax.jit
+def _any_nan(variables: Variables) -> Bool[Array, ""]:
+    """Infinities are let through: they are the logits of branches that do not count."""
+    return jnp.any(jnp.stack([jnp.isnan(x).any() for x in jax.tree.leaves(variables)]))
 
 
 def validate(leg: Leg, data: Data, variables: Variables) -> np.ndarray:

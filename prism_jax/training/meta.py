@@ -22,10 +22,10 @@ from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.weighting import entropy, loss_weights
-from prism_jax.models.prism import Frame, prepare_frame
 from prism_jax.models.variables import Variables
 from prism_jax.training.config import MetaTrainConfig
-from prism_jax.training.leg import Leg, TrainState
+from prism_jax.training.frames import frames_of
+from prism_jax.training.leg import Leg, TrainState, steps_of
 from prism_jax.training.parallel import DATA, data_mesh
 
 TERMS = (
@@ -50,11 +50,11 @@ def meta_leg(
 ) -> Leg:
     """Episodes from these variables on (Eq. 11, 12).
 
-    Encoders and decoder, refiner, logits and step sizes each have an optimiser of their
-    own; all else stays as it is, bit for bit, but for the scales of Eq. 11, which are
-    measured anew: what the branches' own training left had not settled. The score is
-    CD-L2 of the completion after test-time adaptation, in the units of the stored
-    examples.
+    Encoders and decoder, refiner, auxiliary modules, logits and step sizes each have an
+    optimiser of their own, where they learn; all else stays as it is, bit for bit, but
+    for the scales of Eq. 11, which are measured anew: what the branches' own training
+    left had not settled. The score is CD-L2 of the completion after test-time
+    adaptation, in the unit of the scores (`Batch.scale`).
     """
     optimiser = _optimiser(config)
     counts = jnp.array([name in config.method.branches for name in BRANCHES])
@@ -80,7 +80,7 @@ def meta_leg(
 
 def _optimiser(config: MetaTrainConfig) -> optax.GradientTransformation:
     """One for each kind of parameter, by its place in `learned_part`."""
-    num_steps = config.num_samples // config.batch_size
+    num_steps = steps_of("meta", config.num_samples, config.batch_size)
     make = {"sgd": optax.sgd, "adam": optax.adam}[config.optimiser]
 
     def rate(peak: float) -> optax.Schedule:
@@ -123,7 +123,8 @@ def _step(
     method = config.method
 
     def gradients(variables: Variables, batch: Batch, key: PRNGKeyArray):
-        frames = _frames(batch, key, adapt)
+        # All alike, whatever the devices.
+        frames = frames_of(batch, key, adapt)
         complete = jnp.asarray(batch.complete)
         return meta_gradients(variables, frames, complete, adapt, method)
 
@@ -191,17 +192,6 @@ def _measured(terms: MetaTerms, variables: Variables) -> Float[Array, " L"]:
     weights = loss_weights(variables["weighting"]["logits"])
     losses = (terms.zero_step, *terms.losses, terms.refined)
     return jnp.stack([*losses, *weights, entropy(weights), terms.adapted])
-
-
-def _frames(batch: Batch, key: PRNGKeyArray, adapt: AdaptConfig) -> Frame:
-    """Every frame of a step has the same perturbation, whatever the devices."""
-
-    def frame(partial, eye, indices):
-        camera = Camera.framing(partial, eye)
-        return prepare_frame(partial, camera, key, adapt.model, indices)
-
-    indices = jax.tree.map(lambda rows: jnp.asarray(rows, jnp.int32), batch.indices)
-    return jax.vmap(frame)(jnp.asarray(batch.partial), jnp.asarray(batch.eye), indices)
 
 
 def _validation(

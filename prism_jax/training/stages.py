@@ -9,7 +9,7 @@ from prism_jax.models.initial import init_auxiliary
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.training.auxiliary import auxiliary_leg
-from prism_jax.training.leg import Data, Leg, train_leg, validate
+from prism_jax.training.leg import Data, Leg, steps_of, train_leg, validate
 from prism_jax.training.pretrain import backbone_leg
 
 
@@ -25,10 +25,16 @@ def pretrain(
     """Trains the backbone leg by leg, then all that reads it (gap 4).
 
     Each leg begins with what did best on validation in the leg before, and goes on
-    from its own checkpoint where one is found; one without samples is left out. The
+    from its own checkpoint where one is found; one without samples is left out, and one
+    whose samples do not fill a batch raises InputError before any is trained. The
     first begins with the backbone of ``start``, or a fresh one; what reads it begins
     afresh. Returns the best variables, or None if ``max_steps`` ended a leg early.
     """
+    config = preset.pretrain
+    legs = [(phase.name, phase.num_samples) for phase in config.backbone]
+    for name, num_samples in [*legs, ("auxiliary", config.auxiliary_samples)]:
+        if num_samples:
+            steps_of(name, num_samples, config.batch_size)
     backbone_key, auxiliary_key = jax.random.split(jax.random.key(seed))
     variables = init_backbone(backbone_key, preset.model.backbone)
     if start is not None:
@@ -36,16 +42,18 @@ def pretrain(
             kind: {name: start[kind][name] for name in parts}
             for kind, parts in variables.items()
         }
-    for phase in preset.pretrain.backbone:
+    for phase in config.backbone:
         if not phase.num_samples:
             continue
-        leg = backbone_leg(variables, preset.model.backbone, phase, preset.pretrain)
+        leg = backbone_leg(variables, preset.model.backbone, phase, config)
         trained = train_leg(leg, data, folder, max_steps, tensorboard)
         if not trained.done:
             return None
         variables = trained.best
     fresh = init_auxiliary(auxiliary_key, variables, preset.model)
-    leg = auxiliary_leg(fresh, preset.adapt, preset.pretrain, seed)
+    if not config.auxiliary_samples:
+        return fresh
+    leg = auxiliary_leg(fresh, preset.adapt, config, seed)
     trained = train_leg(leg, data, folder, max_steps, tensorboard)
     return _better_refiner(leg, data, trained.best, fresh) if trained.done else None
 

@@ -13,7 +13,7 @@ from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.variables import Variables, apply, apply_training
 from prism_jax.training.config import PhaseConfig, PretrainConfig
-from prism_jax.training.leg import Leg, TrainState
+from prism_jax.training.leg import Leg, TrainState, steps_of
 
 Stages = tuple[Float[Array, "B _ 3"], ...]
 
@@ -45,7 +45,7 @@ def supervised_leg(
     """Eq. 10 over the stages that ``train_fn`` makes with BatchNorm's statistics of the
     batch, which it returns too; validated on those of ``stages_fn``, by CD-L2 in the
     unit of the scores. ``names`` are the stages', coarse first."""
-    num_steps = phase.num_samples // config.batch_size
+    num_steps = steps_of(phase.name, phase.num_samples, config.batch_size)
     optimiser = adam(phase.learning_rate, num_steps, phase.final_rate, config)
 
     def loss_fn(params: Variables, batch_stats: Variables, batch: Batch):

@@ -9,6 +9,7 @@ import optax
 import pytest
 
 from prism_jax.data.pipeline import training_batches
+from prism_jax.io.errors import InputError
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.leg import VALIDATION_COMPLETE, Data, Leg, TrainState
 from prism_jax.training.leg import train_leg as train
@@ -221,7 +222,7 @@ def test_a_finished_leg_is_not_trained_again(regression, data, tmp_path):
 
 def test_validation_counts_every_example_once(regression, data, framed, tmp_path):
     """Ten of them, in batches of four."""
-    train(regression, data, tmp_path, max_steps=1)
+    train(regression, data, tmp_path, max_steps=4)
     scores = [line["validation"] for line in lines(tmp_path) if "validation" in line]
     batch = framed(data.validation, range(10), data.framing(VALIDATION_COMPLETE))
     assert scores[0]["first"] == pytest.approx(batch.scale.mean(), rel=1e-6)
@@ -236,6 +237,34 @@ def test_a_loss_that_is_not_finite_ends_it(regression, data, tmp_path):
         train(regression._replace(step_fn=broken), data, tmp_path)
     # The state before it is there to go on from.
     assert int(latest(regression, tmp_path).step) == 4
+
+
+def test_variables_that_are_not_numbers_end_it(regression, data, tmp_path):
+    """The loss of a step was taken before it."""
+
+    def broken(state, batch):
+        state, loss = regression.step_fn(state, batch)
+        bad = jax.tree.map(lambda x: x * jnp.nan, state.variables)
+        return state._replace(variables=bad) if state.step == 8 else state, loss
+
+    with pytest.raises(FloatingPointError, match=r"toy: variables .* step 8"):
+        train(regression._replace(step_fn=broken), data, tmp_path)
+    assert int(latest(regression, tmp_path).step) == 4
+
+
+def test_a_leg_that_fills_no_batch_is_refused(regression, data, tmp_path):
+    with pytest.raises(InputError, match="toy: 3 samples do not fill a batch of 4"):
+        train(regression._replace(num_samples=3), data, tmp_path)
+
+
+def test_ended_early_nothing_is_kept_that_an_unbroken_leg_would_not(data, tmp_path):
+    """The best of all scores is of a step at which nothing is validated."""
+    scores = np.full(STEPS + 1, 9.0)
+    scores[[3, 8]] = 0.1, 0.2
+    train(counting(scores), data, tmp_path, max_steps=3)
+    assert not [line for line in lines(tmp_path) if "validation" in line]
+    variables, *_ = train(counting(scores), data, tmp_path)
+    assert np.array_equal(variables["params"]["w"], [8, 8, 8])
 
 
 def test_the_log_tells_losses_and_validation(regression, data, tmp_path):

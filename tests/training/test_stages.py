@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from prism_jax.io.errors import InputError
 from prism_jax.presets import resolve
 from prism_jax.training import stages
 from prism_jax.training.leg import Data, Leg, TrainState
@@ -95,6 +96,21 @@ def test_from_other_weights_and_without_a_leg(begun, data, tmp_path, monkeypatch
         ("stages", {"encoder": 7.0}),
         ("refiner", {"encoder": 7.0, "stages": 2.0, "refiner": 0.0, "harm": 0.0}),
     ]
+
+
+def test_without_samples_what_reads_the_backbone_stays_fresh(begun, data, tmp_path):
+    preset = resolve("tiny", ["pretrain.auxiliary_samples=0"])
+    variables = stages.pretrain(preset, data, tmp_path, seed=0)
+    assert [name for name, _ in begun] == ["seeds", "stages"]
+    assert variables["params"]["refiner"] == 0.0
+    assert variables["params"]["stages"] == 2.0
+
+
+def test_a_leg_that_fills_no_batch_is_refused_before_the_first(begun, data, tmp_path):
+    preset = resolve("tiny", [f"pretrain.auxiliary_samples={BATCH - 1}"])
+    with pytest.raises(InputError, match=f"auxiliary: {BATCH - 1} samples do not fill"):
+        stages.pretrain(preset, data, tmp_path, seed=0)
+    assert not begun
 
 
 @pytest.mark.parametrize(("refined", "kept"), [(2.9, 4.0), (3.0, 4.0), (3.1, 0.0)])

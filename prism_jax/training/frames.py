@@ -1,0 +1,23 @@
+"""A batch as the frames that the whole network reads."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.data.pipeline import Batch
+from prism_jax.geometry.camera import Camera
+from prism_jax.models.prism import Frame, prepare_frame
+
+
+def frames_of(batch: Batch, key: Key[Array, "..."], adapt: AdaptConfig) -> Frame:
+    """Frames with a leading axis, perturbed (Eq. 6) as the key says: each by a key of
+    its own, or all alike by a single one."""
+
+    def frame(partial, eye, indices, key):
+        camera = Camera.framing(partial, eye)
+        return prepare_frame(partial, camera, key, adapt.model, indices)
+
+    indices = jax.tree.map(lambda rows: jnp.asarray(rows, jnp.int32), batch.indices)
+    over = jax.vmap(frame, in_axes=(0, 0, 0, 0 if key.ndim else None))
+    return over(jnp.asarray(batch.partial), jnp.asarray(batch.eye), indices, key)
