@@ -11,7 +11,7 @@ from prism_jax.adaptation.meta import MetaTerms, learned_part
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.models.prism import Frame
-from prism_jax.training import meta
+from prism_jax.training import frames, meta
 
 
 def prepare_frame(partial, camera, key, config, indices=None):
@@ -58,6 +58,7 @@ def make_adapt(config):
 
 
 def replace_networks(patch):
-    """What `prism_jax.training.meta` knows of the networks is this module's."""
-    for stand_in in (prepare_frame, meta_gradients, make_adapt):
+    """What the leg knows of the networks is this module's."""
+    patch.setattr(frames, "prepare_frame", prepare_frame)
+    for stand_in in (meta_gradients, make_adapt):
         patch.setattr(meta, stand_in.__name__, stand_in)

@@ -121,9 +121,6 @@ def of_the_weighted_sum(logits, losses, scales):
     return weights * (terms - weights @ terms)
 
 
-# The network. As in the tests of the objective: gradients stop at the PCA anchors of
-
-
 def inner_loss(encoders, variables, frame, adapt, config):
     depth_weight = adapt.depth_weight if config.rehearse_depth else 0.0
     inner = dataclasses.replace(adapt, depth_weight=depth_weight)
@@ -200,6 +197,8 @@ def expected_gradients(toy, adapt, config):
         for name in ENCODERS
     }
     params["decoder"] = whole["params"]["decoder"]
+    if config.learn_auxiliary:
+        params["auxiliary"] = whole["params"]["auxiliary"]
     if config.learn_refiner:
         params["refiner"] = refiner
     own = jax.device_get(variables["weighting"])

@@ -45,8 +45,8 @@ def by_hand(encoders, gradient, variables, adapt):
     }
 
 
-# the normals and at the plan of the transport, which finite differences see move, so
-# the normals get no weight here, and the transport none.
+# Gradients stop at the PCA anchors of the normals and at the scale of the transport's
+# entropy, which finite differences see move: neither has a weight here.
 LOGITS, SCALES = (-1e9, 0.3, -0.4), (0.5, 0.02, 7.0)
 SMOOTH = {"lambda_transport": 0.0, "depth_weight": 2.0, "step_size": 0.01}
 SMOOTH |= {"clip_norm": 1.0}
@@ -168,6 +168,7 @@ def second_order(compiled):
             weight_rule="meta",
             rehearse_depth=True,
             learn_steps=True,
+            learn_auxiliary=True,
         )
     )
 
@@ -195,7 +196,7 @@ def test_terms_are_those_before_and_after_the_step(second_order, before, after):
 
 # What acts through the inner loop alone moves little, and far from any kink.
 STEPS = {"point_encoder": 1e-8, "decoder": 1e-8, "depth_encoder": 1e-6}
-STEPS |= {"logits": 1e-5, "log_steps": 1e-5}
+STEPS |= {"logits": 1e-5, "log_steps": 1e-5, "auxiliary": 1e-6}
 MOVING = tuple(STEPS)
 
 

@@ -67,6 +67,7 @@ SMALL = {
     "weight_rule": "meta",
     "rehearse_depth": True,
     "learn_steps": True,
+    "learn_auxiliary": True,
     "learn_refiner": False,
 }
 VARIATIONS = {

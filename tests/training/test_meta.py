@@ -21,7 +21,9 @@ from prism_jax.training.meta import SCORES, TERMS, meta_leg
 from tests import fake_meta
 
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
-EVERYTHING = MetaConfig(weight_rule="meta", rehearse_depth=True, learn_steps=True)
+EVERYTHING = MetaConfig(
+    weight_rule="meta", rehearse_depth=True, learn_steps=True, learn_auxiliary=True
+)
 
 
 @pytest.fixture(scope="module")
@@ -123,9 +125,9 @@ def real_step(real_leg, examples, framed, quick_jit):
 def test_a_step_of_the_network_moves_what_learns_and_nothing_else(real_leg, real_step):
     state, terms = real_step
     before, after = real_leg.start.variables, state.variables
-    learns = {*ENCODERS, "decoder", "refiner", "logits", "log_steps", "scales"}
-    assert changed(before, after) == learns
-    for name in (*ENCODERS, "decoder", "refiner"):
+    modules = (*ENCODERS, "decoder", "refiner", "auxiliary")
+    assert changed(before, after) == {*modules, "logits", "log_steps", "scales"}
+    for name in modules:
         assert before["params"][name].keys() == after["params"][name].keys()
         for module in before["params"][name]:
             same = bitwise(
@@ -166,6 +168,7 @@ def test_the_leg_is_what_the_configuration_says(leg_of):
 RATES = {
     "learning_rate": {*ENCODERS, "decoder"},
     "refiner_rate": {"refiner"},
+    "auxiliary_rate": {"auxiliary"},
     "weight_rate": {"logits"},
     "step_rate": {"log_steps"},
 }
@@ -261,6 +264,9 @@ def test_small_warms_up_and_follows_a_cosine(leg_of, batch):
     for name in (*ENCODERS, "decoder"):
         found = moves(states, "params", name)
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-9)
+    auxiliary = np.array(expected) * preset.auxiliary_rate / peak
+    found = moves(states, "params", "auxiliary")
+    np.testing.assert_allclose(found, auxiliary, rtol=1e-3, atol=1e-9)
     learned = moves(states, "weighting", "log_steps")
     np.testing.assert_allclose(learned, preset.step_rate, rtol=1e-3)
     logits = moves(states, "weighting", "logits")
