@@ -39,20 +39,23 @@ def define_flags() -> None:
             "camera",
             default.camera,
             "JSON of the camera that saw the scan. For a depth image: the .json of the "
-            "same name if not given. For a cloud: one at the origin looking at it.",
+            "same name if not given. For a cloud: one at the origin looking at it, or "
+            "obliquely above if the origin is far away, as a map's is.",
         ),
         flags.DEFINE_string(
             "workspace",
             default.workspace,
-            "Box to complete, x0,y0,z0,x1,y1,z1 in the units of the input. Points "
-            "outside are left out. The cloud's own bounds if not given.",
+            "Box to crop the scan to, x0,y0,z0,x1,y1,z1 in the units of the input, and "
+            "the ground truth alike. What is added may reach beyond it by a fifth of "
+            "its longest side.",
         ),
         flags.DEFINE_enum(
             "up",
             default.up,
             ["x", "y", "z", "-x", "-y", "-z"],
             "Axis of the input that points upwards. If not given, -y for a depth "
-            "image, as in a camera's frame, and z for a cloud.",
+            "image in its camera's own axes, and z for one whose camera is turned "
+            "(--camera) and for a cloud.",
         ),
         flags.DEFINE_string(
             "weights",

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion, make_adapt
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.camera import UNKNOWN_EYE, Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
@@ -27,6 +27,8 @@ from prism_jax.weights import available_weights, load_pretrained
 __all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
 
 DEPTH_PIXELS = 128
+FAR_ORIGIN = 100.0
+"""In half extents of the workspace: an origin farther off is a map's, no sensor's."""
 
 _framing = jax.jit(Camera.framing)
 
@@ -49,6 +51,7 @@ class CompletedScan:
       weights: of normals, denoising and alignment in them.
       workspace: the cube that was completed.
       camera: the view that depths were compared in.
+      sensor: where it stands: "given", at the "origin", or "unknown".
       depth_observed, mask_observed: the measured points in that view.
       depth_completed, mask_completed: the completed ones.
       seconds: spent on compiling and on running.
@@ -62,6 +65,7 @@ class CompletedScan:
     weights: Float[np.ndarray, "3"]
     workspace: Workspace
     camera: Camera
+    sensor: str
     depth_observed: Float[np.ndarray, "H W"]
     mask_observed: Bool[np.ndarray, "H W"]
     depth_completed: Float[np.ndarray, "H W"]
@@ -105,14 +109,15 @@ class Completer:
         """Completes one scan.
 
         Points are in any unit of length and any frame, the same for all arguments.
-        ``camera`` says where the sensor stood, the origin if it is None; the view is
-        aimed at the points from there, so that its pixels are spent on them.
+        ``camera`` says where the sensor stood, the origin if it is None, or obliquely
+        above if that is more than `FAR_ORIGIN` half extents away; the view is aimed at
+        the points from there, so that its pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
         points outside are left out. ``adapt=False`` leaves out test-time adaptation.
         ``up`` is the axis of the user's frame that points upwards (x, y, z, -x, -y or
         -z; -y for a camera's): the weights know upright objects.
-        Points that are not finite, fewer than 64 distinct ones or an extent of zero
-        raise `prism_jax.io.InputError`.
+        Points that are not finite, fewer than 64 distinct ones and an extent of zero
+        or above 10,000 raise `prism_jax.io.InputError`.
         """
         points = np.asarray(points)
         if not np.issubdtype(points.dtype, np.floating):
@@ -131,8 +136,12 @@ class Completer:
         inside = (np.abs(unit) <= 1.0).all(axis=-1)
         measured, unit = points[inside], unit[inside]
         check_cloud(measured, "points inside the workspace")
+        sensor = "origin" if camera is None else "given"
         eye = np.zeros(3) if camera is None else np.asarray(camera.position)
-        unit_eye = jnp.asarray(upright @ workspace.to_unit(eye), jnp.float32)
+        unit_eye = upright @ workspace.to_unit(eye)
+        if camera is None and np.linalg.norm(unit_eye) > FAR_ORIGIN:
+            sensor, unit_eye = "unknown", UNKNOWN_EYE
+        unit_eye = jnp.asarray(unit_eye, jnp.float32)
         partial = _resampled(unit, self.config.model.backbone.num_points)
         view = _framing(partial, unit_eye)
         completion, seconds = self._run(adapt, partial, view)
@@ -152,6 +161,7 @@ class Completer:
             weights=np.asarray(completion.weights),
             workspace=workspace,
             camera=_to_user(view, workspace, upright),
+            sensor=sensor,
             **_depth_maps(unit, kept, view, workspace),
             seconds=seconds,
         )

@@ -68,6 +68,11 @@ def run_job(job: CompletionJob) -> dict[str, Any]:
             adapt=job.adapt,
             up=axis_up(job, scan),
         )
+    if result.sensor == "unknown":
+        say(
+            "the origin is too far away to be the sensor's place, which is taken to be "
+            "obliquely above; give it with --camera"
+        )
     seconds.update(result.seconds)
     summary = summarize(job, source, scan, result)
     if ground_truth is not None:
@@ -82,8 +87,8 @@ def run_job(job: CompletionJob) -> dict[str, Any]:
 
 
 def axis_up(job: CompletionJob, scan: io.Scan) -> str:
-    """The axis that points upwards: as asked, else -y for a camera's frame, else z."""
-    return job.up or ("-y" if scan.is_depth_image else "z")
+    """The axis that points upwards: as asked; -y in a camera's own axes; else z."""
+    return job.up or ("-y" if scan.in_camera_frame else "z")
 
 
 def summarize(
@@ -116,7 +121,7 @@ def summarize(
         "workspace": workspace,
         "camera": io.camera_to_dict(result.camera),
         "up": axis_up(job, scan),
-        "camera_given": scan.camera is not None,
+        "sensor": result.sensor,
         "losses": dict(result.losses),
         "loss_weights": dict(zip(BRANCHES, result.weights, strict=True)),
         "metrics": None,
@@ -231,8 +236,10 @@ def _write(
     summary: Mapping[str, Any],
     ground_truth: np.ndarray | None,
 ) -> None:
-    report = render_report(result, summary, ground_truth).encode()
-    io.write_ply(output_dir / "completed.ply", result.points, ~result.observed)
-    io.write_bytes(output_dir / "report.html", report)
     text = json.dumps(summary, indent=2, allow_nan=False)
-    io.write_bytes(output_dir / "result.json", (text + "\n").encode())
+    contents = {
+        "completed.ply": io.ply_bytes(result.points, ~result.observed),
+        "report.html": render_report(result, summary, ground_truth).encode(),
+        "result.json": (text + "\n").encode(),
+    }
+    io.write_together({output_dir / name: data for name, data in contents.items()})

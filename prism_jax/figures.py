@@ -83,8 +83,8 @@ def clouds_figure(
 ) -> go.Figure:
     """Panels side by side on one scale, seen from one direction.
 
-    The axes are the points' own, in their units. `toward_viewer` and `up` are
-    directions in their frame.
+    The axes are the points' own, in their units, less what their titles say where the
+    origin is far away. `toward_viewer` and `up` are directions in their frame.
     """
     return views_figure({"": View(panels, toward_viewer)}, up)
 
@@ -103,6 +103,9 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
         subplot_titles=titles,
         horizontal_spacing=0.01,
     )
+    clouds = [c for v in views.values() for p in v.panels for c in p.clouds]
+    everything = np.concatenate([cloud.points for cloud in clouds])
+    shift = _shift(everything)
     distance = 1.3 + 0.4 * len(titles)
     owners, cameras = [], {}
     for label, view in views.items():
@@ -112,14 +115,13 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
         for column, panel in enumerate(view.panels, start=1):
             for cloud in panel.clouds:
                 listed = cloud.name not in in_legend and cloud.distances is None
-                trace = _markers(cloud, listed)
+                trace = _markers(cloud, shift, listed)
                 trace.visible = view is first
                 figure.add_trace(trace, 1, column)
                 in_legend.add(cloud.name)
                 owners.append(label)
-    clouds = [c for v in views.values() for p in v.panels for c in p.clouds]
     figure.update_scenes(
-        _box(np.concatenate([cloud.points for cloud in clouds])),
+        _box(everything - shift, shift),
         dragmode="orbit",
         camera=next(iter(cameras.values())),
     )
@@ -239,8 +241,20 @@ def losses_figure(losses: Mapping[str, Sequence[float]]) -> go.Figure:
     )
 
 
-def _markers(cloud: Cloud, in_legend: bool) -> go.Scatter3d:
-    points = subsample(cloud.points, MAX_SHOWN_POINTS).astype(np.float32)
+def _shift(points: np.ndarray) -> Float[np.ndarray, "3"]:
+    """What is taken off each axis: round numbers near the middle of a cloud that is so
+    far away that float32, in which browsers draw, would show steps."""
+    points = points.astype(np.float64)
+    extent = np.ptp(points, axis=0).max() or 1.0
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    unit = 10.0 ** np.ceil(np.log10(extent))
+    far = np.abs(middle) > 1000 * extent
+    return np.where(far, np.round(middle / unit) * unit, 0.0)
+
+
+def _markers(cloud: Cloud, shift: np.ndarray, in_legend: bool) -> go.Scatter3d:
+    points = subsample(cloud.points, MAX_SHOWN_POINTS) - shift
+    points = points.astype(np.float32)
     size = 1.6 if len(points) > 4000 else 2.6
     marker: dict[str, Any] = {"size": size, "color": cloud.color}
     if cloud.distances is not None:
@@ -259,7 +273,7 @@ def _markers(cloud: Cloud, in_legend: bool) -> go.Scatter3d:
     )
 
 
-def _box(points: np.ndarray) -> dict[str, Any]:
+def _box(points: np.ndarray, shift: np.ndarray) -> dict[str, Any]:
     """The same box of space for every panel, and one scale for all axes."""
     lower, upper = points.min(axis=0), points.max(axis=0)
     extent = (upper - lower).max() or 1.0
@@ -268,7 +282,7 @@ def _box(points: np.ndarray) -> dict[str, Any]:
     axes = {
         f"{name}axis": {
             "range": [float(middle - side / 2), float(middle + side / 2)],
-            "title": {"text": name},
+            "title": {"text": f"{name} - {less:,.10g}" if less else name},
             "nticks": 4,
             "tickfont": {"size": 10, "color": "#6a737d"},
             "gridcolor": _GRID,
@@ -279,7 +293,7 @@ def _box(points: np.ndarray) -> dict[str, Any]:
             "backgroundcolor": "white",
             "showspikes": False,
         }
-        for name, middle, side in zip("xyz", center, sides, strict=True)
+        for name, middle, side, less in zip("xyz", center, sides, shift, strict=True)
     }
     ratio = _vector(1.6 * sides / np.linalg.norm(sides))
     return {**axes, "aspectmode": "manual", "aspectratio": ratio}

@@ -2,6 +2,7 @@
 
 import html
 import importlib.resources
+import math
 import string
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
@@ -32,6 +33,13 @@ SCORES = {
     "hausdorff": ("Hausdorff &times; 10", 10.0, "lower is better"),
 }
 """How the table of scores shows each metric: title (HTML), factor, direction."""
+
+_SENSOR = {
+    "given": "given",
+    "origin": "placed at the origin",
+    "unknown": "placed by the program, for the origin is too far away",
+}
+"""Where the view of the depths is from."""
 
 _CLOUD_BUTTONS = [["orbitRotation", "pan3d", "resetCameraDefault3d", "toImage"]]
 
@@ -203,13 +211,13 @@ def _scores(metrics: Mapping[str, Any] | None) -> str:
 def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     source, workspace = summary["input"], summary["workspace"]
     camera = summary["camera"]
-    center = ", ".join(map(_number, workspace["center"]))
+    decimals = max(0, 3 - math.floor(math.log10(workspace["half_extent"])))
+    center = ", ".join(f"{value:,.{decimals}f}" for value in workspace["center"])
     rotation, translation = map(np.array, (camera["rotation"], camera["translation"]))
-    position = ", ".join(map(_number, -translation @ rotation))
+    position = ", ".join(f"{value:,.{decimals}f}" for value in -translation @ rotation)
     view = (
         f"{camera['width']} x {camera['height']} pixels, "
-        f"{'given' if summary['camera_given'] else 'placed by the program'}, "
-        f"centre at ({position})"
+        f"{_SENSOR[summary['sensor']]}, centre at ({position})"
     )
     read = (
         f"{source['points_read']:,}, of them {source['points_not_finite']:,} not "

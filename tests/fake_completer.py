@@ -20,6 +20,7 @@ class Result:
     weights: np.ndarray
     workspace: Workspace
     camera: Camera
+    sensor: str
     depth_observed: np.ndarray
     mask_observed: np.ndarray
     depth_completed: np.ndarray
@@ -52,6 +53,7 @@ class FakeCompleter:
             weights=np.array([0.5, 0.25, 0.25], np.float32),
             workspace=workspace,
             camera=camera or Camera.viewing(workspace, np.zeros(3)),
+            sensor="origin" if camera is None else "given",
             depth_observed=depth,
             mask_observed=mask,
             depth_completed=depth,

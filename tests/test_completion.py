@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prism_jax.completion import CompletedScan, Completer, keep_unmeasured
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.camera import UNKNOWN_EYE, Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.weights import save_weights
@@ -186,6 +186,22 @@ def test_without_a_camera_the_sensor_is_at_the_origin(completer):
     np.testing.assert_allclose(there.camera.position, 0, atol=1e-5)
 
 
+def test_an_origin_too_far_away_is_no_sensor(completer, near):
+    """Seen from the same side whatever the map's origin, and not from there."""
+    half = float(near.workspace.half_extent)
+    assert np.linalg.norm(FAR) > 100 * half
+    results = [completer.complete(scan() + offset) for offset in (FAR, 3 * FAR)]
+    for result, offset in zip(results, (FAR, 3 * FAR), strict=True):
+        assert result.sensor == "unknown"
+        eye = (result.camera.position - result.workspace.center) / half
+        np.testing.assert_allclose(eye, UNKNOWN_EYE, atol=1e-5)
+        prediction = result.prediction - offset
+        np.testing.assert_allclose(prediction, results[0].prediction - FAR, atol=1e-8)
+    close = completer.complete(scan() + [90 * half, 0, 0])
+    assert (near.sensor, close.sensor) == ("given", "origin")
+    np.testing.assert_allclose(close.camera.position, 0, atol=1e-4)
+
+
 def test_points_outside_the_workspace_are_left_out(completer, near):
     above, aside = np.array([0, 0, 3.0]), np.array([5.0, 0, 0])
     clutter = np.concatenate([scan() + above, scan(), scan() - aside])
@@ -251,7 +267,7 @@ def test_compilations_would_have_been_seen(caplog):
         (np.ones((200, 3)), "extent of zero"),
         (np.where(np.arange(300)[:, None] == 7, np.nan, scan()), "not finite"),
         (np.where(np.arange(300)[:, None] == 7, np.inf, scan()), "not finite"),
-        (2e4 * scan(), "above 10 km"),
+        (2e4 * scan(), "above 10,000 units"),
     ],
 )
 @pytest.mark.parametrize("framed", [False, True])

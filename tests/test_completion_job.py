@@ -1,6 +1,9 @@
 """The job, around a completer that is a fake."""
 
+import dataclasses
+import itertools
 import json
+import pathlib
 import time
 
 import numpy as np
@@ -134,17 +137,37 @@ def test_scores_of_huge_clouds_are_of_an_even_sample(monkeypatch):
     assert measured["partial"]["cd_l1"] == 0.0
 
 
-def test_failure_to_write_leaves_the_last_results(job, monkeypatch):
+@pytest.mark.parametrize("nth", [1, 2, 3])
+def test_failure_to_write_one_file_leaves_all_of_the_last(job, monkeypatch, nth):
+    def files():
+        folder = pathlib.Path(job.output_dir)
+        return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(descriptor, count=itertools.count(1)):
+        if next(count) == nth:
+            raise OSError(28, "No space left on device")
+
     run_job(job)
-    _, before = outputs(job)
-
-    def refuse(path, data):
-        raise io.InputError(path, "cannot be written", "free some space")
-
-    monkeypatch.setattr("prism_jax.io.atomic.write_bytes", refuse)
-    with pytest.raises(io.InputError):
+    before = files()
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(io.InputError, match="No space left"):
         run_job(replace(job, adapt=False))
-    assert outputs(job)[1] == before
+    assert files() == before
+
+
+def test_a_sensor_too_far_away_is_told(job, monkeypatch, capsys):
+    run_job(job)
+    assert "--camera" not in capsys.readouterr().err
+    complete = FakeCompleter.complete
+
+    def unknown(*args, **kwargs):
+        return dataclasses.replace(complete(*args, **kwargs), sensor="unknown")
+
+    monkeypatch.setattr(FakeCompleter, "complete", unknown)
+    assert run_job(job)["sensor"] == "unknown"
+    assert "too far away to be the sensor's place" in capsys.readouterr().err
+    report = (pathlib.Path(job.output_dir) / "report.html").read_text()
+    assert "the origin is too far away" in report
 
 
 def test_bad_input_is_refused_before_weights_are_loaded(job, monkeypatch):

@@ -43,6 +43,28 @@ def test_panels_share_one_scale_and_one_view():
     assert first.camera == second.camera
 
 
+def test_far_from_the_origin_the_axes_say_what_was_taken_off():
+    """In float32 these points would be half a metre apart."""
+    offset = np.array([500_123.0, 5_400_321.0, 12.0])
+    cloud = Cloud("a", POINTS[:50] + offset, "red")
+    figure = clouds_figure([Panel("A", [cloud])], UP[[2, 1, 0]], UP)
+    scene = figure.layout.scene
+    titles = [scene[f"{axis}axis"].title.text for axis in "xyz"]
+    assert titles[2] == "z"
+    for i, axis in enumerate("xy"):
+        name, _, less = titles[i].partition(" - ")
+        assert name == axis
+        shown = np.asarray(figure.data[0][axis], np.float64) + float(
+            less.replace(",", "")
+        )
+        np.testing.assert_allclose(shown, cloud.points[:, i], rtol=0, atol=1e-5)
+        span = scene[f"{axis}axis"].range
+        assert (
+            span[0] <= min(figure.data[0][axis]) <= max(figure.data[0][axis]) <= span[1]
+        )
+    np.testing.assert_array_equal(figure.data[0].z, cloud.points[:, 2].astype("f4"))
+
+
 def test_large_cloud_is_thinned_and_a_small_one_shown_as_it_is():
     clouds = [Cloud("a", POINTS[:50], "red"), Cloud("b", POINTS, "blue")]
     figure = clouds_figure([Panel("A", clouds)], UP[[2, 1, 0]], UP)

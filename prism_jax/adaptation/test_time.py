@@ -48,7 +48,10 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
     and a camera, both in the unit workspace (`prism_jax.Workspace`), and returns a
     `Completion`. It is pure: ``jit`` it, ``vmap`` it over partials and cameras (each
     frame then has its own encoders), embed it. Only the two encoders move; everything
-    else, BatchNorm's statistics included, is read and never written.
+    else, BatchNorm's statistics included, is read and never written. The completion is
+    differentiable in the variables, through the steps; no gradient reaches the cloud or
+    the camera. That of a frame whose adaptation was refused because it was not finite
+    is not finite either.
 
     If a loss or a coordinate is not finite, or the objective after the last step is
     above that before the first, the completion of the network as it was is returned

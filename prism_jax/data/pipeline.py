@@ -18,12 +18,9 @@ from prism_jax.data.partials import (
     random_crop,
 )
 from prism_jax.data.source import Example, Source
+from prism_jax.geometry.camera import UNKNOWN_EYE
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
-
-UNKNOWN_EYE = 3.0 / np.sqrt(3.0) * np.ones(3)
-"""Where the sensor is taken to be if a source does not say, in the unit workspace: the
-view `front_left_top` of `Camera.fixed_view`."""
 
 
 class Batch(NamedTuple):

@@ -35,7 +35,7 @@ from prism_jax.io.clouds import check_cloud, inside_image
 from prism_jax.io.depth import camera_to_dict, read_camera, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
-from prism_jax.io.ply import read_ply, write_points
+from prism_jax.io.ply import read_ply, write_ply
 
 DEPTH_SCALE = 0.00025
 """Metres a count of the depth image: the L515's own unit."""
@@ -126,9 +126,9 @@ def write_frame(folder: str | os.PathLike, number: int, frame: Frame) -> None:
     for suffix in _NEEDED + _OPTIONAL:
         _file(path, suffix).unlink(missing_ok=True)
     write_bytes(_file(path, "depth.png"), _png(frame.depth))
-    write_points(_file(path, "partial.ply"), frame.partial)
+    write_ply(_file(path, "partial.ply"), frame.partial)
     if frame.complete is not None:
-        write_points(_file(path, "complete.ply"), frame.complete)
+        write_ply(_file(path, "complete.ply"), frame.complete)
     if frame.labels is not None:
         write_bytes(_file(path, "labels.png"), _png(frame.labels))
     if frame.joints is not None:

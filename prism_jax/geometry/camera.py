@@ -21,6 +21,10 @@ Vector = Sequence[float | int] | Float[Array | np.ndarray, "3"]
 MIN_DEPTH = 1e-6
 """Points whose depth is not greater than this count as behind the camera."""
 
+UNKNOWN_EYE = np.sqrt(3.0) * np.ones(3)
+"""Where the sensor is taken to be, in the unit workspace, if nobody knows: in the
+direction of the view `front_left_top`."""
+
 VIEWS = {
     "front": (1.0, 0.0, 0.0),
     "back": (-1.0, 0.0, 0.0),

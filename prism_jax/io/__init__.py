@@ -1,6 +1,6 @@
 """Files to arrays and back: point clouds, depth images, cameras."""
 
-from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.atomic import make_output_dir, write_together
 from prism_jax.io.clouds import check_cloud, check_in_view, read_points
 from prism_jax.io.depth import (
     camera_from_dict,
@@ -11,7 +11,7 @@ from prism_jax.io.depth import (
 )
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
-from prism_jax.io.ply import write_ply
+from prism_jax.io.ply import ply_bytes
 from prism_jax.io.scan import Bounds, Scan, crop, parse_bounds, read_scan
 
 __all__ = [
@@ -26,11 +26,11 @@ __all__ = [
     "default_cache_dir",
     "make_output_dir",
     "parse_bounds",
+    "ply_bytes",
     "points_from_depth",
     "read_camera",
     "read_depth",
     "read_points",
     "read_scan",
-    "write_bytes",
-    "write_ply",
+    "write_together",
 ]

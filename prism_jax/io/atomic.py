@@ -3,32 +3,44 @@
 import os
 import pathlib
 import tempfile
+from collections.abc import Mapping
+from typing import Any
 
 from prism_jax.io.errors import InputError
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> None:
-    """Write a file so that its name never stands for half of it.
+    """Write a file so that its name never stands for half of it (`write_together`)."""
+    write_together({path: data})
 
-    The bytes go to a temporary file in the same directory, are flushed to the disk,
-    and the file is then renamed over `path`. What was there stays until that moment,
-    and stays for good if anything fails: an OSError becomes an InputError.
+
+def write_together(files: Mapping[Any, bytes]) -> None:
+    """Write files, by their paths, of which no name ever stands for half of one.
+
+    The bytes go to temporary files in the same directories and are flushed to the disk;
+    only when all are there, they are renamed, in order. What was there stays until
+    then, and stays for good if anything fails: an OSError becomes an InputError.
     """
-    path = pathlib.Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    named = {pathlib.Path(path): data for path, data in files.items()}
+    aside = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in named}
+    current = pathlib.Path()
     try:
         try:
-            with open(temporary, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
+            for current, data in named.items():
+                with open(aside[current], "wb") as file:
+                    file.write(data)
+                    file.flush()
+                    os.fsync(file.fileno())
+            for current, temporary in aside.items():
+                os.replace(temporary, current)
         finally:
-            temporary.unlink(missing_ok=True)
-        _sync_directory(path.parent)
+            for temporary in aside.values():
+                temporary.unlink(missing_ok=True)
+        for directory in {path.parent for path in named}:
+            _sync_directory(directory)
     except OSError as error:
         raise InputError(
-            path,
+            current,
             f"cannot be written ({error.strerror})",
             "name another place, or free some space",
         ) from None

@@ -17,7 +17,7 @@ MIN_POINTS = 64
 """A cloud needs at least so many distinct points."""
 
 MAX_EXTENT = 10_000.0
-"""Metres: a longer cloud is in other units or has stray points."""
+"""A longer cloud is in units too small for what it shows, or has stray points."""
 
 READERS = {
     ".ply": read_ply,
@@ -71,8 +71,8 @@ def inside(
 def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) -> None:
     """Raise an InputError about `subject` if the points cannot be completed.
 
-    They must be finite, with an extent above zero and up to 10 km, and at least 64 of
-    them distinct.
+    They must be finite, with an extent above zero and up to 10,000 units, and at least
+    64 of them distinct.
     """
     if len(points) == 0:
         remedy = "check the scan, and that --workspace is in its units and frame"
@@ -87,7 +87,7 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
     if extent > MAX_EXTENT:
         raise InputError(
             subject,
-            f"has an extent of {extent:.6g} m, above {MAX_EXTENT / 1000:g} km",
+            f"has an extent of {extent:.6g}, above {MAX_EXTENT:,.0f} units of length",
             "scale it to metres, or crop it to one object with --workspace",
         )
     distinct = np.unique(points[: 4 * MIN_POINTS], axis=0)

@@ -93,51 +93,44 @@ def read_ply(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
 def write_ply(
     path: str | os.PathLike,
     points: Float[np.ndarray, "M 3"],
-    labels: Bool[np.ndarray, " M"],
+    labels: Bool[np.ndarray, " M"] | None = None,
 ) -> None:
-    """Write points with a `label` (0 observed, 1 completed) and a colour for each.
+    """Write `ply_bytes`, whole or not at all."""
+    atomic.write_bytes(path, ply_bytes(points, labels))
 
-    `labels` is True for completed points. Binary little-endian, x y z in the type of
-    `points`, so float32 and float64 come back bit for bit. Written whole or not at all.
+
+def ply_bytes(
+    points: Float[np.ndarray, "M 3"], labels: Bool[np.ndarray, " M"] | None = None
+) -> bytes:
+    """A file of points, which `read_ply` reads back bit for bit.
+
+    With `labels`, True for completed points, each has a `label` (0 observed,
+    1 completed) and a colour. Binary little-endian, x y z in the type of `points`
+    (float32 or float64).
     """
     scalar = "double" if points.dtype == np.float64 else "float"
+    colors = () if labels is None else ("red", "green", "blue")
+    marks = () if labels is None else ("label", *colors)
     fields = [(axis, f"<{_TYPES[scalar]}") for axis in _AXES]
-    fields += [(name, "u1") for name in ("label", "red", "green", "blue")]
-    vertices = np.empty(len(points), dtype=fields)
+    vertices = np.empty(len(points), [*fields, *((name, "u1") for name in marks)])
     for column, axis in enumerate(_AXES):
         vertices[axis] = points[:, column]
-    vertices["label"] = labels
+    if labels is not None:
+        vertices["label"] = labels
     palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
-    for channel, name in enumerate(("red", "green", "blue")):
+    for channel, name in enumerate(colors):
         vertices[name] = palette[vertices["label"], channel]
+    comment = ["comment label 0: observed, 1: completed"] if marks else []
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment label 0: observed, 1: completed",
+        *comment,
         f"element vertex {len(points)}",
         *[f"property {scalar} {axis}" for axis in _AXES],
-        *[f"property uchar {name}" for name in ("label", "red", "green", "blue")],
+        *[f"property uchar {name}" for name in marks],
         "end_header\n",
     ]
-    atomic.write_bytes(path, "\n".join(header).encode() + vertices.tobytes())
-
-
-def write_points(path: str | os.PathLike, points: Float[np.ndarray, "M 3"]) -> None:
-    """Write points alone: what `read_ply` reads back bit for bit.
-
-    Binary little-endian, x y z in the type of `points` (float32 or float64). Written
-    whole or not at all.
-    """
-    scalar = "double" if points.dtype == np.float64 else "float"
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(points)}",
-        *[f"property {scalar} {axis}" for axis in _AXES],
-        "end_header\n",
-    ]
-    body = np.ascontiguousarray(points, f"<{_TYPES[scalar]}").tobytes()
-    atomic.write_bytes(path, "\n".join(header).encode() + body)
+    return "\n".join(header).encode() + vertices.tobytes()
 
 
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:

@@ -28,13 +28,18 @@ class Bounds:
 
 @dataclasses.dataclass(frozen=True)
 class Scan:
-    """Finite points inside the bounds, as stored, and what was left out of them."""
+    """Finite points inside the bounds, as stored, and what was left out of them.
+
+    Attributes:
+      in_camera_frame: whether they are a depth image's, in its camera's own axes: x
+        right, y down, z forward.
+    """
 
     points: Float[np.ndarray, "N 3"]
     camera: Camera | None
     num_not_finite: int
     num_outside: int
-    is_depth_image: bool = False
+    in_camera_frame: bool = False
 
 
 def read_scan(
@@ -66,7 +71,8 @@ def read_scan(
     if camera is not None:
         check_in_view(points, camera, path)
     not_finite, outside = num_read - num_finite, num_finite - len(points)
-    return Scan(points, camera, not_finite, outside, is_depth_image)
+    in_camera_frame = is_depth_image and bool(np.all(camera.rotation == np.eye(3)))
+    return Scan(points, camera, not_finite, outside, in_camera_frame)
 
 
 def crop(

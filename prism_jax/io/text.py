@@ -18,18 +18,21 @@ def read_text(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
     """Positions, float64, from lines of numbers parted by blanks, commas or semicolons.
 
     Blank lines and those that start with '#' or '//' are skipped. A first line of
-    words names the columns: x, y and z are looked up there; without one, or if it does
-    not name them, they are the first three. 'nan' and 'inf' are kept. A line that does
-    not fit raises an InputError.
+    words, or a comment before the first point that has as many words as there are
+    columns, names the columns, if it has x, y and z among them: they are looked up
+    there. Without such a line they are the first three. 'nan' and 'inf' are kept. A
+    first line of words that names more than three columns, and not these, raises an
+    InputError; so does a line that does not fit.
     """
     data = read_bytes(path)
     try:
-        lines = data.decode("utf-8-sig").splitlines()
-        rows = [line for line in lines if line.strip() and not _is_comment(line)]
+        lines = [line for line in data.decode("utf-8-sig").splitlines() if line.strip()]
+        rows = [line for line in lines if not _is_comment(line)]
         if not rows:
             raise ValueError("it holds no points")
         delimiter = next((mark for mark in ",;" if mark in rows[0]), None)
-        columns, has_header = _columns(rows[0].split(delimiter))
+        before = list(itertools.takewhile(_is_comment, lines))
+        columns, has_header = _columns(before, rows[0], delimiter)
         return parse_rows(
             itertools.islice(rows, int(has_header), None), columns, delimiter=delimiter
         )
@@ -67,13 +70,26 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "//"))
 
 
-def _columns(words: list[str]) -> tuple[list[int], bool]:
-    """Which columns are x, y, z, and whether the line is a header."""
+def _columns(
+    comments: Sequence[str], first: str, delimiter: str | None
+) -> tuple[list[int], bool]:
+    """Which columns are x, y, z, and whether the first line that is no comment is a
+    header."""
+
+    def names(line: str) -> list[str]:
+        return [word.strip(" \"'\t").lower() for word in line.split(delimiter)]
+
+    words = names(first)
+    headers = [names(line.lstrip().lstrip("#/")) for line in comments]
     try:
         _ = [float(word) for word in words[:3]]
-        return [0, 1, 2], False
+        has_header = False
     except ValueError:
-        names = [word.strip(" \"'\t").lower() for word in words]
-        if all(axis in names for axis in "xyz"):
-            return [names.index(axis) for axis in "xyz"], True
-        return [0, 1, 2], True
+        has_header = True
+        headers.append(words)
+    for header in reversed(headers):
+        if len(header) == len(words) and all(axis in header for axis in "xyz"):
+            return [header.index(axis) for axis in "xyz"], has_header
+    if has_header and len(words) > 3:
+        raise ValueError(f"its columns {', '.join(words)} are not named x, y and z")
+    return [0, 1, 2], has_header

@@ -84,10 +84,10 @@ def prepare_frame(
 ) -> Frame:
     """The frame of a partial cloud and its camera, both in the unit workspace.
 
-    `indices` are the encoder's, if they are known already. Nothing here carries a
-    gradient.
+    `indices` are the encoder's, if they are known already. No gradient reaches cloud
+    or camera.
     """
-    partial = jax.lax.stop_gradient(partial)
+    partial, camera = jax.lax.stop_gradient((partial, camera))
     depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
     depth, mask = render_depth(partial, depth_view)
     center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]

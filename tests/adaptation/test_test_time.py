@@ -69,18 +69,19 @@ def decoded_by(tiny, tiny_variables):
 def differentiated(minimal, minimal_variables, frames, quick_jit):
     """The gradient of an adapted completion, in a user's own jit, and the completion.
 
-    Taken in all variables, the two encoders, the loss weights and the partial cloud.
+    Taken in all variables, and in the partial cloud and its camera.
     """
     config = dataclasses.replace(minimal.adapt, num_steps=1, adapt_norm=False)
     adapt = make_adapt(config)
 
     @quick_jit
     def user(variables, partial, camera):
-        def loss(variables, partial):
+        def loss(variables, partial, camera):
             completion = adapt(variables, partial, camera)
             return (completion.points**2).mean(), completion
 
-        return jax.grad(loss, argnums=(0, 1), has_aux=True)(variables, partial)
+        both = jax.grad(loss, argnums=(0, 1, 2), has_aux=True)
+        return both(variables, partial, camera)
 
     return user(minimal_variables, *frames[0])
 
@@ -288,10 +289,11 @@ def test_another_number_of_points(tiny, tiny_variables, frames, count):
 
 
 def test_inside_a_users_jit_and_grad(differentiated):
-    (gradient, by_points), completion = differentiated
+    (gradient, *by_input), completion = differentiated
     assert completion.accepted
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
-    assert np.isfinite(by_points).all()
+    # The scan and its camera are given: nothing is learned about them.
+    assert all(np.all(leaf == 0) for leaf in jax.tree.leaves(by_input))
     for name in ("point_encoder", "decoder", "refiner"):
         leaves = jax.tree.leaves(gradient["params"][name])
         assert any(np.abs(leaf).max() > 0 for leaf in leaves), name

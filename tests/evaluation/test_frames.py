@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from prism_jax.data.pipeline import UNKNOWN_EYE
 from prism_jax.data.source import Example
 from prism_jax.evaluation import NORMALISATIONS, Protocol
 from prism_jax.evaluation.frames import given, scored_in, workspace_for
+from prism_jax.geometry.camera import UNKNOWN_EYE
 
 METRES = {"scale": 0.35, "shift": (2.0, -1.0, 40.0)}
 

@@ -68,8 +68,8 @@ def test_pickle_is_never_opened(tmp_path):
         (np.ones((1, 3)), "extent of zero"),
         (np.empty((0, 3)), "has no points"),
         (np.full((100, 3), np.nan), "not finite"),
-        (POINTS * 1e4, "above 10 km"),
-        (POINTS.astype(np.float64) * 1e300, "above 10 km"),
+        (POINTS * 1e4, "above 10,000 units"),
+        (POINTS.astype(np.float64) * 1e300, "above 10,000 units"),
     ],
 )
 def test_cloud_that_cannot_be_completed(points, fault):

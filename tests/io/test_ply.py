@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from prism_jax.io import InputError
-from prism_jax.io.ply import COLORS, read_ply, write_ply, write_points
+from prism_jax.io.ply import COLORS, read_ply, write_ply
 
 POINTS = np.random.default_rng(0).normal(size=(100, 3)).astype(np.float32)
 XYZ = "property float x\nproperty float y\nproperty float z\n"
@@ -189,7 +189,7 @@ def test_raw_scan_of_a_scanner(real):
 def test_points_alone_come_back_bit_for_bit(tmp_path, dtype):
     path = tmp_path / "a.ply"
     points = POINTS.astype(dtype) / 3
-    write_points(path, points)
+    write_ply(path, points)
     back = read_ply(path)
     assert back.dtype == dtype
     np.testing.assert_array_equal(back, points)

@@ -1,13 +1,16 @@
 """Scans as users hand them in."""
 
 import json
+import pathlib
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import prism_jax
 from prism_jax.io import InputError, parse_bounds, read_points, read_scan
 
+CELLS = pathlib.Path(prism_jax.__file__).parent / "assets" / "roboarm"
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(300, 3)).astype(np.float32)
 CAMERA = {"width": 20, "height": 10, "fx": 9, "fy": 9, "cx": 9.5, "cy": 4.5}
 
@@ -92,6 +95,15 @@ def test_depth_image_with_its_camera_beside(depth_image):
     np.testing.assert_allclose(scan.points[:, 2], 2.0)
     assert scan.camera is not None
     assert (scan.num_not_finite, scan.num_outside) == (0, 0)
+    assert scan.in_camera_frame
+
+
+def test_depth_image_whose_camera_is_turned_is_in_the_world_frame():
+    """z up, and the floor at 0."""
+    frame = CELLS / "001-ur5" / "000000"
+    scan = read_scan(f"{frame}.depth.png", f"{frame}.camera.json")
+    assert not scan.in_camera_frame
+    assert -0.05 < scan.points[:, 2].min() < 0.05
 
 
 def test_depth_image_with_a_named_camera(depth_image, tmp_path):

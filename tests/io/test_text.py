@@ -18,6 +18,9 @@ TABLES = {
     "header in another order": 'i,"Z",Y,X\n0,3,2,1\n0,6,-5e-3,4.5\n',
     "header of other names": "east north up\n1 2 3\n4.5 -5e-3 6\n",
     "comments": "# a scan\n//X Y Z\n\n1 2 3\n\n# half\n4.5 -5e-3 6\n",
+    "comment that names the columns": "# today\n# t, x, y, z\n9,1,2,3\n9,4.5,-5e-3,6",
+    "CloudCompare": "//Z Y X I\n3 2 1 0\n6 -5e-3 4.5 0\n",
+    "comment of as many words": "# by somebody of today\n1 2 3 4\n4.5 -5e-3 6 4\n",
     "Windows": "\ufeffx y z\r\n1 2 3\r\n4.5 -5e-3 6\r\n",
 }
 
@@ -47,6 +50,10 @@ def test_keeps_points_that_are_not_finite(tmp_path):
     [
         (b"# nothing\n\n", "holds no points"),
         (b"x y z\n", "ends after 0"),
+        (
+            b"row,col,x1,y1,z1\n0,0,1,2,3\n",
+            "row, col, x1, y1, z1 are not named x, y and",
+        ),
         (b"1 2 3\n1 2\n", "row 2"),
         (b"1 2\n3 4\n", "column"),
         (b"1,2,3\n1,,3\n", "row 1"),
