@@ -7,14 +7,13 @@ import dataclasses
 
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
+from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
     make_protocol,
     named,
     open_split,
-    prepare_output,
     scored,
 )
 from prism_jax.evaluation import Row, comparison, prism_completer
@@ -47,7 +46,7 @@ def define_flags() -> None:
 
 def main():
     """Scores every variant, adapted with its own settings, on the same frames."""
-    prepare_output()
+    prepare_output(FLAGS.output, ".json")
     variants = dict(VARIANTS)
     for change in FLAGS.weights:
         label, equals, weights = change.partition("=")

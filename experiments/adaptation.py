@@ -10,14 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
+from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
     make_protocol,
     named,
     open_split,
-    prepare_output,
     scored,
 )
 from prism_jax.adaptation.config import AdaptConfig
@@ -47,7 +46,7 @@ def define_flags() -> None:
 
 def main():
     """Scores both weights with each number of steps, and the variations of one."""
-    prepare_output()
+    prepare_output(FLAGS.output, ".json")
     both = {
         PRETRAINED: load_pretrained(FLAGS.pretrained),
         META: load_pretrained(FLAGS.weights),

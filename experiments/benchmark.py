@@ -12,7 +12,7 @@ import pathlib
 from absl import flags
 
 from experiments.benchmarks.measure import Row
-from experiments.launch import launch, with_kept_pages
+from experiments.launch import launch, prepare_output, with_kept_pages
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 
@@ -38,6 +38,7 @@ def define_flags() -> None:
 
 def main():
     """Prints each row when it is measured; the machine should be otherwise idle."""
+    prepare_output(FLAGS.output, ".json")
     suite = importlib.import_module(f"experiments.benchmarks.{FLAGS.suite}").suite
     given = [] if FLAGS.of is None else [FLAGS.of]
     if given and not inspect.signature(suite).parameters:

@@ -9,16 +9,16 @@ import jax
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
+from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
     make_protocol,
     named,
     open_split,
-    prepare_output,
     scored,
 )
+from prism_jax.data.datasets import training_split
 from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
 from prism_jax.models.baselines.trivial import mirrored, training_mean
 from prism_jax.models.variables import Variables
@@ -51,14 +51,15 @@ def define_flags() -> None:
 
 def main():
     """Scores every row on the same examples, input and output counts."""
-    prepare_output()
+    prepare_output(FLAGS.output, ".json")
     config, variables = load_pretrained(FLAGS.weights)
     alone, backbone = load_pretrained(FLAGS.backbone)
     names = available_networks() if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     num_outputs = config.model.backbone.stage_sizes[-1]
-    mean = training_mean(open_split("train"), protocol.margin, num_outputs)
+    training = open_split(training_split(FLAGS.dataset))
+    mean = training_mean(training, protocol.margin, num_outputs)
 
     mirror = jax.jit(lambda partials: {"output": mirrored(partials, num_outputs)})
 

@@ -8,7 +8,7 @@ import io
 
 from absl import flags
 
-from experiments.launch import launch
+from experiments.launch import launch, prepare_output
 from prism_jax.data.contact_sheet import contact_sheet, shape_row
 from prism_jax.data.roboarm.build import NUM_SEQUENCES, SPLITS
 from prism_jax.data.roboarm.pictures import cell_row
@@ -36,6 +36,7 @@ def define_flags() -> None:
 
 def main():
     """One row a category, steel-blue ones for training; or one row a robot cell."""
+    prepare_output(FLAGS.output, ".png")
     if FLAGS.dataset == "roboarm":
         cells = range(FLAGS.sequences)
         rows = [cell_row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]

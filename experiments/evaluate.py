@@ -10,13 +10,13 @@ from typing import Any
 
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
+from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
+    about_data,
     define_scoring_flags,
     deliver,
     make_protocol,
     open_split,
-    prepare_output,
     scored,
 )
 from prism_jax.adaptation.config import AdaptConfig
@@ -59,7 +59,7 @@ def define_flags() -> None:
 
 def main():
     """Builds the split where it is missing, scores, writes and prints the table."""
-    prepare_output()
+    prepare_output(FLAGS.output, ".json")
     config, variables = load_pretrained(FLAGS.weights)
     config = changed(config, FLAGS.set)
     if FLAGS.steps is not None:
@@ -91,8 +91,7 @@ def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]
     """What names the result."""
     known = read_metadata(FLAGS.weights)
     return {
-        "data": FLAGS.dataset,
-        "split": split,
+        **about_data(split),
         "protocol": FLAGS.protocol,
         "normalisation": protocol.normalisation,
         "weights": FLAGS.weights,

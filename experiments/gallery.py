@@ -9,12 +9,11 @@ import pathlib
 
 from absl import flags
 
-from experiments.launch import launch
+from experiments.launch import launch, prepare_output
 from experiments.scoring import (
     define_frame_flags,
     make_protocol,
     open_split,
-    prepare_output,
 )
 from prism_jax.data.contact_sheet import contact_sheet
 from prism_jax.evaluation import prism_completer
@@ -37,7 +36,7 @@ def define_flags() -> None:
 
 def main():
     """Draws the first view of the first objects; the picture lies beside the page."""
-    prepare_output()
+    prepare_output(FLAGS.output, ".html")
     config, variables = load_pretrained(FLAGS.weights)
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     indices = range(0, len(source), source.views)[: FLAGS.limit]

@@ -5,14 +5,13 @@ python -m experiments.gradients --weights=small --limit=200 --output=FILE.json
 
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
+from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
     make_protocol,
     named,
     open_split,
-    prepare_output,
 )
 from prism_jax.evaluation import agreement, agreement_markdown
 from prism_jax.weights import load_pretrained
@@ -22,7 +21,7 @@ FLAGS = flags.FLAGS
 
 def main():
     """Prints the mean cosine of every loss, and the error after a step along it."""
-    prepare_output()
+    prepare_output(FLAGS.output, ".json")
     config, variables = load_pretrained(FLAGS.weights)
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     sizes = (FLAGS.limit, FLAGS.batch_size)

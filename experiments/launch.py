@@ -1,12 +1,14 @@
 """What the launchers share: a quiet log, and faults of the input in one line."""
 
 import os
+import pathlib
 import sys
 from collections.abc import Callable, Sequence
 
 import jax
 from absl import app, logging
 
+from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 
@@ -26,6 +28,17 @@ def launch(name: str, main: Callable[[], None]) -> None:
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def prepare_output(path: str | None, suffix: str) -> None:
+    """Raises InputError now for an output that could not be written at the end, or
+    whose name does not end as it must for what is written beside it."""
+    if path is None:
+        return
+    if pathlib.Path(path).suffix != suffix:
+        remedy = f"name a file that ends in {suffix}"
+        raise InputError("--output", f"{path} is no {suffix} file", remedy)
+    make_output_dir(pathlib.Path(path).parent)
 
 
 def keep_compiled() -> None:

@@ -10,6 +10,7 @@ from absl import flags
 
 from experiments.launch import launch, with_kept_pages
 from experiments.training import (
+    about_training,
     define_start_flag,
     define_training_flags,
     join_processes,
@@ -38,7 +39,11 @@ def main():
     data = training_data(
         preset, config.num_complete, config.validate_every, encoded=config.num_samples
     )
-    run = {"preset": dataclasses.asdict(preset), "start": sha256(variables)}
+    run = {
+        "preset": dataclasses.asdict(preset),
+        "start": sha256(variables),
+        "data": about_training(preset, data),
+    }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     leg = meta_leg(variables, preset.adapt, config, FLAGS.seed)
     trained = train_leg(leg, data, folder, FLAGS.max_steps, FLAGS.tensorboard)

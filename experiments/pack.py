@@ -9,7 +9,13 @@ import pathlib
 from absl import flags
 
 from experiments.launch import launch
-from prism_jax.data.datasets import DATASETS, build_if_missing, open_dataset
+from prism_jax.data.datasets import (
+    DATASETS,
+    build_if_missing,
+    digest_of,
+    open_dataset,
+    training_split,
+)
 from prism_jax.data.packed import PackConfig, pack
 
 FLAGS = flags.FLAGS
@@ -29,13 +35,15 @@ def define_flags() -> None:
 
 def main():
     """Packs what is missing, and prints the folder."""
-    sources = {}
+    sources, digests = {}, {}
     for name in FLAGS.dataset:
-        build_if_missing(name, FLAGS.split, FLAGS.data_dir)
-        sources[name] = open_dataset(name, FLAGS.split, FLAGS.data_dir)
+        split = training_split(name) if FLAGS.split == "train" else FLAGS.split
+        place = (name, split, FLAGS.data_dir)
+        build_if_missing(*place)
+        sources[name], digests[name] = open_dataset(*place), digest_of(*place)
     config = PackConfig(FLAGS.num_partial, FLAGS.num_complete, FLAGS.limit)
     folder = pathlib.Path(FLAGS.output_dir) / FLAGS.split
-    print(pack(sources, folder, config, FLAGS.num_workers))
+    print(pack(sources, folder, config, FLAGS.num_workers, digests=digests))
 
 
 def run():

@@ -9,6 +9,7 @@ from absl import flags
 
 from experiments.launch import launch, with_kept_pages
 from experiments.training import (
+    about_training,
     define_start_flag,
     define_training_flags,
     join_processes,
@@ -36,7 +37,11 @@ def main():
     data = training_data(
         preset, config.num_complete, config.validate_every, encoded=encoded
     )
-    run = {"preset": dataclasses.asdict(preset), "start": start}
+    run = {
+        "preset": dataclasses.asdict(preset),
+        "start": start,
+        "data": about_training(preset, data),
+    }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     ending = (FLAGS.max_steps, FLAGS.tensorboard)
     variables = pretrain(preset, data, folder, FLAGS.seed, *ending, variables)

@@ -8,7 +8,12 @@ from typing import Any
 from absl import flags
 
 from prism_jax.adaptation.config import AdaptConfig
-from prism_jax.data.datasets import DATASETS, build_if_missing, open_dataset
+from prism_jax.data.datasets import (
+    SCORED,
+    build_if_missing,
+    digest_of,
+    open_dataset,
+)
 from prism_jax.data.source import Source
 from prism_jax.evaluation import (
     NORMALISATIONS,
@@ -17,7 +22,7 @@ from prism_jax.evaluation import (
     comparison_markdown,
     evaluate,
 )
-from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.atomic import write_bytes
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
@@ -34,7 +39,7 @@ def define_frame_flags(
     split: str | None, dataset: str = "shapes", limit: int | None = None
 ) -> None:
     """The flags that say which frames, and how a network gets them."""
-    flags.DEFINE_enum("dataset", dataset, DATASETS, "What to score on.")
+    flags.DEFINE_enum("dataset", dataset, SCORED, "What to score on.")
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_string("split", split, "The data set's split.")
     flags.DEFINE_enum(
@@ -47,17 +52,18 @@ def define_frame_flags(
     flags.DEFINE_integer("limit", limit, "The first so many examples only.", 1)
 
 
-def prepare_output() -> None:
-    """Raises InputError now for an output that could not be written at the end."""
-    if FLAGS.output is not None:
-        make_output_dir(pathlib.Path(FLAGS.output).parent)
-
-
 def open_split(split: str) -> Source:
     """The flags' data set, built where it is missing."""
     place = (FLAGS.dataset, split, FLAGS.data_dir)
     build_if_missing(*place)
     return open_dataset(*place)
+
+
+def about_data(split: str) -> dict[str, Any]:
+    """What names the examples."""
+    digest = digest_of(FLAGS.dataset, split, FLAGS.data_dir)
+    known = {} if digest is None else {"digest": digest}
+    return {"data": FLAGS.dataset, "split": split, **known}
 
 
 def make_protocol(config: AdaptConfig, published: bool = False) -> Protocol:
@@ -80,8 +86,7 @@ def scored(complete_fn: CompleteFn, source: Source, protocol: Protocol) -> dict:
 def named(protocol: Protocol) -> dict[str, Any]:
     """What names a comparison."""
     return {
-        "data": FLAGS.dataset,
-        "split": FLAGS.split,
+        **about_data(FLAGS.split),
         "normalisation": protocol.normalisation,
         "commit": commit(),
     }

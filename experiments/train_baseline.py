@@ -8,7 +8,12 @@ import dataclasses
 from absl import flags
 
 from experiments.launch import launch, with_kept_pages
-from experiments.training import define_training_flags, join_processes, training_data
+from experiments.training import (
+    about_training,
+    define_training_flags,
+    join_processes,
+    training_data,
+)
 from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
 from prism_jax.models.baselines.networks import NETWORKS
@@ -41,6 +46,8 @@ def main():
         "network": FLAGS.network,
         "sizes": dataclasses.asdict(network.config),  # pyright: ignore
         "pretrain": dataclasses.asdict(config),
+        "samples": num_samples,
+        "data": about_training(preset, data),
     }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     num_points = preset.model.backbone.num_points

@@ -13,7 +13,13 @@ from typing import NamedTuple
 from absl import flags
 
 from experiments.launch import launch
-from prism_jax.data.datasets import DATASETS
+from prism_jax.data.datasets import (
+    DATASETS,
+    GENERATED,
+    SCORED,
+    open_dataset,
+    scored_splits,
+)
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.presets import resolve
 from prism_jax.weights import SUFFIX
@@ -50,11 +56,13 @@ def define_flags() -> None:
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
     flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
     flags.DEFINE_multi_enum(
-        "scored", None, DATASETS, "What to score on; the same if not given."
+        "scored", None, SCORED, "What to score on; the same if not given."
     )
     flags.DEFINE_integer("scored_at_once", 20, "Examples, as memory allows.", 1)
     flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
-    flags.DEFINE_integer("max_steps", None, "End every leg of training at this step.")
+    flags.DEFINE_integer(
+        "max_steps", None, "End the first leg that is longer at this step."
+    )
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
     flags.DEFINE_multi_string(
         "branches",
@@ -68,6 +76,12 @@ def define_flags() -> None:
 def only(branches: str) -> str:
     """The change with which the losses of these branches count, and no others."""
     return f"meta.method.branches={tuple(branches.split(','))}"
+
+
+def splits_to_score() -> list[tuple[str, str]]:
+    """Data sets and their splits."""
+    sets = FLAGS.scored or [FLAGS.dataset]
+    return [(dataset, split) for dataset in sets for split in scored_splits(dataset)]
 
 
 def plan(folder: pathlib.Path) -> list[Step]:
@@ -112,23 +126,21 @@ def plan(folder: pathlib.Path) -> list[Step]:
         own = (start, f"--set={only(branches)}")
         trained[f"{name}-{label}"] = training("meta_train", f"meta-{label}", *own)
     steps = [pretrained, *trained.values()]
-    splits = [
-        (dataset, split)
-        for dataset in FLAGS.scored or [FLAGS.dataset]
-        for split in ("validation", "test", "unseen")
-        if split != "unseen" or dataset == "shapes"
-    ]
     for label, weights in trained.items():
-        scored = [scores(weights, *split) for split in splits]
+        scored = [scores(weights, *split) for split in splits_to_score()]
         steps += [*scored, release(weights, scored, label)]
     return steps
 
 
 def main():
     """Runs what is not done yet, each command as its own process."""
-    resolve(FLAGS.preset, FLAGS.set)  # a mistake in the flags shows at once
+    # A mistake in the flags shows at once.
+    resolve(FLAGS.preset, FLAGS.set)
     for branches in FLAGS.branches:
         resolve(FLAGS.preset, [*FLAGS.set, only(branches)])
+    for dataset, split in splits_to_score():
+        if dataset not in GENERATED:
+            open_dataset(dataset, split, FLAGS.data_dir)
     # `subprocess.run` kills its command when it is left by an exception.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     folder = make_output_dir(pathlib.Path(FLAGS.workdir)).resolve()
@@ -148,7 +160,7 @@ def main():
         if ended.returncode:
             sys.exit(ended.returncode)
         if not step.done.exists():
-            print("stopped; the same command goes on")
+            print("stopped; the same command goes on, with more --max_steps or none")
             return
     print(f"written {', '.join(str(s.done) for s in steps if s.module == 'release')}")
 

@@ -5,8 +5,13 @@ from typing import Any
 import jax
 from absl import flags
 
-from prism_jax.data.datasets import DATASETS, build_if_missing, open_training
-from prism_jax.data.source import Source
+from prism_jax.data.datasets import (
+    DATASETS,
+    build_if_missing,
+    digest_of,
+    open_training,
+    training_split,
+)
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.models.variables import Variables
@@ -76,7 +81,12 @@ def training_data(
     encoder's indices are made beforehand. Generated sets are built where missing: for a
     preset with a `num_shapes` of its own, so many shapes in a folder of its own.
     """
-    train, validation = _sources(preset)
+    name, data_dir, changes = _place(preset)
+    if FLAGS.process == 0:
+        for split in ("train", "validation"):
+            build_if_missing(name, split, data_dir, **changes)
+    wait_for_all("the data")
+    train, validation = open_training(name, data_dir)
     data = Data(
         train,
         validation,
@@ -93,13 +103,17 @@ def training_data(
     return data._replace(indices=indices)
 
 
-def _sources(preset: Preset) -> tuple[Source, Source]:
+def about_training(preset: Preset, data: Data) -> dict[str, Any]:
+    """What tells the training's data from others, wherever they lie."""
+    name, data_dir, _ = _place(preset)
+    digest = digest_of(name, training_split(name), data_dir)
+    return {"dataset": name, "digest": digest, "examples": len(data.train)}
+
+
+def _place(preset: Preset) -> tuple[str, str | None, dict[str, Any]]:
+    """The data set, its folder, and how it is to be built where it is missing."""
     name, data_dir, changes = FLAGS.dataset, FLAGS.data_dir, {}
     if name == "shapes" and data_dir is None and preset.num_shapes:
         data_dir = str(default_cache_dir() / FLAGS.preset)
         changes = {"num_shapes": preset.num_shapes}
-    if FLAGS.process == 0:
-        for split in ("train", "validation"):
-            build_if_missing(name, split, data_dir, **changes)
-    wait_for_all("the data")
-    return open_training(name, data_dir)
+    return name, data_dir, changes

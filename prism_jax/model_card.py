@@ -6,7 +6,7 @@ from typing import Any
 import jax
 
 from prism_jax.data.datasets import mesh_licences
-from prism_jax.evaluation.tables import markdown
+from prism_jax.evaluation.tables import markdown, short
 from prism_jax.weights import (
     load_pretrained,
     read_metadata,
@@ -51,7 +51,7 @@ def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
         samples, data = run.get("samples", 0), run.get("data", "unknown")
         sets |= dict.fromkeys(data.split(", "))
         made = f"preset {run.get('preset')}, seed {run.get('seed')}"
-        where = f"commit {(run.get('commit') or 'unknown')[:12]}"
+        where = f"commit {short(run.get('commit') or 'unknown')}"
         yield f"{samples:,} samples of {data}, {made}, {where}"
     yield f"{samples_seen(about):,} samples in all"
     yield from (f"meshes of {name}: {mesh_licences(name)}" for name in sets)

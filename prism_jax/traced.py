@@ -65,6 +65,7 @@ def _fingerprint(arguments: tuple[Any, ...], about: Any) -> str:
     for source in sorted(package.rglob("*.py")):
         digest.update(source.read_bytes())
     shapes = jax.tree.map(jax.api_util.shaped_abstractify, arguments)
-    for part in (jax.__version__, jax.default_backend(), about, shapes):
+    precision = jax.config.jax_default_matmul_precision  # pyright: ignore
+    for part in (jax.__version__, jax.default_backend(), precision, about, shapes):
         digest.update(repr(part).encode())
     return digest.hexdigest()[:32]

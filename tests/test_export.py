@@ -60,6 +60,16 @@ def test_a_clean_process_gets_the_same(exported, scans, minimal, minimal_variabl
     assert ended.stdout.split()[1:] == [str(value) for value in accepted]
 
 
+@pytest.mark.parametrize("shape", [(3, 64), (64, 3), (BATCH, 65, 3), (BATCH, 3, 64)])
+def test_scans_of_another_shape_are_refused(exported, shape, tmp_path):
+    np.save(tmp_path / "scans.npy", np.zeros(shape, np.float32))
+    command = [sys.executable, PROGRAM, exported, tmp_path / "scans.npy", "out.npy"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.returncode == 1
+    wanted = f"has the shape {shape}; it must be (2, 64, 3)"
+    assert ended.stderr.strip() == f"{tmp_path}/scans.npy: {wanted}"
+
+
 def test_the_program_is_as_short_as_promised():
     body = PROGRAM.read_text().split('"""', 2)[2].strip().splitlines()
     assert len(body) <= 20

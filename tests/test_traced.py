@@ -1,5 +1,7 @@
 """Traces on disk: read where they fit, made anew where they do not."""
 
+import contextlib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,10 +44,12 @@ def test_the_second_time_it_is_not_traced(fn, tmp_path):
     assert len(files(tmp_path / "new")) == 1
 
 
-@pytest.mark.parametrize("change", ["about", "shape", "dtype", "version", "source"])
+@pytest.mark.parametrize(
+    "change", ["about", "shape", "dtype", "version", "precision", "source"]
+)
 def test_another_function_has_another_trace(fn, tmp_path, change, monkeypatch):
     run(fn, tmp_path)
-    arguments, about = ARGUMENTS, "here"
+    arguments, about, stack = ARGUMENTS, "here", contextlib.ExitStack()
     if change == "about":
         about = "there"
     elif change == "shape":
@@ -54,9 +58,12 @@ def test_another_function_has_another_trace(fn, tmp_path, change, monkeypatch):
         arguments = ({"a": jnp.arange(3)}, jnp.float32(2))
     elif change == "version":
         monkeypatch.setattr(jax, "__version__", "0")
+    elif change == "precision":
+        stack.enter_context(jax.default_matmul_precision("bfloat16"))
     else:
         monkeypatch.setattr(traced, "__file__", str(tmp_path / "traced.py"))
-    run(fn, tmp_path, arguments, about)
+    with stack:
+        run(fn, tmp_path, arguments, about)
     assert fn.count == 2
     assert len(files(tmp_path)) == 2
 

@@ -30,7 +30,8 @@ def _row(name: str, seconds: list[float], target: float) -> Row:
 
 def _seconds(arguments: list[str], cache: str) -> float:
     """Of a process that begins with what is in ``cache`` alone."""
-    kept = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
+    elsewhere = ("JAX_COMPILATION_CACHE_DIR", "PRISM_JAX_CACHE")
+    kept = {k: v for k, v in os.environ.items() if k not in elsewhere}
     start = time.perf_counter()
     subprocess.run(
         [sys.executable, *arguments],

@@ -132,7 +132,7 @@ class Corpus:
         command = f"python -m experiments.make_data --dataset=shapes --split={split}"
         where = "" if data_dir is None else f" --output_dir={data_dir}"
         remedy = f"build it: {command}{where}"
-        manifest = builds.read_manifest(self.root, remedy)
+        manifest = builds.read_manifest(self.root, remedy, GENERATOR_VERSION)
         builds.verify(self.root, manifest["files"], "delete it and build again")
         self.categories = tuple(manifest["categories"])
         self.views = manifest["num_views"]

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from prism_jax.data.builds import MANIFEST, read_manifest
+from prism_jax.data.builds import content_digest, is_finished, read_manifest
 from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
 from prism_jax.data.packed import Packed
 from prism_jax.data.public import PUBLIC_SETS, open_public
+from prism_jax.data.public.layout import choose
 from prism_jax.data.recordings import RecordedCells
+from prism_jax.data.roboarm import build as roboarm
 from prism_jax.data.roboarm.build import build_roboarm
 from prism_jax.data.roboarm.models import arms_of
 from prism_jax.data.source import Example, Source
@@ -20,9 +22,14 @@ from prism_jax.io.files import default_cache_dir
 GENERATED = ("shapes", "roboarm")
 """Built on the machine; their folder is the user's cache folder unless named."""
 DATASETS = (*GENERATED, "packed", "recordings", *PUBLIC_SETS)
+SCORED = tuple(name for name in DATASETS if name != "packed")
+"""What can be scored on: packed examples do not tell which of them show one object."""
+UNSPLIT = ("recordings", "meshes")
+"""All of these is the one split "all"."""
 TEST_ONLY = ("kitti", "shapenet_unseen21", "projected_shapenet_unseen21")
 _WITH_VALIDATION = {name: "validation" for name in (*GENERATED, "packed")}
 _WITH_VALIDATION |= {"pcn": "val", "completion3d": "val"}
+_WITHOUT_TEST = ("kitti", "completion3d", *UNSPLIT)
 
 
 def build_dataset(
@@ -51,15 +58,41 @@ def build_if_missing(
     data_dir: str | os.PathLike | None = None,
     **changes: Any,
 ) -> None:
-    """Builds a generated set's split, unless one is begun there.
+    """Builds a generated set's split, or goes on with what was broken off, unless one
+    is finished there, of whatever settings.
 
     Sets that are not generated are left alone. `changes` as in `build_dataset`.
     """
-    folders = {"shapes": split_dir, "roboarm": _roboarm_dir}
-    if name not in GENERATED:
-        return
-    if not (folders[name](split, data_dir) / MANIFEST).exists():
+    folder = _folder(name, split, data_dir) if name in GENERATED else None
+    if folder is not None and not is_finished(folder):
         build_dataset(name, split, data_dir, **changes)
+
+
+def digest_of(
+    name: str, split: str, data_dir: str | os.PathLike | None = None
+) -> str | None:
+    """What tells a split's files from those of any other build (`content_digest`); None
+    for a set that has no manifest."""
+    folder = _folder(name, split, data_dir)
+    return None if folder is None else content_digest(folder)
+
+
+def training_split(name: str) -> str:
+    """The split that a training sees."""
+    return "all" if name in UNSPLIT else "train"
+
+
+def scored_splits(name: str) -> tuple[str, ...]:
+    """The splits with ground truth that no training sees, validation first; InputError
+    if there is none."""
+    validation = _WITH_VALIDATION.get(name)
+    splits = () if validation is None else (validation,)
+    splits += () if name in _WITHOUT_TEST else ("test",)
+    splits += ("unseen",) if name == "shapes" else ()
+    if name not in SCORED or not splits:
+        fault = "has no split with ground truth that no training sees"
+        raise InputError(name, fault, "score on another set")
+    return splits
 
 
 def open_dataset(
@@ -77,12 +110,18 @@ def open_dataset(
     if name == "shapes":
         return Corpus(split, data_dir)
     if name == "roboarm":
-        return RecordedCells(_roboarm_dir(split, data_dir))
+        folder = _roboarm_dir(split, data_dir)
+        command = f"python -m experiments.make_data --dataset=roboarm --split={split}"
+        where = "" if data_dir is None else f" --output_dir={data_dir}"
+        remedy = f"build it: {command}{where}"
+        read_manifest(folder, remedy, roboarm.GENERATOR_VERSION)
+        return RecordedCells(folder)
     if data_dir is None:
         raise InputError(name, "is not generated", "name its folder with --data_dir")
     if name == "packed":
         return Packed(pathlib.Path(data_dir) / split)
     if name == "recordings":
+        choose("split", split, ("all",))
         return RecordedCells(data_dir)
     return open_public(name, data_dir, split, **options)
 
@@ -98,8 +137,7 @@ def open_training(
     """
     if name in TEST_ONLY:
         raise InputError(name, "has no training split", "train on another set")
-    whole = "all" if name in ("recordings", "meshes") else "train"
-    train = open_dataset(name, whole, data_dir)
+    train = open_dataset(name, training_split(name), data_dir)
     if name in _WITH_VALIDATION:
         validation = open_dataset(name, _WITH_VALIDATION[name], data_dir)
         rows = np.unique(np.linspace(0, len(validation) - 1, num_validation, dtype=int))
@@ -153,6 +191,20 @@ class Subset:
 
     def __getitem__(self, index: int) -> Example:
         return self._source[int(self._rows[index])]
+
+
+def _folder(
+    name: str, split: str, data_dir: str | os.PathLike | None
+) -> pathlib.Path | None:
+    """Where a split's manifest is, of a set that has one."""
+    if name == "shapes":
+        return split_dir(split, data_dir)
+    if name == "roboarm":
+        return _roboarm_dir(split, data_dir)
+    if data_dir is None or name not in ("packed", "recordings"):
+        return None
+    root = pathlib.Path(data_dir)
+    return root / split if name == "packed" else root
 
 
 def _roboarm_dir(split: str, data_dir: str | os.PathLike | None) -> pathlib.Path:

@@ -51,11 +51,13 @@ def pack(
     config: PackConfig = PackConfig(),
     num_workers: int | None = None,
     progress: bool = True,
+    digests: Mapping[str, str | None] | None = None,
 ) -> pathlib.Path:
     """Packs sources, by the names that tell them apart, one after the other.
 
-    An example without a partial or a complete cloud raises InputError. The bytes do not
-    depend on `num_workers` (`builds.build`).
+    `digests` (`builds.content_digest`), where given, tell that a folder was begun with
+    the same sources. An example without a partial or a complete cloud raises
+    InputError. The bytes do not depend on `num_workers` (`builds.build`).
     """
     rows = [
         (name, int(row))
@@ -67,6 +69,7 @@ def pack(
         "generator_version": GENERATOR_VERSION,
         **dataclasses.asdict(config),
         "sources": {name: len(source) for name, source in sources.items()},
+        "digests": dict(digests or {}),
         "categories": sorted({c for s in sources.values() for c in s.categories}),
         "num_examples": len(rows),
         "shard_examples": SHARD_EXAMPLES,
@@ -96,7 +99,8 @@ class Packed:
 
     def __init__(self, root: str | os.PathLike):
         self.root = pathlib.Path(root)
-        manifest = builds.read_manifest(self.root, "pack it: experiments.pack")
+        remedy = "pack it: experiments.pack"
+        manifest = builds.read_manifest(self.root, remedy, GENERATOR_VERSION)
         builds.verify(self.root, manifest["files"], "delete it and pack again")
         self.categories = tuple(manifest["categories"])
         self._count = manifest["num_examples"]

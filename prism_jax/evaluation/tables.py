@@ -114,16 +114,21 @@ def published_markdown(dataset: str, result: Mapping[str, Any]) -> str:
 
 def _title(result: Mapping[str, Any]) -> str:
     """One line of what the result was made from, as far as it says."""
-    named = ("data", "split", "protocol", "normalisation", "weights", "seed")
+    named = ("data", "split", "digest", "protocol", "normalisation", "weights", "seed")
     named += ("steps", "set")
     parts = [f"{name} {result[name]}" for name in named if name in result]
-    parts += [f"commit {result['commit'][:12]}"] if result.get("commit") else []
+    parts += [f"commit {short(result['commit'])}"] if result.get("commit") else []
     count, objects = result["num_examples"], result["num_objects"]
     parts.append(f"{count} examples of {objects} objects")
     if "accepted" in result:
         parts.append(f"adaptation accepted for {100 * result['accepted']:.0f} %")
     unit = f" Unit of length: {result['unit']}." if "unit" in result else ""
     return f"{', '.join(parts)}.{unit}"
+
+
+def short(commit: str) -> str:
+    """Twelve digits, and whether its files were changed."""
+    return commit[:12] + commit[40:]
 
 
 def _labels(result: Mapping[str, Any]) -> dict[str, str]:

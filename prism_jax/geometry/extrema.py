@@ -29,15 +29,16 @@ def _first(chosen: Array) -> Array:
 
 
 def inserted(
-    values: Sequence[Float[Array, " N"]],
-    indices: Sequence[Int[Array, " N"]],
+    lists: tuple[Sequence[Float[Array, " N"]], Sequence[Int[Array, " N"]]],
     new: Float[Array, " N"],
     index: Int[Array, "..."],
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """N ascending lists, their places side by side, with a new value sunk into each.
+    """N ascending lists with a new value sunk into each: the values and their indices,
+    each as the first of all lists, the second of all, and so on.
 
     What falls off the end is lost. Of equal values the one that came first stays first.
     """
+    values, indices = lists
     lower = [new < value for value in values]
     # Each place takes the new entry, keeps its own, or takes the one before it.
     entries = [

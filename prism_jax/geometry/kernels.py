@@ -92,7 +92,7 @@ def knn_indices(
             index = jnp.full(_QUERIES, j, jnp.int32)
             return jax.lax.cond(
                 enters,
-                lambda best: inserted(*best, squared, index),
+                lambda best: inserted(best, squared, index),
                 lambda best: best,
                 best,
             )

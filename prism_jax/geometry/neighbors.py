@@ -179,7 +179,7 @@ def _k_lowest(
 
     def insert(lists, indexed):
         index, member = indexed
-        return inserted(*lists, value_fn(member), index), None
+        return inserted(lists, value_fn(member), index), None
 
     empty = jax.eval_shape(value_fn, members[0])
     lists = (

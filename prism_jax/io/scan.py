@@ -54,13 +54,14 @@ def read_scan(
     the frame the camera's pose refers to: the camera's own unless it has one. For any
     other file see `read_points`. Points outside `bounds` are cropped away.
     """
-    is_depth_image = pathlib.Path(path).suffix.lower() == ".png"
-    if is_depth_image:
+    in_camera_frame = False
+    if pathlib.Path(path).suffix.lower() == ".png":
         camera_path = camera_path or _camera_beside(path)
         depth, mask, camera = read_depth(path, camera_path)
         if not mask.any():
             raise InputError(path, "has no pixel with a return", "check the sensor")
         points = points_from_depth(depth, mask, camera)
+        in_camera_frame = bool(np.all(camera.rotation == np.eye(3)))
         num_read = len(points)
     else:
         camera = read_camera(camera_path) if camera_path else None
@@ -71,7 +72,6 @@ def read_scan(
     if camera is not None:
         check_in_view(points, camera, path)
     not_finite, outside = num_read - num_finite, num_finite - len(points)
-    in_camera_frame = is_depth_image and bool(np.all(camera.rotation == np.eye(3)))
     return Scan(points, camera, not_finite, outside, in_camera_frame)
 
 

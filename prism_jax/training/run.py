@@ -21,8 +21,9 @@ def open_run(
 ) -> pathlib.Path:
     """The run's folder, with config, seed and commit written to ``config.json``.
 
-    A folder that holds a run already is refused unless ``resume`` is set, and then
-    only the same configuration and seed may go on in it.
+    ``config`` is all that the run's bytes depend on, but for the seed. A folder that
+    holds a run already is refused unless ``resume`` is set, and then only the same
+    configuration and seed may go on in it.
     """
     folder = make_output_dir(pathlib.Path(workdir))
     if not is_first():
@@ -48,7 +49,7 @@ def _check_in(
         raise InputError(str(folder), "it holds a run already", remedy)
     before = json.loads(path.read_text())
     if any(before[key] != resolved[key] for key in resolved):
-        remedy = "resume with the settings of its config.json"
+        remedy = "resume with the settings, and on the data, of its config.json"
         raise InputError(str(folder), "its run has another configuration", remedy)
 
 
@@ -58,15 +59,23 @@ def started_from(folder: pathlib.Path) -> str | None:
 
 
 def commit() -> str | None:
-    """The commit of the working copy that this package runs from, if it is one."""
-    try:
+    """The commit of the working copy that this package runs from, with ``-dirty`` if
+    its files are not the commit's; None if it runs from none."""
+
+    def git(*arguments: str) -> str:
         return subprocess.run(
-            ["git", "rev-parse", "HEAD"],
-            cwd=pathlib.Path(__file__).parent,
+            ["git", *arguments],
+            cwd=pathlib.Path(__file__).parents[1],
             capture_output=True,
             text=True,
             check=True,
         ).stdout.strip()
+
+    try:
+        # An installed package may lie in a working copy of something else.
+        git("ls-files", "--error-unmatch", "__init__.py")
+        changed = git("status", "--porcelain", "--untracked-files=no")
+        return git("rev-parse", "HEAD") + ("-dirty" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return None
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from prism_jax.data import datasets
+from prism_jax.data import builds, corpus, datasets
 from prism_jax.data.corpus import Corpus
 from prism_jax.data.datasets import (
     DATASETS,
@@ -12,11 +12,13 @@ from prism_jax.data.datasets import (
     Subset,
     build_dataset,
     build_if_missing,
+    digest_of,
     hold_out,
     open_dataset,
     open_training,
+    scored_splits,
 )
-from prism_jax.data.recordings import Frame, write_frame
+from prism_jax.data.recordings import Frame, RecordedCells, write_frame
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
@@ -88,6 +90,54 @@ def test_shapes_are_built_and_opened(tmp_path):
     source = open_dataset("shapes", "validation", tmp_path)
     assert isinstance(source, Corpus)
     assert names(source) == ["000000/00"]
+
+
+def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
+    whole = build_dataset("shapes", "validation", tmp_path / "a", 0, num_shapes=2)
+
+    def broken(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(corpus, "make_views", broken)
+        build_if_missing("shapes", "validation", tmp_path, num_workers=0, num_shapes=2)
+    build_if_missing("shapes", "validation", tmp_path, num_workers=0, num_shapes=2)
+    place = ("shapes", "validation", tmp_path)
+    assert names(open_dataset(*place)) == ["000000/00", "000001/00"]
+    # The same files as of an unbroken build, and others than of another seed.
+    digest = digest_of("shapes", "validation", whole.parent)
+    assert digest == digest_of(*place) and len(digest) == 12
+    build_dataset("shapes", "validation", tmp_path / "b", 0, num_shapes=2, seed=1)
+    assert digest_of("shapes", "validation", tmp_path / "b") not in (None, digest)
+    assert digest_of("shapes", "test", tmp_path) is None
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_what_another_version_built_is_refused(name, tmp_path):
+    folder = tmp_path / f"{name}-validation"
+    folder.mkdir()
+    builds.write_manifest(folder, {"generator_version": 0, "files": {}})
+    with pytest.raises(InputError, match=f"another version.*--dataset={name}"):
+        open_dataset(name, "validation", tmp_path)
+
+
+def test_recordings_have_one_split():
+    root = RecordedCells.bundled().root
+    assert len(open_dataset("recordings", "all", root)) == 20
+    with pytest.raises(InputError, match="unknown value 'test'; use all"):
+        open_dataset("recordings", "test", root)
+    assert digest_of("recordings", "all", root) is not None
+
+
+def test_splits_that_can_be_scored():
+    assert scored_splits("shapes") == ("validation", "test", "unseen")
+    assert scored_splits("roboarm") == ("validation", "test")
+    assert scored_splits("pcn") == ("val", "test")
+    assert scored_splits("completion3d") == ("val",)
+    assert scored_splits("mvp") == ("test",)
+    for name in ("packed", "recordings", "meshes", "kitti"):
+        with pytest.raises(InputError, match=f"{name}: has no split with ground truth"):
+            scored_splits(name)
 
 
 def test_what_is_missing_is_built_with_its_defaults(tmp_path, monkeypatch):

@@ -30,8 +30,9 @@ def test_writes_one_row_a_robot_cell(tmp_path):
         assert sheet.size == (4 * 40, 40 + 15)
 
 
-def test_a_folder_that_is_not_there_ends_in_one_line(tmp_path, capsys):
-    output = tmp_path / "none" / "sheet.png"
+def test_what_cannot_be_written_ends_in_one_line(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    output = tmp_path / "file" / "sheet.png"
     few = ["--category=mug", "--seeds=1", "--size=16"]
     assert run(f"--output={output}", *few) == 2
     assert "cannot be written" in capsys.readouterr().err

@@ -69,10 +69,11 @@ def test_changes_are_made_and_named(cells):
 
 def test_a_result_says_what_it_is_of(cells):
     result = cells["adapted"]
-    assert list(result)[:9] == [
-        *("data", "split", "protocol", "normalisation", "weights", "seed"),
+    assert list(result)[:10] == [
+        *("data", "split", "digest", "protocol", "normalisation", "weights", "seed"),
         *("weights_commit", "steps", "commit"),
     ]
+    assert len(result["digest"]) == 12
     assert (result["data"], result["split"]) == ("recordings", "all")
     assert (result["weights"], result["seed"], result["steps"]) == ("small", 0, 2)
     assert len(result["weights_commit"]) == 40
@@ -80,7 +81,7 @@ def test_a_result_says_what_it_is_of(cells):
     assert (result["num_examples"], result["accepted"]) == (2, 0.5)
     assert result["unit"] == "half the longest side of the complete cloud"
     table = result["table"]
-    assert table.startswith("data recordings, split all, protocol standard, ")
+    assert table.startswith("data recordings, split all, digest ")
     assert "weights small, seed 0, steps 2, commit " in table
 
 

@@ -22,6 +22,18 @@ KEPT = {
     "arena_max": "1",
 }
 
+
+def test_an_output_that_would_overwrite_itself_is_refused(tmp_path, capsys):
+    """Markdown goes beside the JSON, under the name with another end."""
+    path = tmp_path / "new" / "scores.md"
+    assert run(evaluate, f"--output={path}") == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert message.endswith(
+        "scores.md is no .json file; name a file that ends in .json"
+    )
+    assert not path.parent.exists()
+
+
 with_glibc = pytest.mark.skipif(sys.platform != "linux", reason="glibc's settings")
 
 

@@ -7,12 +7,14 @@ and files are the real ones.
 import dataclasses
 import json
 import re
+import shutil
 
 import jax
 import numpy as np
 import pytest
 
 from experiments import meta_train, training
+from prism_jax.data.corpus import CorpusConfig, build_corpus
 from prism_jax.models.variables import ENCODERS
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 from tests import fake_meta, launching
@@ -175,6 +177,19 @@ def test_a_run_goes_on_only_as_it_was_begun(run, unbroken, weights, tmp_path, ca
         status = run(*given, "--resume", *flag)
         assert "its run has another configuration" in refused(capsys, status)
     assert {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")} == before
+
+
+def test_nor_on_other_data(run, unbroken, few_shapes, weights, tmp_path, capsys):
+    """Wherever they lie."""
+    shutil.copytree(few_shapes, tmp_path / "same")
+    given = [f"--workdir={unbroken}", *CHANGES, f"--weights={weights}", "--resume"]
+    assert run(*given, f"--data_dir={tmp_path / 'same'}") == 0
+    capsys.readouterr()
+    for split in ("train", "validation"):
+        others = CorpusConfig(split, num_shapes=8, num_views=1, seed=1)
+        build_corpus(others, tmp_path / "other", 0, False)
+    status = run(*given, f"--data_dir={tmp_path / 'other'}")
+    assert "its run has another configuration" in refused(capsys, status)
 
 
 def test_without_weights_it_starts_from_fresh_ones(run, tmp_path, capsys):

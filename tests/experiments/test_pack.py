@@ -26,6 +26,16 @@ def test_packs_a_split_and_does_not_do_it_twice(tmp_path, capsys):
     assert before == {path: path.stat().st_mtime_ns for path in source.root.iterdir()}
 
 
+def test_recordings_are_packed_to_train_on_and_for_nothing_else(tmp_path, capsys):
+    root = RecordedCells.bundled().root
+    place = ["--dataset=recordings", f"--data_dir={root}", "--limit=1"]
+    where = [f"--output_dir={tmp_path}", "--num_workers=0"]
+    assert run(*place, *where, "--split=train") == 0
+    assert len(open_dataset("packed", "train", tmp_path)) == 1
+    assert run(*place, *where, "--split=validation") == 2
+    assert "unknown value 'validation'; use all" in capsys.readouterr().err
+
+
 def test_other_sizes_are_not_mixed_in(tmp_path, capsys):
     root = RecordedCells.bundled().root
     place = ["--dataset=recordings", f"--data_dir={root}", "--split=all", "--limit=1"]

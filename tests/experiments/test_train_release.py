@@ -118,13 +118,30 @@ def test_a_bounded_run_stops_and_says_so(commands, tmp_path, capsys):
     assert run("--preset=tiny", f"--workdir={tmp_path}", "--max_steps=5") == 0
     assert len(commands.run) == 1
     assert "--max_steps=5" in commands.run[0][1]
-    assert "the same command goes on" in capsys.readouterr().out
+    assert "goes on, with more --max_steps or none" in capsys.readouterr().out
 
 
 def test_a_mistake_shows_before_anything_runs(commands, tmp_path, capsys):
     assert run("--preset=tiny", f"--workdir={tmp_path}", "--set=no.field=1") == 2
     assert not commands.run
     assert "no field 'no'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "fault"),
+    [
+        (["--dataset=packed"], "packed: has no split with ground truth"),
+        (["--dataset=recordings"], "recordings: has no split with ground truth"),
+        (["--dataset=pcn"], "no such file"),
+    ],
+)
+def test_so_does_a_set_that_could_not_be_scored(
+    commands, tmp_path, capsys, flags, fault
+):
+    given = ["--preset=tiny", f"--workdir={tmp_path}", f"--data_dir={tmp_path}"]
+    assert run(*given, *flags) == 2
+    assert not commands.run
+    assert fault in capsys.readouterr().err
 
 
 def test_what_was_trained_on_a_mixture_is_scored_on_its_parts(commands, tmp_path):

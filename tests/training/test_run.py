@@ -2,12 +2,15 @@
 
 import dataclasses
 import json
+import subprocess
 import time
 
 import pytest
 
+from prism_jax.evaluation.tables import short
 from prism_jax.io.errors import InputError
 from prism_jax.presets import resolve
+from prism_jax.training import run
 from prism_jax.training.run import Log, commit, open_run
 
 
@@ -64,9 +67,41 @@ def test_a_folder_that_cannot_be_made(tmp_path):
         open_run(str(tmp_path / "file" / "run"), PRESET, 0, resume=False)
 
 
-def test_commit_is_a_digest_or_nothing():
-    found = commit()
-    assert found is None or len(found) == 40
+@pytest.fixture
+def working_copy(tmp_path, monkeypatch):
+    """A repository with this package in it, and git in it as a function."""
+    module = tmp_path / "prism_jax" / "training" / "run.py"
+    module.parent.mkdir(parents=True)
+    for path in (module, tmp_path / "prism_jax" / "__init__.py"):
+        path.write_text("")
+    monkeypatch.setattr(run, "__file__", str(module))
+    own = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+
+    def git(*arguments):
+        command = ["git", "-C", str(tmp_path), *own, *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+
+    git("init")
+    return tmp_path, git
+
+
+def test_the_commit_of_a_working_copy_and_whether_it_is_changed(working_copy):
+    folder, git = working_copy
+    git("add", ".")
+    git("commit", "-m", "all")
+    assert commit() == git("rev-parse", "HEAD")
+    (folder / "notes").write_text("not of the repository")
+    assert commit() == git("rev-parse", "HEAD")
+    (folder / "prism_jax" / "training" / "run.py").write_text("changed")
+    assert commit() == git("rev-parse", "HEAD") + "-dirty"
+    assert short(commit()) == git("rev-parse", "HEAD")[:12] + "-dirty"
+
+
+def test_the_commit_of_something_else_around_it_is_not_its_own(working_copy):
+    _, git = working_copy
+    git("commit", "--allow-empty", "-m", "of another project")
+    assert commit() is None
 
 
 def test_log_lines(tmp_path, capsys):
