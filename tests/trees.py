@@ -1,5 +1,6 @@
 """Trees of arrays, compared and averaged."""
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +26,7 @@ def dot(a, b):
 def assert_close(found, expected, rtol):
     """Leaf by leaf, as a share of the leaf's largest number; what is below 1e-15 is
     rounding: a bias before a softmax has a gradient of zero."""
-    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    chex.assert_trees_all_equal_structs(found, expected)
     for (path, a), b in zip(
         jax.tree_util.tree_leaves_with_path(found),
         jax.tree.leaves(expected),
@@ -34,6 +35,15 @@ def assert_close(found, expected, rtol):
         name = jax.tree_util.keystr(path)
         atol = max(rtol * float(np.abs(b).max()), 1e-15)
         np.testing.assert_allclose(a, b, rtol=0, atol=atol, err_msg=name)
+
+
+def bitwise(a, b):
+    """Equal leaf by leaf, dtype, NaN and the sign of zero included; trees of different
+    structure raise."""
+    chex.assert_trees_all_equal_structs(a, b)
+    leaves = zip(*map(jax.tree.leaves, (a, b)), strict=True)
+    pairs = [tuple(map(np.asarray, pair)) for pair in leaves]
+    return all(x.dtype == y.dtype and x.tobytes() == y.tobytes() for x, y in pairs)
 
 
 def equal(a, b):

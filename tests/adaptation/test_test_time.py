@@ -11,15 +11,9 @@ from prism_jax.adaptation.objective import test_time_objective as losses_of
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.models.prism import hold_decoding, prepare_frame
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
+from tests.trees import bitwise
 
 NUM_STEPS = 3
-
-
-def bitwise(a, b):
-    """Equal leaf by leaf, NaN and the sign of zero included."""
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
 def with_scales(variables, scale):

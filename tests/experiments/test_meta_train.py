@@ -9,8 +9,6 @@ import json
 import re
 import shutil
 
-import jax
-import numpy as np
 import pytest
 
 from experiments import meta_train, training
@@ -18,6 +16,7 @@ from prism_jax.data.corpus import CorpusConfig, build_corpus
 from prism_jax.models.variables import ENCODERS
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 from tests import fake_meta, launching
+from tests.trees import bitwise
 
 NETWORK = (
     "num_neighbors=(4,)",
@@ -64,12 +63,6 @@ def unbroken(run, weights, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "unbroken"
     assert run(f"--workdir={folder}", f"--weights={weights}", *CHANGES) == 0
     return folder
-
-
-def bitwise(a, b):
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
 def printed_sha(text):

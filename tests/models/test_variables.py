@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 from prism_jax.models.variables import ENCODERS, part, pop_encoders, put_encoders
+from tests.trees import bitwise
 
 VARIABLES = {
     "params": {
@@ -19,39 +20,33 @@ VARIABLES = {
 }
 
 
-def same(a, b):
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(x.tobytes() == y.tobytes() and x.dtype == y.dtype for x, y in leaves)
-
-
 def test_round_trip_is_bitwise():
     before = copy.deepcopy(VARIABLES)
     encoders, rest = pop_encoders(VARIABLES)
-    assert same(put_encoders(encoders, rest), VARIABLES)
-    assert same(VARIABLES, before)
+    assert bitwise(put_encoders(encoders, rest), VARIABLES)
+    assert bitwise(VARIABLES, before)
 
 
 def test_only_the_two_encoders_are_taken():
     encoders, rest = pop_encoders(VARIABLES)
     assert set(encoders) == set(ENCODERS) == {"point_encoder", "depth_encoder"}
     assert set(rest["params"]) == {"decoder", "auxiliary", "refiner"}
-    assert same(rest["batch_stats"], VARIABLES["batch_stats"])
-    assert same(rest["weighting"], VARIABLES["weighting"])
+    assert bitwise(rest["batch_stats"], VARIABLES["batch_stats"])
+    assert bitwise(rest["weighting"], VARIABLES["weighting"])
 
 
 def test_others_in_their_place():
     encoders, rest = pop_encoders(VARIABLES)
     moved = jax.tree.map(lambda leaf: leaf + 1, encoders)
     together = put_encoders(moved, rest)
-    assert same({name: together["params"][name] for name in ENCODERS}, moved)
-    assert same(pop_encoders(together)[1], rest)
+    assert bitwise({name: together["params"][name] for name in ENCODERS}, moved)
+    assert bitwise(pop_encoders(together)[1], rest)
 
 
 def test_part():
     own = part(VARIABLES, "decoder")
-    assert same(own["params"], VARIABLES["params"]["decoder"])
-    assert same(own["batch_stats"], VARIABLES["batch_stats"]["decoder"])
+    assert bitwise(own["params"], VARIABLES["params"]["decoder"])
+    assert bitwise(own["batch_stats"], VARIABLES["batch_stats"]["decoder"])
     deeper = part(VARIABLES, "decoder", "dense")
     assert set(deeper) == {"params"}
     assert set(deeper["params"]) == {"kernel"}

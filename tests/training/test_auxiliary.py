@@ -10,6 +10,7 @@ import pytest
 from prism_jax.data.pipeline import Framing
 from prism_jax.training.auxiliary import TRAINED, auxiliary_leg
 from prism_jax.training.checkpoints import Checkpoints
+from tests.trees import bitwise
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +39,6 @@ def steps(leg, batch, count, variables=None):
 @pytest.fixture(scope="module")
 def trained(leg, batch):
     return steps(leg, batch, 40)
-
-
-def bitwise(a, b):
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
 def test_it_trains_these_and_nothing_of_the_backbone(leg, trained):

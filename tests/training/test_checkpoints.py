@@ -9,6 +9,7 @@ import pytest
 
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.leg import TrainState
+from tests.trees import bitwise
 
 
 def state(step):
@@ -32,12 +33,6 @@ def reader(step):
 
 def save(checkpoints, step, score=None):
     return checkpoints.save(step, state(step), reader(step), score)
-
-
-def same(a, b):
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(np.array_equal(x, y) and x.dtype == y.dtype for x, y in leaves)
 
 
 @pytest.fixture
@@ -66,16 +61,16 @@ def test_latest_and_best(checkpoints, tmp_path):
     assert kept == [True, True, False, False]
     checkpoints.close()
     latest, best, score = reopened(tmp_path)
-    assert same(latest[0], state(8))
+    assert bitwise(latest[0], state(8))
     assert latest[1] == reader(8)
-    assert same(best, state(4))
+    assert bitwise(best, state(4))
     assert score == pytest.approx(0.3)
 
 
 def test_an_equal_score_does_not_replace_the_best(checkpoints):
     assert save(checkpoints, 1, 0.5)
     assert not save(checkpoints, 2, 0.5)
-    assert same(checkpoints.restore_best(LIKE), state(1))
+    assert bitwise(checkpoints.restore_best(LIKE), state(1))
 
 
 def test_a_score_that_is_not_a_number_is_never_the_best(checkpoints):
@@ -83,7 +78,7 @@ def test_a_score_that_is_not_a_number_is_never_the_best(checkpoints):
     assert not save(checkpoints, 1, float("nan"))
     assert save(checkpoints, 2, 0.5)
     assert not save(checkpoints, 3, float("nan"))
-    assert same(checkpoints.restore_best(LIKE), state(2))
+    assert bitwise(checkpoints.restore_best(LIKE), state(2))
 
 
 def test_one_of_each_is_kept(checkpoints, tmp_path):
@@ -113,9 +108,9 @@ def test_a_write_that_was_killed_leaves_the_one_before(checkpoints, tmp_path):
     for kind in ("latest", "best"):
         break_off(tmp_path / "checkpoints" / kind, 8, temporary=True)
     latest, best, score = reopened(tmp_path)
-    assert same(latest[0], state(4))
+    assert bitwise(latest[0], state(4))
     assert latest[1] == reader(4)
-    assert same(best, state(4))
+    assert bitwise(best, state(4))
     assert score == pytest.approx(0.5)
 
 
@@ -127,6 +122,6 @@ def test_and_training_goes_on_over_it(checkpoints, tmp_path):
     save(again, 8, 0.4)
     again.close()
     latest, best, _ = reopened(tmp_path)
-    assert same(latest[0], state(8))
+    assert bitwise(latest[0], state(8))
     assert latest[1] == reader(8)
-    assert same(best, state(8))
+    assert bitwise(best, state(8))

@@ -14,6 +14,7 @@ from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.leg import VALIDATION_COMPLETE, Data, Leg, TrainState
 from prism_jax.training.leg import train_leg as train
 from prism_jax.training.run import Log
+from tests.trees import bitwise
 
 BATCH, STEPS, MARGIN = 4, 12, 1.4
 OPTIMISER = optax.adam(0.05)
@@ -72,11 +73,6 @@ def counting(scores):
 def lines(folder):
     text = (folder / "metrics.jsonl").read_text()
     return [json.loads(line) for line in text.splitlines()]
-
-
-def bitwise(a, b):
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
 def latest(leg, folder):

@@ -19,6 +19,7 @@ from prism_jax.training import meta, parallel
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.meta import SCORES, TERMS, meta_leg
 from tests import fake_meta
+from tests.trees import bitwise
 
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
 EVERYTHING = MetaConfig(
@@ -74,12 +75,6 @@ def steps(leg, batch, count):
         states.append(state)
         terms.append(dict(zip(TERMS, np.asarray(measured).tolist(), strict=True)))
     return states, terms
-
-
-def bitwise(a, b):
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
 def parts(variables):

@@ -17,6 +17,7 @@ from prism_jax.training.indices import index_table
 from prism_jax.training.leg import VALIDATION_COMPLETE, Data, train_leg
 from prism_jax.training.pretrain import backbone_leg
 from prism_jax.training.supervised import adam
+from tests.trees import bitwise
 
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
 
@@ -82,12 +83,6 @@ def after_seeds(seeds, batch):
     for _ in range(3):
         state, losses = seeds.step_fn(state, batch)
     return state, losses
-
-
-def bitwise(a, b):
-    assert jax.tree.structure(a) == jax.tree.structure(b)
-    leaves = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
-    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in leaves)
 
 
 def test_losses_fall_on_one_batch(stages, indexed):
