@@ -282,7 +282,11 @@ def _box(points: np.ndarray, shift: np.ndarray) -> dict[str, Any]:
     axes = {
         f"{name}axis": {
             "range": [float(middle - side / 2), float(middle + side / 2)],
-            "title": {"text": f"{name} - {less:,.10g}" if less else name},
+            "title": (
+                {"text": f"{name} - {less:,.10g}", "font": {"size": 10}}
+                if less
+                else {"text": name}
+            ),
             "nticks": 4,
             "tickfont": {"size": 10, "color": "#6a737d"},
             "gridcolor": _GRID,
