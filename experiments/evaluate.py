@@ -79,6 +79,9 @@ def main():
 
 def open_published(split: str) -> Source:
     """All of a published test."""
+    if FLAGS.limit is not None:
+        fault = "the published protocol is of the whole test"
+        raise InputError("--limit", fault, "leave it out")
     if FLAGS.dataset not in PUBLISHED or split != "test":
         fault = f"no published protocol of {FLAGS.dataset}'s split {split!r}"
         remedy = f"use the test split of {', '.join(PUBLISHED)}"

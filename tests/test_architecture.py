@@ -2,6 +2,7 @@
 
 import ast
 import pathlib
+import tomllib
 
 import pytest
 
@@ -157,3 +158,11 @@ def test_nothing_unpickles(name):
             if ast.unparse(node.func) in ("np.load", "numpy.load"):
                 assert settings.get("allow_pickle") == "False", name
     assert not {t.split(".")[0] for t in imported(TREES[name])} & UNPICKLERS, name
+
+
+def test_the_wheel_takes_all_assets():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    patterns = settings["tool"]["setuptools"]["package-data"]["prism_jax"]
+    package = ROOT / "prism_jax"
+    taken = {path for pattern in patterns for path in package.glob(pattern)}
+    assert {path for path in (package / "assets").rglob("*") if path.is_file()} <= taken

@@ -69,6 +69,7 @@ def pack(
         "generator_version": GENERATOR_VERSION,
         **dataclasses.asdict(config),
         "sources": {name: len(source) for name, source in sources.items()},
+        "order": list(sources),
         "digests": dict(digests or {}),
         "categories": sorted({c for s in sources.values() for c in s.categories}),
         "num_examples": len(rows),

@@ -14,3 +14,8 @@ class InputError(ValueError):
         line = f"{os.fspath(subject)}: {fault}; {remedy}"
         printable = "".join(c if c.isprintable() else " " for c in line)
         super().__init__(" ".join(printable.split()))
+        self._parts = (os.fspath(subject), fault, remedy)
+
+    def __reduce__(self):
+        """From a process of a pool to the one that waits for it."""
+        return type(self), self._parts

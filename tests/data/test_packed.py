@@ -103,6 +103,14 @@ def test_a_limit_takes_evenly(tmp_path):
     assert names == ["a/0", "a/4", "a/8", "b/0", "b/1"]
 
 
+def test_sources_in_another_order_are_others(tmp_path):
+    sources = {"a": Balls(2), "b": Balls(2)}
+    pack(sources, tmp_path / "x", CONFIG, 0, False)
+    swapped = dict(reversed(sources.items()))
+    with pytest.raises(InputError, match=r"other settings \(order\)"):
+        pack(swapped, tmp_path / "x", CONFIG, 0, False)
+
+
 def test_bytes_are_the_same_and_a_broken_build_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(packed, "SHARD_EXAMPLES", 2)
     one, other = tmp_path / "one", tmp_path / "other"

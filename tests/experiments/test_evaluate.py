@@ -139,6 +139,7 @@ def test_the_published_test_of_pcn_prints_its_columns(tmp_path, capsys):
     [
         (["--dataset=mvp"], "no published protocol of mvp's split 'test'"),
         (["--dataset=pcn", "--split=val"], "no published protocol of pcn's split"),
+        (["--dataset=pcn", "--limit=3"], "the published protocol is of the whole test"),
     ],
 )
 def test_a_test_that_was_not_published_ends_in_one_line(capsys, arguments, fault):

@@ -103,6 +103,7 @@ def _read(path: pathlib.Path) -> trimesh.Trimesh:
     data = io.BytesIO(read_bytes(path))
     try:
         mesh = trimesh.load_mesh(data, file_type=path.suffix[1:].lower(), process=False)
+        mesh.remove_unreferenced_vertices()
         sound = len(mesh.faces) > 0 and bool(np.isfinite(mesh.triangles).all())
     except Exception as error:  # trimesh's parsers raise of every kind
         fault = f"cannot be read as a mesh ({error})"

@@ -100,7 +100,8 @@ def copy_first_frames(
 
 
 def own_rng(split: str, seed: int, *indices: int) -> np.random.Generator:
-    """The generator of a sequence, or of one of its frames."""
+    """The generator of a sequence, or of one of its frames; NumPy fills up with zeros,
+    so that the first frame's is the sequence's."""
     return np.random.default_rng((seed, SPLITS.index(split), *indices))
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import trimesh
 from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8, UInt16
@@ -14,7 +15,7 @@ from prism_jax.data.roboarm.models import ArmModel
 from prism_jax.data.roboarm.robots import Robot
 from prism_jax.data.roboarm.survey import NUM_STATIONS, SURVEY, survey
 from prism_jax.data.roboarm.trajectories import random_trajectory
-from prism_jax.data.sensors import L515Config, OusterConfig, l515_depth
+from prism_jax.data.sensors import L515Config, OusterConfig, l515_camera, l515_depth
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import inside
 from prism_jax.io.depth import points_from_depth
@@ -65,7 +66,8 @@ def make_sequence(
     """A random trajectory of an arm and a cell around it."""
     robot = Robot(model)
     positions = random_trajectory(robot, num_frames, config.num_waypoints, rng)
-    camera = Camera.l515().resized(config.height, config.width)
+    camera = l515_camera(np.eye(3), np.zeros(3)).resized(config.height, config.width)
+    camera = jax.tree.map(np.float32, camera)
     cell = make_cell(robot, positions, rng, camera)
     glossy = rng.random(len(robot.meshes) + 1) < config.glossy_share
     return Sequence(robot, cell, positions, glossy)

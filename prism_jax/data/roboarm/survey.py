@@ -2,9 +2,10 @@
 
 The cell stands still and its boxes and fences are taken away meanwhile. From each
 station the sensor turns `TURNS` times and the ranges of a beam are averaged, which
-leaves an eighth of one turn's noise, and what lies on depth edges is dropped. Every
-station is outside the surveyed parts' bounding sphere, so a point that returns is one
-that is seen from outside: nothing behind a closed shell gets into the cloud.
+leaves an eighth of one turn's noise. Beams on depth edges are not mixed: silhouettes
+are cleaner than a real sensor's. Every station is outside the surveyed parts' bounding
+sphere, so a point that returns is one that is seen from outside: nothing behind a closed
+shell gets into the cloud.
 """
 
 import dataclasses

@@ -69,9 +69,11 @@ CATEGORIES = TRAIN_CATEGORIES + UNSEEN_CATEGORIES
 
 
 def category_rng(category: str, *seed: int) -> np.random.Generator:
-    """Generator of its own stream for a category and non-negative seeds.
+    """Generator of a stream for a category and non-negative seeds.
 
-    Streams do not depend on the order or the number of categories.
+    Streams do not depend on the order or the number of categories. NumPy fills seeds up
+    with zeros and cuts large ones into words of 32 bits, so that (n, 1) and n + 2**32
+    are one stream: the views of a training shape and another split's mesh may share it.
     """
     return np.random.default_rng([zlib.crc32(category.encode()), *seed])
 

@@ -11,7 +11,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from prism_jax.models.layers import MLP, repeat_in_place
+from prism_jax.models.layers import MLP, highest, repeat_in_place
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,8 +68,8 @@ class PCN(nn.Module):
     Deviations: kernels start from LeCun's normal distribution instead of Glorot's
     uniform one. Training, which is not part of this module, sums the Chamfer distances
     of both stages, each to as many points of the complete cloud; the authors compare
-    both with all of it, let the weight of the dense stage grow from 0.01 to 1, take
-    unsquared distances, and give the network 3,000 points.
+    both with all of it, let the weight of the dense stage grow from 0.01 to 1, and give
+    the network 3,000 points.
     """
 
     config: PCNConfig = PCNConfig()
@@ -82,9 +82,9 @@ class PCN(nn.Module):
             raise ValueError("an empty cloud cannot be completed")
         config = self.config
         points = MLP(config.local_features, name="local")(partial)
-        highest = points.max(-2, keepdims=True)
-        points = MLP(config.global_features, name="global")(points, highest)
-        feature = points.max(-2, keepdims=True)
+        of_all = highest(points)[..., None, :]
+        points = MLP(config.global_features, name="global")(points, of_all)
+        feature = highest(points)[..., None, :]
 
         widths = (*config.coarse_features, 3 * config.num_coarse)
         coarse = MLP(widths, name="coarse")(feature)

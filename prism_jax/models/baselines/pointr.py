@@ -24,6 +24,7 @@ from prism_jax.models.layers import (
     batch_norm,
     bias_init,
     gather,
+    highest,
     joined_dense,
     joined_width,
     kernel_init,
@@ -194,7 +195,7 @@ class EdgeConv(nn.Module):
         if self.norm_groups is None:
             # A LeakyReLU keeps the order: the maximum may come first.
             center = center + self.param("bias", bias_init, (self.features,))
-            return nn.leaky_relu(edges.max(-2) + center, 0.2)
+            return nn.leaky_relu(highest(edges) + center, 0.2)
         norm = nn.GroupNorm(
             self.norm_groups,
             epsilon=1e-5,
@@ -202,7 +203,7 @@ class EdgeConv(nn.Module):
             use_fast_variance=False,
             name="norm",
         )
-        return nn.leaky_relu(norm(edges + center[..., None, :]), 0.2).max(-2)
+        return highest(nn.leaky_relu(norm(edges + center[..., None, :]), 0.2))
 
 
 class Attention(nn.Module):
@@ -409,7 +410,7 @@ class PoinTr(nn.Module):
         """The maximum over the tokens, with an axis of one token."""
         width = self.config.global_features
         mlp = self._mlp(f"global_{name}", (width, width))
-        return mlp(x, train=train).max(-2, keepdims=True)
+        return highest(mlp(x, train=train))[..., None, :]
 
     def _mlp(self, name: str, features: tuple[int, ...]) -> NormMLP:
         return NormMLP(features, self.config.use_norm, name=name)

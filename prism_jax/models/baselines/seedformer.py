@@ -21,6 +21,7 @@ from prism_jax.models.layers import (
     Dense,
     ResidualMLP,
     SplitPoints,
+    highest,
     over_batch,
     repeat_in_place,
     take,
@@ -166,7 +167,7 @@ class Encoder(nn.Module):
             features = transformer(centers, features, neighbors, train)
             xyz = centers
         pointwise = MLP(config.global_features, name="global")(xyz, features)
-        return Patches(xyz, features, neighbors, pointwise.max(-2))
+        return Patches(xyz, features, neighbors, highest(pointwise))
 
 
 class SeedGenerator(nn.Module):
@@ -217,8 +218,8 @@ class UpsamplingLayer(nn.Module):
         nearest_seeds = _nearest(xyz, seeds, 3)
         looked_up = interpolate(xyz, seeds, seed_features, nearest_seeds)
         x = MLP((width // 2, width), name="point_0")(xyz)
-        highest = x.max(-2, keepdims=True)
-        x = MLP((2 * width, width), name="point_1")(x, highest, looked_up)
+        of_all = highest(x)[..., None, :]
+        x = MLP((2 * width, width), name="point_1")(x, of_all, looked_up)
 
         neighbors = _nearest(xyz, xyz, self.config.num_neighbors)
         for name, times in (("transformer", 1), ("upsample", self.times)):
