@@ -6,7 +6,7 @@ falls on it. A sheet takes rows of pictures of one size, whatever drew them.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,8 @@ import trimesh
 from jaxtyping import Bool, Float, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from prism_jax.data.raycast import Scene
+from prism_jax.data.raycast import Scene, sphere_directions
+from prism_jax.data.sensors import camera_axes
 from prism_jax.data.shapes import UNSEEN_CATEGORIES, make_shape
 from prism_jax.geometry.camera import Camera
 
@@ -58,7 +59,7 @@ def draw(
     A mesh without triangles raises ValueError.
     """
     scene, side = Scene(mesh), size * SUPERSAMPLING
-    axes = _view_axes(np.asarray(toward_viewer, float))
+    axes = camera_axes(-np.asarray(toward_viewer, float))
     origins = _pixel_centres(mesh, axes, side)
     hits = scene.cast(origins, np.broadcast_to(axes[2], origins.shape))
     to_floor = (mesh.bounds[0, 2] - origins[:, 2]) / axes[2, 2]
@@ -150,19 +151,11 @@ def _open_sky(
     """Share of the half space over each surface, weighted by the cosine, that is free
     of what is near."""
     hidden, reach = np.zeros(len(points)), SKY_REACH * 2 * scene.radius
-    for direction in _sphere(SKY_RAYS):
+    for direction in sphere_directions(SKY_RAYS):
         # A point of the unit sphere around the normal's tip: distributed as the cosine.
         hits = scene.cast(points, normals + 0.999 * direction)
         hidden[hits.ray] += np.clip(1 - hits.distances / reach, 0, 1)
     return 1 - hidden / SKY_RAYS
-
-
-def _view_axes(toward_viewer: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """Rows: right, down and forward."""
-    forward = -toward_viewer / np.linalg.norm(toward_viewer)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
 
 
 def _pixel_centres(
@@ -176,11 +169,3 @@ def _pixel_centres(
     x, y = np.meshgrid(middle[0] + half * ticks, middle[1] + half * ticks)
     depth = np.full(x.size, lower[2] - 0.1 * half)
     return np.stack([x.ravel(), y.ravel(), depth], axis=1) @ axes
-
-
-def _sphere(count: int) -> Iterator[Float64[np.ndarray, "3"]]:
-    """Evenly spread points of the unit sphere: a Fibonacci lattice."""
-    for step in np.arange(count) + 0.5:
-        height, turn = 1 - 2 * step / count, np.pi * (1 + 5**0.5) * step
-        flat = np.sqrt(1 - height**2)
-        yield np.array([flat * np.cos(turn), flat * np.sin(turn), height])

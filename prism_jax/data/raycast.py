@@ -156,7 +156,7 @@ def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", first, second)
 
 
-def _sphere_directions(count: int) -> np.ndarray:
+def sphere_directions(count: int) -> np.ndarray:
     """Unit vectors spread over the sphere: a Fibonacci lattice."""
     index = np.arange(count) + 0.5
     z = 1 - 2 * index / count
@@ -165,7 +165,7 @@ def _sphere_directions(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
 
 
-VIEWPOINT_DIRECTIONS = _sphere_directions(NUM_VIEWPOINTS)
+VIEWPOINT_DIRECTIONS = sphere_directions(NUM_VIEWPOINTS)
 _ORDER = np.argsort(
     -(VIEWPOINT_DIRECTIONS @ VIEWPOINT_DIRECTIONS.T), axis=1, kind="stable"
 )

@@ -23,6 +23,7 @@ from prism_jax.data.roboarm.furnishings import (
     upright,
 )
 from prism_jax.data.roboarm.robots import Robot
+from prism_jax.data.sensors import camera_axes
 from prism_jax.data.solids import rod
 from prism_jax.geometry.camera import Camera
 
@@ -150,12 +151,8 @@ def _aim(sweep: np.ndarray, rng: Rng, camera: Camera) -> Camera:
 def look_at(
     eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]
 ) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]:
-    """A camera's rotation and translation, in double precision; z is up, and the line
-    of sight must not be."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
+    """A camera's rotation and translation, in double precision; z is up."""
+    rotation = camera_axes(target - eye)
     return rotation, -rotation @ eye
 
 
