@@ -4,8 +4,8 @@ The cell stands still and its boxes and fences are taken away meanwhile. From ea
 station the sensor turns `TURNS` times and the ranges of a beam are averaged, which
 leaves an eighth of one turn's noise. Beams on depth edges are not mixed: silhouettes
 are cleaner than a real sensor's. Every station is outside the surveyed parts' bounding
-sphere, so a point that returns is one that is seen from outside: nothing behind a closed
-shell gets into the cloud.
+sphere, so a point that returns is one that is seen from outside: nothing behind a
+closed shell gets into the cloud.
 """
 
 import dataclasses
