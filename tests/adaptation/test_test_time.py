@@ -295,7 +295,7 @@ def test_inside_a_users_jit_and_grad(differentiated):
 
 def test_meta_gradients_are_of_second_order(differentiated):
     """A first-order loop gives the loss logits and the branches none at all."""
-    (gradient, _), _ = differentiated
+    (gradient, *_), _ = differentiated
     assert np.abs(gradient["weighting"]["logits"]).max() > 0
     for name in ("depth_encoder", "auxiliary"):
         leaves = jax.tree.leaves(gradient["params"][name])

@@ -63,16 +63,19 @@ def test_it_goes_on_from_weights_and_tells_of_both_trainings(
     assert begun["start"] == sha256(load_pretrained(str(weights))[1])
 
 
-@pytest.mark.parametrize(("num_samples", "made"), [(8, False), (16, True)])
+@pytest.mark.parametrize(
+    ("num_samples", "auxiliary", "made"), [(8, 0, False), (16, 0, True), (8, 4, True)]
+)
 def test_indices_are_made_beforehand_where_examples_come_again(
-    run, tmp_path, monkeypatch, num_samples, made
+    run, tmp_path, monkeypatch, num_samples, auxiliary, made
 ):
     """The corpus has eight."""
     monkeypatch.setattr(training, "index_table", lambda *arguments: "made")
     seen = []
     monkeypatch.setattr(pretrain, "pretrain", lambda _, data, *rest: seen.append(data))
-    changed = f"--set=pretrain.backbone.1.num_samples={num_samples}"
-    assert run(f"--workdir={tmp_path}", changed)[0] == 0
+    changed = [f"--set=pretrain.backbone.1.num_samples={num_samples}"]
+    changed.append(f"--set=pretrain.auxiliary_samples={auxiliary}")
+    assert run(f"--workdir={tmp_path}", *changed)[0] == 0
     assert [data.indices for data in seen] == ["made" if made else None]
 
 
