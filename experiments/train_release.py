@@ -126,8 +126,9 @@ def plan(folder: pathlib.Path) -> list[Step]:
         own = (start, f"--set={only(branches)}")
         trained[f"{name}-{label}"] = training("meta_train", f"meta-{label}", *own)
     steps = [pretrained, *trained.values()]
+    splits = splits_to_score()
     for label, weights in trained.items():
-        scored = [scores(weights, *split) for split in splits_to_score()]
+        scored = [scores(weights, *split) for split in splits]
         steps += [*scored, release(weights, scored, label)]
     return steps
 

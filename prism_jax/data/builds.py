@@ -62,7 +62,7 @@ def build(
 
 
 def read_manifest(
-    folder: str | os.PathLike, remedy: str, generator_version: int | None = None
+    folder: str | os.PathLike, remedy: str, version: int | None = None
 ) -> dict[str, Any]:
     """The manifest of a finished build, by the generator's version if one is given; if
     there is none, InputError with `remedy`."""
@@ -71,12 +71,11 @@ def read_manifest(
         manifest = json.loads(path.read_text())
         if manifest["files"] is None:
             raise InputError(folder, "its build was broken off", remedy)
-        version = generator_version
         if version is not None and manifest["generator_version"] != version:
             fault = "was built by another version of prism_jax"
             raise InputError(folder, fault, f"delete it, then {remedy}")
         return manifest
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(folder, "is not built", remedy) from None
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, InputError):
@@ -86,26 +85,15 @@ def read_manifest(
         ) from None
 
 
-def is_finished(folder: pathlib.Path) -> bool:
-    """Whether no build needs to begin or go on there. A manifest that is none is left
-    for `read_manifest` to name."""
-    try:
-        return json.loads((folder / MANIFEST).read_text())["files"] is not None
-    except FileNotFoundError:
-        return False
-    except (OSError, ValueError, KeyError, TypeError):
-        return True
-
-
-def content_digest(folder: pathlib.Path) -> str | None:
+def content_digest(folder: str | os.PathLike) -> str | None:
     """Twelve digits that tell a finished build's files from all others'; None where
     there is none."""
     try:
-        files = json.loads((folder / MANIFEST).read_text())["files"]
-    except (OSError, ValueError, KeyError, TypeError):
+        files = read_manifest(folder, "")["files"]
+    except InputError:
         return None
     listed = json.dumps(files, sort_keys=True).encode()
-    return None if files is None else hashlib.sha256(listed).hexdigest()[:12]
+    return hashlib.sha256(listed).hexdigest()[:12]
 
 
 def write_manifest(folder: pathlib.Path, content: Mapping[str, Any]) -> None:
@@ -159,9 +147,8 @@ def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
     if found != content:
         changed = [k for k in {*found, *content} if found.get(k) != content.get(k)]
         fault = f"was built with other settings ({', '.join(sorted(changed))})"
-        raise InputError(
-            folder, fault, "use those, or a new folder, or delete this one"
-        )
+        remedy = "go on with those, name a new folder, or delete this one"
+        raise InputError(folder, fault, remedy)
     return files is not None and all((folder / name).exists() for name in files)
 
 

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from prism_jax.data.builds import content_digest, is_finished, read_manifest
+from prism_jax.data.builds import content_digest, read_manifest
 from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
 from prism_jax.data.packed import Packed
 from prism_jax.data.public import PUBLIC_SETS, open_public
 from prism_jax.data.public.layout import choose
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.roboarm import build as roboarm
-from prism_jax.data.roboarm.build import build_roboarm
 from prism_jax.data.roboarm.models import arms_of
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
@@ -48,7 +47,7 @@ def build_dataset(
         return build_corpus(CorpusConfig(split, **changes), data_dir, num_workers)
     if name == "roboarm":
         folder = _roboarm_dir(split, data_dir)
-        return build_roboarm(split, folder, num_workers=num_workers, **changes)
+        return roboarm.build_roboarm(split, folder, num_workers=num_workers, **changes)
     raise InputError(name, "is not generated", f"use one of {', '.join(GENERATED)}")
 
 
@@ -63,8 +62,7 @@ def build_if_missing(
 
     Sets that are not generated are left alone. `changes` as in `build_dataset`.
     """
-    folder = _folder(name, split, data_dir) if name in GENERATED else None
-    if folder is not None and not is_finished(folder):
+    if name in GENERATED and digest_of(name, split, data_dir) is None:
         build_dataset(name, split, data_dir, **changes)
 
 

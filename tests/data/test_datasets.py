@@ -113,6 +113,13 @@ def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", GENERATED)
+def test_a_place_where_nothing_can_be_built(name, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="file"):
+        build_if_missing(name, "validation", tmp_path / "file")
+
+
+@pytest.mark.parametrize("name", GENERATED)
 def test_what_another_version_built_is_refused(name, tmp_path):
     folder = tmp_path / f"{name}-validation"
     folder.mkdir()
