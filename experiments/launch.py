@@ -1,9 +1,11 @@
 """What the launchers share: a quiet log, and faults of the input in one line."""
 
+import ctypes.util
 import os
 import pathlib
 import sys
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 import jax
 from absl import app, logging
@@ -52,7 +54,13 @@ def keep_compiled() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-_MALLOC = {
+_TCMALLOC = {
+    "TCMALLOC_RELEASE_RATE": "0",
+    "TCMALLOC_LARGE_ALLOC_REPORT_THRESHOLD": str(2**60),
+}
+"""Nothing goes back, and large blocks are no news."""
+
+_GLIBC = {
     "hugetlb": 1,
     "mmap_threshold": 2**31,
     "trim_threshold": 2**40,
@@ -63,20 +71,29 @@ would leave holes as large."""
 
 
 def with_kept_pages() -> None:
-    """Starts this program anew with memory in large pages that glibc keeps.
+    """Starts this program anew with memory that its allocator keeps.
 
     XLA's CPU backend allocates a step's temporaries anew each time: without this a
-    seventh of a training's time is the kernel's, clearing pages. glibc reads the
-    settings when a program starts and never again. Those in $GLIBC_TUNABLES stay as
-    they are. Does nothing where all are set, or without Linux.
+    seventh of a training's time is the kernel's, clearing pages. tcmalloc keeps them
+    where it is installed; else glibc does, in large pages, but its search for room
+    takes an eighth of a training. Either is chosen when a program starts and never
+    again. What $LD_PRELOAD and the allocators' own variables hold stays. Does nothing
+    where all is set, or without Linux.
     """
-    before = os.environ.get("GLIBC_TUNABLES", "")
-    settings = {f"glibc.malloc.{name}": value for name, value in _MALLOC.items()}
-    missing = [f"{name}={settings[name]}" for name in settings if name not in before]
-    if sys.platform != "linux" or not missing:
+    if sys.platform != "linux" or os.environ.get("LD_PRELOAD"):
         return
-    tunables = ":".join([before, *missing] if before else missing)
-    command = [sys.executable, *sys.orig_argv[1:]]
+    library = ctypes.util.find_library("tcmalloc_minimal")
+    if library is not None:
+        _start_anew(_TCMALLOC | os.environ | {"LD_PRELOAD": library})
+    before = os.environ.get("GLIBC_TUNABLES", "")
+    settings = {f"glibc.malloc.{name}": value for name, value in _GLIBC.items()}
+    missing = [f"{name}={settings[name]}" for name in settings if name not in before]
+    if missing:
+        tunables = ":".join([before, *missing] if before else missing)
+        _start_anew(os.environ | {"GLIBC_TUNABLES": tunables})
+
+
+def _start_anew(environment: dict[str, str]) -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
-    os.execve(sys.executable, command, os.environ | {"GLIBC_TUNABLES": tunables})
+    os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
