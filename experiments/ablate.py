@@ -14,7 +14,9 @@ from experiments.scoring import (
     make_protocol,
     named,
     open_split,
+    require_alike,
     scored,
+    size_of,
 )
 from prism_jax.evaluation import Row, comparison, prism_completer
 from prism_jax.io.errors import InputError
@@ -54,6 +56,7 @@ def main():
             raise InputError(change, "no label", "write LABEL=NAME|FILE")
         variants[label] = weights
     loaded = {label: load_pretrained(name) for label, name in variants.items()}
+    require_alike({label: size_of(config) for label, (config, _) in loaded.items()})
     source = open_split(FLAGS.split)
     protocol = make_protocol(loaded[NONE][0])
     rows = {}

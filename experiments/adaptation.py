@@ -17,7 +17,9 @@ from experiments.scoring import (
     make_protocol,
     named,
     open_split,
+    require_alike,
     scored,
+    size_of,
 )
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import make_adapt
@@ -52,6 +54,7 @@ def main():
         META: load_pretrained(FLAGS.weights),
     }
     own, variables = both[META]
+    require_alike({name: size_of(config) for name, (config, _) in both.items()})
     source = open_split(FLAGS.split)
     protocol = dataclasses.replace(make_protocol(own), with_measured=False)
     rows = {}
@@ -76,7 +79,8 @@ def main():
 def equally_weighted(variables: Variables) -> Variables:
     """The variables with the weights of Eq. 11 as before they are learned."""
     weighting = variables["weighting"]
-    logits = jnp.zeros_like(weighting["logits"])
+    # Of a branch that does not count it is minus infinity, before and after.
+    logits = jnp.where(jnp.isneginf(weighting["logits"]), -jnp.inf, 0.0)
     return {**variables, "weighting": {**weighting, "logits": logits}}
 
 

@@ -16,7 +16,10 @@ from experiments.scoring import (
     make_protocol,
     named,
     open_split,
+    require_alike,
     scored,
+    size_of,
+    size_of_network,
 )
 from prism_jax.data.datasets import training_split
 from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
@@ -56,6 +59,10 @@ def main():
     alone, backbone = load_pretrained(FLAGS.backbone)
     names = available_networks() if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
+    sizes = {FLAGS.weights: size_of(config), FLAGS.backbone: size_of(alone)}
+    for name, (module, own) in others.items():
+        sizes[name] = size_of_network(module, own, config.model.margin)
+    require_alike(sizes)
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     num_outputs = config.model.backbone.stage_sizes[-1]
     training = open_split(training_split(FLAGS.dataset))

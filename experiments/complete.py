@@ -7,6 +7,7 @@ completed.ply, result.json and report.html. Ends with status 2 and one line on s
 if the input cannot be used.
 """
 
+import io
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -40,22 +41,23 @@ def define_flags() -> None:
             default.camera,
             "JSON of the camera that saw the scan. For a depth image: the .json of the "
             "same name if not given. For a cloud: one at the origin looking at it, or "
-            "obliquely above if the origin is far away, as a map's is.",
+            "obliquely above if the origin is far away, as a map's is, or among the "
+            "points.",
         ),
         flags.DEFINE_string(
             "workspace",
             default.workspace,
             "Box to crop the scan to, x0,y0,z0,x1,y1,z1 in the units of the input, and "
-            "the ground truth alike. What is added may reach beyond it by a fifth of "
-            "its longest side.",
+            "the ground truth alike. What is added may reach beyond it, within the "
+            "cube that is completed: its side is 1.4 times the points' longest.",
         ),
         flags.DEFINE_enum(
             "up",
             default.up,
             ["x", "y", "z", "-x", "-y", "-z"],
             "Axis of the input that points upwards. If not given, -y for a depth "
-            "image in its camera's own axes, and z for one whose camera is turned "
-            "(--camera) and for a cloud.",
+            "image in its camera's own axes, and z for one whose camera is turned by "
+            "10 degrees or more (--camera) and for a cloud.",
         ),
         flags.DEFINE_string(
             "weights",
@@ -133,6 +135,9 @@ def parse_flags(argv: Sequence[str]) -> list[str]:
 def run() -> None:
     """The entry point of `prism-complete`."""
     define_flags()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A folder's name may hold what the terminal cannot show.
+        sys.stdout.reconfigure(errors="backslashreplace")
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     app.run(main, flags_parser=parse_flags)

@@ -34,7 +34,7 @@ from prism_jax.evaluation import (
 from prism_jax.io.errors import InputError
 from prism_jax.presets import changed
 from prism_jax.training.run import commit
-from prism_jax.weights import load_pretrained, read_metadata
+from prism_jax.weights import file_sha256, load_pretrained, read_metadata
 
 FLAGS = flags.FLAGS
 
@@ -98,6 +98,7 @@ def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]
         "protocol": FLAGS.protocol,
         "normalisation": protocol.normalisation,
         "weights": FLAGS.weights,
+        "weights_sha256": file_sha256(FLAGS.weights),
         "seed": known.get("seed"),
         "weights_commit": known.get("commit"),
         "steps": config.num_steps,

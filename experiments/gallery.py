@@ -7,6 +7,7 @@ python -m experiments.gallery --dataset=roboarm --output=robots.html
 import io
 import pathlib
 
+import numpy as np
 from absl import flags
 
 from experiments.launch import launch, prepare_output
@@ -39,7 +40,8 @@ def main():
     prepare_output(FLAGS.output, ".html")
     config, variables = load_pretrained(FLAGS.weights)
     source, protocol = open_split(FLAGS.split), make_protocol(config)
-    indices = range(0, len(source), source.views)[: FLAGS.limit]
+    _, indices = np.unique(source.objects, return_index=True)
+    indices = indices[: FLAGS.limit].tolist()
     shown = show(prism_completer(config, variables), source, indices, protocol)
     page = pathlib.Path(FLAGS.output)
     caption = (

@@ -36,12 +36,17 @@ def main():
     preset = resolve(FLAGS.preset, FLAGS.set)
     config = preset.meta
     variables, before = started_from_weights(preset) or (_fresh(preset), None)
+    start = sha256(variables)
     data = training_data(
-        preset, config.num_complete, config.validate_every, encoded=config.num_samples
+        preset,
+        config.num_complete,
+        config.validate_every,
+        config.num_samples,
+        start if FLAGS.weights else None,
     )
     run = {
         "preset": dataclasses.asdict(preset),
-        "start": sha256(variables),
+        "start": start,
         "data": about_training(preset, data),
     }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)

@@ -15,6 +15,7 @@ from prism_jax.data.datasets import (
     digest_of,
     open_dataset,
     training_split,
+    validation_split,
 )
 from prism_jax.data.packed import PackConfig, pack
 
@@ -25,7 +26,7 @@ def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_multi_enum("dataset", ["shapes"], DATASETS, "What; one or several.")
     flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
-    flags.DEFINE_string("split", "train", "The sets' split, and the packed one's.")
+    flags.DEFINE_enum("split", "train", ("train", "validation"), "What it is for.")
     flags.DEFINE_string("output_dir", None, "Where it goes.", required=True)
     flags.DEFINE_integer("limit", 0, "Most of a set, evenly spaced; 0 for all.", 0)
     flags.DEFINE_integer("num_partial", 2048, "Points of a partial cloud.", 1)
@@ -35,10 +36,10 @@ def define_flags() -> None:
 
 def main():
     """Packs what is missing, and prints the folder."""
+    split_of = training_split if FLAGS.split == "train" else validation_split
     sources, digests = {}, {}
     for name in FLAGS.dataset:
-        split = training_split(name) if FLAGS.split == "train" else FLAGS.split
-        place = (name, split, FLAGS.data_dir)
+        place = (name, split_of(name), FLAGS.data_dir)
         build_if_missing(*place)
         sources[name], digests[name] = open_dataset(*place), digest_of(*place)
     config = PackConfig(FLAGS.num_partial, FLAGS.num_complete, FLAGS.limit)

@@ -18,6 +18,7 @@ from experiments.training import (
 )
 from prism_jax.data.datasets import parts_of
 from prism_jax.presets import resolve
+from prism_jax.training.parallel import is_first
 from prism_jax.training.run import open_run, started_from
 from prism_jax.training.stages import pretrain
 from prism_jax.weights import save_weights, sha256
@@ -35,7 +36,7 @@ def main():
     num_samples = sum(leg.num_samples for leg in config.backbone)
     encoded = num_samples + config.auxiliary_samples
     data = training_data(
-        preset, config.num_complete, config.validate_every, encoded=encoded
+        preset, config.num_complete, config.validate_every, encoded, start
     )
     run = {
         "preset": dataclasses.asdict(preset),
@@ -57,8 +58,9 @@ def main():
         "pretrained": before,
     }
     path = folder / "weights.safetensors"
-    save_weights(path, preset.adapt, variables, about)
-    print(f"written {path}")
+    if is_first():
+        save_weights(path, preset.adapt, variables, about)
+        print(f"written {path}")
 
 
 def run():

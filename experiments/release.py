@@ -13,7 +13,13 @@ from experiments.launch import launch
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError
 from prism_jax.presets import changed
-from prism_jax.weights import SUFFIX, load_pretrained, read_metadata, save_weights
+from prism_jax.weights import (
+    SUFFIX,
+    file_sha256,
+    load_pretrained,
+    read_metadata,
+    save_weights,
+)
 
 FLAGS = flags.FLAGS
 ASSETS = pathlib.Path(__file__).parents[1] / "prism_jax" / "assets"
@@ -45,11 +51,8 @@ def main():
 def _scores(path: str) -> dict[str, Any]:
     """What an evaluation of these weights found, under the name that they get."""
     result = json.loads(pathlib.Path(path).read_text())
-    if (
-        pathlib.Path(result["weights"]).resolve()
-        != pathlib.Path(FLAGS.weights).resolve()
-    ):
-        fault = f"scores of {result['weights']}, not of {FLAGS.weights}"
+    if result.get("weights_sha256") != file_sha256(FLAGS.weights):
+        fault = f"scores of {result['weights']}, not of {FLAGS.weights} as it is"
         raise InputError(path, fault, "evaluate the weights that are released")
     del result["per_example"]
     return {**result, "weights": FLAGS.name}

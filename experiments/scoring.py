@@ -3,8 +3,11 @@
 import json
 import pathlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
+import flax.linen as nn
+import jax
+import numpy as np
 from absl import flags
 
 from prism_jax.adaptation.config import AdaptConfig
@@ -23,6 +26,8 @@ from prism_jax.evaluation import (
     evaluate,
 )
 from prism_jax.io.atomic import write_bytes
+from prism_jax.io.errors import InputError
+from prism_jax.models.variables import Variables, apply
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
@@ -64,6 +69,40 @@ def about_data(split: str) -> dict[str, Any]:
     digest = digest_of(FLAGS.dataset, split, FLAGS.data_dir)
     known = {} if digest is None else {"digest": digest}
     return {"data": FLAGS.dataset, "split": split, **known}
+
+
+class Size(NamedTuple):
+    """Points that a network reads and returns, and the margin of its workspace."""
+
+    num_points: int
+    num_outputs: int
+    margin: float
+
+    def __str__(self) -> str:
+        return f"{self.num_points} points to {self.num_outputs}, margin {self.margin}"
+
+
+def size_of(config: AdaptConfig) -> Size:
+    """Of PRISM's networks."""
+    backbone = config.model.backbone
+    return Size(backbone.num_points, backbone.stage_sizes[-1], config.model.margin)
+
+
+def size_of_network(module: nn.Module, variables: Variables, margin: float) -> Size:
+    """Of a network to compare with, which knows of no margin."""
+    num_points: int = module.config.num_points  # pyright: ignore
+    cloud = jax.ShapeDtypeStruct((1, num_points, 3), np.float32)
+    stages = jax.eval_shape(lambda cloud: apply(module, variables, cloud), cloud)
+    return Size(num_points, stages[-1].shape[1], margin)
+
+
+def require_alike(sizes: Mapping[str, Size]) -> None:
+    """Raises InputError, before hours of scoring, unless all are the first one's."""
+    (first, wanted), *others = sizes.items()
+    for name, found in others:
+        if found != wanted:
+            fault = f"is made for {found}, and {first} for {wanted}"
+            raise InputError(name, fault, "compare weights of one size")
 
 
 def make_protocol(config: AdaptConfig, published: bool = False) -> Protocol:

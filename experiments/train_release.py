@@ -4,25 +4,29 @@ scores, exports.
 python -m experiments.train_release --preset=small --workdir=DIR [--weights=FILE]
 """
 
+import dataclasses
+import json
 import pathlib
 import signal
 import subprocess
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from absl import flags
 
 from experiments.launch import launch
 from prism_jax.data.datasets import (
     DATASETS,
-    GENERATED,
     SCORED,
+    build_if_missing,
     open_dataset,
+    parts_of,
     scored_splits,
 )
-from prism_jax.io.atomic import make_output_dir
 from prism_jax.presets import resolve
-from prism_jax.weights import SUFFIX
+from prism_jax.training.meta import check_meta
+from prism_jax.training.run import open_run
+from prism_jax.weights import SUFFIX, file_sha256
 
 FLAGS = flags.FLAGS
 WITHOUT_METHOD = (
@@ -36,15 +40,30 @@ WITHOUT_METHOD = (
 
 
 class Step(NamedTuple):
-    """One command of the plan, and the file that says that it is done."""
+    """One command of the plan, and the file that says that it is done.
+
+    Attributes:
+      weights: the file that a command scores: what it wrote of another is not its own.
+    """
 
     module: str
     arguments: tuple[str, ...]
     done: pathlib.Path
+    weights: pathlib.Path | None = None
 
     @property
     def command(self) -> list[str]:
         return [sys.executable, "-m", f"experiments.{self.module}", *self.arguments]
+
+    @property
+    def is_done(self) -> bool:
+        """A release takes a second, and is made again: its notes may be others."""
+        if self.module == "release" or not self.done.exists():
+            return False
+        if self.weights is None:
+            return True
+        scored = json.loads(self.done.read_text()).get("weights_sha256")
+        return scored == file_sha256(str(self.weights))
 
 
 def define_flags() -> None:
@@ -59,7 +78,12 @@ def define_flags() -> None:
         "scored", None, SCORED, "What to score on; the same if not given."
     )
     flags.DEFINE_integer("scored_at_once", 20, "Examples, as memory allows.", 1)
-    flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
+    flags.DEFINE_string(
+        "data_dir", None, "Folder of what is trained on; shapes and roboarm have one."
+    )
+    flags.DEFINE_string(
+        "scored_dir", None, "Folder of what is scored on and not trained on, likewise."
+    )
     flags.DEFINE_integer(
         "max_steps", None, "End the first leg that is longer at this step."
     )
@@ -78,10 +102,15 @@ def only(branches: str) -> str:
     return f"meta.method.branches={tuple(branches.split(','))}"
 
 
-def splits_to_score() -> list[tuple[str, str]]:
-    """Data sets and their splits."""
+def splits_to_score() -> list[tuple[str, str, str | None]]:
+    """Data sets, their splits and folders: what is trained on has its own."""
     sets = FLAGS.scored or [FLAGS.dataset]
-    return [(dataset, split) for dataset in sets for split in scored_splits(dataset)]
+    splits = [(dataset, split) for dataset in sets for split in scored_splits(dataset)]
+    trained = parts_of(FLAGS.dataset, FLAGS.data_dir)
+    return [
+        (name, split, FLAGS.data_dir if name in trained else FLAGS.scored_dir)
+        for name, split in splits
+    ]
 
 
 def plan(folder: pathlib.Path) -> list[Step]:
@@ -102,11 +131,12 @@ def plan(folder: pathlib.Path) -> list[Step]:
         arguments = (*common, *arguments, f"--workdir={run}", *resume)
         return Step(module, arguments, run / "weights.safetensors")
 
-    def scores(weights: Step, dataset: str, split: str) -> Step:
+    def scores(weights: Step, dataset: str, split: str, where: str | None) -> Step:
         output = folder / f"{weights.done.parent.name}-{dataset}-{split}.json"
-        what = (f"--weights={weights.done}", f"--dataset={dataset}", *place)
-        how = (f"--batch_size={FLAGS.scored_at_once}", f"--output={output}")
-        return Step("evaluate", (*what, f"--split={split}", *how), output)
+        what = [f"--weights={weights.done}", f"--dataset={dataset}", f"--split={split}"]
+        what += [] if where is None else [f"--data_dir={where}"]
+        how = [f"--batch_size={FLAGS.scored_at_once}", f"--output={output}"]
+        return Step("evaluate", (*what, *how), output, weights.done)
 
     def release(weights: Step, scored: list[Step], name: str) -> Step:
         found = [f"--scores={step.done}" for step in scored]
@@ -133,22 +163,37 @@ def plan(folder: pathlib.Path) -> list[Step]:
     return steps
 
 
+def check() -> None:
+    """Finds the mistakes now that would else show after days; builds what is missing of
+    what is scored on."""
+    for changes in [[], *([only(branches)] for branches in FLAGS.branches)]:
+        check_meta(resolve(FLAGS.preset, [*FLAGS.set, *changes]).meta)
+    for place in splits_to_score():
+        build_if_missing(*place)
+        open_dataset(*place)
+
+
+def settings() -> dict[str, Any]:
+    """What the trainings depend on, but for the seed; their data they check."""
+    preset = resolve(FLAGS.preset, FLAGS.set)
+    start = None if FLAGS.weights is None else file_sha256(FLAGS.weights)
+    return {
+        "preset": dataclasses.asdict(preset),
+        "start": start,
+        "dataset": FLAGS.dataset,
+    }
+
+
 def main():
     """Runs what is not done yet, each command as its own process."""
-    # A mistake in the flags shows at once.
-    resolve(FLAGS.preset, FLAGS.set)
-    for branches in FLAGS.branches:
-        resolve(FLAGS.preset, [*FLAGS.set, only(branches)])
-    for dataset, split in splits_to_score():
-        if dataset not in GENERATED:
-            open_dataset(dataset, split, FLAGS.data_dir)
+    check()
     # `subprocess.run` kills its command when it is left by an exception.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    folder = make_output_dir(pathlib.Path(FLAGS.workdir)).resolve()
+    folder = open_run(FLAGS.workdir, settings(), FLAGS.seed, resume=True).resolve()
     steps = plan(folder)
     for number, step in enumerate(steps, start=1):
         label = f"{number}/{len(steps)} {step.module}: {step.done}"
-        if step.done.exists():
+        if step.is_done:
             print(f"{label} is there", flush=True)
             continue
         print(label, flush=True)

@@ -10,14 +10,14 @@ from prism_jax.data.datasets import (
     build_if_missing,
     digest_of,
     open_training,
-    training_split,
+    opened_splits,
 )
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.training.indices import index_table
-from prism_jax.training.leg import Data
+from prism_jax.training.leg import Data, order_seed
 from prism_jax.training.parallel import wait_for_all
 from prism_jax.weights import load_pretrained, read_metadata
 
@@ -73,13 +73,19 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
 
 
 def training_data(
-    preset: Preset, num_complete: int, validate_every: int, encoded: int
+    preset: Preset,
+    num_complete: int,
+    validate_every: int,
+    encoded: int,
+    start: str | None = None,
 ) -> Data:
     """The flags' data set as the preset reads it.
 
     `encoded` is how many examples the run encodes: if more than there are, the
-    encoder's indices are made beforehand. Generated sets are built where missing: for a
-    preset with a `num_shapes` of its own, so many shapes in a folder of its own.
+    encoder's indices are made beforehand. `start` is the digest of the weights that the
+    run goes on from: what they saw first, it does not see first again. Generated sets
+    are built where missing: for a preset with a `num_shapes` of its own, so many shapes
+    in a folder of its own.
     """
     name, data_dir, changes = _place(preset)
     if FLAGS.process == 0:
@@ -92,7 +98,7 @@ def training_data(
         validation,
         preset.model.backbone.num_points,
         preset.model.margin,
-        FLAGS.seed,
+        FLAGS.seed if start is None else order_seed(FLAGS.seed, start),
         validate_every,
         FLAGS.num_workers,
     )
@@ -106,8 +112,13 @@ def training_data(
 def about_training(preset: Preset, data: Data) -> dict[str, Any]:
     """What tells the training's data from others, wherever they lie."""
     name, data_dir, _ = _place(preset)
-    digest = digest_of(name, training_split(name), data_dir)
-    return {"dataset": name, "digest": digest, "examples": len(data.train)}
+    splits = opened_splits(name)
+    return {
+        "dataset": name,
+        "digests": {split: digest_of(name, split, data_dir) for split in splits},
+        "examples": len(data.train),
+        "validation_examples": len(data.validation),
+    }
 
 
 def _place(preset: Preset) -> tuple[str, str | None, dict[str, Any]]:

@@ -28,7 +28,8 @@ __all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
 
 DEPTH_PIXELS = 128
 FAR_ORIGIN = 100.0
-"""In half extents of the workspace: an origin farther off is a map's, no sensor's."""
+"""In half extents of the workspace: an origin farther off is a map's, no sensor's; one
+within the workspace is an object's own, whose coordinates were centred."""
 
 _framing = jax.jit(Camera.framing)
 
@@ -109,17 +110,21 @@ class Completer:
         """Completes one scan.
 
         Points are in any unit of length and any frame, the same for all arguments.
-        ``camera`` says where the sensor stood, the origin if it is None, or obliquely
-        above if that is more than `FAR_ORIGIN` half extents away; the view is aimed at
-        the points from there, so that its pixels are spent on them.
+        ``camera`` says where the sensor stood. If it is None, that is the origin, or
+        obliquely above if the origin lies in the workspace or more than `FAR_ORIGIN`
+        half extents away. The view is aimed at the points from there, so that its
+        pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
         points outside are left out. ``adapt=False`` leaves out test-time adaptation.
         ``up`` is the axis of the user's frame that points upwards (x, y, z, -x, -y or
         -z; -y for a camera's): the weights know upright objects.
-        Points that are not finite, fewer than 64 distinct ones and an extent of zero
-        or above 10,000 raise `prism_jax.io.InputError`.
+        Points of another shape or not finite, fewer than 64 distinct ones and an extent
+        of zero or above 10,000 raise `prism_jax.io.InputError`.
         """
         points = np.asarray(points)
+        if points.ndim != 2 or points.shape[1] != 3:
+            remedy = "pass an (N, 3) array, such as points[:, :3]"
+            raise InputError("points", f"have the shape {points.shape}", remedy)
         if not np.issubdtype(points.dtype, np.floating):
             points = points.astype(np.float64)
         if not np.isfinite(points).all():
@@ -139,7 +144,8 @@ class Completer:
         sensor = "origin" if camera is None else "given"
         eye = np.zeros(3) if camera is None else np.asarray(camera.position)
         unit_eye = upright @ workspace.to_unit(eye)
-        if camera is None and np.linalg.norm(unit_eye) > FAR_ORIGIN:
+        is_within = np.abs(unit_eye).max() <= 1.0
+        if camera is None and (is_within or np.linalg.norm(unit_eye) > FAR_ORIGIN):
             sensor, unit_eye = "unknown", UNKNOWN_EYE
         unit_eye = jnp.asarray(unit_eye, jnp.float32)
         partial = _resampled(unit, self.config.model.backbone.num_points)

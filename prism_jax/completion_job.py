@@ -70,8 +70,8 @@ def run_job(job: CompletionJob) -> dict[str, Any]:
         )
     if result.sensor == "unknown":
         say(
-            "the origin is too far away to be the sensor's place, which is taken to be "
-            "obliquely above; give it with --camera"
+            "the origin is too far away to be the sensor's place, or among the points; "
+            "it is taken to be obliquely above; give it with --camera"
         )
     seconds.update(result.seconds)
     summary = summarize(job, source, scan, result)
@@ -237,9 +237,11 @@ def _write(
     ground_truth: np.ndarray | None,
 ) -> None:
     text = json.dumps(summary, indent=2, allow_nan=False)
+    report = render_report(result, summary, ground_truth)
     contents = {
         "completed.ply": io.ply_bytes(result.points, ~result.observed),
-        "report.html": render_report(result, summary, ground_truth).encode(),
+        # A file's name may hold bytes that are no UTF-8.
+        "report.html": report.encode(errors="backslashreplace"),
         "result.json": (text + "\n").encode(),
     }
     io.write_together({output_dir / name: data for name, data in contents.items()})

@@ -1,9 +1,9 @@
 """Completion metrics: one named convention each, in NumPy and float64.
 
-Every function takes one pair of clouds in one unit of length and returns a float;
-nothing here is differentiable. An empty cloud, a wrong shape or a coordinate that is
-not finite raises `ValueError`. Published tables scale CD-L1 by 1e3 and CD-L2 by 1e3
-or 1e4: nothing is scaled here.
+A metric takes one pair of clouds in one unit of length and returns a float; `emds` and
+`from_distances` give several at once. Nothing here is differentiable. An empty cloud, a
+wrong shape or a coordinate that is not finite raises `ValueError`. Published tables
+scale CD-L1 by 1e3 and CD-L2 by 1e3 or 1e4: nothing is scaled here.
 """
 
 from collections.abc import Iterator, Sequence
@@ -90,7 +90,7 @@ def emd(
     """Mean unsquared distance of the best one-to-one assignment, exact.
 
     For equal counts of at most `MAX_EXACT_POINTS`; other clouds raise `ValueError`.
-    Memory is quadratic (8 bytes a pair), time up to cubic, and a few times shorter for
+    Memory is quadratic (some 24 bytes a pair), time up to cubic, a few times less for
     clouds in farthest-point order.
     """
     return emds([prediction], target)[0]
@@ -263,11 +263,12 @@ def _checked(
     """Both clouds in float64; faults are named."""
     clouds = []
     for name, cloud in (("prediction", prediction), ("target", target)):
+        cloud = np.asarray(cloud, np.float64)
         if cloud.ndim != 2 or cloud.shape[1] != 3:
             raise ValueError(f"{name} must have shape (N, 3), not {cloud.shape}")
         if len(cloud) == 0:
             raise ValueError(f"{name} is empty")
         if not np.isfinite(cloud).all():
             raise ValueError(f"{name} has coordinates that are NaN or infinite")
-        clouds.append(cloud.astype(np.float64))
+        clouds.append(cloud)
     return clouds[0], clouds[1]

@@ -148,7 +148,6 @@ _PLUS = Preset(
             dataclasses.replace(_PAPER, seeds_from_patches=True),
             AuxiliaryConfig(max_coordinate=2.0),
         ),
-        num_steps=AdaptConfig().num_steps,
     ),
     _PAPER_PRETRAIN,
     dataclasses.replace(

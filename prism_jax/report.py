@@ -37,7 +37,7 @@ SCORES = {
 _SENSOR = {
     "given": "given",
     "origin": "placed at the origin",
-    "unknown": "placed by the program, for the origin is too far away",
+    "unknown": "placed by the program: the origin is too far away, or among the points",
 }
 """Where the view of the depths is from."""
 

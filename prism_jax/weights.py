@@ -73,6 +73,11 @@ def read_metadata(name_or_path: str) -> dict[str, Any]:
     return _read(find(name_or_path))[0]
 
 
+def file_sha256(name_or_path: str) -> str:
+    """Of a file of weights, by name or by file, as `sha256sum` prints it."""
+    return hashlib.sha256(_locate(name_or_path).read_bytes()).hexdigest()
+
+
 def trainings(metadata: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """What is known of each training that led to the weights, the first one first."""
     runs = [metadata]

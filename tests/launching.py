@@ -1,5 +1,6 @@
 """Commands run within the tests' own process."""
 
+import importlib
 import sys
 from types import ModuleType
 
@@ -23,3 +24,28 @@ def run(command: ModuleType, *arguments: str) -> int:
             for name in set(flags.FLAGS) - known:
                 delattr(flags.FLAGS, name)
     return ended.value.code or 0
+
+
+class _Parsed(Exception):
+    """Ends a launcher once its flags are read."""
+
+
+def parse(launcher: str, *arguments: str) -> None:
+    """Reads a launcher's arguments and leaves it; absl's error if it has no such."""
+    command = importlib.import_module(f"experiments.{launcher}")
+    known = set(flags.FLAGS)
+
+    def read(*_, **__):
+        flags.FLAGS(sys.argv)
+        raise _Parsed
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(_Parsed):
+        patch.setattr(sys, "argv", [launcher, *arguments])
+        patch.setattr(command, "with_kept_pages", lambda: None, raising=False)
+        patch.setattr(command, "launch", read, raising=False)
+        patch.setattr(app, "run", read)
+        try:
+            command.run()
+        finally:
+            for name in set(flags.FLAGS) - known:
+                delattr(flags.FLAGS, name)

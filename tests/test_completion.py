@@ -2,6 +2,8 @@
 
 import dataclasses
 import logging
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -202,6 +204,19 @@ def test_an_origin_too_far_away_is_no_sensor(completer, near):
     np.testing.assert_allclose(close.camera.position, 0, atol=1e-4)
 
 
+def test_an_origin_among_the_points_is_no_sensor(completer):
+    """From there most of a centred cloud would be out of view."""
+    points = scan()
+    middle = (points.min(0) + points.max(0)) / 2
+    result = completer.complete(points - middle)
+    assert result.sensor == "unknown"
+    eye = result.camera.position - result.workspace.center
+    eye = eye / float(result.workspace.half_extent)
+    np.testing.assert_allclose(eye, UNKNOWN_EYE, atol=1e-5)
+    given = completer.complete(points - middle, camera_at(np.zeros(3)))
+    assert given.sensor == "given"
+
+
 def test_points_outside_the_workspace_are_left_out(completer, near):
     above, aside = np.array([0, 0, 3.0]), np.array([5.0, 0, 0])
     clutter = np.concatenate([scan() + above, scan(), scan() - aside])
@@ -284,6 +299,28 @@ def test_a_workspace_with_too_few_points(completer):
     corner = Workspace(scan()[0], np.float64(0.2))
     with pytest.raises(InputError, match="distinct points, fewer than 64; "):
         completer.complete(scan(), workspace=corner)
+
+
+def test_an_array_of_another_shape():
+    """Where nothing checks types, as in a user's program."""
+    code = (
+        "import numpy as np\n"
+        "from prism_jax.completion import Completer\n"
+        "from prism_jax.io import InputError\n"
+        "for shape in [(100, 4), (3, 100), (10, 10, 3), (300,)]:\n"
+        "    try:\n"
+        "        Completer(None, None).complete(np.ones(shape))\n"
+        "    except InputError as error:\n"
+        "        print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == 4
+    assert lines[0] == (
+        "points: have the shape (100, 4); pass an (N, 3) array, such as points[:, :3]"
+    )
 
 
 def test_an_unknown_axis(completer):

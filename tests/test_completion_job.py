@@ -3,7 +3,9 @@
 import dataclasses
 import itertools
 import json
+import os
 import pathlib
+import shutil
 import time
 
 import numpy as np
@@ -48,6 +50,15 @@ def test_writes_three_files_and_nothing_else(job):
     assert names == ["completed.ply", "report.html", "result.json"]
     assert written.pop("seconds").keys() < summary.pop("seconds").keys()
     assert written == summary
+
+
+def test_a_file_whose_name_is_no_utf_8(job, tmp_path):
+    name = os.fsdecode(b"Ger\xe4t.npy")
+    shutil.copyfile(job.input, tmp_path / name)
+    run_job(replace(job, input=str(tmp_path / name)))
+    folder, written = outputs(job)
+    assert written["input"]["file"].endswith(name)
+    assert "Ger\\udce4t.npy" in (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_measured_points_come_back_bit_for_bit(job):
@@ -167,7 +178,7 @@ def test_a_sensor_too_far_away_is_told(job, monkeypatch, capsys):
     assert run_job(job)["sensor"] == "unknown"
     assert "too far away to be the sensor's place" in capsys.readouterr().err
     report = (pathlib.Path(job.output_dir) / "report.html").read_text()
-    assert "the origin is too far away" in report
+    assert "the origin is too far away, or among the points" in report
 
 
 def test_bad_input_is_refused_before_weights_are_loaded(job, monkeypatch):

@@ -60,7 +60,7 @@ class MetaConfig:
       num_steps: of the inner loop, K; its step size is `AdaptConfig.step_size`.
       first_order: whether the inner gradients count as constants.
       beta_0: weight of the zero-step term.
-      lambda_aux: of the auxiliary loss that the encoders also descend.
+      lambda_aux: of what the inner loop descends, which the encoders also descend.
       weight_rule: what teaches the logits of the loss weights: "auxiliary", the
         weighted loss itself, as in the paper, or "meta", the primary loss after
         adaptation.

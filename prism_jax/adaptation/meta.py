@@ -64,7 +64,8 @@ def meta_gradients(
     The tree is that of the variables, with what learns and nothing else:
 
     - encoders: from ``(1 - beta_0) (L_pri(enc', dec) + lambda_aux L_aux(enc)) + beta_0
-      L_pri(enc)``, differentiated through the inner loop;
+      L_pri(enc)``, differentiated through the inner loop; with ``rehearse_depth`` L_aux
+      is all that the inner loop descends, Eq. 13;
     - decoder: from ``(1 - beta_0) L_pri(enc', dec)`` with the adapted encoders as
       given: the zero-step term of Eq. 12 names no decoder, and the inner loop, as at
       test time, holds it fixed. Without inner steps both terms are one, and it has all;

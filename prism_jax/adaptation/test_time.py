@@ -77,6 +77,12 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
             )
             return losses.objective, (losses, prediction.points)
 
+        weights = loss_weights(variables["weighting"]["logits"])
+        if config.num_steps == 0:
+            _, (losses, points) = loss_fn(encoders)
+            losses = jax.tree.map(lambda loss: loss[None], losses)
+            refused = jnp.zeros((), bool)
+            return Completion(points, points, refused, losses, weights, encoders)
         adapted, (_, (before, points)) = unroll(
             loss_fn,
             encoders,
@@ -88,14 +94,14 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
         losses = jax.tree.map(
             lambda steps, final: jnp.concatenate([steps, final[None]]), before, after
         )
-        first = points[0] if config.num_steps else last
-        accepted = _improved(losses) & jnp.isfinite(last).all() & (config.num_steps > 0)
+        first = points[0]
+        accepted = _improved(losses) & jnp.isfinite(last).all()
         return Completion(
             jnp.where(accepted, last, first),
             first,
             accepted,
             losses,
-            loss_weights(variables["weighting"]["logits"]),
+            weights,
             jax.tree.map(lambda a, e: jnp.where(accepted, a, e), adapted, encoders),
         )
 

@@ -11,6 +11,7 @@ import json
 import multiprocessing
 import os
 import pathlib
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,13 +38,15 @@ def build(
     """Builds what is missing of a folder's items, and then its manifest.
 
     `content` is everything that the bytes depend on, as JSON. Item i holds `sizes[i]`
-    units, which a bar counts; with `progress`, a line tells their rate at the end.
+    units, which a bar counts; with `progress`, a line on stderr tells their rate.
     Items are built in `num_workers` processes, one a core by default, 0 for this one;
-    `build_item` is pickled for them. A folder with other content raises InputError.
+    `build_item` is pickled for them. A folder with other content, or a finished one
+    that lost files of items that `is_built` takes for built, raises InputError.
     """
     folder = make_output_dir(folder)
     wanted: dict[str, Any] = json.loads(json.dumps(content))
-    if _is_finished(folder, wanted):
+    listed = _begun(folder, wanted)
+    if listed and all((folder / name).exists() for name in listed):
         return folder
     missing = [number for number in range(len(sizes)) if not is_built(number)]
     total, done = sum(sizes), sum(sizes) - sum(sizes[number] for number in missing)
@@ -54,10 +57,15 @@ def build(
         for number in _run(build_item, missing, num_workers):
             bar.update(sizes[number])
     seconds = time.perf_counter() - start
-    write_manifest(folder, {**wanted, "files": hash_files(folder)})
+    files = hash_files(folder)
+    for name in sorted(set(listed) - set(files)):
+        fault = "is missing from what was finished"
+        raise InputError(folder / name, fault, "delete the folder and build again")
+    write_manifest(folder, {**wanted, "files": files})
     if progress and missing:
         made = f"{total - done} {unit}s in {seconds:.0f} s"
-        print(f"{folder.name}: {made}, {(total - done) / seconds:.2f} a second")
+        rate = f"{(total - done) / seconds:.2f} a second"
+        print(f"{folder.name}: {made}, {rate}", file=sys.stderr)
     return folder
 
 
@@ -103,13 +111,15 @@ def write_manifest(folder: pathlib.Path, content: Mapping[str, Any]) -> None:
 
 
 def hash_files(folder: pathlib.Path) -> dict[str, str]:
-    """The sha256 of every file below a folder but its manifest, by relative path."""
+    """The sha256 of every file below a folder, by relative path, but of its manifest
+    and of what is hidden."""
     paths = sorted(path for path in folder.rglob("*") if path.is_file())
-    names = {path.relative_to(folder).as_posix(): path for path in paths}
+    names = {path.relative_to(folder): path for path in paths}
     return {
-        name: _sha256(path)
+        name.as_posix(): _sha256(path)
         for name, path in names.items()
-        if name != MANIFEST and not path.name.startswith(".")
+        if name.as_posix() != MANIFEST
+        and not any(part.startswith(".") for part in name.parts)
     }
 
 
@@ -131,17 +141,18 @@ def _sha256(path: pathlib.Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
-    """Whether a build of this content is there; begins one in an empty folder."""
+def _begun(folder: pathlib.Path, content: dict[str, Any]) -> list[str]:
+    """The files of a finished build of this content, none of another; begins one in an
+    empty folder."""
     path = folder / MANIFEST
     if not path.exists():
         if any(not entry.name.startswith(".") for entry in folder.iterdir()):
             raise InputError(folder, "is not empty", "name a new folder")
         write_manifest(folder, {**content, "files": None})
-        return False
+        return []
     try:
         found = json.loads(path.read_text())
-        files = found.pop("files")
+        files = list(found.pop("files") or [])
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "is not a manifest", "delete the folder") from None
     if found != content:
@@ -149,7 +160,7 @@ def _is_finished(folder: pathlib.Path, content: dict[str, Any]) -> bool:
         fault = f"was built with other settings ({', '.join(sorted(changed))})"
         remedy = "go on with those, name a new folder, or delete this one"
         raise InputError(folder, fault, remedy)
-    return files is not None and all((folder / name).exists() for name in files)
+    return files
 
 
 def _run(

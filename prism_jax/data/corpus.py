@@ -10,10 +10,10 @@ import functools
 import io
 import os
 import pathlib
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from prism_jax.data import builds
 from prism_jax.data.examples import (
@@ -27,7 +27,7 @@ from prism_jax.data.partials import PARTIALS
 from prism_jax.data.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import write_bytes
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
 
 SPLITS = {
@@ -66,8 +66,8 @@ class CorpusConfig:
     shard_shapes: int = 100
 
     def __post_init__(self):
-        _check("split", self.split, SPLITS)
-        _check("partial", self.partial, PARTIALS)
+        choose("split", self.split, SPLITS)
+        choose("partial", self.partial, PARTIALS)
         own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
         for name, number in own.items():
             if getattr(self, name) == 0:
@@ -92,7 +92,7 @@ def shape_seed(config: CorpusConfig, index: int) -> int:
 
 def split_dir(split: str, data_dir: str | os.PathLike | None = None) -> pathlib.Path:
     """Folder of a split, by default in the user's cache folder."""
-    _check("split", split, SPLITS)
+    choose("split", split, SPLITS)
     root = default_cache_dir() if data_dir is None else pathlib.Path(data_dir)
     return root / f"shapes-{split}"
 
@@ -140,6 +140,11 @@ class Corpus:
         self._shard_shapes = manifest["shard_shapes"]
         self._shards: dict[tuple[int, str], np.ndarray] = {}
 
+    @property
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Every shape as often as it was seen."""
+        return np.repeat(np.arange(self.num_shapes), self.views)
+
     def __len__(self) -> int:
         return self.num_shapes * self.views
 
@@ -166,12 +171,6 @@ class Corpus:
             path = _file(self.root, shard, name)
             self._shards[key] = np.load(path, mmap_mode="r", allow_pickle=False)
         return self._shards[key]
-
-
-def _check(name: str, value: str, known: Iterable[str]) -> None:
-    if value not in known:
-        fault = f"unknown value {value!r}"
-        raise InputError(name, fault, f"use one of {', '.join(known)}")
 
 
 def _content(config: CorpusConfig) -> dict[str, Any]:

@@ -10,12 +10,11 @@ from prism_jax.data.builds import content_digest, read_manifest
 from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
 from prism_jax.data.packed import Packed
 from prism_jax.data.public import PUBLIC_SETS, open_public
-from prism_jax.data.public.layout import choose
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.roboarm import build as roboarm
 from prism_jax.data.roboarm.models import arms_of
 from prism_jax.data.source import Example, Source
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
 
 GENERATED = ("shapes", "roboarm")
@@ -80,6 +79,21 @@ def training_split(name: str) -> str:
     return "all" if name in UNSPLIT else "train"
 
 
+def validation_split(name: str) -> str:
+    """The split of its own that a training is validated on; InputError if a set has
+    none."""
+    if name not in _WITH_VALIDATION:
+        fault = "has no validation split of its own"
+        raise InputError(name, fault, f"use one of {', '.join(_WITH_VALIDATION)}")
+    return _WITH_VALIDATION[name]
+
+
+def opened_splits(name: str) -> tuple[str, ...]:
+    """The splits that a training opens: its own, and that it is validated on."""
+    own = (training_split(name),)
+    return (*own, validation_split(name)) if name in _WITH_VALIDATION else own
+
+
 def scored_splits(name: str) -> tuple[str, ...]:
     """The splits with ground truth that no training sees, validation first; InputError
     if there is none."""
@@ -103,8 +117,9 @@ def open_dataset(
     Recordings have the one split "all".
     Anything that is not there, or not as it should be, raises InputError.
     """
-    if name not in DATASETS:
-        raise InputError(name, "no such data set", f"use one of {', '.join(DATASETS)}")
+    choose("data set", name, DATASETS)
+    if options and name not in PUBLIC_SETS:
+        raise InputError(name, f"has no options, not {', '.join(options)}", "give none")
     if name == "shapes":
         return Corpus(split, data_dir)
     if name == "roboarm":
@@ -167,22 +182,22 @@ def hold_out(source: Source, count: int) -> tuple["Subset", "Subset"]:
     `count` objects, evenly spaced, or a tenth of all if that is fewer. A source of a
     single object raises InputError.
     """
-    objects = len(source) // source.views
-    count = min(count, max(1, objects // 10))
-    if objects < 2:
+    objects, first = np.unique(source.objects, return_index=True)
+    count = min(count, max(1, len(objects) // 10))
+    if len(objects) < 2:
         raise InputError("data", "holds a single object", "add more to train on")
-    held = np.unique(np.linspace(0, objects - 1, count + 2, dtype=int)[1:-1])
-    rows = np.arange(len(source))
-    train = rows[~np.isin(rows // source.views, held)]
-    return Subset(source, train, source.views), Subset(source, held * source.views)
+    held = np.unique(np.linspace(0, len(objects) - 1, count + 2, dtype=int)[1:-1])
+    train = np.flatnonzero(~np.isin(source.objects, held))
+    return Subset(source, train), Subset(source, first[held])
 
 
 class Subset:
     """Some items of a source, in the order of `rows`."""
 
-    def __init__(self, source: Source, rows: np.ndarray, views: int = 1):
+    def __init__(self, source: Source, rows: np.ndarray):
         self._source, self._rows = source, np.asarray(rows)
-        self.categories, self.views = source.categories, views
+        self.categories = source.categories
+        self.objects = np.unique(source.objects[self._rows], return_inverse=True)[1]
 
     def __len__(self) -> int:
         return len(self._rows)

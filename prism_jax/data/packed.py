@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt16
+from jaxtyping import Float, Float32, Int, UInt16
 
 from prism_jax.data import builds
 from prism_jax.data.partials import first_points
@@ -84,7 +84,13 @@ def pack(
         folder,
         content,
         [len(shard) for shard in shards],
-        lambda number: _names(folder, number).exists(),
+        lambda number: all(
+            path.exists()
+            for path in (
+                *(_file(folder, number, name) for name in _ARRAYS),
+                _names(folder, number),
+            )
+        ),
         functools.partial(_build_shard, dict(sources), shards, config, folder),
         "example",
         num_workers,
@@ -96,8 +102,6 @@ class Packed:
     """A packed folder as a `Source`. One that is missing, unfinished or damaged raises
     InputError."""
 
-    views = 1
-
     def __init__(self, root: str | os.PathLike):
         self.root = pathlib.Path(root)
         remedy = "pack it: experiments.pack"
@@ -107,6 +111,11 @@ class Packed:
         self._count = manifest["num_examples"]
         self._shard_examples = manifest["shard_examples"]
         self._shards: dict[int, tuple[dict[str, np.ndarray], list[list[Any]]]] = {}
+
+    @property
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Each example counts as an object of its own: which show one is not packed."""
+        return np.arange(self._count)
 
     def __len__(self) -> int:
         return self._count

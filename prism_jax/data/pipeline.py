@@ -122,13 +122,14 @@ def training_batches(
     num_workers: int = 0,
     shard: tuple[int, int] = (0, 1),
     indices: Any = None,
+    start: int = 0,
 ) -> grain.DatasetIterator[Batch]:
     """Endless batches: each example once per epoch, freshly shuffled and augmented.
 
-    What the n-th batch holds is a function of the arguments and n alone; the iterator's
-    `get_state` and `set_state` go on from where another one was. `num_workers`
-    processes read ahead, 0 for threads of this one. `shard` is (this process, number
-    of processes) where several train together: each then sees its own share.
+    What the n-th batch holds is a function of the source, the framing, the size, the
+    seed, the shard and n alone; `start` is the n of the first. `num_workers` processes
+    read ahead, 0 for threads of this one. `shard` is (this process, number of
+    processes) where several train together: each then sees its own share.
     `indices`, a tree of arrays with a row for each item, come with the batches; they
     must not change under mirroring and turning. A source that does not fill one batch
     raises InputError.
@@ -145,6 +146,7 @@ def training_batches(
         .random_map(_Frame(framing))
         .slice(slice(number, None, count))
         .batch(batch_size, batch_fn=stack)
+        .slice(slice(start, None))
     )
     if num_workers == 0:
         reading = grain.ReadOptions(num_threads=1, prefetch_buffer_size=4)

@@ -13,7 +13,6 @@ the floor at z = 0, the robot's base on the z axis. A frame is there once its ca
 which is written last.
 """
 
-import collections
 import dataclasses
 import io
 import json
@@ -73,8 +72,7 @@ class RecordedCells:
 
     Every file is looked at by name when this is made: what is not the layout, half a
     frame, and, with `verify`, a file that differs from the manifest's sha256, raise
-    InputError. Contents are read with the example. Frames of a sequence count as views
-    of one object where all sequences have as many.
+    InputError. Contents are read with the example. A sequence is one object.
     """
 
     categories = ("robot cell",)
@@ -85,8 +83,8 @@ class RecordedCells:
         if verify:
             _verify(self.root, found)
         self.frames = tuple(found)
-        lengths = set(collections.Counter(name for name, _ in found).values())
-        self.views = lengths.pop() if len(lengths) == 1 else 1
+        sequences = [sequence for sequence, _ in found]
+        self.objects = np.unique(sequences, return_inverse=True)[1]
 
     @classmethod
     def bundled(cls) -> "RecordedCells":
@@ -246,7 +244,7 @@ def _read_cloud(path: pathlib.Path) -> Float32[np.ndarray, "N 3"]:
 
 
 def _check_on_image(partial, metres, mask, camera: Camera, path: pathlib.Path) -> None:
-    """At least half of the points that are in view lie on their pixel's depth."""
+    """At least half of the points lie on the depth of the pixel that sees them."""
     in_camera = np.asarray(camera.to_camera(partial.astype(np.float64)))
     in_camera = in_camera[in_camera[:, 2] > NEAR]
     image = in_camera @ np.asarray(camera.intrinsics).T

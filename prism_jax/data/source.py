@@ -3,7 +3,7 @@
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int
 
 
 class Example(NamedTuple):
@@ -46,8 +46,8 @@ class Source(Protocol):
         ...
 
     @property
-    def views(self) -> int:
-        """Items in a row that show one object: item i is view `i % views`."""
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Which object each item shows, from 0 on; the items of one stand in a row."""
         ...
 
     def __len__(self) -> int: ...

@@ -23,7 +23,8 @@ class Row(NamedTuple):
 
 
 def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str, Any]:
-    """Means and intervals of every row, as JSON, and its change against one of them.
+    """Means and intervals of every row, as JSON, and its change against one of them,
+    but of metrics whose mean is zero there.
 
     ``about`` says what else names the comparison. Rows of other examples than those of
     ``against`` raise ValueError.
@@ -32,11 +33,13 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
 
     def entry(row: Row) -> dict[str, Any]:
         scores = scores_of(row.result, row.cloud)
+        before = scores_of(reference.result, reference.cloud)["mean"]
         changes = {
             metric: paired_difference(
                 reference.result, row.result, metric, (reference.cloud, row.cloud)
             )
             for metric in KEPT
+            if before[metric] != 0
         }
         return {
             "mean": scores["mean"],

@@ -70,14 +70,14 @@ def agreement(
         keys = jax.vmap(jax.random.key)(indices)
         rows.extend(np.asarray(followed(variables, *arrays, keys))[: count - start])
     values = np.array(rows, np.float64)
-    objects = np.arange(count) // source.views
+    objects = source.objects[:count]
     means = values.mean(0)
     low, high = np.array(mean_intervals(values.reshape(count, -1), objects)).reshape(
         2, *means.shape
     )
     return {
         "num_examples": count,
-        "num_objects": (count - 1) // source.views + 1,
+        "num_objects": int(objects[-1]) + 1,
         "error": ERROR,
         "step_length": config.step_size,
         "losses": {

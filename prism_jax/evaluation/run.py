@@ -107,7 +107,7 @@ def evaluate(
     return {
         "unit": UNITS[protocol.unit],
         "num_partial": protocol.num_partial,
-        **summarise(rows, source.categories, source.views),
+        **summarise(rows, source.categories, source.objects[:count]),
     }
 
 

@@ -25,15 +25,13 @@ class Scores(NamedTuple):
 
 
 def summarise(
-    rows: Sequence[Scores], categories: Sequence[str], views: int = 1
+    rows: Sequence[Scores], categories: Sequence[str], objects: Int[np.ndarray, " E"]
 ) -> dict[str, Any]:
-    """A result, as `evaluate` describes it, of examples `views` of which in a row show
-    one object.
+    """A result, as `evaluate` describes it, of examples and the object that each shows.
 
     Intervals are 95 % percentile bootstraps over objects: views of one are not
     independent. Categories without an example are left out.
     """
-    objects = np.arange(len(rows)) // views
     present = np.array([row.category for row in rows])
     metrics = [metric for metric in METRICS if metric in rows[0].clouds["output"]]
 

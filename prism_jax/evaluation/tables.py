@@ -62,8 +62,8 @@ def comparison_markdown(table: Mapping[str, Any]) -> str:
             _cell(row["mean"][m], row["intervals"][m], factor)
             for m, (_, factor) in columns.items()
         ]
-        change = row["change"]["cd_l2"]
-        cells.append("" if label == against else _percent(**change))
+        change = None if label == against else row["change"].get("cd_l2")
+        cells.append(_percent(**change) if change else "")
         if counted:
             number = row["parameters"]
             cells.append(f"{number / 1e6:.2f} M" if number else "")

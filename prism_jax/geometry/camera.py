@@ -37,7 +37,8 @@ VIEWS = {
     "back_left_top": (-1.0, 1.0, 1.0),
     "back_right_top": (-1.0, -1.0, 1.0),
 }
-"""Directions from the origin to the camera of ``Camera.fixed_view`` (x front, z up)."""
+"""Directions from the origin to the camera of ``Camera.fixed_view``: x front, y left,
+z up, as a robot's base has it. The shapes of `prism_jax.data` face along y."""
 
 
 @functools.partial(
@@ -209,7 +210,7 @@ class Camera:
         depth = seen[:, 2]
         sideways = jnp.abs(seen[:, :2]).max(axis=-1)
         widest = jnp.tan(jnp.deg2rad(60.0))
-        in_front = depth > 1e-6
+        in_front = depth > MIN_DEPTH
         tangent = sideways / jnp.where(in_front, depth, 1.0)
         tangent = margin * jnp.where(in_front, tangent, widest).max()
         half_angle = jnp.arctan(jnp.clip(tangent, 1e-3, widest))

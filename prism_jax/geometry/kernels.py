@@ -42,7 +42,8 @@ def nearest_indices(
             a, b, c = (support_ref[i, pl.ds(start, _SUPPORTS)] for i in range(3))
             squared = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
             lowest = squared.min(axis=1)
-            inside = jnp.argmin(squared, axis=1).astype(jnp.int32)
+            # Triton knows no 64-bit index, which is the default under x64.
+            inside = jax.lax.argmin(squared, 1, jnp.int32)
             closer = lowest < distance
             index = jnp.where(closer, (start + inside).astype(jnp.int32), index)
             return jnp.where(closer, lowest, distance), index
@@ -146,7 +147,7 @@ def farthest_indices(
             squared = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
             distances = jnp.minimum(distances, squared)
             candidates = jnp.where(may, distances, -1.0)
-            return distances, jnp.argmax(candidates, axis=0).astype(jnp.int32)
+            return distances, jax.lax.argmax(candidates, 0, jnp.int32)
 
         begin = (jnp.full(size, 1e10, points.dtype), first_ref[0])
         jax.lax.fori_loop(0, num_samples, add, begin)

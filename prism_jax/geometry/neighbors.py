@@ -37,8 +37,10 @@ def nearest(
 
     The distance is differentiable, any number of times, in both clouds through the
     winning pair alone: the search itself has no derivative. Ties go to the lowest
-    index. Memory is linear in N + M. Coordinates must be finite.
+    index. Memory is linear in N + M. Coordinates must be finite; an empty support
+    raises ValueError.
     """
+    _require_points(support)
     query, support = jnp.asarray(query), jnp.asarray(support)
     indices = kernels.by_platform(
         kernels.nearest_indices,
@@ -53,9 +55,12 @@ def knn(
 ) -> Int[Array, "N k"]:
     """Indices of the k nearest support points of each query, nearest first.
 
-    A query that is itself a support point finds itself. No gradient. Where the
-    support holds fewer than k points, the farthest one found is repeated.
+    A query that is itself a support point finds itself, or copies of itself, of which
+    those with the lowest indices come first. No gradient. Where the support holds fewer
+    than k points, the farthest one found is repeated. Coordinates must be finite; an
+    empty support raises ValueError.
     """
+    _require_points(support)
     found = min(k, support.shape[0])
     clouds = jax.lax.stop_gradient((jnp.asarray(query), jnp.asarray(support)))
     search = functools.partial(_knn_indices, k=found)
@@ -87,6 +92,11 @@ def three_point_interpolate(
     weights = 1.0 / ((offsets**2).sum(-1) + 1e-8)
     weights = weights / weights.sum(-1, keepdims=True)
     return jnp.einsum("nk,nkc->nc", weights, features[neighbors])
+
+
+def _require_points(cloud: Array | np.ndarray) -> None:
+    if cloud.shape[0] == 0:
+        raise ValueError("a search needs at least one point to find")
 
 
 def _by_rows(
@@ -150,7 +160,7 @@ def _knn_indices(query: Array, support: Array, k: int) -> Array:
     run = jnp.sort(_k_lowest_columns(_run_minima(query, runs), k), axis=-1)
     distances = _squared_distances(query[:, None, None], runs[run])
     best = _k_lowest_columns(distances.reshape(len(query), -1), k)
-    members = run[:, :, None] * _KNN_RUN + jnp.arange(_KNN_RUN)
+    members = run[:, :, None] * _KNN_RUN + jnp.arange(_KNN_RUN, dtype=jnp.int32)
     return jnp.take_along_axis(members.reshape(len(query), -1), best, axis=-1)
 
 

@@ -21,7 +21,7 @@ def pca_normals(
     arbitrary but repeatable. No gradient flows (the anchors of PRISM, Eq. 5): that of
     an eigenvector is infinite at equal eigenvalues. Units do not matter. Collinear
     neighbours give some direction across their line, coincident ones (1, 0, 0). Points
-    must be finite.
+    must be finite; an empty cloud raises ValueError.
 
     H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """

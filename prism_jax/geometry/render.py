@@ -20,10 +20,12 @@ def render_depth(
     falls and which point wins are constants, so moving sideways has no gradient
     except as it changes z.
     """
-    uv, z = camera.project(points)
+    # Projected, they would turn the pose's gradient into NaN, dropped or not.
+    finite = jnp.isfinite(points).all(axis=-1)
+    uv, z = camera.project(jnp.where(finite[:, None], points, 0.0))
     cell = jnp.floor(uv + 0.5)
     inside = (cell >= 0) & (cell < jnp.array([camera.width, camera.height]))
-    visible = inside.all(axis=-1) & (z > MIN_DEPTH)
+    visible = finite & inside.all(axis=-1) & (z > MIN_DEPTH)
     column, row = jnp.where(visible[:, None], cell, 0).astype(int).T
     num_pixels = camera.height * camera.width
     pixel = jnp.where(visible, row * camera.width + column, num_pixels)

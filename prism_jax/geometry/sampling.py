@@ -21,15 +21,19 @@ def farthest_point_sample(
 ) -> Int[Array, " num_samples"]:
     """Indices of points, each the farthest from those before it.
 
-    Begins at ``start``; ties go to the lowest index; no gradient. A shorter sample is
-    the prefix of a longer one. When more samples than distinct points are asked for,
-    the lowest index is repeated.
+    Begins at ``start``, which must be an index of the cloud; ties go to the lowest
+    index; no gradient. A shorter sample is the prefix of a longer one. When more
+    samples than distinct points are asked for, the lowest index is repeated.
+    Coordinates must be finite, or what is chosen means nothing; an empty cloud raises
+    ValueError.
 
     ``skip_near_origin`` is the rule of the reference implementation (PointNet++,
     CRA-PCN): points with ``|x|^2 <= 1e-3`` are never chosen, save as the start, or as
     index 0 when every point is skipped.
     """
     points = jax.lax.stop_gradient(jnp.asarray(points))
+    if points.shape[0] == 0:
+        raise ValueError("nothing can be sampled from an empty cloud")
     if skip_near_origin:
         chosen_from = (points**2).sum(-1) > NEAR_ORIGIN
     else:
@@ -71,7 +75,8 @@ def resample(
     """The cloud with exactly ``num_points`` points, in farthest-point order.
 
     More points are thinned by farthest-point sampling; fewer are all kept and then
-    repeated from the first on. Differentiable in the points that are kept.
+    repeated from the first on. Differentiable in the points that are kept. Drop points
+    that are not finite first; an empty cloud raises ValueError.
     """
     points = jnp.asarray(points)
     order = farthest_point_sample(points, min(num_points, points.shape[0]))

@@ -31,6 +31,7 @@ def sinkhorn(
     num_rows, num_columns = cost.shape
     log_a = jnp.full(num_rows, -jnp.log(num_rows)) if a is None else jnp.log(a)
     log_b = jnp.full(num_columns, -jnp.log(num_columns)) if b is None else jnp.log(b)
+    log_a, log_b = (log.astype(cost.dtype) for log in (log_a, log_b))
     log_kernel = -cost / epsilon
 
     def iterate(log_v, _):

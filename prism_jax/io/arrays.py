@@ -1,6 +1,7 @@
 """Point clouds in NumPy's own files. Nothing is ever unpickled."""
 
 import io
+import lzma
 import math
 import os
 import tokenize
@@ -49,6 +50,8 @@ def read_npz(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
     except (
         ValueError,
         EOFError,
+        OSError,
+        lzma.LZMAError,
         NotImplementedError,
         RuntimeError,
         zipfile.BadZipFile,
@@ -71,18 +74,17 @@ def stack_columns(
 
 
 def _choose_member(archive: zipfile.ZipFile) -> str:
-    found = {}
+    found, clouds = {}, {}
     for member in archive.namelist():
         with archive.open(member) as file:
             head = file.read(2**16)
         shape, _, dtype, _ = _parse_header(head)
         found[member.removesuffix(".npy")] = (shape, dtype)
-    clouds = [name for name, (shape, dtype) in found.items() if _is_cloud(shape, dtype)]
-    for name in ("xyz", "points"):
-        if name in clouds:
-            return name + ".npy"
-    if len(clouds) == 1:
-        return clouds[0] + ".npy"
+        if _is_cloud(shape, dtype):
+            clouds[member.removesuffix(".npy")] = member
+    for name in ("xyz", "points", *clouds):
+        if name in clouds and (name in ("xyz", "points") or len(clouds) == 1):
+            return clouds[name]
     if clouds:
         raise ValueError(f"its arrays {', '.join(clouds)} could each be the cloud")
     held = ", ".join(f"{name}: {_describe(*entry)}" for name, entry in found.items())

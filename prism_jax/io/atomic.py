@@ -3,6 +3,7 @@
 import os
 import pathlib
 import tempfile
+import uuid
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,15 +20,17 @@ def write_together(files: Mapping[Any, bytes]) -> None:
 
     The bytes go to temporary files in the same directories and are flushed to the disk;
     only when all are there, they are renamed, in order. What was there stays until
-    then, and stays for good if anything fails: an OSError becomes an InputError.
+    then. An OSError becomes an InputError; one of the renaming, or a kill between two
+    renames, leaves the first files new and the last as they were.
     """
     named = {pathlib.Path(path): data for path, data in files.items()}
-    aside = {path: path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in named}
+    mark = uuid.uuid4().hex
+    aside = {path: path.with_name(f".{path.name}.{mark}.tmp") for path in named}
     current = pathlib.Path()
     try:
         try:
             for current, data in named.items():
-                with open(aside[current], "wb") as file:
+                with open(aside[current], "xb") as file:
                     file.write(data)
                     file.flush()
                     os.fsync(file.fileno())

@@ -50,7 +50,7 @@ def read_points_counted(
         raise InputError(
             path,
             f"has the suffix {suffix!r}, which is not a point cloud's",
-            f"convert it to one of {' '.join(READERS)} (or a 16-bit depth .png)",
+            f"convert it to one of {' '.join(READERS)}",
         )
     points = READERS[suffix](path)
     finite = np.isfinite(points).all(axis=1)
@@ -75,7 +75,7 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
     64 of them distinct.
     """
     if len(points) == 0:
-        remedy = "check the scan, and that --workspace is in its units and frame"
+        remedy = "check the scan, and that its workspace is in its units and frame"
         raise InputError(subject, "has no points", remedy)
     if not np.isfinite(points).all():
         raise InputError(subject, "has points that are not finite", "drop them")
@@ -88,7 +88,7 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
         raise InputError(
             subject,
             f"has an extent of {extent:.6g}, above {MAX_EXTENT:,.0f} units of length",
-            "scale it to metres, or crop it to one object with --workspace",
+            "scale it to metres, or crop it to one object (--workspace)",
         )
     distinct = np.unique(points[: 4 * MIN_POINTS], axis=0)
     if len(distinct) < MIN_POINTS:
@@ -97,7 +97,7 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
         raise InputError(
             subject,
             f"has {len(distinct)} distinct points, fewer than {MIN_POINTS}",
-            "scan more of the object, or widen --workspace",
+            "scan more of the object, or widen the workspace (--workspace)",
         )
 
 

@@ -1,9 +1,9 @@
 """Cameras as JSON, and 16-bit depth images."""
 
+import io
 import json
 import math
 import os
-import pathlib
 import sys
 import warnings
 from typing import Any
@@ -121,11 +121,11 @@ def _read_camera_entries(path: str | os.PathLike) -> tuple[Camera, dict[str, Any
 
 
 def _read_counts(path: str | os.PathLike, camera: Camera) -> np.ndarray:
-    read_bytes(path)
+    data = read_bytes(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(pathlib.Path(path), formats=["PNG"]) as image:
+            with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
                 if not image.mode.startswith("I;16"):
                     raise ValueError(f"its pixels are {image.mode}, not 16-bit grey")
                 if image.size != (camera.width, camera.height):

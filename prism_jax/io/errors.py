@@ -1,6 +1,7 @@
 """The error for what a user can put right."""
 
 import os
+from collections.abc import Iterable
 
 
 class InputError(ValueError):
@@ -19,3 +20,12 @@ class InputError(ValueError):
     def __reduce__(self):
         """From a process of a pool to the one that waits for it."""
         return type(self), self._parts
+
+
+def choose(flag: str, value: str, choices: Iterable[str]) -> str:
+    """`value` if it is one of the choices; else raises InputError about the flag."""
+    choices = tuple(choices)
+    if value not in choices:
+        remedy = f"use {'one of ' if len(choices) > 1 else ''}{', '.join(choices)}"
+        raise InputError(flag, f"unknown value {value!r}", remedy)
+    return value

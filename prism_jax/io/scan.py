@@ -1,6 +1,7 @@
 """One scan as a user hands it in: a cloud or a depth image, and its camera."""
 
 import dataclasses
+import math
 import os
 import pathlib
 
@@ -17,6 +18,8 @@ from prism_jax.io.clouds import (
 from prism_jax.io.depth import points_from_depth, read_camera, read_depth
 from prism_jax.io.errors import InputError
 
+CAMERA_FRAME_DEGREES = 10.0
+
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
@@ -31,8 +34,9 @@ class Scan:
     """Finite points inside the bounds, as stored, and what was left out of them.
 
     Attributes:
-      in_camera_frame: whether they are a depth image's, in its camera's own axes: x
-        right, y down, z forward.
+      in_camera_frame: whether they are a depth image's, in its camera's own axes (x
+        right, y down, z forward) or those of another sensor in the same housing, turned
+        by less than `CAMERA_FRAME_DEGREES`.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -61,7 +65,7 @@ def read_scan(
         if not mask.any():
             raise InputError(path, "has no pixel with a return", "check the sensor")
         points = points_from_depth(depth, mask, camera)
-        in_camera_frame = bool(np.all(camera.rotation == np.eye(3)))
+        in_camera_frame = _turned_degrees(camera) < CAMERA_FRAME_DEGREES
         num_read = len(points)
     else:
         camera = read_camera(camera_path) if camera_path else None
@@ -106,6 +110,12 @@ def parse_bounds(text: str) -> Bounds:
     if not (values[:3] < values[3:]).all():
         raise InputError("--workspace", f"{text!r} holds no volume", remedy)
     return Bounds(values[:3], values[3:])
+
+
+def _turned_degrees(camera: Camera) -> float:
+    """The angle between a camera's axes and those of the points' frame."""
+    cosine = (np.trace(np.asarray(camera.rotation)) - 1.0) / 2.0
+    return math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
 
 
 def _camera_beside(path: str | os.PathLike) -> pathlib.Path:

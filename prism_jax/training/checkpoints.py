@@ -20,30 +20,20 @@ class Checkpoints:
         # Orbax keeps the metrics of a manager that ranks by them.
         self._best = _manager(root / "best", best_fn=_quality)
 
-    def save(
-        self, step: int, state: Any, reader: Any, score: float | None = None
-    ) -> bool:
-        """Writes the state, and that of what reads the data, as JSON values; the state
-        also as the best, if its score is the lowest so far.
+    def save(self, step: int, state: Any, score: float | None = None) -> None:
+        """Writes the state, also as the best, if its score is the lowest so far.
 
         The best is written first: a run that ends in between goes on from the latest
         before, and comes here again.
         """
         best = self.best_score()
-        is_best = score is not None and score < (math.inf if best is None else best)
-        if is_best:
+        if score is not None and score < (math.inf if best is None else best):
             self._best.save(
                 step, args=ocp.args.StandardSave(state), metrics={"score": score}
             )
             self._best.wait_until_finished()
-        self._latest.save(
-            step,
-            args=ocp.args.Composite(
-                state=ocp.args.StandardSave(state), reader=ocp.args.JsonSave(reader)
-            ),
-        )
+        self._latest.save(step, args=ocp.args.StandardSave(state))
         self._latest.wait_until_finished()
-        return is_best
 
     def best_score(self) -> float | None:
         """Score of the best checkpoint, or None before the first."""
@@ -53,20 +43,13 @@ class Checkpoints:
         metrics = self._best.metrics(step)
         return None if metrics is None else float(metrics["score"])
 
-    def restore_latest(self, like: Any) -> tuple[Any, Any] | None:
-        """The latest state, in the structure of ``like``, and the reader's; None if
-        there is none."""
-        step = self._latest.latest_step()
-        if step is None:
-            return None
-        args = ocp.args.Composite(state=_as(like), reader=ocp.args.JsonRestore())
-        found = self._latest.restore(step, args=args)
-        return found["state"], found["reader"]
+    def restore_latest(self, like: Any) -> Any | None:
+        """The latest state, in the structure of ``like``; None if there is none."""
+        return _restore(self._latest, like)
 
     def restore_best(self, like: Any) -> Any | None:
         """The best state, in the structure of ``like``; None if there is none."""
-        step = self._best.latest_step()
-        return None if step is None else self._best.restore(step, args=_as(like))
+        return _restore(self._best, like)
 
     def close(self) -> None:
         """Waits for what is being written."""
@@ -83,6 +66,9 @@ def _quality(metrics: dict[str, float]) -> float:
     return -metrics["score"]
 
 
-def _as(like: Any) -> ocp.args.StandardRestore:
+def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:
+    step = manager.latest_step()
+    if step is None:
+        return None
     abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
-    return ocp.args.StandardRestore(abstract)
+    return manager.restore(step, args=ocp.args.StandardRestore(abstract))

@@ -40,7 +40,7 @@ class PretrainConfig:
       num_complete: points of the complete cloud that a loss looks at.
       norm: Chamfer convention of Eq. 10 in training.
       warmup_steps: steps in which the step size rises from zero.
-      clip_norm: bound on the gradient's global norm.
+      clip_norm: bound on the gradient's global norm; 0 for none.
       validate_every: samples between validations.
     """
 

@@ -24,10 +24,11 @@ def index_table(
 ) -> EncoderIndices | None:
     """Indices of every partial, 16 bits each, with a leading axis over the source.
 
-    None if they would take more than `MAX_BYTES`, or if the source has no partials of
-    its own but complete clouds to crop at random.
+    None if they would take more than `MAX_BYTES`, if 16 bits do not number a partial's
+    points, or if the source has no partials of its own but complete clouds to crop at
+    random.
     """
-    if source[0].partial is None:
+    if source[0].partial is None or config.num_points > 2**16:
         return None
 
     @jax.jit

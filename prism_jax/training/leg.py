@@ -1,6 +1,8 @@
 """The one training loop: steps, validation, checkpoints, resumption."""
 
+import hashlib
 import pathlib
+import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -23,6 +25,8 @@ from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.run import Log
 
 LOG_EVERY = 20
+SAVE_SECONDS = 120.0
+"""What a killed training may lose, and the steps up to the next log line."""
 VALIDATION_COMPLETE = 4096
 
 
@@ -109,21 +113,21 @@ def train_leg(
     """Trains a leg to its end, or to step ``max_steps``.
 
     Goes on from the latest checkpoint in ``folder`` if there is one, with the batches
-    that would have come next. One step is always queued behind the one that runs, no
-    more, so that the bar is where the work is. The log's ``data_wait`` is the share of
-    the time in which the loop waited for batches.
+    that would have come next (`order_seed`). One step is always queued behind the one
+    that runs, no more, so that the bar is where the work is. The log's ``data_wait`` is
+    the share of the time in which the loop waited for batches.
 
     A batch lies over all devices of all processes, each of which reads its own share.
     A loss or a variable that is not a number raises FloatingPointError, and the
-    checkpoint before it stays. What ``max_steps`` ends between validations is not
-    validated, so that a leg that goes on keeps what an unbroken one keeps.
+    checkpoint before it stays. The state is saved at every validation, every
+    `SAVE_SECONDS`, and where ``max_steps`` ends the leg; what is not validated is never
+    the best, so that a leg that goes on keeps what an unbroken one keeps.
     """
     parallel.check_batch(leg.batch_size)
     mesh = parallel.data_mesh()
     checkpoints = Checkpoints(folder / leg.name)
     start = parallel.replicate(leg.start, mesh)
-    state, reader = checkpoints.restore_latest(start) or (start, None)
-    state = parallel.replicate(state, mesh)
+    state = parallel.replicate(checkpoints.restore_latest(start) or start, mesh)
     num_steps = steps_of(leg.name, leg.num_samples, leg.batch_size)
     step = int(state.step)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
@@ -132,16 +136,16 @@ def train_leg(
         data.train,
         data.framing(leg.num_complete),
         leg.batch_size // shard[1],
-        data.seed,
+        order_seed(data.seed, leg.name),
         data.num_workers,
         shard,
         data.indices,
+        step,
     )
-    if reader is not None:
-        batches.set_state(reader)
     log = Log(folder, leg.name, leg.num_samples, step, leg.batch_size, tensorboard)
     validate_steps = max(1, data.validate_every // leg.batch_size)
     recent, before = [], None
+    saved = time.monotonic()
     while step < last:
         with log.waiting():
             batch = parallel.share(next(batches), mesh)
@@ -157,7 +161,10 @@ def train_leg(
             recent.clear()
             log.write(step, losses=_named(leg.terms, mean))
             log.show(**{leg.terms[-1]: float(mean[-1])})
-        if not at_validation and step != last:
+        is_due = step % LOG_EVERY == 0 and parallel.as_the_first(
+            time.monotonic() - saved > SAVE_SECONDS
+        )
+        if not (at_validation or is_due or step == last):
             continue
         _check_numbers(state.variables, leg.name, step)
         score = None
@@ -165,16 +172,28 @@ def train_leg(
             scores = validate(leg, data, state.kept)
             log.write(step, validation=_named(leg.scores, scores))
             score = float(scores[-1])
-        checkpoints.save(step, state, batches.get_state(), score)
+        checkpoints.save(step, state, score)
+        saved = time.monotonic()
     log.close()
     best = checkpoints.restore_best(state)
     checkpoints.close()
     return Trained((best or state).kept, state, step >= num_steps)
 
 
+def order_seed(seed: int, name: str) -> int:
+    """What a leg's batches are shuffled and mirrored by.
+
+    It follows from the leg's name, so that one leg does not repeat another's batches,
+    and from no number that is computed: those differ in their last bits from one
+    machine to the next, on which the leg may go on.
+    """
+    digest = hashlib.sha256(f"{seed} {name}".encode()).digest()
+    return int.from_bytes(digest[:4]) % 2**31
+
+
 def steps_of(name: str, num_samples: int, batch_size: int) -> int:
     """Of a leg; InputError if its samples do not fill one batch."""
-    if num_samples < batch_size:
+    if num_samples < batch_size or batch_size < 1:
         fault = f"{num_samples} samples do not fill a batch of {batch_size}"
         raise InputError(name, fault, "train on more, or in smaller batches")
     return num_samples // batch_size

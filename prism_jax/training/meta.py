@@ -20,6 +20,7 @@ from prism_jax.adaptation.meta import (
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.weighting import entropy, loss_weights
 from prism_jax.models.variables import Variables
@@ -56,6 +57,7 @@ def meta_leg(
     left had not settled. The score is CD-L2 of the completion after test-time
     adaptation, in the unit of the scores (`Batch.scale`).
     """
+    check_meta(config)
     optimiser = _optimiser(config)
     counts = jnp.array([name in config.method.branches for name in BRANCHES])
     logits = jnp.where(counts, variables["weighting"]["logits"], -jnp.inf)
@@ -76,6 +78,23 @@ def meta_leg(
         TERMS,
         SCORES,
     )
+
+
+def check_meta(config: MetaTrainConfig) -> None:
+    """Raises InputError for settings under which something would not be learned."""
+    steps_of("meta", config.num_samples, config.batch_size)
+    method = config.method
+    if not method.branches:
+        fault = "no branch counts, and the weights of none have no sum"
+        raise InputError("meta.method.branches", fault, f"name some of {BRANCHES}")
+    learned = {
+        "weight_rule=meta": method.weight_rule == "meta",
+        "learn_auxiliary": method.learn_auxiliary,
+    }
+    for name, needs_second in learned.items():
+        if method.first_order and needs_second:
+            fault = f"constant inner gradients teach nothing to {name}"
+            raise InputError("meta.method.first_order", fault, "leave one of them out")
 
 
 def _optimiser(config: MetaTrainConfig) -> optax.GradientTransformation:

@@ -56,6 +56,13 @@ def is_first() -> bool:
     return jax.process_index() == 0
 
 
+def as_the_first(found: bool) -> bool:
+    """What the first process found, in every process, when all have come here."""
+    if jax.process_count() == 1:
+        return found
+    return bool(multihost_utils.broadcast_one_to_all(np.array(found)))
+
+
 def wait_for_all(what: str) -> None:
     """Returns when every process has come here."""
     if jax.process_count() > 1:

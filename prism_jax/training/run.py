@@ -13,7 +13,9 @@ from tqdm import tqdm
 
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import InputError
-from prism_jax.training.parallel import is_first, wait_for_all
+from prism_jax.training.parallel import as_the_first, is_first
+
+_SHOWN = 3
 
 
 def open_run(
@@ -26,11 +28,15 @@ def open_run(
     configuration and seed may go on in it.
     """
     folder = make_output_dir(pathlib.Path(workdir))
-    if not is_first():
-        wait_for_all("the run's folder")
-        return folder
-    _check_in(folder, config, seed, resume)
-    wait_for_all("the run's folder")
+    refused = None
+    if is_first():
+        try:
+            _check_in(folder, config, seed, resume)
+        except InputError as error:
+            refused = error
+    if not as_the_first(refused is None):
+        remedy = "its message says why"
+        raise refused or InputError(folder, "process 0 refused the run", remedy)
     return folder
 
 
@@ -48,9 +54,25 @@ def _check_in(
         remedy = "pass --resume to go on with it, or choose another --workdir"
         raise InputError(str(folder), "it holds a run already", remedy)
     before = json.loads(path.read_text())
-    if any(before[key] != resolved[key] for key in resolved):
+    changes = [*_changes({key: before.get(key) for key in resolved}, resolved)]
+    if changes:
+        told, others = changes[:_SHOWN], len(changes) - _SHOWN
+        told += [f"and {others} more"] if others > 0 else []
+        fault = f"its run has another configuration: {', '.join(told)}"
         remedy = "resume with the settings, and on the data, of its config.json"
-        raise InputError(str(folder), "its run has another configuration", remedy)
+        raise InputError(str(folder), fault, remedy)
+
+
+def _changes(before: Any, now: Any, path: str = "") -> Iterator[str]:
+    """What differs between two JSON values, by the way to it."""
+    if isinstance(before, list) and isinstance(now, list):
+        before, now = (dict(enumerate(values)) for values in (before, now))
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in [*before, *(key for key in now if key not in before)]:
+            way = f"{path}.{key}" if path else str(key)
+            yield from _changes(before.get(key), now.get(key), way)
+    elif before != now:
+        yield f"{path} is {before}, not {now}"
 
 
 def started_from(folder: pathlib.Path) -> str | None:

@@ -27,8 +27,9 @@ def pretrain(
     Each leg begins with what did best on validation in the leg before, and goes on
     from its own checkpoint where one is found; one without samples is left out, and one
     whose samples do not fill a batch raises InputError before any is trained. The
-    first begins with the backbone of ``start``, or a fresh one; what reads it begins
-    afresh. Returns the best variables, or None if ``max_steps`` ended a leg early.
+    first begins with the backbone of ``start``, or a fresh one. What reads it begins
+    afresh, but for no auxiliary samples it stays as it is in ``start``. Returns the
+    best variables, or None if ``max_steps`` ended a leg early.
     """
     config = preset.pretrain
     legs = [(phase.name, phase.num_samples) for phase in config.backbone]
@@ -50,6 +51,8 @@ def pretrain(
         if not trained.done:
             return None
         variables = trained.best
+    if start is not None and not config.auxiliary_samples:
+        return {kind: {**start[kind], **variables.get(kind, {})} for kind in start}
     fresh = init_auxiliary(auxiliary_key, variables, preset.model)
     if not config.auxiliary_samples:
         return fresh

@@ -30,7 +30,7 @@ def adam(
         end_value=final_rate * learning_rate,
     )
     return optax.chain(
-        optax.clip_by_global_norm(config.clip_norm), optax.adam(schedule)
+        optax.clip_by_global_norm(config.clip_norm or jnp.inf), optax.adam(schedule)
     )
 
 

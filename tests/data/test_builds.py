@@ -169,7 +169,8 @@ def test_damaged_and_missing_files_are_named(squares):
 
 def test_a_line_tells_the_rate(tmp_path, capsys):
     Squares(tmp_path).build(progress=True)
-    assert "5 squares in 0 s" in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert "5 squares in 0 s" in told.err and not told.out
 
 
 def wait(folder, number):
@@ -212,3 +213,10 @@ def _until(found, seconds=60):
             return result
         time.sleep(0.1)
     raise TimeoutError
+
+
+def test_hidden_files_and_folders_do_not_count(tmp_path):
+    (tmp_path / ".snapshot").mkdir()
+    for name in ("a.txt", ".b.txt", ".snapshot/c.txt"):
+        (tmp_path / name).write_text("kept")
+    assert [*builds.hash_files(tmp_path)] == ["a.txt"]

@@ -21,10 +21,10 @@ CONFIG = PackConfig(num_partial=64, num_complete=128)
 class Balls:
     """Ordered clouds of any place and size, some without a known sensor."""
 
-    categories, views = ("ball", "egg"), 1
+    categories = ("ball", "egg")
 
     def __init__(self, count=5):
-        self.count = count
+        self.count, self.objects = count, np.arange(count)
 
     def __len__(self):
         return self.count
@@ -174,3 +174,13 @@ def test_opens_as_a_data_set_and_for_a_training(folder, tmp_path):
     train, validation = open_training("packed", tmp_path)
     assert (len(train), len(validation)) == (25, 3)
     assert open_dataset("packed", "validation", tmp_path)[0].name == "balls/0"
+
+
+def test_a_shard_that_lost_a_file_is_packed_again(tmp_path):
+    pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    (tmp_path / "shard-00000.partial.npy").unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        Packed(tmp_path)
+    pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -17,11 +17,12 @@ class Boxes:
     categories = ("flat", "tall", "none of these")
 
     def __init__(self, objects=5, views=1, scale=1.0, shift=(0.0, 0.0, 0.0)):
-        self.objects, self.views, self.scale = objects, views, scale
+        self.objects = np.repeat(np.arange(objects), views)
+        self.views, self.scale = views, scale
         self.shift = np.array(shift, np.float64)
 
     def __len__(self):
-        return self.objects * self.views
+        return len(self.objects)
 
     def __getitem__(self, index):
         item, view = divmod(range(len(self))[index], self.views)

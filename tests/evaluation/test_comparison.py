@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from prism_jax.evaluation import Row, comparison, comparison_markdown
@@ -17,7 +18,7 @@ def result(first, second, objects="ab"):
         for scores in [dict.fromkeys(METRICS, value)]
         for twice in [dict.fromkeys(METRICS, 2 * value)]
     ]
-    return {"unit": "metres", **summarise(rows, ("bag",))}
+    return {"unit": "metres", **summarise(rows, ("bag",), np.arange(len(rows)))}
 
 
 @pytest.fixture
@@ -69,3 +70,11 @@ def test_results_of_other_examples_are_refused():
     rows = {"net": Row(result(0.1, 0.3)), "other": Row(result(0.1, 0.3, "ac"))}
     with pytest.raises(ValueError, match="not of the same examples"):
         comparison(rows, "net")
+
+
+def test_what_is_zero_there_has_no_change():
+    """As no point of an untrained network is within the F-score's reach."""
+    rows = {"net": Row(result(0.0, 0.0)), "other": Row(result(1.0, 2.0))}
+    table = comparison(rows, "net")
+    assert table["rows"]["other"]["change"] == {}
+    assert comparison_markdown(table).splitlines()[-1].endswith("|  |")

@@ -28,7 +28,8 @@ def rows(values, views=1, accepted=None, factor=1.0) -> list[Scores]:
 def result(values, **how):
     """As it is read from a file."""
     views = how.get("views", 1)
-    summary = summarise(rows(values, **how), ("even", "odd", "never"), views)
+    objects = np.arange(len(values)) // views
+    summary = summarise(rows(values, **how), ("even", "odd", "never"), objects)
     return json.loads(json.dumps(summary))
 
 

@@ -1,5 +1,7 @@
 """Results as Markdown."""
 
+import numpy as np
+
 from prism_jax.evaluation import markdown, published_markdown
 from prism_jax.evaluation.scoring import METRICS
 from prism_jax.evaluation.summary import Scores, summarise
@@ -24,7 +26,7 @@ def result(*clouds, metrics=METRICS):
         Scores(f"{i}/easy/0", kind, None, {cloud: scores for cloud in clouds})
         for i, kind in enumerate(("bag", "car"))
     ]
-    return NAMED | summarise(rows, ("bag", "car"))
+    return NAMED | summarise(rows, ("bag", "car"), np.arange(len(rows)))
 
 
 def test_the_first_line_names_what_was_scored():

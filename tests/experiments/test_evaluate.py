@@ -1,10 +1,13 @@
 """The launcher: what it writes, and how it ends. The network is a fake."""
 
+import hashlib
 import json
+import pathlib
 
 import numpy as np
 import pytest
 
+import prism_jax
 from experiments import evaluate
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation import paired_difference
@@ -69,10 +72,13 @@ def test_changes_are_made_and_named(cells):
 
 def test_a_result_says_what_it_is_of(cells):
     result = cells["adapted"]
-    assert list(result)[:10] == [
-        *("data", "split", "digest", "protocol", "normalisation", "weights", "seed"),
-        *("weights_commit", "steps", "commit"),
+    assert list(result)[:11] == [
+        *("data", "split", "digest", "protocol", "normalisation", "weights"),
+        *("weights_sha256", "seed", "weights_commit", "steps", "commit"),
     ]
+    shipped = pathlib.Path(prism_jax.__file__).parent / "assets" / "small.safetensors"
+    digest = hashlib.sha256(shipped.read_bytes()).hexdigest()
+    assert result["weights_sha256"] == digest
     assert len(result["digest"]) == 12
     assert (result["data"], result["split"]) == ("recordings", "all")
     assert (result["weights"], result["seed"], result["steps"]) == ("small", 0, 2)

@@ -13,11 +13,11 @@ def run(*arguments) -> int:
 
 def test_packs_a_split_and_does_not_do_it_twice(tmp_path, capsys):
     root = RecordedCells.bundled().root
-    place = ["--dataset=recordings", f"--data_dir={root}", "--split=all"]
+    place = ["--dataset=recordings", f"--data_dir={root}", "--split=train"]
     sizes = ["--limit=2", "--num_partial=32", "--num_complete=64", "--num_workers=0"]
     assert run(*place, *sizes, f"--output_dir={tmp_path}") == 0
-    assert str(tmp_path / "all") in capsys.readouterr().out
-    source = open_dataset("packed", "all", tmp_path)
+    assert str(tmp_path / "train") in capsys.readouterr().out
+    source = open_dataset("packed", "train", tmp_path)
     assert len(source) == 2
     assert source[0].partial.shape == (32, 3)
     assert source[1].name == f"recordings/{RecordedCells.bundled()[19].name}"
@@ -33,12 +33,14 @@ def test_recordings_are_packed_to_train_on_and_for_nothing_else(tmp_path, capsys
     assert run(*place, *where, "--split=train") == 0
     assert len(open_dataset("packed", "train", tmp_path)) == 1
     assert run(*place, *where, "--split=validation") == 2
-    assert "unknown value 'validation'; use all" in capsys.readouterr().err
+    assert (
+        "recordings: has no validation split of its own; use" in capsys.readouterr().err
+    )
 
 
 def test_other_sizes_are_not_mixed_in(tmp_path, capsys):
     root = RecordedCells.bundled().root
-    place = ["--dataset=recordings", f"--data_dir={root}", "--split=all", "--limit=1"]
+    place = ["--dataset=recordings", f"--data_dir={root}", "--split=train", "--limit=1"]
     where = [f"--output_dir={tmp_path}", "--num_workers=0"]
     assert run(*place, *where, "--num_complete=64") == 0
     assert run(*place, *where, "--num_complete=32") == 2

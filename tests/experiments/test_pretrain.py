@@ -79,6 +79,22 @@ def test_indices_are_made_beforehand_where_examples_come_again(
     assert [data.indices for data in seen] == ["made" if made else None]
 
 
+def test_batches_come_in_another_order_after_other_weights(
+    run, weights, variables, tmp_path, monkeypatch
+):
+    """The same for the same weights, and the seed's own where there are none."""
+    other = tmp_path / "other.safetensors"
+    changed = {**variables, "params": jax.tree.map(np.negative, variables["params"])}
+    save_weights(other, resolve("tiny").adapt, changed, BEFORE)
+    seeds = []
+    keep = lambda _, data, *rest: seeds.append(data.seed)  # noqa: E731
+    monkeypatch.setattr(pretrain, "pretrain", keep)
+    for n, start in enumerate((None, weights, weights, other)):
+        given = [] if start is None else [f"--weights={start}"]
+        assert run(f"--workdir={tmp_path}/{n}", "--seed=3", *given)[0] == 0
+    assert seeds[0] == 3 and seeds[1] == seeds[2] and len(set(seeds)) == 3
+
+
 def test_without_weights_it_starts_afresh(run, tmp_path, capsys):
     assert run(f"--workdir={tmp_path}", "--max_steps=1") == (0, [None])
     assert (

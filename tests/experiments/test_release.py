@@ -5,7 +5,13 @@ import json
 import pytest
 
 from experiments import release
-from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+from prism_jax.weights import (
+    file_sha256,
+    load_pretrained,
+    read_metadata,
+    save_weights,
+    sha256,
+)
 from tests import launching
 
 
@@ -23,6 +29,7 @@ def finished(tmp_path, tiny, tiny_variables, monkeypatch):
     for split in ("test", "unseen"):
         result = {"data": "shapes", "split": split, "mean": {"cd_l2": 0.1}}
         result |= {"weights": str(path), "per_example": {"name": ["a"]}}
+        result |= {"weights_sha256": file_sha256(str(path))}
         text = json.dumps(result)
         (tmp_path / f"{split}.json").write_text(text)
     return tmp_path, path
@@ -44,13 +51,19 @@ def test_arrays_stay_and_scores_come_with_them(finished, tiny, tiny_variables):
     assert about["notes"] == ["a trial"]
 
 
-def test_scores_of_other_weights_are_refused(finished, capsys):
+def test_scores_of_other_weights_are_refused(finished, tiny, tiny_variables, capsys):
     folder, path = finished
-    result = json.loads((folder / "test.json").read_text()) | {"weights": "small"}
-    (folder / "test.json").write_text(json.dumps(result))
-    assert run(f"--weights={path}", "--name=new", f"--scores={folder}/test.json") == 2
-    assert f"scores of small, not of {path}" in capsys.readouterr().err
+    before = path.read_bytes()
+    save_weights(path, tiny, tiny_variables, {"seed": 4})
+    given = (f"--weights={path}", "--name=new", f"--scores={folder}/test.json")
+    assert run(*given) == 2
+    fault = f"scores of {path}, not of {path} as it is"
+    assert fault in capsys.readouterr().err
     assert not (folder / "new.safetensors").exists()
+    # Wherever the same file lies.
+    moved = folder / "moved.safetensors"
+    moved.write_bytes(before)
+    assert run(f"--weights={moved}", *given[1:]) == 0
 
 
 def test_a_setting_may_change(finished, tiny):

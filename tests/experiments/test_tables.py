@@ -10,7 +10,7 @@ from experiments import ablate, adaptation, compare
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.models.variables import pop_encoders
-from prism_jax.weights import load_pretrained, read_metadata, samples_seen
+from prism_jax.weights import load_pretrained, read_metadata, samples_seen, save_weights
 from tests import launching
 
 
@@ -103,6 +103,22 @@ def test_table_three_asks_for_a_label(tmp_path, capsys):
     assert "write LABEL=NAME|FILE" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("module", [ablate, adaptation, compare])
+def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
+    module, tmp_path, capsys, monkeypatch, tiny, tiny_variables
+):
+    path = tmp_path / "tiny.safetensors"
+    save_weights(path, tiny, tiny_variables, {})
+    monkeypatch.setattr(module, "scored", None)
+    flag = f"--weights={'all=' if module is ablate else ''}{path}"
+    place = ("--dataset=shapes", f"--data_dir={tmp_path}")
+    assert launching.run(module, flag, *place) == 2
+    told = capsys.readouterr().err
+    small, sizes = "512 points to 2048, margin 1.4", told.partition("is made for ")[2]
+    assert small in sizes and "64 points to 64, margin 1.4" in sizes
+    assert [*tmp_path.iterdir()] == [path]
+
+
 def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
     def make_adapt(config):
         def adapt(variables, partial, camera):
@@ -132,4 +148,8 @@ def test_equal_weights_are_those_before_learning():
     moved = {**variables, "weighting": {**variables["weighting"], "logits": logits}}
     found = adaptation.equally_weighted(moved)
     assert not found["weighting"]["logits"].any()
+    logits = jnp.array([-jnp.inf, 2.0, 3.0])
+    moved["weighting"] = {**moved["weighting"], "logits": logits}
+    alone = adaptation.equally_weighted(moved)["weighting"]["logits"]
+    assert alone.tolist() == [-np.inf, 0, 0]
     assert found["params"] is variables["params"]

@@ -1,12 +1,17 @@
 """The plan from nothing to weights: its order, and how it goes on. The commands are
 fakes; those of `tiny` were run by hand, as they take minutes."""
 
+import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from experiments import train_release
+from prism_jax.data import builds
+from prism_jax.data.datasets import open_dataset
+from prism_jax.weights import file_sha256
 from tests import launching
 
 
@@ -32,20 +37,42 @@ class Commands:
     def _write(self, module, place, arguments):
         folder = train_release.pathlib.Path(place)
         if module == "experiments.evaluate":
-            folder.write_text("{}")
+            scored = {"weights_sha256": file_sha256(arguments["--weights"])}
+            folder.write_text(json.dumps(scored))
         elif module == "experiments.release":
             (folder / f"{arguments['--name']}.safetensors").write_text("")
         else:
             folder.mkdir(exist_ok=True)
             (folder / "config.json").write_text("{}")
-            (folder / "weights.safetensors").write_text("")
+            (folder / "weights.safetensors").write_text(f"{len(self.run)}")
 
 
 @pytest.fixture
-def commands(monkeypatch):
+def opened():
+    """What is scored on, as it was built and opened before the first command."""
+    return []
+
+
+@pytest.fixture
+def commands(monkeypatch, opened):
     fake = Commands()
-    monkeypatch.setattr(train_release.subprocess, "run", fake)
+
+    def note(*place):
+        opened.append(place)
+
+    monkeypatch.setattr(train_release, "subprocess", SimpleNamespace(run=fake))
+    monkeypatch.setattr(train_release, "build_if_missing", note)
+    monkeypatch.setattr(train_release, "open_dataset", note)
     return fake
+
+
+MODULES = ["pretrain", *["meta_train"] * 2, *[*["evaluate"] * 3, "release"] * 2]
+"""Of a plan for shapes without further branches."""
+
+
+def modules(commands, start=0) -> list[str]:
+    """Of the commands that were run, the first `start` left out."""
+    return [name.removeprefix("experiments.") for name, _ in commands.run[start:]]
 
 
 def run(*arguments) -> int:
@@ -56,11 +83,10 @@ def run(*arguments) -> int:
 def test_the_plan_in_order(commands, tmp_path):
     changes = ["--set=meta.num_samples=64", "--data_dir=/data"]
     assert run("--preset=tiny", f"--workdir={tmp_path}", "--seed=4", *changes) == 0
-    modules = [module.removeprefix("experiments.") for module, _ in commands.run]
-    scored = ["evaluate"] * 3 + ["release"]
-    assert modules == ["pretrain", "meta_train", "meta_train", *scored, *scored]
-    for module, arguments in commands.run:
-        assert "release" in module or "--data_dir=/data" in arguments
+    assert modules(commands) == MODULES
+    for (_, arguments), module in zip(commands.run, MODULES, strict=True):
+        launching.parse(module, *arguments)
+        assert module == "release" or "--data_dir=/data" in arguments
     pretrain, meta, control, *_ = (arguments for _, arguments in commands.run)
     for arguments in (pretrain, meta, control):
         assert {"--preset=tiny", "--seed=4", changes[0]} <= set(arguments)
@@ -77,7 +103,9 @@ def test_the_plan_in_order(commands, tmp_path):
 
 def test_it_goes_on_from_other_weights(commands, tmp_path):
     """The first training does; the others go on from the first."""
-    given = (f"--workdir={tmp_path}", "--weights=before.safetensors")
+    given = (f"--workdir={tmp_path}/run", f"--weights={tmp_path}/before.safetensors")
+    assert run("--preset=tiny", *given) == 2
+    (tmp_path / "before.safetensors").write_text("")
     assert run("--preset=tiny", *given) == 0
     pretrain, meta, control, *_ = (arguments for _, arguments in commands.run)
     assert given[1] in pretrain
@@ -95,8 +123,35 @@ def test_goes_on_where_it_failed(commands, tmp_path):
     again = commands.run[3]
     assert f"--workdir={tmp_path}/control" in again[1] and "--resume" in again[1]
     assert len(commands.run) == 3 + 9
-    assert run("--preset=tiny", f"--workdir={tmp_path}") == 0
-    assert len(commands.run) == 3 + 9
+    assert run("--preset=tiny", f"--workdir={tmp_path}", "--note=new") == 0
+    assert modules(commands, 3 + 9) == ["release", "release"]
+    assert all("--note=new" in arguments for _, arguments in commands.run[3 + 9 :])
+
+
+@pytest.mark.parametrize(
+    ("flag", "told"),
+    [
+        ("--seed=7", "seed is 0, not 7"),
+        ("--set=meta.num_samples=64", "config.preset.meta.num_samples is 128, not 64"),
+        ("--dataset=roboarm", "config.dataset is shapes, not roboarm"),
+        ("--weights=small", "config.start is None, not"),
+    ],
+)
+def test_it_goes_on_as_it_was_begun_alone(commands, tmp_path, capsys, flag, told):
+    given = ("--preset=tiny", f"--workdir={tmp_path}")
+    assert run(*given) == 0
+    assert run(*given, flag) == 2
+    assert modules(commands) == MODULES
+    assert told in capsys.readouterr().err
+
+
+def test_scores_of_weights_that_are_no_more_are_made_anew(commands, tmp_path):
+    given = ("--preset=tiny", f"--workdir={tmp_path}")
+    assert run(*given) == 0
+    (tmp_path / "meta" / "weights.safetensors").unlink()
+    assert run(*given) == 0
+    again = ["meta_train", *["evaluate"] * 3, "release", "release"]
+    assert modules(commands, len(MODULES)) == again
 
 
 def test_a_killed_command_is_told_of(commands, tmp_path, capsys):
@@ -121,10 +176,19 @@ def test_a_bounded_run_stops_and_says_so(commands, tmp_path, capsys):
     assert "goes on, with more --max_steps or none" in capsys.readouterr().out
 
 
-def test_a_mistake_shows_before_anything_runs(commands, tmp_path, capsys):
-    assert run("--preset=tiny", f"--workdir={tmp_path}", "--set=no.field=1") == 2
-    assert not commands.run
-    assert "no field 'no'" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ("no.field=1", "no field 'no'"),
+        ("meta.num_samples=4", "meta: 4 samples do not fill a batch of 8"),
+    ],
+)
+def test_a_mistake_shows_before_anything_runs(
+    commands, tmp_path, capsys, change, fault
+):
+    assert run("--preset=tiny", f"--workdir={tmp_path}/run", f"--set={change}") == 2
+    assert not commands.run and not [*tmp_path.iterdir()]
+    assert fault in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -136,8 +200,9 @@ def test_a_mistake_shows_before_anything_runs(commands, tmp_path, capsys):
     ],
 )
 def test_so_does_a_set_that_could_not_be_scored(
-    commands, tmp_path, capsys, flags, fault
+    commands, tmp_path, capsys, monkeypatch, flags, fault
 ):
+    monkeypatch.setattr(train_release, "open_dataset", open_dataset)
     given = ["--preset=tiny", f"--workdir={tmp_path}", f"--data_dir={tmp_path}"]
     assert run(*given, *flags) == 2
     assert not commands.run
@@ -146,17 +211,39 @@ def test_so_does_a_set_that_could_not_be_scored(
 
 def test_what_was_trained_on_a_mixture_is_scored_on_its_parts(commands, tmp_path):
     parts = ["--scored=shapes", "--scored=roboarm"]
-    mixture = ["--dataset=packed", "--data_dir=mixture", *parts]
-    assert run("--preset=tiny", f"--workdir={tmp_path}", *mixture) == 0
+    folder = tmp_path / "mixture" / "train"
+    folder.mkdir(parents=True)
+    sources = {"sources": {"shapes": 1, "roboarm": 1}, "files": {}}
+    builds.write_manifest(folder, sources)
+    mixture = ["--dataset=packed", f"--data_dir={folder.parent}", *parts]
+    assert run("--preset=tiny", f"--workdir={tmp_path}/run", *mixture) == 0
     for _, arguments in commands.run[:3]:
         assert "--dataset=packed" in arguments and not set(parts) & set(arguments)
     found = [set(args) for m, args in commands.run if "evaluate" in m]
     assert len(found) == 2 * 5
     for arguments in found:
-        assert "--data_dir=mixture" in arguments
+        assert f"--data_dir={folder.parent}" in arguments
         assert ("--dataset=shapes" in arguments) != ("--dataset=roboarm" in arguments)
     scores = [a for _, args in commands.run for a in args if a.startswith("--scores")]
     assert len(set(scores)) == 2 * 5
+
+
+def test_nothing_is_built_among_the_users_own_data(commands, opened, tmp_path):
+    given = ["--dataset=recordings", "--data_dir=cells", "--scored=roboarm"]
+    assert run("--preset=tiny", f"--workdir={tmp_path}/a", *given) == 0
+    splits = ("validation", "test")
+    places = [("roboarm", split, None) for split in splits for _ in "ab"]
+    assert opened == places
+    for module, arguments in commands.run:
+        is_training = module.endswith("train")
+        assert ("--data_dir=cells" in arguments) == is_training
+    opened.clear()
+    assert (
+        run("--preset=tiny", f"--workdir={tmp_path}/b", *given, "--scored_dir=x") == 0
+    )
+    assert opened == [(name, split, "x") for name, split, _ in places]
+    scored = [args for name, args in commands.run[-6:] if name.endswith("evaluate")]
+    assert scored and all("--data_dir=x" in arguments for arguments in scored)
 
 
 def test_branches_alone(commands, tmp_path):

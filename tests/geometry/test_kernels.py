@@ -99,8 +99,14 @@ def test_vmap_is_a_loop():
         np.testing.assert_array_equal(mapped[i], search(queries[i], supports[i] + 0.1))
 
 
+@pytest.mark.parametrize("is_x64", [False, True])
 @pytest.mark.parametrize("name", ["nearest", "knn", "farthest"])
-def test_translates_to_triton(name):
+def test_translates_to_triton(name, is_x64):
+    with jax.enable_x64(is_x64):
+        translate(name)
+
+
+def translate(name):
     functions = {
         "nearest": kernels.nearest_indices,
         "knn": functools.partial(kernels.knn_indices, k=16),

@@ -211,3 +211,17 @@ def test_vmap():
         assert np.array_equal(indices[i], jit_nearest(*pair)[1])
         assert np.array_equal(neighbors[i], jit_knn(*pair, 4))
         assert np.allclose(features[i], jit_interpolate(*pair, supports[i]), atol=1e-6)
+
+
+def test_an_empty_support_is_refused():
+    with pytest.raises(ValueError, match="at least one point to find"):
+        knn(jnp.zeros((3, 3)), jnp.zeros((0, 3)), 2)
+    with pytest.raises(ValueError, match="at least one point to find"):
+        nearest(jnp.zeros((3, 3)), jnp.zeros((0, 3)))
+
+
+@pytest.mark.parametrize(("count", "k"), [(100, 4), (1000, 4), (1000, 60)])
+def test_indices_have_32_bits_whatever_the_default(x64, count, k):
+    points = jnp.asarray(cloud(count))
+    assert jax.eval_shape(lambda p: knn(p, p, k), points).dtype == jnp.int32
+    assert jax.eval_shape(nearest, points, points)[1].dtype == jnp.int32

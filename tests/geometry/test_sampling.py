@@ -131,3 +131,9 @@ def test_vmap():
     found = jax.jit(jax.vmap(lambda p: farthest_point_sample(p, 20)))(clouds)
     for i in range(2):
         assert np.array_equal(found[i], looped_sample(clouds[i], 20))
+
+
+def test_an_empty_cloud_is_refused():
+    for sampled in (farthest_point_sample, resample):
+        with pytest.raises(ValueError, match="empty cloud"):
+            sampled(jnp.zeros((0, 3)), 4)

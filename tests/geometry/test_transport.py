@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
+from ott.geometry import geometry
+from ott.solvers import linear
 from scipy.optimize import linear_sum_assignment
 
 from prism_jax.geometry import sinkhorn
@@ -25,15 +27,12 @@ def weights(count: int) -> jax.Array:
 
 def test_agrees_with_ott_with_its_gradient(x64):
     # Its gradient is by implicit differentiation, ours by unrolling.
-    ott_geometry = pytest.importorskip("ott.geometry.geometry")
-    from ott.solvers import linear
-
     cost, a, b = squared_costs(), weights(8), weights(11)
     epsilon = 0.1 * float(cost.mean())
 
     def ott_cost_and_plan(cost):
-        geometry = ott_geometry.Geometry(cost_matrix=cost, epsilon=epsilon)
-        out = linear.solve(geometry, a=a, b=b, threshold=1e-10, max_iterations=5000)
+        problem = geometry.Geometry(cost_matrix=cost, epsilon=epsilon)
+        out = linear.solve(problem, a=a, b=b, threshold=1e-10, max_iterations=5000)
         return jnp.sum(out.matrix * cost), out.matrix
 
     def our_cost_and_plan(cost):
@@ -82,6 +81,13 @@ def test_large_epsilon_is_independence():
     a, b = weights(8).astype(jnp.float32), weights(11).astype(jnp.float32)
     plan, _ = transport(cost, 1e6, 10, a, b)
     assert np.allclose(plan, a[:, None] * b[None, :], rtol=1e-4)
+
+
+def test_marginals_of_another_precision_are_the_costs(x64):
+    cost, a = squared_costs(3, 4), np.full(3, 1 / 3, np.float32)
+    plan, _ = transport(cost, 0.1, 100, a)
+    assert plan.dtype == cost.dtype == jnp.float64
+    np.testing.assert_allclose(plan.sum(axis=1), a, rtol=1e-4)
 
 
 def test_gradients(x64):

@@ -120,3 +120,16 @@ def test_damaged_archive(tmp_path):
 def test_objects_beside_the_cloud_stay_pickled(tmp_path):
     np.savez(tmp_path / "a.npz", xyz=POINTS, meta=np.array([Bomb()], dtype=object))
     np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)
+
+
+def test_a_member_that_is_not_named_npy(tmp_path):
+    buffer = io.BytesIO()
+    np.save(buffer, POINTS)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("xyz", buffer.getvalue())
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)
+    data = bytearray((tmp_path / "a.npz").read_bytes())
+    data[60:90] = bytes(30)
+    (tmp_path / "a.npz").write_bytes(data)
+    with pytest.raises(InputError, match="not a sound NPZ cloud"):
+        read_npz(tmp_path / "a.npz")

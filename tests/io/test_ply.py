@@ -4,6 +4,7 @@ import io
 import struct
 
 import numpy as np
+import plyfile
 import pytest
 import trimesh
 
@@ -31,7 +32,6 @@ def test_reads_what_trimesh_writes(tmp_path, encoding):
 
 @pytest.mark.parametrize(("text", "order"), [(True, "="), (False, "<"), (False, ">")])
 def test_reads_what_plyfile_writes_with_a_range_grid(tmp_path, text, order):
-    plyfile = pytest.importorskip("plyfile")
     grid = np.empty(4, dtype=[("vertex_indices", object)])
     grid["vertex_indices"] = [np.arange(n, dtype=np.int32) for n in (0, 1, 3, 0)]
     grid = plyfile.PlyElement.describe(grid, "range_grid")

@@ -6,6 +6,7 @@ import pathlib
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 import prism_jax
 from prism_jax.io import InputError, parse_bounds, read_points, read_scan
@@ -51,7 +52,7 @@ def test_crop_keeps_the_faces_of_the_box(cloud):
     ("box", "fault"),
     [
         ("5,5,5,6,6,6", "no point inside --workspace; its points span -0.9"),
-        ("-1,-1,-1,-0.5,0,0", "distinct points, fewer than 64; .*widen --workspace"),
+        ("-1,-1,-1,-0.5,0,0", "distinct points, fewer than 64; .*--workspace"),
     ],
 )
 def test_crop_that_leaves_too_little(cloud, box, fault):
@@ -96,6 +97,15 @@ def test_depth_image_with_its_camera_beside(depth_image):
     assert scan.camera is not None
     assert (scan.num_not_finite, scan.num_outside) == (0, 0)
     assert scan.in_camera_frame
+
+
+@pytest.mark.parametrize(("degrees", "is_camera"), [(0.2, True), (30.0, False)])
+def test_a_camera_hardly_turned_keeps_its_own_axes(depth_image, degrees, is_camera):
+    """As the colour camera beside a depth camera is, and a mounted one is not."""
+    rotation = Rotation.from_euler("zyx", [0, 0, degrees], degrees=True).as_matrix()
+    turned = {**CAMERA, "depth_scale": 1e-3, "rotation": rotation.tolist()}
+    depth_image.with_suffix(".json").write_text(json.dumps(turned))
+    assert read_scan(depth_image).in_camera_frame == is_camera
 
 
 def test_depth_image_whose_camera_is_turned_is_in_the_world_frame():

@@ -21,6 +21,8 @@ TABLES = {
     "comment that names the columns": "# today\n# t, x, y, z\n9,1,2,3\n9,4.5,-5e-3,6",
     "CloudCompare": "//Z Y X I\n3 2 1 0\n6 -5e-3 4.5 0\n",
     "comment of as many words": "# by somebody of today\n1 2 3 4\n4.5 -5e-3 6 4\n",
+    "tabs, with blanks in names": "Point ID\tX\tY\tZ\n9\t1\t2\t3\n9\t4.5\t-5e-3\t6\n",
+    "tabs, with an empty cell": "i\tlabel\tx\ty\tz\n9\t\t1\t2\t3\n9\ta\t4.5\t-5e-3\t6",
     "Windows": "\ufeffx y z\r\n1 2 3\r\n4.5 -5e-3 6\r\n",
 }
 
@@ -54,13 +56,16 @@ def test_keeps_points_that_are_not_finite(tmp_path):
             b"row,col,x1,y1,z1\n0,0,1,2,3\n",
             "row, col, x1, y1, z1 are not named x, y and",
         ),
-        (b"1 2 3\n1 2\n", "row 2"),
+        (b"Scan Pos X Y Z\n1 0.1 0.2 0.3\n", "it names 5 columns and has 4"),
+        (b"x,y,z\n1,5,2,5,3,5\n", "it names 3 columns and has 6"),
+        (b"1 2 3\n1 2\n", "have 2 to 3 columns"),
+        (b"id x y z\n1 2 3 4\n1 2 3 4 5\n", "have 4 to 5 columns"),
         (b"1 2\n3 4\n", "column"),
         (b"1,2,3\n1,,3\n", "row 1"),
         (b"1 2 3\na b c\n", "'a'"),
         (b"1 2 3\n1 2 0x10\n", "0x10"),
         ("1 2 3\n".encode("utf-16"), "utf-8"),
-        (b"1,2,3\n1;2;3\n", "row"),
+        (b"1,2,3\n1;2;3\n", "have 1 to 3 columns"),
     ],
 )
 def test_malformed_table_is_one_line(tmp_path, data, fault):

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
+from ott.geometry import geometry
+from ott.solvers import linear
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
@@ -48,8 +50,6 @@ def test_manifold_matching_does_not_see_the_order_and_sees_each_moment():
 
 
 def test_transport_agrees_with_ott():
-    geometry = pytest.importorskip("ott.geometry.geometry")
-    linear = pytest.importorskip("ott.solvers.linear")
     a, b = tokens(12), tokens(17) + 0.5
     cost = cdist(a, b, "sqeuclidean").astype(np.float32)
     problem = geometry.Geometry(cost, epsilon=0.05 * float(cost.mean()))

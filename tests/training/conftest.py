@@ -10,7 +10,6 @@ class Boxes:
     """Surfaces of boxes, and the half of each that a sensor sees, in memory."""
 
     categories = ("even", "odd")
-    views = 1
 
     def __init__(self, count, seed):
         rng = np.random.default_rng(seed)
@@ -25,6 +24,7 @@ class Boxes:
         self._complete = (surface * sizes).astype(np.float32)
         self._partial = (seen * sizes).astype(np.float32)
         self._eyes = eyes[:, 0].astype(np.float32)
+        self.objects = np.arange(count)
 
     def __len__(self):
         return len(self._eyes)

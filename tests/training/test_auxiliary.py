@@ -126,7 +126,7 @@ def test_its_state_goes_through_a_checkpoint(leg, batch, tmp_path):
     state, _ = steps(leg, batch, 2)
     checkpoints = Checkpoints(tmp_path)
     checkpoints.save(2, state, None)
-    restored, _ = checkpoints.restore_latest(leg.start)
+    restored = checkpoints.restore_latest(leg.start)
     checkpoints.close()
     assert bitwise(restored, state)
     restored = jax.device_put(jax.device_get(restored))

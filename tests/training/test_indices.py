@@ -83,7 +83,7 @@ def test_a_table_that_is_too_large_is_not_made(table, examples, config, monkeypa
 
 def test_nor_one_of_partials_that_are_cropped_anew_every_time(examples, config):
     class Complete:
-        categories, views = examples.categories, 1
+        categories, objects = examples.categories, examples.objects
 
         def __len__(self):
             return len(examples)

@@ -10,8 +10,15 @@ import pytest
 
 from prism_jax.data.pipeline import training_batches
 from prism_jax.io.errors import InputError
+from prism_jax.training import leg as training_leg
 from prism_jax.training.checkpoints import Checkpoints
-from prism_jax.training.leg import VALIDATION_COMPLETE, Data, Leg, TrainState
+from prism_jax.training.leg import (
+    VALIDATION_COMPLETE,
+    Data,
+    Leg,
+    TrainState,
+    order_seed,
+)
 from prism_jax.training.leg import train_leg as train
 from prism_jax.training.run import Log
 from tests.trees import bitwise
@@ -77,7 +84,7 @@ def lines(folder):
 
 def latest(leg, folder):
     checkpoints = Checkpoints(folder / leg.name)
-    state, _ = checkpoints.restore_latest(leg.start)
+    state = checkpoints.restore_latest(leg.start)
     checkpoints.close()
     return state
 
@@ -141,25 +148,29 @@ def test_one_step_is_queued_and_no_more(regression, data, tmp_path, monkeypatch)
     assert not all(ready[-1] for ready in done)
 
 
+@pytest.mark.parametrize(("seconds", "kept"), [(120.0, 4), (-1.0, 6)])
 def test_killed_between_checkpoints_it_repeats_what_was_lost(
-    regression, data, tmp_path
+    regression, data, tmp_path, monkeypatch, seconds, kept
 ):
-    """Steps and batches alike, bit for bit."""
+    """Steps and batches alike, bit for bit; the last save is that of the validation, or
+    that of the next log line when it is due."""
     unbroken, seen = [], []
+    monkeypatch.setattr(training_leg, "LOG_EVERY", 3)
     expected, *_ = train(recording(regression, unbroken), data, tmp_path / "unbroken")
     remembering = recording(regression, seen)
 
     def dying(state, batch):
-        if len(seen) == 6:
+        if len(seen) == 7:
             raise KeyboardInterrupt
         return remembering.step_fn(state, batch)
 
+    monkeypatch.setattr(training_leg, "SAVE_SECONDS", seconds)
     with pytest.raises(KeyboardInterrupt):
         train(regression._replace(step_fn=dying), data, tmp_path / "killed")
-    assert int(latest(regression, tmp_path / "killed").step) == 4
+    assert int(latest(regression, tmp_path / "killed").step) == kept
     variables, _, done = train(remembering, data, tmp_path / "killed")
     assert done
-    assert [step for step, _ in seen] == [*range(6), *range(4, STEPS)]
+    assert [step for step, _ in seen] == [*range(7), *range(kept, STEPS)]
     for step, batch in seen:
         assert bitwise(batch, unbroken[step][1])
     assert bitwise(variables, expected)
@@ -169,9 +180,11 @@ def test_the_batches_are_those_of_the_pipeline(data, tmp_path):
     """From the first on, over more than one epoch, and with what is known of each."""
     data = data._replace(indices=np.arange(20, dtype=np.uint16))
     seen = []
-    train(recording(counting(np.ones(STEPS + 1)), seen), data, tmp_path)
+    leg = counting(np.ones(STEPS + 1))
+    train(recording(leg, seen), data, tmp_path)
+    seed = order_seed(data.seed, leg.name)
     batches = training_batches(
-        data.train, data.framing(128), BATCH, data.seed, indices=data.indices
+        data.train, data.framing(128), BATCH, seed, indices=data.indices
     )
     assert len(seen) == STEPS
     for _, batch in seen:
@@ -180,6 +193,11 @@ def test_the_batches_are_those_of_the_pipeline(data, tmp_path):
         assert batch.complete.shape == (BATCH, 128, 3)
     first_epoch = np.concatenate([batch.indices for _, batch in seen[:5]])
     assert np.array_equal(np.sort(first_epoch), np.arange(20))
+
+
+def test_legs_are_told_apart_by_seed_and_name():
+    seeds = [order_seed(seed, name) for name in ("seeds", "meta") for seed in (0, 1)]
+    assert len(set(seeds)) == 4 and min(seeds) >= 0 and max(seeds) < 2**31
 
 
 def test_every_step_has_the_state_of_one_compilation(regression, data, tmp_path):

@@ -12,12 +12,13 @@ from prism_jax.adaptation.config import AdaptConfig, MetaConfig
 from prism_jax.adaptation.meta import MetaTerms
 from prism_jax.adaptation.objective import Losses
 from prism_jax.data.pipeline import Framing
+from prism_jax.io.errors import InputError
 from prism_jax.losses.weighting import loss_weights
 from prism_jax.models.variables import ENCODERS
 from prism_jax.presets import PRESETS
 from prism_jax.training import meta, parallel
 from prism_jax.training.config import MetaTrainConfig
-from prism_jax.training.meta import SCORES, TERMS, meta_leg
+from prism_jax.training.meta import SCORES, TERMS, check_meta, meta_leg
 from tests import fake_meta
 from tests.trees import bitwise
 
@@ -445,3 +446,18 @@ def test_validation_scores(leg_of, batch, variables):
         area = batch.scale[i] ** 2
         expected = [area * chamfer(partial), above[i], area * chamfer(after)]
         np.testing.assert_allclose(scores[i], expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"branches": ()}, "no branch counts"),
+        ({"first_order": True, "weight_rule": "meta"}, "teach nothing to weight_rule"),
+        ({"first_order": True, "learn_auxiliary": True}, "teach nothing to learn_aux"),
+    ],
+)
+def test_settings_under_which_nothing_is_learned_are_refused(changes, fault):
+    config = MetaTrainConfig(dataclasses.replace(MetaConfig(), **changes))
+    with pytest.raises(InputError, match=fault):
+        check_meta(config)
+    check_meta(MetaTrainConfig(MetaConfig(first_order=True, learn_steps=True)))

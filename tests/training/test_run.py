@@ -42,17 +42,25 @@ def test_a_used_folder_needs_resume(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("preset", "seed"),
+    ("preset", "seed", "told"),
     [
-        (PRESET, 1),
-        (settings("small"), 0),
-        (settings("tiny", ["adapt.model.margin=1.2"]), 0),
-        (settings("tiny", ["pretrain.backbone.0.num_blocks=1"]), 0),
+        (PRESET, 1, "seed is 0, not 1"),
+        (settings("small"), 0, "and [0-9]+ more"),
+        (
+            settings("tiny", ["adapt.model.margin=1.2"]),
+            0,
+            "config.adapt.model.margin is 1.4, not 1.2",
+        ),
+        (
+            settings("tiny", ["pretrain.backbone.0.num_blocks=1"]),
+            0,
+            "config.pretrain.backbone.0.num_blocks is 0, not 1",
+        ),
     ],
 )
-def test_another_configuration_does_not_go_on(tmp_path, preset, seed):
+def test_another_configuration_does_not_go_on(tmp_path, preset, seed, told):
     open_run(str(tmp_path), PRESET, 0, resume=False)
-    with pytest.raises(InputError, match="another configuration"):
+    with pytest.raises(InputError, match=f"another configuration: .*{told}"):
         open_run(str(tmp_path), preset, seed, resume=True)
 
 

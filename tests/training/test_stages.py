@@ -106,6 +106,21 @@ def test_without_samples_what_reads_the_backbone_stays_fresh(begun, data, tmp_pa
     assert variables["params"]["stages"] == 2.0
 
 
+def test_or_as_it_is_in_the_weights_that_it_goes_on_from(begun, data, tmp_path):
+    legs = ["pretrain.auxiliary_samples=0", "pretrain.backbone.0.num_samples=0"]
+    fresh = {"params": {"encoder": 7.0}}
+    start = {"params": {"encoder": 7.0, "refiner": 9.0}, "weighting": {"logits": 1.0}}
+    start, fresh = jax.tree.map(jnp.float32, (start, fresh))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stages, "init_backbone", lambda key, config: fresh)
+        variables = stages.pretrain(
+            resolve("tiny", legs), data, tmp_path, seed=0, start=start
+        )
+    found = {"encoder": 7.0, "stages": 2.0, "refiner": 9.0}
+    assert jax.tree.map(float, variables["params"]) == found
+    assert variables["weighting"] == start["weighting"]
+
+
 def test_a_leg_that_fills_no_batch_is_refused_before_the_first(begun, data, tmp_path):
     preset = resolve("tiny", [f"pretrain.auxiliary_samples={BATCH - 1}"])
     with pytest.raises(InputError, match=f"auxiliary: {BATCH - 1} samples do not fill"):

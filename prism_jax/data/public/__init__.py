@@ -12,13 +12,12 @@ from typing import Any
 
 from prism_jax.data.public.completion3d import Completion3D
 from prism_jax.data.public.kitti import KITTI
-from prism_jax.data.public.layout import choose
 from prism_jax.data.public.meshes import Meshes
 from prism_jax.data.public.mvp import MVP
 from prism_jax.data.public.pcn import PCN
 from prism_jax.data.public.shapenet import ProjectedShapeNet, ShapeNet
 from prism_jax.data.source import Source
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 
 PUBLIC_SETS: Mapping[str, Callable[..., Source]] = {
     "shapenet55": functools.partial(ShapeNet, "ShapeNet-55"),

@@ -16,13 +16,13 @@ from prism_jax.data.public.hdf5 import read_array
 from prism_jax.data.public.layout import (
     ListedSource,
     Model,
-    choose,
     read_list,
     require_files,
     sound_cloud,
 )
 from prism_jax.data.public.synsets import SYNSETS
 from prism_jax.data.source import Example
+from prism_jax.io.errors import choose
 
 SPLITS = ("train", "val", "test")
 NUM_POINTS = 2048

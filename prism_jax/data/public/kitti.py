@@ -15,14 +15,13 @@ from jaxtyping import Float, Float64
 
 from prism_jax.data.public.layout import (
     ListedSource,
-    choose,
     read_cloud,
     read_json_list,
     require_files,
     sound_cloud,
 )
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 from prism_jax.io.text import read_text
 
 SPLITS = ("test",)

@@ -9,11 +9,11 @@ import json
 import os
 import pathlib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int
 
 from prism_jax.io.arrays import read_npy
 from prism_jax.io.errors import InputError
@@ -48,6 +48,11 @@ class ListedSource:
         self.views = views
         self.categories = tuple(sorted({model.category for model in models}))
 
+    @property
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Every object as often as it was seen."""
+        return np.repeat(np.arange(len(self.models)), self.views)
+
     def __len__(self) -> int:
         return len(self.models) * self.views
 
@@ -55,15 +60,6 @@ class ListedSource:
         """The object and the view of an item; IndexError outside the range."""
         number, view = divmod(range(len(self))[index], self.views)
         return self.models[number], view
-
-
-def choose(flag: str, value: str, choices: Iterable[str]) -> str:
-    """`value` if it is one of the choices; else raises InputError about the flag."""
-    choices = tuple(choices)
-    if value not in choices:
-        remedy = f"use {' or '.join(choices)}"
-        raise InputError(flag, f"unknown value {value!r}", remedy)
-    return value
 
 
 def read_list(

@@ -7,6 +7,7 @@ import pathlib
 
 import numpy as np
 import trimesh
+from jaxtyping import Int
 
 from prism_jax.data.partials import make_partial
 from prism_jax.data.public.layout import sound_cloud
@@ -34,8 +35,6 @@ class Meshes:
     first folder below that, "mesh" for files that lie in none.
     """
 
-    views = 1
-
     def __init__(
         self,
         root: str | os.PathLike,
@@ -53,6 +52,11 @@ class Meshes:
             for path in below
         ]
         self.categories = tuple(sorted({category for _, category in self._files}))
+
+    @property
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Each mesh is one."""
+        return np.arange(len(self))
 
     def __len__(self) -> int:
         return len(self._files)

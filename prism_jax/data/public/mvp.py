@@ -13,12 +13,12 @@ import pathlib
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int8
+from jaxtyping import Int, Int8
 
 from prism_jax.data.public.hdf5 import find_array, opened
-from prism_jax.data.public.layout import choose, require_files, sound_cloud
+from prism_jax.data.public.layout import require_files, sound_cloud
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 
 CATEGORIES = (
     "airplane",
@@ -63,7 +63,6 @@ class MVP:
     """
 
     categories = CATEGORIES
-    views = VIEWS
 
     def __init__(self, root: str | os.PathLike, split: str, num_points: int = 2048):
         root = pathlib.Path(root)
@@ -78,6 +77,11 @@ class MVP:
         layout = " and ".join(names) + (f", or {both}" if num_points == 2048 else "")
         require_files(root, {"": names}, f"the split {split!r}", layout)
         self._parts = [self._part(root, names, prefix) for prefix in prefixes]
+
+    @property
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Every model as often as it was seen."""
+        return np.arange(len(self)) // VIEWS
 
     def __len__(self) -> int:
         return sum(len(part.labels) for part in self._parts)

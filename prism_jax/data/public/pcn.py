@@ -12,12 +12,12 @@ import pathlib
 from prism_jax.data.public.layout import (
     ListedSource,
     Model,
-    choose,
     read_cloud,
     read_json_list,
     require_files,
 )
 from prism_jax.data.source import Example
+from prism_jax.io.errors import choose
 
 SPLITS = ("train", "val", "test")
 NUM_POINTS = 16384

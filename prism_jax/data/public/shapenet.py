@@ -18,14 +18,13 @@ from prism_jax.data.partials import CROP_SHARES, CROP_VIEWPOINTS, crop
 from prism_jax.data.public.layout import (
     ListedSource,
     Model,
-    choose,
     read_cloud,
     read_list,
     require_files,
 )
 from prism_jax.data.public.synsets import SYNSETS
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 
 SUBSETS = {
     "ShapeNet-55": ("train", "test"),

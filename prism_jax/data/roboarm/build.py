@@ -7,6 +7,7 @@ depth image, its partial cloud, and an Ouster's complete cloud of robot and fixt
 
 import dataclasses
 import functools
+import hashlib
 import os
 import pathlib
 import shutil
@@ -22,9 +23,10 @@ from prism_jax.data.recordings import (
     write_frame,
 )
 from prism_jax.data.roboarm.frames import RoboArmConfig, make_frame, make_sequence
-from prism_jax.data.roboarm.models import ArmModel, arms_of, urdf_path
+from prism_jax.data.roboarm.models import OWN, ArmModel, arms_of, urdf_path
+from prism_jax.data.roboarm.robots import Robot
 from prism_jax.io.atomic import make_output_dir
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 
 SPLITS = ("train", "validation", "test")
 NUM_SEQUENCES, NUM_FRAMES = 20, 10
@@ -51,6 +53,7 @@ def build_roboarm(
     and the manifest with every file's sha256 comes last. A folder that holds anything
     else raises InputError.
     """
+    choose("split", split, SPLITS)
     arms = tuple(arms_of(split) if arms is None else arms)
     for model in arms:
         urdf_path(model)
@@ -135,5 +138,22 @@ def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, 
         "num_frames": num_frames,
         "seed": seed,
         "config": dataclasses.asdict(config),
-        "arms": [dataclasses.asdict(model) for model in arms],
+        "arms": [_arm_content(model) for model in arms],
     }
+
+
+def _arm_content(model: ArmModel) -> dict[str, Any]:
+    """What tells an arm from others: the user's own also by its shape and joints."""
+    content = dataclasses.asdict(model)
+    del content["family"], content["licence"]
+    if model.family == OWN:
+        robot = Robot(model)
+        ends = robot.link_poses(np.stack([robot.lower, robot.upper]))
+        arrays = [robot.lower, robot.upper, ends]
+        for mesh in robot.meshes:
+            arrays += [mesh.vertices, mesh.faces]
+        digest = hashlib.sha256()
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        content["sha256"] = digest.hexdigest()
+    return content

@@ -10,9 +10,11 @@ import os
 import pathlib
 import re
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 
 PACKAGE = "example-robot-data"
+OWN = "own"
+"""The family of the user's arms."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,16 +154,14 @@ ARMS = {
 
 def arms_of(split: str) -> tuple[ArmModel, ...]:
     """The arms of a split; an unknown one raises InputError."""
-    if split not in ARMS:
-        raise InputError("split", f"unknown split {split!r}", f"use one of {[*ARMS]}")
-    return ARMS[split]
+    return ARMS[choose("split", split, ARMS)]
 
 
 def own_arm(path: str | os.PathLike) -> ArmModel:
     """An arm of the user's, the whole robot of a URDF file, named after the file."""
     path = pathlib.Path(path).absolute()
     name = re.sub(r"[^\w-]", "_", path.stem)
-    return ArmModel(name, "own", str(path))
+    return ArmModel(name, OWN, str(path))
 
 
 def urdf_path(model: ArmModel) -> pathlib.Path:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from prism_jax.data.roboarm.robots import Robot
+from prism_jax.io.errors import InputError
 
 FLOOR_GAP = 0.015
 """Metres above the plane it stands on that an arm keeps its moving parts."""
@@ -107,7 +108,9 @@ def _random_free_pose(
         free = clearance.is_free(drawn)
         if free.any():
             return drawn[np.argmax(free)]
-    raise ValueError(f"{robot.name}: none of {_MAX_DRAWS} random poses is free")
+    fault = f"touches itself or the ground in each of {_MAX_DRAWS} random poses"
+    remedy = "name the arm alone, without what carries it, and check its joints' limits"
+    raise InputError(robot.name, fault, remedy)
 
 
 def _reachable(

@@ -66,7 +66,7 @@ def test_missing_views_and_models_are_refused(root):
 def test_a_missing_list_and_an_unknown_split_are_refused(root):
     with pytest.raises(InputError, match=r"ShapeNet.json: no such file"):
         PCN(root, "train", list_file="ShapeNet.json")
-    with pytest.raises(InputError, match="use train or val or test"):
+    with pytest.raises(InputError, match="use one of train, val, test"):
         PCN(root, "valid")
 
 

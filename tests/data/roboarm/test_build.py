@@ -1,6 +1,7 @@
 import hashlib
 import json
 import pathlib
+import shutil
 
 import pytest
 
@@ -106,7 +107,7 @@ def test_senseless_sizes_and_missing_robots_are_refused_first(small, tmp_path, m
     gone = ArmModel("gone", "test", str(tmp_path / "gone.urdf"))
     with pytest.raises(InputError, match="no such file"):
         build_roboarm("test", tmp_path / "b", config=small, arms=(gone,))
-    with pytest.raises(InputError, match="unknown split"):
+    with pytest.raises(InputError, match="unknown value"):
         build_roboarm("dev", tmp_path / "c")
     assert not list(tmp_path.iterdir())
 
@@ -129,3 +130,47 @@ def test_ones_own_robot_stands_in_the_cells(model, small, tmp_path):
         "test", tmp_path / "cells", 1, 1, 5, 0, False, small, [own_arm(file)]
     )
     assert RecordedCells(folder).frames == (("000-my_robot", "000000"),)
+
+
+def test_own_arms_are_told_by_their_shape_and_joints(make, urdf, small, tmp_path):
+    """A file of the same name, changed after the build was begun."""
+    path = tmp_path / urdf.name
+    folder = tmp_path / "built"
+
+    def begin():
+        arms = (own_arm(path),)
+        build_roboarm("test", folder, 1, 1, 0, 0, False, small, arms)
+
+    path.write_text(urdf.read_text())
+    begin()
+    begin()
+    for old, new in (('size="0.16', 'size="0.18'), ('upper="2"', 'upper="1.9"')):
+        path.write_text(urdf.read_text().replace(old, new))
+        with pytest.raises(InputError, match=r"other settings \(arms\)"):
+            begin()
+
+
+def test_a_frame_that_lost_a_file_is_not_taken_for_whole(make, built, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(built, folder)
+    lost = next(folder.rglob("*.complete.ply"))
+    lost.unlink()
+    with pytest.raises(InputError, match=r"complete\.ply: is missing from what was"):
+        make(folder)
+    with pytest.raises(InputError, match="is missing and in the manifest"):
+        RecordedCells(folder)
+
+
+def test_the_bundled_frames_are_of_todays_generator(tmp_path, monkeypatch):
+    asked = []
+
+    def note(folder, content, *more):
+        asked.append(content)
+        return folder
+
+    monkeypatch.setattr(build.builds, "build", note)
+    build_roboarm("test", tmp_path)
+    content = json.loads(json.dumps(asked[0]))
+    manifest = json.loads((RecordedCells.bundled().root / MANIFEST).read_text())
+    del manifest["files"]
+    assert manifest == content | {"num_frames": 1}

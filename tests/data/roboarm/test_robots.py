@@ -137,7 +137,7 @@ def test_a_root_or_file_that_is_not_there_is_named(tmp_path):
         Robot(variant(tmp_path, root="hand"))
     with pytest.raises(InputError, match="no such file"):
         urdf_path(ArmModel("a", "test", str(tmp_path / "none.urdf")))
-    with pytest.raises(InputError, match="unknown split"):
+    with pytest.raises(InputError, match="unknown value"):
         arms_of("dev")
 
 

@@ -114,7 +114,7 @@ def test_any_leading_axes(mirrored_fn, quick_jit):
 class Single:
     """A source of one example."""
 
-    categories, views = ("thing",), 1
+    categories, objects = ("thing",), np.zeros(1, int)
 
     def __init__(self, complete, partial):
         self.example = Example(complete, partial, None, "thing", "the one")
@@ -130,11 +130,12 @@ class Shapes:
     """Boxes of eight corners, each somewhere else and of another size; their partials
     are two opposite corners. With `mark`, box i is i + 2 times as high as that."""
 
-    categories, views = ("thing",), 1
+    categories = ("thing",)
     corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), -1).reshape(-1, 3)
 
     def __init__(self, count, mark=False):
         self.count, self.mark = count, mark
+        self.objects = np.arange(count)
 
     def __len__(self):
         return self.count
