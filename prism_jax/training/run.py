@@ -82,7 +82,8 @@ def started_from(folder: pathlib.Path) -> str | None:
 
 def commit() -> str | None:
     """The commit of the working copy that this package runs from, with ``-dirty`` if
-    its files are not the commit's; None if it runs from none."""
+    its files are not the commit's, but for docs, where results are written; None if it
+    runs from none."""
 
     def git(*arguments: str) -> str:
         return subprocess.run(
@@ -96,7 +97,8 @@ def commit() -> str | None:
     try:
         # An installed package may lie in a working copy of something else.
         git("ls-files", "--error-unmatch", "__init__.py")
-        changed = git("status", "--porcelain", "--untracked-files=no")
+        others = ("--", ":(top)", ":(top,exclude)docs")
+        changed = git("status", "--porcelain", "--untracked-files=no", *others)
         return git("rev-parse", "HEAD") + ("-dirty" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return None

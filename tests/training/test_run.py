@@ -96,8 +96,13 @@ def working_copy(tmp_path, monkeypatch):
 
 def test_the_commit_of_a_working_copy_and_whether_it_is_changed(working_copy):
     folder, git = working_copy
+    table = folder / "docs" / "table.md"
+    table.parent.mkdir()
+    table.write_text("of before")
     git("add", ".")
     git("commit", "-m", "all")
+    assert commit() == git("rev-parse", "HEAD")
+    table.write_text("a result, which says of what commit it is")
     assert commit() == git("rev-parse", "HEAD")
     (folder / "notes").write_text("not of the repository")
     assert commit() == git("rev-parse", "HEAD")
