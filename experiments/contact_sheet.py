@@ -9,11 +9,11 @@ import io
 from absl import flags
 
 from experiments.launch import launch, prepare_output
-from prism_jax.data.contact_sheet import contact_sheet, shape_row
-from prism_jax.data.roboarm.build import NUM_SEQUENCES, SPLITS
-from prism_jax.data.roboarm.pictures import cell_row
-from prism_jax.data.shapes import CATEGORIES
 from prism_jax.io.atomic import write_bytes
+from prism_jax.simulation.contact_sheet import contact_sheet, shape_row
+from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
+from prism_jax.simulation.roboarm.pictures import cell_row
+from prism_jax.simulation.shapes import CATEGORIES
 
 FLAGS = flags.FLAGS
 

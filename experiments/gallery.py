@@ -16,11 +16,11 @@ from experiments.scoring import (
     make_protocol,
     open_split,
 )
-from prism_jax.data.contact_sheet import contact_sheet
 from prism_jax.evaluation import prism_completer
-from prism_jax.evaluation.frames import UNITS
 from prism_jax.evaluation.gallery import gallery_page, picture_row, show
+from prism_jax.evaluation.protocol import UNITS
 from prism_jax.io.atomic import write_bytes
+from prism_jax.simulation.contact_sheet import contact_sheet
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS

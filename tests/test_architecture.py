@@ -26,7 +26,7 @@ LAYERS = (
     "prism_jax.models",
     "prism_jax.losses",
     "prism_jax.metrics",
-    "prism_jax.data",
+    "prism_jax.simulation prism_jax.data",
     "prism_jax.io",
     "prism_jax.geometry",
 )
@@ -35,7 +35,12 @@ LAYERS = (
 ONLY = {
     "prism_jax.geometry": {"prism_jax.geometry"},
     "prism_jax.io": {"prism_jax.io", "prism_jax.geometry"},
-    "prism_jax.data": {"prism_jax.data", "prism_jax.io", "prism_jax.geometry"},
+    "prism_jax.data": {
+        "prism_jax.data",
+        "prism_jax.simulation",
+        "prism_jax.io",
+        "prism_jax.geometry",
+    },
     "prism_jax.metrics": {"prism_jax.metrics"},
     "prism_jax.losses": {"prism_jax.losses", "prism_jax.geometry"},
     "prism_jax.adaptation": {

@@ -5,10 +5,10 @@ import pathlib
 import pytest
 
 from prism_jax.data.datasets import parts_of
-from prism_jax.data.roboarm.models import arms_of
 from prism_jax.evaluation import markdown
 from prism_jax.io import InputError
 from prism_jax.model_card import model_card
+from prism_jax.simulation.roboarm.models import arms_of
 from prism_jax.weights import available_weights, read_metadata, save_weights
 
 README = pathlib.Path(__file__).resolve().parents[1] / "README.md"

@@ -14,7 +14,7 @@ from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Source
 from prism_jax.evaluation import CompleteFn, Protocol, evaluate, prism_completer
-from prism_jax.evaluation.frames import given, into_scored
+from prism_jax.evaluation.protocol import given, into_scored
 from prism_jax.evaluation.scoring import EMD_POINTS
 from prism_jax.weights import load_pretrained
 

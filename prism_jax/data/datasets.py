@@ -11,11 +11,11 @@ from prism_jax.data.corpus import Corpus, CorpusConfig, build_corpus, split_dir
 from prism_jax.data.packed import Packed
 from prism_jax.data.public import PUBLIC_SETS, open_public
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.data.roboarm import build as roboarm
-from prism_jax.data.roboarm.models import arms_of
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
+from prism_jax.simulation.roboarm import build as roboarm
+from prism_jax.simulation.roboarm.models import arms_of
 
 GENERATED = ("shapes", "roboarm")
 """Built on the machine; their folder is the user's cache folder unless named."""

@@ -9,8 +9,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Float64
 
-from prism_jax.data.raycast import Scene
-from prism_jax.data.sensors import (
+from prism_jax.io.depth import points_from_depth
+from prism_jax.simulation.raycast import Scene
+from prism_jax.simulation.sensors import (
     L515Config,
     OusterConfig,
     camera_axes,
@@ -19,7 +20,6 @@ from prism_jax.data.sensors import (
     l515_depth,
     ouster_scan,
 )
-from prism_jax.io.depth import points_from_depth
 
 PARTIALS = ("self_occlusion", "crop", "l515", "ouster", "sparse")
 """Kinds of partial clouds that `make_partial` knows."""

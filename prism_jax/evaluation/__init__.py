@@ -1,8 +1,8 @@
 """Scores of anything that completes clouds, on any data set."""
 
 from prism_jax.evaluation.comparison import Row, comparison
-from prism_jax.evaluation.frames import NORMALISATIONS, Protocol
 from prism_jax.evaluation.gradients import agreement
+from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
 from prism_jax.evaluation.published import (
     PUBLISHED,
     published_columns,

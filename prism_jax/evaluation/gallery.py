@@ -12,10 +12,9 @@ from scipy.spatial import KDTree
 
 from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
-from prism_jax.data.contact_sheet import Color, Row, draw_clouds
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
-from prism_jax.evaluation.frames import Protocol, given, into_scored
+from prism_jax.evaluation.protocol import Protocol, given, into_scored
 from prism_jax.evaluation.run import CompleteFn
 from prism_jax.figures import (
     COMPLETED_COLOR,
@@ -29,6 +28,7 @@ from prism_jax.figures import (
 )
 from prism_jax.geometry.camera import Camera
 from prism_jax.report import viewing_direction
+from prism_jax.simulation.contact_sheet import Color, Row, draw_clouds
 
 COLUMNS = (
     "Partial",

@@ -16,7 +16,7 @@ from prism_jax.adaptation.objective import test_time_objective
 from prism_jax.data.partials import first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Source
-from prism_jax.evaluation.frames import Protocol, given, workspace_for
+from prism_jax.evaluation.protocol import Protocol, given, workspace_for
 from prism_jax.evaluation.summary import mean_intervals
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.neighbors import nearest

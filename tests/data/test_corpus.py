@@ -17,10 +17,10 @@ from prism_jax.data.corpus import (
     shape_seed,
     split_dir,
 )
-from prism_jax.data.examples import dequantise, make_views
-from prism_jax.data.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
+from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
+from prism_jax.simulation.views import dequantise, make_views
 
 
 @pytest.fixture(scope="module")

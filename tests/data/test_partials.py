@@ -18,8 +18,8 @@ from prism_jax.data.partials import (
     self_occlusion,
     sparse,
 )
-from prism_jax.data.raycast import Scene, sample_outside
-from prism_jax.data.sensors import (
+from prism_jax.simulation.raycast import Scene, sample_outside
+from prism_jax.simulation.sensors import (
     L515Config,
     OusterConfig,
     camera_axes,
@@ -27,7 +27,7 @@ from prism_jax.data.sensors import (
     l515_depth,
     ouster_scan,
 )
-from tests.data.test_raycast import moeller_trumbore
+from tests.simulation.test_raycast import moeller_trumbore
 
 
 def two_boxes() -> trimesh.Trimesh:

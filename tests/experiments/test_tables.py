@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import ablate, adaptation, compare
+from experiments import table_1, table_2, table_3
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.models.variables import pop_encoders
@@ -38,11 +38,11 @@ def run(module, output, *arguments):
 
 
 def test_table_one(tmp_path):
-    table, text = run(compare, tmp_path / "1.json", "--backbone=small")
+    table, text = run(table_1, tmp_path / "1.json", "--backbone=small")
     rows = table["rows"]
     assert list(rows) == [
         *("partial itself", "training mean", "partial and its mirror image"),
-        *(compare.LABELS[name] for name in compare.available_networks()),
+        *(table_1.LABELS[name] for name in table_1.available_networks()),
         *("CRA-PCN", "PRISM, not adapted", "PRISM"),
     ]
     assert table["against"] == "CRA-PCN"
@@ -51,7 +51,7 @@ def test_table_one(tmp_path):
     assert rows["CRA-PCN"]["mean"] == pytest.approx(plain)
     assert adapted["cd_l2"] != pytest.approx(plain["cd_l2"], rel=0.01)
     _, variables = load_pretrained("small")
-    assert rows["PRISM"]["parameters"] == compare.count(variables)
+    assert rows["PRISM"]["parameters"] == table_1.count(variables)
     assert 0 < rows["CRA-PCN"]["parameters"] < rows["PRISM"]["parameters"]
     assert rows["training mean"]["parameters"] is None
     assert rows["training mean"]["samples"] is None
@@ -63,11 +63,11 @@ def test_table_one(tmp_path):
 
 def test_table_two(tmp_path, monkeypatch):
     def online(config, variables):
-        return fake(config, adaptation.equally_weighted(variables))
+        return fake(config, table_2.equally_weighted(variables))
 
-    monkeypatch.setattr(adaptation, "online_completer", online)
+    monkeypatch.setattr(table_2, "online_completer", online)
     arguments = ("--pretrained=small", "--steps=1", "--steps=4")
-    table, _ = run(adaptation, tmp_path / "2.json", *arguments)
+    table, _ = run(table_2, tmp_path / "2.json", *arguments)
     rows = table["rows"]
     steps = load_pretrained("small")[0].num_steps
     assert list(rows) == [
@@ -83,8 +83,8 @@ def test_table_two(tmp_path, monkeypatch):
 
 
 def test_table_three(tmp_path):
-    arguments = [f"--weights={label}=small" for label in ablate.VARIANTS]
-    table, _ = run(ablate, tmp_path / "3.json", *arguments)
+    arguments = [f"--weights={label}=small" for label in table_3.VARIANTS]
+    table, _ = run(table_3, tmp_path / "3.json", *arguments)
     rows = table["rows"]
     assert list(rows) == [
         *("partial itself", "none", "align, not adapted", "align"),
@@ -99,18 +99,18 @@ def test_table_three(tmp_path):
 
 def test_table_three_asks_for_a_label(tmp_path, capsys):
     with pytest.raises(AssertionError):
-        run(ablate, tmp_path / "3.json", "--weights=small")
+        run(table_3, tmp_path / "3.json", "--weights=small")
     assert "write LABEL=NAME|FILE" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("module", [ablate, adaptation, compare])
+@pytest.mark.parametrize("module", [table_3, table_2, table_1])
 def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
     module, tmp_path, capsys, monkeypatch, tiny, tiny_variables
 ):
     path = tmp_path / "tiny.safetensors"
     save_weights(path, tiny, tiny_variables, {})
     monkeypatch.setattr(module, "scored", None)
-    flag = f"--weights={'all=' if module is ablate else ''}{path}"
+    flag = f"--weights={'all=' if module is table_3 else ''}{path}"
     place = ("--dataset=shapes", f"--data_dir={tmp_path}")
     assert launching.run(module, flag, *place) == 2
     told = capsys.readouterr().err
@@ -131,10 +131,10 @@ def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
 
         return adapt
 
-    monkeypatch.setattr(adaptation, "make_adapt", make_adapt)
+    monkeypatch.setattr(table_2, "make_adapt", make_adapt)
     params = {"point_encoder": jnp.float32(0), "depth_encoder": jnp.float32(0)}
     variables = {"params": {**params, "decoder": 0}}
-    complete = adaptation.online_completer(None, variables)
+    complete = table_2.online_completer(None, variables)
     partials, eyes = np.zeros((2, 4, 3), np.float32), np.ones((2, 3), np.float32)
     partials[:, 0] = 1.0
     outputs = [complete(partials, eyes)["output"] for _ in range(2)]
@@ -146,10 +146,10 @@ def test_equal_weights_are_those_before_learning():
     _, variables = load_pretrained("small")
     logits = variables["weighting"]["logits"] + jnp.array([1.0, 2.0, 3.0])
     moved = {**variables, "weighting": {**variables["weighting"], "logits": logits}}
-    found = adaptation.equally_weighted(moved)
+    found = table_2.equally_weighted(moved)
     assert not found["weighting"]["logits"].any()
     logits = jnp.array([-jnp.inf, 2.0, 3.0])
     moved["weighting"] = {**moved["weighting"], "logits": logits}
-    alone = adaptation.equally_weighted(moved)["weighting"]["logits"]
+    alone = table_2.equally_weighted(moved)["weighting"]["logits"]
     assert alone.tolist() == [-np.inf, 0, 0]
     assert found["params"] is variables["params"]

@@ -1,0 +1,119 @@
+"""Table I: PRISM beside other networks and completions that need none.
+
+python -m experiments.table_1 --split=test --output=tables/table_1.json
+"""
+
+import dataclasses
+
+import jax
+import numpy as np
+from absl import flags
+
+from experiments.launch import launch, prepare_output, with_kept_pages
+from experiments.scoring import (
+    define_scoring_flags,
+    deliver,
+    make_protocol,
+    named,
+    open_split,
+    require_alike,
+    scored,
+    size_of,
+    size_of_network,
+)
+from prism_jax.data.datasets import training_split
+from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
+from prism_jax.models.baselines.trivial import mirrored, training_mean
+from prism_jax.models.variables import Variables
+from prism_jax.weights import (
+    available_networks,
+    load_network,
+    load_pretrained,
+    read_metadata,
+    samples_seen,
+)
+
+FLAGS = flags.FLAGS
+LABELS = {"pcn": "PCN", "pointr": "PoinTr", "seedformer": "SeedFormer"}
+BACKBONE = "CRA-PCN"
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    define_scoring_flags(split="test")
+    flags.DEFINE_string("weights", "small", "PRISM's, by name or by file.")
+    flags.DEFINE_string(
+        "backbone",
+        "small-pretrained",
+        "Of the backbone trained without the method, by name or by file.",
+    )
+    flags.DEFINE_multi_string(
+        "network", None, "Others, by name or by file; all that ship if not given."
+    )
+
+
+def main():
+    """Scores every row on the same examples, input and output counts."""
+    prepare_output(FLAGS.output, ".json")
+    config, variables = load_pretrained(FLAGS.weights)
+    alone, backbone = load_pretrained(FLAGS.backbone)
+    names = available_networks() if FLAGS.network is None else FLAGS.network
+    others = {name: load_network(name) for name in names}
+    sizes = {FLAGS.weights: size_of(config), FLAGS.backbone: size_of(alone)}
+    for name, (module, own) in others.items():
+        sizes[name] = size_of_network(module, own, config.model.margin)
+    require_alike(sizes)
+    source, protocol = open_split(FLAGS.split), make_protocol(config)
+    num_outputs = config.model.backbone.stage_sizes[-1]
+    training = open_split(training_split(FLAGS.dataset))
+    mean = training_mean(training, protocol.margin, num_outputs)
+
+    mirror = jax.jit(lambda partials: {"output": mirrored(partials, num_outputs)})
+
+    def run(complete_fn):
+        without = dataclasses.replace(protocol, with_measured=False)
+        return scored(complete_fn, source, without)
+
+    adapted = scored(prism_completer(config, variables), source, protocol)
+    rows = {
+        "partial itself": Row(adapted, "control"),
+        "training mean": Row(
+            run(lambda partials, _: {"output": np.stack([mean] * len(partials))})
+        ),
+        "partial and its mirror image": Row(run(lambda partials, _: mirror(partials))),
+    }
+    for name, (module, own) in others.items():
+        found = run(network_completer(module, own))
+        rows[LABELS.get(name, name)] = Row(found, "output", count(own), seen(name))
+    alone = dataclasses.replace(alone, num_steps=0)
+    found = run(prism_completer(alone, backbone))
+    number = count(backbone, "point_encoder", "decoder")
+    rows[BACKBONE] = Row(found, "output", number, seen(FLAGS.backbone))
+    number, samples = count(variables), seen(FLAGS.weights)
+    rows["PRISM, not adapted"] = Row(adapted, "unadapted", number, samples)
+    rows["PRISM"] = Row(adapted, "output", number, samples)
+    about = named(protocol) | {"weights": FLAGS.weights, "steps": config.num_steps}
+    deliver(comparison(rows, BACKBONE, **about))
+
+
+def count(variables: Variables, *parts: str) -> int:
+    """Parameters, of these modules or of all."""
+    params = variables["params"]
+    chosen = [params[name] for name in parts] if parts else params
+    return sum(leaf.size for leaf in jax.tree.leaves(chosen))
+
+
+def seen(weights: str) -> int:
+    """Samples that these weights were trained on."""
+    return samples_seen(read_metadata(weights))
+
+
+def run():
+    """The entry point."""
+    with_kept_pages()
+    define_flags()
+    launch("table_1", main)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,119 @@
+"""Table II: what adaptation gains, by its steps, and what meta-learning gains.
+
+python -m experiments.table_2 --split=test --output=tables/table_2.json
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from absl import flags
+
+from experiments.launch import launch, prepare_output, with_kept_pages
+from experiments.scoring import (
+    define_scoring_flags,
+    deliver,
+    make_protocol,
+    named,
+    open_split,
+    require_alike,
+    scored,
+    size_of,
+)
+from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.test_time import make_adapt
+from prism_jax.evaluation import CompleteFn, Row, comparison, prism_completer
+from prism_jax.geometry.camera import Camera
+from prism_jax.models.variables import Variables, pop_encoders, put_encoders
+from prism_jax.weights import load_pretrained
+
+FLAGS = flags.FLAGS
+PRETRAINED, META = "pretrained", "meta-trained"
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    define_scoring_flags(split="test")
+    flags.DEFINE_string("weights", "small", "Meta-trained, by name or by file.")
+    flags.DEFINE_string(
+        "pretrained",
+        "small-pretrained",
+        "Trained on as many samples without the method, by name or by file.",
+    )
+    flags.DEFINE_multi_integer(
+        "steps", [1, 3, 5, 10], "Numbers of adaptation steps.", 1
+    )
+
+
+def main():
+    """Scores both weights with each number of steps, and the variations of one."""
+    prepare_output(FLAGS.output, ".json")
+    both = {
+        PRETRAINED: load_pretrained(FLAGS.pretrained),
+        META: load_pretrained(FLAGS.weights),
+    }
+    own, variables = both[META]
+    require_alike({name: size_of(config) for name, (config, _) in both.items()})
+    source = open_split(FLAGS.split)
+    protocol = dataclasses.replace(make_protocol(own), with_measured=False)
+    rows = {}
+    for name, (config, weights) in both.items():
+        for steps in FLAGS.steps:
+            # All with the settings of the meta-trained: what differs is the weights,
+            # its learned step sizes among them.
+            changed = dataclasses.replace(own, model=config.model, num_steps=steps)
+            found = scored(prism_completer(changed, weights), source, protocol)
+            rows.setdefault(f"{name}, K = 0", Row(found, "unadapted"))
+            rows[f"{name}, K = {steps}"] = Row(found)
+    for label, complete in {
+        "equal weights": prism_completer(own, equally_weighted(variables)),
+        "online": online_completer(own, variables),
+    }.items():
+        found = scored(complete, source, protocol)
+        rows[f"{META}, K = {own.num_steps}, {label}"] = Row(found)
+    about = named(protocol) | {"weights": FLAGS.weights}
+    deliver(comparison(rows, f"{PRETRAINED}, K = 0", **about))
+
+
+def equally_weighted(variables: Variables) -> Variables:
+    """The variables with the weights of Eq. 11 as before they are learned."""
+    weighting = variables["weighting"]
+    # Of a branch that does not count it is minus infinity, before and after.
+    logits = jnp.where(jnp.isneginf(weighting["logits"]), -jnp.inf, 0.0)
+    return {**variables, "weighting": {**weighting, "logits": logits}}
+
+
+def online_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
+    """Frames in turn, each from the encoders that the one before it adapted."""
+    adapt = make_adapt(config)
+    encoders, rest = pop_encoders(variables)
+
+    @jax.jit
+    def one(encoders: Variables, partial: jax.Array, eye: jax.Array):
+        camera = Camera.framing(partial, eye)
+        done = adapt(put_encoders(encoders, rest), partial, camera)
+        return done.encoders, (done.points, done.before, done.accepted)
+
+    def complete(partials: np.ndarray, eyes: np.ndarray) -> dict[str, np.ndarray]:
+        nonlocal encoders
+        found = []
+        for partial, eye in zip(partials, eyes, strict=True):
+            encoders, clouds = one(encoders, partial, eye)
+            found.append(jax.device_get(clouds))
+        names = ("output", "unadapted", "accepted")
+        columns = zip(*found, strict=True)
+        return {n: np.stack(c) for n, c in zip(names, columns, strict=True)}
+
+    return complete
+
+
+def run():
+    """The entry point."""
+    with_kept_pages()
+    define_flags()
+    launch("table_2", main)
+
+
+if __name__ == "__main__":
+    run()

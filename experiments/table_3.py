@@ -1,0 +1,84 @@
+"""Table III: what each auxiliary branch brings, on robots that no training has seen.
+
+python -m experiments.table_3 --output=tables/table_3.json
+"""
+
+import dataclasses
+
+from absl import flags
+
+from experiments.launch import launch, prepare_output, with_kept_pages
+from experiments.scoring import (
+    define_scoring_flags,
+    deliver,
+    make_protocol,
+    named,
+    open_split,
+    require_alike,
+    scored,
+    size_of,
+)
+from prism_jax.evaluation import Row, comparison, prism_completer
+from prism_jax.io.errors import InputError
+from prism_jax.weights import load_pretrained
+
+FLAGS = flags.FLAGS
+NONE = "none"
+VARIANTS = {
+    NONE: "small-pretrained",
+    "align": "small-align",
+    "align + normal": "small-align-normal",
+    "align + denoise": "small-align-denoise",
+    "all": "small",
+}
+"""Weights meta-trained with some of the branches, or with none: as many samples
+without the method."""
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    define_scoring_flags(dataset="roboarm", split="test")
+    flags.DEFINE_multi_string(
+        "weights",
+        [],
+        "Other weights for a row, as LABEL=NAME|FILE; the labels are "
+        f"{', '.join(VARIANTS)}, or new ones.",
+    )
+
+
+def main():
+    """Scores every variant, adapted with its own settings, on the same frames."""
+    prepare_output(FLAGS.output, ".json")
+    variants = dict(VARIANTS)
+    for change in FLAGS.weights:
+        label, equals, weights = change.partition("=")
+        if not equals:
+            raise InputError(change, "no label", "write LABEL=NAME|FILE")
+        variants[label] = weights
+    loaded = {label: load_pretrained(name) for label, name in variants.items()}
+    require_alike({label: size_of(config) for label, (config, _) in loaded.items()})
+    source = open_split(FLAGS.split)
+    protocol = make_protocol(loaded[NONE][0])
+    rows = {}
+    for label, (config, variables) in loaded.items():
+        if label == NONE:
+            config = dataclasses.replace(config, num_steps=0)
+        measured = dataclasses.replace(protocol, with_measured=label == NONE)
+        found = scored(prism_completer(config, variables), source, measured)
+        if label == NONE:
+            rows["partial itself"] = Row(found, "control")
+        else:
+            rows[f"{label}, not adapted"] = Row(found, "unadapted")
+        rows[label] = Row(found)
+    deliver(comparison(rows, NONE, **named(protocol)))
+
+
+def run():
+    """The entry point."""
+    with_kept_pages()
+    define_flags()
+    launch("table_3", main)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,1 @@
+"""What makes data: shapes, robot cells, sensors, ray casting, builders."""

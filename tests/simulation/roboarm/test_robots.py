@@ -1,0 +1,185 @@
+import importlib.metadata
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+import yourdfpy
+
+from prism_jax.io.errors import InputError
+from prism_jax.simulation.roboarm.models import ARMS, ArmModel, arms_of, urdf_path
+from prism_jax.simulation.roboarm.robots import Robot
+from tests.simulation.roboarm import conftest as boxes
+
+ALL = [model for arms in ARMS.values() for model in arms]
+
+
+def variant(tmp_path, *changes, root=None):
+    text = boxes.URDF
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "variant.urdf"
+    path.write_text(text)
+    return ArmModel("variant", "test", str(path), root)
+
+
+def test_links_are_where_trigonometry_puts_them(model):
+    robot = Robot(model)
+    assert robot.joints == ("yaw", "shoulder", "elbow")
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(robot.lower, robot.upper, (20, 3))
+    poses = robot.link_poses(positions)
+    yaw, first, second = positions.T
+    for tip, reach in ((0.0, boxes.UPPER), (boxes.LOWER, boxes.UPPER)):
+        across = reach * np.sin(first) + tip * np.sin(first + second)
+        expected = np.stack(
+            [
+                across * np.cos(yaw),
+                across * np.sin(yaw),
+                boxes.SHOULDER + reach * np.cos(first) + tip * np.cos(first + second),
+            ],
+            axis=1,
+        )
+        found = poses[:, 3, :3, 3] + tip * poses[:, 3, :3, 2]
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_the_mesh_is_the_links_boxes_in_their_poses(model):
+    robot = Robot(model)
+    positions = np.array([0.3, -0.8, 1.1])
+    mesh = robot.mesh(positions)
+    assert len(robot.faces_link) == len(mesh.faces) == 4 * 12
+    poses = robot.link_poses(positions[None])[0]
+    for index, (size, height) in enumerate(boxes.BOXES.values()):
+        corners = mesh.vertices[mesh.faces[robot.faces_link == index]].reshape(-1, 3)
+        own = (corners - poses[index, :3, 3]) @ poses[index, :3, :3]
+        np.testing.assert_allclose(np.abs(own - (0, 0, height)) * 2, size + own * 0)
+
+
+def test_probes_lie_on_the_posed_mesh(model):
+    robot = Robot(model)
+    positions = np.array([0.3, -0.8, 1.1])
+    probes = robot.probe_points(positions[None])[0]
+    _, distance, _ = trimesh.proximity.closest_point_naive(
+        robot.mesh(positions), probes
+    )
+    assert distance.max() < 1e-9
+    assert robot.probe_weights.sum() == pytest.approx(1)
+
+
+def test_an_arm_can_be_taken_off_a_robot(tmp_path, model):
+    """From the turret on, with its joint: the same motions, the base left out."""
+    whole, part = Robot(model), Robot(variant(tmp_path, root="turret"))
+    assert part.joints == whole.joints
+    positions = np.array([[0.4, 0.9, -1.2]])
+    down = whole.link_poses(positions)[:, 1:], part.link_poses(positions)
+    shift = down[1][0, 0, :3, 3] - down[0][0, 0, :3, 3]
+    moved = down[0].copy()
+    moved[..., :3, 3] += shift
+    np.testing.assert_allclose(down[1], moved, atol=1e-12)
+    assert part.mesh(np.zeros(3)).bounds[0, 2] == pytest.approx(0)
+
+
+def test_a_mimic_follows_and_belongs_to_the_part_that_carries_it(tmp_path):
+    mimic = '<mimic joint="shoulder" multiplier="-0.5" offset="0.1"/>'
+    elbow = ('<axis xyz="0 1 0"/><limit', f'<axis xyz="0 1 0"/>{mimic}<limit')
+    text = boxes.URDF
+    start = text.index('name="elbow"')
+    path = tmp_path / "mimic.urdf"
+    path.write_text(text[:start] + text[start:].replace(*elbow))
+    robot = Robot(ArmModel("mimic", "test", str(path)))
+    assert robot.joints == ("yaw", "shoulder")
+    assert robot.bodies.tolist() == [0, 1, 2, 2]
+    pose = robot.link_poses(np.array([[0.0, 0.8]]))[0, 3]
+    angle = np.arctan2(pose[0, 2], pose[2, 2])
+    assert angle == pytest.approx(0.8 + 0.1 - 0.5 * 0.8)
+
+
+def test_a_mesh_is_found_beside_the_file_and_by_its_package(tmp_path):
+    folder = tmp_path / "some_robot"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "urdf").mkdir()
+    trimesh.creation.icosphere(1, 0.1).export(folder / "meshes" / "ball.stl")
+    box = '<box size="0.05 0.05 0.3"/>'
+    for name in ("package://some_robot/meshes/ball.stl", "../meshes/ball.stl"):
+        mesh = f'<mesh filename="{name}" scale="2 2 2"/>'
+        path = folder / "urdf" / "a.urdf"
+        path.write_text(boxes.URDF.replace(box, mesh))
+        robot = Robot(ArmModel("a", "test", str(path)))
+        np.testing.assert_allclose(robot.meshes[3].bounds[1], 0.2 + 0.15 * np.eye(3)[2])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("<box", "<bx"), "not a URDF|mesh"),
+        (('<?xml version="1.0"?>', "<!DOCTYPE a><!ENTITY b>"), "entities"),
+        (('lower="-2" upper="2"', 'lower="2" upper="-2"'), "limits its joint"),
+        (('lower="-2" upper="2"', 'lower="nan" upper="2"'), "limits its joint"),
+        (('<child link="lower"/>', '<child link="gone"/>'), "gap|root"),
+        (('<child link="lower"/>', '<child link="turret"/>'), "loop|root"),
+        (('<box size="0.05 0.05 0.3"/>', '<mesh filename="a.stl"/>'), "not there"),
+        (
+            ('<box size="0.05 0.05 0.3"/>', '<mesh filename="http://a/b.stl"/>'),
+            "http",
+        ),
+    ],
+)
+def test_a_bad_file_is_named(tmp_path, change, message):
+    model = variant(tmp_path, change)
+    with pytest.raises(InputError, match=message):
+        Robot(model)
+
+
+def test_a_root_or_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match="root link hand"):
+        Robot(variant(tmp_path, root="hand"))
+    with pytest.raises(InputError, match="no such file"):
+        urdf_path(ArmModel("a", "test", str(tmp_path / "none.urdf")))
+    with pytest.raises(InputError, match="unknown value"):
+        arms_of("dev")
+
+
+def test_no_family_of_arms_is_in_two_splits():
+    families = [{model.family for model in arms} for arms in ARMS.values()]
+    assert sum(map(len, families)) == len(set.union(*families))
+    assert len({model.urdf for model in ALL}) == len({m.name for m in ALL}) == len(ALL)
+    assert len(ARMS["test"]) >= 6
+
+
+@pytest.mark.parametrize("model", ALL, ids=lambda model: model.name)
+def test_every_arm_moves_as_yourdfpy_says_and_hangs_together(model):
+    robot = Robot(model)
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(robot.lower, robot.upper, (2, len(robot.joints)))
+    oracle = yourdfpy.URDF.load(str(urdf_path(model)), load_meshes=False)
+    oracle.update_cfg(dict(zip(robot.joints, positions[0].tolist(), strict=True)))
+    poses = robot.link_poses(positions)
+    links = list(robot.link_names)
+    for name, pose in zip(links, poses[0], strict=True):
+        expected = oracle.get_transform(name, links[0])
+        np.testing.assert_allclose(
+            np.linalg.inv(poses[0, 0]) @ pose, expected, atol=1e-9
+        )
+    probes = robot.probe_points(positions)
+    bodies = robot.bodies[robot.probe_links]
+    for body in set(robot.bodies.tolist()) - {min(robot.bodies)}:
+        own, others = probes[:, bodies == body], probes[:, bodies < body]
+        gaps = np.linalg.norm(own[:, :, None] - others[:, None], axis=-1)
+        assert gaps.min(axis=(1, 2)).max() < 0.1
+    assert 0.3 < np.linalg.norm(probes, axis=-1).max() < 1.8
+
+
+def test_the_extra_is_named_where_it_is_not_installed(model, monkeypatch):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(importlib.metadata, "files", missing)
+        with pytest.raises(InputError, match=r"not installed.*prism_jax\[robots\]"):
+            urdf_path(ARMS["test"][0])
+        assert urdf_path(model).is_file()
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    with pytest.raises(InputError, match=r"yourdfpy: is not installed.*\[robots\]"):
+        Robot(model)
