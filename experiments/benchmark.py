@@ -12,7 +12,7 @@ import pathlib
 from absl import flags
 
 from experiments.benchmarks.measure import Row
-from experiments.launch import launch, prepare_output, with_kept_pages
+from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 
@@ -74,7 +74,6 @@ def markdown(row: Row) -> str:
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_flags()
     launch("benchmark", main)
 

@@ -10,7 +10,6 @@ from typing import Any
 
 from absl import flags
 
-from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     about_data,
     define_scoring_flags,
@@ -20,6 +19,7 @@ from experiments.scoring import (
     scored,
 )
 from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.source import Source
 from prism_jax.evaluation import (
@@ -109,7 +109,6 @@ def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_flags()
     launch("evaluate", main)
 

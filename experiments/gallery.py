@@ -10,12 +10,12 @@ import pathlib
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch, prepare_output
 from experiments.scoring import (
     define_frame_flags,
     make_protocol,
     open_split,
 )
+from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import prism_completer
 from prism_jax.evaluation.gallery import gallery_page, picture_row, show
 from prism_jax.evaluation.protocol import UNITS

@@ -5,7 +5,6 @@ python -m experiments.gradients --weights=small --limit=200 --output=FILE.json
 
 from absl import flags
 
-from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -13,6 +12,7 @@ from experiments.scoring import (
     named,
     open_split,
 )
+from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import agreement, agreement_markdown
 from prism_jax.weights import load_pretrained
 
@@ -32,7 +32,6 @@ def main():
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_scoring_flags(split="validation")
     flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
     launch("gradients", main)

@@ -2,7 +2,7 @@
 
 from absl import app, flags
 
-from experiments.launch import launch
+from prism_jax.cli.launch import launch
 from prism_jax.data.corpus import SPLITS
 from prism_jax.data.datasets import GENERATED, build_dataset
 from prism_jax.simulation.roboarm.models import own_arm

@@ -8,7 +8,7 @@ import pathlib
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch
+from prism_jax.cli.launch import launch
 from prism_jax.data.corpus import CorpusConfig, shape_seed
 from prism_jax.data.partials import HALF_EXTENT
 from prism_jax.io.ply import write_ply

@@ -8,7 +8,6 @@ import dataclasses
 import jax
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
 from experiments.training import (
     about_training,
     define_start_flag,
@@ -17,6 +16,7 @@ from experiments.training import (
     started_from_weights,
     training_data,
 )
+from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
@@ -78,7 +78,6 @@ def _fresh(preset: Preset) -> Variables:
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_training_flags()
     define_start_flag()
     launch("meta_train", main)

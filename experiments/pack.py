@@ -8,7 +8,7 @@ import pathlib
 
 from absl import flags
 
-from experiments.launch import launch
+from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import (
     DATASETS,
     build_if_missing,

@@ -7,7 +7,6 @@ import dataclasses
 
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
 from experiments.training import (
     about_training,
     define_start_flag,
@@ -16,6 +15,7 @@ from experiments.training import (
     started_from_weights,
     training_data,
 )
+from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
 from prism_jax.presets import resolve
 from prism_jax.training.parallel import is_first
@@ -65,7 +65,6 @@ def main():
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_training_flags()
     define_start_flag()
     launch("pretrain", main)

@@ -9,7 +9,7 @@ from typing import Any
 
 from absl import flags
 
-from experiments.launch import launch
+from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError
 from prism_jax.presets import changed

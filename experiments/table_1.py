@@ -9,7 +9,6 @@ import jax
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -21,6 +20,7 @@ from experiments.scoring import (
     size_of,
     size_of_network,
 )
+from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import training_split
 from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
 from prism_jax.models.baselines.trivial import mirrored, training_mean
@@ -110,7 +110,6 @@ def seen(weights: str) -> int:
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_flags()
     launch("table_1", main)
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from absl import flags
 
-from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -23,6 +22,7 @@ from experiments.scoring import (
 )
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import make_adapt
+from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import CompleteFn, Row, comparison, prism_completer
 from prism_jax.geometry.camera import Camera
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
@@ -110,7 +110,6 @@ def online_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_flags()
     launch("table_2", main)
 

@@ -7,7 +7,6 @@ import dataclasses
 
 from absl import flags
 
-from experiments.launch import launch, prepare_output, with_kept_pages
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -18,6 +17,7 @@ from experiments.scoring import (
     scored,
     size_of,
 )
+from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import Row, comparison, prism_completer
 from prism_jax.io.errors import InputError
 from prism_jax.weights import load_pretrained
@@ -75,7 +75,6 @@ def main():
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_flags()
     launch("table_3", main)
 

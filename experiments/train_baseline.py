@@ -7,13 +7,13 @@ import dataclasses
 
 from absl import flags
 
-from experiments.launch import launch, with_kept_pages
 from experiments.training import (
     about_training,
     define_training_flags,
     join_processes,
     training_data,
 )
+from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
 from prism_jax.models.baselines.networks import NETWORKS
@@ -69,7 +69,6 @@ def main():
 
 def run():
     """The entry point."""
-    with_kept_pages()
     define_training_flags()
     names = sorted(NETWORKS)
     flags.DEFINE_enum("network", None, names, "Which.", required=True)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from absl import flags
 
-from experiments.launch import launch
+from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import (
     DATASETS,
     SCORED,

@@ -14,8 +14,6 @@ def run(command: ModuleType, *arguments: str) -> int:
     known = set(flags.FLAGS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", [command.__name__, *arguments])
-        # Which would start the tests anew.
-        patch.setattr(command, "with_kept_pages", lambda: None, raising=False)
         try:
             with pytest.raises(SystemExit) as ended:
                 command.run()
@@ -41,7 +39,6 @@ def parse(launcher: str, *arguments: str) -> None:
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(_Parsed):
         patch.setattr(sys, "argv", [launcher, *arguments])
-        patch.setattr(command, "with_kept_pages", lambda: None, raising=False)
         patch.setattr(command, "launch", read, raising=False)
         patch.setattr(app, "run", read)
         try:

@@ -12,12 +12,13 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 LAYERS = (
     "experiments",
     "prism_jax",
+    "prism_jax.cli",
     "prism_jax.model_card",
-    "prism_jax.completion_job prism_jax.evaluation",
+    "prism_jax.evaluation",
     "prism_jax.completion prism_jax.export",
     "prism_jax.weights",
     "prism_jax.traced",
-    "prism_jax.report",
+    "prism_jax.report prism_jax.result",
     "prism_jax.figures",
     "prism_jax.training.stages",
     "prism_jax.presets",
@@ -29,6 +30,7 @@ LAYERS = (
     "prism_jax.simulation prism_jax.data",
     "prism_jax.io",
     "prism_jax.geometry",
+    "prism_jax.assets",
 )
 
 # Where less is allowed than the order allows.

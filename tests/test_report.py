@@ -5,13 +5,16 @@ import html.parser
 import numpy as np
 import pytest
 
-from prism_jax.completion_job import CompletionJob, plain, scores, summarize
 from prism_jax.geometry import Camera
 from prism_jax.io import Scan
 from prism_jax.report import Completed, render_report, viewing_direction
+from prism_jax.result import plain, score, summarize
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32)
+
+
+ASKED = {"weights": "small", "up": "z", "bounds": None}
 
 
 class Outline(html.parser.HTMLParser):
@@ -40,10 +43,10 @@ class Outline(html.parser.HTMLParser):
 def report(adapt=True, ground_truth=None, points=POINTS, **changes):
     result = FakeCompleter().complete(points, adapt=adapt)
     scan = Scan(points, None, num_not_finite=7, num_outside=11)
-    summary = summarize(CompletionJob(adapt=adapt), "scan.ply", scan, result)
+    summary = summarize(result, scan, "scan.ply", **(ASKED | {"adapt": adapt}))
     summary["seconds"] = dict(result.seconds)
     if ground_truth is not None:
-        summary["metrics"] = scores(result, ground_truth)
+        summary["metrics"] = score(result, ground_truth)
         summary["ground_truth"] = {"file": "gt.ply", "points": len(ground_truth)}
     summary |= changes
     assert isinstance(result, Completed)

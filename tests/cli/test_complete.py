@@ -1,5 +1,6 @@
 """The command: what it prints, and how it ends."""
 
+import inspect
 import json
 import os
 import pathlib
@@ -9,8 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from experiments import complete
-from prism_jax import completion_job
+from prism_jax.cli import complete
 from prism_jax.weights import available_weights
 from tests import launching
 from tests.fake_completer import FakeCompleter
@@ -23,8 +23,8 @@ CAMERA = {"width": 64, "height": 48, "fx": 40, "fy": 40, "cx": 31.5, "cy": 23.5}
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     load = FakeCompleter.from_pretrained
-    monkeypatch.setattr(completion_job, "load_completer", load)
-    monkeypatch.setattr(completion_job, "PATIENCE", 600.0)
+    monkeypatch.setattr(complete, "load_completer", load)
+    monkeypatch.setattr(complete, "PATIENCE", 600.0)
     monkeypatch.chdir(tmp_path)
     np.save("scan.npy", POINTS)
     np.save("few.npy", POINTS[:63])
@@ -62,25 +62,34 @@ def test_completes_a_scan(capsys):
     ]
 
 
-def test_every_flag_reaches_the_job(monkeypatch):
-    jobs = []
+def test_every_flag_reaches_the_completion(monkeypatch):
+    asked = []
 
-    def record(job):
-        jobs.append(job)
+    def record(**given):
+        asked.append(given)
         points = {"observed": 0, "completed": 0}
         losses = {"objective": [2.0, 1.0]}
-        told = {"points": points, "adapt": job.adapt, "accepted": False}
+        told = {"points": points, "adapt": given["adapt"], "accepted": False}
         return told | {"losses": losses}
 
-    monkeypatch.setattr(completion_job, "run_job", record)
+    arguments = inspect.signature(complete.complete_file).parameters
+    defaults = {name: argument.default for name, argument in arguments.items()}
+    monkeypatch.setattr(complete, "complete_file", record)
     given = ["--input=a.ply", "--ground_truth", "b.ply", "--camera=c.json"]
     given += ["--workspace=-1,-1,-1,1,1,1", "--up=-y", "--weights=w", "--noadapt"]
     assert run(*given, "--output_dir=d") == 0
     assert run() == 0
-    expected = completion_job.CompletionJob(
-        "a.ply", "b.ply", "c.json", "-1,-1,-1,1,1,1", "-y", "w", False, "d"
-    )
-    assert jobs == [expected, completion_job.CompletionJob()]
+    expected = {
+        "input": "a.ply",
+        "ground_truth": "b.ply",
+        "camera": "c.json",
+        "workspace": "-1,-1,-1,1,1,1",
+        "up": "-y",
+        "weights": "w",
+        "adapt": False,
+        "output_dir": "d",
+    }
+    assert asked == [expected, defaults]
 
 
 def test_says_why_nothing_was_adapted():
@@ -96,7 +105,7 @@ def test_says_why_nothing_was_adapted():
 
 
 def test_without_input_it_completes_the_sample(monkeypatch, folder):
-    monkeypatch.setattr(completion_job, "asset", lambda name: folder / "scan.npy")
+    monkeypatch.setattr(complete, "asset", lambda name: folder / "scan.npy")
     assert run() == 0
     result = json.loads(pathlib.Path("prism_output/result.json").read_text())
     assert result["input"]["file"] == str(folder / "scan.npy")
@@ -155,10 +164,10 @@ def test_bad_input_ends_with_one_line_and_status_2(capsys, given, fault):
 
 
 def test_a_bug_is_not_hidden(monkeypatch):
-    def fail(job):
+    def fail(**asked):
         raise KeyError("a bug")
 
-    monkeypatch.setattr(completion_job, "run_job", fail)
+    monkeypatch.setattr(complete, "complete_file", fail)
     with pytest.raises(KeyError):
         run()
 

@@ -1,0 +1,72 @@
+"""What every command shares: a quiet log, and the user's mistakes in one line."""
+
+import io
+import os
+import pathlib
+import sys
+from collections.abc import Callable, Sequence
+
+import jax
+from absl import app, flags, logging
+
+from prism_jax.io.atomic import make_output_dir
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import default_cache_dir
+
+FLAGS = flags.FLAGS
+
+
+def launch(name: str, main: Callable[[], None], stray: str = "name") -> None:
+    """Runs ``main`` under absl.
+
+    An `InputError` or a fault in the flags ends in one line on stderr and status 2.
+    ``stray`` is the flag that a word without a flag was probably meant for.
+    """
+
+    def without_arguments(argv: Sequence[str]) -> None:
+        if len(argv) > 1:
+            value = "value for each" if stray == "name" else argv[1]
+            raise InputError(argv[1], "is no flag", f"write --{stray}={value}")
+        main()
+
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A folder's name may hold what the terminal cannot show.
+        sys.stdout.reconfigure(errors="backslashreplace")
+    # --help lists the flags of the program that was started, and that may be a wrapper.
+    for flag in FLAGS.get_flags_for_module(main.__module__):
+        FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+    keep_compiled()
+    logging.set_verbosity(logging.WARNING)
+    try:
+        app.run(without_arguments, flags_parser=FLAGS)
+    except InputError as error:
+        _end(name, str(error))
+    except flags.Error as error:
+        _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
+
+
+def prepare_output(path: str | None, suffix: str) -> None:
+    """Raises InputError now for an output that could not be written at the end, or
+    whose name does not end as it must for what is written beside it."""
+    if path is None:
+        return
+    if pathlib.Path(path).suffix != suffix:
+        remedy = f"name a file that ends in {suffix}"
+        raise InputError("--output", f"{path} is no {suffix} file", remedy)
+    make_output_dir(pathlib.Path(path).parent)
+
+
+def keep_compiled() -> None:
+    """Has JAX keep what it compiles in the cache folder, for the next run.
+
+    $JAX_COMPILATION_CACHE_DIR says where else; set to nothing, that nothing is kept.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        folder = str(default_cache_dir() / "jax")
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _end(name: str, fault: str) -> None:
+    print(f"{name}: {fault}", file=sys.stderr)
+    sys.exit(2)

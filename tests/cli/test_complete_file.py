@@ -1,0 +1,175 @@
+"""From a file to completed.ply, around a completer that is a fake."""
+
+import dataclasses
+import itertools
+import json
+import os
+import pathlib
+import shutil
+import time
+
+import numpy as np
+import pytest
+
+from prism_jax import io
+from prism_jax.cli import complete
+from prism_jax.cli.complete import complete_file, timed
+from prism_jax.io.ply import read_ply
+from tests.fake_completer import FakeCompleter
+
+POINTS = np.random.default_rng(0).uniform(1, 2, size=(300, 3)).astype(np.float32)
+
+
+@pytest.fixture(autouse=True)
+def fake(monkeypatch):
+    load = FakeCompleter.from_pretrained
+    monkeypatch.setattr(complete, "load_completer", load)
+
+
+@pytest.fixture
+def given(tmp_path):
+    np.save(tmp_path / "scan.npy", POINTS)
+    np.save(tmp_path / "truth.npy", POINTS + 0.01)
+    folder = str(tmp_path / "out")
+    return {"input": str(tmp_path / "scan.npy"), "output_dir": folder}
+
+
+def outputs(given):
+    folder = io.make_output_dir(given["output_dir"])
+    return folder, json.loads((folder / "result.json").read_text())
+
+
+def test_writes_three_files_and_nothing_else(given):
+    summary = complete_file(**given)
+    folder, written = outputs(given)
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["completed.ply", "report.html", "result.json"]
+    assert written.pop("seconds").keys() < summary.pop("seconds").keys()
+    assert written == summary
+
+
+def test_a_file_whose_name_is_no_utf_8(given, tmp_path):
+    name = os.fsdecode(b"Ger\xe4t.npy")
+    shutil.copyfile(given["input"], tmp_path / name)
+    complete_file(**given | dict(input=str(tmp_path / name)))
+    folder, written = outputs(given)
+    assert written["input"]["file"].endswith(name)
+    assert "Ger\\udce4t.npy" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_measured_points_come_back_bit_for_bit(given):
+    complete_file(**given)
+    folder, written = outputs(given)
+    points = read_ply(folder / "completed.ply")
+    assert points.dtype == np.float32
+    assert points[:300].tobytes() == POINTS.tobytes()
+    assert written["points"] == {
+        "observed": 300,
+        "completed": 150,
+        "network_output": 150,
+    }
+
+
+def test_result_holds_what_the_completer_said(given):
+    complete_file(**given)
+    _, written = outputs(given)
+    assert written["accepted"] is True
+    assert written["weights"] == "small"
+    assert len(written["losses"]["objective"]) == 4
+    assert written["loss_weights"] == {"normal": 0.5, "denoise": 0.25, "align": 0.25}
+    assert written["seconds"]["compile"] == 12.5
+    assert {"read", "load", "complete", "run"} <= set(written["seconds"])
+    assert written["metrics"] is None
+    center = written["workspace"]["center"]
+    np.testing.assert_allclose(center, (POINTS.min(0) + POINTS.max(0)) / 2, rtol=1e-6)
+    assert io.camera_from_dict(written["camera"]).width == 128
+
+
+def test_workspace_crops_scan_and_ground_truth(given, tmp_path):
+    truth = str(tmp_path / "truth.npy")
+    complete_file(**given | dict(workspace="1,1,1,1.5,2,3", ground_truth=truth))
+    _, written = outputs(given)
+    kept = POINTS[POINTS[:, 0] <= 1.5]
+    assert written["points"]["observed"] == len(kept)
+    assert written["input"]["points_outside"] == 300 - len(kept)
+    center = (kept.min(0) + kept.max(0)) / 2
+    np.testing.assert_allclose(written["workspace"]["center"], center, rtol=1e-6)
+    assert written["workspace"]["bounds"] == "1,1,1,1.5,2,3"
+    outside = POINTS + np.float32(0.01) > [1.5, 2, 3]
+    assert written["ground_truth"]["points"] == 300 - outside.any(axis=1).sum()
+
+
+def test_up_is_passed_on_and_written(given, monkeypatch):
+    asked = []
+    completed = FakeCompleter.complete
+
+    def spy(self, *args, up="z", **kwargs):
+        asked.append(up)
+        return completed(self, *args, **kwargs)
+
+    monkeypatch.setattr(FakeCompleter, "complete", spy)
+    for up in (None, "-y"):
+        complete_file(**given | dict(up=up))
+        _, written = outputs(given)
+        assert written["up"] == asked[-1] == (up or "z")
+
+
+@pytest.mark.parametrize("nth", [1, 2, 3])
+def test_failure_to_write_one_file_leaves_all_of_the_last(given, monkeypatch, nth):
+    def files():
+        folder = pathlib.Path(given["output_dir"])
+        return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(descriptor, count=itertools.count(1)):
+        if next(count) == nth:
+            raise OSError(28, "No space left on device")
+
+    complete_file(**given)
+    before = files()
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(io.InputError, match="No space left"):
+        complete_file(**given | dict(adapt=False))
+    assert files() == before
+
+
+def test_a_sensor_too_far_away_is_told(given, monkeypatch, capsys):
+    complete_file(**given)
+    assert "--camera" not in capsys.readouterr().err
+    completed = FakeCompleter.complete
+
+    def unknown(*args, **kwargs):
+        return dataclasses.replace(completed(*args, **kwargs), sensor="unknown")
+
+    monkeypatch.setattr(FakeCompleter, "complete", unknown)
+    assert complete_file(**given)["sensor"] == "unknown"
+    assert "too far away to be the sensor's place" in capsys.readouterr().err
+    report = (pathlib.Path(given["output_dir"]) / "report.html").read_text()
+    assert "the origin is too far away, or among the points" in report
+
+
+def test_bad_input_is_refused_before_weights_are_loaded(given, monkeypatch):
+    monkeypatch.setattr(complete, "load_completer", pytest.fail)
+    with pytest.raises(io.InputError, match=r"truth.*no such file"):
+        complete_file(**given | dict(ground_truth="truth.ply"))
+
+
+def test_a_long_step_is_told(capsys, monkeypatch):
+    monkeypatch.setattr(complete, "PATIENCE", 0.02)
+    seconds = {}
+    with timed("loading", "load", seconds):
+        time.sleep(0.1)
+    told = capsys.readouterr().err.splitlines()
+    assert told == [
+        "prism-complete: loading ...",
+        f"prism-complete: ... done in {seconds['load']:.1f} s",
+    ]
+
+
+def test_a_short_step_and_a_failed_one_are_quiet(capsys):
+    seconds = {}
+    with timed("loading", "load", seconds):
+        pass
+    with pytest.raises(ValueError, match="x"), timed("running", "run", seconds):
+        raise ValueError("x")
+    assert capsys.readouterr().err == ""
+    assert set(seconds) == {"load"}

@@ -1,0 +1,41 @@
+"""What every command shares."""
+
+import pytest
+
+from experiments import evaluate, make_data, pretrain
+from tests.launching import run
+
+
+def test_an_output_that_would_overwrite_itself_is_refused(tmp_path, capsys):
+    """Markdown goes beside the JSON, under the name with another end."""
+    path = tmp_path / "new" / "scores.md"
+    assert run(evaluate, f"--output={path}") == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert message.endswith(
+        "scores.md is no .json file; name a file that ends in .json"
+    )
+    assert not path.parent.exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [
+        (evaluate, ["small-robocell", "--split=test"]),
+        (pretrain, ["--workdir=w", "--set", "meta.num_samples=64", "adapt.seed=1"]),
+        (make_data, ["shapes"]),
+    ],
+)
+def test_what_is_no_flag_is_refused(capsys, command, arguments):
+    """And not dropped, as absl has it after the first of several values."""
+    stray = next(word for word in reversed(arguments) if "--" not in word)
+    assert run(command, *arguments) == 2
+    name = command.__name__.rpartition(".")[2]
+    wanted = f"{name}: {stray}: is no flag; write --name=value for each"
+    assert capsys.readouterr().err.splitlines()[-1] == wanted
+
+
+def test_faults_of_flags_are_one_line(capsys):
+    assert run(evaluate, "--wieghts=small") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("evaluate: Unknown command line flag 'wieghts'")
+    assert line.endswith("--help lists the flags")
