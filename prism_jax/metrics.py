@@ -1,12 +1,13 @@
 """Completion metrics: one named convention each, in NumPy and float64.
 
-A metric takes one pair of clouds in one unit of length and returns a float; `emds` and
-`from_distances` give several at once. Nothing here is differentiable. An empty cloud, a
-wrong shape or a coordinate that is not finite raises `ValueError`. Published tables
-scale CD-L1 by 1e3 and CD-L2 by 1e3 or 1e4: nothing is scaled here.
+A metric takes one pair of clouds in one unit of length and returns a float; `score`
+and `emds` give several at once. Nothing here is differentiable. An empty cloud, a wrong
+shape or a coordinate that is not finite raises `ValueError`. Published tables scale
+CD-L1 by 1e3 and CD-L2 by 1e3 or 1e4: nothing is scaled here.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,13 +15,48 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+UNIT = "half the longest side of the complete cloud"
+"""The unit of length of scores, unless a data set's published table has its own."""
+F_SCORE_THRESHOLD = 0.01
 MAX_EXACT_POINTS = 4096
-_BLOCK_PAIRS = 1 << 18
-_TINY = 1e-30
 _FEWEST = 16
 """Fewer points than this are not worth an assignment of their own."""
 _ROUNDS = 10
 """Of relaxing the prices of a whole assignment; more cost more than they save."""
+
+
+class Scores(NamedTuple):
+    """Every metric of one predicted cloud against one complete cloud.
+
+    Attributes:
+      cd_l2: sum of the next two.
+      prediction_to_truth: mean squared distance from a predicted point to its nearest
+        complete one; high where points stray.
+      truth_to_prediction: the reverse; high where something is missing.
+      cd_l1, f_score, hausdorff: as the functions of these names give them.
+      emd: as `emd` gives it; None if it was not computed, which takes the most time.
+    """
+
+    cd_l2: float
+    cd_l1: float
+    f_score: float
+    emd: float | None
+    hausdorff: float
+    prediction_to_truth: float
+    truth_to_prediction: float
+
+    def named(self) -> dict[str, float]:
+        """The metrics that were computed, by name, as results hold them."""
+        return {k: v for k, v in self._asdict().items() if v is not None}
+
+
+def score(
+    prediction: Float[np.ndarray, "N 3"],
+    target: Float[np.ndarray, "M 3"],
+    threshold: float = F_SCORE_THRESHOLD,
+) -> Scores:
+    """All metrics but `emd` of one pair of clouds, with one search each way."""
+    return from_distances(*_both_ways(prediction, target), threshold)
 
 
 def cd_l1(
@@ -30,7 +66,7 @@ def cd_l1(
 
     As PoinTr and CRA-PCN report it on PCN.
     """
-    return from_distances(*_both_ways(prediction, target))["cd_l1"]
+    return score(prediction, target).cd_l1
 
 
 def cd_l2(
@@ -40,13 +76,13 @@ def cd_l2(
 
     As PoinTr and CRA-PCN report it on ShapeNet-55.
     """
-    return from_distances(*_both_ways(prediction, target))["cd_l2"]
+    return score(prediction, target).cd_l2
 
 
 def f_score(
     prediction: Float[np.ndarray, "N 3"],
     target: Float[np.ndarray, "M 3"],
-    threshold: float = 0.01,
+    threshold: float = F_SCORE_THRESHOLD,
 ) -> float:
     """Harmonic mean of precision and recall at an unsquared distance, strictly below.
 
@@ -54,34 +90,38 @@ def f_score(
     `threshold`, recall the reverse. Zero when both are zero. Source: Tatarchenko et
     al., "What Do Single-view 3D Reconstruction Networks Learn?", CVPR 2019.
     """
-    return from_distances(*_both_ways(prediction, target), threshold)["f_score"]
+    return score(prediction, target, threshold).f_score
 
 
 def hausdorff(
     prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
 ) -> float:
     """The larger of the two greatest nearest-neighbour distances, symmetric."""
-    return from_distances(*_both_ways(prediction, target))["hd"]
+    return score(prediction, target).hausdorff
 
 
 def from_distances(
     forward: Float[np.ndarray, " N"],
     backward: Float[np.ndarray, " M"],
-    threshold: float = 0.01,
-) -> dict[str, float]:
-    """`cd_l2`, `cd_l1`, `f_score` and `hd` (Hausdorff) of distances already found.
+    threshold: float = F_SCORE_THRESHOLD,
+) -> Scores:
+    """`score` of distances that are already known.
 
     `forward` are those of the prediction's points to their nearest target points,
-    `backward` the reverse: one search serves every metric.
+    `backward` the reverse.
     """
     precision, recall = np.mean(forward < threshold), np.mean(backward < threshold)
     both = precision + recall
-    return {
-        "cd_l2": float(np.mean(forward**2) + np.mean(backward**2)),
-        "cd_l1": float(0.5 * (forward.mean() + backward.mean())),
-        "f_score": float(2 * precision * recall / both) if both > 0 else 0.0,
-        "hd": float(max(forward.max(), backward.max())),
-    }
+    to_truth, from_truth = np.mean(forward**2), np.mean(backward**2)
+    return Scores(
+        cd_l2=float(to_truth + from_truth),
+        cd_l1=float(0.5 * (forward.mean() + backward.mean())),
+        f_score=float(2 * precision * recall / both) if both > 0 else 0.0,
+        emd=None,
+        hausdorff=float(max(forward.max(), backward.max())),
+        prediction_to_truth=float(to_truth),
+        truth_to_prediction=float(from_truth),
+    )
 
 
 def emd(
@@ -89,9 +129,10 @@ def emd(
 ) -> float:
     """Mean unsquared distance of the best one-to-one assignment, exact.
 
-    For equal counts of at most `MAX_EXACT_POINTS`; other clouds raise `ValueError`.
-    Memory is quadratic (some 24 bytes a pair), time up to cubic, a few times less for
-    clouds in farthest-point order.
+    The clouds need equal counts of at most `MAX_EXACT_POINTS`; others raise
+    `ValueError`. Memory is quadratic (some 24 bytes a pair), time up to cubic. Clouds
+    in farthest-point order take less, since the assignment of the first few is a good
+    start for the whole one.
     """
     return emds([prediction], target)[0]
 
@@ -99,8 +140,10 @@ def emd(
 def emds(
     predictions: Sequence[Float[np.ndarray, "N 3"]], target: Float[np.ndarray, "M 3"]
 ) -> list[float]:
-    """`emd` of several clouds to one target: the same values, and for clouds that are
-    alike sooner than one by one."""
+    """`emd` of several clouds to one target: the same values as one by one.
+
+    Faster for clouds that are alike: each starts from the assignment of the first.
+    """
     values, prices = [], None
     for prediction in predictions:
         cloud, goal = _checked(prediction, target)
@@ -118,20 +161,21 @@ def _check_counts(prediction: np.ndarray, target: np.ndarray) -> None:
     if len(prediction) != len(target):
         raise ValueError(
             f"emd is one-to-one and needs equal counts, not {len(prediction)} and "
-            f"{len(target)}: resample one, or use emd_sinkhorn"
+            f"{len(target)}: resample one"
         )
     if len(prediction) > MAX_EXACT_POINTS:
         raise ValueError(
             f"emd is exact and takes up to {MAX_EXACT_POINTS} points, not "
-            f"{len(prediction)}: use fewer, or emd_sinkhorn"
+            f"{len(prediction)}: use fewer"
         )
 
 
 def _reduced(cost: np.ndarray, prices: np.ndarray) -> np.ndarray:
-    """Costs less the columns' prices, and less the lowest of each row.
+    """The costs minus each column's price, and minus what is then each row's minimum.
 
-    Every assignment loses the same sum, so that the best one stays the best, whatever
-    the prices. Where they are nearly its dual variables, augmenting paths are short.
+    This lowers every assignment by the same sum, so the best one stays the best for any
+    prices. If the prices are close to its dual variables, SciPy's augmenting paths are
+    short.
     """
     reduced = cost - prices
     reduced -= reduced.min(axis=1, keepdims=True)
@@ -139,8 +183,8 @@ def _reduced(cost: np.ndarray, prices: np.ndarray) -> np.ndarray:
 
 
 def _coarse_prices(cost: np.ndarray) -> np.ndarray:
-    """Those of the assignment between the first three eighths of both clouds, carried
-    over to the others."""
+    """Prices from the assignment between the first three eighths of both clouds,
+    extended to all columns."""
     few = 3 * len(cost) // 8
     if few < _FEWEST:
         return np.zeros(len(cost))
@@ -154,10 +198,11 @@ def _coarse_prices(cost: np.ndarray) -> np.ndarray:
 def _relaxed(
     prices: np.ndarray, cost: np.ndarray, columns: np.ndarray, rounds: int
 ) -> np.ndarray:
-    """Prices nearer to the dual variables of the best assignment, `columns`.
+    """Prices closer to the dual variables of the best assignment, `columns`.
 
-    They are lengths of shortest paths from column to column, by Bellman and Ford: from
-    one to another leads what its row would pay more there.
+    The dual variables are shortest path lengths between columns, by Bellman-Ford: an
+    edge from one column to another costs what the row assigned to the first would pay
+    extra for the second.
     """
     more = cost - np.take_along_axis(cost, columns[:, None], axis=1)
     for _ in range(rounds):
@@ -166,85 +211,6 @@ def _relaxed(
             break
         prices = lower
     return prices
-
-
-def emd_sinkhorn(
-    prediction: Float[np.ndarray, "N 3"],
-    target: Float[np.ndarray, "M 3"],
-    epsilon: float = 0.002,
-    num_iterations: int = 20,
-) -> float:
-    """Approximate earth mover's distance of clouds of any sizes, from below.
-
-    Entropic transport between uniform weights at unsquared distance. The
-    regularisation falls by halves from the mean distance to `epsilon` times it, with
-    `num_iterations` iterations at each level. The result is the value of the dual
-    potentials after a c-transform, which is never above the exact optimum: below it
-    by 0 to 2 % on pairs of 2,048 points, less with more iterations.
-
-    Distances are computed again, block by block, in each iteration, so memory is
-    linear in the points; time is N x M x iterations (about three minutes for 16,384
-    against 16,384 on one core). Sources: Cuturi, "Sinkhorn distances", NeurIPS 2013;
-    Peyre and Cuturi, "Computational optimal transport", 2019, sections 4.1 and 5.1.
-    """
-    prediction, target = _checked(prediction, target)
-    if not 0.0 < epsilon <= 1.0 or num_iterations < 1:
-        raise ValueError(
-            "emd_sinkhorn needs epsilon in (0, 1] and at least one iteration, not "
-            f"{epsilon} and {num_iterations}"
-        )
-    total = sum(cost.sum() for _, cost in _costs(prediction, target))
-    mean = total / (len(prediction) * len(target))
-    if mean == 0.0:
-        return 0.0
-    potentials = np.zeros(len(prediction)), np.zeros(len(target))
-    num_levels = 1 + int(np.ceil(np.log2(1 / epsilon)))
-    for level in mean * np.geomspace(1.0, epsilon, num_levels):
-        for _ in range(num_iterations):
-            potentials = _sinkhorn_iteration(prediction, target, *potentials, level)
-    return max(0.0, _dual_value(prediction, target, potentials[1]))
-
-
-def _sinkhorn_iteration(
-    source: np.ndarray,
-    target: np.ndarray,
-    f: np.ndarray,
-    g: np.ndarray,
-    epsilon: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Scales the rows, then the columns, of exp((f_i + g_j - C_ij) / epsilon).
-
-    Both in one pass over the plan, in single precision. After it no entry is above
-    one, nor when epsilon is halved, so that the exponential cannot overflow.
-    """
-    f = f.copy()
-    column_sums = np.zeros(len(target))
-    scaled_g = (g / epsilon).astype(np.float32)
-    for rows, cost in _costs(source, target):
-        plan = ((f[rows, None] - cost) / epsilon).astype(np.float32)
-        plan += scaled_g
-        np.exp(plan, out=plan)
-        factor = 1.0 / (len(source) * np.maximum(plan.sum(axis=1), _TINY))
-        f[rows] += epsilon * np.log(factor)
-        column_sums += factor.astype(np.float32) @ plan
-    column_sums = np.maximum(column_sums, _TINY)
-    return f, g - epsilon * np.log(len(target) * column_sums)
-
-
-def _dual_value(source: np.ndarray, target: np.ndarray, g: np.ndarray) -> float:
-    """Value of the dual potentials (f, g), f being the c-transform of g: feasible."""
-    total = sum(np.min(cost - g, axis=1).sum() for _, cost in _costs(source, target))
-    return float(total / len(source) + g.mean())
-
-
-def _costs(
-    source: np.ndarray, target: np.ndarray
-) -> Iterator[tuple[slice, np.ndarray]]:
-    """Distances between all pairs of points, a block of rows at a time."""
-    height = max(1, _BLOCK_PAIRS // len(target))
-    for start in range(0, len(source), height):
-        rows = slice(start, start + height)
-        yield rows, cdist(source[rows], target)
 
 
 def _both_ways(

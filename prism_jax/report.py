@@ -34,6 +34,13 @@ SCORES = {
 }
 """How the table of scores shows each metric: title (HTML), factor, direction."""
 
+CLOUDS = {
+    "partial": "the measured points",
+    "network": "all that the network predicts",
+    "completed": "what you get: observed and added points",
+}
+"""What the clouds of a result are."""
+
 _SENSOR = {
     "given": "given",
     "origin": "placed at the origin",
@@ -86,7 +93,7 @@ def render_report(
         max_shown=f"{MAX_SHOWN_POINTS:,}",
         depth=_figure(depth, "depth", displayModeBar=False),
         losses=_losses(summary),
-        scores=_scores(summary["metrics"]),
+        scores=_scores(summary["scores"]),
         details=_table(_details(summary)),
     )
 
@@ -151,8 +158,8 @@ def _verdict(summary: Mapping[str, Any]) -> str:
 def _cards(summary: Mapping[str, Any]) -> str:
     points, seconds = summary["points"], summary["seconds"]
     cards = [
-        ("points observed", f"{points['observed']:,}"),
-        ("points added", f"{points['completed']:,}"),
+        ("points observed", f"{points['partial']:,}"),
+        ("points added", f"{points['completed'] - points['partial']:,}"),
         *[
             (f"seconds to {name}", f"{seconds[name]:.1f}")
             for name in ("compile", "run")
@@ -183,25 +190,26 @@ def _losses(summary: Mapping[str, Any]) -> str:
     return f'{figure}<p class="caption">{html.escape(caption)}</p>'
 
 
-def _scores(metrics: Mapping[str, Any] | None) -> str:
-    if metrics is None:
+def _scores(scores: Mapping[str, Any] | None) -> str:
+    if scores is None:
         return "<p>No ground truth was given, so there is nothing to score against.</p>"
-    rows = [("partial", "Partial scan itself"), ("network_output", "Network output")]
-    rows += [("completed", "What you get: observed and added points")]
     head = "".join(
         f"<th>{title}<small>{direction}</small></th>"
         for title, _, direction in SCORES.values()
     )
     body = "".join(
-        f"<tr><th>{label}</th>"
+        f"<tr><th>{name}<small>{CLOUDS[name]}</small></th>"
         + "".join(
-            f"<td>{metrics[row][name] * factor:.4g}</td>"
-            for name, (_, factor, _) in SCORES.items()
+            f"<td>{cloud[metric] * factor:.4g}</td>"
+            for metric, (_, factor, _) in SCORES.items()
         )
         + "</tr>"
-        for row, label in rows
+        for name, cloud in scores["clouds"].items()
     )
-    note = f"Against the ground truth, in workspace units: {metrics['units']}."
+    note = (
+        f"Against the ground truth. Unit of length: {scores['unit']}, "
+        f"{scores['unit_length']:.4g} of the input's."
+    )
     return (
         f'<table class="scores"><thead><tr><td></td>{head}</tr></thead>'
         f'<tbody>{body}</tbody></table><p class="caption">{html.escape(note)}</p>'
@@ -232,7 +240,7 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
             f"cube about ({center}), half extent {_number(workspace['half_extent'])}",
         ),
         ("Camera", view),
-        ("Network output", f"{summary['points']['network_output']:,} points"),
+        ("Network output", f"{summary['points']['network']:,} points"),
     ]
     if summary["ground_truth"]:
         truth = summary["ground_truth"]

@@ -10,13 +10,7 @@ from jaxtyping import Float
 
 from prism_jax import io, metrics
 from prism_jax.adaptation.config import BRANCHES
-from prism_jax.figures import subsample
-
-MAX_SCORED_POINTS = 50_000
-"""Larger clouds are thinned, evenly and always alike, before they are scored."""
-
-F_SCORE_THRESHOLD = 0.01
-"""One hundredth of the workspace's half extent."""
+from prism_jax.geometry.workspace import Workspace
 
 
 def summarize(
@@ -29,12 +23,11 @@ def summarize(
     up: str,
     bounds: str | None,
 ) -> dict[str, Any]:
-    """The content of result.json but for times and scores. Lengths in input units.
+    """The content of result.json except times and scores. Lengths in input units.
 
     ``result`` is a `prism_jax.completion.CompletedScan` of ``scan``, which was read
     from ``source``; the others are what the user asked for.
     """
-    observed = int(np.sum(result.observed))
     return {
         "prism_jax": _version(),
         "input": {
@@ -47,11 +40,7 @@ def summarize(
         "weights": weights,
         "adapt": adapt,
         "accepted": bool(result.accepted),
-        "points": {
-            "observed": observed,
-            "completed": len(result.points) - observed,
-            "network_output": len(result.prediction),
-        },
+        "points": {name: len(cloud) for name, cloud in clouds(result).items()},
         "workspace": {
             "center": np.asarray(result.workspace.center),
             "half_extent": float(result.workspace.half_extent),
@@ -62,34 +51,43 @@ def summarize(
         "sensor": result.sensor,
         "losses": dict(result.losses),
         "loss_weights": dict(zip(BRANCHES, result.weights, strict=True)),
-        "metrics": None,
+        "scores": None,
+    }
+
+
+def clouds(result: Any) -> dict[str, Float[np.ndarray, "_ 3"]]:
+    """The three clouds of a result by name, in the user's frame and units.
+
+    ``partial`` holds the measured points in the workspace, ``network`` the network's
+    own output, ``completed`` the measured points and, where nothing was measured,
+    predicted ones.
+    """
+    return {
+        "partial": result.points[result.observed],
+        "network": result.prediction,
+        "completed": result.points,
     }
 
 
 def score(result: Any, ground_truth: Float[np.ndarray, "G 3"]) -> dict[str, Any]:
-    """The partial, the network's output and what the user gets, against the truth.
+    """The metrics of all `clouds` against the truth, without the EMD.
 
-    All in workspace units, the half extent being 1: multiply CD-L1 and Hausdorff by
-    it for lengths in input units. Conventions: `prism_jax.metrics`.
+    Functions and unit are those of `prism_jax.evaluation`. No cloud is thinned: that
+    would change how much measured and predicted points weigh against each other.
     """
-    center = np.asarray(result.workspace.center, dtype=np.float64)
-    half_extent = float(result.workspace.half_extent)
+    truth = np.asarray(ground_truth, np.float64)
+    unit = Workspace.from_points(truth, margin=1.0)
 
-    def unit(points: np.ndarray) -> np.ndarray:
-        thinned = subsample(np.asarray(points, dtype=np.float64), MAX_SCORED_POINTS)
-        return (thinned - center) / half_extent
+    def scored(cloud: np.ndarray) -> dict[str, float]:
+        points = np.asarray(unit.to_unit(cloud.astype(np.float64)))
+        return metrics.score(points, target).named()
 
-    target = unit(ground_truth)
-    clouds = {
-        "partial": result.points[result.observed],
-        "network_output": result.prediction,
-        "completed": result.points,
-    }
+    target = np.asarray(unit.to_unit(truth))
     return {
-        "units": "1 is half the side of the workspace",
-        "f_score_threshold": F_SCORE_THRESHOLD,
-        "max_points": MAX_SCORED_POINTS,
-        **{name: _scores(unit(points), target) for name, points in clouds.items()},
+        "unit": metrics.UNIT,
+        "unit_length": float(unit.half_extent),
+        "f_score_threshold": metrics.F_SCORE_THRESHOLD,
+        "clouds": {name: scored(cloud) for name, cloud in clouds(result).items()},
     }
 
 
@@ -104,15 +102,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def _scores(prediction: np.ndarray, target: np.ndarray) -> dict[str, float]:
-    return {
-        "cd_l1": metrics.cd_l1(prediction, target),
-        "cd_l2": metrics.cd_l2(prediction, target),
-        "f_score": metrics.f_score(prediction, target, F_SCORE_THRESHOLD),
-        "hausdorff": metrics.hausdorff(prediction, target),
-    }
 
 
 def _version() -> str | None:

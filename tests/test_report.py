@@ -46,7 +46,7 @@ def report(adapt=True, ground_truth=None, points=POINTS, **changes):
     summary = summarize(result, scan, "scan.ply", **(ASKED | {"adapt": adapt}))
     summary["seconds"] = dict(result.seconds)
     if ground_truth is not None:
-        summary["metrics"] = score(result, ground_truth)
+        summary["scores"] = score(result, ground_truth)
         summary["ground_truth"] = {"file": "gt.ply", "points": len(ground_truth)}
     summary |= changes
     assert isinstance(result, Completed)
@@ -71,8 +71,11 @@ def test_says_what_result_json_says():
     assert "318, of them 7 not finite and 11 outside" in text
     assert "normal 0.5, denoise 0.25, align 0.25" in text
     assert "the objective went from 1 to 0.5 in 3 steps" in text
-    for row in ("partial", "network_output", "completed"):
-        assert f"{summary['metrics'][row]['f_score']:.4g}" in text
+    clouds = summary["scores"]["clouds"]
+    assert list(clouds) == ["partial", "network", "completed"]
+    for name, metrics in clouds.items():
+        assert f"{metrics['f_score']:.4g}" in text
+        assert name in text
 
 
 @pytest.mark.parametrize(

@@ -1,45 +1,60 @@
 """What result.json says: scores in one unit, and strict JSON."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
-from prism_jax import metrics, result
+from prism_jax import metrics
 from prism_jax.result import plain, score
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).uniform(1, 2, size=(300, 3)).astype(np.float32)
 
 
-def test_scores_are_in_workspace_units():
+def test_scores_are_in_half_the_longest_side_of_the_truth():
+    """Whatever the workspace, which is taken from the partial cloud."""
     completed = FakeCompleter().complete(POINTS)
-    truth = POINTS + np.float32(0.01)
+    truth = POINTS * np.float32([3, 1, 1])
     measured = score(completed, truth)
-    center, half = completed.workspace.center, completed.workspace.half_extent
+    half = np.ptp(truth.astype(np.float64), axis=0).max() / 2
+    assert abs(half / completed.workspace.half_extent - 1) > 0.5
+    assert measured["unit_length"] == half
+    assert measured["unit"] == "half the longest side of the complete cloud"
     clouds = {
         "partial": POINTS,
-        "network_output": completed.prediction,
+        "network": completed.prediction,
         "completed": completed.points,
     }
+    assert list(measured["clouds"]) == list(clouds)
     for name, cloud in clouds.items():
-        pair = (cloud.astype(np.float64) - center) / half, (truth - center) / half
-        assert measured[name] == {
-            "cd_l1": metrics.cd_l1(*pair),
-            "cd_l2": metrics.cd_l2(*pair),
-            "f_score": metrics.f_score(*pair, 0.01),
-            "hausdorff": metrics.hausdorff(*pair),
-        }
-    assert measured["partial"]["cd_l1"] == pytest.approx(0.01 / half * 3**0.5, rel=0.2)
+        pair = cloud.astype(np.float64) / half, truth.astype(np.float64) / half
+        assert measured["clouds"][name] == pytest.approx(
+            {
+                "cd_l1": metrics.cd_l1(*pair),
+                "cd_l2": metrics.cd_l2(*pair),
+                "f_score": metrics.f_score(*pair, 0.01),
+                "hausdorff": metrics.hausdorff(*pair),
+                "prediction_to_truth": np.mean(cdist(*pair).min(1) ** 2),
+                "truth_to_prediction": np.mean(cdist(*pair).min(0) ** 2),
+            }
+        )
 
 
-def test_scores_of_huge_clouds_are_of_an_even_sample(monkeypatch):
-    completed = FakeCompleter().complete(POINTS)
-    monkeypatch.setattr(result, "MAX_SCORED_POINTS", 100)
-    measured = score(completed, POINTS)
-    assert measured["max_points"] == 100
-    assert measured == score(completed, POINTS)
-    assert measured["partial"]["cd_l1"] == 0.0
+def test_every_point_counts_however_large_the_clouds():
+    """Thinning would drop added points, and one scan would have several scores."""
+    points = np.random.default_rng(1).uniform(1, 2, (70_000, 3)).astype(np.float32)
+    completed = FakeCompleter().complete(points)
+    assert len(completed.points) > 100_000
+    away = dataclasses.replace(completed, points=completed.points.copy())
+    away.points[-1] = 50.0
+    found, moved = (
+        score(one, points)["clouds"]["completed"] for one in (completed, away)
+    )
+    squared = 4 * 3 * 48.0**2 / len(completed.points)
+    assert moved["cd_l2"] - found["cd_l2"] == pytest.approx(squared, rel=0.01)
 
 
 def test_plain_is_strict_json():

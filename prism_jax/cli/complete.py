@@ -117,6 +117,9 @@ def complete_file(
         scan = io.read_scan(source, camera, bounds)
         if ground_truth is not None:
             truth = io.crop(io.read_points(ground_truth), bounds, ground_truth)
+            if not np.ptp(truth, axis=0).any():
+                fault = "has all its points in one place"
+                raise io.InputError(ground_truth, fault, "give a whole cloud")
     folder = io.make_output_dir(output_dir)
     with timed(f"loading the weights {weights}", "load", seconds):
         completer = load_completer(weights)
@@ -135,7 +138,7 @@ def complete_file(
     summary = summarize(result, scan, source, **asked)
     if truth is not None:
         with timed("scoring against the ground truth", "score", seconds):
-            summary["metrics"] = score(result, truth)
+            summary["scores"] = score(result, truth)
         summary["ground_truth"] = {"file": ground_truth, "points": len(truth)}
     summary["seconds"] = seconds
     with timed(f"writing to {folder}", "write", seconds):
@@ -161,13 +164,14 @@ def weight_cards() -> str:
 
 def outcome(summary: dict[str, Any], output_dir: str) -> str:
     """What was done, in three lines."""
-    points, adapted = summary["points"], "not asked for"
+    partial, completed = (summary["points"][k] for k in ("partial", "completed"))
+    adapted = "not asked for"
     if summary["adapt"] and len(summary["losses"]["objective"]) == 1:
         adapted = "none, these weights take no step"
     elif summary["adapt"]:
         adapted = "accepted" if summary["accepted"] else "not accepted, left out"
     return (
-        f"points      {points['observed']:,} observed, {points['completed']:,} added\n"
+        f"points      {partial:,} observed, {completed - partial:,} added\n"
         f"adaptation  {adapted}\n"
         f"written     {output_dir}: completed.ply, result.json, report.html"
     )

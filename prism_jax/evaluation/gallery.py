@@ -115,7 +115,7 @@ def _shown(
 
 
 def _chamfer(errors: np.ndarray, cloud: np.ndarray, complete: np.ndarray) -> float:
-    return metrics.from_distances(errors, KDTree(cloud).query(complete)[0])["cd_l2"]
+    return metrics.from_distances(errors, KDTree(cloud).query(complete)[0]).cd_l2
 
 
 def picture_row(shown: Shown, size: int) -> Row:

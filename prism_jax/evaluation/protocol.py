@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float32
 
+from prism_jax import metrics
 from prism_jax.data.partials import first_points
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import UNKNOWN_EYE
@@ -18,7 +19,7 @@ from prism_jax.geometry.workspace import Workspace
 NORMALISATIONS = ("partial", "oracle", "own")
 
 UNITS = {
-    "complete": "half the longest side of the complete cloud",
+    "complete": metrics.UNIT,
     "own": "the data set's own unit",
 }
 """What scores can be in, and in words."""

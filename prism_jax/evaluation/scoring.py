@@ -70,9 +70,11 @@ def score(
             merged = _merged(found["control"], prediction, keep, scene.complete)
             found[MERGED[name]] = merged
     scores = {
-        name: metrics.from_distances(one.forward, one.backward)
+        name: metrics.from_distances(one.forward, one.backward).named()
         for name, one in found.items()
     }
+    for row in scores.values():
+        row["hd"] = row.pop("hausdorff")
     if with_emd:
         few = {
             name: farthest_point_order(one.cloud, EMD_POINTS)

@@ -67,7 +67,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
 
     def record(**given):
         asked.append(given)
-        points = {"observed": 0, "completed": 0}
+        points = {"partial": 0, "completed": 0}
         losses = {"objective": [2.0, 1.0]}
         told = {"points": points, "adapt": given["adapt"], "accepted": False}
         return told | {"losses": losses}
@@ -93,7 +93,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
 
 
 def test_says_why_nothing_was_adapted():
-    points = {"observed": 1, "completed": 2}
+    points = {"partial": 1, "completed": 3}
     summary = {"points": points, "adapt": True, "accepted": False}
     held = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
     assert "none, these weights take no step" in held

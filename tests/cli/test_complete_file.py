@@ -64,9 +64,9 @@ def test_measured_points_come_back_bit_for_bit(given):
     assert points.dtype == np.float32
     assert points[:300].tobytes() == POINTS.tobytes()
     assert written["points"] == {
-        "observed": 300,
-        "completed": 150,
-        "network_output": 150,
+        "partial": 300,
+        "network": 150,
+        "completed": 450,
     }
 
 
@@ -79,7 +79,7 @@ def test_result_holds_what_the_completer_said(given):
     assert written["loss_weights"] == {"normal": 0.5, "denoise": 0.25, "align": 0.25}
     assert written["seconds"]["compile"] == 12.5
     assert {"read", "load", "complete", "run"} <= set(written["seconds"])
-    assert written["metrics"] is None
+    assert written["scores"] is None
     center = written["workspace"]["center"]
     np.testing.assert_allclose(center, (POINTS.min(0) + POINTS.max(0)) / 2, rtol=1e-6)
     assert io.camera_from_dict(written["camera"]).width == 128
@@ -90,7 +90,7 @@ def test_workspace_crops_scan_and_ground_truth(given, tmp_path):
     complete_file(**given | dict(workspace="1,1,1,1.5,2,3", ground_truth=truth))
     _, written = outputs(given)
     kept = POINTS[POINTS[:, 0] <= 1.5]
-    assert written["points"]["observed"] == len(kept)
+    assert written["points"]["partial"] == len(kept)
     assert written["input"]["points_outside"] == 300 - len(kept)
     center = (kept.min(0) + kept.max(0)) / 2
     np.testing.assert_allclose(written["workspace"]["center"], center, rtol=1e-6)
@@ -147,10 +147,13 @@ def test_a_sensor_too_far_away_is_told(given, monkeypatch, capsys):
     assert "the origin is too far away, or among the points" in report
 
 
-def test_bad_input_is_refused_before_weights_are_loaded(given, monkeypatch):
+def test_bad_input_is_refused_before_weights_are_loaded(given, tmp_path, monkeypatch):
     monkeypatch.setattr(complete, "load_completer", pytest.fail)
     with pytest.raises(io.InputError, match=r"truth.*no such file"):
         complete_file(**given | dict(ground_truth="truth.ply"))
+    np.save(tmp_path / "point.npy", np.ones((5, 3), np.float32))
+    with pytest.raises(io.InputError, match=r"point.npy.*all its points in one place"):
+        complete_file(**given | dict(ground_truth=str(tmp_path / "point.npy")))
 
 
 def test_a_long_step_is_told(capsys, monkeypatch):
