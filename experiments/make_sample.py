@@ -10,8 +10,8 @@ from absl import flags
 
 from prism_jax.cli.launch import launch
 from prism_jax.data.corpus import CorpusConfig, shape_seed
-from prism_jax.data.partials import HALF_EXTENT
 from prism_jax.io.ply import write_ply
+from prism_jax.simulation.partials import HALF_EXTENT
 from prism_jax.simulation.shapes import CATEGORIES
 from prism_jax.simulation.views import dequantise, make_views
 

@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist, directed_hausdorff
 
 from prism_jax import metrics
-from prism_jax.data.partials import farthest_point_order
+from prism_jax.data.ordering import farthest_point_order
 
 RNG = np.random.default_rng(3)
 NAMES = {

@@ -9,7 +9,7 @@ import numpy as np
 from experiments.benchmarks.measure import Row, in_turn, row
 from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
-from prism_jax.data.partials import farthest_point_order, first_points
+from prism_jax.data.ordering import farthest_point_order, first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Source

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Int
 
 from prism_jax.data import builds
-from prism_jax.data.partials import PARTIALS
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
+from prism_jax.simulation.partials import PARTIALS
 from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
 from prism_jax.simulation.views import (
     PARTIAL_POINTS,

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt16
 
 from prism_jax.data import builds
-from prism_jax.data.partials import first_points
+from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError

@@ -1,26 +1,21 @@
 """Examples of any source as batches of arrays, shuffled and resumable, by Grain."""
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import grain
 import jax
 import numpy as np
 from absl import flags
 from jaxtyping import Float32
 
-from prism_jax.data.partials import (
-    CROP_SHARES,
-    CROP_VIEWPOINTS,
-    crop,
-    first_points,
-    random_crop,
-)
+from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop, random_crop
+from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.camera import UNKNOWN_EYE
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, require
 
 
 class Batch(NamedTuple):
@@ -123,7 +118,7 @@ def training_batches(
     shard: tuple[int, int] = (0, 1),
     indices: Any = None,
     start: int = 0,
-) -> grain.DatasetIterator[Batch]:
+) -> Iterator[Batch]:
     """Endless batches: each example once per epoch, freshly shuffled and augmented.
 
     What the n-th batch holds is a function of the source, the framing, the size, the
@@ -131,9 +126,10 @@ def training_batches(
     read ahead, 0 for threads of this one. `shard` is (this process, number of
     processes) where several train together: each then sees its own share.
     `indices`, a tree of arrays with a row for each item, come with the batches; they
-    must not change under mirroring and turning. A source that does not fill one batch
-    raises InputError.
+    must not change under mirroring and turning. A source that does not fill one batch,
+    and a missing package grain, raise InputError.
     """
+    grain = require("grain", "train")
     number, count = shard
     if len(source) < batch_size * count:
         fault = f"{len(source)} examples do not fill a batch of {batch_size * count}"
@@ -143,7 +139,7 @@ def training_batches(
         .seed(seed)
         .shuffle()
         .repeat()
-        .random_map(_Frame(framing))
+        .random_map(functools.partial(_framed, framing))
         .slice(slice(number, None, count))
         .batch(batch_size, batch_fn=stack)
         .slice(slice(start, None))
@@ -164,13 +160,11 @@ def stack(rows: Sequence[Batch]) -> Batch:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
 
 
-class _Frame(grain.transforms.RandomMap):
-    def __init__(self, framing: Framing):
-        self._framing = framing
-
-    def random_map(self, element: Any, rng: np.random.Generator) -> Batch:
-        example, indices = element
-        return frame_example(example, self._framing, rng)._replace(indices=indices)
+def _framed(
+    framing: Framing, element: tuple[Example, Any], rng: np.random.Generator
+) -> Batch:
+    example, indices = element
+    return frame_example(example, framing, rng)._replace(indices=indices)
 
 
 class _WithIndices:

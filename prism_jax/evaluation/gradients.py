@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.objective import test_time_objective
-from prism_jax.data.partials import first_points
+from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import Protocol, given, workspace_for

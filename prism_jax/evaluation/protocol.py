@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from prism_jax import metrics
-from prism_jax.data.partials import first_points
+from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import UNKNOWN_EYE
 from prism_jax.geometry.workspace import Workspace

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import make_adapt
-from prism_jax.data.partials import first_points
+from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import (

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
-from prism_jax.data.partials import farthest_point_order
+from prism_jax.data.ordering import farthest_point_order
 
 EMD_POINTS = 1024
 """The exact earth mover's distance is taken between so many farthest points."""

@@ -1,7 +1,9 @@
 """The error for what a user can put right."""
 
+import importlib
 import os
 from collections.abc import Iterable
+from typing import Any
 
 
 class InputError(ValueError):
@@ -29,3 +31,17 @@ def choose(flag: str, value: str, choices: Iterable[str]) -> str:
         remedy = f"use {'one of ' if len(choices) > 1 else ''}{', '.join(choices)}"
         raise InputError(flag, f"unknown value {value!r}", remedy)
     return value
+
+
+def require(package: str, extra: str) -> Any:
+    """The imported package of an optional extra; InputError where it is missing.
+
+    Called where the package is used, so that nothing else needs it.
+    """
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        if error.name != package.split(".")[0]:
+            raise
+        remedy = f'install the extra: pip install "prism_jax[{extra}]"'
+        raise InputError(package, "is not installed", remedy) from None

@@ -9,7 +9,8 @@ workspace is taken from the partial alone, later. Coordinates are int16 multiple
 import numpy as np
 from jaxtyping import Float, Float32, Int16
 
-from prism_jax.data.partials import farthest_point_order, make_partial
+from prism_jax.data.ordering import farthest_point_order
+from prism_jax.simulation.partials import make_partial
 from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.shapes import category_rng, make_shape
 

@@ -5,7 +5,7 @@ import pytest
 
 from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
-from prism_jax.data.partials import farthest_point_order
+from prism_jax.data.ordering import farthest_point_order
 from prism_jax.evaluation.scoring import EMD_POINTS, METRICS, Scene, score
 
 RNG = np.random.default_rng(5)

@@ -1,9 +1,13 @@
 """The one line that a user reads."""
 
+import json
 import pathlib
 import pickle
+import sys
 
-from prism_jax.io.errors import InputError
+import pytest
+
+from prism_jax.io.errors import InputError, require
 
 
 def test_names_subject_fault_and_remedy():
@@ -23,3 +27,20 @@ def test_is_one_printable_line_whatever_the_file_is_called():
     error = InputError("a\nb\x1b[31m.ply", "fault\r\n", "remedy")
     assert str(error).isprintable()
     assert str(error) == "a b [31m.ply: fault ; remedy"
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch):
+    assert require("json", "data") is json
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(InputError) as error:
+        require("h5py", "data")
+    told = 'h5py: is not installed; install the extra: pip install "prism_jax[data]"'
+    assert str(error.value) == told
+
+
+def test_but_not_one_that_is_broken(monkeypatch, tmp_path):
+    """What it needs itself and does not find is its own matter."""
+    (tmp_path / "broken_package.py").write_text("import not_there_at_all")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ModuleNotFoundError, match="not_there_at_all"):
+        require("broken_package", "data")

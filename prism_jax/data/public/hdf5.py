@@ -5,11 +5,11 @@ import functools
 import math
 import os
 from collections.abc import Iterator
+from typing import Any
 
-import h5py
 import numpy as np
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, require
 
 _REMEDY = "copy this file again from the set"
 _MAX_NUMBERS = 2**22
@@ -17,12 +17,12 @@ _MAX_NUMBERS = 2**22
 
 
 @contextlib.contextmanager
-def opened(path: str | os.PathLike, keep: bool = False) -> Iterator[h5py.File]:
-    """A file for reading; with `keep` this process leaves it open for the next time.
+def opened(path: str | os.PathLike, keep: bool = False) -> Iterator[Any]:
+    """An `h5py.File` for reading; with `keep` it stays open for the next call.
 
     What h5py raises in the block for a missing, damaged or cut file becomes an
-    InputError. A file that is kept is worth it where chunks are cached: each process
-    has a handle of its own, and none is ever pickled.
+    InputError. Keep a file open where its chunks are worth caching: each process has a
+    handle of its own, and none is ever pickled.
     """
     try:
         if keep:
@@ -45,21 +45,34 @@ def read_array(path: str | os.PathLike, name: str) -> np.ndarray:
         return dataset[()]
 
 
-def find_array(file: h5py.File, name: str) -> h5py.Dataset:
-    """An array of an open file, unread; where there is none, raises InputError."""
+def find_array(file: Any, name: str) -> Any:
+    """The `h5py.Dataset` of an open `h5py.File`, unread.
+
+    HDF5 can point to data elsewhere: links, external storage and virtual arrays all
+    name other files by path. None of these is followed. They, and a file without the
+    array, raise InputError.
+    """
+    h5py = require("h5py", "data")
+    link = file.get(name, getlink=True)
+    if link is not None and not isinstance(link, h5py.HardLink):
+        fault = f"has a link in place of the array {name!r}"
+        raise InputError(file.filename, fault, "store the array in the file itself")
     found = file.get(name)
     if not isinstance(found, h5py.Dataset) or found.shape is None:
         held = ", ".join(file) or "nothing"
         fault = f"has no array {name!r}: it holds {held}"
         raise InputError(file.filename, fault, _REMEDY)
+    if found.external or found.is_virtual:
+        fault = f"keeps the array {name!r} in other files"
+        raise InputError(file.filename, fault, "store the array in the file itself")
     return found
 
 
-def _open(path: str | os.PathLike) -> h5py.File:
+def _open(path: str | os.PathLike) -> Any:
     """Without the lock that some network drives refuse; nobody writes here."""
-    return h5py.File(path, "r", locking=False)
+    return require("h5py", "data").File(path, "r", locking=False)
 
 
 @functools.lru_cache(maxsize=16)
-def _kept(path: str, process: int) -> h5py.File:
+def _kept(path: str, process: int) -> Any:
     return _open(path)

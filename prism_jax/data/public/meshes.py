@@ -9,11 +9,11 @@ import numpy as np
 import trimesh
 from jaxtyping import Int
 
-from prism_jax.data.partials import make_partial
 from prism_jax.data.public.layout import sound_cloud
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
+from prism_jax.simulation.partials import make_partial
 from prism_jax.simulation.raycast import Scene
 
 SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb")

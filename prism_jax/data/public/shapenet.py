@@ -14,7 +14,7 @@ import pathlib
 import numpy as np
 from jaxtyping import Float32
 
-from prism_jax.data.partials import CROP_SHARES, CROP_VIEWPOINTS, crop
+from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop
 from prism_jax.data.public.layout import (
     ListedSource,
     Model,

@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from prism_jax.data.partials import farthest_point_order
+from prism_jax.data.ordering import farthest_point_order
 from prism_jax.simulation.raycast import Scene
 from prism_jax.simulation.sensors import OusterConfig, ouster_scan
 

@@ -43,3 +43,39 @@ def test_a_group_an_empty_array_and_other_files_are_refused(tmp_path, write):
     (tmp_path / "c.h5").write_text("no HDF5")
     with pytest.raises(InputError, match=r"c.h5: cannot be read as HDF5"):
         hdf5.read_array(tmp_path / "c.h5", "data")
+
+
+@pytest.mark.parametrize("link", [h5py.ExternalLink("b.h5", "/data"), None])
+def test_links_are_not_followed(tmp_path, write, link):
+    """Neither to another file nor, over a soft link, to one that leads there."""
+    write(tmp_path / "b.h5", {"data": np.arange(6.0)})
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["outside"] = h5py.ExternalLink("b.h5", "/data")
+        file["data"] = link or h5py.SoftLink("/outside")
+        assert file["data"].shape == (6,)
+    with pytest.raises(InputError, match=r"a.h5: has a link in place of .*'data'"):
+        hdf5.read_array(path, "data")
+
+
+def test_bytes_of_other_files_are_not_read(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_bytes(np.arange(6.0).tobytes())
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        storage = [(str(secret), 0, secret.stat().st_size)]
+        file.create_dataset("data", (6,), "f8", external=storage)
+    with pytest.raises(InputError, match=r"a.h5: keeps the array 'data' in other"):
+        hdf5.read_array(path, "data")
+
+
+def test_nor_those_of_virtual_arrays(tmp_path, write):
+    other = write(tmp_path / "b.h5", {"data": np.arange(6.0)})
+    layout = h5py.VirtualLayout((6,), "f8")
+    layout[:] = h5py.VirtualSource(other, "data", (6,))
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.create_virtual_dataset("data", layout)
+        assert file["data"][5] == 5
+    with pytest.raises(InputError, match=r"a.h5: keeps the array 'data' in other"):
+        hdf5.read_array(path, "data")

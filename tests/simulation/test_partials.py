@@ -2,15 +2,10 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
-from prism_jax.data.partials import (
-    CROP_SHARES,
-    CROP_VIEWPOINTS,
+from prism_jax.simulation.partials import (
     HALF_EXTENT,
     PARTIALS,
-    crop,
-    farthest_point_order,
     l515,
     make_partial,
     ouster,
@@ -95,28 +90,6 @@ def test_far_from_the_origin_the_view_is_the_same():
     _, distance, _ = trimesh.proximity.closest_point_naive(mesh, points[::60] - shift)
     assert len(points) >= 2048
     assert distance.max() < 1e-6
-
-
-@pytest.mark.parametrize("share", [*CROP_SHARES.values(), 0.0, 0.43218])
-def test_crop_removes_exactly_the_nearest_share(complete, share):
-    for viewpoint in CROP_VIEWPOINTS:
-        partial = crop(complete, viewpoint, share)
-        gaps = cdist(complete, viewpoint[None])[:, 0]
-        farthest = np.argsort(gaps)[int(share * 4000) :]
-        np.testing.assert_array_equal(partial, complete[np.sort(farthest)])
-
-
-def test_crop_viewpoints_are_the_corners_and_ties_keep_the_count():
-    assert {tuple(np.sign(corner)) for corner in CROP_VIEWPOINTS} == {
-        (x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
-    }
-    np.testing.assert_array_equal(np.abs(CROP_VIEWPOINTS), 1)
-    same = np.zeros((10, 3), np.float32)
-    assert len(crop(same, CROP_VIEWPOINTS[0], 0.25)) == 8
-    assert crop(same, CROP_VIEWPOINTS[0], 0.25).dtype == np.float32
-    for share in (1.0, -0.1, np.nan):
-        with pytest.raises(ValueError, match="share"):
-            crop(same, CROP_VIEWPOINTS[0], share)
 
 
 def test_random_crops_span_the_published_shares_from_the_unit_sphere(scene, complete):
@@ -211,50 +184,6 @@ def test_every_viewpoint_of_a_sensor_has_the_object_in_sight(scene, complete):
 def test_unknown_kinds_are_named(scene, complete):
     with pytest.raises(ValueError, match="unknown partial 'radar': choose one of"):
         make_partial("radar", scene, complete, np.random.default_rng(0), 2048)
-
-
-def greedy_order(points: np.ndarray, start: int, count: int) -> list[float]:
-    """Covering radius before each step of a plain farthest-point loop."""
-    gaps = np.sum((points - points[start]) ** 2, axis=1)
-    radii = []
-    for _ in range(count - 1):
-        winner = int(np.argmax(gaps))
-        radii.append(gaps[winner])
-        gaps = np.minimum(gaps, np.sum((points - points[winner]) ** 2, axis=1))
-    return radii
-
-
-@pytest.mark.parametrize("offset", [0.0, 100.0])
-def test_order_is_exactly_farthest_point(offset):
-    """Against a NumPy loop from the same first point."""
-    points = np.random.default_rng(0).normal(size=(3000, 3)).astype(np.float32)
-    points = points * np.float32([1, 0.3, 0.1]) + np.float32(offset)
-    order = farthest_point_order(points, 300)
-    start = int(np.argmax(np.all(points == order[0], axis=1)))
-    expected = greedy_order(points, start, 300)
-    gaps = np.sum((points - order[0]) ** 2, axis=1)
-    for step, radius in enumerate(expected, 1):
-        chosen = np.sum((order[:step] - order[step]) ** 2, axis=1).min()
-        assert chosen == pytest.approx(gaps.max(), rel=1e-6)
-        assert chosen == pytest.approx(radius, rel=1e-6)
-        gaps = np.minimum(gaps, np.sum((points - order[step]) ** 2, axis=1))
-
-
-def test_short_clouds_repeat_cyclically_and_empty_ones_raise():
-    points = np.random.default_rng(1).normal(size=(5, 3))
-    order = farthest_point_order(points, 12)
-    np.testing.assert_array_equal(order[5:10], order[:5])
-    assert len(np.unique(order, axis=0)) == 5
-    one = farthest_point_order(points[:1], 3)
-    np.testing.assert_array_equal(one, np.repeat(points[:1], 3, axis=0))
-    with pytest.raises(ValueError, match="empty"):
-        farthest_point_order(points[:0], 3)
-
-
-def test_duplicates_come_last():
-    points = np.random.default_rng(2).normal(size=(50, 3))
-    order = farthest_point_order(np.tile(points, (4, 1)), 50)
-    assert len(np.unique(order, axis=0)) == 50
 
 
 def test_viewpoints_stay_in_their_ranges():

@@ -1,14 +1,13 @@
-"""Partial views of a mesh or of a complete cloud, by name, and farthest-point orders.
+"""What a sensor measures of a mesh from one viewpoint, by the kind of sensor.
 
-All points are float64 in the frame of the mesh or cloud that is given. Nothing here
-is differentiable.
+Points are float64, in the frame of the mesh. Nothing here is differentiable.
 """
 
-import fpsample
 import numpy as np
 import trimesh
 from jaxtyping import Float, Float64
 
+from prism_jax.data.crops import random_crop
 from prism_jax.io.depth import points_from_depth
 from prism_jax.simulation.raycast import Scene
 from prism_jax.simulation.sensors import (
@@ -26,30 +25,10 @@ PARTIALS = ("self_occlusion", "crop", "l515", "ouster", "sparse")
 
 RAYS = 160 * 160
 MAX_RAYS = 16 * RAYS
-BUCKET_LEVELS = 5
-"""Levels of the search tree of the bucketed farthest-point search: speed only."""
-
 HALF_EXTENT = 0.6
 """Metres that the unit of length stands for where a sensor's own scale matters: an
 object whose longest side spans [-1, 1] is 1.2 m long."""
 SPARSE_RETURNS = 256
-
-CROP_SHARES = {"easy": 0.25, "median": 0.5, "hard": 0.75}
-"""Shares of the complete cloud that the three tests of ShapeNet-55 remove."""
-CROP_VIEWPOINTS = np.array(
-    [
-        (1, 1, 1),
-        (1, 1, -1),
-        (1, -1, 1),
-        (-1, 1, 1),
-        (-1, -1, 1),
-        (-1, 1, -1),
-        (1, -1, -1),
-        (-1, -1, -1),
-    ],
-    np.float64,
-)
-"""The fixed viewpoints of ShapeNet-55's tests, in the order of PoinTr's evaluation."""
 
 
 def make_partial(
@@ -135,36 +114,6 @@ def sparse(
     return points[np.sort(rng.choice(len(points), count, replace=False))]
 
 
-def crop(
-    complete: Float[np.ndarray, "M 3"],
-    viewpoint: Float[np.ndarray, "3"],
-    share: float,
-) -> Float[np.ndarray, "N 3"]:
-    """The cloud without the `share` of its points that is nearest to the viewpoint.
-
-    The partial of ShapeNet-55 (Yu et al., PoinTr, ICCV 2021): `int(share * M)` points
-    go, the rest keeps its order, frame and scale. The benchmark tests with
-    `CROP_SHARES` from each of `CROP_VIEWPOINTS`. A share outside [0, 1) raises
-    ValueError.
-    """
-    if not 0 <= share < 1:
-        raise ValueError("the share to crop must be at least 0 and below 1")
-    gaps = np.sum((complete - viewpoint) ** 2, axis=1)
-    nearest_first = np.argsort(gaps, kind="stable")
-    return complete[np.sort(nearest_first[int(share * len(complete)) :])]
-
-
-def random_crop(
-    complete: Float[np.ndarray, "M 3"], rng: np.random.Generator
-) -> tuple[Float[np.ndarray, "N 3"], Float64[np.ndarray, "3"]]:
-    """A crop as ShapeNet-55 trains with, and its viewpoint: a random direction, and a
-    random share from the easiest to the hardest."""
-    direction = rng.normal(size=3)
-    viewpoint = direction / np.linalg.norm(direction)
-    share = rng.uniform(CROP_SHARES["easy"], CROP_SHARES["hard"])
-    return crop(complete, viewpoint, share), viewpoint
-
-
 def l515(
     scene: Scene,
     viewpoint: Float[np.ndarray, "3"],
@@ -205,29 +154,6 @@ def ouster(
     return returns.points / HALF_EXTENT
 
 
-def farthest_point_order(
-    points: Float[np.ndarray, "N 3"], num_points: int
-) -> Float[np.ndarray, "M 3"]:
-    """The first `num_points` points in exact farthest-point order.
-
-    Every prefix of the result is a farthest-point sample. Where `points` has fewer
-    rows, the order is repeated cyclically. An empty cloud raises ValueError.
-    The bucket search visits the points in its own order, so the first one is an
-    arbitrary yet fixed function of the cloud.
-    """
-    if len(points) == 0:
-        raise ValueError("cannot sample an empty cloud")
-    distinct = min(num_points, len(points))
-    coordinates = np.ascontiguousarray(points, np.float32)
-    if len(points) < 1 << BUCKET_LEVELS:
-        order = fpsample.fps_sampling(coordinates, distinct, start_idx=0)
-    else:
-        order = fpsample.bucket_fps_kdline_sampling(
-            coordinates, distinct, h=BUCKET_LEVELS, start_idx=0
-        )
-    return points[np.resize(order.astype(np.int64), num_points)]
-
-
 def _axes_outside(scene: Scene, viewpoint: np.ndarray) -> np.ndarray:
     """Axes of a camera at a viewpoint outside the mesh that looks at its middle."""
     if np.linalg.norm(viewpoint - scene.center) <= scene.radius:
@@ -250,12 +176,3 @@ def _grid(tangents: np.ndarray, rays: int) -> np.ndarray:
     )
     x, y = np.meshgrid(columns, rows)
     return np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
-
-
-def first_points(
-    cloud: Float[np.ndarray, "N 3"], count: int, ordered: bool
-) -> Float[np.ndarray, "M 3"]:
-    """`count` farthest points, repeated if there are fewer; a prefix if `ordered`."""
-    if not ordered:
-        return farthest_point_order(cloud, count)
-    return cloud[:count] if count <= len(cloud) else np.resize(cloud, (count, 3))
