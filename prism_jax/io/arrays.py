@@ -14,39 +14,51 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib import format as npy_format
 
-from prism_jax.io.errors import InputError
-from prism_jax.io.files import MAX_FILE_BYTES, read_bytes
+from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 _HEADER_READERS = {
     (1, 0): npy_format.read_array_header_1_0,
     (2, 0): npy_format.read_array_header_2_0,
 }
+MAX_MEMBERS = 1000
+"""An archive with more arrays is refused: the header of each is read."""
+
+_HEAD_BYTES = 2**16
+_ENTRY = b"PK\1\2"
+"""Every entry of an archive's directory starts with it."""
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
 
 
-def read_npy(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
-    """The array of an NPY file: float32 stays so, other numbers become float64.
+def read_npy(
+    path: str | os.PathLike, max_points: int = MAX_POINTS
+) -> Float[np.ndarray, "N 3"]:
+    """The array of an NPY file: float32 stays so, other real numbers become float64.
 
-    Rows that are not finite are kept. An array of another shape or of objects, or a
-    file that is cut, raises an InputError.
+    Rows that are not finite are kept. An array of another shape, of complex numbers or
+    of objects, one with more than `max_points` rows, and a file that is cut raise an
+    InputError.
     """
     data = read_bytes(path)
     try:
-        return _parse(data)
+        return _parse(data, max_points)
     except (ValueError, EOFError) as error:
-        raise InputError(path, f"is not a sound NPY cloud: {error}", _REMEDY) from None
+        raise unsound(path, "a sound NPY cloud", error, _REMEDY) from None
 
 
-def read_npz(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
+def read_npz(
+    path: str | os.PathLike, max_points: int = MAX_POINTS
+) -> Float[np.ndarray, "N 3"]:
     """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array.
 
-    Other arrays are not read. Otherwise as `read_npy`.
+    Of other arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
+    InputError. Otherwise as `read_npy`.
     """
+    data = read_bytes(path)
     try:
-        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as archive:
-            return _read_member(archive, _choose_member(archive))
-    except InputError:
-        raise
+        if data.count(_ENTRY) > MAX_MEMBERS:
+            raise ValueError(f"it holds more than {MAX_MEMBERS:,} arrays")
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return _read_member(archive, _choose_member(archive), max_points)
     except (
         ValueError,
         EOFError,
@@ -57,7 +69,7 @@ def read_npz(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise InputError(path, f"is not a sound NPZ cloud: {error}", _REMEDY) from None
+        raise unsound(path, "a sound NPZ cloud", error, _REMEDY) from None
 
 
 def stack_columns(
@@ -77,7 +89,7 @@ def _choose_member(archive: zipfile.ZipFile) -> str:
     found, clouds = {}, {}
     for member in archive.namelist():
         with archive.open(member) as file:
-            head = file.read(2**16)
+            head = file.read(_HEAD_BYTES)
         shape, _, dtype, _ = _parse_header(head)
         found[member.removesuffix(".npy")] = (shape, dtype)
         if _is_cloud(shape, dtype):
@@ -91,15 +103,16 @@ def _choose_member(archive: zipfile.ZipFile) -> str:
     raise ValueError(f"it holds no (N, 3) array of numbers ({held or 'nothing'})")
 
 
-def _read_member(archive: zipfile.ZipFile, member: str) -> np.ndarray:
-    size = archive.getinfo(member).file_size
-    if size > MAX_FILE_BYTES:
-        raise ValueError(f"its array {member} unpacks to {size / 2**30:.1f} GiB")
+def _read_member(archive: zipfile.ZipFile, member: str, max_points: int) -> np.ndarray:
     with archive.open(member) as file:
-        return _parse(file.read(size))
+        head = file.read(_HEAD_BYTES)
+        shape, _, dtype, start = _parse_header(head)
+        check_count(shape[0], max_points)
+        size = start + math.prod(shape) * dtype.itemsize
+        return _parse(head + file.read(max(size - len(head), 0)), max_points)
 
 
-def _parse(data: bytes) -> np.ndarray:
+def _parse(data: bytes, max_points: int) -> np.ndarray:
     """The cloud in an NPY file's bytes; nothing is allocated before it is known to fit.
 
     Whatever is wrong with them raises a ValueError.
@@ -107,6 +120,7 @@ def _parse(data: bytes) -> np.ndarray:
     shape, is_fortran, dtype, start = _parse_header(data)
     if not _is_cloud(shape, dtype):
         raise ValueError(f"it holds {_describe(shape, dtype)}")
+    check_count(shape[0], max_points)
     if math.prod(shape) * dtype.itemsize > len(data) - start:
         raise ValueError("it is shorter than its header says")
     array = np.frombuffer(data, dtype, math.prod(shape), start)
@@ -124,8 +138,18 @@ def _parse_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             shape, is_fortran, dtype = _HEADER_READERS[version](file)
-    except (SyntaxError, TypeError, tokenize.TokenError):
+    except (
+        SyntaxError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        MemoryError,
+        RecursionError,
+        tokenize.TokenError,
+    ):
         raise ValueError("its header is damaged") from None
+    if any(type(side) is not int for side in shape):
+        raise ValueError("its header is damaged")  # True is an int to NumPy
     return shape, is_fortran, dtype, file.tell()
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
 from prism_jax.io.arrays import read_npy, read_npz
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.pcd import read_pcd
 from prism_jax.io.ply import read_ply
 from prism_jax.io.text import read_text
@@ -30,19 +31,22 @@ READERS = {
 }
 
 
-def read_points(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
-    """The finite points of a cloud file, in its units and frame; the suffix decides.
+def read_points(
+    path: str | os.PathLike, max_points: int = MAX_POINTS
+) -> Float[np.ndarray, "N 3"]:
+    """The finite points of a cloud file, in its units and frame.
 
-    float32 where the file stores that, else float64, each value as stored. PLY, PCD,
-    NPY, NPZ, XYZ, TXT and CSV; anything malformed, and a cloud without a finite point,
-    raises an InputError.
+    float32 where the file stores that, else float64, each value as stored. The suffix
+    says whether it is PLY, PCD, NPY, NPZ, XYZ, TXT or CSV. A malformed file, more than
+    `max_points` points and a cloud without a finite point raise an InputError. The
+    number of points is checked before memory is taken for them.
     """
-    points, _ = read_points_counted(path)
+    points, _ = read_points_counted(path, max_points)
     return points
 
 
 def read_points_counted(
-    path: str | os.PathLike,
+    path: str | os.PathLike, max_points: int = MAX_POINTS
 ) -> tuple[Float[np.ndarray, "N 3"], int]:
     """As `read_points`, with the number of points in the file, finite or not."""
     suffix = pathlib.Path(path).suffix.lower()
@@ -52,7 +56,7 @@ def read_points_counted(
             f"has the suffix {suffix!r}, which is not a point cloud's",
             f"convert it to one of {' '.join(READERS)}",
         )
-    points = READERS[suffix](path)
+    points = READERS[suffix](path, max_points)
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
         raise InputError(path, "has no finite point", "check the sensor or the export")

@@ -14,7 +14,7 @@ from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 MAX_SIDE = 16_384
 """Pixels: an image with a longer side is refused."""
@@ -53,7 +53,9 @@ def camera_from_dict(entries: dict[str, Any]) -> Camera:
     if fx <= 0 or fy <= 0:
         raise ValueError("fx and fy must be positive")
     rotation = _array(entries, "rotation", np.eye(3))
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+    if np.abs(rotation).max() > 2 or not np.allclose(
+        rotation @ rotation.T, np.eye(3), atol=1e-3
+    ):
         raise ValueError("rotation is not orthogonal")
     if np.linalg.det(rotation) < 0:
         raise ValueError("rotation is a reflection")
@@ -73,12 +75,15 @@ def read_camera(path: str | os.PathLike) -> Camera:
 
 
 def read_depth(
-    path: str | os.PathLike, camera_path: str | os.PathLike
+    path: str | os.PathLike,
+    camera_path: str | os.PathLike,
+    max_points: int = MAX_POINTS,
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
     """Depth in metres, the mask of measured pixels (not 0), and the camera.
 
     The image is a 16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a
-    count. Whatever does not fit raises an InputError.
+    count. Whatever does not fit, and more than `max_points` pixels, raises an
+    InputError before the image is unpacked.
     """
     camera, entries = _read_camera_entries(camera_path)
     try:
@@ -89,7 +94,7 @@ def read_depth(
         raise InputError(
             camera_path, str(error), 'add "depth_scale": metres a count, such as 0.001'
         ) from None
-    counts = _read_counts(path, camera)
+    counts = _read_counts(path, camera, max_points)
     return counts * scale, counts > 0, camera
 
 
@@ -120,14 +125,18 @@ def _read_camera_entries(path: str | os.PathLike) -> tuple[Camera, dict[str, Any
         raise InputError(path, fault, _LAYOUT) from None
 
 
-def _read_counts(path: str | os.PathLike, camera: Camera) -> np.ndarray:
+def _read_counts(
+    path: str | os.PathLike, camera: Camera, max_points: int
+) -> np.ndarray:
     data = read_bytes(path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            # Pillow warns at its own limit, which is above ours.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
                 if not image.mode.startswith("I;16"):
                     raise ValueError(f"its pixels are {image.mode}, not 16-bit grey")
+                check_count(image.width * image.height, max_points, "pixels")
                 if image.size != (camera.width, camera.height):
                     raise ValueError(
                         f"it is {image.width}x{image.height} and its camera "
@@ -135,17 +144,11 @@ def _read_counts(path: str | os.PathLike, camera: Camera) -> np.ndarray:
                     )
                 return np.asarray(image)
     except UnidentifiedImageError:
-        fault = "it is not a PNG"
-    except (
-        ValueError,
-        OSError,
-        SyntaxError,
-        Image.DecompressionBombError,
-        Image.DecompressionBombWarning,
-    ) as error:
-        fault = str(error)
+        fault = ValueError("it is not a PNG")
+    except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        fault = error
     remedy = "store depth as a 16-bit grey PNG of the camera's size, 0 for no return"
-    raise InputError(path, f"is not a depth image: {fault}", remedy) from None
+    raise unsound(path, "a depth image", fault, remedy)
 
 
 def _number(entries: dict[str, Any], key: str) -> float:
@@ -168,10 +171,11 @@ def _array(entries: dict[str, Any], key: str, default: np.ndarray) -> np.ndarray
     if key not in entries:
         return default
     try:
-        array = np.array(entries[key], dtype=np.float64)
-    except (TypeError, ValueError):
+        array = np.array(entries[key])
+    except ValueError:
         array = np.empty(0)
-    if array.shape != default.shape or not np.isfinite(array).all():
+    is_number = array.dtype.kind in "iuf"  # not so integers beyond 64 bits
+    if array.shape != default.shape or not is_number or not np.isfinite(array).all():
         shape = "x".join(map(str, default.shape))
         raise ValueError(f"{key} must be {shape} finite numbers")
-    return array
+    return array.astype(np.float64)

@@ -1,15 +1,42 @@
-"""Bytes of a user's file, or an InputError; the folder of what can be made again."""
+"""Bytes of a user's file within limits; the folder of what can be made again."""
 
+import functools
 import os
 import pathlib
 import stat
+import sys
+import tempfile
 
 from prism_jax.io.errors import InputError
 
 CACHE_VARIABLE = "PRISM_JAX_CACHE"
 
 MAX_FILE_BYTES = 2**30
-"""Larger files are refused: some 40 million points are a survey, not one scan."""
+"""Larger files are refused."""
+
+MAX_POINTS = 10_000_000
+"""Clouds and images with more points or pixels are refused, unless the caller allows
+more: such a cloud is a survey, not one scan."""
+
+
+class TooManyError(ValueError):
+    """A file claims more points than are allowed. Readers pass it to `unsound`."""
+
+
+def check_count(count: int, max_points: int, what: str = "points") -> None:
+    """Raise a TooManyError if there are more than `max_points`."""
+    if count > max_points:
+        raise TooManyError(f"claims {count:,} {what}, more than {max_points:,}")
+
+
+def unsound(
+    path: str | os.PathLike, kind: str, error: Exception, remedy: str
+) -> InputError:
+    """The InputError for what a parser of one kind of file raised."""
+    if isinstance(error, TooManyError):
+        remedy = "crop or thin it, or allow more with --max_points"
+        return InputError(path, str(error), remedy)
+    return InputError(path, f"is not {kind}: {error}", remedy)
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
@@ -44,8 +71,28 @@ def read_bytes(path: str | os.PathLike) -> bytes:
 
 
 def default_cache_dir() -> pathlib.Path:
-    """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache."""
+    """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache.
+
+    Where a user has no home, a temporary folder of this process, and a line on stderr
+    says so.
+    """
     if CACHE_VARIABLE in os.environ:
         return pathlib.Path(os.environ[CACHE_VARIABLE])
-    root = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
-    return pathlib.Path(root) / "prism_jax"
+    root = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return pathlib.Path(root or pathlib.Path.home() / ".cache") / "prism_jax"
+    except RuntimeError:  # neither $HOME nor an entry in the password file
+        return pathlib.Path(_temporary_cache().name)
+
+
+@functools.cache
+def _temporary_cache() -> tempfile.TemporaryDirectory:
+    """Removed when the process ends. Its name cannot be guessed, so that nobody else
+    can put compiled programs there."""
+    folder = tempfile.TemporaryDirectory(prefix="prism_jax_")
+    print(
+        f"no home directory: nothing is kept for the next run ({folder.name} is "
+        f"removed at the end); set {CACHE_VARIABLE} to a folder of yours",
+        file=sys.stderr,
+    )
+    return folder

@@ -15,14 +15,21 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.io.arrays import stack_columns
-from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import (
+    MAX_FILE_BYTES,
+    MAX_POINTS,
+    check_count,
+    read_bytes,
+    unsound,
+)
 from prism_jax.io.text import parse_rows
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 _LZF_MAX_RATIO = 100
 """LZF's longest match is 264 bytes in a token of three."""
+_MAX_COUNT = 2**16
+"""Values of one field for one point; the longest known descriptors have 2,000."""
 _REMEDY = "export it again, for example with pcl_convert_pcd_ascii_binary"
 _SHORT = "it is shorter than its header says"
 
@@ -51,20 +58,23 @@ class _Header:
         return [[f.name for f in self.fields].index(axis) for axis in "xyz"]
 
 
-def read_pcd(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
+def read_pcd(
+    path: str | os.PathLike, max_points: int = MAX_POINTS
+) -> Float[np.ndarray, "N 3"]:
     """Positions as stored: float32 where x, y and z are, else float64.
 
     Fields may come in any order, type and count. Rows that are not finite, as where an
     organised cloud saw nothing, are kept; VIEWPOINT is not applied. A malformed or cut
-    file raises an InputError; a header's claims are checked against the file's size
-    before anything is allocated.
+    file and one of more than `max_points` points raise an InputError; what the header
+    claims is checked before memory is taken for it.
     """
     data = read_bytes(path)
     try:
         header = _parse_header(data)
+        check_count(header.num_points, max_points)
         columns = _READERS[header.mode](data[header.size :], header)
     except ValueError as error:
-        raise InputError(path, f"is not a sound PCD file: {error}", _REMEDY) from None
+        raise unsound(path, "a sound PCD file", error, _REMEDY) from None
     return stack_columns(columns, [header.fields[axis].dtype for axis in header.axes])
 
 
@@ -93,8 +103,10 @@ def _fields(entries: dict[str, list[str]]) -> list[_Field]:
         raise ValueError("its FIELDS, SIZE, TYPE and COUNT differ in length")
     fields = []
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
-        if kind not in _KINDS or int(size) not in _SIZES[kind] or int(count) < 0:
+        if kind not in _KINDS or int(size) not in _SIZES[kind]:
             raise ValueError(f"its field {name!r} has an unknown type")
+        if not 0 <= int(count) <= _MAX_COUNT:
+            raise ValueError(f"its field {name!r} has an impossible count")
         dtype = np.dtype(f"<{_KINDS[kind]}{int(size)}")
         fields.append(_Field(name.lower(), dtype, int(count)))
     for axis in "xyz":
@@ -131,6 +143,8 @@ def _read_ascii(body: bytes, header: _Header) -> list[np.ndarray]:
 
 def _read_binary(body: bytes, header: _Header) -> list[np.ndarray]:
     offsets = np.cumsum([0] + [field.num_bytes for field in header.fields]).tolist()
+    if header.num_points * offsets[-1] > len(body):
+        raise ValueError(_SHORT)
     row = np.dtype(
         {
             "names": list("xyz"),
@@ -139,8 +153,6 @@ def _read_binary(body: bytes, header: _Header) -> list[np.ndarray]:
             "itemsize": offsets[-1],
         }
     )
-    if header.num_points * row.itemsize > len(body):
-        raise ValueError(_SHORT)
     rows = np.frombuffer(body, dtype=row, count=header.num_points)
     return [rows[axis] for axis in "xyz"]
 
@@ -155,6 +167,8 @@ def _read_compressed(body: bytes, header: _Header) -> list[np.ndarray]:
         raise ValueError(_SHORT)
     if size != sum(num_bytes) or size > _LZF_MAX_RATIO * packed_size:
         raise ValueError("its compressed data has another size than its header says")
+    if size > MAX_FILE_BYTES:
+        raise ValueError(f"its fields unpack to {size / 2**30:.1f} GiB")
     plain = lzf.decompress(body[8 : 8 + packed_size], size)
     if plain is None or len(plain) != size:
         raise ValueError("its compressed data is damaged")

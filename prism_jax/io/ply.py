@@ -1,22 +1,22 @@
 """PLY point clouds: the vertices of any PLY file, and clouds written back.
 
-The format is Greg Turk's, "The PLY Polygon File Format" (1994). trimesh reads it too,
-but needs every list of a binary element to be equally long, which a range grid's are
-not, and returns doubles whatever the file holds.
+plyfile reads headers and writes files. NumPy reads the vertices: plyfile reads every
+number of an ASCII file and every list of a binary one by itself, and takes ten to a
+hundred times as long.
 """
 
-import dataclasses
 import io
 import itertools
 import os
+import struct
 
 import numpy as np
+import plyfile
 from jaxtyping import Bool, Float
 
 from prism_jax.io import atomic
 from prism_jax.io.arrays import stack_columns
-from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 from prism_jax.io.text import parse_rows
 
 OBSERVED, COMPLETED = 0, 1
@@ -24,70 +24,48 @@ OBSERVED, COMPLETED = 0, 1
 
 COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34)}
 
-_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-    "float64": "f8",
-}
-_FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _AXES = ("x", "y", "z")
-_MAX_HEADER_BYTES = 2**20
-_REMEDY = "export it again as a PLY point cloud"
+_MAX_HEADER_BYTES = 2**18
 _SHORT = "it is shorter than its header says"
+_REMEDY = "export it again as a PLY point cloud"
 
 
-@dataclasses.dataclass
-class _Element:
-    """`properties` are (name, value type, count type; the last None unless a list)."""
-
-    name: str
-    count: int
-    properties: list[tuple[str, np.dtype, np.dtype | None]]
-
-    @property
-    def stored_types(self) -> list[np.dtype]:
-        return [value for name, value, _ in self.properties if name in _AXES]
-
-    @property
-    def has_lists(self) -> bool:
-        return any(count_type for _, _, count_type in self.properties)
-
-    @property
-    def least_row_bytes(self) -> int:
-        return sum((c or v).itemsize for _, v, c in self.properties)
-
-
-def read_ply(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
+def read_ply(
+    path: str | os.PathLike, max_points: int = MAX_POINTS
+) -> Float[np.ndarray, "N 3"]:
     """Vertex positions as stored: float32 where the file says float, else float64.
 
-    ASCII and binary of either byte order; other elements, before or after, with lists
-    of any length, are skipped. Rows that are not finite are kept. A malformed or cut
-    file raises an InputError; a header's claims are checked against the file's size
-    before anything is allocated.
+    ASCII and binary of either byte order. Elements before the vertices are skipped,
+    with lists of any length; what comes after is not looked at. Rows that are not
+    finite are kept. A malformed or cut file, and one of more than `max_points` vertices
+    or rows before them, raise an InputError before memory is taken for what the header
+    claims.
     """
     data = read_bytes(path)
     try:
-        layout, elements, start = _parse_header(data)
-        vertex = _vertex_element(elements)
-        before = list(itertools.takewhile(lambda e: e is not vertex, elements))
-        if layout == "ascii":
-            return _ascii_vertices(data[start:], before, vertex)
-        return _binary_vertices(data, start, before, vertex)
-    except ValueError as error:
-        raise InputError(path, f"is not a sound PLY file: {error}", _REMEDY) from None
+        header, counts, start = _parse_header(data)
+        before = list(itertools.takewhile(lambda e: e.name != "vertex", header))
+        row = _vertex_row(header)
+        check_count(counts["vertex"], max_points)
+        check_count(sum(counts[e.name] for e in before), max_points, "rows before them")
+        if header.text:
+            lines = (line for line in io.BytesIO(data[start:]) if not line.isspace())
+            skipped = sum(counts[e.name] for e in before if e.properties)
+            lines = itertools.islice(lines, skipped, None)
+            places = [row.names.index(axis) for axis in _AXES]
+            columns = parse_rows(lines, places, counts["vertex"]).T
+        else:
+            for element in before:
+                start = _skip(
+                    data, start, element, counts[element.name], header.byte_order
+                )
+            if start + counts["vertex"] * row.itemsize > len(data):
+                raise ValueError(_SHORT)
+            rows = np.frombuffer(data, row, counts["vertex"], start)
+            columns = [rows[axis] for axis in _AXES]
+        return stack_columns(columns, [row[axis] for axis in _AXES])
+    except (ValueError, plyfile.PlyParseError) as error:
+        raise unsound(path, "a sound PLY file", error, _REMEDY) from None
 
 
 def write_ply(
@@ -108,125 +86,89 @@ def ply_bytes(
     1 completed) and a colour. Binary little-endian, x y z in the type of `points`
     (float32 or float64).
     """
-    scalar = "double" if points.dtype == np.float64 else "float"
-    colors = () if labels is None else ("red", "green", "blue")
-    marks = () if labels is None else ("label", *colors)
-    fields = [(axis, f"<{_TYPES[scalar]}") for axis in _AXES]
-    vertices = np.empty(len(points), [*fields, *((name, "u1") for name in marks)])
-    for column, axis in enumerate(_AXES):
-        vertices[axis] = points[:, column]
+    scalar = "f8" if points.dtype == np.float64 else "f4"
+    marks = () if labels is None else ("label", "red", "green", "blue")
+    fields = [(axis, scalar) for axis in _AXES] + [(name, "u1") for name in marks]
+    vertices = np.empty(len(points), fields)
+    for axis, column in zip(_AXES, points.T, strict=True):
+        vertices[axis] = column
     if labels is not None:
         vertices["label"] = labels
-    palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
-    for channel, name in enumerate(colors):
-        vertices[name] = palette[vertices["label"], channel]
-    comment = ["comment label 0: observed, 1: completed"] if marks else []
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *comment,
-        f"element vertex {len(points)}",
-        *[f"property {scalar} {axis}" for axis in _AXES],
-        *[f"property uchar {name}" for name in marks],
-        "end_header\n",
-    ]
-    return "\n".join(header).encode() + vertices.tobytes()
+        palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
+        for name, shades in zip(marks[1:], palette.T, strict=True):
+            vertices[name] = shades[vertices["label"]]
+    comments = ["label 0: observed, 1: completed"] if marks else []
+    element = plyfile.PlyElement.describe(vertices, "vertex")
+    file = io.BytesIO()
+    plyfile.PlyData([element], byte_order="<", comments=comments).write(file)
+    return file.getvalue()
 
 
-def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
-    """The format's name, the elements in file order, and where the body starts."""
-    layout, elements, start = "", [], 0
+def _parse_header(data: bytes) -> tuple[plyfile.PlyData, dict[str, int], int]:
+    """The header as plyfile reads it, the rows of each element by name, and where the
+    body starts. plyfile is told of no rows: it takes memory for all that are claimed.
+    """
     if not data.startswith(b"ply"):
         raise ValueError("it does not start with 'ply'")
-    while True:
+    lines, counts, start = [], {}, 0
+    while lines[-1:] != ["end_header"]:
         end = data.find(b"\n", start, _MAX_HEADER_BYTES)
         if end < 0:
             raise ValueError("its header has no end")
         words = data[start:end].decode("latin-1").split()
         start = end + 1
         match words:
-            case ["end_header"]:
-                break
-            case ["format", layout, _] if layout not in _FORMATS:
-                raise ValueError(f"its format {layout!r} is unknown")
             case ["element", name, count] if count.isdecimal():
-                elements.append(_Element(name, int(count), []))
-            case ["property", "list", count_type, value_type, name] if elements:
-                value, count = _dtype(value_type, layout), _dtype(count_type, layout)
-                if count.kind == "f":
-                    raise ValueError(
-                        f"its list {name!r} has a length that is no integer"
-                    )
-                elements[-1].properties.append((name, value, count))
-            case ["property", value_type, name] if elements:
-                elements[-1].properties.append((name, _dtype(value_type, layout), None))
-            case ["element" | "property", *_]:
+                counts[name] = int(count)
+                lines.append(f"element {name} 0")
+            case ["element", *_]:
                 raise ValueError(f"its header line {' '.join(words)!r} makes no sense")
-    if not layout:
-        raise ValueError("its header names no format")
-    return layout, elements, start
-
-
-def _dtype(name: str, layout: str) -> np.dtype:
-    if name not in _TYPES:
-        raise ValueError(f"its header names an unknown type {name!r}")
-    return np.dtype(_FORMATS.get(layout, "=") + _TYPES[name])
-
-
-def _vertex_element(elements: list[_Element]) -> _Element:
-    vertex = next((e for e in elements if e.name == "vertex"), None)
-    if vertex is None or vertex.count == 0:
+            case ["ply" | "format" | "property" | "end_header", *_]:
+                lines.append(" ".join(words))
+            case _:
+                lines.append("comment")  # plyfile numbers the lines
+    if not counts.get("vertex"):
         raise ValueError("it holds no vertices")
-    names = [name for name, _, _ in vertex.properties]
-    if any(names.count(axis) != 1 for axis in _AXES):
-        raise ValueError(
-            f"its vertices have {', '.join(names) or 'nothing'}, not x y z"
-        )
-    if vertex.has_lists:
+    text = "\n".join([*lines, ""]).encode()
+    return plyfile.PlyData.read(io.BytesIO(text)), counts, start
+
+
+def _vertex_row(header: plyfile.PlyData) -> np.dtype:
+    """What is stored for a vertex."""
+    row = header["vertex"].dtype(header.byte_order)
+    if not set(_AXES) <= set(row.names or ()):
+        names = ", ".join(row.names or ()) or "nothing"
+        raise ValueError(f"its vertices have {names}, not x y z")
+    if row.hasobject:
         raise ValueError("its vertices have list properties")
-    return vertex
+    return row
 
 
-def _ascii_vertices(body: bytes, before: list[_Element], vertex: _Element):
-    rows = (line for line in io.BytesIO(body) if not line.isspace())
-    skipped = sum(element.count for element in before if element.properties)
-    if skipped + vertex.count > len(body):
-        raise ValueError(_SHORT)
-    columns = [name for name, _, _ in vertex.properties]
-    points = parse_rows(
-        itertools.islice(rows, skipped, None),
-        columns=[columns.index(axis) for axis in _AXES],
-        count=vertex.count,
-    )
-    return stack_columns(points.T, vertex.stored_types)
-
-
-def _binary_vertices(data: bytes, start: int, before: list[_Element], vertex: _Element):
-    for element in before:
-        start = _skip(data, start, element)
-    row = np.dtype([(name, value) for name, value, _ in vertex.properties])
-    if vertex.count * row.itemsize > len(data) - start:
-        raise ValueError(_SHORT)
-    rows = np.frombuffer(data, dtype=row, count=vertex.count, offset=start)
-    return stack_columns([rows[axis] for axis in _AXES], vertex.stored_types)
-
-
-def _skip(data: bytes, start: int, element: _Element) -> int:
-    """Where the element's rows end."""
-    if element.count * element.least_row_bytes > len(data) - start:
-        raise ValueError(_SHORT)
-    if not element.has_lists:
-        return start + element.count * element.least_row_bytes
-    for _ in range(element.count):
-        for _, value_type, count_type in element.properties:
-            if count_type is None:
-                start += value_type.itemsize
-                continue
-            head = data[start : start + count_type.itemsize]
-            if len(head) < count_type.itemsize:
-                raise ValueError(_SHORT)
-            length = int(np.frombuffer(head, count_type)[0])
-            if length < 0:
-                raise ValueError("it has a list of negative length")
-            start += count_type.itemsize + length * value_type.itemsize
+def _skip(
+    data: bytes, start: int, element: plyfile.PlyElement, count: int, order: str
+) -> int:
+    """Where the rows of a binary element end. Its lists are of any length."""
+    lists, fixed = [], 0  # for each list: what leads up to its values, and their size
+    for prop in element.properties:
+        size = np.dtype(prop.val_dtype).itemsize
+        if not isinstance(prop, plyfile.PlyListProperty):
+            fixed += size
+            continue
+        length = np.dtype(prop.len_dtype)
+        if length.kind == "f":
+            raise ValueError(f"its list {prop.name!r} has a length that is no integer")
+        lists.append((struct.Struct(f"{order}{fixed}x{length.char}"), size))
+        fixed = 0
+    if not lists:
+        return start + count * fixed
+    try:
+        for _ in range(count):
+            for head, size in lists:
+                (length,) = head.unpack_from(data, start)
+                if length < 0:
+                    raise ValueError("it has a list of negative length")
+                start += head.size + length * size
+            start += fixed
+    except struct.error:
+        raise ValueError(_SHORT) from None
     return start

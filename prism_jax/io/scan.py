@@ -17,6 +17,7 @@ from prism_jax.io.clouds import (
 )
 from prism_jax.io.depth import points_from_depth, read_camera, read_depth
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import MAX_POINTS
 
 CAMERA_FRAME_DEGREES = 10.0
 
@@ -50,18 +51,20 @@ def read_scan(
     path: str | os.PathLike,
     camera_path: str | os.PathLike | None = None,
     bounds: Bounds | None = None,
+    max_points: int = MAX_POINTS,
 ) -> Scan:
     """A scan ready to be completed; an InputError says why there is none.
 
     A `.png` is a depth image (pixels without a return are no points); its camera is
     `camera_path`, or the `.json` of the same name beside it, and the points are in
     the frame the camera's pose refers to: the camera's own unless it has one. For any
-    other file see `read_points`. Points outside `bounds` are cropped away.
+    other file see `read_points`. Points outside `bounds` are cropped away. An image
+    of more than `max_points` pixels, or a cloud of more points, is refused.
     """
     in_camera_frame = False
     if pathlib.Path(path).suffix.lower() == ".png":
         camera_path = camera_path or _camera_beside(path)
-        depth, mask, camera = read_depth(path, camera_path)
+        depth, mask, camera = read_depth(path, camera_path, max_points)
         if not mask.any():
             raise InputError(path, "has no pixel with a return", "check the sensor")
         points = points_from_depth(depth, mask, camera)
@@ -69,7 +72,7 @@ def read_scan(
         num_read = len(points)
     else:
         camera = read_camera(camera_path) if camera_path else None
-        points, num_read = read_points_counted(path)
+        points, num_read = read_points_counted(path, max_points)
     num_finite = len(points)
     points = crop(points, bounds, path)
     check_cloud(points, path)

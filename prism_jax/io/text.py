@@ -1,5 +1,6 @@
 """Point clouds as lines of numbers: XYZ, TXT and CSV."""
 
+import io
 import itertools
 import os
 import warnings
@@ -8,27 +9,32 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 _REMEDY = "write one point a line as 'x y z' or 'x,y,z'"
 
 
-def read_text(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
-    """Positions, float64, from lines of numbers parted by commas, semicolons, tabs or
-    blanks.
+def read_text(
+    path: str | os.PathLike, max_points: int = MAX_POINTS
+) -> Float[np.ndarray, "N 3"]:
+    """Positions, float64, from lines of numbers.
 
-    Blank lines and those that start with '#' or '//' are skipped. A first line of
-    words, or a comment before the first point that has as many words as there are
-    columns, names the columns, if it has x, y and z among them: they are looked up
-    there. Without such a line they are the first three. 'nan' and 'inf' are kept. A
-    first line of words that names more than three columns, and not these, or more or
-    fewer columns than the points have, raises an InputError; so does a line that does
-    not fit, or has another number of columns than the others.
+    Commas, semicolons, tabs or blanks stand between the numbers. Blank lines and those
+    that start with '#' or '//' are skipped. Columns are named by a first line of words,
+    or by a comment before the first point with as many words as there are columns, if
+    x, y and z are among the words; otherwise the first three are taken. 'nan' and 'inf'
+    are kept.
+
+    An InputError is raised by a line that does not fit or has another number of columns
+    than the others, by a first line that names more than three columns but not x, y and
+    z, or another number of columns than the points have, and by more than `max_points`
+    lines.
     """
     data = read_bytes(path)
     try:
-        lines = [line.rstrip() for line in data.decode("utf-8-sig").splitlines()]
+        check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
+        lines = io.StringIO(data.decode("utf-8-sig"), newline=None)
+        lines = [line.rstrip() for line in lines]
         lines = [line for line in lines if line]
         rows = [line for line in lines if not _is_comment(line)]
         if not rows:
@@ -39,7 +45,7 @@ def read_text(path: str | os.PathLike) -> Float[np.ndarray, "N 3"]:
         points = itertools.islice(rows, int(has_header), None)
         return parse_rows(points, columns, delimiter=delimiter)
     except ValueError as error:
-        raise InputError(path, f"is not a table of points: {error}", _REMEDY) from None
+        raise unsound(path, "a table of points", error, _REMEDY) from None
 
 
 def parse_rows(

@@ -1,5 +1,6 @@
 """Cameras as JSON, and depth images."""
 
+import functools
 import json
 import warnings
 
@@ -19,6 +20,9 @@ from prism_jax.io import (
 
 PINHOLE = {"width": 8, "height": 6, "fx": 10.0, "fy": 11.0, "cx": 3.5, "cy": 2.5}
 COUNTS = np.arange(48, dtype=np.uint16).reshape(6, 8) * 1300
+
+
+NESTED = functools.reduce(lambda inner, _: [inner], range(200), 0)
 
 
 def write(path, entries) -> str:
@@ -60,6 +64,13 @@ FAULTS = [
     ({"rotation": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "reflection"),
     ({"translation": [0, 0]}, "translation must be 3"),
     ({"translation": [0, 0, float("inf")]}, "translation must be 3"),
+    ({"translation": [0, 0, float("nan")]}, "translation must be 3"),
+    ({"translation": [10**400, 0, 0]}, "translation must be 3"),
+    ({"translation": ["0", "0", "0"]}, "translation must be 3"),
+    ({"translation": [None, 0, 0]}, "translation must be 3"),
+    ({"translation": [{}, [], 0]}, "translation must be 3"),
+    ({"translation": [True, True, True]}, "translation must be 3"),
+    ({"rotation": [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 1e300]]}, "orthogonal"),
 ]  # fmt: skip
 
 
@@ -72,7 +83,19 @@ def test_malformed_camera_is_one_line(tmp_path, change, fault):
     assert '"fx":' in str(caught.value)
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[1]", b"\xff", b"[" * 100_000])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{",
+        b"[1]",
+        b"\xff",
+        b"[" * 100_000,
+        b'{"fx":' + b"[" * 100_000,
+        b'{"fx": 1' + b"0" * 10_000 + b"}",
+        json.dumps(PINHOLE | {"translation": NESTED}).encode(),
+    ],
+)
 def test_camera_file_that_is_no_json_object(tmp_path, data):
     (tmp_path / "c.json").write_bytes(data)
     with pytest.raises(InputError, match=r"camera|empty"):

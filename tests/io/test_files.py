@@ -1,5 +1,6 @@
 """Bytes of a user's file, or the reason why there are none."""
 
+import gc
 import os
 
 import pytest
@@ -62,3 +63,34 @@ def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.delenv("PRISM_JAX_CACHE")
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert files.default_cache_dir().parts[-2:] == (".cache", "prism_jax")
+
+
+@pytest.fixture
+def homeless(monkeypatch, tmp_path):
+    """No $HOME, and a user whom the password file does not know."""
+
+    def unknown(uid):
+        raise KeyError(f"getpwuid(): uid not found: {uid}")
+
+    for name in ("HOME", "XDG_CACHE_HOME", "PRISM_JAX_CACHE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    files._temporary_cache.cache_clear()
+    yield
+    files._temporary_cache.cache_clear()
+
+
+def test_without_a_home_the_cache_lasts_as_long_as_the_process(
+    homeless, tmp_path, capsys
+):
+    folder = files.default_cache_dir()
+    assert folder.parent == tmp_path
+    assert files.default_cache_dir() == folder
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "no home directory" in told
+    assert "PRISM_JAX_CACHE" in told
+    files._temporary_cache.cache_clear()
+    gc.collect()
+    assert not folder.exists()

@@ -128,6 +128,20 @@ FAULTS = [
     ("invalid literal", "binary", replaced("E 4 4 1", "E 4 four 1"), None),
     ("not x y z", "binary", replaced(" x y", " a b"), None),
     ("not x y z", "binary", replaced("COUNT 1 1", "COUNT 1 2"), None),
+    (
+        "impossible count",
+        "binary",
+        replaced("COUNT 1 1 3", "COUNT 1 1 " + "9" * 30),
+        None,
+    ),
+    (
+        "impossible count",
+        "ascii",
+        replaced("COUNT 1 1 3", "COUNT 1 1 " + "9" * 30),
+        None,
+    ),
+    ("impossible count", "binary", replaced("COUNT 1 1 3", "COUNT 1 1 -3"), None),
+    ("4300 digits", "binary", replaced("COUNT 1 1 3", "COUNT 1 1 " + "9" * 5000), None),
     ("WIDTH x HEIGHT", "binary", replaced("POINTS 6", "POINTS 7"), None),
     ("WIDTH x HEIGHT", "binary", replaced("WIDTH 3", "WIDTH -3"), None),
     ("no points", "binary", replaced("WIDTH 3", "WIDTH 0").replace("S 6", "S 0"), b"x"),
@@ -160,9 +174,9 @@ def test_huge_claim_costs_nothing(tmp_path, mode):
 
 
 def test_compressed_size_that_no_data_can_unpack_to(tmp_path):
-    header = HEADER.replace("WIDTH 3", f"WIDTH {10**8}").replace("HEIGHT 2", "HEIGHT 1")
-    header = header.replace("POINTS 6", f"POINTS {10**8}")
-    data = struct.pack("<II", 4, 19 * 10**8) + b"1234"
+    header = HEADER.replace("WIDTH 3", f"WIDTH {10**6}").replace("HEIGHT 2", "HEIGHT 1")
+    header = header.replace("POINTS 6", f"POINTS {10**6}")
+    data = struct.pack("<II", 4, 19 * 10**6) + b"1234"
     with pytest.raises(InputError, match="another size"):
         read_pcd(pcd(tmp_path, "binary_compressed", data, header))
 
