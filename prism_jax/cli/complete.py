@@ -56,6 +56,12 @@ def define_flags() -> None:
         "the ground truth alike. What is added may reach beyond it, within the "
         "cube that is completed: its side is 1.4 times the points' longest.",
     )
+    flags.DEFINE_integer(
+        "max_points",
+        io.MAX_POINTS,
+        "A file of more points or pixels is refused before it is read.",
+        lower_bound=1,
+    )
     flags.DEFINE_enum(
         "up",
         None,
@@ -83,6 +89,7 @@ def main() -> None:
         ground_truth=FLAGS.ground_truth,
         camera=FLAGS.camera,
         workspace=FLAGS.workspace,
+        max_points=FLAGS.max_points,
         up=FLAGS.up,
         weights=FLAGS.weights,
         adapt=FLAGS.adapt,
@@ -97,6 +104,7 @@ def complete_file(
     ground_truth: str | None = None,
     camera: str | None = None,
     workspace: str | None = None,
+    max_points: int = io.MAX_POINTS,
     up: str | None = None,
     weights: str = "small",
     adapt: bool = True,
@@ -114,9 +122,10 @@ def complete_file(
     source = str(asset("sample.ply")) if input is None else input
     truth = None
     with timed(f"reading {source}", "read", seconds):
-        scan = io.read_scan(source, camera, bounds)
+        scan = io.read_scan(source, camera, bounds, max_points)
         if ground_truth is not None:
-            truth = io.crop(io.read_points(ground_truth), bounds, ground_truth)
+            truth = io.read_points(ground_truth, max_points)
+            truth = io.crop(truth, bounds, ground_truth)
             if not np.ptp(truth, axis=0).any():
                 fault = "has all its points in one place"
                 raise io.InputError(ground_truth, fault, "give a whole cloud")

@@ -19,7 +19,8 @@ FLAGS = flags.FLAGS
 def launch(name: str, main: Callable[[], None], stray: str = "name") -> None:
     """Runs ``main`` under absl.
 
-    An `InputError` or a fault in the flags ends in one line on stderr and status 2.
+    An `InputError` or a fault in the flags ends in one line on stderr and status 2,
+    Ctrl-C in one line and status 130.
     ``stray`` is the flag that a word without a flag was probably meant for.
     """
 
@@ -43,6 +44,8 @@ def launch(name: str, main: Callable[[], None], stray: str = "name") -> None:
         _end(name, str(error))
     except flags.Error as error:
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
+    except KeyboardInterrupt:
+        _end(name, "interrupted", status=130)
 
 
 def prepare_output(path: str | None, suffix: str) -> None:
@@ -67,6 +70,6 @@ def keep_compiled() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-def _end(name: str, fault: str) -> None:
+def _end(name: str, fault: str, status: int = 2) -> None:
     print(f"{name}: {fault}", file=sys.stderr)
-    sys.exit(2)
+    sys.exit(status)

@@ -10,11 +10,12 @@ from prism_jax.io.depth import (
     read_depth,
 )
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import default_cache_dir
+from prism_jax.io.files import MAX_POINTS, default_cache_dir
 from prism_jax.io.ply import ply_bytes
 from prism_jax.io.scan import Bounds, Scan, crop, parse_bounds, read_scan
 
 __all__ = [
+    "MAX_POINTS",
     "Bounds",
     "InputError",
     "Scan",

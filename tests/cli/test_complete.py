@@ -28,6 +28,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     np.save("scan.npy", POINTS)
     np.save("few.npy", POINTS[:63])
+    np.save("more.npy", np.concatenate([POINTS, POINTS[:63]]))
     np.save("nan.npy", np.full((200, 3), np.nan))
     np.save("point.npy", np.ones((200, 3)))
     np.save("vast.npy", POINTS * 2e4)
@@ -77,6 +78,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
     monkeypatch.setattr(complete, "complete_file", record)
     given = ["--input=a.ply", "--ground_truth", "b.ply", "--camera=c.json"]
     given += ["--workspace=-1,-1,-1,1,1,1", "--up=-y", "--weights=w", "--noadapt"]
+    given += ["--max_points=1000"]
     assert run(*given, "--output_dir=d") == 0
     assert run() == 0
     expected = {
@@ -84,12 +86,22 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "ground_truth": "b.ply",
         "camera": "c.json",
         "workspace": "-1,-1,-1,1,1,1",
+        "max_points": 1000,
         "up": "-y",
         "weights": "w",
         "adapt": False,
         "output_dir": "d",
     }
     assert asked == [expected, defaults]
+
+
+def test_interrupted_it_ends_in_one_line(monkeypatch, capsys):
+    def interrupt(**_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(complete, "complete_file", interrupt)
+    assert run() == 130
+    assert capsys.readouterr().err == "prism-complete: interrupted\n"
 
 
 def test_says_why_nothing_was_adapted():
@@ -127,6 +139,9 @@ FAULTS = [
     (["--input=scan.obj"], "scan.obj: has the suffix '.obj'"),
     (["--input=."], ".: has the suffix ''"),
     (["--input="], ": has the suffix ''"),
+    (["--max_points=199"], "scan.npy: claims 200 points, more than 199; crop or"),
+    (["--max_points=0"], "flag --max_points=0: 0 is not a positive integer"),
+    (["--max_points=200", "--ground_truth=more.npy"], "more.npy: claims 263 points"),
     (["--input=few.npy"], "few.npy: has 63 distinct points, fewer than 64"),
     (["--input=nan.npy"], "nan.npy: has no finite point"),
     (["--input=point.npy"], "point.npy: has an extent of zero"),
