@@ -1,4 +1,4 @@
-"""The README's Python examples, run as they stand with a smaller network."""
+"""README and docs: their Python examples run, their figures are those of the tables."""
 
 import json
 import pathlib
@@ -9,12 +9,18 @@ import sys
 import numpy as np
 import pytest
 
+from experiments import results
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation import agreement_markdown, comparison_markdown, markdown
 from prism_jax.weights import save_weights
 
-README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
-EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PAGES = {page.name: page for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]}
+EXAMPLES = {
+    name: re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    for name, page in PAGES.items()
+}
+LONGEST = {"README.md": 150, "BUILD_NOTES.md": 250}
 GIVEN = """
 import numpy as np
 points = np.load("scan.npy")
@@ -44,19 +50,20 @@ def run(folder, code: str) -> str:
     return ended.stdout
 
 
-def test_there_are_three():
-    assert len(EXAMPLES) == 3
-    assert all('"small"' in code for code in EXAMPLES[:2])
+def test_every_example_is_run_here():
+    found = {name: len(codes) for name, codes in EXAMPLES.items() if codes}
+    assert found == {"README.md": 1, "python.md": 1, "data.md": 1}
+    assert all('"small"' in EXAMPLES[n][0] for n in ("README.md", "python.md"))
 
 
 def test_a_plain_script(folder):
-    assert "run" in run(folder, EXAMPLES[0])
+    assert "run" in run(folder, EXAMPLES["README.md"][0])
     completed, scan = np.load(folder / "completed.npy"), np.load(folder / "scan.npy")
     np.testing.assert_array_equal(completed[: len(scan)], scan)
 
 
 def test_inside_ones_own_jax_code(folder, minimal):
-    run(folder, GIVEN + EXAMPLES[1] + SHOWN)
+    run(folder, GIVEN + EXAMPLES["python.md"][0] + SHOWN)
     metres, scan = np.load(folder / "metres.npy"), np.load(folder / "scan.npy")
     assert metres.shape == (minimal.model.backbone.stage_sizes[-1], 3)
     assert np.isfinite(metres).all()
@@ -69,15 +76,12 @@ def test_inside_ones_own_jax_code(folder, minimal):
 def test_ones_own_recordings(folder):
     (folder / "my_cells").symlink_to(RecordedCells.bundled().root)
     shown = "\nprint(len(frames), frames[0].partial.shape[1])\n"
-    assert run(folder, EXAMPLES[2] + shown).split() == ["20", "3"]
+    assert run(folder, EXAMPLES["data.md"][0] + shown).split() == ["20", "3"]
 
 
-TABLES = sorted((README.parent / "docs" / "tables").glob("*.json"))
-
-
-@pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", results.tables(), ids=lambda path: path.stem)
 def test_tables_are_those_of_their_results(path):
-    """As the commands wrote them: JSON, Markdown and what README or notes show."""
+    """As the commands wrote them: JSON, Markdown, and what docs/results.md shows."""
     result = json.loads(path.read_text())
     kinds = {"rows": comparison_markdown, "losses": agreement_markdown}
     (text,) = [make(result) for kind, make in kinds.items() if kind in result] or [
@@ -85,10 +89,40 @@ def test_tables_are_those_of_their_results(path):
     ]
     assert path.with_suffix(".md").read_text() == text
     lines = [line for line in text.splitlines() if line]
-    shown = README.read_text() + README.with_name("BUILD_NOTES.md").read_text()
     assert len(lines) > 4
+    shown = PAGES["results.md"].read_text()
     assert not [line for line in lines if line not in shown]
 
 
-def test_there_are_tables():
-    assert TABLES
+@pytest.mark.parametrize(("path", "text"), results.pages().items(), ids=lambda p: "")
+def test_pages_show_the_tables(path, text):
+    assert path.read_text() == text, "run python -m experiments.results"
+
+
+def test_the_first_screen_says_what_adaptation_gains():
+    first = PAGES["README.md"].read_text().split("\n## ")[0]
+    assert "<!-- gain: python -m experiments.results -->\n**Adaptation" in first
+
+
+@pytest.mark.parametrize("name", LONGEST)
+def test_pages_stay_short(name):
+    assert len(PAGES[name].read_text().splitlines()) <= LONGEST[name]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_somewhere(name):
+    for file, anchor in re.findall(
+        r"\]\(([^)#\s]*)#?([^)\s]*)\)", PAGES[name].read_text()
+    ):
+        if "://" in file:
+            continue
+        target = PAGES[name].parent / file if file else PAGES[name]
+        assert target.exists(), f"{name} links to {file}"
+        assert not anchor or anchor in anchors(target), f"{name}: {file}#{anchor}"
+
+
+def anchors(page: pathlib.Path) -> set[str]:
+    """What the headings of a page can be linked by."""
+    heads = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    words = [re.sub(r"[^\w\- ]", "", head.lower()) for head in heads]
+    return {"-".join(word.split(" ")) for word in words}
