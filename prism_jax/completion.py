@@ -21,7 +21,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.traced import keep_traced
+from prism_jax.trace_cache import compile_cached
 from prism_jax.weights import available_weights, load_pretrained
 
 __all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
@@ -181,9 +181,11 @@ class Completer:
             steps = self.config.num_steps if adapt else 0
             config = dataclasses.replace(self.config, num_steps=steps)
             fn = make_adapt(config)
-            if self._trace_dir is not None:
-                fn = keep_traced(fn, arguments, self._trace_dir, config)
-            self._compiled[adapt] = jax.jit(fn).lower(*arguments).compile()
+            if self._trace_dir is None:
+                call = jax.jit(fn).lower(*arguments).compile()
+            else:
+                call = compile_cached(fn, arguments, self._trace_dir, config)
+            self._compiled[adapt] = call
         compiled = time.perf_counter()
         completion = self._compiled[adapt](*arguments)
         completion = jax.block_until_ready(completion)
