@@ -18,6 +18,7 @@ from experiments.scoring import (
     open_split,
     scored,
 )
+from experiments.weights import located
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import open_dataset
@@ -60,7 +61,7 @@ def define_flags() -> None:
 def main():
     """Builds the split where it is missing, scores, writes and prints the table."""
     prepare_output(FLAGS.output, ".json")
-    config, variables = load_pretrained(FLAGS.weights)
+    config, variables = load_pretrained(located(FLAGS.weights))
     config = changed(config, FLAGS.set)
     if FLAGS.steps is not None:
         config = dataclasses.replace(config, num_steps=FLAGS.steps)
@@ -92,13 +93,13 @@ def open_published(split: str) -> Source:
 
 def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]:
     """What names the result."""
-    known = read_metadata(FLAGS.weights)
+    known = read_metadata(located(FLAGS.weights))
     return {
         **about_data(split),
         "protocol": FLAGS.protocol,
         "normalisation": protocol.normalisation,
         "weights": FLAGS.weights,
-        "weights_sha256": file_sha256(FLAGS.weights),
+        "weights_sha256": file_sha256(located(FLAGS.weights)),
         "seed": known.get("seed"),
         "weights_commit": known.get("commit"),
         "steps": config.num_steps,

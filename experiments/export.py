@@ -7,6 +7,7 @@ experiments/run_exported.py runs it, and needs only JAX and the file.
 
 from absl import flags
 
+from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.export import PLATFORMS, export_adapt
 from prism_jax.io.atomic import write_bytes
@@ -26,7 +27,7 @@ def define_flags() -> None:
 def main():
     """Traces, lowers for every platform, writes."""
     prepare_output(FLAGS.output, ".jaxexport")
-    config, variables = load_pretrained(FLAGS.weights)
+    config, variables = load_pretrained(located(FLAGS.weights))
     data = export_adapt(config, variables, FLAGS.batch_size, FLAGS.platforms)
     write_bytes(FLAGS.output, data)
     count = config.model.backbone.num_points

@@ -15,6 +15,7 @@ from experiments.scoring import (
     make_protocol,
     open_split,
 )
+from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import prism_completer
 from prism_jax.evaluation.gallery import gallery_page, picture_row, show
@@ -38,7 +39,7 @@ def define_flags() -> None:
 def main():
     """Draws the first view of the first objects; the picture lies beside the page."""
     prepare_output(FLAGS.output, ".html")
-    config, variables = load_pretrained(FLAGS.weights)
+    config, variables = load_pretrained(located(FLAGS.weights))
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     _, indices = np.unique(source.objects, return_index=True)
     indices = indices[: FLAGS.limit].tolist()

@@ -12,6 +12,7 @@ from experiments.scoring import (
     named,
     open_split,
 )
+from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import agreement, agreement_markdown
 from prism_jax.weights import load_pretrained
@@ -22,7 +23,7 @@ FLAGS = flags.FLAGS
 def main():
     """Prints the mean cosine of every loss, and the error after a step along it."""
     prepare_output(FLAGS.output, ".json")
-    config, variables = load_pretrained(FLAGS.weights)
+    config, variables = load_pretrained(located(FLAGS.weights))
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     sizes = (FLAGS.limit, FLAGS.batch_size)
     found = agreement(config, variables, source, protocol, *sizes)

@@ -9,6 +9,9 @@ import jax
 import numpy as np
 from absl import flags
 
+from experiments.baselines.networks import NETWORKS
+from experiments.baselines.trivial import mirrored, training_mean
+from experiments.baselines.weights import load_network
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -20,14 +23,12 @@ from experiments.scoring import (
     size_of,
     size_of_network,
 )
+from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import training_split
 from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
-from prism_jax.models.baselines.trivial import mirrored, training_mean
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (
-    available_networks,
-    load_network,
     load_pretrained,
     read_metadata,
     samples_seen,
@@ -48,16 +49,18 @@ def define_flags() -> None:
         "Of the backbone trained without the method, by name or by file.",
     )
     flags.DEFINE_multi_string(
-        "network", None, "Others, by name or by file; all that ship if not given."
+        "network",
+        None,
+        "Others, by name or by file; all of experiments/weights if not given.",
     )
 
 
 def main():
     """Scores every row on the same examples, input and output counts."""
     prepare_output(FLAGS.output, ".json")
-    config, variables = load_pretrained(FLAGS.weights)
-    alone, backbone = load_pretrained(FLAGS.backbone)
-    names = available_networks() if FLAGS.network is None else FLAGS.network
+    config, variables = load_pretrained(located(FLAGS.weights))
+    alone, backbone = load_pretrained(located(FLAGS.backbone))
+    names = sorted(NETWORKS) if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
     sizes = {FLAGS.weights: size_of(config), FLAGS.backbone: size_of(alone)}
     for name, (module, own) in others.items():
@@ -105,7 +108,7 @@ def count(variables: Variables, *parts: str) -> int:
 
 def seen(weights: str) -> int:
     """Samples that these weights were trained on."""
-    return samples_seen(read_metadata(weights))
+    return samples_seen(read_metadata(located(weights)))
 
 
 def run():

@@ -20,6 +20,7 @@ from experiments.scoring import (
     scored,
     size_of,
 )
+from experiments.weights import located
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch, prepare_output
@@ -50,8 +51,8 @@ def main():
     """Scores both weights with each number of steps, and the variations of one."""
     prepare_output(FLAGS.output, ".json")
     both = {
-        PRETRAINED: load_pretrained(FLAGS.pretrained),
-        META: load_pretrained(FLAGS.weights),
+        PRETRAINED: load_pretrained(located(FLAGS.pretrained)),
+        META: load_pretrained(located(FLAGS.weights)),
     }
     own, variables = both[META]
     require_alike({name: size_of(config) for name, (config, _) in both.items()})

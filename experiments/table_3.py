@@ -17,6 +17,7 @@ from experiments.scoring import (
     scored,
     size_of,
 )
+from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import Row, comparison, prism_completer
 from prism_jax.io.errors import InputError
@@ -55,7 +56,7 @@ def main():
         if not equals:
             raise InputError(change, "no label", "write LABEL=NAME|FILE")
         variants[label] = weights
-    loaded = {label: load_pretrained(name) for label, name in variants.items()}
+    loaded = {label: load_pretrained(located(n)) for label, n in variants.items()}
     require_alike({label: size_of(config) for label, (config, _) in loaded.items()})
     source = open_split(FLAGS.split)
     protocol = make_protocol(loaded[NONE][0])

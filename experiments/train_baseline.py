@@ -7,6 +7,8 @@ import dataclasses
 
 from absl import flags
 
+from experiments.baselines.networks import NETWORKS
+from experiments.baselines.weights import save_network
 from experiments.training import (
     about_training,
     define_training_flags,
@@ -16,14 +18,12 @@ from experiments.training import (
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
-from prism_jax.models.baselines.networks import NETWORKS
 from prism_jax.presets import resolve
 from prism_jax.training.config import PhaseConfig
 from prism_jax.training.leg import train_leg
 from prism_jax.training.parallel import is_first
 from prism_jax.training.run import open_run, started_from
 from prism_jax.training.supervised import network_leg
-from prism_jax.weights import save_network
 
 FLAGS = flags.FLAGS
 

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 from absl import flags
 
+from experiments.weights import located
 from prism_jax.data.datasets import (
     DATASETS,
     build_if_missing,
@@ -63,12 +64,12 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     """
     if FLAGS.weights is None:
         return None
-    adapt, variables = load_pretrained(FLAGS.weights)
+    adapt, variables = load_pretrained(located(FLAGS.weights))
     if adapt.model != preset.model:
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
     known = ("preset", "seed", "commit", "data", "samples", "pretrained")
-    metadata = read_metadata(FLAGS.weights)
+    metadata = read_metadata(located(FLAGS.weights))
     return variables, {key: metadata[key] for key in known if key in metadata}
 
 

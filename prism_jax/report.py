@@ -1,7 +1,6 @@
 """The HTML report of a completion: one file that needs no network."""
 
 import html
-import importlib.resources
 import math
 import string
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,7 @@ import plotly.graph_objects as go
 from jaxtyping import Bool, Float
 from plotly.offline import get_plotlyjs
 
+from prism_jax.assets import asset
 from prism_jax.figures import (
     COMPLETED_COLOR,
     GROUND_TRUTH_COLOR,
@@ -82,7 +82,7 @@ def render_report(
         [np.asarray(result.depth_observed), np.asarray(result.depth_completed)],
         [np.asarray(result.mask_observed), np.asarray(result.mask_completed)],
     )
-    template = importlib.resources.files("prism_jax") / "assets" / "report.html"
+    template = asset("report.html")
     return string.Template(template.read_text(encoding="utf-8")).substitute(
         title=html.escape(f"{summary['input']['file']} completed by prism_jax"),
         plotly=get_plotlyjs(),

@@ -6,14 +6,11 @@ measured scores as JSON. Nothing is ever unpickled.
 
 import dataclasses
 import hashlib
-import importlib.resources
 import json
 import pathlib
 from collections.abc import Mapping
-from importlib.resources.abc import Traversable
 from typing import Any
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,9 +18,9 @@ import safetensors
 import safetensors.numpy
 
 from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.assets import asset
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
-from prism_jax.models.baselines.networks import NETWORKS
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables, unlearned_steps
@@ -34,17 +31,7 @@ NOT_OURS = "it holds no prism_jax configuration"
 
 def available_weights() -> list[str]:
     """Names of the weights that ship with the package."""
-    return _shipped(importlib.resources.files("prism_jax") / "assets")
-
-
-def available_networks() -> list[str]:
-    """Names of the networks to compare with whose weights ship."""
-    return _shipped(importlib.resources.files("prism_jax") / "assets" / "baselines")
-
-
-def _shipped(folder: Traversable) -> list[str]:
-    names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
-    return sorted(n.removesuffix(SUFFIX) for n in names if n.endswith(SUFFIX))
+    return sorted(path.stem for path in asset("").glob(f"*{SUFFIX}"))
 
 
 def load_pretrained(name_or_path: str = "small") -> tuple[AdaptConfig, Variables]:
@@ -54,7 +41,7 @@ def load_pretrained(name_or_path: str = "small") -> tuple[AdaptConfig, Variables
     `prism_jax.io.InputError`, a ``ValueError`` of one line.
     """
     path = _locate(name_or_path)
-    metadata, arrays = _read(path)
+    metadata, arrays = read_file(path)
     try:
         config = config_from_dict(metadata["config"])
     except (KeyError, TypeError, ValueError):
@@ -65,12 +52,8 @@ def load_pretrained(name_or_path: str = "small") -> tuple[AdaptConfig, Variables
 
 
 def read_metadata(name_or_path: str) -> dict[str, Any]:
-    """What is known of weights: data, seed, commit, samples, scores.
-
-    Of released weights, by name or by file, or of a network to compare with.
-    """
-    find = _locate_network if name_or_path in NETWORKS else _locate
-    return _read(find(name_or_path))[0]
+    """What is known of weights, by name or by file: data, seed, commit, scores."""
+    return read_file(_locate(name_or_path))[0]
 
 
 def file_sha256(name_or_path: str) -> str:
@@ -91,8 +74,8 @@ def samples_seen(metadata: Mapping[str, Any]) -> int:
     return sum(run.get("samples", 0) for run in trainings(metadata))
 
 
-def _read(path: pathlib.Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Metadata and arrays of a file."""
+def read_file(path: pathlib.Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Metadata and arrays of a file; one that is no such weights raises InputError."""
     try:
         with safetensors.safe_open(path, framework="numpy") as file:
             text = file.metadata() or {}
@@ -113,42 +96,13 @@ def save_weights(
     metadata: dict[str, Any],
 ) -> None:
     """Writes weights whole or not at all; metadata values become JSON."""
-    _write(path, variables, {"config": dataclasses.asdict(config), **metadata})
+    write_file(path, variables, {"config": dataclasses.asdict(config), **metadata})
 
 
-def save_network(
-    path: str | pathlib.Path,
-    name: str,
-    size: str,
-    variables: Variables,
-    metadata: dict[str, Any],
-) -> None:
-    """As `save_weights`, of one of `NETWORKS` to compare with."""
-    _write(path, variables, {"network": name, "size": size, **metadata})
-
-
-def load_network(name_or_path: str) -> tuple[nn.Module, Variables]:
-    """A network to compare with and its variables, by name or by file.
-
-    A file that is not of one of `NETWORKS` raises `prism_jax.io.InputError`.
-    """
-    path = _locate_network(name_or_path)
-    metadata, arrays = _read(path)
-    try:
-        module = NETWORKS[metadata["network"]][metadata["size"]]
-    except (KeyError, TypeError):
-        fault = "not a network to compare with"
-        raise InputError(path, fault, _network_remedy()) from None
-    num_points: int = module.config.num_points  # pyright: ignore
-    cloud = jnp.zeros((1, num_points, 3))
-    made = jax.eval_shape(lambda: module.init(jax.random.key(0), cloud))
-    wanted = {kind: made.get(kind, {}) for kind in ("params", "batch_stats")}
-    return module, _checked(arrays, wanted, path)
-
-
-def _write(
+def write_file(
     path: str | pathlib.Path, variables: Variables, metadata: dict[str, Any]
 ) -> None:
+    """Writes arrays and metadata whole or not at all."""
     arrays = {
         _key(leaf_path): np.asarray(leaf)
         for leaf_path, leaf in jax.tree_util.tree_leaves_with_path(variables)
@@ -195,26 +149,11 @@ def _tuples(value: Any) -> Any:
 
 def _locate(name_or_path: str) -> pathlib.Path:
     if name_or_path in available_weights():
-        folder = importlib.resources.files("prism_jax") / "assets"
-        return pathlib.Path(str(folder / f"{name_or_path}{SUFFIX}"))
+        return asset(f"{name_or_path}{SUFFIX}")
     path = pathlib.Path(name_or_path)
     if not path.is_file():
         raise InputError(name_or_path, "no such weights", _remedy())
     return path
-
-
-def _locate_network(name_or_path: str) -> pathlib.Path:
-    path = pathlib.Path(name_or_path)
-    if name_or_path in NETWORKS:
-        folder = importlib.resources.files("prism_jax") / "assets" / "baselines"
-        path = pathlib.Path(str(folder / f"{name_or_path}{SUFFIX}"))
-    if not path.is_file():
-        raise InputError(name_or_path, "no such network", _network_remedy())
-    return path
-
-
-def _network_remedy() -> str:
-    return f"give a file of experiments.train_baseline, or one of {sorted(NETWORKS)}"
 
 
 def _remedy() -> str:
@@ -248,13 +187,14 @@ def _checked_tree(
 ) -> Variables:
     """The arrays in the tree that the configuration asks for."""
     wanted = jax.eval_shape(lambda: init_variables(jax.random.key(0), config.model))
-    return _checked(arrays, wanted, path)
+    return checked_arrays(arrays, wanted, path)
 
 
-def _checked(
+def checked_arrays(
     arrays: dict[str, np.ndarray], wanted: Variables, path: pathlib.Path
 ) -> Variables:
-    """The arrays in a tree of such shapes, every one checked."""
+    """The arrays in a tree of such shapes; InputError if one is missing, misshapen or
+    unknown."""
 
     def pick(leaf_path: tuple[Any, ...], leaf: jax.ShapeDtypeStruct) -> jax.Array:
         key = _key(leaf_path)

@@ -38,6 +38,7 @@ ONLY = {
     "prism_jax.geometry": {"prism_jax.geometry"},
     "prism_jax.io": {"prism_jax.io", "prism_jax.geometry"},
     "prism_jax.data": {
+        "prism_jax.assets",
         "prism_jax.data",
         "prism_jax.simulation",
         "prism_jax.io",

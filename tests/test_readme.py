@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments import results
-from prism_jax.data.recordings import RecordedCells
+from experiments.assets import CELLS
 from prism_jax.evaluation import agreement_markdown, comparison_markdown, markdown
 from prism_jax.weights import save_weights
 
@@ -74,7 +74,7 @@ def test_inside_ones_own_jax_code(folder, minimal):
 
 
 def test_ones_own_recordings(folder):
-    (folder / "my_cells").symlink_to(RecordedCells.bundled().root)
+    (folder / "my_cells").symlink_to(CELLS)
     shown = "\nprint(len(frames), frames[0].partial.shape[1])\n"
     assert run(folder, EXAMPLES["data.md"][0] + shown).split() == ["20", "3"]
 

@@ -1,30 +1,25 @@
 """Weights on disk."""
 
 import dataclasses
-import importlib.resources
 import json
 import pickle
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import safetensors.numpy
 
 from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.assets import asset
 from prism_jax.io.errors import InputError
-from prism_jax.models.baselines.networks import NETWORKS
 from prism_jax.presets import PRESETS
 from prism_jax.weights import (
     available_weights,
     config_from_dict,
-    load_network,
     load_pretrained,
     read_metadata,
     samples_seen,
-    save_network,
     save_weights,
-    sha256,
     trainings,
 )
 
@@ -97,12 +92,12 @@ def test_a_configuration_survives_json(name):
 
 def test_names_of_what_ships():
     names = available_weights()
-    assert names == sorted(names)
+    assert names == ["small", "small-robocell"]
     for name in names:
         config, variables = load_pretrained(name)
         assert config.model.backbone.stage_sizes[-1] >= 2048
         # Given as a file, the same weights are compared with their configuration.
-        file = importlib.resources.files("prism_jax") / "assets" / f"{name}.safetensors"
+        file = asset(f"{name}.safetensors")
         _, checked = load_pretrained(str(file))
         assert jax.tree.structure(variables) == jax.tree.structure(checked)
         for a, b in zip(*map(jax.tree.leaves, (variables, checked)), strict=True):
@@ -206,29 +201,3 @@ def test_a_failed_write_leaves_what_was_there(file, tmp_path, tiny, tiny_variabl
     assert path.read_bytes() == file.read_bytes()
     with pytest.raises(InputError, match="cannot be written"):
         save_weights(tmp_path / "no" / "such.safetensors", tiny, {}, {})
-
-
-@pytest.mark.parametrize("name", ["pcn", "seedformer"])
-def test_a_network_to_compare_with_comes_back(tmp_path, name):
-    module = NETWORKS[name]["small"]
-    cloud = jnp.zeros((1, module.config.num_points, 3))
-    shapes = jax.eval_shape(lambda: module.init(jax.random.key(0), cloud))
-    rng = np.random.default_rng(0)
-    fill = lambda leaf: rng.normal(size=leaf.shape).astype(np.float32)  # noqa: E731
-    variables = {"params": jax.tree.map(fill, shapes["params"]), "batch_stats": {}}
-    path = tmp_path / "network.safetensors"
-    save_network(path, name, "small", variables, {"seed": 3})
-    again, loaded = load_network(str(path))
-    assert again == module
-    assert sha256(loaded) == sha256(variables)
-    assert read_metadata(str(path))["seed"] == 3
-    with pytest.raises(InputError, match="no prism_jax configuration"):
-        load_pretrained(str(path))
-
-
-def test_what_is_not_a_network_to_compare_with(tmp_path, tiny, tiny_variables):
-    save_weights(tmp_path / "ours.safetensors", tiny, tiny_variables, {})
-    with pytest.raises(InputError, match="not a network to compare with"):
-        load_network(str(tmp_path / "ours.safetensors"))
-    with pytest.raises(InputError, match="no such network"):
-        load_network("resnet")

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
+from experiments.weights import located
 from prism_jax import Camera, load_pretrained, make_adapt
 from prism_jax.geometry import resample
 
@@ -20,7 +21,7 @@ MOST = 7.0
 
 def suite(weights: str = "small") -> Iterator[Row]:
     """One frame at a time, and eight at once; memory as the steps grow."""
-    config, variables = load_pretrained(weights)
+    config, variables = load_pretrained(located(weights))
 
     def compiled(num_steps: int, batch: int) -> Compiled:
         adapt = make_adapt(dataclasses.replace(config, num_steps=num_steps))

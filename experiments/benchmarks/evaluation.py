@@ -6,7 +6,9 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
+from experiments.assets import CELLS
 from experiments.benchmarks.measure import Row, in_turn, row
+from experiments.weights import located
 from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
 from prism_jax.data.ordering import farthest_point_order, first_points
@@ -25,8 +27,8 @@ def suite(weights: str = "small") -> Iterator[Row]:
     """The frames that ship, twenty at once and scored on all cores, against each
     completed alone and each of its clouds scored by the functions of
     `prism_jax.metrics`, and against batches of one in one thread."""
-    config, variables = load_pretrained(weights)
-    source = RecordedCells.bundled()
+    config, variables = load_pretrained(located(weights))
+    source = RecordedCells(CELLS)
     completer = prism_completer(config, variables)
     protocol = Protocol(config.model.backbone.num_points, config.model.margin)
     run = functools.partial(evaluate, completer, source, protocol)

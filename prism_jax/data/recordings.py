@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
+from prism_jax.assets import asset
 from prism_jax.data.builds import MANIFEST, hash_files
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
@@ -88,9 +89,8 @@ class RecordedCells:
 
     @classmethod
     def bundled(cls) -> "RecordedCells":
-        """The first frame of each of the simulator's 20 test sequences."""
-        package = pathlib.Path(__file__).parents[1]
-        return cls(package / "assets" / "roboarm")
+        """One frame that ships with the package: a Panda in its cell, simulated."""
+        return cls(asset("roboarm"))
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from experiments.assets import CELLS
 from prism_jax.data import builds, corpus, datasets
 from prism_jax.data.corpus import Corpus
 from prism_jax.data.datasets import (
@@ -18,7 +19,7 @@ from prism_jax.data.datasets import (
     open_training,
     scored_splits,
 )
-from prism_jax.data.recordings import Frame, RecordedCells, write_frame
+from prism_jax.data.recordings import Frame, write_frame
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
@@ -132,7 +133,7 @@ def test_what_another_version_built_is_refused(name, tmp_path):
 
 
 def test_recordings_have_one_split():
-    root = RecordedCells.bundled().root
+    root = CELLS
     assert len(open_dataset("recordings", "all", root)) == 20
     with pytest.raises(InputError, match="unknown value 'test'; use all"):
         open_dataset("recordings", "test", root)

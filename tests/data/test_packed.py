@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
+from experiments.assets import CELLS
 from prism_jax.data import packed
 from prism_jax.data.builds import MANIFEST
 from prism_jax.data.datasets import open_dataset, open_training, parts_of
@@ -40,7 +41,7 @@ class Balls:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    sources = {"balls": Balls(), "cells": RecordedCells.bundled()}
+    sources = {"balls": Balls(), "cells": RecordedCells(CELLS)}
     folder = tmp_path_factory.mktemp("packed") / "train"
     return pack(sources, folder, CONFIG, num_workers=0, progress=False)
 
@@ -75,7 +76,7 @@ def test_the_parts_are_named(folder):
 def test_unordered_clouds_are_ordered(folder):
     """Framed for a training they are what they were, to a step."""
     framing = Framing(32, 64, 1.4)
-    examples = RecordedCells.bundled()[3], Packed(folder)[5 + 3]
+    examples = RecordedCells(CELLS)[3], Packed(folder)[5 + 3]
     given, found = (frame_example(example, framing) for example in examples)
     half, packed = (float(workspace_of(e.partial, 1.4)[1]) for e in examples)
     assert packed == pytest.approx(half, rel=0.05)
@@ -88,8 +89,8 @@ def test_sources_stand_one_after_the_other(folder):
     source = Packed(folder)
     assert len(source) == 5 + 20
     assert set(source.categories) == {"ball", "egg", "robot cell"}
-    assert source[5].name == f"cells/{RecordedCells.bundled()[0].name}"
-    assert source[5].any_heading and RecordedCells.bundled()[0].any_heading
+    assert source[5].name == f"cells/{RecordedCells(CELLS)[0].name}"
+    assert source[5].any_heading and RecordedCells(CELLS)[0].any_heading
     with pytest.raises(IndexError):
         source[25]
     again = pickle.loads(pickle.dumps(source))

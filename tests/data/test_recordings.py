@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from experiments.assets import CELLS
 from prism_jax.data.builds import hash_files
 from prism_jax.data.recordings import (
     DEPTH_SCALE,
@@ -273,8 +274,8 @@ def test_files_are_held_against_the_manifest(root):
         RecordedCells(root)
 
 
-def test_the_bundled_cells_are_whole():
-    cells = RecordedCells.bundled()
+def test_the_recorded_cells_are_whole():
+    cells = RecordedCells(CELLS)
     assert len(cells) == check_recordings(cells.root) == 20
     robots = set()
     for index, example in enumerate(cells):
@@ -291,10 +292,18 @@ def test_the_bundled_cells_are_whole():
     assert used < 10e6
 
 
-def test_the_bundled_clouds_are_one_scene_in_one_frame():
+def test_the_recorded_clouds_are_one_scene_in_one_frame():
     """What the camera saw lies on the ground truth, to both sensors' noise."""
-    for example in RecordedCells.bundled():
+    for example in RecordedCells(CELLS):
         distance, _ = cKDTree(example.complete).query(example.partial)
         assert np.median(distance) < 0.006
         assert np.mean(distance < 0.02) > 0.95
         assert example.complete[:, 2].min() > 0
+
+
+def test_one_frame_ships_and_it_is_one_of_them():
+    (ours,) = RecordedCells.bundled()
+    first = RecordedCells(CELLS)[0]
+    assert check_recordings(RecordedCells.bundled().root) == 1
+    assert ours.name == first.name
+    np.testing.assert_array_equal(ours.partial, first.partial)

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation import Protocol, evaluate
 from prism_jax.evaluation.gallery import (
@@ -24,11 +25,11 @@ def moved(partials, eyes):
 
 @pytest.fixture(scope="module")
 def shown():
-    return show(moved, RecordedCells.bundled(), [0, 3], PROTOCOL)
+    return show(moved, RecordedCells(CELLS), [0, 3], PROTOCOL)
 
 
 def test_numbers_are_those_of_the_evaluation(shown):
-    scores = evaluate(moved, RecordedCells.bundled(), PROTOCOL)["per_example"]
+    scores = evaluate(moved, RecordedCells(CELLS), PROTOCOL)["per_example"]
     for item, index in zip(shown, (0, 3), strict=True):
         assert item.before == pytest.approx(scores["control"]["cd_l2"][index], 1e-5)
         assert item.after == pytest.approx(scores["merged"]["cd_l2"][index], 1e-5)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from experiments.assets import CELLS
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation import Protocol, agreement, agreement_markdown, gradients
@@ -88,7 +89,7 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
 
 
 def test_table_of_a_source(variables):
-    source = RecordedCells.bundled()
+    source = RecordedCells(CELLS)
     protocol = Protocol(CONFIG.model.backbone.num_points, CONFIG.model.margin)
     result = agreement(CONFIG, variables, source, protocol, limit=3, batch_size=2)
     assert (result["num_examples"], result["num_objects"]) == (3, 3)

@@ -9,6 +9,7 @@ import pytest
 
 import prism_jax
 from experiments import evaluate
+from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation import paired_difference
 from prism_jax.metrics import hausdorff
@@ -45,7 +46,7 @@ def scored(output, *arguments) -> dict:
 @pytest.fixture(scope="module")
 def cells(tmp_path_factory):
     """Results on two frames of the robot cells that ship, in metres."""
-    root = RecordedCells.bundled().root
+    root = CELLS
     place = ["--dataset=recordings", f"--data_dir={root}", "--split=all", "--limit=2"]
     folder = tmp_path_factory.mktemp("cells")
     runs = {
@@ -98,7 +99,7 @@ def test_cells_are_scored_in_their_own_size_under_both_normalisations(cells):
     assert oracle["control"] == partial["control"]
     for metric, value in partial["mean"].items():
         assert np.isclose(oracle["mean"][metric], value, rtol=1e-3), metric
-    source = RecordedCells.bundled()
+    source = RecordedCells(CELLS)
     expected = []
     for example in (source[0], source[1]):
         half = np.ptp(example.complete, axis=0).max() / 2

@@ -4,6 +4,7 @@ import numpy as np
 from PIL import Image
 
 from experiments import gallery
+from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
 from tests import launching
 
@@ -12,7 +13,7 @@ def test_writes_a_page_and_a_picture(tmp_path, monkeypatch):
     def fake(config, variables):
         return lambda partials, eyes: {"output": partials + np.float32(0.1)}
 
-    source = RecordedCells.bundled()
+    source = RecordedCells(CELLS)
     page = tmp_path / "out" / "cells.html"
     place = ["--dataset=recordings", f"--data_dir={source.root}", "--split=all"]
     sizes = ["--limit=3", "--size=32", "--columns=1", f"--output={page}"]

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from experiments import table_1, table_2, table_3
+from experiments.assets import CELLS
+from experiments.baselines.networks import NETWORKS
+from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.data.recordings import RecordedCells
 from prism_jax.models.variables import pop_encoders
 from prism_jax.weights import load_pretrained, read_metadata, samples_seen, save_weights
 from tests import launching
@@ -28,7 +30,7 @@ def fake(config, variables):
 
 def run(module, output, *arguments):
     """The table that the command writes, and what it prints."""
-    root = RecordedCells.bundled().root
+    root = CELLS
     place = ["--dataset=recordings", f"--data_dir={root}", "--limit=3"]
     place += ["--split=all", f"--output={output}"]
     with pytest.MonkeyPatch.context() as patch:
@@ -42,7 +44,7 @@ def test_table_one(tmp_path):
     rows = table["rows"]
     assert list(rows) == [
         *("partial itself", "training mean", "partial and its mirror image"),
-        *(table_1.LABELS[name] for name in table_1.available_networks()),
+        *(table_1.LABELS[name] for name in sorted(NETWORKS)),
         *("CRA-PCN", "PRISM, not adapted", "PRISM"),
     ]
     assert table["against"] == "CRA-PCN"
@@ -56,7 +58,7 @@ def test_table_one(tmp_path):
     assert rows["training mean"]["parameters"] is None
     assert rows["training mean"]["samples"] is None
     assert rows["PRISM"]["samples"] == samples_seen(read_metadata("small"))
-    assert rows["PCN"]["samples"] == samples_seen(read_metadata("pcn"))
+    assert rows["PCN"]["samples"] == samples_seen(read_metadata(located("pcn")))
     assert "| training mean | " in text
     assert table["data"] == "recordings"
 

@@ -1,17 +1,15 @@
 """Scans as users hand them in."""
 
 import json
-import pathlib
 
 import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-import prism_jax
+from experiments.assets import CELLS
 from prism_jax.io import InputError, parse_bounds, read_points, read_scan
 
-CELLS = pathlib.Path(prism_jax.__file__).parent / "assets" / "roboarm"
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(300, 3)).astype(np.float32)
 CAMERA = {"width": 20, "height": 10, "fx": 9, "fy": 9, "cx": 9.5, "cy": 4.5}
 

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from experiments.assets import CELLS
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.geometry import knn
@@ -58,7 +59,7 @@ def test_and_of_every_batch_mirrored_or_not(table, examples, framed, search):
 
 def test_they_name_the_same_points_of_what_is_turned_and_in_no_order(config):
     """The neighbours of the table are the nearest points of the turned partials too."""
-    cells = RecordedCells.bundled()
+    cells = RecordedCells(CELLS)
     assert cells[0].any_heading and not cells[0].ordered
     table = index_table(cells, FRAMING, config)
 

@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from experiments.assets import CELLS
 from prism_jax.data.builds import MANIFEST
 from prism_jax.data.recordings import RecordedCells, check_recordings
 from prism_jax.io.errors import InputError
@@ -171,6 +172,6 @@ def test_the_bundled_frames_are_of_todays_generator(tmp_path, monkeypatch):
     monkeypatch.setattr(build.builds, "build", note)
     build_roboarm("test", tmp_path)
     content = json.loads(json.dumps(asked[0]))
-    manifest = json.loads((RecordedCells.bundled().root / MANIFEST).read_text())
+    manifest = json.loads((CELLS / MANIFEST).read_text())
     del manifest["files"]
     assert manifest == content | {"num_frames": 1}

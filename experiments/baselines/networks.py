@@ -3,9 +3,9 @@ they have."""
 
 import flax.linen as nn
 
-from prism_jax.models.baselines.pcn import PCN, PCN_SMALL, PCNConfig
-from prism_jax.models.baselines.pointr import POINTR_SMALL, PoinTr, PoinTrConfig
-from prism_jax.models.baselines.seedformer import (
+from experiments.baselines.pcn import PCN, PCN_SMALL, PCNConfig
+from experiments.baselines.pointr import POINTR_SMALL, PoinTr, PoinTrConfig
+from experiments.baselines.seedformer import (
     SEEDFORMER_SMALL,
     SeedFormer,
     SeedFormerConfig,

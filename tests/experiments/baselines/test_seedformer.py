@@ -10,8 +10,7 @@ import pytest
 from flax.traverse_util import flatten_dict
 from jax.test_util import check_grads
 
-from prism_jax.losses.primary import primary_loss
-from prism_jax.models.baselines.seedformer import (
+from experiments.baselines.seedformer import (
     SEEDFORMER_SMALL,
     Patches,
     PointTransformer,
@@ -20,6 +19,7 @@ from prism_jax.models.baselines.seedformer import (
     SeedGenerator,
     UpsampleTransformer,
 )
+from prism_jax.losses.primary import primary_loss
 
 RNG = np.random.default_rng(0)
 TINY = SeedFormerConfig(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from experiments.baselines.trivial import mirrored, training_mean
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError
-from prism_jax.models.baselines.trivial import mirrored, training_mean
 
 RNG = np.random.default_rng(0)
 PARTIAL = RNG.uniform(-0.7, 0.7, (3, 20, 3)).astype(np.float32)

@@ -8,8 +8,8 @@ import numpy as np
 import optax
 import pytest
 
+from experiments.baselines.pcn import PCN, PCN_SMALL, PCNConfig, folding_grid
 from prism_jax.losses.primary import primary_loss
-from prism_jax.models.baselines.pcn import PCN, PCN_SMALL, PCNConfig, folding_grid
 
 TINY = PCNConfig(
     num_points=24,

@@ -12,8 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jax.test_util import check_grads
 from scipy.spatial import KDTree
 
-from prism_jax.losses.primary import primary_loss
-from prism_jax.models.baselines.pointr import (
+from experiments.baselines.pointr import (
     POINTR_SMALL,
     Attention,
     Block,
@@ -24,6 +23,7 @@ from prism_jax.models.baselines.pointr import (
     PoinTrConfig,
     proxy_indices,
 )
+from prism_jax.losses.primary import primary_loss
 
 RNG = np.random.default_rng(0)
 TINY = PoinTrConfig(

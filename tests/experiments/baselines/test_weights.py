@@ -1,0 +1,50 @@
+"""Weights that lie beside the launchers: by name, and those of other networks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.baselines.networks import NETWORKS
+from experiments.baselines.weights import load_network, save_network
+from experiments.weights import located
+from prism_jax.io.errors import InputError
+from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+
+
+@pytest.mark.parametrize(
+    "name", ["small-pretrained", "small-align", "small-align-normal", *NETWORKS]
+)
+def test_names_of_what_lies_here(name):
+    assert read_metadata(located(name))["samples"] > 0
+
+
+@pytest.mark.parametrize("name", ["small", "runs/weights.safetensors", "none"])
+def test_anything_else_is_left_to_the_package(name):
+    assert located(name) == name
+
+
+@pytest.mark.parametrize("name", ["pcn", "seedformer"])
+def test_a_network_to_compare_with_comes_back(tmp_path, name):
+    module = NETWORKS[name]["small"]
+    cloud = jnp.zeros((1, module.config.num_points, 3))
+    shapes = jax.eval_shape(lambda: module.init(jax.random.key(0), cloud))
+    rng = np.random.default_rng(0)
+    fill = lambda leaf: rng.normal(size=leaf.shape).astype(np.float32)  # noqa: E731
+    variables = {"params": jax.tree.map(fill, shapes["params"]), "batch_stats": {}}
+    path = tmp_path / "network.safetensors"
+    save_network(path, name, "small", variables, {"seed": 3})
+    again, loaded = load_network(str(path))
+    assert again == module
+    assert sha256(loaded) == sha256(variables)
+    assert read_metadata(str(path))["seed"] == 3
+    with pytest.raises(InputError, match="no prism_jax configuration"):
+        load_pretrained(str(path))
+
+
+def test_what_is_not_a_network_to_compare_with(tmp_path, tiny, tiny_variables):
+    save_weights(tmp_path / "ours.safetensors", tiny, tiny_variables, {})
+    with pytest.raises(InputError, match="not a network to compare with"):
+        load_network(str(tmp_path / "ours.safetensors"))
+    with pytest.raises(InputError, match="no such network"):
+        load_network("resnet")
