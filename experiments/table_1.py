@@ -51,7 +51,7 @@ def define_flags() -> None:
     flags.DEFINE_multi_string(
         "network",
         None,
-        "Others, by name or by file; all of experiments/weights if not given.",
+        "Others, by name or by file; all of NETWORKS if not given.",
     )
 
 
