@@ -11,6 +11,7 @@ import pytest
 
 from experiments import results
 from experiments.assets import CELLS
+from experiments.real_scans import real_scans_markdown
 from prism_jax.evaluation import agreement_markdown, comparison_markdown, markdown
 from prism_jax.weights import save_weights
 
@@ -83,7 +84,11 @@ def test_ones_own_recordings(folder):
 def test_tables_are_those_of_their_results(path):
     """As the commands wrote them: JSON, Markdown, and what docs/results.md shows."""
     result = json.loads(path.read_text())
-    kinds = {"rows": comparison_markdown, "losses": agreement_markdown}
+    kinds = {
+        "rows": comparison_markdown,
+        "losses": agreement_markdown,
+        "scans": real_scans_markdown,
+    }
     (text,) = [make(result) for kind, make in kinds.items() if kind in result] or [
         markdown(result)
     ]
