@@ -1,24 +1,22 @@
-"""Builds a generated data set: python -m experiments.make_data --dataset=shapes"""
+"""Builds a data set: python -m experiments.make_data --dataset=shapes --split=test
+
+python -m experiments.make_data --dataset=meshes --mesh_dir=FOLDER --split=train \
+    --output_dir=DIR
+"""
 
 from absl import app, flags
 
 from prism_jax.cli.launch import launch
-from prism_jax.data.corpus import SPLITS
-from prism_jax.data.datasets import GENERATED, build_dataset
-from prism_jax.simulation.roboarm.models import own_arm
+from prism_jax.data.datasets import DATASETS
+from prism_jax.simulation.build_dataset import BUILDERS, build_dataset, settings_of
 
 FLAGS = flags.FLAGS
-
-_CHANGES = {
-    "shapes": ("num_shapes", "num_views", "partial", "seed"),
-    "roboarm": ("num_sequences", "num_frames", "seed", "urdf"),
-}
 
 
 def define_flags() -> None:
     """The flags of this launcher; what is not given is the set's own."""
-    flags.DEFINE_enum("dataset", "shapes", GENERATED, "What to build.")
-    flags.DEFINE_enum("split", "train", SPLITS, "Split to build.")
+    flags.DEFINE_enum("dataset", "shapes", BUILDERS, "What to build.")
+    flags.DEFINE_enum("split", "train", DATASETS["shapes"].splits, "Split to build.")
     flags.DEFINE_string("output_dir", None, "By default the user's cache folder.")
     flags.DEFINE_integer("num_workers", None, "By default one for every core.", 0)
     flags.DEFINE_integer("seed", None, "Of the whole set.")
@@ -28,22 +26,18 @@ def define_flags() -> None:
     flags.DEFINE_integer("num_sequences", None, "roboarm: how many.")
     flags.DEFINE_integer("num_frames", None, "roboarm: frames of each sequence.")
     flags.DEFINE_multi_string("urdf", None, "roboarm: URDF files of your own robots.")
+    flags.DEFINE_string("mesh_dir", None, "meshes: the folder that holds them.")
 
 
 def main():
     """Builds what is missing of the split and prints its folder."""
-    known = {name for names in _CHANGES.values() for name in names}
-    given = {name: FLAGS[name].value for name in sorted(known)}
+    known = sorted({setting for name in BUILDERS for setting in settings_of(name)})
+    given = {name: FLAGS[name].value for name in known}
     given = {name: value for name, value in given.items() if value is not None}
-    for name in given.keys() - _CHANGES[FLAGS.dataset]:
+    for name in given.keys() - {*settings_of(FLAGS.dataset)}:
         raise app.UsageError(f"--{name} does not belong to --dataset={FLAGS.dataset}")
-    if "urdf" in given:
-        given["arms"] = [own_arm(path) for path in given.pop("urdf")]
-    print(
-        build_dataset(
-            FLAGS.dataset, FLAGS.split, FLAGS.output_dir, FLAGS.num_workers, **given
-        )
-    )
+    place = FLAGS.dataset, FLAGS.split, FLAGS.output_dir
+    print(build_dataset(*place, FLAGS.num_workers, **given))
 
 
 def run():

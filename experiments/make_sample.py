@@ -9,11 +9,11 @@ import numpy as np
 from absl import flags
 
 from prism_jax.cli.launch import launch
-from prism_jax.data.corpus import CorpusConfig, shape_seed
 from prism_jax.io.ply import write_ply
 from prism_jax.simulation.partials import HALF_EXTENT
 from prism_jax.simulation.shapes import CATEGORIES
-from prism_jax.simulation.views import dequantise, make_views
+from prism_jax.simulation.shapes.build import ShapesConfig, shape_seed
+from prism_jax.simulation.views import make_views
 
 FLAGS = flags.FLAGS
 
@@ -27,11 +27,11 @@ def define_flags() -> None:
 
 def main():
     """One example in metres, seen by a sensor at the origin, z up."""
-    seed = shape_seed(CorpusConfig("validation"), FLAGS.index)
+    seed = shape_seed(ShapesConfig("validation"), FLAGS.index)
     (partial,), complete, (viewpoint,) = make_views(FLAGS.category, seed)
     folder = pathlib.Path(FLAGS.output_dir)
     for name, cloud in {"sample": partial, "sample_complete": complete}.items():
-        points = (dequantise(cloud) - viewpoint) * np.float32(HALF_EXTENT)
+        points = (cloud - viewpoint) * np.float32(HALF_EXTENT)
         write_ply(folder / f"{name}.ply", points, np.zeros(len(points), bool))
 
 

@@ -1,4 +1,4 @@
-"""Packs data sets into one folder of quantised shards, ready to be trained on.
+"""Packs data sets into one folder of shards, ready to be trained on.
 
 python -m experiments.pack --dataset=roboarm --dataset=shapes --limit=4000 \
     --split=train --output_dir=DIR
@@ -11,13 +11,13 @@ from absl import flags
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import (
     DATASETS,
-    build_if_missing,
     digest_of,
     open_dataset,
     training_split,
     validation_split,
 )
-from prism_jax.data.packed import PackConfig, pack
+from prism_jax.simulation.build_dataset import build_if_missing
+from prism_jax.simulation.packing import PackConfig, pack
 
 FLAGS = flags.FLAGS
 

@@ -12,8 +12,7 @@ from absl import flags
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.data.datasets import (
-    SCORED,
-    build_if_missing,
+    DATASETS,
     digest_of,
     open_dataset,
 )
@@ -28,6 +27,7 @@ from prism_jax.evaluation import (
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
+from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
@@ -44,7 +44,7 @@ def define_frame_flags(
     split: str | None, dataset: str = "shapes", limit: int | None = None
 ) -> None:
     """The flags that say which frames, and how a network gets them."""
-    flags.DEFINE_enum("dataset", dataset, SCORED, "What to score on.")
+    flags.DEFINE_enum("dataset", dataset, DATASETS, "What to score on.")
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_string("split", split, "The data set's split.")
     flags.DEFINE_enum(

@@ -17,13 +17,12 @@ from absl import flags
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import (
     DATASETS,
-    SCORED,
-    build_if_missing,
     open_dataset,
     parts_of,
     scored_splits,
 )
 from prism_jax.presets import resolve
+from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.meta import check_meta
 from prism_jax.training.run import open_run
 from prism_jax.weights import SUFFIX, file_sha256
@@ -75,7 +74,7 @@ def define_flags() -> None:
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
     flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
     flags.DEFINE_multi_enum(
-        "scored", None, SCORED, "What to score on; the same if not given."
+        "scored", None, DATASETS, "What to score on; the same if not given."
     )
     flags.DEFINE_integer("scored_at_once", 20, "Examples, as memory allows.", 1)
     flags.DEFINE_string(

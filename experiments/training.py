@@ -8,7 +8,6 @@ from absl import flags
 from experiments.weights import located
 from prism_jax.data.datasets import (
     DATASETS,
-    build_if_missing,
     digest_of,
     open_training,
     opened_splits,
@@ -17,6 +16,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
+from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.indices import index_table
 from prism_jax.training.leg import Data, order_seed
 from prism_jax.training.parallel import wait_for_all

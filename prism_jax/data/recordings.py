@@ -27,15 +27,14 @@ from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.assets import asset
-from prism_jax.data.builds import MANIFEST, hash_files
+from prism_jax.data.manifest import MANIFEST, check_files, read_manifest
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.clouds import check_cloud, inside_image
-from prism_jax.io.depth import camera_to_dict, read_camera, read_depth
+from prism_jax.io.depth import read_camera, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
-from prism_jax.io.ply import read_ply, write_ply
+from prism_jax.io.ply import read_ply
 
 DEPTH_SCALE = 0.00025
 """Metres a count of the depth image: the L515's own unit."""
@@ -49,8 +48,9 @@ MAX_METRES = 50.0
 NEAR = 0.03
 """Metres along a pixel's ray: a partial's point this near its pixel's depth fits it."""
 
-_NEEDED = ("camera.json", "depth.png", "partial.ply")
-_OPTIONAL = ("complete.ply", "labels.png", "joints.json")
+NEEDED = ("camera.json", "depth.png", "partial.ply")
+OPTIONAL = ("complete.ply", "labels.png", "joints.json")
+"""Files of a frame, by what follows its number."""
 _COPY = "copy the whole frame again, or delete what is there of it"
 _LAYOUT = "lay it out as <sequence>/000000.depth.png, .camera.json, .partial.ply"
 
@@ -81,8 +81,9 @@ class RecordedCells:
     def __init__(self, root: str | os.PathLike, verify: bool = True):
         self.root = pathlib.Path(root)
         found = _find_frames(self.root)
-        if verify:
-            _verify(self.root, found)
+        if verify and (self.root / MANIFEST).exists():
+            manifest = read_manifest(self.root, "let what makes them run to its end")
+            check_files(self.root, manifest["files"], _COPY)
         self.frames = tuple(found)
         sequences = [sequence for sequence, _ in found]
         self.objects = np.unique(sequences, return_inverse=True)[1]
@@ -98,11 +99,11 @@ class RecordedCells:
     def __getitem__(self, index: int) -> Example:
         sequence, name = self.frames[index]
         frame = self.root / sequence / name
-        complete = _file(frame, "complete.ply")
-        camera = read_camera(_file(frame, "camera.json"))
+        complete = frame_file(frame, "complete.ply")
+        camera = read_camera(frame_file(frame, "camera.json"))
         return Example(
             complete=_read_cloud(complete) if complete.exists() else None,
-            partial=_read_cloud(_file(frame, "partial.ply")),
+            partial=_read_cloud(frame_file(frame, "partial.ply")),
             eye=np.asarray(camera.position, np.float32),
             category=self.categories[0],
             name=f"{sequence}/{name}",
@@ -115,31 +116,6 @@ class RecordedCells:
         return read_frame(self.root / sequence, int(name))
 
 
-def write_frame(folder: str | os.PathLike, number: int, frame: Frame) -> None:
-    """Writes a frame into a sequence's folder; its camera, and so the frame, last.
-
-    A frame of that number that is there already is replaced.
-    """
-    path = make_output_dir(folder) / f"{number:06d}"
-    for suffix in _NEEDED + _OPTIONAL:
-        _file(path, suffix).unlink(missing_ok=True)
-    write_bytes(_file(path, "depth.png"), _png(frame.depth))
-    write_ply(_file(path, "partial.ply"), frame.partial)
-    if frame.complete is not None:
-        write_ply(_file(path, "complete.ply"), frame.complete)
-    if frame.labels is not None:
-        write_bytes(_file(path, "labels.png"), _png(frame.labels))
-    if frame.joints is not None:
-        write_bytes(_file(path, "joints.json"), _json(frame.joints))
-    camera = camera_to_dict(frame.camera) | {"depth_scale": DEPTH_SCALE}
-    write_bytes(_file(path, "camera.json"), _json(camera))
-
-
-def has_frame(folder: str | os.PathLike, number: int) -> bool:
-    """Whether a frame was written to its end."""
-    return _file(pathlib.Path(folder) / f"{number:06d}", "camera.json").exists()
-
-
 def read_frame(folder: str | os.PathLike, number: int) -> Frame:
     """A frame of a sequence's folder.
 
@@ -148,7 +124,7 @@ def read_frame(folder: str | os.PathLike, number: int) -> Frame:
     image (it is then in another frame or unit), labels that do not exist.
     """
     path = pathlib.Path(folder) / f"{number:06d}"
-    image, camera_path = _file(path, "depth.png"), _file(path, "camera.json")
+    image, camera_path = frame_file(path, "depth.png"), frame_file(path, "camera.json")
     metres, mask, camera = read_depth(image, camera_path)
     scale = json.loads(read_bytes(camera_path))["depth_scale"]
     if not np.isclose(scale, DEPTH_SCALE, rtol=1e-6):
@@ -156,10 +132,10 @@ def read_frame(folder: str | os.PathLike, number: int) -> Frame:
         raise InputError(camera_path, fault, "convert the image to 0.25 mm a count")
     if not mask.any():
         raise InputError(image, "has no pixel with a return", "check the sensor")
-    partial = _read_cloud(_file(path, "partial.ply"))
-    _check_on_image(partial, metres, mask, camera, _file(path, "partial.ply"))
-    complete, labels = _file(path, "complete.ply"), _file(path, "labels.png")
-    joints = _file(path, "joints.json")
+    partial = _read_cloud(frame_file(path, "partial.ply"))
+    _check_on_image(partial, metres, mask, camera, frame_file(path, "partial.ply"))
+    complete, labels = frame_file(path, "complete.ply"), frame_file(path, "labels.png")
+    joints = frame_file(path, "joints.json")
     return Frame(
         depth=np.rint(metres / scale).astype(np.uint16),
         camera=camera,
@@ -168,6 +144,11 @@ def read_frame(folder: str | os.PathLike, number: int) -> Frame:
         labels=_read_labels(labels, camera) if labels.exists() else None,
         joints=_read_object(joints) if joints.exists() else None,
     )
+
+
+def frame_file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
+    """The path of a frame's file, from the path that its files have in common."""
+    return frame.with_name(f"{frame.name}.{suffix}")
 
 
 def check_recordings(root: str | os.PathLike, verify: bool = True) -> int:
@@ -180,10 +161,6 @@ def check_recordings(root: str | os.PathLike, verify: bool = True) -> int:
     for index in range(len(cells)):
         cells.read(index)
     return len(cells)
-
-
-def _file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
-    return frame.with_name(f"{frame.name}.{suffix}")
 
 
 def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]]:
@@ -200,38 +177,18 @@ def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]
             name, _, suffix = path.name.partition(".")
             if not re.fullmatch(r"[0-9]{6}", name):
                 raise InputError(path, "is not named by six digits", _LAYOUT)
-            if suffix not in _NEEDED + _OPTIONAL:
-                known = " ".join(_NEEDED + _OPTIONAL)
+            if suffix not in NEEDED + OPTIONAL:
+                known = " ".join(NEEDED + OPTIONAL)
                 raise InputError(path, f"is none of {known}", "move it elsewhere")
             frames.setdefault((folder.name, name), []).append(path)
     if not frames:
         raise InputError(root, "holds no recorded frames", _LAYOUT)
     for (sequence, name), files in frames.items():
-        for suffix in _NEEDED:
+        for suffix in NEEDED:
             path = root / sequence / f"{name}.{suffix}"
             if path not in files:
                 raise InputError(path, "is missing from its frame", _COPY)
     return frames
-
-
-def _verify(root: pathlib.Path, frames: Mapping[Any, list[pathlib.Path]]) -> None:
-    """Holds the files against the manifest, if there is one."""
-    manifest = root / MANIFEST
-    if not manifest.exists():
-        return
-    expected = _read_object(manifest).get("files")
-    if not isinstance(expected, dict):
-        fault = "lists no files: these recordings are not finished"
-        raise InputError(manifest, fault, "let what makes them run to its end")
-    found = hash_files(root)
-    for name in sorted(expected.keys() | found.keys()):
-        path = root / name
-        if name not in found:
-            raise InputError(path, "is missing and in the manifest", _COPY)
-        if name not in expected:
-            raise InputError(path, "is not in the manifest", "move it elsewhere")
-        if expected[name] != found[name]:
-            raise InputError(path, "differs from the manifest's sha256", _COPY)
 
 
 def _read_cloud(path: pathlib.Path) -> Float32[np.ndarray, "N 3"]:
@@ -289,13 +246,3 @@ def _read_object(path: pathlib.Path) -> dict[str, Any]:
     if not isinstance(entries, dict):
         raise InputError(path, "is not a JSON object", _COPY)
     return entries
-
-
-def _png(pixels: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
-
-
-def _json(entries: Mapping[str, Any]) -> bytes:
-    return (json.dumps(entries, indent=1) + "\n").encode()

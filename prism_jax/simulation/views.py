@@ -1,13 +1,13 @@
-"""One shape: its complete cloud and partial views of it, in stored form.
+"""One shape: its complete cloud and partial views of it.
 
 Frame: the bounding box of the 16,384-point complete cloud is centred at the origin and
-the box's longest side spans [-1, 1]. This oracle frame is for storage; a network's
-workspace is taken from the partial alone, later. Coordinates are int16 multiples of
-`QUANTUM`, exact in float32, up to +-2.
+the box's longest side spans [-1, 1]. A network never sees this frame: its workspace is
+taken from the partial alone, later. Coordinates are multiples of `QUANTUM`, which 16
+bits hold up to +-2, and float32 exactly.
 """
 
 import numpy as np
-from jaxtyping import Float, Float32, Int16
+from jaxtyping import Float, Float32
 
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.simulation.partials import make_partial
@@ -22,33 +22,29 @@ MIN_RETURNS = 16
 MAX_DRAWS = 100
 
 
-def quantise(points: Float[np.ndarray, "*shape 3"]) -> Int16[np.ndarray, "*shape 3"]:
+def rounded(
+    points: Float[np.ndarray, "*shape 3"],
+) -> Float32[np.ndarray, "*shape 3"]:
     """Nearest multiples of `QUANTUM`; coordinates beyond +-1.99 raise ValueError."""
     if not np.all(np.abs(points) < 1.99):
         raise ValueError("coordinates must be finite and within +-1.99")
-    return np.round(points / QUANTUM).astype(np.int16)
-
-
-def dequantise(
-    points: Int16[np.ndarray, "*shape 3"],
-) -> Float32[np.ndarray, "*shape 3"]:
-    """Coordinates in the frame of stored points."""
-    return points.astype(np.float32) * np.float32(QUANTUM)
+    steps = np.round(points / QUANTUM).astype(np.int16)
+    return steps.astype(np.float32) * np.float32(QUANTUM)
 
 
 def make_views(
     category: str, seed: int, num_views: int = 1, partial: str = "self_occlusion"
 ) -> tuple[
-    Int16[np.ndarray, "V 2048 3"],
-    Int16[np.ndarray, "16384 3"],
+    Float32[np.ndarray, "V 2048 3"],
+    Float32[np.ndarray, "16384 3"],
     Float32[np.ndarray, "V 3"],
 ]:
     """Partial clouds, the complete cloud, viewpoints: a pure function of its arguments.
 
     `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
     from outside. All clouds are in farthest-point order; a partial of fewer than 2,048
-    distinct points is repeated cyclically. More views begin with the same ones. What
-    was cropped was seen from nowhere: its viewpoint is NaN.
+    distinct points is repeated from its start. More views begin with the same ones. A
+    crop is seen by no sensor: its viewpoint is NaN.
     """
     rng = category_rng(category, seed, 1)
     mesh = make_shape(category, seed)
@@ -60,7 +56,7 @@ def make_views(
     scene = Scene(mesh)
     views = [_view(partial, scene, complete, rng) for _ in range(num_views)]
     partials, eyes = (np.stack(column) for column in zip(*views, strict=True))
-    return partials, quantise(complete), eyes
+    return partials, rounded(complete), eyes
 
 
 def _view(kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generator):
@@ -70,5 +66,5 @@ def _view(kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generato
             ordered = farthest_point_order(points, PARTIAL_POINTS)
             if kind == "crop":
                 eye = np.full(3, np.nan)
-            return quantise(ordered), eye.astype(np.float32)
+            return rounded(ordered), eye.astype(np.float32)
     raise ValueError(f"no {kind} view of {MIN_RETURNS} points in {MAX_DRAWS} draws")

@@ -4,22 +4,22 @@ import hashlib
 
 import pytest
 
-from prism_jax.data.corpus import CorpusConfig, build_corpus
+from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
 
 
 @pytest.fixture(scope="session")
-def train_config() -> CorpusConfig:
+def train_config() -> ShapesConfig:
     """Four shapes of two views in shards of three and one."""
-    return CorpusConfig("train", num_shapes=4, num_views=2, shard_shapes=3)
+    return ShapesConfig("train", num_shapes=4, num_views=2, shard_shapes=3)
 
 
 @pytest.fixture(scope="session")
 def shapes_dir(train_config, tmp_path_factory):
     """Folder of a training and a validation split."""
     data_dir = tmp_path_factory.mktemp("shapes")
-    validation = CorpusConfig("validation", num_shapes=3)
+    validation = ShapesConfig("validation", num_shapes=3)
     for config in (train_config, validation):
-        build_corpus(config, data_dir, num_workers=0, progress=False)
+        build_shapes(config, data_dir, num_workers=0, progress=False)
     return data_dir
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from absl import flags
 
-from prism_jax.data.corpus import Corpus
+from prism_jax.data.datasets import open_dataset
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError
@@ -117,7 +117,7 @@ def flags_left_as_they_are():
 @pytest.mark.usefixtures("flags_left_as_they_are")
 def test_and_so_it_does_where_another_process_reads(shapes_dir):
     """Whose batches are those of this process."""
-    source = Corpus("train", shapes_dir)
+    source = open_dataset("shapes", "train", shapes_dir)
     here = training_batches(source, SMALL, 3, 3)
     expected = [next(here) for _ in range(6)]
     batches = training_batches(source, SMALL, 3, 3, num_workers=1)

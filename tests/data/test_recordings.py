@@ -8,21 +8,19 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from experiments.assets import CELLS
-from prism_jax.data.builds import hash_files
+from prism_jax.data.manifest import MANIFEST, hash_files
 from prism_jax.data.recordings import (
     DEPTH_SCALE,
     LABELS,
-    MANIFEST,
     Frame,
     RecordedCells,
     check_recordings,
-    has_frame,
     read_frame,
-    write_frame,
 )
 from prism_jax.data.source import Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
+from prism_jax.simulation.recorder import has_frame, write_frame
 
 HEIGHT, WIDTH, FOCAL = 24, 32, 30.0
 
@@ -270,7 +268,7 @@ def test_files_are_held_against_the_manifest(root):
     with pytest.raises(InputError, match="not finished"):
         RecordedCells(root)
     (root / MANIFEST).write_text("no JSON")
-    with pytest.raises(InputError, match=r"manifest.json: is not a JSON object"):
+    with pytest.raises(InputError, match=r"manifest.json: is not a manifest"):
         RecordedCells(root)
 
 

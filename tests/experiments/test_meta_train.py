@@ -12,8 +12,8 @@ import shutil
 import pytest
 
 from experiments import meta_train, training
-from prism_jax.data.corpus import CorpusConfig, build_corpus
 from prism_jax.models.variables import ENCODERS
+from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 from tests import fake_meta, launching
 from tests.trees import bitwise
@@ -180,8 +180,8 @@ def test_nor_on_other_data(run, unbroken, few_shapes, weights, tmp_path, capsys)
     capsys.readouterr()
     for split in ("validation", "train"):
         shutil.rmtree(tmp_path / "same" / f"shapes-{split}")
-        others = CorpusConfig(split, num_shapes=8, num_views=1, seed=1)
-        build_corpus(others, tmp_path / "same", 0, False)
+        others = ShapesConfig(split, num_shapes=8, num_views=1, seed=1)
+        build_shapes(others, tmp_path / "same", 0, False)
         status = run(*given, f"--data_dir={tmp_path / 'same'}")
         assert f"config.data.digests.{split} is" in refused(capsys, status)
 

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from experiments import train_release
-from prism_jax.data import builds
 from prism_jax.data.datasets import open_dataset
+from prism_jax.simulation.building import write_manifest
 from prism_jax.weights import file_sha256
 from tests import launching
 
@@ -194,7 +194,7 @@ def test_a_mistake_shows_before_anything_runs(
 @pytest.mark.parametrize(
     ("flags", "fault"),
     [
-        (["--dataset=packed"], "packed: has no split with ground truth"),
+        (["--dataset=packed"], "train: is not built; pack it"),
         (["--dataset=recordings"], "recordings: has no split with ground truth"),
         (["--dataset=pcn"], "no such file"),
     ],
@@ -214,7 +214,7 @@ def test_what_was_trained_on_a_mixture_is_scored_on_its_parts(commands, tmp_path
     folder = tmp_path / "mixture" / "train"
     folder.mkdir(parents=True)
     sources = {"sources": {"shapes": 1, "roboarm": 1}, "files": {}}
-    builds.write_manifest(folder, sources)
+    write_manifest(folder, sources)
     mixture = ["--dataset=packed", f"--data_dir={folder.parent}", *parts]
     assert run("--preset=tiny", f"--workdir={tmp_path}/run", *mixture) == 0
     for _, arguments in commands.run[:3]:

@@ -4,7 +4,7 @@ from scipy.spatial import KDTree
 
 from prism_jax.simulation import views as examples
 from prism_jax.simulation.shapes import make_shape
-from prism_jax.simulation.views import QUANTUM, dequantise, make_views, quantise
+from prism_jax.simulation.views import QUANTUM, make_views, rounded
 
 
 @pytest.fixture(scope="module")
@@ -13,7 +13,7 @@ def shape():
 
 
 def test_complete_cloud_fills_the_oracle_frame(shape):
-    complete = dequantise(shape[1])
+    complete = shape[1]
     assert complete.shape == (16384, 3)
     lower, upper = complete.min(axis=0), complete.max(axis=0)
     np.testing.assert_allclose(lower + upper, 0, atol=2 * QUANTUM)
@@ -24,7 +24,7 @@ def test_partials_lie_on_the_complete_surface(shape):
     partials, complete, _ = shape
     assert partials.shape == (2, 2048, 3)
     for partial in partials:
-        gaps, _ = KDTree(dequantise(complete)).query(dequantise(partial))
+        gaps, _ = KDTree(complete).query(partial)
         assert gaps.max() < 0.06
 
 
@@ -32,7 +32,7 @@ def test_views_see_a_side_each_from_outside(shape):
     partials, complete, eyes = shape
     hidden = []
     for partial, eye in zip(partials, eyes, strict=True):
-        gaps, _ = KDTree(dequantise(partial)).query(dequantise(complete))
+        gaps, _ = KDTree(partial).query(complete)
         hidden.append(gaps > 0.1)
         assert 0.2 < np.mean(hidden[-1]) < 0.9
         assert 2.5 <= np.linalg.norm(eye) <= 4.0
@@ -49,7 +49,7 @@ def test_fewer_views_are_a_prefix(shape):
 def test_clouds_are_in_farthest_point_order(shape):
     """Distances to the nearest of all points before shrink, up to the quantum."""
     for cloud in (shape[0][1], shape[1]):
-        points = dequantise(cloud[:300]).astype(np.float64)
+        points = cloud[:300].astype(np.float64)
         gaps = [
             KDTree(points[:count]).query(points[count])[0] for count in range(1, 300)
         ]
@@ -81,16 +81,16 @@ def test_kinds_of_partials_differ_and_the_shape_does_not(shape):
 
 def test_example_uses_the_mesh_of_its_seed(shape):
     extents = make_shape("mug", 11).extents
-    span = np.ptp(dequantise(shape[1]), axis=0)
+    span = np.ptp(shape[1], axis=0)
     np.testing.assert_allclose(span / span.max(), extents / extents.max(), atol=0.01)
 
 
-def test_quantisation_rounds_to_the_nearest_step_and_refuses_overflow():
+def test_coordinates_are_rounded_to_the_nearest_step_and_overflow_is_refused():
     points = np.random.default_rng(0).uniform(-1.9, 1.9, (100, 3))
-    error = np.abs(dequantise(quantise(points)) - points)
-    assert error.max() <= QUANTUM / 2 * 1.001
-    exact = dequantise(quantise(points))
-    np.testing.assert_array_equal(dequantise(quantise(exact)), exact)
+    exact = rounded(points)
+    assert np.abs(exact - points).max() <= QUANTUM / 2 * 1.001
+    assert np.all(exact.astype(np.float64) / QUANTUM % 1 == 0)
+    np.testing.assert_array_equal(rounded(exact), exact)
     for bad in (2.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="within"):
-            quantise(np.array([[0.0, bad, 0.0]]))
+            rounded(np.array([[0.0, bad, 0.0]]))

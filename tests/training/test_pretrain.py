@@ -9,7 +9,7 @@ import numpy as np
 import optax
 import pytest
 
-from prism_jax.data.datasets import Subset
+from prism_jax.data.holdout import Subset
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.training import parallel
 from prism_jax.training.checkpoints import Checkpoints

@@ -16,14 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from prism_jax.data import builds
-from prism_jax.data.recordings import (
-    RecordedCells,
-    has_frame,
-    write_frame,
-)
+from prism_jax.data.datasets import DATASETS, ROBOARM_VERSION
+from prism_jax.data.manifest import hash_files, read_manifest
+from prism_jax.data.recordings import RecordedCells
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError, choose
+from prism_jax.simulation.building import build, write_manifest
+from prism_jax.simulation.recorder import has_frame, write_frame
 from prism_jax.simulation.roboarm.models import OWN, ArmModel, arms_of, urdf_path
 from prism_jax.simulation.roboarm.robots import Robot
 from prism_jax.simulation.roboarm.sequences import (
@@ -32,10 +31,8 @@ from prism_jax.simulation.roboarm.sequences import (
     make_sequence,
 )
 
-SPLITS = ("train", "validation", "test")
+SPLITS = DATASETS["roboarm"].splits
 NUM_SEQUENCES, NUM_FRAMES = 20, 10
-GENERATOR_VERSION = 1
-"""Raised with every change of what is drawn, so that builds are never mixed."""
 
 
 def build_roboarm(
@@ -68,7 +65,7 @@ def build_roboarm(
     names = [
         f"{index:03d}-{arms[index % len(arms)].name}" for index in range(num_sequences)
     ]
-    return builds.build(
+    return build(
         folder,
         _content(split, num_sequences, num_frames, seed, config, arms),
         [num_frames] * num_sequences,
@@ -95,14 +92,12 @@ def copy_first_frames(
     RecordedCells(source)
     if any(folder.iterdir()):
         raise InputError(folder, "is not empty", "name another folder")
-    content = builds.read_manifest(source, "build it whole")
+    content = read_manifest(source, "build it whole")
     for name in content["files"]:
         if pathlib.PurePath(name).name.startswith("000000."):
             (folder / name).parent.mkdir(exist_ok=True)
             shutil.copyfile(source / name, folder / name)
-    builds.write_manifest(
-        folder, content | {"num_frames": 1, "files": builds.hash_files(folder)}
-    )
+    write_manifest(folder, content | {"num_frames": 1, "files": hash_files(folder)})
     return folder
 
 
@@ -136,7 +131,7 @@ def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, 
     """Everything that the bytes depend on."""
     return {
         "generator": "prism_jax roboarm",
-        "generator_version": GENERATOR_VERSION,
+        "generator_version": ROBOARM_VERSION,
         "split": split,
         "num_sequences": num_sequences,
         "num_frames": num_frames,

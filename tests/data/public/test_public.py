@@ -4,38 +4,40 @@ import inspect
 
 import pytest
 
-from prism_jax.data.public import PUBLIC_SETS, open_public
+from prism_jax.data.datasets import DATASETS, open_dataset
 from prism_jax.data.public.synsets import SYNSETS
 from prism_jax.io import InputError
 
+PUBLIC = [name for name, known in DATASETS.items() if known.folder is None]
 
-@pytest.mark.parametrize("name", PUBLIC_SETS)
+
+@pytest.mark.parametrize("name", PUBLIC)
 def test_every_set_refuses_an_empty_folder_with_one_line(tmp_path, name):
     with pytest.raises(InputError, match=f"^{tmp_path}") as error:
-        open_public(name, tmp_path, "test")
+        open_dataset(name, "test", tmp_path)
     assert len(str(error.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize("name", PUBLIC_SETS)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_every_loader_takes_root_and_split_first(name):
-    parameters = inspect.signature(PUBLIC_SETS[name]).parameters
+    parameters = inspect.signature(DATASETS[name].open).parameters
     assert list(parameters)[:2] == ["root", "split"]
 
 
 def test_options_reach_the_loader(tmp_path, cloud, write):
     write(tmp_path / "ShapeNet-34" / "test.txt", "02691156-a.npy\n")
     write(tmp_path / "shapenet_pc" / "02691156-a.npy", cloud(0, 8192))
-    assert len(open_public("shapenet34", tmp_path, "test")) == 1
-    assert len(open_public("shapenet34", tmp_path, "test", difficulty="easy")) == 8
+    assert len(open_dataset("shapenet34", "test", tmp_path)) == 1
+    assert len(open_dataset("shapenet34", "test", tmp_path, difficulty="easy")) == 8
 
 
 def test_an_unknown_set_or_option_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"^data set: unknown value 'scannet'; use "):
-        open_public("scannet", tmp_path, "test")
+        open_dataset("scannet", "test", tmp_path)
     with pytest.raises(InputError, match=r"^num_points: is no option of pcn; .*list_f"):
-        open_public("pcn", tmp_path, "test", num_points=2048)
+        open_dataset("pcn", "test", tmp_path, num_points=2048)
     with pytest.raises(InputError, match=r"^subset: is no option of shapenet55"):
-        open_public("shapenet55", tmp_path, "test", subset="ShapeNet-34")
+        open_dataset("shapenet55", "test", tmp_path, subset="ShapeNet-34")
 
 
 def test_there_are_55_categories_of_distinct_names():

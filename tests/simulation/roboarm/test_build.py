@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from experiments.assets import CELLS
-from prism_jax.data.builds import MANIFEST
+from prism_jax.data.manifest import MANIFEST
 from prism_jax.data.recordings import RecordedCells, check_recordings
 from prism_jax.io.errors import InputError
 from prism_jax.simulation.roboarm import build
@@ -169,7 +169,7 @@ def test_the_bundled_frames_are_of_todays_generator(tmp_path, monkeypatch):
         asked.append(content)
         return folder
 
-    monkeypatch.setattr(build.builds, "build", note)
+    monkeypatch.setattr(build, "build", note)
     build_roboarm("test", tmp_path)
     content = json.loads(json.dumps(asked[0]))
     manifest = json.loads((CELLS / MANIFEST).read_text())

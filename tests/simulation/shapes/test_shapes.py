@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from prism_jax.data.corpus import GENERATOR_VERSION
+from prism_jax.data.datasets import SHAPES_VERSION
 from prism_jax.simulation.shapes import (
     CATEGORIES,
     TRAIN_CATEGORIES,
@@ -75,9 +75,9 @@ def test_same_seed_gives_the_same_bits(meshes):
 
 
 def test_shapes_are_those_of_the_generator_version(meshes):
-    """A change of shapes needs a new GENERATOR_VERSION, or old caches mix with it."""
+    """A change of shapes needs a new SHAPES_VERSION, or old caches mix with it."""
     category, shapes = meshes
-    assert GENERATOR_VERSION == 2, "renew AREA_AND_VOLUME"
+    assert SHAPES_VERSION == 2, "renew AREA_AND_VOLUME"
     measured = (shapes[-1].area, shapes[-1].volume)
     np.testing.assert_allclose(measured, AREA_AND_VOLUME[category], atol=2e-6)
 

@@ -4,28 +4,28 @@ import dataclasses
 import json
 import os
 import pickle
+import shutil
 
 import numpy as np
 import pytest
 
-from prism_jax.data import corpus
-from prism_jax.data.corpus import (
-    SPLITS,
-    Corpus,
-    CorpusConfig,
-    build_corpus,
-    shape_seed,
-    split_dir,
-)
+from prism_jax.data.datasets import DATASETS, folder_of, open_dataset
+from prism_jax.data.shards import FORMAT_VERSION, Shards
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
-from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
-from prism_jax.simulation.views import dequantise, make_views
+from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES, build
+from prism_jax.simulation.shapes.build import (
+    SPLITS,
+    ShapesConfig,
+    build_shapes,
+    shape_seed,
+)
+from prism_jax.simulation.views import make_views
 
 
 @pytest.fixture(scope="module")
 def train(shapes_dir):
-    return Corpus("train", shapes_dir)
+    return open_dataset("shapes", "train", shapes_dir)
 
 
 def equal(a, b):
@@ -33,7 +33,7 @@ def equal(a, b):
 
 
 def test_items_are_the_views_of_shape_after_shape(train, train_config):
-    assert isinstance(train, Source)
+    assert isinstance(train, Source) and isinstance(train, Shards)
     assert train.objects.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
     assert train.categories == TRAIN_CATEGORIES
     for shape in (0, 3):
@@ -41,8 +41,8 @@ def test_items_are_the_views_of_shape_after_shape(train, train_config):
         made = make_views(category, shape_seed(train_config, shape), 2)
         for view in range(2):
             example = train[2 * shape + view]
-            assert np.array_equal(example.partial, dequantise(made[0][view]))
-            assert np.array_equal(example.complete, dequantise(made[1]))
+            assert np.array_equal(example.partial, made[0][view])
+            assert np.array_equal(example.complete, made[1])
             assert np.array_equal(example.eye, made[2][view])
             assert example.name == f"{shape:06d}/{view:02d}"
             assert example.category == category
@@ -50,9 +50,9 @@ def test_items_are_the_views_of_shape_after_shape(train, train_config):
 
 
 def test_a_crop_was_seen_from_nowhere(tmp_path):
-    config = CorpusConfig("test", num_shapes=1, num_views=2, partial="crop")
-    build_corpus(config, tmp_path, 0, progress=False)
-    source = Corpus("test", tmp_path)
+    config = ShapesConfig("test", num_shapes=1, num_views=2, partial="crop")
+    build_shapes(config, tmp_path, 0, progress=False)
+    source = open_dataset("shapes", "test", tmp_path)
     assert [source[index].eye for index in range(2)] == [None, None]
     assert not np.array_equal(source[0].partial, source[1].partial)
 
@@ -87,22 +87,26 @@ def test_examples_are_the_callers_own(train):
 
 def test_arrays_are_mapped_not_read(train):
     train[0]
-    assert all(isinstance(array, np.memmap) for array in train._shards.values())
+    arrays = [held for held in train._mapped.values() if not isinstance(held, list)]
+    assert all(isinstance(array, np.memmap) for array in arrays)
 
 
 def test_a_second_build_changes_nothing(train_config, shapes_dir, digests, monkeypatch):
-    folder = split_dir("train", shapes_dir)
+    folder = folder_of("shapes", "train", shapes_dir)
     before = digests(folder)
-    monkeypatch.setattr(corpus, "make_views", None)
-    build_corpus(train_config, shapes_dir, 0, progress=False)
+    monkeypatch.setattr(build, "make_views", None)
+    build_shapes(train_config, shapes_dir, 0, progress=False)
     assert digests(folder) == before
 
 
-@pytest.mark.parametrize("name", ["partial", "complete", "eye"])
+@pytest.mark.parametrize("name", ["partial", "complete", "views"])
 def test_a_file_that_was_damaged_and_deleted_is_built_again(
     train_config, shapes_dir, tmp_path, digests, name
 ):
-    source, folder = split_dir("train", shapes_dir), split_dir("train", tmp_path)
+    source, folder = (
+        folder_of("shapes", "train", shapes_dir),
+        folder_of("shapes", "train", tmp_path),
+    )
     folder.mkdir()
     for path in source.iterdir():
         (folder / path.name).write_bytes(path.read_bytes())
@@ -111,11 +115,11 @@ def test_a_file_that_was_damaged_and_deleted_is_built_again(
     data[-1] ^= 1
     shard.write_bytes(data)
     with pytest.raises(InputError, match=rf"{shard.name}: differs .*; delete it and b"):
-        Corpus("train", tmp_path)
+        open_dataset("shapes", "train", tmp_path)
     shard.unlink()
-    with pytest.raises(InputError, match=rf"{shard.name}: cannot be read"):
-        Corpus("train", tmp_path)
-    build_corpus(train_config, tmp_path, 0, progress=False)
+    with pytest.raises(InputError, match=rf"{shard.name}: is missing"):
+        open_dataset("shapes", "train", tmp_path)
+    build_shapes(train_config, tmp_path, 0, progress=False)
     assert digests(folder) == digests(source)
 
 
@@ -128,13 +132,13 @@ def test_failed_write_leaves_no_half_shard(tmp_path, monkeypatch):
         replace(source, target)
 
     monkeypatch.setattr("os.replace", full_disk)
-    config = CorpusConfig("test", num_shapes=1)
+    config = ShapesConfig("test", num_shapes=1)
     with pytest.raises(InputError, match="No space left"):
-        build_corpus(config, tmp_path, 0, progress=False)
-    folder = split_dir("test", tmp_path)
+        build_shapes(config, tmp_path, 0, progress=False)
+    folder = folder_of("shapes", "test", tmp_path)
     assert [path.name for path in folder.iterdir()] == ["manifest.json"]
     with pytest.raises(InputError, match=r"broken off; .* --split=test"):
-        Corpus("test", tmp_path)
+        open_dataset("shapes", "test", tmp_path)
 
 
 def test_other_settings_do_not_go_into_the_same_folder(train_config, shapes_dir):
@@ -148,36 +152,36 @@ def test_other_settings_do_not_go_into_the_same_folder(train_config, shapes_dir)
     for name, value in changes.items():
         config = dataclasses.replace(train_config, **{name: value})
         with pytest.raises(InputError, match=rf"other settings \({name}\)"):
-            build_corpus(config, shapes_dir, 0, progress=False)
+            build_shapes(config, shapes_dir, 0, progress=False)
 
 
 def test_nor_does_another_generator(train_config, shapes_dir, monkeypatch):
-    monkeypatch.setattr(corpus, "GENERATOR_VERSION", corpus.GENERATOR_VERSION + 1)
+    monkeypatch.setattr(build, "SHAPES_VERSION", build.SHAPES_VERSION + 1)
     with pytest.raises(InputError, match=r"other settings \(generator_version\)"):
-        build_corpus(train_config, shapes_dir, 0, progress=False)
+        build_shapes(train_config, shapes_dir, 0, progress=False)
 
 
 def test_shape_seeds_of_splits_and_corpora_are_disjoint():
-    configs = [CorpusConfig(split, seed=seed) for split in SPLITS for seed in range(3)]
+    configs = [ShapesConfig(split, seed=seed) for split in SPLITS for seed in range(3)]
     indices = (*range(500), 23999, 2**32 - 1)
     seeds = [shape_seed(config, index) for config in configs for index in indices]
     assert len(set(seeds)) == len(seeds)
 
 
 def test_unseen_categories_are_in_no_other_split():
-    assert CorpusConfig("unseen").categories == UNSEEN_CATEGORIES
+    assert ShapesConfig("unseen").categories == UNSEEN_CATEGORIES
     for split in ("train", "validation", "test"):
-        assert not set(CorpusConfig(split).categories) & set(UNSEEN_CATEGORIES)
+        assert not set(ShapesConfig(split).categories) & set(UNSEEN_CATEGORIES)
 
 
 def test_sizes_are_the_splits_own_unless_given():
     for split, sizes in SPLITS.items():
-        config = CorpusConfig(split)
+        config = ShapesConfig(split)
         assert (config.num_shapes, config.num_views) == sizes
         # Every category as often as every other, but for one.
         counts = np.bincount(np.arange(sizes[0]) % len(config.categories))
         assert np.ptp(counts) <= 1
-    assert CorpusConfig("train", num_views=1).num_views == 1
+    assert ShapesConfig("train", num_views=1).num_views == 1
 
 
 @pytest.mark.parametrize(
@@ -193,25 +197,52 @@ def test_sizes_are_the_splits_own_unless_given():
 )
 def test_settings_without_sense_are_named(setting, fault):
     with pytest.raises(InputError, match=f"{next(iter(setting))}: {fault}"):
-        CorpusConfig(**{"split": "train", **setting})
+        ShapesConfig(**{"split": "train", **setting})
 
 
 def test_what_is_not_built_says_how(tmp_path):
     with pytest.raises(InputError, match=r"--split=unseen --output_dir="):
-        Corpus("unseen", tmp_path)
+        open_dataset("shapes", "unseen", tmp_path)
 
 
 def test_the_cache_folder_is_where_it_is_built_by_default(tmp_path, monkeypatch):
     monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path))
-    assert split_dir("train") == tmp_path / "shapes-train"
+    assert folder_of("shapes", "train") == tmp_path / "shapes-train"
 
 
 def test_the_manifest_states_the_content(train_config, shapes_dir):
-    folder = split_dir("train", shapes_dir)
+    folder = folder_of("shapes", "train", shapes_dir)
     manifest = json.loads((folder / "manifest.json").read_text())
     settings = dataclasses.asdict(train_config)
     assert settings.items() <= manifest.items()
     assert manifest["complete_points"] == 16384
-    names = ("partial", "complete", "eye")
-    files = {f"shard-0000{i}.{name}.npy" for i in (0, 1) for name in names}
+    names = [f"{name}.npy" for name in ("complete", "box", "partial", "eye", "views")]
+    files = {f"shard-0000{i}.{name}" for i in (0, 1) for name in (*names, "names.json")}
     assert manifest["files"].keys() == files
+
+
+def test_a_shape_is_stored_once_whatever_its_views(shapes_dir):
+    folder = folder_of("shapes", "train", shapes_dir)
+    complete = np.load(folder / "shard-00000.complete.npy", mmap_mode="r")
+    partial = np.load(folder / "shard-00000.partial.npy", mmap_mode="r")
+    assert (complete.shape, complete.dtype) == ((3, 16384, 3), np.uint16)
+    assert (partial.shape, partial.dtype) == ((6, 2048, 3), np.uint16)
+
+
+def test_the_table_of_data_sets_has_the_same_splits():
+    assert DATASETS["shapes"].splits == tuple(SPLITS)
+
+
+@pytest.mark.parametrize("key", ["format_version", "generator_version"])
+def test_folders_of_other_versions_are_to_be_built_anew(shapes_dir, tmp_path, key):
+    source = folder_of("shapes", "validation", shapes_dir)
+    folder = folder_of("shapes", "validation", tmp_path)
+    shutil.copytree(source, folder)
+    path = folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    assert manifest["format_version"] == FORMAT_VERSION
+    del manifest[key]
+    path.write_text(json.dumps(manifest))
+    told = "built by another version of prism_jax; delete it, then build it: python"
+    with pytest.raises(InputError, match=told):
+        open_dataset("shapes", "validation", tmp_path)

@@ -1,4 +1,4 @@
-"""Any folder of meshes: OBJ, OFF, PLY, STL and GLB, however deep they lie."""
+"""Packs any folder of meshes: OBJ, OFF, PLY, STL and GLB, however deep they lie."""
 
 import hashlib
 import io
@@ -9,15 +9,16 @@ import numpy as np
 import trimesh
 from jaxtyping import Int
 
+from prism_jax.data.manifest import files_digest, hash_files
 from prism_jax.data.public.layout import sound_cloud
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
+from prism_jax.simulation.packing import PackConfig, pack
 from prism_jax.simulation.partials import make_partial
 from prism_jax.simulation.raycast import Scene
 
 SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb")
-WHOLE = "all"
 
 
 class Meshes:
@@ -29,28 +30,21 @@ class Meshes:
     `num_points` points, uniform on the whole surface, inner faces included. `partial`
     is what one depth camera sees (`partials.make_partial`, "self_occlusion"), and `eye`
     where it stood. Points and view are drawn with a seed made of the path below `root`:
-    another place or order of the folder changes nothing.
-
-    `split` is a folder of `root`, or "all" for the whole of it; the category is the
-    first folder below that, "mesh" for files that lie in none.
+    another place or order of the folder changes nothing. The category is the first
+    folder below `root`, "mesh" for files that lie in none.
     """
 
     def __init__(
         self,
         root: str | os.PathLike,
-        split: str = WHOLE,
         num_points: int = 16384,
         partial_points: int = 2048,
     ):
         self.root = pathlib.Path(root)
         self.num_points = num_points
         self.partial_points = partial_points
-        base = self.root if split == WHOLE else self.root / split
-        below = [path.relative_to(base) for path in _find(base)]
-        self._files = [
-            ((base / path).relative_to(self.root).as_posix(), _category(path))
-            for path in below
-        ]
+        below = [path.relative_to(self.root) for path in _find(self.root)]
+        self._files = [(path.as_posix(), _category(path)) for path in below]
         self.categories = tuple(sorted({category for _, category in self._files}))
 
     @property
@@ -79,6 +73,22 @@ class Meshes:
             category,
             name,
         )
+
+
+def build_meshes(
+    root: str | os.PathLike,
+    folder: str | os.PathLike,
+    num_workers: int | None = None,
+    progress: bool = True,
+) -> pathlib.Path:
+    """Packs all meshes below `root` into `folder`, which opens as a split of "packed".
+
+    A mesh that cannot be read raises InputError; all else as in `packing.pack`.
+    """
+    source = Meshes(root)
+    digests = {"meshes": files_digest(hash_files(source.root))}
+    config = PackConfig(source.partial_points, source.num_points)
+    return pack({"meshes": source}, folder, config, num_workers, progress, digests)
 
 
 def _find(base: pathlib.Path) -> list[pathlib.Path]:

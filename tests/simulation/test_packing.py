@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from experiments.assets import CELLS
-from prism_jax.data import packed
-from prism_jax.data.builds import MANIFEST
 from prism_jax.data.datasets import open_dataset, open_training, parts_of
-from prism_jax.data.packed import PackConfig, Packed, pack
+from prism_jax.data.manifest import MANIFEST
 from prism_jax.data.pipeline import Framing, frame_example, workspace_of
 from prism_jax.data.recordings import RecordedCells
+from prism_jax.data.shards import Shards
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
+from prism_jax.simulation import packing, shard_writer
+from prism_jax.simulation.packing import PackConfig, pack
 
 CONFIG = PackConfig(num_partial=64, num_complete=128)
 
@@ -47,7 +48,7 @@ def folder(tmp_path_factory):
 
 
 def test_clouds_come_back_to_half_a_step(folder):
-    source = Packed(folder)
+    source = Shards(folder)
     assert isinstance(source, Source)
     for index in range(5):
         given, found = Balls()[index], source[index]
@@ -76,7 +77,7 @@ def test_the_parts_are_named(folder):
 def test_unordered_clouds_are_ordered(folder):
     """Framed for a training they are what they were, to a step."""
     framing = Framing(32, 64, 1.4)
-    examples = RecordedCells(CELLS)[3], Packed(folder)[5 + 3]
+    examples = RecordedCells(CELLS)[3], Shards(folder)[5 + 3]
     given, found = (frame_example(example, framing) for example in examples)
     half, packed = (float(workspace_of(e.partial, 1.4)[1]) for e in examples)
     assert packed == pytest.approx(half, rel=0.05)
@@ -86,7 +87,7 @@ def test_unordered_clouds_are_ordered(folder):
 
 
 def test_sources_stand_one_after_the_other(folder):
-    source = Packed(folder)
+    source = Shards(folder)
     assert len(source) == 5 + 20
     assert set(source.categories) == {"ball", "egg", "robot cell"}
     assert source[5].name == f"cells/{RecordedCells(CELLS)[0].name}"
@@ -97,10 +98,48 @@ def test_sources_stand_one_after_the_other(folder):
     np.testing.assert_array_equal(again[7].complete, source[7].complete)
 
 
+class Seen(Balls):
+    """Three views of each of two balls, the second of which changes with its views."""
+
+    def __init__(self):
+        super().__init__(6)
+        self.objects = np.repeat([0, 1], 3)
+
+    def __getitem__(self, index):
+        moved = index if index > 2 else 0
+        whole = super().__getitem__(moved)
+        partial = whole.complete[10 * index :][:70]
+        return whole._replace(partial=partial, name=f"{index}")
+
+
+def test_views_of_an_object_share_its_complete_cloud(tmp_path):
+    """As far as it is the same: a robot moves while it is recorded."""
+    sources = {"seen": Seen(), "balls": Balls(2)}
+    source = Shards(pack(sources, tmp_path, CONFIG, 0, False))
+    assert source.objects.tolist() == [0, 0, 0, 1, 1, 1, 2, 3]
+    assert len(np.load(tmp_path / "shard-00000.complete.npy")) == 1 + 3 + 2
+    assert len(np.load(tmp_path / "shard-00000.partial.npy")) == 8
+    for index in range(6):
+        given, found = Seen()[index], source[index]
+        assert found.name == f"seen/{index}"
+        step = 1e-4 * np.ptp(given.complete)
+        np.testing.assert_allclose(found.partial, given.partial[:64], atol=step)
+        np.testing.assert_allclose(found.complete, given.complete[:128], atol=step)
+
+
+def test_objects_are_counted_through_all_shards(tmp_path, monkeypatch):
+    monkeypatch.setattr(packing, "SHARD_EXAMPLES", 2)
+    source = Shards(pack({"seen": Seen(), "b": Balls(3)}, tmp_path, CONFIG, 0, False))
+    assert source.objects.tolist() == [0, 0, 0, 1, 1, 1, 2, 3, 4]
+    names = [source[index].name for index in range(9)]
+    assert names == [*(f"seen/{i}" for i in range(6)), *(f"b/{i}" for i in range(3))]
+    assert len({path.name[:11] for path in tmp_path.glob("shard-*")}) == 4
+
+
 def test_a_limit_takes_evenly(tmp_path):
     config = PackConfig(8, 8, limit=3)
     pack({"a": Balls(9), "b": Balls(2)}, tmp_path / "x", config, 0, False)
-    names = [Packed(tmp_path / "x")[i].name for i in range(5)]
+    names = [Shards(tmp_path / "x")[i].name for i in range(5)]
     assert names == ["a/0", "a/4", "a/8", "b/0", "b/1"]
 
 
@@ -113,36 +152,36 @@ def test_sources_in_another_order_are_others(tmp_path):
 
 
 def test_bytes_are_the_same_and_a_broken_build_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(packed, "SHARD_EXAMPLES", 2)
+    monkeypatch.setattr(packing, "SHARD_EXAMPLES", 2)
     one, other = tmp_path / "one", tmp_path / "other"
     pack({"balls": Balls()}, one, CONFIG, 0, False)
-    build_shard = packed._build_shard
+    write_shard = shard_writer._write_shard
 
     def broken(*arguments):
         if arguments[-1] == 1:
             raise KeyboardInterrupt
-        build_shard(*arguments)
+        write_shard(*arguments)
 
-    monkeypatch.setattr(packed, "_build_shard", broken)
+    monkeypatch.setattr(shard_writer, "_write_shard", broken)
     with pytest.raises(KeyboardInterrupt):
         pack({"balls": Balls()}, other, CONFIG, 0, False)
     with pytest.raises(InputError, match="broken off"):
-        Packed(other)
-    monkeypatch.setattr(packed, "_build_shard", build_shard)
+        Shards(other)
+    monkeypatch.setattr(shard_writer, "_write_shard", write_shard)
     pack({"balls": Balls()}, other, CONFIG, 0, False)
     files = json.loads((one / MANIFEST).read_text())["files"]
     assert files == json.loads((other / MANIFEST).read_text())["files"]
-    assert len(files) == 3 * 5
+    assert len(files) == 3 * 6
 
 
 def test_what_is_damaged_or_missing_is_refused(tmp_path, folder):
     with pytest.raises(InputError, match="not built"):
-        Packed(tmp_path / "nothing")
+        Shards(tmp_path / "nothing")
     pack({"balls": Balls()}, tmp_path / "x", CONFIG, 0, False)
     path = next((tmp_path / "x").glob("*.partial.npy"))
     path.write_bytes(path.read_bytes()[:-1] + b"x")
     with pytest.raises(InputError, match="sha256"):
-        Packed(tmp_path / "x")
+        Shards(tmp_path / "x")
 
 
 def test_an_example_without_a_partial_is_refused(tmp_path):
@@ -163,7 +202,7 @@ def test_one_point_and_a_flat_cloud(tmp_path):
             return Example(cloud, cloud[:1], None, "ball", f"{index}", ordered=False)
 
     pack({"d": Degenerate(2)}, tmp_path / "x", PackConfig(4, 4), 0, False)
-    point, flat = Packed(tmp_path / "x")[0], Packed(tmp_path / "x")[1]
+    point, flat = Shards(tmp_path / "x")[0], Shards(tmp_path / "x")[1]
     np.testing.assert_allclose(point.complete, np.full((4, 3), 7.0))
     np.testing.assert_allclose(flat.complete[:, 2], 5.0)
     assert np.ptp(flat.complete[:, 1]) == pytest.approx(2, abs=1e-4)
@@ -181,7 +220,7 @@ def test_a_shard_that_lost_a_file_is_packed_again(tmp_path):
     pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     (tmp_path / "shard-00000.partial.npy").unlink()
-    with pytest.raises(InputError, match="cannot be read"):
-        Packed(tmp_path)
+    with pytest.raises(InputError, match="is missing"):
+        Shards(tmp_path)
     pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before

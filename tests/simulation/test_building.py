@@ -9,9 +9,10 @@ import time
 
 import pytest
 
-from prism_jax.data import builds
-from prism_jax.data.corpus import CorpusConfig, build_corpus
+from prism_jax.data import manifest
 from prism_jax.io.errors import InputError
+from prism_jax.simulation import building
+from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
 
 CONTENT = {"generator": "squares", "size": [2, 3]}
 SIZES = [2, 2, 1]
@@ -33,7 +34,7 @@ class Squares:
         self.path(number).write_bytes(bytes([number**2]))
 
     def build(self, content=CONTENT, progress=False):
-        return builds.build(
+        return building.build(
             self.folder,
             content,
             SIZES,
@@ -55,20 +56,20 @@ def squares(tmp_path):
 
 def test_bytes_depend_neither_on_workers_nor_on_runs(tmp_path, digests, monkeypatch):
     """Three shapes in shards of their own."""
-    config = CorpusConfig("test", num_shapes=3, shard_shapes=1)
+    config = ShapesConfig("test", num_shapes=3, shard_shapes=1)
 
     def run(name, num_workers):
-        return build_corpus(config, tmp_path / name, num_workers, progress=False)
+        return build_shapes(config, tmp_path / name, num_workers, progress=False)
 
     expected = digests(run("here", 0))
-    assert len(expected) == 3 * 3 + 1
+    assert len(expected) == 3 * 6 + 1
     assert digests(run("two", 2)) == expected
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(builds, "_run", _first_only)
+        patch.setattr(building, "_run", _first_only)
         run("broken", 0)
     folder = tmp_path / "broken" / "shapes-test"
     found = digests(folder)
-    assert len(found) == 3 + 1
+    assert len(found) == 6 + 1
     assert found.pop("manifest.json") != expected["manifest.json"]
     assert found.items() < expected.items()
     assert digests(run("broken", 1)) == expected
@@ -87,7 +88,7 @@ def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squa
     names = {path.name for path in broken.folder.iterdir()}
     assert names == {"manifest.json", "0.bin"}
     with pytest.raises(InputError, match="was broken off; build it"):
-        builds.read_manifest(broken.folder, "build it")
+        manifest.read_manifest(broken.folder, "build it")
     resumed = Squares(tmp_path / "broken")
     resumed.build()
     assert resumed.built == [1, 2]
@@ -96,11 +97,11 @@ def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squa
 
 
 def test_what_is_finished_is_not_built_again(squares):
-    manifest = (squares.folder / "manifest.json").read_bytes()
+    before = (squares.folder / "manifest.json").read_bytes()
     again = Squares(squares.folder)
     again.build()
     assert again.built == []
-    assert (squares.folder / "manifest.json").read_bytes() == manifest
+    assert (squares.folder / "manifest.json").read_bytes() == before
 
 
 def test_but_what_was_deleted_is(squares):
@@ -137,7 +138,7 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
 def test_a_manifest_that_is_none_is_named(squares, text):
     (squares.folder / "manifest.json").write_text(text)
     with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
-        builds.read_manifest(squares.folder, "build it")
+        manifest.read_manifest(squares.folder, "build it")
     with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
         Squares(squares.folder).build()
 
@@ -145,26 +146,26 @@ def test_a_manifest_that_is_none_is_named(squares, text):
 def test_a_folder_without_manifest_is_not_built(tmp_path):
     for folder in (tmp_path, tmp_path / "missing"):
         with pytest.raises(InputError, match="is not built; build it"):
-            builds.read_manifest(folder, "build it")
+            manifest.read_manifest(folder, "build it")
 
 
 def test_the_manifest_tells_content_and_files(squares, digests):
-    manifest = json.loads((squares.folder / "manifest.json").read_text())
+    written = json.loads((squares.folder / "manifest.json").read_text())
     files = digests(squares.folder)
     del files["manifest.json"]
-    assert manifest == {**CONTENT, "files": files}
-    assert builds.read_manifest(squares.folder, "") == manifest
+    assert written == {**CONTENT, "files": files}
+    assert manifest.read_manifest(squares.folder, "") == written
 
 
 def test_damaged_and_missing_files_are_named(squares):
-    files = builds.read_manifest(squares.folder, "")["files"]
-    builds.verify(squares.folder, files, "delete it")
+    files = manifest.read_manifest(squares.folder, "")["files"]
+    manifest.check_files(squares.folder, files, "delete it")
     squares.path(2).write_bytes(b"!")
     with pytest.raises(InputError, match=r"2\.bin: differs from .*; delete it"):
-        builds.verify(squares.folder, files, "delete it")
+        manifest.check_files(squares.folder, files, "delete it")
     squares.path(2).unlink()
-    with pytest.raises(InputError, match=r"2\.bin: cannot be read"):
-        builds.verify(squares.folder, files, "delete it")
+    with pytest.raises(InputError, match=r"2\.bin: is missing and"):
+        manifest.check_files(squares.folder, files, "delete it")
 
 
 def test_a_line_tells_the_rate(tmp_path, capsys):
@@ -182,13 +183,13 @@ def wait(folder, number):
 _WAITING = """
 import functools, pathlib, sys
 sys.path[:0] = sys.argv[2:]
-from prism_jax.data import builds
-from tests.data.test_builds import wait
+from prism_jax.simulation import building
+from tests.simulation.test_building import wait
 
 if __name__ == "__main__":
     folder = pathlib.Path(sys.argv[1])
     build = functools.partial(wait, folder)
-    builds.build(folder, {}, [1], lambda number: False, build, "item", 1)
+    building.build(folder, {}, [1], lambda number: False, build, "item", 1)
 """
 
 
@@ -219,4 +220,4 @@ def test_hidden_files_and_folders_do_not_count(tmp_path):
     (tmp_path / ".snapshot").mkdir()
     for name in ("a.txt", ".b.txt", ".snapshot/c.txt"):
         (tmp_path / name).write_text("kept")
-    assert [*builds.hash_files(tmp_path)] == ["a.txt"]
+    assert [*manifest.hash_files(tmp_path)] == ["a.txt"]

@@ -6,9 +6,11 @@ import shutil
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 
-from prism_jax.data.public.meshes import Meshes
+from prism_jax.data.datasets import open_dataset, parts_of
 from prism_jax.io import InputError
+from prism_jax.simulation.meshes import Meshes, build_meshes
 
 BOX = trimesh.creation.box((4.0, 2.0, 1.0))
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=5.0)
@@ -33,7 +35,7 @@ def root(tmp_path):
 
 
 def test_every_format_gives_the_normalised_surface(root):
-    source = Meshes(root, "train", num_points=3000)
+    source = Meshes(root / "train", num_points=3000)
     assert (len(source), source.categories) == (6, ("boxes", "mesh"))
     half = np.array([1.0, 0.5, 0.25])
     boxes = [example for example in source if example.category == "boxes"]
@@ -51,8 +53,8 @@ def test_every_format_gives_the_normalised_surface(root):
 
 
 def test_the_partial_is_what_the_eye_sees_of_a_ball(root):
-    example = Meshes(root, "test", num_points=500)[0]
-    assert (example.category, example.name) == ("balls", "test/balls/one/model.STL")
+    example = Meshes(root / "test", num_points=500)[0]
+    assert (example.category, example.name) == ("balls", "balls/one/model.STL")
     assert example.complete.shape == (500, 3)
     distance = np.linalg.norm(example.eye)
     # From distance d, the unit ball is seen where p . eye >= 1.
@@ -70,7 +72,7 @@ def test_a_vertex_of_no_face_takes_no_part(tmp_path):
         (tmp_path / folder).mkdir()
         text = "\n".join(content) or BALL.export(file_type="off")
         (tmp_path / folder / "ball.off").write_text(text)
-    found, expected = (Meshes(tmp_path / f, "all", 500)[0] for f in ("with", "without"))
+    found, expected = (Meshes(tmp_path / f, 500)[0] for f in ("with", "without"))
     for array, other in zip(found[:3], expected[:3], strict=True):
         np.testing.assert_array_equal(array, other)
 
@@ -78,17 +80,17 @@ def test_a_vertex_of_no_face_takes_no_part(tmp_path):
 def test_the_same_path_below_the_root_gives_the_same_bytes(root, tmp_path_factory):
     copy = tmp_path_factory.mktemp("elsewhere") / "meshes"
     shutil.copytree(root, copy)
-    for split, index in (("test", 0), ("all", 0)):
-        first, second = (Meshes(folder, split, 200)[index] for folder in (root, copy))
+    for below in ("test", "."):
+        first, second = (Meshes(folder / below, 200)[0] for folder in (root, copy))
         assert first.name == second.name
         for array, other in zip(first[:3], second[:3], strict=True):
             np.testing.assert_array_equal(array, other)
-    other = pickle.loads(pickle.dumps(Meshes(root, "test", 200)))[0]
-    np.testing.assert_array_equal(Meshes(root, "test", 200)[0].complete, other.complete)
+    other = pickle.loads(pickle.dumps(Meshes(root, 200)))[0]
+    np.testing.assert_array_equal(Meshes(root, 200)[0].complete, other.complete)
 
 
 def test_two_files_of_one_shape_get_different_points(root):
-    source = Meshes(root, "train", num_points=200)
+    source = Meshes(root / "train", num_points=200)
     assert not np.array_equal(source[1].complete, source[2].complete)
 
 
@@ -103,10 +105,10 @@ def test_the_whole_folder_has_its_splits_as_categories(root):
 
 def test_a_folder_that_is_missing_or_holds_no_mesh_is_refused(root):
     with pytest.raises(InputError, match=r"val: no such folder"):
-        Meshes(root, "val")
+        Meshes(root / "val")
     (root / "empty").mkdir()
     with pytest.raises(InputError, match=r"empty: holds no mesh \(.obj .off"):
-        Meshes(root, "empty")
+        Meshes(root / "empty")
 
 
 @pytest.mark.parametrize(
@@ -128,3 +130,19 @@ def test_a_damaged_mesh_is_refused_by_name(tmp_path, name, content):
     source = Meshes(tmp_path)
     with pytest.raises(InputError, match=rf"{name}: "):
         source[0]
+
+
+def test_they_are_packed_and_open_as_a_data_set(root, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("built")
+    build_meshes(root / "test", folder / "train", num_workers=0, progress=False)
+    source, (given,) = open_dataset("packed", "train", folder), Meshes(root / "test")
+    assert (len(source), source[0].category) == (1, "balls")
+    assert source[0].name == "meshes/balls/one/model.STL"
+    np.testing.assert_array_equal(source[0].eye, given.eye)
+    gaps, _ = KDTree(given.complete).query(source[0].complete)
+    assert source[0].complete.shape == (16384, 3) and gaps.max() < 1e-4
+    assert parts_of("packed", folder) == ["meshes"]
+    # Nothing is ray cast anew, and other meshes do not go into the same folder.
+    build_meshes(root / "test", folder / "train", num_workers=0, progress=False)
+    with pytest.raises(InputError, match=r"other settings \(categories, digests"):
+        build_meshes(root / "train", folder / "train", num_workers=0, progress=False)

@@ -1,12 +1,10 @@
-"""Folders of generated files: begun, built by several processes, finished, checked.
+"""Builds folders of data, by several processes, and goes on where one was broken off.
 
-A folder holds a ``manifest.json`` from the start. It says what the content is made
-from, so that nothing else is ever mixed in, and in the end every file's sha256. A
-build that was broken off goes on where it stopped.
+A folder has a manifest from the start. It says what the content is made from, so that
+nothing else is ever mixed in, and in the end every file's sha256.
 """
 
 import concurrent.futures
-import hashlib
 import json
 import multiprocessing
 import os
@@ -19,10 +17,9 @@ from typing import Any
 
 from tqdm import tqdm
 
+from prism_jax.data.manifest import MANIFEST, hash_files
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import InputError
-
-MANIFEST = "manifest.json"
 
 
 def build(
@@ -69,76 +66,10 @@ def build(
     return folder
 
 
-def read_manifest(
-    folder: str | os.PathLike, remedy: str, version: int | None = None
-) -> dict[str, Any]:
-    """The manifest of a finished build, by the generator's version if one is given; if
-    there is none, InputError with `remedy`."""
-    path = pathlib.Path(folder) / MANIFEST
-    try:
-        manifest = json.loads(path.read_text())
-        if manifest["files"] is None:
-            raise InputError(folder, "its build was broken off", remedy)
-        if version is not None and manifest["generator_version"] != version:
-            fault = "was built by another version of prism_jax"
-            raise InputError(folder, fault, f"delete it, then {remedy}")
-        return manifest
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(folder, "is not built", remedy) from None
-    except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            path, "is not a manifest", f"delete it, then {remedy}"
-        ) from None
-
-
-def content_digest(folder: str | os.PathLike) -> str | None:
-    """Twelve digits that tell a finished build's files from all others'; None where
-    there is none."""
-    try:
-        files = read_manifest(folder, "")["files"]
-    except InputError:
-        return None
-    listed = json.dumps(files, sort_keys=True).encode()
-    return hashlib.sha256(listed).hexdigest()[:12]
-
-
 def write_manifest(folder: pathlib.Path, content: Mapping[str, Any]) -> None:
     """Writes a folder's manifest, whole or not at all."""
     text = json.dumps(content, indent=1) + "\n"
     write_bytes(folder / MANIFEST, text.encode())
-
-
-def hash_files(folder: pathlib.Path) -> dict[str, str]:
-    """The sha256 of every file below a folder, by relative path, but of its manifest
-    and of what is hidden."""
-    paths = sorted(path for path in folder.rglob("*") if path.is_file())
-    names = {path.relative_to(folder): path for path in paths}
-    return {
-        name.as_posix(): _sha256(path)
-        for name, path in names.items()
-        if name.as_posix() != MANIFEST
-        and not any(part.startswith(".") for part in name.parts)
-    }
-
-
-def verify(folder: pathlib.Path, files: Mapping[str, str], remedy: str) -> None:
-    """Raises InputError unless every file of a manifest is there with its sha256."""
-    for name, digest in files.items():
-        path = folder / name
-        try:
-            found = _sha256(path)
-        except OSError as error:
-            fault = f"cannot be read ({error.strerror})"
-            raise InputError(path, fault, remedy) from None
-        if found != digest:
-            raise InputError(path, "differs from the manifest's sha256", remedy)
-
-
-def _sha256(path: pathlib.Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _begun(folder: pathlib.Path, content: dict[str, Any]) -> list[str]:

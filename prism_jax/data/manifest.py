@@ -1,0 +1,86 @@
+"""The manifest of a folder of data: what it is made from, and every file's sha256."""
+
+import hashlib
+import json
+import os
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+from prism_jax.io.errors import InputError
+
+MANIFEST = "manifest.json"
+
+
+def read_manifest(
+    folder: str | os.PathLike, remedy: str, **expected: Any
+) -> dict[str, Any]:
+    """The manifest of a folder that was built to its end.
+
+    Where there is none, or where it does not have these entries, which say what version
+    of prism_jax the reader understands, InputError with the remedy.
+    """
+    path = pathlib.Path(folder) / MANIFEST
+    anew = f"delete it, then {remedy}"
+    try:
+        manifest = json.loads(path.read_text())
+        files = manifest["files"]
+        if any(manifest.get(name) != value for name, value in expected.items()):
+            raise InputError(folder, "was built by another version of prism_jax", anew)
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(folder, "is not built", remedy) from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, "is not a manifest", anew) from None
+    if not isinstance(files, dict):
+        raise InputError(folder, "is not finished: its build was broken off", remedy)
+    return manifest
+
+
+def content_digest(folder: str | os.PathLike) -> str | None:
+    """Twelve digits that tell a folder's files from all others; None where there is no
+    finished build."""
+    try:
+        files = read_manifest(folder, "")["files"]
+    except InputError:
+        return None
+    return files_digest(files)
+
+
+def files_digest(files: Mapping[str, str]) -> str:
+    """Twelve digits that tell files, by name and sha256, from all others."""
+    listed = json.dumps(files, sort_keys=True).encode()
+    return hashlib.sha256(listed).hexdigest()[:12]
+
+
+def hash_files(folder: pathlib.Path) -> dict[str, str]:
+    """The sha256 of every file below a folder, by relative path; hidden files, files in
+    hidden folders, and the manifest itself do not count."""
+    hashes = {}
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        name = path.relative_to(folder)
+        hidden = any(part.startswith(".") for part in name.parts)
+        if not hidden and name.as_posix() != MANIFEST:
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256")
+            hashes[name.as_posix()] = digest.hexdigest()
+    return hashes
+
+
+def check_files(folder: pathlib.Path, files: Mapping[str, str], remedy: str) -> None:
+    """Raises InputError unless a folder holds its manifest's files, and no others."""
+    try:
+        found = hash_files(folder)
+    except OSError as error:
+        fault = f"cannot be read ({error.strerror})"
+        raise InputError(error.filename or folder, fault, remedy) from None
+    for name in sorted(files.keys() | found.keys()):
+        if name not in found:
+            raise InputError(folder / name, "is missing and in the manifest", remedy)
+        if name not in files:
+            fault = "is not in the manifest"
+            raise InputError(folder / name, fault, "move it elsewhere")
+        if files[name] != found[name]:
+            fault = "differs from the manifest's sha256"
+            raise InputError(folder / name, fault, remedy)

@@ -1,0 +1,111 @@
+"""Examples in shards: memory-mapped, 16 bits a coordinate, each complete cloud once.
+
+What a training reads over and over. Every cloud is in farthest-point order, so nothing
+is sampled again. A shard is a set of files, of V views of C complete clouds:
+
+    shard-00000.complete.npy  uint16 (C, M, 3)  steps of the cloud's box
+                .box.npy      float32 (C, 4)    its lowest corner; the size of a step
+                .partial.npy  uint16 (V, N, 3)  steps of the same box
+                .eye.npy      float32 (V, 3)    the sensor's position; NaN: not known
+                .views.npy    int32 (V, 2)      row of the complete cloud; object
+                .names.json   [category, name, any_heading] of each view
+
+Objects are counted from 0 in each shard, and none is in two. What is told of each view,
+or of each complete cloud, is a file of its own, so that a later version can add some.
+"""
+
+import json
+import os
+import pathlib
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Int, UInt16
+
+from prism_jax.data.manifest import check_files, read_manifest
+from prism_jax.data.source import Example
+
+FORMAT_VERSION = 3
+"""Raised with every change of the layout: folders of another one are refused."""
+ARRAYS = ("complete", "box", "partial", "eye", "views")
+NAMES = "names.json"
+"""Written last: a shard is there once its names are."""
+
+
+def shard_file(folder: pathlib.Path, number: int, content: str) -> pathlib.Path:
+    """The path of one of `ARRAYS`, or of the names, of a shard."""
+    suffix = content if content == NAMES else f"{content}.npy"
+    return folder / f"shard-{number:05d}.{suffix}"
+
+
+def restored(
+    steps: UInt16[np.ndarray, "N 3"], box: Float32[np.ndarray, "4"]
+) -> Float32[np.ndarray, "N 3"]:
+    """Coordinates of what is stored as steps from the lowest corner of a box."""
+    return np.asarray(steps.astype(np.float32) * box[3] + box[:3])
+
+
+class Shards:
+    """A folder of shards as a `Source`: object after object, view after view.
+
+    `remedy` says how such a folder is made, and `expected` what its manifest has to
+    say. One that is missing, unfinished, damaged or of another version raises
+    InputError. Every file is read once for its sha256; after that, arrays are mapped
+    into memory as they are used.
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike,
+        remedy: str = "write it with experiments.pack",
+        **expected: Any,
+    ):
+        self.root = pathlib.Path(root)
+        expected |= {"format_version": FORMAT_VERSION}
+        manifest = read_manifest(self.root, remedy, **expected)
+        check_files(self.root, manifest["files"], "delete it and build again")
+        self.categories = tuple(manifest["categories"])
+        self._mapped: dict[tuple[int, str], Any] = {}
+        count = sum(name.endswith(NAMES) for name in manifest["files"])
+        objects = [self._array(number, "views")[:, 1] for number in range(count)]
+        self._starts = np.cumsum([0, *map(len, objects)])
+        firsts = np.cumsum([0, *(rows.max() + 1 for rows in objects)])
+        rows = [own + first for own, first in zip(objects, firsts, strict=False)]
+        self.objects: Int[np.ndarray, " N"] = np.concatenate(rows)
+
+    def __len__(self) -> int:
+        return len(self.objects)
+
+    def __getitem__(self, index: int) -> Example:
+        index = range(len(self))[index]
+        shard = int(np.searchsorted(self._starts, index, "right")) - 1
+        view = index - self._starts[shard]
+        cloud = self._array(shard, "views")[view, 0]
+        box, eye = self._array(shard, "box")[cloud], self._array(shard, "eye")[view]
+        category, name, any_heading = self._names(shard)[view]
+        return Example(
+            restored(self._array(shard, "complete")[cloud], box),
+            restored(self._array(shard, "partial")[view], box),
+            None if np.isnan(eye).any() else np.array(eye),
+            category,
+            name,
+            ordered=True,
+            any_heading=any_heading,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_mapped": {}}
+
+    def _array(self, shard: int, name: str) -> np.ndarray:
+        key = shard, name
+        if key not in self._mapped:
+            path = shard_file(self.root, shard, name)
+            self._mapped[key] = np.load(path, mmap_mode="r", allow_pickle=False)
+        return self._mapped[key]
+
+    def _names(self, shard: int) -> list[list[Any]]:
+        key = shard, NAMES
+        if key not in self._mapped:
+            path = shard_file(self.root, shard, NAMES)
+            self._mapped[key] = json.loads(path.read_text())
+        return self._mapped[key]

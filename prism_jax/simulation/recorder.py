@@ -1,0 +1,57 @@
+"""Writes recorded frames in the layout that `prism_jax.data.recordings` reads."""
+
+import io
+import json
+import os
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from prism_jax.data.recordings import (
+    DEPTH_SCALE,
+    NEEDED,
+    OPTIONAL,
+    Frame,
+    frame_file,
+)
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.depth import camera_to_dict
+from prism_jax.io.ply import write_ply
+
+
+def write_frame(folder: str | os.PathLike, number: int, frame: Frame) -> None:
+    """Writes a frame into a sequence's folder; its camera, and so the frame, last.
+
+    A frame of that number that is there already is replaced.
+    """
+    path = make_output_dir(folder) / f"{number:06d}"
+    for suffix in NEEDED + OPTIONAL:
+        frame_file(path, suffix).unlink(missing_ok=True)
+    write_bytes(frame_file(path, "depth.png"), _png(frame.depth))
+    write_ply(frame_file(path, "partial.ply"), frame.partial)
+    if frame.complete is not None:
+        write_ply(frame_file(path, "complete.ply"), frame.complete)
+    if frame.labels is not None:
+        write_bytes(frame_file(path, "labels.png"), _png(frame.labels))
+    if frame.joints is not None:
+        write_bytes(frame_file(path, "joints.json"), _json(frame.joints))
+    camera = camera_to_dict(frame.camera) | {"depth_scale": DEPTH_SCALE}
+    write_bytes(frame_file(path, "camera.json"), _json(camera))
+
+
+def has_frame(folder: str | os.PathLike, number: int) -> bool:
+    """Whether a frame was written to its end."""
+    return frame_file(pathlib.Path(folder) / f"{number:06d}", "camera.json").exists()
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _json(entries: Mapping[str, Any]) -> bytes:
+    return (json.dumps(entries, indent=1) + "\n").encode()

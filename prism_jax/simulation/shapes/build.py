@@ -1,0 +1,125 @@
+"""Builds splits of the procedural shapes.
+
+Shapes of different splits and seeds never share a seed of their own; the split `unseen`
+has the categories that no other split has.
+"""
+
+import dataclasses
+import functools
+import os
+import pathlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from prism_jax.data.datasets import SHAPES_VERSION, folder_of
+from prism_jax.data.source import Example
+from prism_jax.io.errors import InputError, choose
+from prism_jax.simulation.partials import PARTIALS
+from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
+from prism_jax.simulation.shard_writer import build_shards
+from prism_jax.simulation.views import (
+    PARTIAL_POINTS,
+    QUANTUM,
+    SURFACE_POINTS,
+    make_views,
+)
+
+SPLITS = {
+    "train": (12_000, 8),
+    "validation": (396, 1),
+    "test": (396, 1),
+    "unseen": (132, 1),
+}
+"""Shapes of a split, and views of each, unless told otherwise."""
+
+_BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
+"""Of every shape: what is stored is exactly what was made."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ShapesConfig:
+    """What a split is made of. What makes no sense raises InputError.
+
+    Attributes:
+      split: one of `SPLITS`.
+      num_shapes: shape i has category `i % len(categories)`, so that every prefix is
+        balanced; 0 for the split's own number.
+      num_views: partial clouds of each shape; 0 for the split's own number.
+      partial: one of `partials.PARTIALS`.
+      seed: of the whole set.
+      shard_shapes: shapes in a shard.
+    """
+
+    split: str
+    num_shapes: int = 0
+    num_views: int = 0
+    partial: str = "self_occlusion"
+    seed: int = 0
+    shard_shapes: int = 100
+
+    def __post_init__(self):
+        choose("split", self.split, SPLITS)
+        choose("partial", self.partial, PARTIALS)
+        own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
+        for name, number in own.items():
+            if getattr(self, name) == 0:
+                object.__setattr__(self, name, number)
+        for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
+            value, lowest = getattr(self, name), 0 if name == "seed" else 1
+            if not lowest <= value < 2**31:
+                fault = f"{value} is not within {lowest} to {2**31 - 1}"
+                raise InputError(name, fault, "choose another number")
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Of the split's shapes."""
+        return UNSEEN_CATEGORIES if self.split == "unseen" else TRAIN_CATEGORIES
+
+
+def shape_seed(config: ShapesConfig, index: int) -> int:
+    """Seed of a shape, distinct for every (seed of the set, split, index < 2**32)."""
+    block = config.seed * len(SPLITS) + list(SPLITS).index(config.split)
+    return (block << 32) + index
+
+
+def build_shapes(
+    config: ShapesConfig,
+    data_dir: str | os.PathLike | None = None,
+    num_workers: int | None = None,
+    progress: bool = True,
+) -> pathlib.Path:
+    """Builds what is missing of a split and returns its folder.
+
+    The bytes do not depend on `num_workers` (`building.build`).
+    """
+    shapes, step = range(config.num_shapes), config.shard_shapes
+    content = {
+        "generator": "prism_jax shapes",
+        "generator_version": SHAPES_VERSION,
+        **dataclasses.asdict(config),
+        "categories": config.categories,
+        "partial_points": PARTIAL_POINTS,
+        "complete_points": SURFACE_POINTS,
+        "quantum": QUANTUM,
+    }
+    return build_shards(
+        folder_of("shapes", config.split, data_dir),
+        content,
+        [shapes[start : start + step] for start in shapes[::step]],
+        functools.partial(_views, config),
+        num_workers,
+        progress,
+        _BOX,
+    )
+
+
+def _views(config: ShapesConfig, index: int) -> Iterator[Example]:
+    category = config.categories[index % len(config.categories)]
+    seed = shape_seed(config, index)
+    partials, complete, eyes = make_views(
+        category, seed, config.num_views, config.partial
+    )
+    for view, (partial, eye) in enumerate(zip(partials, eyes, strict=True)):
+        name = f"{index:06d}/{view:02d}"
+        yield Example(complete, partial, eye, category, name, ordered=True)
