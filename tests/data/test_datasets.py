@@ -14,7 +14,7 @@ from prism_jax.data.datasets import (
     scored_splits,
 )
 from prism_jax.data.holdout import Subset, hold_out
-from prism_jax.data.recordings import Frame, RecordedCells
+from prism_jax.data.recordings import Frame
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.camera import Camera
