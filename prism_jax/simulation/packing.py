@@ -5,6 +5,7 @@ import functools
 import os
 import pathlib
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,8 @@ def _examples(
 ) -> Iterator[Example]:
     """The views of one object, as they are stored."""
     name, rows = groups[number]
-    given = ordered = None
+    given: Any = None
+    ordered: Any = None
     for row in rows:
         example = sources[name][row]
         if example.partial is None or example.complete is None:

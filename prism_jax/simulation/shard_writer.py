@@ -84,7 +84,7 @@ def _write_shard(
     write_bytes(shard_file(folder, number, NAMES), json.dumps(names).encode())
 
 
-def _by_complete(views: Iterable[Example]) -> list[list[Any]]:
+def _by_complete(views: Iterable[Any]) -> list[list[Any]]:
     """Views in a row that have the same complete cloud."""
     groups: list[list[Any]] = []
     for view in views:
