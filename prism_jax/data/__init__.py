@@ -1,1 +1,1 @@
-"""Procedural shapes, simulated partial views, and the corpus made of them."""
+"""Reads data: sources of examples, stored shards, recordings, public sets, batches."""
