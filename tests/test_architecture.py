@@ -55,6 +55,7 @@ ONLY = {
 }
 
 NO_FLAX = ("prism_jax.geometry", "prism_jax.losses", "prism_jax.io", "prism_jax.data")
+MAKERS = {"trimesh", "manifold3d", "embreex", "fpsample", "h5py", "grain"}
 UNPICKLERS = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "shelve"}
 
 
@@ -153,6 +154,14 @@ def test_arrays_below_the_models_know_nothing_of_flax(package):
         if f"{name}.".startswith(f"{package}."):
             roots = {target.split(".")[0] for target in imported(TREES[name])}
             assert not roots & {"flax", "optax", "orbax"}, name
+
+
+def test_packages_that_make_data_are_imported_by_the_simulator_alone():
+    """What reads with one of them asks for it when it does (`io.errors.require`)."""
+    for name in TREES:
+        if own(name) and not name.startswith(("prism_jax.simulation", "experiments")):
+            roots = {target.split(".")[0] for target in imported(TREES[name])}
+            assert not roots & MAKERS, name
 
 
 @pytest.mark.parametrize("name", TREES)

@@ -50,7 +50,7 @@ def rod(
     length = float(np.linalg.norm(end - start))
     top = radius if end_radius is None else end_radius
     solid = Manifold.cylinder(length, radius, top, segments)
-    return place(solid, frame_along(end - start), start)
+    return place(solid, axes_along(end - start), start)
 
 
 def tube(
@@ -63,7 +63,7 @@ def tube(
     if bore > 0:
         section -= CrossSection.circle(bore, segments)
     solid = section.extrude(float(np.linalg.norm(end - start)))
-    return place(solid, frame_along(end - start), start)
+    return place(solid, axes_along(end - start), start)
 
 
 def bar(
@@ -79,7 +79,7 @@ def bar(
     length = float(np.linalg.norm(end - start))
     section = CrossSection.square((width, depth), True)
     solid = section.extrude(length, scale_top=(end_scale, end_scale))
-    return place(solid, frame_along(end - start), start)
+    return place(solid, axes_along(end - start), start)
 
 
 def capsule(
@@ -174,7 +174,7 @@ def on_floor(solids: Sequence[Manifold]) -> list[Manifold]:
     return [solid.translate((0, 0, -lowest)) for solid in solids]
 
 
-def frame_along(direction: np.ndarray) -> np.ndarray:
+def axes_along(direction: np.ndarray) -> np.ndarray:
     """Rotation whose third column is `direction`, its first close to the x axis."""
     z_axis = direction / np.linalg.norm(direction)
     helper = (1.0, 0.0, 0.0) if abs(z_axis[0]) < 0.95 else (0.0, 1.0, 0.0)

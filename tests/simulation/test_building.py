@@ -143,29 +143,12 @@ def test_a_manifest_that_is_none_is_named(squares, text):
         Squares(squares.folder).build()
 
 
-def test_a_folder_without_manifest_is_not_built(tmp_path):
-    for folder in (tmp_path, tmp_path / "missing"):
-        with pytest.raises(InputError, match="is not built; build it"):
-            manifest.read_manifest(folder, "build it")
-
-
 def test_the_manifest_tells_content_and_files(squares, digests):
     written = json.loads((squares.folder / "manifest.json").read_text())
     files = digests(squares.folder)
     del files["manifest.json"]
     assert written == {**CONTENT, "files": files}
     assert manifest.read_manifest(squares.folder, "") == written
-
-
-def test_damaged_and_missing_files_are_named(squares):
-    files = manifest.read_manifest(squares.folder, "")["files"]
-    manifest.check_files(squares.folder, files, "delete it")
-    squares.path(2).write_bytes(b"!")
-    with pytest.raises(InputError, match=r"2\.bin: differs from .*; delete it"):
-        manifest.check_files(squares.folder, files, "delete it")
-    squares.path(2).unlink()
-    with pytest.raises(InputError, match=r"2\.bin: is missing and"):
-        manifest.check_files(squares.folder, files, "delete it")
 
 
 def test_a_line_tells_the_rate(tmp_path, capsys):
@@ -214,10 +197,3 @@ def _until(found, seconds=60):
             return result
         time.sleep(0.1)
     raise TimeoutError
-
-
-def test_hidden_files_and_folders_do_not_count(tmp_path):
-    (tmp_path / ".snapshot").mkdir()
-    for name in ("a.txt", ".b.txt", ".snapshot/c.txt"):
-        (tmp_path / name).write_text("kept")
-    assert [*manifest.hash_files(tmp_path)] == ["a.txt"]

@@ -13,9 +13,9 @@ from prism_jax.simulation.shapes.drives import motor
 from prism_jax.simulation.solids import (
     Vector,
     assembled,
+    axes_along,
     bar,
     box,
-    frame_along,
     place,
     rod,
 )
@@ -41,7 +41,7 @@ def beam(start: Vector, end: Vector, size: float, kind: str = "square") -> Manif
         slot = CrossSection.square((0.26 * size, 0.36 * size), True)
         for quarter in range(4):
             section -= slot.translate((0.0, half)).rotate(90 * quarter)
-    return place(section.extrude(length), frame_along(end - start), start)
+    return place(section.extrude(length), axes_along(end - start), start)
 
 
 def feet(rng: Rng, points: list[np.ndarray], size: float) -> list[Manifold]:

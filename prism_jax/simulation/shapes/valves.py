@@ -11,11 +11,11 @@ from manifold3d import Manifold
 from prism_jax.simulation.solids import (
     Vector,
     assembled,
+    axes_along,
     ball,
     bar,
     box,
     capsule,
-    frame_along,
     lathe,
     place,
     ring_of,
@@ -47,7 +47,7 @@ def flange(
     if count:
         low, high = (0.8 * radius, 0, -0.4 * thick), (0.8 * radius, 0, 1.4 * thick)
         heads = ring_of(rod(low, high, 0.11 * radius, segments=6), count, 180 / count)
-        solids += [place(head, frame_along(axis), start) for head in heads]
+        solids += [place(head, axes_along(axis), start) for head in heads]
     return solids
 
 
