@@ -1,11 +1,10 @@
 """The HTML report of a completion: one file that needs no network."""
 
-import html
 import math
-import string
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
+import jinja2
 import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Bool, Float
@@ -26,13 +25,13 @@ from prism_jax.figures import (
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 
-SCORES = {
-    "cd_l1": ("CD-L1 &times; 10<sup>3</sup>", 1e3, "lower is better"),
-    "cd_l2": ("CD-L2 &times; 10<sup>4</sup>", 1e4, "lower is better"),
-    "f_score": ("F-score at 1 %", 1.0, "higher is better"),
-    "hausdorff": ("Hausdorff &times; 10", 10.0, "lower is better"),
-}
-"""How the table of scores shows each metric: title (HTML), factor, direction."""
+METRICS = (
+    {"key": "cd_l1", "title": "CD-L1 x1e3", "factor": 1e3, "better": "lower"},
+    {"key": "cd_l2", "title": "CD-L2 x1e4", "factor": 1e4, "better": "lower"},
+    {"key": "f_score", "title": "F@0.01", "factor": 1.0, "better": "higher"},
+    {"key": "hausdorff", "title": "HD x1e2", "factor": 1e2, "better": "lower"},
+)
+"""How the table of scores shows each metric."""
 
 CLOUDS = {
     "partial": "the measured points",
@@ -82,19 +81,18 @@ def render_report(
         [np.asarray(result.depth_observed), np.asarray(result.depth_completed)],
         [np.asarray(result.mask_observed), np.asarray(result.mask_completed)],
     )
-    template = asset("report.html")
-    return string.Template(template.read_text(encoding="utf-8")).substitute(
-        title=html.escape(f"{summary['input']['file']} completed by prism_jax"),
+    return _page().render(
+        summary=summary,
         plotly=get_plotlyjs(),
-        file=html.escape(str(summary["input"]["file"])),
         verdict=_verdict(summary),
         cards=_cards(summary),
         clouds=_figure(clouds, "clouds", modeBarButtons=_CLOUD_BUTTONS),
         max_shown=f"{MAX_SHOWN_POINTS:,}",
         depth=_figure(depth, "depth", displayModeBar=False),
         losses=_losses(summary),
-        scores=_scores(summary["scores"]),
-        details=_table(_details(summary)),
+        metrics=METRICS,
+        cloud_names=CLOUDS,
+        details=_details(summary),
     )
 
 
@@ -133,31 +131,32 @@ def _panels(result: Completed, ground_truth: np.ndarray | None) -> list[Panel]:
     return panels
 
 
-def _verdict(summary: Mapping[str, Any]) -> str:
+def _page() -> jinja2.Template:
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters["number"] = _number
+    return environment.from_string(asset("report.html").read_text(encoding="utf-8"))
+
+
+def _verdict(summary: Mapping[str, Any]) -> dict[str, str]:
+    """What became of the adaptation, and the class that colours it."""
     objective = summary["losses"].get("objective") or [None]
     first, last = _number(objective[0]), _number(objective[-1])
     steps = f"{len(objective) - 1} step{'s' if len(objective) != 2 else ''}"
+    went = f"the objective went from {first} to {last} in {steps}."
     if len(objective) == 1:
         why = "of which these weights take no step" if summary["adapt"] else "as asked"
-        kind, text = "off", f"Completed without test-time adaptation, {why}."
-    elif summary["accepted"]:
-        kind = "good"
-        text = (
-            f"Adaptation accepted: the objective went from {first} to {last} in "
-            f"{steps}."
-        )
-    else:
-        kind = "poor"
-        text = (
-            f"Adaptation not accepted: the objective went from {first} to {last} in "
-            f"{steps}. This is the completion of the network as released."
-        )
-    return f'<p class="verdict {kind}">{html.escape(text)}</p>'
+        text = f"Completed without test-time adaptation, {why}."
+        return {"kind": "off", "text": text}
+    if summary["accepted"]:
+        means = "This says that it did not rise, not that the completion is better."
+        return {"kind": "good", "text": f"Adaptation accepted: {went} {means}"}
+    means = "This is the completion of the network as released."
+    return {"kind": "poor", "text": f"Adaptation not accepted: {went} {means}"}
 
 
-def _cards(summary: Mapping[str, Any]) -> str:
+def _cards(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     points, seconds = summary["points"], summary["seconds"]
-    cards = [
+    return [
         ("points observed", f"{points['partial']:,}"),
         ("points added", f"{points['completed'] - points['partial']:,}"),
         *[
@@ -167,10 +166,6 @@ def _cards(summary: Mapping[str, Any]) -> str:
         ],
         ("weights", str(summary["weights"])),
     ]
-    return "".join(
-        f"<div><b>{html.escape(value)}</b><span>{html.escape(name)}</span></div>"
-        for name, value in cards
-    )
 
 
 def _losses(summary: Mapping[str, Any]) -> str:
@@ -179,41 +174,8 @@ def _losses(summary: Mapping[str, Any]) -> str:
         for name, values in summary["losses"].items()
     }
     if not losses:
-        return "<p>None were computed.</p>"
-    weights = ", ".join(
-        f"{name} {_number(value)}" for name, value in summary["loss_weights"].items()
-    )
-    caption = "Step 0 is the network as released."
-    if weights:
-        caption += f" Weights in the objective: {weights}."
-    figure = _figure(losses_figure(losses), "losses", displayModeBar=False)
-    return f'{figure}<p class="caption">{html.escape(caption)}</p>'
-
-
-def _scores(scores: Mapping[str, Any] | None) -> str:
-    if scores is None:
-        return "<p>No ground truth was given, so there is nothing to score against.</p>"
-    head = "".join(
-        f"<th>{title}<small>{direction}</small></th>"
-        for title, _, direction in SCORES.values()
-    )
-    body = "".join(
-        f"<tr><th>{name}<small>{CLOUDS[name]}</small></th>"
-        + "".join(
-            f"<td>{cloud[metric] * factor:.4g}</td>"
-            for metric, (_, factor, _) in SCORES.items()
-        )
-        + "</tr>"
-        for name, cloud in scores["clouds"].items()
-    )
-    note = (
-        f"Against the ground truth. Unit of length: {scores['unit']}, "
-        f"{scores['unit_length']:.4g} of the input's."
-    )
-    return (
-        f'<table class="scores"><thead><tr><td></td>{head}</tr></thead>'
-        f'<tbody>{body}</tbody></table><p class="caption">{html.escape(note)}</p>'
-    )
+        return ""
+    return _figure(losses_figure(losses), "losses", displayModeBar=False)
 
 
 def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -249,14 +211,6 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows.append(("Seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds)))
     rows.append(("Software", f"prism_jax {summary['prism_jax']}"))
     return rows
-
-
-def _table(rows: Sequence[tuple[str, Any]]) -> str:
-    cells = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>"
-        for name, value in rows
-    )
-    return f'<table class="details">{cells}</table>'
 
 
 def _number(value: float | None) -> str:

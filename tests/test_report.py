@@ -81,7 +81,8 @@ def test_says_what_result_json_says():
 @pytest.mark.parametrize(
     ("adapt", "changes", "verdict"),
     [
-        (True, {"accepted": True}, "Adaptation accepted"),
+        (True, {"accepted": True}, "Adaptation accepted: the objective went from 1"),
+        (True, {"accepted": True}, "not that the completion is better"),
         (True, {"accepted": False}, "not accepted: the objective went from 1 to 0.5"),
         (False, {}, "without test-time adaptation, as asked"),
         (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
