@@ -13,7 +13,9 @@ RNG = np.random.default_rng(6)
 KEY = jax.random.key(0)
 ORIGIN = jnp.asarray([0.5, -2.0, 1.0])
 
-disturb = jax.jit(perturb, static_argnames=("jitter", "drop", "range_noise"))
+disturb = jax.jit(
+    perturb, static_argnames=("jitter", "drop", "range_noise", "max_distance")
+)
 upsample = jax.jit(upsample_midpoints, static_argnames="num_candidates")
 gradients = jax.jit(jax.grad(denoise_loss, argnums=(0, 1, 2)), static_argnames="norm")
 
@@ -41,6 +43,39 @@ def test_range_noise_moves_points_along_their_rays_in_proportion_to_range():
     near = np.linalg.norm(rays, axis=1) < 2.0
     spread = np.linalg.norm(moves, axis=1)
     assert spread[near].mean() < 0.6 * spread[~near].mean()
+
+
+def test_range_noise_grows_no_more_beyond_the_farthest_place():
+    """However far off the sensor is, and in its direction."""
+    points, direction = cloud(4096), ORIGIN / jnp.linalg.norm(ORIGIN)
+
+    def moves(distance):
+        moved = disturb(KEY, points, distance * direction, jitter=0.0, drop=0.0)
+        return np.asarray(moved - points)
+
+    def spread(distance):
+        return np.linalg.norm(moves(distance), axis=1).std()
+
+    assert np.isclose(spread(16.0), 2 * spread(8.0), rtol=0.1)
+    for distance in (20.0, 1e3, 1e6, 1e15):
+        assert np.allclose(moves(distance), moves(16.0), atol=1e-5)
+
+
+def test_within_the_farthest_place_not_a_bit_depends_on_it():
+    points = cloud(512)
+    unbounded = disturb(KEY, points, 5 * ORIGIN, max_distance=1e9)
+    assert np.array_equal(disturb(KEY, points, 5 * ORIGIN), unbounded)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1.0, 1e4])
+def test_gradients_are_finite_wherever_the_sensor_is(distance):
+    def total(points, origin):
+        return jnp.sum(perturb(KEY, points, origin, drop=0.0))
+
+    origin = distance * ORIGIN
+    points = jnp.stack([origin, 3 * ORIGIN])
+    for gradient in jax.jit(jax.grad(total, (0, 1)))(points, origin):
+        assert np.isfinite(gradient).all()
 
 
 @pytest.mark.parametrize(("drop", "num_kept"), [(0.0, 50), (0.3, 35), (1.0, 1)])
