@@ -25,8 +25,9 @@ from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import CompleteFn, Row, comparison, prism_completer
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
+from prism_jax.observation import observe
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
@@ -92,7 +93,7 @@ def online_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
 
     @jax.jit
     def one(encoders: Variables, partial: jax.Array, eye: jax.Array):
-        camera = Camera.framing(partial, eye)
+        camera = observe(partial, eye, Workspace.unit()).camera
         done = adapt(put_encoders(encoders, rest), partial, camera)
         return done.encoders, (done.points, done.before, done.accepted)
 

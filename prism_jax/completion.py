@@ -3,10 +3,10 @@
 import dataclasses
 import pathlib
 import time
+from typing import Any
 
 import jax
 import jax.export
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
@@ -14,24 +14,22 @@ from scipy.spatial import KDTree
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion, make_adapt
-from prism_jax.geometry.camera import UNKNOWN_EYE, Camera
+from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
-from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
+from prism_jax.observation import Observation, observe
+from prism_jax.observation.observation import padded
 from prism_jax.trace_cache import compile_cached
 from prism_jax.weights import available_weights, load_pretrained
 
 __all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
 
 DEPTH_PIXELS = 128
-FAR_ORIGIN = 100.0
-"""In half extents of the workspace: an origin farther off is a map's, no sensor's; one
-within the workspace is an object's own, whose coordinates were centred."""
 
-_framing = jax.jit(Camera.framing)
+_render = jax.jit(render_depth)
 
 for kind in (Completion, Losses):
     name = f"prism_jax.{kind.__name__}"
@@ -47,7 +45,10 @@ class CompletedScan:
         predicted points where nothing was measured.
       observed: True for a measured point.
       prediction: the network's own output, all of it.
-      accepted: whether test-time adaptation was accepted.
+      left_out: how many measured points lie outside the workspace: strays, far from
+        all others, unless the workspace was given. They are not among the points.
+      accepted: whether the adapted completion is the one returned
+        (`prism_jax.adaptation.test_time.Completion` says what that means).
       losses: the terms of Eq. 13 before each step and after the last.
       weights: of normals, denoising and alignment in them.
       workspace: the cube that was completed.
@@ -61,6 +62,7 @@ class CompletedScan:
     points: Float[np.ndarray, "M 3"]
     observed: Bool[np.ndarray, " M"]
     prediction: Float[np.ndarray, "P 3"]
+    left_out: int
     accepted: bool
     losses: dict[str, list[float]]
     weights: Float[np.ndarray, "3"]
@@ -111,64 +113,48 @@ class Completer:
 
         Points are in any unit of length and any frame, the same for all arguments.
         ``camera`` says where the sensor stood. If it is None, that is the origin, or
-        obliquely above if the origin lies in the workspace or more than `FAR_ORIGIN`
-        half extents away. The view is aimed at the points from there, so that its
-        pixels are spent on them.
+        obliquely above if the origin cannot be its place (`prism_jax.observation`). The
+        view is aimed at the points from there, so that its pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
-        points outside are left out. ``adapt=False`` leaves out test-time adaptation.
-        ``up`` is the axis of the user's frame that points upwards (x, y, z, -x, -y or
-        -z; -y for a camera's): the weights know upright objects.
-        Points of another shape or not finite, fewer than 64 distinct ones and an extent
-        of zero or above 10,000 raise `prism_jax.io.InputError`.
+        points outside are left out and counted. ``adapt=False`` leaves out test-time
+        adaptation. ``up`` is the axis of the user's frame that points upwards (x, y, z,
+        -x, -y or -z; -y for a camera's): the weights know upright objects.
+        Points of another shape, complex or not finite, fewer than 64 distinct ones, an
+        extent of zero or above 10,000, and a workspace without volume raise
+        `prism_jax.io.InputError`.
         """
-        points = np.asarray(points)
-        if points.ndim != 2 or points.shape[1] != 3:
-            remedy = "pass an (N, 3) array, such as points[:, :3]"
-            raise InputError("points", f"have the shape {points.shape}", remedy)
-        if not np.issubdtype(points.dtype, np.floating):
-            points = points.astype(np.float64)
-        if not np.isfinite(points).all():
-            raise InputError("points", "has points that are not finite", "drop them")
+        points = _checked(points)
         if workspace is None:
             check_cloud(points, "points")
-            exact = points.astype(np.float64)
-            workspace = Workspace.from_points(exact, self.config.model.margin)
-        center = np.asarray(workspace.center, np.float64)
-        half_extent = np.asarray(workspace.half_extent, np.float64)
-        workspace = Workspace(center, half_extent)
-        upright = _upright(up)
-        unit = np.asarray(workspace.to_unit(points.astype(np.float64))) @ upright.T
-        inside = (np.abs(unit) <= 1.0).all(axis=-1)
-        measured, unit = points[inside], unit[inside]
+        else:
+            _check_workspace(workspace)
+        sensor = "origin" if camera is None else np.asarray(camera.position)
+        margin = self.config.model.margin
+        seen = observe(points, sensor, workspace, margin, up)
+        measured, unit = points[seen.inside], seen.partial[seen.inside]
         check_cloud(measured, "points inside the workspace")
-        sensor = "origin" if camera is None else "given"
-        eye = np.zeros(3) if camera is None else np.asarray(camera.position)
-        unit_eye = upright @ workspace.to_unit(eye)
-        is_within = np.abs(unit_eye).max() <= 1.0
-        if camera is None and (is_within or np.linalg.norm(unit_eye) > FAR_ORIGIN):
-            sensor, unit_eye = "unknown", UNKNOWN_EYE
-        unit_eye = jnp.asarray(unit_eye, jnp.float32)
-        partial = _resampled(unit, self.config.model.backbone.num_points)
-        view = _framing(partial, unit_eye)
-        completion, seconds = self._run(adapt, partial, view)
+        read = seen.sampled(self.config.model.backbone.num_points)
+        view = read.camera
+        completion, seconds = self._run(adapt, read.partial, view)
         prediction = np.asarray(completion.points, np.float64)
-        kept = prediction[keep_unmeasured(prediction, unit, partial)]
-        added = workspace.from_unit(kept @ upright).astype(points.dtype)
+        kept = prediction[keep_unmeasured(prediction, unit, read.partial)]
+        added = seen.workspace.from_unit(kept).astype(points.dtype)
         together = np.concatenate([measured, added])
         return CompletedScan(
             points=together,
             observed=np.arange(len(together)) < len(measured),
-            prediction=np.asarray(workspace.from_unit(prediction @ upright)),
+            prediction=np.asarray(seen.workspace.from_unit(prediction)),
+            left_out=len(points) - len(measured),
             accepted=bool(completion.accepted),
             losses={
                 name: np.asarray(values, np.float64).tolist()
                 for name, values in completion.losses._asdict().items()
             },
             weights=np.asarray(completion.weights),
-            workspace=workspace,
-            camera=_to_user(view, workspace, upright),
-            sensor=sensor,
-            **_depth_maps(unit, kept, view, workspace),
+            workspace=seen.workspace,
+            camera=seen.camera_to_user(view),
+            sensor=_told(camera, seen),
+            **_depth_maps(unit, kept, view, seen.workspace),
             seconds=seconds,
         )
 
@@ -210,51 +196,35 @@ def keep_unmeasured(
     return KDTree(measured).query(prediction)[0] > spacing * np.median(apart)
 
 
-def _resampled(points: np.ndarray, num_points: int) -> Array:
-    """`resample`, for clouds of any size with few compilations.
-
-    Farthest-point sampling never looks at the copies that fill the cloud up before it
-    has seen every other point.
-    """
-    if len(points) > num_points:
-        points = _filled(points)
-    return jax.jit(resample, static_argnums=1)(points.astype(np.float32), num_points)
-
-
-def _filled(points: np.ndarray) -> np.ndarray:
-    """The cloud with copies of its first point, up to a power of two."""
-    count = 1 << (len(points) - 1).bit_length()
-    copies = np.broadcast_to(points[0], (count - len(points), 3))
-    return np.concatenate([points, copies])
+def _checked(points: Any) -> Float[np.ndarray, "N 3"]:
+    """The points as an array of floats, or InputError."""
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        remedy = "pass an (N, 3) array, such as points[:, :3]"
+        raise InputError("points", f"have the shape {points.shape}", remedy)
+    if points.dtype.kind not in "fiu":
+        remedy = "pass real coordinates, such as points.real"
+        raise InputError("points", f"are of the type {points.dtype}", remedy)
+    if points.dtype.kind != "f":
+        points = points.astype(np.float64)
+    if not np.isfinite(points).all():
+        raise InputError("points", "has points that are not finite", "drop them")
+    return points
 
 
-def _upright(up: str) -> Float[np.ndarray, "3 3"]:
-    """The rotation that turns an axis of the user's frame up, to z."""
-    turns = {
-        "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-        "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-        "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-        "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-        "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
-    }
-    if up not in turns:
-        raise InputError(f"up={up}", "no such axis", f"use one of {', '.join(turns)}")
-    return np.array(turns[up], np.float64)
+def _check_workspace(workspace: Workspace) -> None:
+    """InputError unless it is a cube. `Workspace` itself cannot know under tracing."""
+    center, half_extent = np.asarray(workspace.center), workspace.half_extent
+    if not (np.isfinite(center).all() and 0 < float(half_extent) < np.inf):
+        fault = f"is no cube: its centre is {center}, its half_extent {half_extent}"
+        raise InputError("workspace", fault, "give finite numbers, the latter positive")
 
 
-def _to_user(view: Camera, workspace: Workspace, upright: np.ndarray) -> Camera:
-    """A camera of the upright unit workspace, for points in the user's frame.
-
-    In double precision, and a rotation to that precision: the origin may be far away.
-    """
-    view = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), view)
-    left, _, right = np.linalg.svd(view.rotation)
-    turned = dataclasses.replace(view, rotation=left @ right @ upright)
-    inverse = Workspace(
-        -workspace.center / workspace.half_extent, 1.0 / workspace.half_extent
-    )
-    return inverse.camera_to_unit(turned)
+def _told(camera: Camera | None, seen: Observation) -> str:
+    """`CompletedScan.sensor`."""
+    if camera is not None:
+        return "given"
+    return "origin" if seen.sensor_known else "unknown"
 
 
 def _depth_maps(
@@ -265,7 +235,7 @@ def _depth_maps(
     maps = {}
     clouds = {"observed": measured, "completed": np.concatenate([measured, added])}
     for name, cloud in clouds.items():
-        depth, mask = jax.jit(render_depth)(_filled(cloud).astype(np.float32), view)
+        depth, mask = _render(padded(cloud).astype(np.float32), view)
         maps[f"depth_{name}"] = np.asarray(depth) * workspace.half_extent
         maps[f"mask_{name}"] = np.asarray(mask)
     return maps

@@ -9,9 +9,8 @@ from jaxtyping import Array, Float
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.adaptation.test_time import make_adapt
-from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables
+from prism_jax.observation import observe
 
 PLATFORMS = ("cpu", "cuda")
 
@@ -26,11 +25,14 @@ def export_adapt(
 
     `jax.export.deserialize` gives it back: its ``call`` takes scans ``(B, N, 3)`` of
     exactly ``config.model.backbone.num_points`` points, and the sensors' positions
-    ``(B, 3)``, float32, in any unit of length and any upright frame (z up), and returns
+    ``(B, 3)``, not finite where unknown, float32, in any unit of length and any upright
+    frame (z up), and returns
 
     - ``points`` ``(B, M, 3)``, the network's completion in that unit and frame;
     - ``accepted`` ``(B,)``, whether the adapted completion is the one returned;
-    - ``objective`` ``(B, K + 1)``, L_TTA of Eq. 13 before each step and after the last.
+    - ``objective`` ``(B, K + 1)``, L_TTA of Eq. 13 before each step and after the last;
+    - ``left_out`` ``(B,)``, how many points lay so far from all others that copies of
+      another took their places.
 
     The workspace is taken from each scan. Precision is float32's: move a scan that is
     far from its frame's origin there first.
@@ -38,14 +40,13 @@ def export_adapt(
     adapt = make_adapt(config)
 
     def complete(scan: Float[Array, "N 3"], sensor: Float[Array, "3"]):
-        workspace = Workspace.from_points(scan, config.model.margin)
-        partial = jnp.asarray(workspace.to_unit(scan))
-        camera = Camera.framing(partial, jnp.asarray(workspace.to_unit(sensor)))
-        completion = adapt(variables, partial, camera)
+        seen = observe(scan, sensor, margin=config.model.margin).filled()
+        completion = adapt(variables, seen.partial, seen.camera)
         return {
-            "points": workspace.from_unit(completion.points),
+            "points": seen.workspace.from_unit(completion.points),
             "accepted": completion.accepted,
             "objective": completion.losses.objective,
+            "left_out": jnp.sum(~seen.inside),
         }
 
     num_points = config.model.backbone.num_points

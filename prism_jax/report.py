@@ -191,7 +191,8 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     )
     read = (
         f"{source['points_read']:,}, of them {source['points_not_finite']:,} not "
-        f"finite and {source['points_outside']:,} outside the workspace"
+        f"finite, {source['points_outside']:,} outside the workspace and "
+        f"{source['points_left_out']:,} left out, far from all others"
     )
     rows = [
         ("Input", source["file"]),

@@ -35,6 +35,7 @@ def summarize(
             "points_read": len(scan.points) + scan.num_outside + scan.num_not_finite,
             "points_not_finite": scan.num_not_finite,
             "points_outside": scan.num_outside,
+            "points_left_out": result.left_out,
         },
         "ground_truth": None,
         "weights": weights,

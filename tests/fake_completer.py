@@ -15,6 +15,7 @@ class Result:
     points: np.ndarray
     observed: np.ndarray
     prediction: np.ndarray
+    left_out: int
     accepted: bool
     losses: dict
     weights: np.ndarray
@@ -48,11 +49,12 @@ class FakeCompleter:
             points=everything,
             observed=np.arange(len(everything)) < len(points),
             prediction=prediction,
+            left_out=0,
             accepted=adapt,
             losses={name: np.geomspace(1, 0.5, steps).tolist() for name in LOSSES},
             weights=np.array([0.5, 0.25, 0.25], np.float32),
             workspace=workspace,
-            camera=camera or Camera.viewing(workspace, np.zeros(3)),
+            camera=camera or Camera.look_at(np.zeros(3), workspace.center),
             sensor="origin" if camera is None else "given",
             depth_observed=depth,
             mask_observed=mask,

@@ -29,6 +29,7 @@ LAYERS = (
     "prism_jax.losses",
     "prism_jax.metrics",
     "prism_jax.data",
+    "prism_jax.observation",
     "prism_jax.io",
     "prism_jax.geometry",
     "prism_jax.assets",
@@ -41,6 +42,12 @@ ONLY = {
     "prism_jax.data": {
         "prism_jax.assets",
         "prism_jax.data",
+        "prism_jax.observation",
+        "prism_jax.io",
+        "prism_jax.geometry",
+    },
+    "prism_jax.observation": {
+        "prism_jax.observation",
         "prism_jax.io",
         "prism_jax.geometry",
     },
@@ -54,7 +61,9 @@ ONLY = {
     },
 }
 
-NO_FLAX = ("prism_jax.geometry", "prism_jax.losses", "prism_jax.io", "prism_jax.data")
+NO_FLAX = tuple(
+    f"prism_jax.{name}" for name in ["geometry", "losses", "io", "observation", "data"]
+)
 MAKERS = {"trimesh", "manifold3d", "embreex", "fpsample", "h5py", "grain"}
 UNPICKLERS = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "shelve"}
 
@@ -105,21 +114,9 @@ def own(name):
     return name.split(".")[0] in ("prism_jax", "experiments")
 
 
-def without_typing(name, tree):
-    """The tree without what is imported for annotations alone."""
-    if name != "prism_jax.geometry.camera":
-        return tree
-    body = [
-        node
-        for node in tree.body
-        if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
-    ]
-    return ast.Module(body, [])
-
-
 @pytest.mark.parametrize("name", TREES)
 def test_no_import_points_up(name):
-    for target in filter(own, imported(without_typing(name, TREES[name]))):
+    for target in filter(own, imported(TREES[name])):
         assert target in TREES, f"{name} imports {target}, which is not there"
         assert layer(name) <= layer(target), f"{name} imports {target}"
 

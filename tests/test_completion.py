@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.completion import CompletedScan, Completer, keep_unmeasured
-from prism_jax.geometry.camera import UNKNOWN_EYE, Camera
+from prism_jax.completion import CompletedScan, Completer, _checked, keep_unmeasured
+from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
+from prism_jax.observation import UNKNOWN_EYE
 from prism_jax.weights import save_weights
 
 FAR = np.array([10_000.0, -10_000.0, 500.0])
@@ -223,8 +224,21 @@ def test_points_outside_the_workspace_are_left_out(completer, near):
     workspace = Workspace(near.workspace.center, near.workspace.half_extent)
     result = completer.complete(clutter, camera_at(EYE), workspace)
     assert result.points.tobytes() == near.points.tobytes()
+    assert result.left_out == 2 * len(scan())
     assert result.workspace.half_extent == near.workspace.half_extent
     assert np.array_equal(result.prediction, near.prediction)
+
+
+def test_a_few_stray_points_change_nothing_and_are_counted(completer):
+    """Five at 300 m would make the object a dot."""
+    points = scan(948) + np.array([4.0, 1.0, 0.0])
+    strays = np.array([300.0, -20, 5]) + scan(5, seed=1)
+    alone = completer.complete(points)
+    result = completer.complete(np.concatenate([strays, points]))
+    assert (alone.left_out, result.left_out) == (0, 5)
+    assert result.points.tobytes() == alone.points.tobytes()
+    assert np.array_equal(result.observed, alone.observed)
+    assert result.losses == alone.losses
 
 
 def test_a_workspace_of_jax_arrays_will_do(completer, near):
@@ -299,6 +313,21 @@ def test_a_workspace_with_too_few_points(completer):
     corner = Workspace(scan()[0], np.float64(0.2))
     with pytest.raises(InputError, match="distinct points, fewer than 64; "):
         completer.complete(scan(), workspace=corner)
+
+
+@pytest.mark.parametrize("half_extent", [-1.0, 0.0, np.nan])
+def test_a_workspace_without_volume(completer, half_extent):
+    """As it may come out of a pytree, where it is not checked."""
+    workspace = jax.tree.map(lambda x: x * half_extent, Workspace.unit())
+    with pytest.raises(InputError, match="workspace: is no cube"):
+        completer.complete(scan(), workspace=workspace)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", [complex, bool, object, "U9"])
+def test_an_array_of_no_real_numbers(kind):
+    with pytest.raises(InputError, match=r"points: are of the type .*real coordinates"):
+        _checked(scan().astype(kind))
 
 
 def test_an_array_of_another_shape():

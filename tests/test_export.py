@@ -33,6 +33,9 @@ def test_it_is_portable(exported):
     function = jax.export.deserialize(bytearray(exported.read_bytes()))
     assert function.platforms == ("cpu", "cuda")
     assert [aval.shape for aval in function.in_avals][1] == (BATCH, 3)
+    results = function.out_tree.unflatten(function.out_avals)
+    assert set(results) == {"points", "accepted", "objective", "left_out"}
+    assert results["left_out"].shape == (BATCH,)
 
 
 def test_a_clean_process_gets_the_same(exported, scans, minimal, minimal_variables):

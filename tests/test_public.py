@@ -20,6 +20,7 @@ NAMES = {
     "Completer",
     "load_pretrained",
     "make_adapt",
+    "observe",
 }
 
 

@@ -68,7 +68,7 @@ def test_says_what_result_json_says():
     assert "300points observed" in text
     assert "150points added" in text
     assert "12.5seconds to compile" in text
-    assert "318, of them 7 not finite and 11 outside" in text
+    assert "318, of them 7 not finite, 11 outside the workspace and 0 left out" in text
     assert "normal 0.5, denoise 0.25, align 0.25" in text
     assert "the objective went from 1 to 0.5 in 3 steps" in text
     clouds = summary["scores"]["clouds"]
@@ -109,6 +109,7 @@ def test_names_are_escaped():
             "points_read": 1,
             "points_not_finite": 0,
             "points_outside": 0,
+            "points_left_out": 0,
         },
         weights="<b>",
     )

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float32
 
-from prism_jax.data.pipeline import with_partial, workspace_of
+from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Source
 from prism_jax.geometry.sampling import resample
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.models.layers import over_batch
 
@@ -58,6 +59,6 @@ def training_mean(
     for point, row in zip(points, rows, strict=True):
         example = with_partial(source[int(row)], rng)
         assert example.partial is not None and example.complete is not None
-        center, half_extent = workspace_of(example.partial, margin)
-        point[:] = (rng.choice(example.complete) - center) / half_extent
+        workspace = Workspace.from_points(example.partial, margin)
+        point[:] = workspace.to_unit(rng.choice(example.complete))
     return points

@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
 from experiments.weights import located
-from prism_jax import Camera, load_pretrained, make_adapt
+from prism_jax import Camera, Workspace, load_pretrained, make_adapt, observe
 from prism_jax.geometry import resample
 
 FRAMES_PER_SECOND = 10
@@ -52,4 +52,5 @@ def _frames(batch: int, num_points: int) -> tuple[jax.Array, Camera]:
     points = jnp.asarray(shell * [0.6, 0.4, 0.3], jnp.float32)
     partials = jax.vmap(lambda cloud: resample(cloud, num_points))(points)
     eye = jnp.asarray([-3.0, 0.0, 0.5])
-    return partials, jax.vmap(lambda cloud: Camera.framing(cloud, eye))(partials)
+    unit = Workspace.unit()
+    return partials, jax.vmap(lambda cloud: observe(cloud, eye, unit).camera)(partials)

@@ -16,7 +16,7 @@ from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Source
 from prism_jax.evaluation import CompleteFn, Protocol, evaluate, prism_completer
-from prism_jax.evaluation.protocol import given, into_scored
+from prism_jax.evaluation.protocol import into_scored, observed, side_by_side
 from prism_jax.evaluation.scoring import EMD_POINTS
 from prism_jax.weights import load_pretrained
 
@@ -48,8 +48,8 @@ def score_separately(
     """What `evaluate` scores, of one frame and cloud after the other."""
     rows = []
     for example in (with_partial(source[index]) for index in range(len(source))):
-        partial, eye = given(example, protocol)
-        done = jax.device_get(completer(partial[None], eye[None]))
+        partials, eyes = side_by_side([observed(example, protocol)])
+        done = jax.device_get(completer(partials, eyes))
         assert example.complete is not None and example.partial is not None
         from_own, from_workspace = into_scored(example, protocol)
         complete, measured = from_own(example.complete), from_own(example.partial)
@@ -57,7 +57,7 @@ def score_separately(
         clouds = {"control": measured}
         for name in ("output", "unadapted"):
             cloud = from_workspace(done[name][0])
-            keep = keep_unmeasured(cloud, measured, from_workspace(partial))
+            keep = keep_unmeasured(cloud, measured, from_workspace(partials[0]))
             merged = np.concatenate([measured, cloud[keep]])
             clouds |= {name: cloud, f"{name}, merged": merged}
         scores = {}

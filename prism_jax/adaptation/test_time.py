@@ -22,7 +22,11 @@ class Completion(NamedTuple):
     Attributes:
       points: the completion, adapted if that was accepted.
       before: the completion of the network as it was.
-      accepted: whether the adapted completion is the one returned.
+      accepted: whether the adapted completion is the one returned. It means that the
+        objective of Eq. 13 did not rise and that everything stayed finite. It does not
+        mean that the completion is nearer to the truth: the objective knows none. Nor
+        did every term fall; the depth consistency alone may have risen, and in about
+        half of the frames it does.
       losses: every term before each step, and after the last: K + 1 values.
       weights: of the auxiliary losses, softmax(eta*).
       encoders: the encoders' parameters that made ``points``, with the samples

@@ -142,6 +142,9 @@ def complete_file(
             "the origin is too far away to be the sensor's place, or among the points; "
             "it is taken to be obliquely above; give it with --camera"
         )
+    if result.left_out:
+        count = f"{result.left_out:,} of {len(scan.points):,} points"
+        say(f"{count} lie far from all others and were left out")
     seconds.update(result.seconds)
     asked = {"weights": weights, "adapt": adapt, "up": up, "bounds": workspace}
     summary = summarize(result, scan, source, **asked)

@@ -13,9 +13,10 @@ from jaxtyping import Float32
 from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop, random_crop
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
-from prism_jax.geometry.camera import UNKNOWN_EYE
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
+from prism_jax.observation import observe
+from prism_jax.observation.strays import find_strays
 
 
 class Batch(NamedTuple):
@@ -72,14 +73,14 @@ def frame_example(
         turn = _about_vertical(rng.uniform(0.0, 2.0 * np.pi))
         clouds = {name: cloud @ turn for name, cloud in clouds.items()}
         eye = None if eye is None else eye @ turn
-    center, half_extent = workspace_of(clouds["partial"], framing.margin)
-    _, unit = workspace_of(clouds["complete"], 1.0)
-    eye = UNKNOWN_EYE if eye is None else (eye - center) / half_extent
+    workspace = Workspace.from_points(clouds["partial"], framing.margin)
+    seen = observe(clouds["few"], eye, workspace)
+    unit = Workspace.from_points(clouds["complete"], 1.0)
     batch = Batch(
-        (clouds["few"] - center) / half_extent,
-        (clouds["many"] - center) / half_extent,
-        np.asarray(eye, np.float32),
-        half_extent / unit,
+        seen.partial.astype(np.float32),
+        workspace.to_unit(clouds["many"]).astype(np.float32),
+        seen.eye.astype(np.float32),
+        np.asarray(workspace.half_extent / unit.half_extent, np.float32),
     )
     return batch if rng is None or rng.random() < 0.5 else _mirrored(batch)
 
@@ -87,26 +88,22 @@ def frame_example(
 def with_partial(example: Example, rng: np.random.Generator | None = None) -> Example:
     """The example with a partial, cropped as `frame_example` has it if it had none.
 
+    Without strays (`prism_jax.observation.strays`), which would decide the workspace.
     An example without a complete cloud raises InputError.
     """
     if example.complete is None:
         fault = "has no complete cloud to learn from or to be compared with"
         raise InputError(example.name, fault, "use it for completion alone")
     if example.partial is not None:
-        return example
+        strays = find_strays(example.partial)
+        if not strays.any():
+            return example
+        return example._replace(partial=example.partial[~strays])
     if rng is None:
         partial = crop(example.complete, CROP_VIEWPOINTS[0], CROP_SHARES["median"])
     else:
         partial = random_crop(example.complete, rng)[0]
     return example._replace(partial=partial, ordered=False)
-
-
-def workspace_of(
-    cloud: Float32[np.ndarray, "N 3"], margin: float
-) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, ""]]:
-    """Centre and half extent of the workspace that all of a cloud determines."""
-    box = Workspace.from_points(cloud, margin)
-    return np.asarray(box.center, np.float32), np.asarray(box.half_extent, np.float32)
 
 
 def training_batches(

@@ -14,7 +14,7 @@ from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
-from prism_jax.evaluation.protocol import Protocol, given, into_scored
+from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
 from prism_jax.evaluation.run import CompleteFn
 from prism_jax.figures import (
     COMPLETED_COLOR,
@@ -27,6 +27,7 @@ from prism_jax.figures import (
     views_figure,
 )
 from prism_jax.geometry.camera import Camera
+from prism_jax.observation import Observation
 from prism_jax.report import viewing_direction
 from prism_jax.simulation.contact_sheet import Color, Row, draw_clouds
 
@@ -80,17 +81,15 @@ def show(
 ) -> list[Shown]:
     """The examples of these indices, completed as `evaluate` completes them."""
     examples = [with_partial(source[index]) for index in indices]
-    framed = [given(example, protocol) for example in examples]
-    partials, eyes = (np.stack(arrays) for arrays in zip(*framed, strict=True))
-    outputs = np.asarray(complete_fn(partials, eyes)["output"])
-    rows = zip(examples, partials, eyes, outputs, strict=True)
+    seen = [observed(example, protocol) for example in examples]
+    outputs = np.asarray(complete_fn(*side_by_side(seen))["output"])
+    rows = zip(examples, seen, outputs, strict=True)
     return [_shown(*row, protocol) for row in rows]
 
 
 def _shown(
     example: Example,
-    partial: Float[np.ndarray, "N 3"],
-    eye: Float[np.ndarray, "3"],
+    seen: Observation,
     output: Float[np.ndarray, "P 3"],
     protocol: Protocol,
 ) -> Shown:
@@ -98,10 +97,10 @@ def _shown(
     scaled, from_workspace = into_scored(example, protocol)
     measured, complete = scaled(example.partial), scaled(example.complete)
     predicted = from_workspace(output)
-    added = predicted[keep_unmeasured(predicted, measured, from_workspace(partial))]
+    partial = from_workspace(seen.partial)
+    added = predicted[keep_unmeasured(predicted, measured, partial)]
     cloud = np.concatenate([measured, added])
     errors = KDTree(complete).query(cloud)[0]
-    camera = Camera.framing(jnp.asarray(partial), eye)
     return Shown(
         f"{example.category.replace('_', ' ')} {example.name}",
         measured,
@@ -110,7 +109,7 @@ def _shown(
         errors,
         _chamfer(errors[: len(measured)], measured, complete),
         _chamfer(errors, cloud, complete),
-        viewing_direction(camera, turn_degrees=TURN)[0],
+        viewing_direction(seen.camera, turn_degrees=TURN)[0],
     )
 
 

@@ -16,14 +16,20 @@ from prism_jax.adaptation.objective import test_time_objective
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Source
-from prism_jax.evaluation.protocol import Protocol, given, workspace_for
+from prism_jax.evaluation.protocol import (
+    Protocol,
+    observed,
+    side_by_side,
+    workspace_for,
+)
 from prism_jax.evaluation.summary import mean_intervals
-from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.neighbors import nearest
 from prism_jax.geometry.sampling import resample
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.prism import Frame, hold_decoding, predict, prepare_frame
 from prism_jax.models.variables import Variables
+from prism_jax.observation import observe
 
 ERROR = "CD-L2 to the complete cloud"
 ORACLE = "that error itself, which nobody knows"
@@ -101,7 +107,8 @@ def _framed(
     assert example.complete is not None
     complete = first_points(example.complete, NUM_COMPLETE, example.ordered)
     complete = workspace_for(example, protocol).to_unit(complete)
-    return (*given(example, protocol), np.asarray(complete, np.float32))
+    (partial,), (eye,) = side_by_side([observed(example, protocol)])
+    return partial, eye, np.asarray(complete, np.float32)
 
 
 def gradients_followed(
@@ -113,7 +120,7 @@ def gradients_followed(
     error."""
 
     def prepared(variables: Variables, partial: Array, eye: Array) -> Frame:
-        camera = Camera.framing(partial, eye)
+        camera = observe(partial, eye, Workspace.unit()).camera
         key = jax.random.key(config.seed)
         frame = prepare_frame(partial, camera, key, config.model)
         return hold_decoding(variables, frame, config.model)

@@ -5,7 +5,7 @@ it is scored, so that results of several normalisations have the same unit.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float32
@@ -13,8 +13,8 @@ from jaxtyping import Float32
 from prism_jax import metrics
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example
-from prism_jax.geometry.camera import UNKNOWN_EYE
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.observation import Observation, observe
 
 NORMALISATIONS = ("partial", "oracle", "own")
 
@@ -63,19 +63,19 @@ class Protocol:
 def workspace_for(example: Example, protocol: Protocol) -> Workspace:
     """Where the completer works, in the frame of the example."""
     if protocol.normalisation == "own":
-        return Workspace(np.zeros(3), np.ones(()))
+        return Workspace.unit()
     oracle = protocol.normalisation == "oracle"
     cloud = example.complete if oracle else example.partial
     assert cloud is not None
-    return Workspace.from_points(cloud.astype(np.float64), protocol.margin)
+    return Workspace.from_points(cloud, protocol.margin)
 
 
 def scored_in(example: Example, protocol: Protocol) -> Workspace:
     """The frame whose unit is that of the scores."""
     if protocol.unit == "own":
-        return Workspace(np.zeros(3), np.ones(()))
+        return Workspace.unit()
     assert example.complete is not None
-    return Workspace.from_points(example.complete.astype(np.float64), 1.0)
+    return Workspace.from_points(example.complete, 1.0)
 
 
 def into_scored(
@@ -94,14 +94,20 @@ def into_scored(
     return from_own, from_workspace
 
 
-def given(
-    example: Example, protocol: Protocol
-) -> tuple[Float32[np.ndarray, "N 3"], Float32[np.ndarray, "3"]]:
-    """What the completer gets: the partial and where the sensor stood, `UNKNOWN_EYE` if
-    the source does not say, in the workspace."""
+def observed(example: Example, protocol: Protocol) -> Observation:
+    """What the completer gets of an example.
+
+    The points are sampled first, in the order that the example's source decides.
+    """
     assert example.partial is not None
-    workspace = workspace_for(example, protocol)
-    partial = first_points(example.partial, protocol.num_partial, example.ordered)
-    eye = UNKNOWN_EYE if example.eye is None else workspace.to_unit(example.eye)
-    unit = workspace.to_unit(partial)
-    return np.asarray(unit, np.float32), np.asarray(eye, np.float32)
+    few = first_points(example.partial, protocol.num_partial, example.ordered)
+    return observe(few, example.eye, workspace_for(example, protocol))
+
+
+def side_by_side(
+    observations: Sequence[Observation],
+) -> tuple[Float32[np.ndarray, "B N 3"], Float32[np.ndarray, "B 3"]]:
+    """The partials and the sensors' places of several, as a completer takes them."""
+    partials = np.stack([seen.partial for seen in observations])
+    eyes = np.stack([seen.eye for seen in observations])
+    return partials.astype(np.float32), eyes.astype(np.float32)

@@ -21,13 +21,15 @@ from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import (
     UNITS,
     Protocol,
-    given,
     into_scored,
+    observed,
+    side_by_side,
 )
 from prism_jax.evaluation.scoring import EMD_POINTS, Scene, score
 from prism_jax.evaluation.summary import Scores, summarise
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
+from prism_jax.observation import observe
 
 CompleteFn = Callable[
     [Float[np.ndarray, "B N 3"], Float[np.ndarray, "B 3"]],
@@ -47,7 +49,8 @@ def prism_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
     adapt = make_adapt(config)
 
     def one(variables: Variables, partial: Array, eye: Array):
-        done = adapt(variables, partial, Camera.framing(partial, eye))
+        camera = observe(partial, eye, Workspace.unit()).camera
+        done = adapt(variables, partial, camera)
         if config.num_steps == 0:
             return {"output": done.points}
         return {
@@ -128,8 +131,8 @@ def _complete(
     for start in range(0, count, batch_size):
         rows = np.arange(start, start + batch_size) % count
         examples = [with_partial(source[int(row)]) for row in rows]
-        framed = [given(example, protocol) for example in examples]
-        partials, eyes = (np.stack(arrays) for arrays in zip(*framed, strict=True))
+        seen = [observed(example, protocol) for example in examples]
+        partials, eyes = side_by_side(seen)
         completed = jax.device_get(complete_fn(partials, eyes))
         yield [
             _Item(examples[i], partials[i], {k: v[i] for k, v in completed.items()})

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -13,17 +12,10 @@ from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.precision import exact_products
 
-if TYPE_CHECKING:
-    import prism_jax.geometry.workspace
-
 Vector = Sequence[float | int] | Float[Array | np.ndarray, "3"]
 
 MIN_DEPTH = 1e-6
 """Points whose depth is not greater than this count as behind the camera."""
-
-UNKNOWN_EYE = np.sqrt(3.0) * np.ones(3)
-"""Where the sensor is taken to be, in the unit workspace, if nobody knows: in the
-direction of the view `front_left_top`."""
 
 VIEWS = {
     "front": (1.0, 0.0, 0.0),
@@ -160,32 +152,6 @@ class Camera:
             rotation=rotation,
             translation=-rotation @ eye,
             intrinsics=_intrinsics(focal, focal, height, width),
-            height=height,
-            width=width,
-        )
-
-    @classmethod
-    def viewing(
-        cls,
-        workspace: "prism_jax.geometry.workspace.Workspace",
-        eye: Vector,
-        height: int = 128,
-        width: int = 128,
-    ) -> "Camera":
-        """A camera at ``eye`` whose view just holds the workspace's bounding sphere.
-
-        The eye is in the workspace's frame and units (metres). An eye inside the
-        sphere, or so near that 120 degrees cannot hold it, gets 120 degrees.
-        """
-        eye = jnp.asarray(eye, dtype=float)
-        distance = jnp.linalg.norm(eye - workspace.center)
-        radius = jnp.sqrt(3.0) * workspace.half_extent
-        widest = jnp.sin(jnp.deg2rad(60.0))
-        half_angle = jnp.arcsin(radius / jnp.maximum(distance, radius / widest))
-        return cls.look_at(
-            eye,
-            workspace.center,
-            fov_degrees=jnp.rad2deg(2 * half_angle),
             height=height,
             width=width,
         )

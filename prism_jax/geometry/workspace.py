@@ -1,70 +1,128 @@
 """The cube a network works in: metres in a sensor frame to [-1, 1]^3 and back."""
 
 import dataclasses
-import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.precision import exact_products
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["center", "half_extent"],
-    meta_fields=[],
-)
+@jax.tree_util.register_pytree_with_keys_class
 @dataclasses.dataclass(frozen=True)
 class Workspace:
-    """An axis-aligned cube in the sensor's frame: centre and half side, in metres.
+    """A cube in the user's frame, in metres: its centre, half side and axes.
 
-    A pytree; every method is differentiable and uses only operators, so NumPy arrays
-    stay NumPy: double precision survives for a cloud far from its frame's origin.
+    `rotation` takes the frame's axes to the cube's, whose z points upwards; None is
+    for a cube along the frame's own axes. A pytree; every method is differentiable and
+    uses only operators, so NumPy arrays stay NumPy: double precision survives for a
+    cloud far from its frame's origin. A centre that is not finite, and a half side that
+    is not finite and positive, raise ValueError where the numbers are known, that is
+    not under ``jit``.
     """
 
-    # JAX rebuilds pytrees with placeholders for leaves; do not type-check those.
+    # Pytrees are rebuilt with other leaves than arrays; do not type-check those.
     __no_type_check__ = True
 
     center: Float[Array | np.ndarray, "*batch 3"]
     half_extent: Float[Array | np.ndarray, "*batch"]
+    rotation: Float[Array | np.ndarray, "*batch 3 3"] | None = None
 
+    def __post_init__(self):
+        half_extent, center = _known(self.half_extent), _known(self.center)
+        if not (np.isfinite(half_extent) & (half_extent > 0)).all():
+            fault = f"half_extent must be positive and finite, not {half_extent}"
+            raise ValueError(f"a workspace's {fault}")
+        if not np.isfinite(center).all():
+            raise ValueError(f"a workspace's center must be finite, not {center}")
+
+    def tree_flatten_with_keys(self):
+        """The fields with their names, for JAX."""
+        names = [field.name for field in dataclasses.fields(self)]
+        key = jax.tree_util.GetAttrKey
+        return [(key(name), getattr(self, name)) for name in names], None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, leaves: Any) -> "Workspace":
+        """Without a check: a gradient has the same structure and may be negative."""
+        self = object.__new__(cls)
+        for field, leaf in zip(dataclasses.fields(cls), leaves, strict=True):
+            object.__setattr__(self, field.name, leaf)
+        return self
+
+    @classmethod
+    def unit(cls) -> "Workspace":
+        """[-1, 1]^3 itself, for points that are in their workspace already."""
+        return cls(np.zeros(3), np.ones(()))
+
+    @exact_products
     def to_unit(
         self, points: Float[Array | np.ndarray, "*points 3"]
     ) -> Float[Array | np.ndarray, "*points 3"]:
         """Metres to workspace units. Points outside the cube land outside [-1, 1]."""
-        return (points - self.center) / self.half_extent
+        unit = (points - self.center) / self.half_extent
+        return unit if self.rotation is None else unit @ self.rotation.T
 
+    @exact_products
     def from_unit(
         self, points: Float[Array | np.ndarray, "*points 3"]
     ) -> Float[Array | np.ndarray, "*points 3"]:
         """Workspace units to metres, the inverse of ``to_unit``."""
-        return points * self.half_extent + self.center
+        unit = points if self.rotation is None else points @ self.rotation
+        return unit * self.half_extent + self.center
 
     @exact_products
     def camera_to_unit(self, camera: Camera) -> Camera:
         """The same view for points in workspace units: same pixels, depth / half side.
 
-        With ``p = c + h q``: ``(R p + t) / h = R q + (R c + t) / h``.
+        With ``p = c + h S^T q``: ``(R p + t) / h = R S^T q + (R c + t) / h``.
         """
         translation = camera.rotation @ self.center + camera.translation
-        return dataclasses.replace(camera, translation=translation / self.half_extent)
+        turned = camera.rotation
+        turned = turned if self.rotation is None else turned @ self.rotation.T
+        translation = translation / self.half_extent
+        return dataclasses.replace(camera, rotation=turned, translation=translation)
+
+    @exact_products
+    def camera_from_unit(self, camera: Camera) -> Camera:
+        """The same view for points in metres, the inverse of ``camera_to_unit``."""
+        turned = camera.rotation
+        turned = turned if self.rotation is None else turned @ self.rotation
+        translation = camera.translation * self.half_extent - turned @ self.center
+        return dataclasses.replace(camera, rotation=turned, translation=translation)
 
     @classmethod
+    @exact_products
     def from_points(
-        cls, points: Float[Array | np.ndarray, "N 3"], margin: float = 1.25
+        cls,
+        points: Float[Array | np.ndarray, "N 3"],
+        margin: float = 1.25,
+        rotation: Float[Array | np.ndarray, "3 3"] | None = None,
+        where: Bool[Array | np.ndarray, " N"] | None = None,
     ) -> "Workspace":
         """The cube around a cloud: centre of its bounding box, longest side x margin.
 
-        Pass the partial cloud, never the ground truth. A cloud without extent (one
-        point) gets a half side of 1; an empty one raises a ValueError. Non-finite
-        points give a non-finite workspace: drop them first.
+        Pass the partial cloud, never the ground truth. With `rotation` the box is along
+        the cube's axes. Only points that `where` marks count, and one must be marked. A
+        cloud without extent (one point) gets a half side of 1; an empty one raises a
+        ValueError, and so do points that are not finite.
         """
         if points.shape[0] == 0:
             raise ValueError("a workspace cannot be taken from an empty cloud")
-        return cls.from_bounds(points.min(axis=0), points.max(axis=0), margin)
+        along = points if rotation is None else points @ rotation.T
+        if where is None:
+            lower, upper = along.min(axis=0), along.max(axis=0)
+        else:
+            lower = along.min(axis=0, where=where[:, None], initial=np.inf)
+            upper = along.max(axis=0, where=where[:, None], initial=-np.inf)
+        box = cls.from_bounds(lower, upper, margin)
+        if rotation is None:
+            return box
+        return cls(box.center @ rotation, box.half_extent, rotation)
 
     @classmethod
     def from_bounds(cls, lower, upper, margin: float = 1.0) -> "Workspace":
@@ -77,3 +135,8 @@ class Workspace:
         half_extent = 0.5 * margin * (upper - lower).max(axis=-1)
         half_extent = xp.where(half_extent > 0, half_extent, 1.0)
         return cls(center=0.5 * (lower + upper), half_extent=half_extent)
+
+
+def _known(numbers: Any) -> np.ndarray:
+    """The numbers, or one that is always right where they are traced."""
+    return np.ones(()) if isinstance(numbers, jax.core.Tracer) else np.asarray(numbers)

@@ -25,9 +25,9 @@ def perturb(
     `origin`, the sensor's position in the points' frame, as a fraction of the
     range. An origin farther than `max_distance` from the frame's own counts as being
     that far: in the validation sets no sensor stands over 9 units from the middle of
-    the workspace, and the noise of one at 1,000 would bury the cloud. `drop` is the fraction of
-    points lost: their rows hold copies of kept points, so that the shape stays; at
-    least one point is kept. Differentiable in `points` and `origin`. `drop`
+    the workspace, and the noise of one at 1,000 would bury the cloud. `drop` is the
+    fraction of points lost: their rows hold copies of kept points, so that the shape
+    stays; at least one point is kept. Differentiable in `points` and `origin`. `drop`
     outside [0, 1] raises `ValueError`.
     """
     if not 0.0 <= drop <= 1.0:

@@ -6,8 +6,9 @@ from jaxtyping import Array, Key
 
 from prism_jax.adaptation.config import AdaptConfig
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.prism import Frame, prepare_frame
+from prism_jax.observation import observe
 
 
 def frames_of(batch: Batch, key: Key[Array, "..."], adapt: AdaptConfig) -> Frame:
@@ -15,7 +16,7 @@ def frames_of(batch: Batch, key: Key[Array, "..."], adapt: AdaptConfig) -> Frame
     its own, or all alike by a single one."""
 
     def frame(partial, eye, indices, key):
-        camera = Camera.framing(partial, eye)
+        camera = observe(partial, eye, Workspace.unit()).camera
         return prepare_frame(partial, camera, key, adapt.model, indices)
 
     indices = jax.tree.map(lambda rows: jnp.asarray(rows, jnp.int32), batch.indices)

@@ -19,11 +19,12 @@ from prism_jax.adaptation.meta import (
 )
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.weighting import entropy, loss_weights
 from prism_jax.models.variables import Variables
+from prism_jax.observation import observe
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.frames import frames_of
 from prism_jax.training.leg import Leg, TrainState, steps_of
@@ -222,7 +223,8 @@ def _validation(
     @jax.jit
     def validate(variables: Variables, batch: Batch):
         def one(partial, eye, complete, scale):
-            done = complete_frame(variables, partial, Camera.framing(partial, eye))
+            camera = observe(partial, eye, Workspace.unit()).camera
+            done = complete_frame(variables, partial, camera)
             before, after = (
                 chamfer(points, complete) * scale**2
                 for points in (done.before, done.points)

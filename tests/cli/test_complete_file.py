@@ -147,6 +147,23 @@ def test_a_sensor_too_far_away_is_told(given, monkeypatch, capsys):
     assert "the origin is too far away, or among the points" in report
 
 
+def test_points_that_were_left_out_are_told_and_counted(given, monkeypatch, capsys):
+    assert complete_file(**given)["input"]["points_left_out"] == 0
+    assert "left out" not in capsys.readouterr().err
+    completed = FakeCompleter.complete
+
+    def without_some(*args, **kwargs):
+        return dataclasses.replace(completed(*args, **kwargs), left_out=5)
+
+    monkeypatch.setattr(FakeCompleter, "complete", without_some)
+    assert complete_file(**given)["input"]["points_left_out"] == 5
+    told = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
+    assert len(told) == 1
+    assert "5 of 300 points lie far from all others" in told[0]
+    report = (pathlib.Path(given["output_dir"]) / "report.html").read_text()
+    assert "5 left out, far from all others" in report
+
+
 def test_bad_input_is_refused_before_weights_are_loaded(given, tmp_path, monkeypatch):
     monkeypatch.setattr(complete, "load_completer", pytest.fail)
     with pytest.raises(io.InputError, match=r"truth.*no such file"):

@@ -5,8 +5,20 @@ import pytest
 
 from prism_jax.data.source import Example
 from prism_jax.evaluation import NORMALISATIONS, Protocol
-from prism_jax.evaluation.protocol import given, scored_in, workspace_for
-from prism_jax.geometry.camera import UNKNOWN_EYE
+from prism_jax.evaluation.protocol import (
+    observed,
+    scored_in,
+    side_by_side,
+    workspace_for,
+)
+from prism_jax.observation import UNKNOWN_EYE
+
+
+def given(example, protocol):
+    """The partial and the sensor's place, as a completer gets them."""
+    (partial,), (eye,) = side_by_side([observed(example, protocol)])
+    return partial, eye
+
 
 METRES = {"scale": 0.35, "shift": (2.0, -1.0, 40.0)}
 

@@ -73,6 +73,90 @@ def test_camera_to_unit_sees_the_same_pixels():
     )
 
 
+TURN = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+
+
+def turned_about(angle):
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("rotation", [TURN, turned_about(0.7) @ TURN])
+def test_a_turned_cube_holds_the_cloud_along_its_own_axes(rotation):
+    points = RNG.uniform([-1, 2, 0], [1, 5, 0.5], (200, 3))
+    workspace = Workspace.from_points(points, 1.25, rotation)
+    unit = workspace.to_unit(points)
+    assert np.allclose(unit.min(0), -unit.max(0))
+    assert np.abs(unit).max() == pytest.approx(1 / 1.25)
+    assert np.allclose(workspace.from_unit(unit), points, rtol=0, atol=1e-14)
+    along = points @ rotation.T
+    expected = Workspace.from_points(along, 1.25)
+    assert np.allclose(unit, expected.to_unit(along))
+
+
+def test_only_the_marked_points_count():
+    points = RNG.normal(size=(50, 3))
+    marked = np.arange(50) % 7 > 0
+    points[~marked] *= 1e3
+    found = Workspace.from_points(points, where=marked)
+    expected = Workspace.from_points(points[marked])
+    assert np.array_equal(found.center, expected.center)
+    assert found.half_extent == expected.half_extent
+    traced = jax.jit(lambda p, m: Workspace.from_points(p, where=m))(points, marked)
+    assert np.allclose(traced.half_extent, expected.half_extent)
+
+
+def test_cameras_to_a_turned_workspace_and_back():
+    """Far from the origin, in double precision."""
+    center = np.array([4e5, 5e6, 100.0])
+    workspace = Workspace(center, np.array(0.7), turned_about(0.3) @ TURN)
+    pose = turned_about(1.1) @ TURN.T
+    intrinsics = np.array([[30.0, 0, 15.5], [0, 30, 15.5], [0, 0, 1]])
+    camera = Camera(pose, [0, 0, 3.0] - pose @ center, intrinsics, 32, 32)
+    points = center + RNG.uniform(-0.5, 0.5, (30, 3))
+    there = workspace.camera_to_unit(camera)
+    seen = there.to_camera(workspace.to_unit(points)) * 0.7
+    assert np.allclose(seen, camera.to_camera(points), rtol=0, atol=1e-8)
+    back = workspace.camera_from_unit(there)
+    assert np.allclose(back.to_camera(points), camera.to_camera(points), atol=1e-8)
+    assert np.allclose(back.rotation, pose, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("half_extent", [-1.0, 0.0, np.nan, np.inf])
+@pytest.mark.parametrize("array", [np.array, jnp.array])
+def test_a_cube_without_volume_is_refused(array, half_extent):
+    with pytest.raises(ValueError, match="half_extent must be positive and finite"):
+        Workspace(array([0.0, 0, 0]), array(half_extent))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_points_that_are_not_finite_have_no_workspace(value):
+    points = np.zeros((5, 3))
+    points[2, 1] = value
+    with pytest.raises(ValueError, match="finite"):
+        Workspace.from_points(points)
+
+
+def test_what_is_traced_is_not_refused():
+    """Nor is a gradient, which is a workspace in structure alone."""
+
+    @jax.jit
+    def scaled(half_extent):
+        return Workspace(jnp.zeros(3), half_extent).to_unit(jnp.ones((1, 3)))
+
+    assert np.allclose(scaled(jnp.array(-2.0)), -0.5)
+    gradient = jax.grad(lambda w: w.to_unit(jnp.ones((1, 3))).sum())(
+        Workspace(jnp.zeros(3), jnp.array(1.0))
+    )
+    assert gradient.half_extent == -3
+
+
+def test_the_unit_workspace_changes_nothing():
+    points = RNG.normal(size=(20, 3)).astype(np.float32)
+    assert np.array_equal(Workspace.unit().to_unit(points), points)
+    assert np.array_equal(Workspace.unit().from_unit(points), points)
+
+
 def test_gradients(x64):
     points = jnp.asarray(RNG.normal(size=(6, 3)))
 

@@ -9,10 +9,11 @@ import pytest
 from experiments.assets import CELLS
 from prism_jax.data.datasets import open_dataset, open_training, parts_of
 from prism_jax.data.manifest import MANIFEST
-from prism_jax.data.pipeline import Framing, frame_example, workspace_of
+from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Example, Source
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.simulation import packing, shard_writer
 from prism_jax.simulation.packing import PackConfig, pack
@@ -79,7 +80,9 @@ def test_unordered_clouds_are_ordered(folder):
     framing = Framing(32, 64, 1.4)
     examples = RecordedCells(CELLS)[3], Shards(folder)[5 + 3]
     given, found = (frame_example(example, framing) for example in examples)
-    half, packed = (float(workspace_of(e.partial, 1.4)[1]) for e in examples)
+    half, packed = (
+        float(Workspace.from_points(e.partial, 1.4).half_extent) for e in examples
+    )
     assert packed == pytest.approx(half, rel=0.05)
     partial = found.partial * packed
     center = (given.partial * half)[0] - partial[0]
