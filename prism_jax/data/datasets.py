@@ -33,11 +33,11 @@ class DataSet:
 
     Attributes:
       open: its `Source`, by root and split, and by options where a set has some.
-      splits: what can be opened; none are named where the set itself checks.
+      splits: those that there are; empty where `open` checks them itself.
       training: the split that a training sees; None where a set is for tests alone.
       validation: the split of its own that a training is validated on.
       scored: the splits with ground truth that no training sees, validation first.
-      folder: where below the root a split's manifest lies, if it has one.
+      folder: where below the root a split's folder lies, for sets with a manifest.
       generated: whether it is built on the machine, by default in the cache folder.
       licence: whose meshes its training split is made of, and how they are licensed.
     """

@@ -9,8 +9,8 @@
     <root>/manifest.json                    optional: the sha256 of every file
 
 A frame's name is six digits. Clouds and camera share the world frame: metres, z up,
-the floor at z = 0, the robot's base on the z axis. A frame is there once its camera is,
-which is written last.
+the floor at z = 0, the robot's base on the z axis. The camera is written last, so a
+frame that has one is complete.
 """
 
 import dataclasses
@@ -71,9 +71,9 @@ class Frame:
 class RecordedCells:
     """The frames below a folder as a `Source` of examples, in order of their names.
 
-    Every file is looked at by name when this is made: what is not the layout, half a
-    frame, and, with `verify`, a file that differs from the manifest's sha256, raise
-    InputError. Contents are read with the example. A sequence is one object.
+    File names are checked when this is made, contents when an example is read. A file
+    that the layout does not know, an incomplete frame and, with `verify`, a file that
+    differs from the manifest raise InputError. A sequence counts as one object.
     """
 
     categories = ("robot cell",)

@@ -1,4 +1,4 @@
-"""What every data set yields, and all that a pipeline knows of one."""
+"""What every data set gives, and all that the pipeline knows of one."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -11,7 +11,7 @@ class Example(NamedTuple):
 
     Attributes:
       complete: the ground truth; None where there is none, as for KITTI's cars.
-      partial: what the sensor measured; None where it is still to be cropped from
+      partial: what the sensor measured; None where the pipeline is to crop it from
         `complete`.
       eye: the sensor's position, in the frame and units of the clouds; None where the
         source does not say.
@@ -19,8 +19,8 @@ class Example(NamedTuple):
       name: unique within the source.
       ordered: whether both clouds are in farthest-point order, so that every prefix is
         a farthest-point sample.
-      any_heading: whether it may stand turned about the vertical, z, in any way, as a
-        robot cell may and a chair whose front is along y may not.
+      any_heading: whether training may turn it about the vertical, z, at random: a
+        robot cell, yes; a chair whose front is along y, no.
     """
 
     complete: Float32[np.ndarray, "M 3"] | None
@@ -34,10 +34,10 @@ class Example(NamedTuple):
 
 @runtime_checkable
 class Source(Protocol):
-    """A data set of Examples, read by index: Grain's random-access source.
+    """A data set of Examples, read by index, as Grain wants its random-access sources.
 
-    A pure function of how it was made: the same index gives the same arrays in every
-    process. It can be pickled, and an index outside the range raises IndexError.
+    The same index gives the same arrays in every process. It can be pickled, and an
+    index outside the range raises IndexError.
     """
 
     @property
@@ -47,7 +47,7 @@ class Source(Protocol):
 
     @property
     def objects(self) -> Int[np.ndarray, " N"]:
-        """Which object each item shows, from 0 on; the items of one stand in a row."""
+        """The object that each item shows, from 0 on; its items follow one another."""
         ...
 
     def __len__(self) -> int: ...

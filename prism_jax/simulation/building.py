@@ -34,11 +34,11 @@ def build(
 ) -> pathlib.Path:
     """Builds what is missing of a folder's items, and then its manifest.
 
-    `content` is everything that the bytes depend on, as JSON. Item i holds `sizes[i]`
-    units, which a bar counts; with `progress`, a line on stderr tells their rate.
-    Items are built in `num_workers` processes, one a core by default, 0 for this one;
-    `build_item` is pickled for them. A folder with other content, or a finished one
-    that lost files of items that `is_built` takes for built, raises InputError.
+    `content` is everything that the bytes depend on, as JSON. Item i has `sizes[i]`
+    units; with `progress` a bar counts them, and a line on stderr gives their rate.
+    Items are built in `num_workers` processes, by default one for every core, with 0 in
+    this one; `build_item` is pickled for them. A folder with other content, or one that
+    lost files of an item that `is_built` takes for built, raises InputError.
     """
     folder = make_output_dir(folder)
     wanted: dict[str, Any] = json.loads(json.dumps(content))

@@ -1,8 +1,8 @@
 """Shaded pictures of meshes, and sheets of labelled rows of them.
 
-A picture is cast with our own rays: an orthographic view, one light that throws
-shadows, the sky as far as nothing hides it, and a white floor that shows only what
-falls on it. A sheet takes rows of pictures of one size, whatever drew them.
+Pictures are ray cast: an orthographic view, one light with shadows, ambient light where
+nothing hides the sky, and a white floor on which only shadows show. A sheet takes rows
+of pictures of one size, whatever drew them.
 """
 
 import itertools

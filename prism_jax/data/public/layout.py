@@ -1,8 +1,8 @@
-"""What every published layout has in common: lists of models, folders, sound clouds.
+"""What the published layouts share: lists of models, folders of files, checked clouds.
 
-A set that is not laid out as published is refused before the first item is read, and
-each folder is listed once: a network drive answers 30,000 listings far sooner than a
-stat for each of 230,000 files.
+A set that is not laid out as published is refused before the first item is read. Each
+folder is listed once, since a network drive answers 30,000 listings far sooner than
+230,000 questions for single files.
 """
 
 import json
@@ -39,7 +39,7 @@ class ListedSource:
     """The objects of a list, each seen in `views` partial clouds.
 
     Index i is view `i % views` of object `i // views`, in the list's order. Subclasses
-    add `__getitem__`. Only strings are kept, so that it pickles.
+    add `__getitem__`. It holds nothing but strings, so it can be pickled.
     """
 
     def __init__(self, root: pathlib.Path, models: Sequence[Model], views: int):
@@ -67,8 +67,8 @@ def read_list(
 ) -> list[tuple[str, ...]]:
     """The groups of a pattern for each line of a list file that is not blank.
 
-    A list that is missing, empty, holds a line of another form or a line twice raises
-    InputError.
+    A list that is missing or empty, or that has a line of another form or the same line
+    twice, raises InputError.
     """
     lines = [line.strip() for line in _read_text(path).splitlines() if line.strip()]
     matches = [re.fullmatch(pattern, line) for line in lines]
@@ -135,7 +135,7 @@ def read_cloud(
 def sound_cloud(
     points: np.ndarray, subject: str | os.PathLike, num_points: int | None = None
 ) -> Float32[np.ndarray, "N 3"]:
-    """The points as float32; another shape or count, or NaN, raises InputError."""
+    """The points as float32; another shape or count, or a NaN, raises InputError."""
     is_cloud = points.ndim == 2 and points.shape[1] == 3 and len(points) > 0
     if not is_cloud or points.dtype.kind not in "fiu":
         fault = f"holds an array of shape {points.shape} and type {points.dtype}"
