@@ -157,30 +157,29 @@ def test_a_line_tells_the_rate(tmp_path, capsys):
     assert "5 squares in 0 s" in told.err and not told.out
 
 
+_WAITING = """
+import functools, os, pathlib, sys, time
+from prism_jax.simulation import building
+
 def wait(folder, number):
-    """An item that leaves its process's number and never ends."""
     (folder / f"{os.getpid()}.pid").touch()
     time.sleep(600)
-
-
-_WAITING = """
-import functools, pathlib, sys
-sys.path[:0] = sys.argv[2:]
-from prism_jax.simulation import building
-from tests.simulation.test_building import wait
 
 if __name__ == "__main__":
     folder = pathlib.Path(sys.argv[1])
     build = functools.partial(wait, folder)
     building.build(folder, {}, [1], lambda number: False, build, "item", 1)
 """
+"""An item that leaves its process's number and never ends."""
 
 
 def test_workers_end_with_a_build_that_is_killed(tmp_path):
     script = tmp_path / "build.py"
     script.write_text(_WAITING)
     folder, root = tmp_path / "items", pathlib.Path(__file__).parents[2]
-    parent = subprocess.Popen([sys.executable, script, folder, root], cwd=root)
+    parent = subprocess.Popen(
+        [sys.executable, script, folder], env={**os.environ, "PYTHONPATH": str(root)}
+    )
     try:
         worker = _until(lambda: next(iter(folder.glob("*.pid")), None))
     finally:
