@@ -222,9 +222,9 @@ def _check_workspace(workspace: Workspace) -> None:
 
 def _told(camera: Camera | None, seen: Observation) -> str:
     """`CompletedScan.sensor`."""
-    if camera is not None:
-        return "given"
-    return "origin" if seen.sensor_known else "unknown"
+    if not seen.sensor_known:
+        return "unknown"
+    return "origin" if camera is None else "given"
 
 
 def _depth_maps(
