@@ -131,7 +131,7 @@ class Completer:
         sensor = "origin" if camera is None else np.asarray(camera.position)
         margin = self.config.model.margin
         seen = observe(points, sensor, workspace, margin, up)
-        measured, unit = points[seen.inside], seen.partial[seen.inside]
+        measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
         check_cloud(measured, "points inside the workspace")
         read = seen.sampled(self.config.model.backbone.num_points)
         view = read.camera
@@ -159,7 +159,7 @@ class Completer:
         )
 
     def _run(
-        self, adapt: bool, partial: Array, view: Camera
+        self, adapt: bool, partial: Array | np.ndarray, view: Camera
     ) -> tuple[Completion, dict[str, float]]:
         start = time.perf_counter()
         arguments = (self.variables, partial, view)

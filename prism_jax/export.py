@@ -41,7 +41,7 @@ def export_adapt(
 
     def complete(scan: Float[Array, "N 3"], sensor: Float[Array, "3"]):
         seen = observe(scan, sensor, margin=config.model.margin).filled()
-        completion = adapt(variables, seen.partial, seen.camera)
+        completion = adapt(variables, jnp.asarray(seen.partial), seen.camera)
         return {
             "points": seen.workspace.from_unit(completion.points),
             "accepted": completion.accepted,

@@ -77,9 +77,9 @@ def frame_example(
     seen = observe(clouds["few"], eye, workspace)
     unit = Workspace.from_points(clouds["complete"], 1.0)
     batch = Batch(
-        seen.partial.astype(np.float32),
-        workspace.to_unit(clouds["many"]).astype(np.float32),
-        seen.eye.astype(np.float32),
+        np.asarray(seen.partial, np.float32),
+        np.asarray(workspace.to_unit(clouds["many"]), np.float32),
+        np.asarray(seen.eye, np.float32),
         np.asarray(workspace.half_extent / unit.half_extent, np.float32),
     )
     return batch if rng is None or rng.random() < 0.5 else _mirrored(batch)

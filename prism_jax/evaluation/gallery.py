@@ -97,7 +97,7 @@ def _shown(
     scaled, from_workspace = into_scored(example, protocol)
     measured, complete = scaled(example.partial), scaled(example.complete)
     predicted = from_workspace(output)
-    partial = from_workspace(seen.partial)
+    partial = from_workspace(np.asarray(seen.partial))
     added = predicted[keep_unmeasured(predicted, measured, partial)]
     cloud = np.concatenate([measured, added])
     errors = KDTree(complete).query(cloud)[0]

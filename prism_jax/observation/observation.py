@@ -97,7 +97,7 @@ class Observation:
         camera = jax.tree.map(_double, camera)
         left, _, right = np.linalg.svd(camera.rotation)
         exact = dataclasses.replace(camera, rotation=left @ right)
-        return jax.tree.map(_double, self.workspace).camera_from_unit(exact)
+        return _doubled(self.workspace).camera_from_unit(exact)
 
 
 def observe(
@@ -135,7 +135,7 @@ def observe(
         inside = ~strays | _within(partial)
     else:
         if xp is np:
-            workspace = jax.tree.map(_double, workspace)
+            workspace = _doubled(workspace)
         if workspace.rotation is None:
             workspace = dataclasses.replace(workspace, rotation=upright(up))
         partial = workspace.to_unit(points)
@@ -179,6 +179,11 @@ def _numpy_of(points: Any) -> Any:
 def _single(array: Any) -> Array:
     """JAX arrays as they are, NumPy's in JAX's default float."""
     return array if isinstance(array, jax.Array) else jnp.asarray(array, float)
+
+
+def _doubled(workspace: Workspace) -> Workspace:
+    doubled: Any = jax.tree.map(_double, workspace)
+    return doubled
 
 
 def _double(array: Any) -> np.ndarray:
