@@ -5,7 +5,6 @@ python -m experiments.evaluate --weights=FILE --dataset=shapenet55 --data_dir=DI
     --protocol=published --output=FILE.json
 """
 
-import dataclasses
 from typing import Any
 
 from absl import flags
@@ -19,7 +18,7 @@ from experiments.scoring import (
     scored,
 )
 from experiments.weights import located
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.source import Source
@@ -64,7 +63,7 @@ def main():
     config, variables = load_pretrained(located(FLAGS.weights))
     config = changed(config, FLAGS.set)
     if FLAGS.steps is not None:
-        config = dataclasses.replace(config, num_steps=FLAGS.steps)
+        config = config.with_adapt(num_steps=FLAGS.steps)
     published = FLAGS.protocol == "published"
     split = FLAGS.split or ("test" if published else "validation")
     source = open_published(split) if published else open_split(split)
@@ -91,7 +90,7 @@ def open_published(split: str) -> Source:
     return open_dataset(FLAGS.dataset, split, FLAGS.data_dir, **options)
 
 
-def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]:
+def about(config: PrismConfig, protocol: Protocol, split: str) -> dict[str, Any]:
     """What names the result."""
     known = read_metadata(located(FLAGS.weights))
     return {
@@ -102,7 +101,7 @@ def about(config: AdaptConfig, protocol: Protocol, split: str) -> dict[str, Any]
         "weights_sha256": file_sha256(located(FLAGS.weights)),
         "seed": known.get("seed"),
         "weights_commit": known.get("commit"),
-        "steps": config.num_steps,
+        "steps": config.adapt.num_steps,
         **({"set": " ".join(FLAGS.set)} if FLAGS.set else {}),
         "commit": commit(),
     }

@@ -50,7 +50,7 @@ def main():
         "data": about_training(preset, data),
     }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
-    leg = meta_leg(variables, preset.adapt, config, FLAGS.seed)
+    leg = meta_leg(variables, preset.config, config, FLAGS.seed)
     trained = train_leg(leg, data, folder, FLAGS.max_steps, FLAGS.tensorboard)
     if not is_first():
         return
@@ -65,7 +65,7 @@ def main():
             "pretrained": before,
         }
         path = folder / "weights.safetensors"
-        save_weights(path, preset.adapt, trained.best, about)
+        save_weights(path, preset.config, trained.best, about)
         print(f"written {path}")
     else:
         print(f"stopped; go on with --workdir={folder} --resume")

@@ -59,7 +59,7 @@ def main():
     }
     path = folder / "weights.safetensors"
     if is_first():
-        save_weights(path, preset.adapt, variables, about)
+        save_weights(path, preset.config, variables, about)
         print(f"written {path}")
 
 

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from absl import flags
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.datasets import (
     DATASETS,
     digest_of,
@@ -82,7 +82,7 @@ class Size(NamedTuple):
         return f"{self.num_points} points to {self.num_outputs}, margin {self.margin}"
 
 
-def size_of(config: AdaptConfig) -> Size:
+def size_of(config: PrismConfig) -> Size:
     """Of PRISM's networks."""
     backbone = config.model.backbone
     return Size(backbone.num_points, backbone.stage_sizes[-1], config.model.margin)
@@ -105,7 +105,7 @@ def require_alike(sizes: Mapping[str, Size]) -> None:
             raise InputError(name, fault, "compare weights of one size")
 
 
-def make_protocol(config: AdaptConfig, published: bool = False) -> Protocol:
+def make_protocol(config: PrismConfig, published: bool = False) -> Protocol:
     """What the flags say of frames and units; a published test needs no EMD."""
     default = "own" if published else "partial"
     return Protocol(

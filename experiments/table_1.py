@@ -88,14 +88,17 @@ def main():
     for name, (module, own) in others.items():
         found = run(network_completer(module, own))
         rows[LABELS.get(name, name)] = Row(found, "output", count(own), seen(name))
-    alone = dataclasses.replace(alone, num_steps=0)
+    alone = alone.with_adapt(num_steps=0)
     found = run(prism_completer(alone, backbone))
     number = count(backbone, "point_encoder", "decoder")
     rows[BACKBONE] = Row(found, "output", number, seen(FLAGS.backbone))
     number, samples = count(variables), seen(FLAGS.weights)
     rows["PRISM, not adapted"] = Row(adapted, "unadapted", number, samples)
     rows["PRISM"] = Row(adapted, "output", number, samples)
-    about = named(protocol) | {"weights": FLAGS.weights, "steps": config.num_steps}
+    about = named(protocol) | {
+        "weights": FLAGS.weights,
+        "steps": config.adapt.num_steps,
+    }
     deliver(comparison(rows, BACKBONE, **about))
 
 

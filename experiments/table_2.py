@@ -21,7 +21,7 @@ from experiments.scoring import (
     size_of,
 )
 from experiments.weights import located
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import CompleteFn, Row, comparison, prism_completer
@@ -64,7 +64,7 @@ def main():
         for steps in FLAGS.steps:
             # All with the settings of the meta-trained: what differs is the weights,
             # its learned step sizes among them.
-            changed = dataclasses.replace(own, model=config.model, num_steps=steps)
+            changed = PrismConfig(config.model, own.adapt).with_adapt(num_steps=steps)
             found = scored(prism_completer(changed, weights), source, protocol)
             rows.setdefault(f"{name}, K = 0", Row(found, "unadapted"))
             rows[f"{name}, K = {steps}"] = Row(found)
@@ -73,7 +73,7 @@ def main():
         "online": online_completer(own, variables),
     }.items():
         found = scored(complete, source, protocol)
-        rows[f"{META}, K = {own.num_steps}, {label}"] = Row(found)
+        rows[f"{META}, K = {own.adapt.num_steps}, {label}"] = Row(found)
     about = named(protocol) | {"weights": FLAGS.weights}
     deliver(comparison(rows, f"{PRETRAINED}, K = 0", **about))
 
@@ -86,7 +86,7 @@ def equally_weighted(variables: Variables) -> Variables:
     return {**variables, "weighting": {**weighting, "logits": logits}}
 
 
-def online_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
+def online_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     """Frames in turn, each from the encoders that the one before it adapted."""
     adapt = make_adapt(config)
     encoders, rest = pop_encoders(variables)

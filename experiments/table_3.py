@@ -63,7 +63,7 @@ def main():
     rows = {}
     for label, (config, variables) in loaded.items():
         if label == NONE:
-            config = dataclasses.replace(config, num_steps=0)
+            config = config.with_adapt(num_steps=0)
         measured = dataclasses.replace(protocol, with_measured=label == NONE)
         found = scored(prism_completer(config, variables), source, measured)
         if label == NONE:

@@ -64,8 +64,8 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     """
     if FLAGS.weights is None:
         return None
-    adapt, variables = load_pretrained(located(FLAGS.weights))
-    if adapt.model != preset.model:
+    config, variables = load_pretrained(located(FLAGS.weights))
+    if config.model != preset.model:
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
     known = ("preset", "seed", "commit", "data", "samples", "pretrained")

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion, make_adapt
 from prism_jax.geometry.camera import Camera
@@ -85,7 +85,7 @@ class Completer:
 
     def __init__(
         self,
-        config: AdaptConfig,
+        config: PrismConfig,
         variables: Variables,
         trace_dir: pathlib.Path | None = None,
     ):
@@ -164,8 +164,8 @@ class Completer:
         start = time.perf_counter()
         arguments = (self.variables, partial, view)
         if adapt not in self._compiled:
-            steps = self.config.num_steps if adapt else 0
-            config = dataclasses.replace(self.config, num_steps=steps)
+            steps = self.config.adapt.num_steps if adapt else 0
+            config = self.config.with_adapt(num_steps=steps)
             fn = make_adapt(config)
             if self._trace_dir is None:
                 call = jax.jit(fn).lower(*arguments).compile()

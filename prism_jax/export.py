@@ -7,7 +7,7 @@ import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.models.variables import Variables
 from prism_jax.observation import observe
@@ -16,7 +16,7 @@ PLATFORMS = ("cpu", "cuda")
 
 
 def export_adapt(
-    config: AdaptConfig,
+    config: PrismConfig,
     variables: Variables,
     batch_size: int = 1,
     platforms: Sequence[str] = PLATFORMS,

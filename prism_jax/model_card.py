@@ -29,7 +29,7 @@ def model_card(name_or_path: str) -> str:
     backbone = config.model.backbone
     count = sum(leaf.size for leaf in jax.tree.leaves(variables["params"]))
     sizes = f"{backbone.num_points:,} points in, {backbone.stage_sizes[-1]:,} out"
-    adapting = f"adapts to a frame in K = {config.num_steps}"
+    adapting = f"adapts to a frame in K = {config.adapt.num_steps}"
     lines = [
         f"# {name_or_path}\n",
         f"{sizes}; {count:,} parameters; {adapting}.\n",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from prism_jax.adaptation.config import AdaptConfig, MetaConfig
+from prism_jax.adaptation.config import AdaptConfig, MetaConfig, PrismConfig
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.training.config import MetaTrainConfig, PhaseConfig, PretrainConfig
@@ -17,21 +17,24 @@ class Preset:
     """Everything that a run depends on, apart from its seed.
 
     Attributes:
-      adapt: the networks, and how they adapt to a frame.
+      model: the networks.
+      adapt: how they adapt to a frame.
       pretrain: how they are trained first.
       meta: how they then learn to adapt.
       num_shapes: procedural shapes that are built for it alone, or 0 for the corpus
         that all share.
     """
 
+    model: ModelConfig
     adapt: AdaptConfig
     pretrain: PretrainConfig
     meta: MetaTrainConfig
     num_shapes: int = 0
 
     @property
-    def model(self) -> ModelConfig:
-        return self.adapt.model
+    def config(self) -> PrismConfig:
+        """What its weights are used with."""
+        return PrismConfig(self.model, self.adapt)
 
 
 _SMALL = BackboneConfig(
@@ -103,7 +106,6 @@ def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
 
 
 _SMALL_ADAPT = AdaptConfig(
-    ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
     num_steps=1,
     step_size=3e-2,
     clip_norm=1.0,
@@ -142,13 +144,11 @@ _PAPER_META = MetaTrainConfig(MetaConfig(remat=True), at_once=4)
 
 # The paper's sizes and samples with what helped `small` on validation.
 _PLUS = Preset(
-    dataclasses.replace(
-        _SMALL_ADAPT,
-        model=ModelConfig(
-            dataclasses.replace(_PAPER, seeds_from_patches=True),
-            AuxiliaryConfig(max_coordinate=2.0),
-        ),
+    ModelConfig(
+        dataclasses.replace(_PAPER, seeds_from_patches=True),
+        AuxiliaryConfig(max_coordinate=2.0),
     ),
+    _SMALL_ADAPT,
     _PAPER_PRETRAIN,
     dataclasses.replace(
         _SMALL_META,
@@ -162,10 +162,8 @@ _PLUS = Preset(
 
 PRESETS = {
     "tiny": Preset(
-        AdaptConfig(
-            ModelConfig(_TINY, _TINY_AUXILIARY, depth_pixels=32, consistency_pixels=16),
-            normal_neighbors=4,
-        ),
+        ModelConfig(_TINY, _TINY_AUXILIARY, depth_pixels=32, consistency_pixels=16),
+        AdaptConfig(normal_neighbors=4),
         PretrainConfig(
             _legs(64, 64),
             auxiliary_samples=64,
@@ -179,11 +177,12 @@ PRESETS = {
         num_shapes=64,
     ),
     "small": Preset(
+        ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
         _SMALL_ADAPT,
         PretrainConfig(_legs(200_000, 768_000), auxiliary_samples=20_000),
         _SMALL_META,
     ),
-    "paper": Preset(AdaptConfig(ModelConfig(_PAPER)), _PAPER_PRETRAIN, _PAPER_META),
+    "paper": Preset(ModelConfig(_PAPER), AdaptConfig(), _PAPER_PRETRAIN, _PAPER_META),
     "plus": _PLUS,
 }
 

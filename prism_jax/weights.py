@@ -17,7 +17,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.assets import asset
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
@@ -34,7 +34,7 @@ def available_weights() -> list[str]:
     return sorted(path.stem for path in asset("").glob(f"*{SUFFIX}"))
 
 
-def load_pretrained(name_or_path: str = "small") -> tuple[AdaptConfig, Variables]:
+def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables]:
     """Configuration and variables of released weights, by name or by file.
 
     A name that does not ship, or a file that is not such weights, raises
@@ -91,7 +91,7 @@ def read_file(path: pathlib.Path) -> tuple[dict[str, Any], dict[str, np.ndarray]
 
 def save_weights(
     path: str | pathlib.Path,
-    config: AdaptConfig,
+    config: PrismConfig,
     variables: Variables,
     metadata: dict[str, Any],
 ) -> None:
@@ -132,13 +132,17 @@ def sha256(variables: Variables) -> str:
     return digest.hexdigest()
 
 
-def config_from_dict(fields: dict[str, Any]) -> AdaptConfig:
-    """The configuration whose ``dataclasses.asdict`` went through JSON."""
-    fields = dict(fields)
-    model = dict(fields.pop("model"))
+def config_from_dict(fields: dict[str, Any]) -> PrismConfig:
+    """The configuration whose ``dataclasses.asdict`` went through JSON.
+
+    Files written before `PrismConfig` hold ``model`` among the settings of adaptation.
+    """
+    model, rest = dict(fields["model"]), dict(fields)
+    del rest["model"]
+    adapt = rest.pop("adapt") if rest.keys() == {"adapt"} else rest
     backbone = BackboneConfig(**_tuples(model.pop("backbone")))
     auxiliary = AuxiliaryConfig(**_tuples(model.pop("auxiliary")))
-    return AdaptConfig(ModelConfig(backbone, auxiliary, **model), **fields)
+    return PrismConfig(ModelConfig(backbone, auxiliary, **model), AdaptConfig(**adapt))
 
 
 def _tuples(value: Any) -> Any:
@@ -183,7 +187,7 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
 
 
 def _checked_tree(
-    arrays: dict[str, np.ndarray], config: AdaptConfig, path: pathlib.Path
+    arrays: dict[str, np.ndarray], config: PrismConfig, path: pathlib.Path
 ) -> Variables:
     """The arrays in the tree that the configuration asks for."""
     wanted = jax.eval_shape(lambda: init_variables(jax.random.key(0), config.model))

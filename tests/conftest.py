@@ -56,7 +56,7 @@ def tiny():
     """Configuration of the smallest preset."""
     from prism_jax.presets import resolve
 
-    return resolve("tiny").adapt
+    return resolve("tiny").config
 
 
 @pytest.fixture(scope="session")
@@ -102,7 +102,7 @@ def minimal():
         "level_rates=((1,),)",
         "up_factors=(2,)",
     ]
-    return resolve("tiny", [f"adapt.model.backbone.{change}" for change in changes])
+    return resolve("tiny", [f"model.backbone.{change}" for change in changes])
 
 
 @pytest.fixture(scope="session")

@@ -252,7 +252,7 @@ def test_losses_before_each_step_and_after_the_last(near, tiny):
     names = {"objective", "depth_consistency", "normal", "denoise", "align"}
     assert set(near.losses) == names
     for values in near.losses.values():
-        assert len(values) == tiny.num_steps + 1
+        assert len(values) == tiny.adapt.num_steps + 1
         assert np.isfinite(values).all()
     assert near.losses["objective"][-1] < near.losses["objective"][0]
     assert near.accepted is True

@@ -17,7 +17,7 @@ BATCH = 2
 
 @pytest.fixture(scope="module")
 def scans(minimal):
-    count = minimal.adapt.model.backbone.num_points
+    count = minimal.model.backbone.num_points
     scans = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], (BATCH, count, 3))
     return scans.astype(np.float32)
 
@@ -25,7 +25,7 @@ def scans(minimal):
 @pytest.fixture(scope="module")
 def exported(minimal, minimal_variables, tmp_path_factory):
     path = tmp_path_factory.mktemp("export") / "adapt.jaxexport"
-    path.write_bytes(export_adapt(minimal.adapt, minimal_variables, BATCH))
+    path.write_bytes(export_adapt(minimal.config, minimal_variables, BATCH))
     return path
 
 
@@ -52,10 +52,10 @@ def test_a_clean_process_gets_the_same(exported, scans, minimal, minimal_variabl
     completed = np.load(files[-1])
 
     def one(scan):
-        workspace = Workspace.from_points(scan, minimal.adapt.model.margin)
+        workspace = Workspace.from_points(scan, minimal.model.margin)
         partial = workspace.to_unit(scan)
         camera = Camera.framing(partial, workspace.to_unit(np.zeros(3, np.float32)))
-        done = make_adapt(minimal.adapt)(minimal_variables, partial, camera)
+        done = make_adapt(minimal.config)(minimal_variables, partial, camera)
         return workspace.from_unit(done.points), done.accepted
 
     expected, accepted = jax.jit(jax.vmap(one))(scans)

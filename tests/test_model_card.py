@@ -20,7 +20,7 @@ def card_of(tmp_path, minimal, minimal_variables):
 
     def card(**about) -> str:
         path = tmp_path / "weights.safetensors"
-        save_weights(path, minimal.adapt, minimal_variables, about)
+        save_weights(path, minimal.config, minimal_variables, about)
         return model_card(str(path))
 
     return card

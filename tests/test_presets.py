@@ -63,8 +63,8 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
             "adapt.num_steps=1",
             "adapt.step_size=1",
             "adapt.adapt_norm=False",
-            "adapt.model.backbone.up_factors=(1, 4)",
-            "adapt.model.auxiliary.max_offset=0.2",
+            "model.backbone.up_factors=(1, 4)",
+            "model.auxiliary.max_offset=0.2",
             "pretrain.backbone.1.num_samples=8",
             "pretrain.backbone.0.name=first",
             "pretrain.backbone.0.num_blocks=None",
@@ -93,7 +93,7 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
     [
         ("adapt.num_steps", "not a change"),
         ("adapt.steps=1", "no field 'steps'"),
-        ("model.margin=1", "no field 'model'"),
+        ("adapt.model.margin=1", "no field 'model'"),
         ("=1", "no field ''"),
         ("adapt..seed=1", "no field ''"),
         ("adapt.num_steps=1.5", "not of type int"),
@@ -108,9 +108,9 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
         ("adapt.num_steps=", "not a value"),
         ("adapt.adapt_norm=1", "not of type bool"),
         ("adapt.step_size='1'", "not of type float"),
-        ("adapt.model.backbone.up_factors=2", "not of type tuple"),
-        ("adapt.model.backbone.up_factors=(1, 2.5)", "not of type tuple"),
-        ("adapt.model.backbone.patch_points=(32,)", "not of type tuple"),
+        ("model.backbone.up_factors=2", "not of type tuple"),
+        ("model.backbone.up_factors=(1, 2.5)", "not of type tuple"),
+        ("model.backbone.patch_points=(32,)", "not of type tuple"),
         ("pretrain.backbone.1.num_blocks=all", "not a value"),
         ("pretrain.backbone.1.num_blocks='all'", "not of type int | None"),
         ("adapt=1", "not of type AdaptConfig"),
@@ -118,7 +118,7 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
         ("pretrain.backbone.5.num_samples=1", "'5'"),
         ("pretrain.backbone.first.num_samples=1", "'first'"),
         ("pretrain.backbone.0=1", "not of type PhaseConfig"),
-        ("adapt.model.backbone.up_factors.0=3.5", "not of type int"),
+        ("model.backbone.up_factors.0=3.5", "not of type int"),
     ],
 )
 def test_a_change_that_cannot_be_made(change, fault):
@@ -128,7 +128,7 @@ def test_a_change_that_cannot_be_made(change, fault):
 
 
 def test_an_item_of_a_tuple_can_be_changed():
-    changed = resolve("tiny", ["adapt.model.backbone.up_factors.1=3"])
+    changed = resolve("tiny", ["model.backbone.up_factors.1=3"])
     assert changed.model.backbone.up_factors == (1, 3)
 
 

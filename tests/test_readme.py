@@ -35,7 +35,7 @@ np.save("metres.npy", metres)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, minimal, minimal_variables):
     folder = tmp_path_factory.mktemp("readme")
-    save_weights(folder / "weights.safetensors", minimal.adapt, minimal_variables, {})
+    save_weights(folder / "weights.safetensors", minimal.config, minimal_variables, {})
     scan = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], (300, 3))
     np.save(folder / "scan.npy", scan.astype(np.float32))
     return folder

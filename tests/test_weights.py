@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.assets import asset
 from prism_jax.io.errors import InputError
 from prism_jax.presets import PRESETS
@@ -84,10 +84,17 @@ def test_samples_of_all_trainings():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_configuration_survives_json(name):
-    config = PRESETS[name].adapt
+    config = PRESETS[name].config
     fields = json.loads(json.dumps(dataclasses.asdict(config)))
     assert config_from_dict(fields) == config
-    assert isinstance(config_from_dict(fields), AdaptConfig)
+    assert isinstance(config_from_dict(fields), PrismConfig)
+
+
+def test_a_file_written_before_the_model_left_the_settings_of_adaptation(tiny):
+    config = tiny.with_adapt(num_steps=7)
+    fields = json.loads(json.dumps(dataclasses.asdict(config)))
+    before = {"model": fields["model"], **fields["adapt"]}
+    assert config_from_dict(before) == config
 
 
 def test_names_of_what_ships():
@@ -155,6 +162,9 @@ def test_no_metadata(rewritten):
         '{"model": {"backbone": [], "auxiliary": {}}}',
         '{"model": {"backbone": {"unknown": 1}, "auxiliary": {}}}',
         '{"model": {"backbone": {}, "auxiliary": {}}, "unknown": 1}',
+        '{"model": {"backbone": {}, "auxiliary": {}}, "adapt": 3}',
+        '{"model": {"backbone": {}, "auxiliary": {}}, "adapt": {"model": {}}}',
+        '{"model": {"backbone": {}, "auxiliary": {}}, "adapt": {}, "seed": 1}',
     ],
 )
 def test_a_configuration_that_is_none(rewritten, text):

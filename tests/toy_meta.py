@@ -4,13 +4,11 @@ A few numbers a module, and smooth losses in the place of Eq. 3 to 10; Eq. 11 is
 real one. What Eq. 12 asks of it is written out here as functions of all variables.
 """
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.encoder import PointFeatures
@@ -18,7 +16,7 @@ from prism_jax.models.prism import Frame, Prediction
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 from tests.trees import mean, row
 
-TOY_ADAPT = AdaptConfig(step_size=0.2, depth_weight=0.7)
+TOY = PrismConfig().with_adapt(step_size=0.2, depth_weight=0.7)
 FRAMES, POINTS = 2, 6
 
 
@@ -61,7 +59,7 @@ def toy_objective(variables, frame, config):
         ]
     )
     weighted = weighted_auxiliary(weighting["logits"], terms, weighting["scales"])
-    objective = config.depth_weight * consistency + weighted
+    objective = config.adapt.depth_weight * consistency + weighted
     return Losses(objective, consistency, *terms), made
 
 
@@ -121,31 +119,32 @@ def of_the_weighted_sum(logits, losses, scales):
     return weights * (terms - weights @ terms)
 
 
-def inner_loss(encoders, variables, frame, adapt, config):
-    depth_weight = adapt.depth_weight if config.rehearse_depth else 0.0
-    inner = dataclasses.replace(adapt, depth_weight=depth_weight)
+def inner_loss(encoders, variables, frame, config, meta):
+    depth_weight = config.adapt.depth_weight if meta.rehearse_depth else 0.0
+    inner = config.with_adapt(depth_weight=depth_weight)
     _, rest = pop_encoders(variables)
     losses, _ = toy_objective(put_encoders(encoders, rest), frame, inner)
     return losses.objective
 
 
-def toy_primary(variables, frame, complete, config):
+def toy_primary(variables, frame, complete, meta):
     made = toy_predict(variables, frame, None)
-    return toy_loss(made.stages, complete, config.norm)
+    return toy_loss(made.stages, complete, meta.norm)
 
 
-def toy_adapted(variables, frame, adapt, config):
+def toy_adapted(variables, frame, config, meta):
     encoders, rest = pop_encoders(variables)
     learned = variables["weighting"]["log_steps"]
-    for _ in range(config.num_steps):
+    for _ in range(meta.num_steps):
         whole = put_encoders(encoders, rest)
-        slope = jax.grad(inner_loss)(encoders, whole, frame, adapt, config)
-        if config.first_order:
+        slope = jax.grad(inner_loss)(encoders, whole, frame, config, meta)
+        if meta.first_order:
             slope = jax.lax.stop_gradient(slope)
         norm = sum((leaf**2).sum() for leaf in jax.tree.leaves(slope)) ** 0.5
-        share = jnp.minimum(1.0, adapt.clip_norm / norm) if adapt.clip_norm else 1.0
+        bound, size = config.adapt.clip_norm, config.adapt.step_size
+        size = size * jnp.minimum(1.0, bound / norm) if bound else size
         encoders = jax.tree.map(
-            lambda p, g, s, share=share: p - adapt.step_size * jnp.exp(s) * share * g,
+            lambda p, g, s, size=size: p - size * jnp.exp(s) * g,
             encoders,
             slope,
             learned,
@@ -153,43 +152,43 @@ def toy_adapted(variables, frame, adapt, config):
     return put_encoders(encoders, rest)
 
 
-def eq_12(variables, frame, complete, adapt, config):
+def eq_12(variables, frame, complete, config, meta):
     """Eq. 12 without its auxiliary term, as one function of all variables; the decoder
     has no part in the inner loop's derivative, nor in the zero-step term's."""
     held = variables
-    if config.num_steps:
+    if meta.num_steps:
         decoder = jax.lax.stop_gradient(variables["params"]["decoder"])
         held = {**variables, "params": {**variables["params"], "decoder": decoder}}
-    adapted = toy_adapted(held, frame, adapt, config)
+    adapted = toy_adapted(held, frame, config, meta)
     params = {**adapted["params"], "decoder": variables["params"]["decoder"]}
-    end = toy_primary({**adapted, "params": params}, frame, complete, config)
-    start = toy_primary(held, frame, complete, config)
-    return (1 - config.beta_0) * end + config.beta_0 * start
+    end = toy_primary({**adapted, "params": params}, frame, complete, meta)
+    start = toy_primary(held, frame, complete, meta)
+    return (1 - meta.beta_0) * end + meta.beta_0 * start
 
 
-def eq_3(refiner, variables, frame, complete, adapt, config):
-    adapted = toy_adapted(variables, frame, adapt, config)
+def eq_3(refiner, variables, frame, complete, config, meta):
+    adapted = toy_adapted(variables, frame, config, meta)
     params = {**adapted["params"], "refiner": refiner}
     made = toy_predict({**adapted, "params": params}, frame, None)
     return toy_depth(made.points, complete, frame.view)
 
 
-def expected_gradients(toy, adapt, config):
+def expected_gradients(toy, config, meta):
     variables, frames, complete = toy
 
     def of_frame(frame, complete):
         encoders, _ = pop_encoders(variables)
-        refiner, settings = variables["params"]["refiner"], (adapt, config)
+        refiner, settings = variables["params"]["refiner"], (config, meta)
         return (
             jax.grad(eq_12)(variables, frame, complete, *settings),
             jax.grad(eq_3)(refiner, variables, frame, complete, *settings),
             jax.grad(inner_loss)(encoders, variables, frame, *settings),
-            toy_objective(variables, frame, adapt)[0],
+            toy_objective(variables, frame, config)[0],
         )
 
     parts = [of_frame(row(frames, i), complete[i]) for i in range(FRAMES)]
     whole, refiner, auxiliary, losses = jax.device_get(mean(parts))
-    factor = (1 - config.beta_0) * config.lambda_aux
+    factor = (1 - meta.beta_0) * meta.lambda_aux
     params = {
         name: jax.tree.map(
             lambda g, a: g + factor * a, whole["params"][name], auxiliary[name]
@@ -197,14 +196,14 @@ def expected_gradients(toy, adapt, config):
         for name in ENCODERS
     }
     params["decoder"] = whole["params"]["decoder"]
-    if config.learn_auxiliary:
+    if meta.learn_auxiliary:
         params["auxiliary"] = whole["params"]["auxiliary"]
-    if config.learn_refiner:
+    if meta.learn_refiner:
         params["refiner"] = refiner
     own = jax.device_get(variables["weighting"])
     weighting = {"logits": whole["weighting"]["logits"]}
-    if config.weight_rule == "auxiliary":
+    if meta.weight_rule == "auxiliary":
         weighting["logits"] = of_the_weighted_sum(own["logits"], losses, own["scales"])
-    if config.learn_steps:
+    if meta.learn_steps:
         weighting["log_steps"] = whole["weighting"]["log_steps"]
     return {"params": params, "weighting": weighting}

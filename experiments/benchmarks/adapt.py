@@ -1,6 +1,5 @@
 """Test-time adaptation against a plain completion of the same weights."""
 
-import dataclasses
 from collections.abc import Iterator
 
 import jax
@@ -24,7 +23,7 @@ def suite(weights: str = "small") -> Iterator[Row]:
     config, variables = load_pretrained(located(weights))
 
     def compiled(num_steps: int, batch: int) -> Compiled:
-        adapt = make_adapt(dataclasses.replace(config, num_steps=num_steps))
+        adapt = make_adapt(config.with_adapt(num_steps=num_steps))
         frames = _frames(batch, config.model.backbone.num_points)
         return Compiled(jax.vmap(adapt, (None, 0, 0)), variables, *frames)
 

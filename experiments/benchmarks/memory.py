@@ -29,8 +29,8 @@ def suite(preset: str = "paper") -> Iterator[Row]:
             backbone_leg(variables, backbone, phase, settings.pretrain)
             for phase in settings.pretrain.backbone
         ),
-        auxiliary_leg(variables, settings.adapt, settings.pretrain, 0),
-        meta_leg(variables, settings.adapt, settings.meta, 0),
+        auxiliary_leg(variables, settings.config, settings.pretrain, 0),
+        meta_leg(variables, settings.config, settings.meta, 0),
     ]
     for leg in legs:
         name = f"{preset}, {leg.name}, step of {leg.batch_size}"

@@ -50,7 +50,7 @@ def suite(preset: str = "small") -> Iterator[Row]:
         yield row(name, times, peer, wanted, 1.0, **step.costs)
         yield row(name, times, "its operations, as a product", [best * step.flops])
     assert step is not None
-    meta = _step(meta_leg(variables, settings.adapt, settings.meta, 0), batch)
+    meta = _step(meta_leg(variables, settings.config, settings.meta, 0), batch)
     ours, theirs = in_turn(meta, step, seconds=30.0)
     name = f"{preset}, meta-step of {settings.meta.batch_size} samples"
     yield row(

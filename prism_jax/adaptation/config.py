@@ -1,7 +1,7 @@
 """Settings of test-time adaptation and of the meta-objective."""
 
 import dataclasses
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from prism_jax.losses.chamfer import ChamferNorm
 from prism_jax.models.config import ModelConfig
@@ -18,7 +18,6 @@ class AdaptConfig:
     """Eq. 13 with the paper's values where it gives them.
 
     Attributes:
-      model: the networks.
       num_steps: gradient steps per frame, K_TTA.
       step_size: of plain SGD, alpha_TTA; learned steps are multiples of it.
       clip_norm: bound on the global norm of the gradient of a step; 0 for none. One
@@ -36,7 +35,6 @@ class AdaptConfig:
       seed: of the perturbation A of Eq. 6.
     """
 
-    model: ModelConfig = dataclasses.field(default_factory=ModelConfig)
     num_steps: int = 3
     step_size: float = 1e-3
     clip_norm: float = 0.0
@@ -50,6 +48,19 @@ class AdaptConfig:
     transport_epsilon: float = 0.05
     adapt_norm: bool = True
     seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class PrismConfig:
+    """What weights are used with: the networks, and how they adapt to a frame."""
+
+    model: ModelConfig = dataclasses.field(default_factory=ModelConfig)
+    adapt: AdaptConfig = dataclasses.field(default_factory=AdaptConfig)
+
+    def with_adapt(self, **changes: Any) -> "PrismConfig":
+        """The same networks with other settings of adaptation."""
+        adapt = dataclasses.replace(self.adapt, **changes)
+        return dataclasses.replace(self, adapt=adapt)
 
 
 @dataclasses.dataclass(frozen=True)

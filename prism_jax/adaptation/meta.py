@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from prism_jax.adaptation.config import AdaptConfig, MetaConfig
+from prism_jax.adaptation.config import MetaConfig, PrismConfig
 from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.losses.depth import depth_supervised
@@ -56,8 +56,8 @@ def meta_gradients(
     variables: Variables,
     frames: Frame,
     complete: Float[Array, "B M 3"],
-    adapt: AdaptConfig,
-    config: MetaConfig,
+    config: PrismConfig,
+    meta: MetaConfig,
 ) -> tuple[Variables, MetaTerms]:
     """Gradients of Eq. 12 over a batch of frames, each to the leaf that it is for.
 
@@ -78,21 +78,21 @@ def meta_gradients(
     `complete` is in farthest-point order. BatchNorm statistics are read as they are,
     as at test time.
     """
-    by_primary = dataclasses.replace(config, learn_refiner=False)
+    by_primary = dataclasses.replace(meta, learn_refiner=False)
     moving = learned_part(variables, by_primary)
 
     def loss_fn(moving: Variables):
-        return _primary_terms(moving, variables, frames, complete, adapt, config)
+        return _primary_terms(moving, variables, frames, complete, config, meta)
 
     grads, (terms, auxiliary, refiner) = jax.grad(loss_fn, has_aux=True)(moving)
     params, weighting = grads["params"], grads["weighting"]
-    if config.learn_refiner:
+    if meta.learn_refiner:
         params["refiner"] = refiner
-    if config.lambda_aux:
-        factor = (1.0 - config.beta_0) * config.lambda_aux
+    if meta.lambda_aux:
+        factor = (1.0 - meta.beta_0) * meta.lambda_aux
         for name, tree in auxiliary.items():
             params[name] = jax.tree.map(lambda g, a: g + factor * a, params[name], tree)
-    if config.weight_rule == "auxiliary":
+    if meta.weight_rule == "auxiliary":
         own = variables["weighting"]
         weighting["logits"] = jax.grad(weighted_auxiliary)(
             own["logits"], _three(terms.losses), own["scales"]
@@ -105,8 +105,8 @@ def _primary_terms(
     variables: Variables,
     frames: Frame,
     complete: Float[Array, "B M 3"],
-    adapt: AdaptConfig,
-    config: MetaConfig,
+    config: PrismConfig,
+    meta: MetaConfig,
 ) -> tuple[Float[Array, ""], tuple[MetaTerms, Variables, Variables]]:
     """The primary terms of Eq. 12, differentiable in ``moving``.
 
@@ -116,29 +116,29 @@ def _primary_terms(
     variables = put_learned(moving, variables)
 
     def primary(stages: tuple[Array, ...], complete: Array) -> Array:
-        return primary_loss(stages, complete, config.norm)
+        return primary_loss(stages, complete, meta.norm)
 
     def one(frame: Frame, complete: Array):
-        found = episode(variables, frame, adapt, config)
+        found = episode(variables, frame, config, meta)
         return found, primary(found.before, complete)
 
     def decoded(encoded: PointFeatures) -> Prediction:
-        return completed(variables, frames, encoded, adapt.model)
+        return completed(variables, frames, encoded, config.model)
 
-    if config.remat:
+    if meta.remat:
         decoded = jax.checkpoint(decoded)
-    if config.num_steps:
+    if meta.num_steps:
         held = jax.lax.stop_gradient(variables)
-        frames = jax.vmap(lambda f: hold_decoding(held, f, adapt.model))(frames)
+        frames = jax.vmap(lambda f: hold_decoding(held, f, config.model))(frames)
     episodes, zero_step = jax.vmap(one)(frames, complete)
     # All frames share the decoder: as one batch, its derivative is one product.
     after = decoded(episodes.encoded)
     adapted = jax.vmap(primary)(after.stages, complete).mean()
-    zero_step = zero_step.mean() if config.num_steps else adapted
+    zero_step = zero_step.mean() if meta.num_steps else adapted
     refined, refiner = jax.value_and_grad(_refined)(
-        variables["params"]["refiner"], after, frames, complete, adapt
+        variables["params"]["refiner"], after, frames, complete, config
     )
-    loss = (1.0 - config.beta_0) * adapted + config.beta_0 * zero_step
+    loss = (1.0 - meta.beta_0) * adapted + meta.beta_0 * zero_step
     losses, auxiliary = _mean((episodes.losses, episodes.auxiliary))
     terms = MetaTerms(adapted, zero_step, losses, refined)
     return loss, jax.lax.stop_gradient((terms, auxiliary, refiner))
@@ -161,14 +161,12 @@ class Episode(NamedTuple):
 
 
 def episode(
-    variables: Variables, frame: Frame, adapt: AdaptConfig, config: MetaConfig
+    variables: Variables, frame: Frame, config: PrismConfig, meta: MetaConfig
 ) -> Episode:
     """One frame's inner loop, which holds the decoder."""
     encoders, rest = pop_encoders(variables)
     held = _hold_decoder(rest)
-    inner = adapt
-    if not config.rehearse_depth:
-        inner = dataclasses.replace(adapt, depth_weight=0.0)
+    inner = config if meta.rehearse_depth else config.with_adapt(depth_weight=0.0)
 
     def objective(encoders: Variables):
         losses, prediction = test_time_objective(
@@ -177,30 +175,30 @@ def episode(
         return losses.objective, (losses, prediction.stages)
 
     def encoded(encoders: Variables) -> PointFeatures:
-        return encode(put_encoders(encoders, rest), frame, adapt.model)
+        return encode(put_encoders(encoders, rest), frame, config.model)
 
-    if config.remat:
+    if meta.remat:
         objective, encoded = jax.checkpoint(objective), jax.checkpoint(encoded)
-    sizes = step_sizes(variables, adapt)
+    sizes = step_sizes(variables, config.adapt)
     (_, (losses, before)), auxiliary = jax.value_and_grad(objective, has_aux=True)(
         encoders
     )
-    if config.num_steps:
-        how = (config.first_order, adapt.clip_norm)
+    if meta.num_steps:
+        how = (meta.first_order, config.adapt.clip_norm)
         encoders = descend(encoders, auxiliary, sizes, *how)
-        if config.num_steps > 1:
-            encoders, _ = unroll(objective, encoders, sizes, config.num_steps - 1, *how)
+        if meta.num_steps > 1:
+            encoders, _ = unroll(objective, encoders, sizes, meta.num_steps - 1, *how)
     return Episode(encoded(encoders), before, losses, auxiliary)
 
 
-def learned_part(variables: Variables, config: MetaConfig) -> Variables:
+def learned_part(variables: Variables, meta: MetaConfig) -> Variables:
     """What a meta-step learns: the part of the variables that has gradients."""
     modules, weights = [*ENCODERS, "decoder"], ["logits"]
-    if config.learn_auxiliary:
+    if meta.learn_auxiliary:
         modules.append("auxiliary")
-    if config.learn_refiner:
+    if meta.learn_refiner:
         modules.append("refiner")
-    if config.learn_steps:
+    if meta.learn_steps:
         weights.append("log_steps")
     return {
         "params": {name: variables["params"][name] for name in modules},
@@ -232,11 +230,11 @@ def _refined(
     after: Prediction,
     frames: Frame,
     complete: Float[Array, "B M 3"],
-    adapt: AdaptConfig,
+    config: PrismConfig,
 ) -> Float[Array, ""]:
     after = jax.lax.stop_gradient(after)
     own = {"params": {"refiner": refiner}, "batch_stats": {}}
-    points = refine(own, after, adapt.model)
+    points = refine(own, after, config.model)
     return jax.vmap(depth_supervised)(points, complete, frames.view).mean()
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
 from prism_jax.losses.depth import depth_error
@@ -60,7 +60,7 @@ def auxiliary_losses(
 
 
 def test_time_objective(
-    variables: Variables, frame: Frame, config: AdaptConfig
+    variables: Variables, frame: Frame, config: PrismConfig
 ) -> tuple[Losses, Prediction]:
     """L_TTA of Eq. 13, its terms, and the prediction that they judge.
 
@@ -70,7 +70,7 @@ def test_time_objective(
     prediction = predict(variables, frame, config.model)
     depth_features = read_depth(variables, frame, config.model)
     seen = branches(variables, frame, prediction, depth_features, config.model)
-    auxiliary = auxiliary_losses(frame, prediction, seen, config)
+    auxiliary = auxiliary_losses(frame, prediction, seen, config.adapt)
     consistency = depth_error(
         prediction.points, frame.reference, frame.reference_mask, frame.view
     )
@@ -78,5 +78,5 @@ def test_time_objective(
     weighted = weighted_auxiliary(
         weighting["logits"], jnp.stack(auxiliary), weighting["scales"]
     )
-    objective = config.depth_weight * consistency + weighted
+    objective = config.adapt.depth_weight * consistency + weighted
     return Losses(objective, consistency, *auxiliary), prediction

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.inner_loop import step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
@@ -44,7 +44,7 @@ class Completion(NamedTuple):
 AdaptFn = Callable[[Variables, Array, Camera], Completion]
 
 
-def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
+def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
     """The adaptation function of a configuration.
 
     The function takes variables (`prism_jax.load_pretrained`), a partial cloud of
@@ -62,14 +62,15 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
     and ``accepted`` is False. With ``num_steps=0`` nothing is adapted.
     """
 
+    settings = config.adapt
+
     def adapt(
         variables: Variables, partial: Float[Array, "N 3"], camera: Camera
     ) -> Completion:
         _check(partial, config)
-        frame = prepare_frame(
-            partial, camera, jax.random.key(config.seed), config.model
-        )
-        if config.num_steps:
+        key = jax.random.key(settings.seed)
+        frame = prepare_frame(partial, camera, key, config.model)
+        if settings.num_steps:
             frame = hold_decoding(variables, frame, config.model)
         encoders, rest = pop_encoders(variables)
 
@@ -82,7 +83,7 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
             return losses.objective, (losses, prediction.points)
 
         weights = loss_weights(variables["weighting"]["logits"])
-        if config.num_steps == 0:
+        if settings.num_steps == 0:
             _, (losses, points) = loss_fn(encoders)
             losses = jax.tree.map(lambda loss: loss[None], losses)
             refused = jnp.zeros((), bool)
@@ -90,9 +91,9 @@ def make_adapt(config: AdaptConfig = AdaptConfig()) -> AdaptFn:
         adapted, (_, (before, points)) = unroll(
             loss_fn,
             encoders,
-            step_sizes(variables, config),
-            config.num_steps,
-            clip_norm=config.clip_norm,
+            step_sizes(variables, settings),
+            settings.num_steps,
+            clip_norm=settings.clip_norm,
         )
         _, (after, last) = loss_fn(adapted)
         losses = jax.tree.map(
@@ -117,7 +118,7 @@ def _improved(losses: Losses) -> Bool[Array, ""]:
     return finite & (losses.objective[-1] <= losses.objective[0])
 
 
-def _check(partial: Array, config: AdaptConfig) -> None:
+def _check(partial: Array, config: PrismConfig) -> None:
     wanted = config.model.backbone.num_points
     if partial.ndim != 2 or partial.shape[0] != wanted:
         raise ValueError(

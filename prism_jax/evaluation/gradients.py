@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import test_time_objective
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import with_partial
@@ -48,7 +48,7 @@ NUM_COMPLETE = 2048
 
 
 def agreement(
-    config: AdaptConfig,
+    config: PrismConfig,
     variables: Variables,
     source: Source,
     protocol: Protocol,
@@ -61,9 +61,10 @@ def agreement(
     Of every example's own completion, with the samples and neighbours of the decoder
     held as adaptation holds them: ``mean`` over examples, its 95 % bootstrap
     ``interval`` over objects, and the share that is ``positive``. A step has the length
-    ``config.step_size``; ``change`` is the mean share by which it raises the error, and
-    ``change_interval`` the same bootstrap of it. `ORACLE` steps against the error's own
-    gradient. Where a loss has no gradient, its cosine counts as 0 and nothing moves.
+    ``config.adapt.step_size``; ``change`` is the mean share by which it raises the
+    error, and ``change_interval`` the same bootstrap of it. `ORACLE` steps against the
+    error's own gradient. Where a loss has no gradient, its cosine counts as 0 and
+    nothing moves.
     """
     count = len(source) if limit is None else min(limit, len(source))
     size = min(batch_size, count)
@@ -85,7 +86,7 @@ def agreement(
         "num_examples": count,
         "num_objects": int(objects[-1]) + 1,
         "error": ERROR,
-        "step_length": config.step_size,
+        "step_length": config.adapt.step_size,
         "losses": {
             name: {
                 "mean": float(means[0, i]),
@@ -112,7 +113,7 @@ def _framed(
 
 
 def gradients_followed(
-    config: AdaptConfig,
+    config: PrismConfig,
 ) -> Callable[[Variables, Array, Array, Array, Array], Float[Array, "2 L"]]:
     """A pure function of variables, partial (N, 3), eye (3,), complete (M, 3), all in
     the unit workspace, and a key that chooses what is hidden; to the cosines of
@@ -121,7 +122,7 @@ def gradients_followed(
 
     def prepared(variables: Variables, partial: Array, eye: Array) -> Frame:
         camera = observe(partial, eye, Workspace.unit()).camera
-        key = jax.random.key(config.seed)
+        key = jax.random.key(config.adapt.seed)
         frame = prepare_frame(partial, camera, key, config.model)
         return hold_decoding(variables, frame, config.model)
 
@@ -158,7 +159,9 @@ def gradients_followed(
             own = {**variables, "params": {**params, "point_encoder": encoder}}
             return chamfer(predict(own, frame, config.model).points, complete)
 
-        moved = jax.lax.map(lambda unit: error(start - config.step_size * unit), units)
+        moved = jax.lax.map(
+            lambda unit: error(start - config.adapt.step_size * unit), units
+        )
         return jnp.stack([units @ units[-1], moved / error(start) - 1])
 
     return followed

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import with_partial
@@ -41,7 +41,7 @@ output without adaptation, and ``accepted`` (B,), whether it was adapted, may be
 Jitted functions and plain ones will do."""
 
 
-def prism_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
+def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     """PRISM with its test-time adaptation, jitted; compiled for each size of a batch.
 
     With ``num_steps=0`` there is the output alone.
@@ -51,7 +51,7 @@ def prism_completer(config: AdaptConfig, variables: Variables) -> CompleteFn:
     def one(variables: Variables, partial: Array, eye: Array):
         camera = observe(partial, eye, Workspace.unit()).camera
         done = adapt(variables, partial, camera)
-        if config.num_steps == 0:
+        if config.adapt.num_steps == 0:
             return {"output": done.points}
         return {
             "output": done.points,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import auxiliary_losses
 from prism_jax.data.pipeline import Batch
 from prism_jax.losses.alignment import manifold_matching, transport_alignment
@@ -35,13 +35,13 @@ TRAINED = ("refiner", "depth_encoder", "auxiliary")
 
 
 def auxiliary_leg(
-    variables: Variables, adapt: AdaptConfig, config: PretrainConfig, seed: int
+    variables: Variables, config: PrismConfig, training: PretrainConfig, seed: int
 ) -> Leg:
     """Everything but the backbone, on the losses of Eq. 3, 5, 6 and 9."""
-    num_steps = steps_of("auxiliary", config.auxiliary_samples, config.batch_size)
+    num_steps = steps_of("auxiliary", training.auxiliary_samples, training.batch_size)
     optimiser = optax.partition(
         {
-            name: adam(config.auxiliary_rate, num_steps, 0.01, config)
+            name: adam(training.auxiliary_rate, num_steps, 0.01, training)
             for name in ("refiner", "branches")
         },
         {name: "refiner" if name == "refiner" else "branches" for name in TRAINED},
@@ -51,28 +51,28 @@ def auxiliary_leg(
     key = jax.random.key(seed)
     return Leg(
         "auxiliary",
-        config.auxiliary_samples,
-        config.batch_size,
-        config.num_complete,
+        training.auxiliary_samples,
+        training.batch_size,
+        training.num_complete,
         start,
-        _step(adapt, optimiser, key),
-        _validation(adapt, key),
+        _step(config, optimiser, key),
+        _validation(config, key),
         ("refined", "normal", "denoise", "align"),
         ("unrefined", "refined", "losses"),
     )
 
 
-def _step(adapt: AdaptConfig, optimiser, key: PRNGKeyArray):
+def _step(config: PrismConfig, optimiser, key: PRNGKeyArray):
     def loss_fn(trained, variables, batch, key):
         variables = {**variables, "params": {**variables["params"], **trained}}
-        frames = frames_of(batch, _keys(key, batch), adapt)
+        frames = frames_of(batch, _keys(key, batch), config.model)
         depth_features, statistics = apply_training(
-            DepthEncoder(adapt.model.auxiliary),
+            DepthEncoder(config.model.auxiliary),
             part(variables, "depth_encoder"),
             frames.depth,
             frames.depth_mask,
         )
-        terms, measured, _ = _terms(variables, frames, depth_features, batch, adapt)
+        terms, measured, _ = _terms(variables, frames, depth_features, batch, config)
         return terms.sum(), (terms, measured.mean(0), statistics)
 
     @jax.jit
@@ -96,17 +96,17 @@ def _step(adapt: AdaptConfig, optimiser, key: PRNGKeyArray):
     return step
 
 
-def _validation(adapt: AdaptConfig, key: PRNGKeyArray):
+def _validation(config: PrismConfig, key: PRNGKeyArray):
     """CD-L2 before and after the refiner, and the sum of the leg's losses, that of the
     whole batch: Eq. 7 looks at all of its tokens."""
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        frames = frames_of(batch, _keys(key, batch), adapt)
-        depth_features = jax.vmap(lambda f: read_depth(variables, f, adapt.model))(
+        frames = frames_of(batch, _keys(key, batch), config.model)
+        depth_features = jax.vmap(lambda f: read_depth(variables, f, config.model))(
             frames
         )
-        terms, _, predictions = _terms(variables, frames, depth_features, batch, adapt)
+        terms, _, predictions = _terms(variables, frames, depth_features, batch, config)
         complete = jnp.asarray(batch.complete)
         scale = jnp.asarray(batch.scale) ** 2
         clouds = (predictions.stages[-1], predictions.points)
@@ -126,7 +126,7 @@ def _terms(
     frames: Frame,
     depth_features: DepthFeatures,
     batch: Batch,
-    adapt: AdaptConfig,
+    config: PrismConfig,
 ) -> tuple[Float[Array, "4"], Float[Array, "B 3"], Prediction]:
     """Losses of refiner, normals, denoising and alignment; L_aux frame by frame.
 
@@ -134,14 +134,14 @@ def _terms(
     """
 
     def one(frame: Frame, features: DepthFeatures, complete: Array):
-        prediction = predict(variables, frame, adapt.model)
+        prediction = predict(variables, frame, config.model)
         refined = depth_supervised(prediction.points, complete, frame.view)
         fixed = prediction._replace(points=jax.lax.stop_gradient(prediction.points))
-        seen = branches(variables, frame, fixed, features, adapt.model)
+        seen = branches(variables, frame, fixed, features, config.model)
         seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))
-        auxiliary = auxiliary_losses(frame, fixed, seen, adapt)
+        auxiliary = auxiliary_losses(frame, fixed, seen, config.adapt)
         transport = transport_alignment(
-            seen.tokens_3d, seen.tokens_depth, adapt.transport_epsilon
+            seen.tokens_3d, seen.tokens_depth, config.adapt.transport_epsilon
         )
         return refined, jnp.stack(auxiliary), transport, seen, prediction
 
@@ -149,13 +149,13 @@ def _terms(
     refined, auxiliary, transport, seen, predictions = jax.vmap(one)(
         frames, depth_features, complete
     )
-    width = adapt.model.auxiliary.token_features
+    width = config.model.auxiliary.token_features
     matching = manifold_matching(
         seen.tokens_3d.reshape(-1, width),
         seen.tokens_depth.reshape(-1, width),
-        adapt.lambda_sigma,
+        config.adapt.lambda_sigma,
     )
-    align = matching + adapt.lambda_transport * transport.mean()
+    align = matching + config.adapt.lambda_transport * transport.mean()
     normal, denoise, _ = auxiliary.mean(0)
     terms = jnp.stack([refined.mean(), normal, denoise, align])
     return terms, jax.lax.stop_gradient(auxiliary), predictions

@@ -9,7 +9,7 @@ import optax
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from prism_jax.adaptation.config import BRANCHES, AdaptConfig
+from prism_jax.adaptation.config import BRANCHES, PrismConfig
 from prism_jax.adaptation.meta import (
     MetaTerms,
     learned_part,
@@ -48,7 +48,7 @@ SCORES = ("unadapted", "accepted", "adapted")
 
 
 def meta_leg(
-    variables: Variables, adapt: AdaptConfig, config: MetaTrainConfig, seed: int
+    variables: Variables, config: PrismConfig, training: MetaTrainConfig, seed: int
 ) -> Leg:
     """Episodes from these variables on (Eq. 11, 12).
 
@@ -58,33 +58,33 @@ def meta_leg(
     left had not settled. The score is CD-L2 of the completion after test-time
     adaptation, in the unit of the scores (`Batch.scale`).
     """
-    check_meta(config)
-    optimiser = _optimiser(config)
-    counts = jnp.array([name in config.method.branches for name in BRANCHES])
+    check_meta(training)
+    optimiser = _optimiser(training)
+    counts = jnp.array([name in training.method.branches for name in BRANCHES])
     logits = jnp.where(counts, variables["weighting"]["logits"], -jnp.inf)
     scales = jnp.zeros(len(BRANCHES))
     weighting = {**variables["weighting"], "logits": logits, "scales": scales}
     variables = {**variables, "weighting": weighting}
-    learned = learned_part(variables, config.method)
-    average = variables if config.average_decay else None
+    learned = learned_part(variables, training.method)
+    average = variables if training.average_decay else None
     key = jax.random.key(seed)
     return Leg(
         "meta",
-        config.num_samples,
-        config.batch_size,
-        config.num_complete,
+        training.num_samples,
+        training.batch_size,
+        training.num_complete,
         TrainState(jnp.int32(0), variables, optimiser.init(learned), average),
-        _step(adapt, config, optimiser, key),
-        _validation(adapt),
+        _step(config, training, optimiser, key),
+        _validation(config),
         TERMS,
         SCORES,
     )
 
 
-def check_meta(config: MetaTrainConfig) -> None:
+def check_meta(training: MetaTrainConfig) -> None:
     """Raises InputError for settings under which something would not be learned."""
-    steps_of("meta", config.num_samples, config.batch_size)
-    method = config.method
+    steps_of("meta", training.num_samples, training.batch_size)
+    method = training.method
     if not method.branches:
         fault = "no branch counts, and the weights of none have no sum"
         raise InputError("meta.method.branches", fault, f"name some of {BRANCHES}")
@@ -98,31 +98,31 @@ def check_meta(config: MetaTrainConfig) -> None:
             raise InputError("meta.method.first_order", fault, "leave one of them out")
 
 
-def _optimiser(config: MetaTrainConfig) -> optax.GradientTransformation:
+def _optimiser(training: MetaTrainConfig) -> optax.GradientTransformation:
     """One for each kind of parameter, by its place in `learned_part`."""
-    num_steps = steps_of("meta", config.num_samples, config.batch_size)
-    make = {"sgd": optax.sgd, "adam": optax.adam}[config.optimiser]
+    num_steps = steps_of("meta", training.num_samples, training.batch_size)
+    make = {"sgd": optax.sgd, "adam": optax.adam}[training.optimiser]
 
     def rate(peak: float) -> optax.Schedule:
         return optax.warmup_cosine_decay_schedule(
-            0.0 if config.warmup_steps else peak,
+            0.0 if training.warmup_steps else peak,
             peak,
-            min(config.warmup_steps, num_steps // 2),
+            min(training.warmup_steps, num_steps // 2),
             num_steps,
-            config.final_rate * peak,
+            training.final_rate * peak,
         )
 
     def network(peak: float) -> optax.GradientTransformation:
-        clip = optax.clip_by_global_norm(config.clip_norm or jnp.inf)
+        clip = optax.clip_by_global_norm(training.clip_norm or jnp.inf)
         return optax.chain(clip, make(rate(peak)))
 
     return optax.partition(
         {
-            "backbone": network(config.learning_rate),
-            "auxiliary": network(config.auxiliary_rate),
-            "refiner": network(config.refiner_rate),
-            "logits": make(config.weight_rate),
-            "log_steps": optax.adam(config.step_rate),
+            "backbone": network(training.learning_rate),
+            "auxiliary": network(training.auxiliary_rate),
+            "refiner": network(training.refiner_rate),
+            "logits": make(training.weight_rate),
+            "log_steps": optax.adam(training.step_rate),
         },
         lambda learned: {
             "params": {
@@ -135,25 +135,25 @@ def _optimiser(config: MetaTrainConfig) -> optax.GradientTransformation:
 
 
 def _step(
-    adapt: AdaptConfig,
-    config: MetaTrainConfig,
+    config: PrismConfig,
+    training: MetaTrainConfig,
     optimiser: optax.GradientTransformation,
     key: PRNGKeyArray,
 ) -> Callable[[TrainState, Batch], tuple[TrainState, Float[Array, " L"]]]:
-    method = config.method
+    method = training.method
 
     def gradients(variables: Variables, batch: Batch, key: PRNGKeyArray):
         # All alike, whatever the devices.
-        frames = frames_of(batch, key, adapt)
+        frames = frames_of(batch, key, config.model)
         complete = jnp.asarray(batch.complete)
-        return meta_gradients(variables, frames, complete, adapt, method)
+        return meta_gradients(variables, frames, complete, config, method)
 
     def device_step(state: TrainState, batch: Batch):
         """What every device does with its share, and then with the mean of all."""
         variables = state.variables
         now = jax.random.fold_in(key, state.step)
         found = _in_parts(
-            lambda part: gradients(variables, part, now), batch, config.at_once
+            lambda part: gradients(variables, part, now), batch, training.at_once
         )
         grads, terms = jax.lax.pmean(found, DATA)
         learned = learned_part(variables, method)
@@ -162,7 +162,7 @@ def _step(
         scales = measured_scales(variables, terms)
         variables = put_learned(moved, variables)
         variables["weighting"]["scales"] = scales
-        average = _averaged(state.average, variables, config.average_decay)
+        average = _averaged(state.average, variables, training.average_decay)
         state = TrainState(state.step + 1, variables, opt_state, average)
         return state, _measured(terms, variables)
 
@@ -215,10 +215,10 @@ def _measured(terms: MetaTerms, variables: Variables) -> Float[Array, " L"]:
 
 
 def _validation(
-    adapt: AdaptConfig,
+    config: PrismConfig,
 ) -> Callable[[Variables, Batch], Float[Array, "B S"]]:
     """CD-L2 without and with adaptation, and whether that was accepted."""
-    complete_frame = make_adapt(adapt)
+    complete_frame = make_adapt(config)
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):

@@ -56,7 +56,7 @@ def pretrain(
     fresh = init_auxiliary(auxiliary_key, variables, preset.model)
     if not config.auxiliary_samples:
         return fresh
-    leg = auxiliary_leg(fresh, preset.adapt, config, seed)
+    leg = auxiliary_leg(fresh, preset.config, config, seed)
     trained = train_leg(leg, data, folder, max_steps, tensorboard)
     return _better_refiner(leg, data, trained.best, fresh) if trained.done else None
 

@@ -1,7 +1,6 @@
 """The meta-objective, Eq. 12, in double precision, against finite differences on the
 smallest network."""
 
-import dataclasses
 import functools
 import types
 
@@ -54,19 +53,19 @@ BETA, LAMBDA = 0.3, 10.0
 
 
 @pytest.fixture(scope="module")
-def adapt(minimal):
-    return dataclasses.replace(minimal.adapt, **SMOOTH)
+def config(minimal):
+    return minimal.config.with_adapt(**SMOOTH)
 
 
 @pytest.fixture(scope="module")
-def frames(adapt, variables, tiny_frames, quick_jit, double):
+def frames(config, variables, tiny_frames, quick_jit, double):
     """Their decoding held, as an episode holds it."""
 
     @quick_jit
     def prepare(partial, camera):
-        key = jax.random.key(adapt.seed)
-        frame = prepare_frame(partial, camera, key, adapt.model)
-        return hold_decoding(variables, frame, adapt.model)
+        key = jax.random.key(config.adapt.seed)
+        frame = prepare_frame(partial, camera, key, config.model)
+        return hold_decoding(variables, frame, config.model)
 
     made = [prepare(*row(as_double(tiny_frames), i)) for i in range(FRAMES)]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
@@ -90,7 +89,7 @@ def variables(minimal_variables, double):
 
 
 @pytest.fixture(scope="module")
-def look(adapt, frames, complete, quick_jit):
+def look(config, frames, complete, quick_jit):
     """``look(variables, i, rehearse)``: all that frame i tells to first order."""
 
     @quick_jit
@@ -100,7 +99,7 @@ def look(adapt, frames, complete, quick_jit):
         weighting = variables["weighting"]
 
         def inner(encoders):
-            losses, _ = objective(put_encoders(encoders, rest), frame, adapt)
+            losses, _ = objective(put_encoders(encoders, rest), frame, config)
             terms = jnp.stack([losses.normal, losses.denoise, losses.align])
             weighted = weighted_auxiliary(
                 weighting["logits"], terms, weighting["scales"]
@@ -111,11 +110,11 @@ def look(adapt, frames, complete, quick_jit):
             return {**variables, "params": {**variables["params"], **changed}}
 
         def primary(moving):
-            made = predict(with_params(moving), frame, adapt.model)
+            made = predict(with_params(moving), frame, config.model)
             return primary_loss(made.stages, complete, "l1")
 
         def refined(refiner):
-            made = predict(with_params({"refiner": refiner}), frame, adapt.model)
+            made = predict(with_params({"refiner": refiner}), frame, config.model)
             return depth_supervised(made.points, complete, frame.view)
 
         moving = {**encoders, "decoder": variables["params"]["decoder"]}
@@ -132,27 +131,27 @@ def look(adapt, frames, complete, quick_jit):
         }
 
     def seen(variables, i, rehearse):
-        weight = jnp.float64(adapt.depth_weight if rehearse else 0.0)
+        weight = jnp.float64(config.adapt.depth_weight if rehearse else 0.0)
         found = compiled(variables, row(frames, i), complete[i], weight)
         return types.SimpleNamespace(**jax.device_get(found))
 
     return seen
 
 
-def one_step(look, variables, i, adapt):
+def one_step(look, variables, i, config):
     """The variables with the encoders that frame i adapts."""
     encoders, rest = pop_encoders(variables)
     descent = look(variables, i, True).descent
-    return put_encoders(by_hand(encoders, descent, variables, adapt), rest)
+    return put_encoders(by_hand(encoders, descent, variables, config.adapt), rest)
 
 
 @pytest.fixture(scope="module")
-def compiled(adapt, variables, frames, complete, quick_jit):
-    """``compiled(config)``: gradients and terms of the network, in NumPy."""
+def compiled(config, variables, frames, complete, quick_jit):
+    """``compiled(meta)``: gradients and terms of the network, in NumPy."""
 
     @functools.cache
-    def of(config):
-        run = quick_jit(lambda v, f, c: meta_gradients(v, f, c, adapt, config))
+    def of(meta):
+        run = quick_jit(lambda v, f, c: meta_gradients(v, f, c, config, meta))
         return jax.device_get(run(variables, frames, complete))
 
     return of
@@ -179,9 +178,9 @@ def before(look, variables):
 
 
 @pytest.fixture(scope="module")
-def after(look, variables, adapt):
+def after(look, variables, config):
     """What the adapted encoders see."""
-    moved = [one_step(look, variables, i, adapt) for i in range(FRAMES)]
+    moved = [one_step(look, variables, i, config) for i in range(FRAMES)]
     return [look(moved[i], i, True) for i in range(FRAMES)]
 
 
@@ -201,7 +200,7 @@ MOVING = tuple(STEPS)
 
 
 @pytest.fixture(scope="module")
-def differences(look, variables, adapt):
+def differences(look, variables, config):
     """``differences(name)``: a random direction in a part of the variables, and the
     slope of the primary terms of Eq. 12 along it, by finite differences.
 
@@ -211,7 +210,7 @@ def differences(look, variables, adapt):
     def value(moved, decodes):
         total = 0.0
         for i in range(FRAMES):
-            encoders = one_step(look, moved, i, adapt)["params"]
+            encoders = one_step(look, moved, i, config)["params"]
             params = {**decodes["params"], **{n: encoders[n] for n in ENCODERS}}
             end = look({**decodes, "params": params}, i, True).primary
             total += (1 - BETA) * end + BETA * look(moved, i, True).primary

@@ -21,7 +21,7 @@ from prism_jax.models.variables import ENCODERS, pop_encoders
 from tests.toy_meta import (
     FRAMES,
     STAND_INS,
-    TOY_ADAPT,
+    TOY,
     eq_3,
     expected_gradients,
     inner_loss,
@@ -49,12 +49,11 @@ def toy_gradients(toy):
     """``toy_gradients(clip_norm, **changes of MetaConfig)``: gradients and terms."""
 
     @functools.cache
-    def of(adapt, config):
-        return jax.device_get(meta_gradients(*toy, adapt, config))
+    def of(config, meta):
+        return jax.device_get(meta_gradients(*toy, config, meta))
 
     def gradients(clip_norm=0.0, **changes):
-        adapt = dataclasses.replace(TOY_ADAPT, clip_norm=clip_norm)
-        return of(adapt, MetaConfig(**changes))
+        return of(TOY.with_adapt(clip_norm=clip_norm), MetaConfig(**changes))
 
     with pytest.MonkeyPatch.context() as patch:
         for name, stand_in in STAND_INS.items():
@@ -89,8 +88,8 @@ VARIATIONS = {
 def test_every_gradient_is_that_of_its_own_objective(toy, toy_gradients, changes):
     grads, _ = toy_gradients(**changes)
     changes = dict(changes)
-    adapt = dataclasses.replace(TOY_ADAPT, clip_norm=changes.pop("clip_norm", 0.0))
-    expected = expected_gradients(toy, adapt, MetaConfig(**changes))
+    config = TOY.with_adapt(clip_norm=changes.pop("clip_norm", 0.0))
+    expected = expected_gradients(toy, config, MetaConfig(**changes))
     assert_close(grads, expected, 1e-10)
 
 
@@ -112,9 +111,7 @@ def test_what_the_auxiliary_loss_teaches(toy, toy_gradients, num_steps, first_or
     encoders, _ = pop_encoders(variables)
     shares = mean(
         [
-            jax.grad(inner_loss)(
-                encoders, variables, row(frames, i), TOY_ADAPT, MetaConfig()
-            )
+            jax.grad(inner_loss)(encoders, variables, row(frames, i), TOY, MetaConfig())
             for i in range(FRAMES)
         ]
     )
@@ -140,7 +137,7 @@ def test_eq_3_teaches_the_refiner_alone(toy, toy_gradients):
     assert equal(with_it["weighting"], without["weighting"])
     variables, frames, complete = toy
     other = frames._replace(view=2.0 * frames.view)
-    moved, others = meta_gradients(variables, other, complete, TOY_ADAPT, MetaConfig())
+    moved, others = meta_gradients(variables, other, complete, TOY, MetaConfig())
     for name in (*ENCODERS, "decoder"):
         assert_close(moved["params"][name], with_it["params"][name], 1e-12)
     assert abs(others.refined - terms.refined) > 0.01
@@ -209,13 +206,13 @@ def test_terms_of_the_toy(toy, toy_gradients):
     _, terms = toy_gradients(num_steps=3, rehearse_depth=True)
 
     def of_frame(frame, complete):
-        end = toy_adapted(variables, frame, TOY_ADAPT, config)
+        end = toy_adapted(variables, frame, TOY, config)
         refiner = variables["params"]["refiner"]
         return meta.MetaTerms(
             toy_primary(end, frame, complete, config),
             toy_primary(variables, frame, complete, config),
-            toy_objective(variables, frame, TOY_ADAPT)[0],
-            eq_3(refiner, variables, frame, complete, TOY_ADAPT, config),
+            toy_objective(variables, frame, TOY)[0],
+            eq_3(refiner, variables, frame, complete, TOY, config),
         )
 
     parts = [of_frame(row(frames, i), complete[i]) for i in range(FRAMES)]
@@ -227,7 +224,7 @@ def test_the_objective_is_what_the_inner_loop_descends(toy_gradients):
     _, rehearsed = toy_gradients(rehearse_depth=True)
     assert plain.losses.depth_consistency == rehearsed.losses.depth_consistency > 0
     extra = rehearsed.losses.objective - plain.losses.objective
-    expected = TOY_ADAPT.depth_weight * plain.losses.depth_consistency
+    expected = TOY.adapt.depth_weight * plain.losses.depth_consistency
     np.testing.assert_allclose(extra, expected, rtol=1e-12)
 
 
@@ -277,7 +274,7 @@ def test_held_norms_have_no_step_to_learn(toy):
     normed = {"kernel": jnp.ones(2), "norm": {"scale": jnp.ones(2)}}
     params = {**params, "depth_encoder": {"only": normed}}
     variables = {**variables, "params": params}
-    held = dataclasses.replace(TOY_ADAPT, adapt_norm=False)
+    held = dataclasses.replace(TOY.adapt, adapt_norm=False)
 
     def reached(steps):
         weighting = {**variables["weighting"], "log_steps": steps}

@@ -1,7 +1,5 @@
 """The objective of Eq. 13, in double precision: its terms, and its gradient."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,14 +40,14 @@ def as_double(tree):
 
 @pytest.fixture(scope="module")
 def config(minimal):
-    return dataclasses.replace(minimal.adapt, **LAMBDAS)
+    return minimal.config.with_adapt(**LAMBDAS)
 
 
 @pytest.fixture(scope="module")
 def frame(config, tiny_frames, double):
     partials, cameras = as_double(tiny_frames)
     camera = jax.tree.map(lambda leaf: leaf[0], cameras)
-    key = jax.random.key(config.seed)
+    key = jax.random.key(config.adapt.seed)
     return jax.jit(lambda p, c: prepare_frame(p, c, key, config.model))(
         partials[0], camera
     )
@@ -65,7 +63,7 @@ def variables(minimal_variables, double):
 @pytest.fixture(scope="module")
 def evaluate(config, frame, quick_jit):
     """All that the tests look at, compiled once."""
-    smooth = dataclasses.replace(config, lambda_transport=0.0)
+    smooth = config.with_adapt(lambda_transport=0.0)
 
     def value(encoders, rest):
         return objective(put_encoders(encoders, rest), frame, smooth)[0].objective
@@ -96,7 +94,7 @@ def test_terms_are_the_losses_of_their_equations(evaluated, frame, config, quick
         denoised = frame.perturbed + seen.offsets
         return (
             depth_consistency(points, frame.partial, frame.view),
-            normal_loss(seen.normals, points, 0.3, config.normal_neighbors),
+            normal_loss(seen.normals, points, 0.3, config.adapt.normal_neighbors),
             denoise_loss(denoised, frame.upsampled, seen.offsets, 0.7),
             alignment_loss(seen.tokens_3d, seen.tokens_depth, 1.3, 0.6, 0.05),
         )

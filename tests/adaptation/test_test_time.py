@@ -40,7 +40,7 @@ def adapted(tiny_adapt, tiny_variables, frames):
 @pytest.fixture(scope="module")
 def unadapted(tiny):
     """``adapt`` with no step at all, compiled once."""
-    return jax.jit(make_adapt(dataclasses.replace(tiny, num_steps=0)))
+    return jax.jit(make_adapt(tiny.with_adapt(num_steps=0)))
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def decoded_by(tiny, tiny_variables):
 
     @jax.jit
     def decoded(encoders, partial, camera):
-        key = jax.random.key(tiny.seed)
+        key = jax.random.key(tiny.adapt.seed)
         frame = prepare_frame(partial, camera, key, tiny.model)
         frame = hold_decoding(tiny_variables, frame, tiny.model)
         _, rest = pop_encoders(tiny_variables)
@@ -65,7 +65,7 @@ def differentiated(minimal, minimal_variables, frames, quick_jit):
 
     Taken in all variables, and in the partial cloud and its camera.
     """
-    config = dataclasses.replace(minimal.adapt, num_steps=1, adapt_norm=False)
+    config = minimal.config.with_adapt(num_steps=1, adapt_norm=False)
     adapt = make_adapt(config)
 
     @quick_jit
@@ -240,7 +240,7 @@ def test_an_objective_that_rose_is_refused(
     minimal, minimal_variables, frames, quick_jit
 ):
     """As it surely does uphill."""
-    config = dataclasses.replace(minimal.adapt, num_steps=1, step_size=-1e-3)
+    config = minimal.config.with_adapt(num_steps=1, step_size=-1e-3)
     completion = quick_jit(make_adapt(config))(minimal_variables, *frames[1])
     objective = np.asarray(completion.losses.objective)
     assert np.isfinite(np.stack(completion.losses)).all()

@@ -17,7 +17,7 @@ from prism_jax.models.initial import init_variables
 from prism_jax.models.prism import hold_decoding, prepare_frame
 from prism_jax.presets import PRESETS
 
-CONFIG = PRESETS["tiny"].adapt
+CONFIG = PRESETS["tiny"].config
 EYE = jnp.array([2.0, 0.0, 1.0])
 
 
@@ -58,7 +58,7 @@ def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
     assert np.abs(cosines).max() <= 1.0001
     for row, gradient in ((place, by_loss), (-1, by_error)):
         unit = gradient / jnp.linalg.norm(gradient)
-        after = values(start - CONFIG.step_size * unit)[1] / values(start)[1] - 1
+        after = values(start - CONFIG.adapt.step_size * unit)[1] / values(start)[1] - 1
         assert changes[row] == pytest.approx(float(after), rel=1e-3, abs=1e-6)
     assert changes[-1] < 0
 

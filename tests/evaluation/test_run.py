@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from prism_jax import metrics
-from prism_jax.adaptation.config import AdaptConfig
+from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.data.source import Example
 from prism_jax.evaluation import (
     NORMALISATIONS,
@@ -147,7 +147,7 @@ def test_an_example_without_truth_is_refused(boxes):
 
 @pytest.mark.parametrize("steps", [0, 3])
 def test_prism_is_a_completer(minimal, minimal_variables, steps):
-    config = AdaptConfig(minimal.model, steps, normal_neighbors=4)
+    config = PrismConfig(minimal.model, AdaptConfig(steps, normal_neighbors=4))
     points = minimal.model.backbone.num_points
     shapes = jax.eval_shape(
         prism_completer(config, minimal_variables),

@@ -21,9 +21,9 @@ def fake(config, variables):
     """Moves the partial up, by the number of steps; accepts every other frame."""
 
     def complete(partials, eyes):
-        if config.num_steps == 0:
+        if config.adapt.num_steps == 0:
             return {"output": partials}
-        moved = partials + np.float32([0, 0, 0.01 * config.num_steps])
+        moved = partials + np.float32([0, 0, 0.01 * config.adapt.num_steps])
         accepted = np.arange(len(partials)) % 2 == 0
         return {"output": moved, "unadapted": partials, "accepted": accepted}
 
@@ -52,7 +52,7 @@ def cells(tmp_path_factory):
     runs = {
         "adapted": ["--steps=2"],
         "plain": ["--steps=0"],
-        "changed": ["--set=num_steps=2", "--set=step_size=0.5"],
+        "changed": ["--set=adapt.num_steps=2", "--set=adapt.step_size=0.5"],
         "oracle": ["--steps=0", "--normalisation=oracle"],
     }
     return {
@@ -64,8 +64,8 @@ def cells(tmp_path_factory):
 
 def test_changes_are_made_and_named(cells):
     changed = cells["changed"]
-    assert changed["set"] == "num_steps=2 step_size=0.5"
-    assert "set num_steps=2 step_size=0.5" in changed["table"]
+    assert changed["set"] == "adapt.num_steps=2 adapt.step_size=0.5"
+    assert "set adapt.num_steps=2 adapt.step_size=0.5" in changed["table"]
     assert changed["steps"] == 2
     assert changed["mean"] == cells["adapted"]["mean"]
     assert "set" not in cells["adapted"]

@@ -26,7 +26,7 @@ NETWORK = (
 )
 TRAINING = ("num_samples=8", "batch_size=2", "validate_every=4", "learning_rate=0.1")
 CHANGES = [
-    *(f"--set=adapt.model.backbone.{change}" for change in NETWORK),
+    *(f"--set=model.backbone.{change}" for change in NETWORK),
     *(f"--set=meta.{change}" for change in TRAINING),
 ]
 BEFORE = {"preset": "tiny", "seed": 5, "commit": None, "data": "shapes", "samples": 64}
@@ -37,7 +37,7 @@ def weights(tmp_path_factory, minimal, minimal_variables):
     """Pretrained ones, as the pretraining leaves them."""
     path = tmp_path_factory.mktemp("weights") / "pretrained.safetensors"
     known = BEFORE | {"scores": {"cd_l2": 1.0}}
-    save_weights(path, minimal.adapt, minimal_variables, known)
+    save_weights(path, minimal.config, minimal_variables, known)
     return path
 
 
@@ -74,7 +74,7 @@ def test_it_writes_weights_and_what_is_known_of_them(
 ):
     path = str(unbroken / "weights.safetensors")
     adapt, variables = load_pretrained(path)
-    assert adapt == minimal.adapt
+    assert adapt == minimal.config
     for name in (*ENCODERS, "decoder", "refiner", "auxiliary"):
         same = bitwise(variables["params"][name], minimal_variables["params"][name])
         assert same == (name == "auxiliary"), name

@@ -27,7 +27,7 @@ def variables():
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory, variables):
     path = tmp_path_factory.mktemp("weights") / "before.safetensors"
-    save_weights(path, resolve("tiny").adapt, variables, BEFORE)
+    save_weights(path, resolve("tiny").config, variables, BEFORE)
     return path
 
 
@@ -85,7 +85,7 @@ def test_batches_come_in_another_order_after_other_weights(
     """The same for the same weights, and the seed's own where there are none."""
     other = tmp_path / "other.safetensors"
     changed = {**variables, "params": jax.tree.map(np.negative, variables["params"])}
-    save_weights(other, resolve("tiny").adapt, changed, BEFORE)
+    save_weights(other, resolve("tiny").config, changed, BEFORE)
     seeds = []
     keep = lambda _, data, *rest: seeds.append(data.seed)  # noqa: E731
     monkeypatch.setattr(pretrain, "pretrain", keep)
@@ -105,7 +105,7 @@ def test_without_weights_it_starts_afresh(run, tmp_path, capsys):
 
 
 def test_weights_of_another_network_are_refused(run, weights, tmp_path, capsys):
-    change = "--set=adapt.model.backbone.num_initial=64"
+    change = "--set=model.backbone.num_initial=64"
     status, starts = run(f"--workdir={tmp_path}/run", f"--weights={weights}", change)
     assert (status, starts) == (2, [])
     assert "not weights of tiny; choose the preset" in capsys.readouterr().err

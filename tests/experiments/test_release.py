@@ -68,11 +68,11 @@ def test_scores_of_other_weights_are_refused(finished, tiny, tiny_variables, cap
 
 def test_a_setting_may_change(finished, tiny):
     folder, path = finished
-    changes = ["--set=model.auxiliary.max_coordinate=3", "--set=num_steps=7"]
+    changes = ["--set=model.auxiliary.max_coordinate=3", "--set=adapt.num_steps=7"]
     assert run(f"--weights={path}", "--name=new", *changes) == 0
     config, _ = load_pretrained(str(folder / "new.safetensors"))
     assert config.model.auxiliary.max_coordinate == 3.0
-    assert config.num_steps == 7
+    assert config.adapt.num_steps == 7
     assert config.model.backbone == tiny.model.backbone
 
 

@@ -21,7 +21,7 @@ def fake(config, variables):
 
     def complete(partials, eyes):
         weight = float(jnp.exp(variables["weighting"]["logits"][0]))
-        moved = partials + np.float32([0, 0, 0.01 * weight * config.num_steps])
+        moved = partials + np.float32([0, 0, 0.01 * weight * config.adapt.num_steps])
         accepted = np.ones(len(partials), bool)
         return {"output": moved, "unadapted": partials, "accepted": accepted}
 
@@ -71,7 +71,7 @@ def test_table_two(tmp_path, monkeypatch):
     arguments = ("--pretrained=small", "--steps=1", "--steps=4")
     table, _ = run(table_2, tmp_path / "2.json", *arguments)
     rows = table["rows"]
-    steps = load_pretrained("small")[0].num_steps
+    steps = load_pretrained("small")[0].adapt.num_steps
     assert list(rows) == [
         *(f"pretrained, K = {k}" for k in (0, 1, 4)),
         *(f"meta-trained, K = {k}" for k in (0, 1, 4)),

@@ -60,9 +60,10 @@ def train(folder, weights, devices, max_steps, coordinator, processes, process):
 
     sys.addaudithook(note)
     open_run(str(folder), {}, 0, resume=True)
-    adapt, variables = load_pretrained(str(weights))
-    leg = meta_leg(variables, adapt, CONFIG, seed=0)
-    data = Data(Boxes(20, 0), Boxes(10, 1), adapt.model.backbone.num_points, 1.4, 7, 16)
+    config, variables = load_pretrained(str(weights))
+    leg = meta_leg(variables, config, CONFIG, seed=0)
+    points = config.model.backbone.num_points
+    data = Data(Boxes(20, 0), Boxes(10, 1), points, 1.4, 7, 16)
     trained = train_leg(leg, data, folder, max_steps)
     wrote = sorted(name for name in written if "/checkpoints/" not in name)
     name = f"{folder}.{process}.{max_steps or STEPS}"

@@ -18,7 +18,7 @@ def leg(minimal, minimal_variables):
     training = dataclasses.replace(
         minimal.pretrain, auxiliary_samples=160, auxiliary_rate=0.01, batch_size=4
     )
-    return auxiliary_leg(minimal_variables, minimal.adapt, training, seed=0)
+    return auxiliary_leg(minimal_variables, minimal.config, training, seed=0)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from prism_jax.adaptation.config import AdaptConfig, MetaConfig
+from prism_jax.adaptation.config import MetaConfig, PrismConfig
 from prism_jax.adaptation.meta import MetaTerms
 from prism_jax.adaptation.objective import Losses
 from prism_jax.data.pipeline import Framing
@@ -60,7 +60,7 @@ def leg_of(variables, monkeypatch, quick_jit):
     fake_meta.replace_networks(monkeypatch)
 
     def make(config, seed=0, jit=quick_jit):
-        leg = meta_leg(variables, AdaptConfig(), config, seed)
+        leg = meta_leg(variables, PrismConfig(), config, seed)
         return leg._replace(step_fn=jit(leg.step_fn))
 
     return make
@@ -109,7 +109,7 @@ def real_leg(minimal, minimal_variables):
         learning_rate=1e-3,
         average_decay=0.75,
     )
-    return meta_leg(minimal_variables, minimal.adapt, config, seed=0)
+    return meta_leg(minimal_variables, minimal.config, config, seed=0)
 
 
 @pytest.fixture(scope="module")

@@ -108,7 +108,7 @@ def runs(minimal, minimal_variables, tmp_path_factory):
     """The folder of what `meta_runs.py` leaves."""
     folder = tmp_path_factory.mktemp("runs")
     weights = folder / "start.safetensors"
-    save_weights(weights, minimal.adapt, minimal_variables, {})
+    save_weights(weights, minimal.config, minimal_variables, {})
     command = [sys.executable, SCRIPT, folder, weights]
     environment = os.environ | {"JAX_PLATFORMS": "cpu"}
     ended = subprocess.run(command, env=environment, capture_output=True, text=True)

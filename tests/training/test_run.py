@@ -47,9 +47,9 @@ def test_a_used_folder_needs_resume(tmp_path):
         (PRESET, 1, "seed is 0, not 1"),
         (settings("small"), 0, "and [0-9]+ more"),
         (
-            settings("tiny", ["adapt.model.margin=1.2"]),
+            settings("tiny", ["model.margin=1.2"]),
             0,
-            "config.adapt.model.margin is 1.4, not 1.2",
+            "config.model.margin is 1.4, not 1.2",
         ),
         (
             settings("tiny", ["pretrain.backbone.0.num_blocks=1"]),
