@@ -28,7 +28,7 @@ def test_a_new_folder_holds_the_resolved_configuration(tmp_path):
     assert written["commit"] == commit()
     plain = json.loads(json.dumps(PRESET))
     assert written["config"] == plain
-    assert plain["adapt"]["model"]["backbone"]["num_points"] == 64
+    assert plain["model"]["backbone"]["num_points"] == 64
 
 
 def test_a_used_folder_needs_resume(tmp_path):
