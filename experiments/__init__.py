@@ -16,16 +16,18 @@ EXTRAS = {
 def tell(
     kind: type[BaseException], error: BaseException, trace: TracebackType | None
 ) -> None:
-    """A missing extra as one line on stderr; any other exception as Python has it."""
+    """A missing extra, or what else the user can put right, as one line on stderr; any
+    other exception as Python has it."""
     name = error.name if isinstance(error, ModuleNotFoundError) else None
     package = str(name).partition(".")[0]
     for extra, packages in EXTRAS.items():
         if package in packages:
             remedy = f'install the extra: pip install "prism_jax[{extra}]"'
-            told = InputError(package, "is not installed", remedy)
-            print(f"{pathlib.Path(sys.argv[0]).stem}: {told}", file=sys.stderr)
-            return
-    sys.__excepthook__(kind, error, trace)
+            error = InputError(package, "is not installed", remedy)
+    if isinstance(error, InputError):
+        print(f"{pathlib.Path(sys.argv[0]).stem}: {error}", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
 
 
 sys.excepthook = tell

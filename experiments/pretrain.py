@@ -18,6 +18,7 @@ from experiments.training import (
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
 from prism_jax.presets import resolve
+from prism_jax.training.meta import check_meta
 from prism_jax.training.parallel import is_first
 from prism_jax.training.run import open_run, started_from
 from prism_jax.training.stages import pretrain
@@ -30,6 +31,7 @@ def main():
     """Trains, or goes on training; a finished run leaves weights.safetensors."""
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
+    check_meta(preset.meta)  # what follows with the same settings, perhaps days later
     config = preset.pretrain
     variables, before = started_from_weights(preset) or (None, None)
     start = None if variables is None else sha256(variables)

@@ -34,7 +34,7 @@ COMMANDS = commands()
 def test_they_are_found():
     assert len(COMMANDS) > 35
     named = {launcher for launcher, _ in COMMANDS}
-    assert {"complete", "evaluate", "make_data", "pretrain", "train_release"} <= named
+    assert {"complete", "evaluate", "make_data", "pretrain", "meta_train"} <= named
 
 
 @pytest.mark.parametrize(("launcher", "rest"), COMMANDS)
@@ -46,3 +46,20 @@ def test_its_flags_are_the_launchers(launcher, rest):
     for placeholder, value in PLACEHOLDERS.items():
         rest = rest.replace(placeholder, value)
     launching.parse(launcher, *shlex.split(rest))
+
+
+def test_flags_of_the_script_are_its_own_or_the_trainings():
+    texts = (page.read_text().replace("\\\n", " ") for page in PAGES)
+    given = [
+        shlex.split(rest)
+        for text in texts
+        for rest in re.findall(r"train_release\.sh((?:\s+--[^\s`]+)+)", text)
+    ]
+    assert len(given) > 4
+    script = (ROOT / "experiments" / "train_release.sh").read_text()
+    own = re.findall(r"^    (--\w+=)\*\)", script, re.MULTILINE)
+    own.remove("--preset=")
+    for flags in given:
+        assert not [flag for flag in flags if not flag.startswith("--")]
+        others = [flag for flag in flags if not flag.startswith(tuple(own))]
+        launching.parse("meta_train", "--workdir=DIR", *others)

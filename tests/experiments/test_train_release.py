@@ -1,276 +1,180 @@
-"""The plan from nothing to weights: its order, and how it goes on. The commands are
-fakes; those of `tiny` were run by hand, as they take minutes."""
+"""From nothing to weights by one script: its commands in order, and how it goes on.
 
-import json
+Python is a stand-in that notes each command and writes the file that it would.
+"""
+
+import os
+import pathlib
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import pytest
 
-from experiments import train_release
-from prism_jax.data.datasets import open_dataset
-from prism_jax.simulation.building import write_manifest
-from prism_jax.weights import file_sha256
 from tests import launching
 
-
-class Commands:
-    """Takes the commands in; each writes its file, but for those that fail or stop."""
-
-    def __init__(self):
-        self.run, self.fails, self.stops, self.status = [], set(), set(), 3
-
-    def __call__(self, command, check):
-        assert command[:2] == [sys.executable, "-m"]
-        arguments = dict(part.partition("=")[::2] for part in command[3:])
-        places = ("--workdir", "--output", "--output_dir")
-        place = next(arguments[name] for name in places if name in arguments)
-        self.run.append((command[2], command[3:]))
-        step = (command[2].removeprefix("experiments."), place.rpartition("/")[2])
-        if step in self.fails:
-            return subprocess.CompletedProcess(command, self.status)
-        if step not in self.stops:
-            self._write(command[2], place, arguments)
-        return subprocess.CompletedProcess(command, 0)
-
-    def _write(self, module, place, arguments):
-        folder = train_release.pathlib.Path(place)
-        if module == "experiments.evaluate":
-            scored = {"weights_sha256": file_sha256(arguments["--weights"])}
-            folder.write_text(json.dumps(scored))
-        elif module == "experiments.release":
-            (folder / f"{arguments['--name']}.safetensors").write_text("")
-        else:
-            folder.mkdir(exist_ok=True)
-            (folder / "config.json").write_text("{}")
-            (folder / "weights.safetensors").write_text(f"{len(self.run)}")
+ROOT = pathlib.Path(__file__).parents[2]
+STAND_IN = """#!/bin/bash
+if [[ $1 == -c ]]; then
+    [[ $3 == shapes || $3 == roboarm ]] || exec {python} "$@"
+    echo "opened $3 $4" >> {folder}/commands.txt
+    printf 'validation\\ntest\\n'
+    exit
+fi
+echo "${{@:2}}" >> {folder}/commands.txt
+[[ $* == *"$FAILS"* ]] && exit 3
+[[ $* == *"$STOPS"* ]] && exit
+for flag in "$@"; do
+    place=${{flag#*=}}
+    case $flag in
+    --output=*) echo scores > "$place" ;;
+    --workdir=*)
+        mkdir -p "$place"
+        touch "$place"/{{config.json,weights.safetensors}} ;;
+    esac
+done
+"""
+SCORES = ["evaluate", "evaluate", "release"]
+WHOLE = ["opened", "pretrain", "meta_train", "meta_train", *SCORES, *SCORES]
 
 
 @pytest.fixture
-def opened():
-    """What is scored on, as it was built and opened before the first command."""
-    return []
+def run(tmp_path):
+    """``run(*arguments)``: the exit status, what is told, and the commands."""
+    python = tmp_path / "bin" / "python"
+    python.parent.mkdir()
+    python.write_text(STAND_IN.format(python=sys.executable, folder=tmp_path))
+    python.chmod(0o755)
+
+    def run(*arguments, fails="(none)", stops="(none)"):
+        noted = tmp_path / "commands.txt"
+        noted.write_text("")
+        path = f"{python.parent}:{os.environ['PATH']}"
+        ended = subprocess.run(
+            ["experiments/train_release.sh", f"--workdir={tmp_path}/run", *arguments],
+            cwd=ROOT,
+            env=os.environ | {"PATH": path, "FAILS": fails, "STOPS": stops},
+            capture_output=True,
+            text=True,
+        )
+        commands = [
+            line.removeprefix("experiments.").split(" ")
+            for line in noted.read_text().splitlines()
+        ]
+        return ended.returncode, ended.stdout + ended.stderr, commands
+
+    return run
 
 
-@pytest.fixture
-def commands(monkeypatch, opened):
-    fake = Commands()
-
-    def note(*place):
-        opened.append(place)
-
-    monkeypatch.setattr(train_release, "subprocess", SimpleNamespace(run=fake))
-    monkeypatch.setattr(train_release, "build_if_missing", note)
-    monkeypatch.setattr(train_release, "open_dataset", note)
-    return fake
+def names(commands):
+    return [command[0] for command in commands]
 
 
-MODULES = ["pretrain", *["meta_train"] * 2, *[*["evaluate"] * 3, "release"] * 2]
-"""Of a plan for shapes without further branches."""
-
-
-def modules(commands, start=0) -> list[str]:
-    """Of the commands that were run, the first `start` left out."""
-    return [name.removeprefix("experiments.") for name, _ in commands.run[start:]]
-
-
-def run(*arguments) -> int:
-    """The command's exit status with these arguments."""
-    return launching.run(train_release, *arguments)
-
-
-def test_the_plan_in_order(commands, tmp_path):
-    changes = ["--set=meta.num_samples=64", "--data_dir=/data"]
-    assert run("--preset=tiny", f"--workdir={tmp_path}", "--seed=4", *changes) == 0
-    assert modules(commands) == MODULES
-    for (_, arguments), module in zip(commands.run, MODULES, strict=True):
-        launching.parse(module, *arguments)
-        assert module == "release" or "--data_dir=/data" in arguments
-    pretrain, meta, control, *_ = (arguments for _, arguments in commands.run)
-    for arguments in (pretrain, meta, control):
-        assert {"--preset=tiny", "--seed=4", changes[0]} <= set(arguments)
-    start = f"--weights={tmp_path}/pretrained/weights.safetensors"
+def test_the_commands_in_order(run, tmp_path):
+    given = ["--preset=tiny", "--seed=4", "--set=meta.num_samples=64", "--data_dir=d"]
+    status, told, commands = run(*given, "--scored=shapes=d", "--scored_at_once=2")
+    assert status == 0, told
+    assert names(commands) == WHOLE
+    assert commands[0] == ["opened", "shapes", "d"]
+    for name, *arguments in commands[1:]:
+        launching.parse(name, *arguments)
+    pretrain, meta, control = commands[1:4]
+    for command in (pretrain, meta, control):
+        assert {*given, "--resume"} <= set(command)
+    assert not [flag for flag in pretrain if flag.startswith("--weights")]
+    folder = tmp_path / "run"
+    start = f"--weights={folder}/pretrained/weights.safetensors"
     assert start in meta and start in control
-    # The control is the same run, but for the method.
-    own = {f"--set={change}" for change in train_release.WITHOUT_METHOD}
-    other = {f"--workdir={tmp_path}/{name}" for name in ("meta", "control")}
-    assert set(meta) ^ set(control) == own | other
-    names = [a for m, args in commands.run if "release" in m for a in args]
-    assert "--name=tiny" in names and "--name=tiny-pretrained" in names
-    assert (tmp_path / "tiny.safetensors").exists()
+    # The control is the same training without the method.
+    changes = {flag for flag in set(meta) ^ set(control) if "workdir" not in flag}
+    assert changes == {flag for flag in control if "learn_" in flag} | {
+        "--set=meta.method.num_steps=0",
+        "--set=meta.method.lambda_aux=0.0",
+        "--set=adapt.num_steps=0",
+    }
+    for command in commands[4:6]:
+        assert {"--dataset=shapes", "--data_dir=d", "--batch_size=2"} <= set(command)
+    scores = [f"--scores={folder}/meta-shapes-{s}.json" for s in ("validation", "test")]
+    assert {*scores, "--name=tiny", f"--output_dir={folder}"} <= set(commands[6])
+    assert "--name=tiny-pretrained" in commands[9]
 
 
-def test_it_goes_on_from_other_weights(commands, tmp_path):
-    """The first training does; the others go on from the first."""
-    given = (f"--workdir={tmp_path}/run", f"--weights={tmp_path}/before.safetensors")
-    assert run("--preset=tiny", *given) == 2
-    (tmp_path / "before.safetensors").write_text("")
-    assert run("--preset=tiny", *given) == 0
-    pretrain, meta, control, *_ = (arguments for _, arguments in commands.run)
-    assert given[1] in pretrain
-    assert given[1] not in meta and given[1] not in control
-
-
-def test_goes_on_where_it_failed(commands, tmp_path):
-    commands.fails.add(("meta_train", "control"))
-    assert run("--preset=tiny", f"--workdir={tmp_path}") == 3
-    assert len(commands.run) == 3
-    commands.fails.clear()
-    (tmp_path / "control").mkdir()
-    (tmp_path / "control" / "config.json").write_text("{}")
-    assert run("--preset=tiny", f"--workdir={tmp_path}") == 0
-    again = commands.run[3]
-    assert f"--workdir={tmp_path}/control" in again[1] and "--resume" in again[1]
-    assert len(commands.run) == 3 + 9
-    assert run("--preset=tiny", f"--workdir={tmp_path}", "--note=new") == 0
-    assert modules(commands, 3 + 9) == ["release", "release"]
-    assert all("--note=new" in arguments for _, arguments in commands.run[3 + 9 :])
-
-
-@pytest.mark.parametrize(
-    ("flag", "told"),
-    [
-        ("--seed=7", "seed is 0, not 7"),
-        ("--set=meta.num_samples=64", "config.preset.meta.num_samples is 128, not 64"),
-        ("--dataset=roboarm", "config.dataset is shapes, not roboarm"),
-        ("--weights=small", "config.start is None, not"),
-    ],
-)
-def test_it_goes_on_as_it_was_begun_alone(commands, tmp_path, capsys, flag, told):
-    given = ("--preset=tiny", f"--workdir={tmp_path}")
-    assert run(*given) == 0
-    assert run(*given, flag) == 2
-    assert modules(commands) == MODULES
-    assert told in capsys.readouterr().err
-
-
-def test_scores_of_weights_that_are_no_more_are_made_anew(commands, tmp_path):
-    given = ("--preset=tiny", f"--workdir={tmp_path}")
-    assert run(*given) == 0
-    (tmp_path / "meta" / "weights.safetensors").unlink()
-    assert run(*given) == 0
-    again = ["meta_train", *["evaluate"] * 3, "release", "release"]
-    assert modules(commands, len(MODULES)) == again
-
-
-def test_a_killed_command_is_told_of(commands, tmp_path, capsys):
-    commands.fails, commands.status = {("meta_train", "meta")}, -9
-    assert run("--preset=tiny", f"--workdir={tmp_path}") == 128 + 9
-    assert "stopped by SIGKILL; for want of memory?" in capsys.readouterr().out
-    commands.fails = set()
-    assert run("--preset=tiny", f"--workdir={tmp_path}") == 0
-
-
-def test_so_many_are_scored_at_once(commands, tmp_path):
-    assert run("--preset=tiny", f"--workdir={tmp_path}", "--scored_at_once=2") == 0
-    scored = [part for module, part in commands.run if module.endswith("evaluate")]
-    assert scored and all("--batch_size=2" in arguments for arguments in scored)
-
-
-def test_a_bounded_run_stops_and_says_so(commands, tmp_path, capsys):
-    commands.stops.add(("pretrain", "pretrained"))
-    assert run("--preset=tiny", f"--workdir={tmp_path}", "--max_steps=5") == 0
-    assert len(commands.run) == 1
-    assert "--max_steps=5" in commands.run[0][1]
-    assert "goes on, with more --max_steps or none" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        ("no.field=1", "no field 'no'"),
-        ("meta.num_samples=4", "meta: 4 samples do not fill a batch of 8"),
-    ],
-)
-def test_a_mistake_shows_before_anything_runs(
-    commands, tmp_path, capsys, change, fault
-):
-    assert run("--preset=tiny", f"--workdir={tmp_path}/run", f"--set={change}") == 2
-    assert not commands.run and not [*tmp_path.iterdir()]
-    assert fault in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("flags", "fault"),
-    [
-        (["--dataset=packed"], "train: is not built; pack it"),
-        (["--dataset=recordings"], "recordings: has no split with ground truth"),
-        (["--dataset=pcn"], "no such file"),
-    ],
-)
-def test_so_does_a_set_that_could_not_be_scored(
-    commands, tmp_path, capsys, monkeypatch, flags, fault
-):
-    monkeypatch.setattr(train_release, "open_dataset", open_dataset)
-    given = ["--preset=tiny", f"--workdir={tmp_path}", f"--data_dir={tmp_path}"]
-    assert run(*given, *flags) == 2
-    assert not commands.run
-    assert fault in capsys.readouterr().err
-
-
-def test_what_was_trained_on_a_mixture_is_scored_on_its_parts(commands, tmp_path):
-    parts = ["--scored=shapes", "--scored=roboarm"]
-    folder = tmp_path / "mixture" / "train"
-    folder.mkdir(parents=True)
-    sources = {"sources": {"shapes": 1, "roboarm": 1}, "files": {}}
-    write_manifest(folder, sources)
-    mixture = ["--dataset=packed", f"--data_dir={folder.parent}", *parts]
-    assert run("--preset=tiny", f"--workdir={tmp_path}/run", *mixture) == 0
-    for _, arguments in commands.run[:3]:
-        assert "--dataset=packed" in arguments and not set(parts) & set(arguments)
-    found = [set(args) for m, args in commands.run if "evaluate" in m]
-    assert len(found) == 2 * 5
-    for arguments in found:
-        assert f"--data_dir={folder.parent}" in arguments
-        assert ("--dataset=shapes" in arguments) != ("--dataset=roboarm" in arguments)
-    scores = [a for _, args in commands.run for a in args if a.startswith("--scores")]
-    assert len(set(scores)) == 2 * 5
-
-
-def test_nothing_is_built_among_the_users_own_data(commands, opened, tmp_path):
-    given = ["--dataset=recordings", "--data_dir=cells", "--scored=roboarm"]
-    assert run("--preset=tiny", f"--workdir={tmp_path}/a", *given) == 0
-    splits = ("validation", "test")
-    places = [("roboarm", split, None) for split in splits for _ in "ab"]
-    assert opened == places
-    for module, arguments in commands.run:
-        is_training = module.endswith("train")
-        assert ("--data_dir=cells" in arguments) == is_training
-    opened.clear()
-    assert (
-        run("--preset=tiny", f"--workdir={tmp_path}/b", *given, "--scored_dir=x") == 0
+def test_other_weights_sets_and_branches(run, tmp_path):
+    status, _, commands = run(
+        "--weights=small",
+        "--name=mine",
+        "--scored=shapes",
+        "--scored=roboarm=cells",
+        "--branches=align",
+        "--branches=align,normal",
     )
-    assert opened == [(name, split, "x") for name, split, _ in places]
-    scored = [args for name, args in commands.run[-6:] if name.endswith("evaluate")]
-    assert scored and all("--data_dir=x" in arguments for arguments in scored)
+    assert status == 0
+    opened = [["opened", "shapes", ""], ["opened", "roboarm", "cells"]]
+    assert commands[:2] == opened
+    assert "--weights=small" in commands[2]
+    trainings = [command for command in commands if command[0] == "meta_train"]
+    assert not [command for command in trainings if "--weights=small" in command]
+    changes = "--set=meta.method.branches=('align','normal',)"
+    assert changes in trainings[3]
+    assert f"--workdir={tmp_path}/run/meta-align-normal" in trainings[3]
+    launching.parse(*trainings[3])
+    assert names(commands).count("evaluate") == 4 * 4
+    released = [command for command in commands if command[0] == "release"]
+    assert ["--name=mine-align-normal" in command for command in released][-1]
 
 
-def test_branches_alone(commands, tmp_path):
-    flags = ["--branches=align", "--branches=normal,align", "--note=upright"]
-    assert run("--preset=tiny", f"--workdir={tmp_path}", *flags) == 0
-    meta, _, align, both = (args for m, args in commands.run if "meta_train" in m)
-    for name, kinds, arguments in (
-        ("align", ("align",), align),
-        ("normal-align", ("normal", "align"), both),
-    ):
-        own = {f"--set=meta.method.branches={kinds}"}
-        workdirs = {f"--workdir={tmp_path}/{n}" for n in ("meta", f"meta-{name}")}
-        assert set(meta) ^ set(arguments) == own | workdirs
-        assert (tmp_path / f"tiny-{name}.safetensors").exists()
-    releases = [args for m, args in commands.run if "release" in m]
-    assert len(releases) == 4 and all("--note=upright" in args for args in releases)
+def test_it_goes_on_where_it_failed(run, tmp_path):
+    given = ("--preset=tiny", "--seed=1")
+    status, _, commands = run(*given, fails="run/control")
+    assert (status, len(commands)) == (3, 4)
+    _, _, commands = run(*given)
+    assert names(commands) == ["opened", *WHOLE[3:]]
+    assert f"--workdir={tmp_path}/run/control" in commands[1]
+    _, _, commands = run(*given)
+    assert names(commands) == ["opened", "release", "release"]
 
 
-def test_no_such_branch(commands, tmp_path, capsys):
-    given = (f"--workdir={tmp_path}", "--branches=align,normals")
-    assert run("--preset=tiny", *given) == 2
-    assert not commands.run
-    assert "normals" in capsys.readouterr().err
+def test_scores_of_weights_that_are_newer_are_made_again(run, tmp_path):
+    run("--preset=tiny")
+    weights = tmp_path / "run" / "meta" / "weights.safetensors"
+    future = weights.stat().st_mtime + 1000
+    os.utime(weights, (future, future))
+    _, _, commands = run("--preset=tiny")
+    assert names(commands) == ["opened", *SCORES, "release"]
 
 
-def test_robots_have_no_unseen_split(commands, tmp_path):
-    assert run(f"--workdir={tmp_path}", "--dataset=roboarm", "--name=arms") == 0
-    splits = {a for _, args in commands.run for a in args if "--split" in a}
-    assert splits == {"--split=validation", "--split=test"}
-    assert (tmp_path / "arms-pretrained.safetensors").exists()
+def test_a_bounded_run_stops_and_says_so(run):
+    status, told, commands = run("--max_steps=5", stops="experiments.pretrain")
+    assert (status, names(commands)) == (0, ["opened", "pretrain"])
+    assert "--max_steps=5" in commands[1]
+    assert "goes on, with more --max_steps or none" in told
+    status, told, commands = run()
+    assert (status, names(commands)) == (0, WHOLE)
+
+
+def test_with_other_arguments_it_does_not_go_on(run):
+    run("--seed=3", fails="experiments.meta_train")
+    status, told, commands = run("--seed=4")
+    assert (status, names(commands)) == (2, ["opened"])
+    assert "was begun with other arguments; give those of arguments.txt" in told
+
+
+def test_but_what_never_began_may_change(run):
+    run("--set=wrong=1", fails="experiments.pretrain")
+    assert run("--seed=4")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("flag", "fault"),
+    [
+        ("shapes", "shapes: is no flag"),
+        ("--branches=align,normals", "normals is none; use normal, denoise, align"),
+        ("--workdir=", "--workdir: is missing"),
+        ("--scored=kitti=/nowhere", "kitti: has no split with ground truth"),
+        ("--scored=pcn=/nowhere", "/nowhere"),
+    ],
+)
+def test_a_mistake_shows_before_anything_runs(run, tmp_path, flag, fault):
+    status, told, commands = run(flag)
+    assert status != 0 and not commands
+    assert fault in told and told.count("\n") == 1
+    assert not (tmp_path / "run").exists()
