@@ -44,8 +44,10 @@ def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables
     metadata, arrays = read_file(path)
     try:
         config = config_from_dict(metadata["config"])
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError):
         raise InputError(path, NOT_OURS, _remedy()) from None
+    except ValueError as error:
+        raise InputError(path, f"{NOT_OURS}: {error}", _remedy()) from None
     if name_or_path in available_weights():
         return config, _tree(arrays)
     return config, _checked_tree(arrays, config, path)
@@ -80,12 +82,12 @@ def read_file(path: pathlib.Path) -> tuple[dict[str, Any], dict[str, np.ndarray]
         with safetensors.safe_open(path, framework="numpy") as file:
             text = file.metadata() or {}
             arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except (OSError, safetensors.SafetensorError) as error:
+    except (OSError, TypeError, AttributeError, safetensors.SafetensorError) as error:
         fault = f"not readable as weights ({error})"
         raise InputError(path, fault, _remedy()) from None
     try:
         return {key: json.loads(value) for key, value in text.items()}, arrays
-    except ValueError:
+    except (ValueError, RecursionError):
         raise InputError(path, NOT_OURS, _remedy()) from None
 
 
@@ -189,8 +191,15 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
 def _checked_tree(
     arrays: dict[str, np.ndarray], config: PrismConfig, path: pathlib.Path
 ) -> Variables:
-    """The arrays in the tree that the configuration asks for."""
-    wanted = jax.eval_shape(lambda: init_variables(jax.random.key(0), config.model))
+    """The arrays in the tree that the configuration asks for.
+
+    Shapes alone are computed for it: no memory is taken for what a configuration says.
+    """
+    try:
+        wanted = jax.eval_shape(lambda: init_variables(jax.random.key(0), config.model))
+    except Exception as error:  # sizes that are in range and do not fit together
+        fault = f"its configuration makes no network ({str(error)[:200]})"
+        raise InputError(path, fault, _remedy()) from None
     return checked_arrays(arrays, wanted, path)
 
 
@@ -206,7 +215,7 @@ def checked_arrays(
             array = arrays.pop(key, np.zeros(()))  # files of before they were learned
         else:
             array = arrays.pop(key, None)
-        if array is None or array.shape != leaf.shape:
+        if array is None or array.shape != leaf.shape or array.dtype.kind != "f":
             raise InputError(path, f"{key} is missing or misshapen", _remedy())
         return jnp.asarray(array, leaf.dtype)
 

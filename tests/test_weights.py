@@ -172,6 +172,86 @@ def test_a_configuration_that_is_none(rewritten, text):
     assert "it holds no prism_jax configuration" in fault(path)
 
 
+def settings(fields, path=()):
+    """The path of every setting in a configuration's fields."""
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            yield from settings(value, (*path, name))
+        else:
+            yield (*path, name)
+
+
+SETTINGS = list(settings(dataclasses.asdict(PRESETS["tiny"].adapt)))
+NEVER = [-1, 10**30, -(10**400), float("nan"), "4", None, {}, [], [[]], [1] * 99, [{}]]
+
+
+@pytest.fixture
+def crafted(tiny, tmp_path):
+    """``crafted(path, value)``: the fault of weights with one setting changed."""
+
+    def craft(path, value):
+        fields = json.loads(json.dumps(dataclasses.asdict(tiny)))
+        part = fields
+        for name in path[:-1]:
+            part = part[name]
+        assert path[-1] in part
+        part[path[-1]] = value
+        file = tmp_path / "crafted.safetensors"
+        safetensors.numpy.save_file({}, file, {"config": json.dumps(fields)})
+        return fault(str(file))
+
+    return craft
+
+
+@pytest.mark.parametrize("path", SETTINGS, ids="/".join)
+def test_a_setting_out_of_its_range_is_refused(crafted, path):
+    for value in NEVER:
+        assert "it holds no prism_jax configuration" in crafted(path, value)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "told"),
+    [
+        ("backbone/num_points", 0, "num_points must be a whole number from 1 to 65536"),
+        ("backbone/num_points", 16, "patch_points must not exceed"),
+        ("backbone/patch_points", [16, 32], "patch_points must not exceed"),
+        ("backbone/features", 32, "patch_features must reach"),
+        ("backbone/num_neighbors", [4], "every rate must have its num_neighbors"),
+        ("backbone/level_rates", [[1, 2]], "must be of one length"),
+        (
+            "backbone/up_factors",
+            [256, 256],
+            "a stage must not have over 262,144 points",
+        ),
+        ("backbone/encoder_rates", [1, 256], "makes no network (a search needs"),
+        ("auxiliary/depth_blocks", 10**6, "depth_blocks must be a whole number from 1"),
+        ("auxiliary/depth_features", [4] * 9, "depth_features must be a tuple of 1 to"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(crafted, path, value, told):
+    assert told in crafted(("model", *path.split("/")), value)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"model": 1' + "0" * 5000 + "}"])
+def test_metadata_that_json_cannot_read(rewritten, text):
+    path = rewritten(lambda arrays, metadata: metadata.update(config=text))
+    assert "it holds no prism_jax configuration" in fault(path)
+
+
+def test_an_array_of_another_type(rewritten):
+    def change(arrays, metadata):
+        arrays[KERNEL] = arrays[KERNEL].astype(np.int32)
+
+    assert f"{KERNEL} is missing or misshapen" in fault(rewritten(change))
+
+
+def test_an_array_of_a_type_that_numpy_lacks(tmp_path):
+    header = b'{"a":{"dtype":"F8_E5M2","shape":[1],"data_offsets":[0,1]}}'
+    content = len(header).to_bytes(8, "little") + header + bytes(1)
+    (tmp_path / "a.safetensors").write_bytes(content)
+    assert "not readable as weights" in fault(str(tmp_path / "a.safetensors"))
+
+
 KERNEL = "params/refiner/g/dense_0/kernel"
 
 

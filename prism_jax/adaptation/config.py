@@ -5,6 +5,7 @@ from typing import Any, Literal, get_args
 
 from prism_jax.losses.chamfer import ChamferNorm
 from prism_jax.models.config import ModelConfig
+from prism_jax.models.ranges import check_ranges
 
 WeightRule = Literal["auxiliary", "meta"]
 Branch = Literal["normal", "denoise", "align"]
@@ -48,6 +49,24 @@ class AdaptConfig:
     transport_epsilon: float = 0.05
     adapt_norm: bool = True
     seed: int = 0
+
+    def __post_init__(self):
+        weight = (0, 1e6)
+        check_ranges(
+            self,
+            num_steps=(0, 10_000),
+            step_size=weight,
+            clip_norm=weight,
+            depth_weight=weight,
+            lambda_smooth=weight,
+            normal_neighbors=(2, 64),
+            normal_stride=(1, 2**16),
+            lambda_offset=weight,
+            lambda_sigma=weight,
+            lambda_transport=weight,
+            transport_epsilon=(1e-6, 1e6),
+            seed=(0, 2**32 - 1),
+        )
 
 
 @dataclasses.dataclass(frozen=True)

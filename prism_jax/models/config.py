@@ -2,6 +2,14 @@
 
 import dataclasses
 
+from prism_jax.models.ranges import check_ranges
+
+MAX_POINTS = 2**18
+"""Of a cloud that the decoder makes."""
+
+WIDTHS = (1, 4096)
+NEIGHBORS = (1, 64)
+
 
 @dataclasses.dataclass(frozen=True)
 class BackboneConfig:
@@ -47,6 +55,37 @@ class BackboneConfig:
     use_norm: bool = True
     offset_init: float = 0.01
 
+    def __post_init__(self):
+        check_ranges(
+            self,
+            num_points=(1, 2**16),
+            patch_points=(1, 2**16),
+            patch_features=WIDTHS,
+            global_features=WIDTHS,
+            patch_neighbors=NEIGHBORS,
+            features=WIDTHS,
+            attention_features=WIDTHS,
+            attention_ratio=(1, 64),
+            num_neighbors=NEIGHBORS,
+            encoder_rates=(1, 256),
+            level_rates=(1, 256),
+            seed_times=(1, 256),
+            num_initial=(1, 2**16),
+            up_factors=(1, 256),
+            offset_init=(0, 1e3),
+        )
+        rates = (self.encoder_rates, *self.level_rates)
+        if not self.num_points >= self.patch_points[0] >= self.patch_points[1]:
+            raise ValueError("patch_points must not exceed the points before them")
+        if self.patch_features[0][1] != self.features:
+            raise ValueError("patch_features must reach the width of features first")
+        if max(map(len, rates)) > len(self.num_neighbors):
+            raise ValueError("every rate must have its num_neighbors")
+        if len(self.level_rates) != len(self.up_factors):
+            raise ValueError("level_rates and up_factors must be of one length")
+        if max(self.stage_sizes) > MAX_POINTS:
+            raise ValueError(f"a stage must not have over {MAX_POINTS:,} points")
+
     @property
     def num_seeds(self) -> int:
         return self.patch_points[1] * self.seed_times
@@ -87,6 +126,19 @@ class AuxiliaryConfig:
     max_coordinate: float = 1.0
     denoise_neighbors: int = 8
 
+    def __post_init__(self):
+        check_ranges(
+            self,
+            depth_features=WIDTHS,
+            depth_blocks=(1, 16),
+            num_tokens=WIDTHS,
+            token_features=WIDTHS,
+            hidden=WIDTHS,
+            max_offset=(0, 1e3),
+            max_coordinate=(0, 1e3),
+            denoise_neighbors=NEIGHBORS,
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class ModelConfig:
@@ -104,6 +156,12 @@ class ModelConfig:
     margin: float = 1.4
     depth_pixels: int = 128
     consistency_pixels: int = 128
+
+    def __post_init__(self):
+        pixels = (1, 2048)
+        check_ranges(
+            self, margin=(0.1, 100), depth_pixels=pixels, consistency_pixels=pixels
+        )
 
 
 SHAPENET55 = BackboneConfig(up_factors=(1, 4, 4))

@@ -1,0 +1,65 @@
+"""Types and ranges of settings."""
+
+import dataclasses
+import math
+
+import pytest
+
+from prism_jax.models.ranges import check_ranges
+
+
+@dataclasses.dataclass(frozen=True)
+class Sizes:
+    count: int = 3
+    rate: float = 0.5
+    pair: tuple[int, int] = (1, 2)
+    levels: tuple[tuple[int, ...], ...] = ((1, 2), (1,))
+    switch: bool = True
+
+    def __post_init__(self):
+        check_ranges(self, count=(1, 9), rate=(0, 1), pair=(1, 9), levels=(1, 9))
+
+
+@dataclasses.dataclass(frozen=True)
+class Holder:
+    sizes: Sizes = Sizes()
+
+    def __post_init__(self):
+        check_ranges(self)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"count": 9, "rate": 1, "pair": (9, 9), "levels": ((9,) * 8,) * 8},
+        {"count": 1, "rate": 0.0, "switch": False},
+    ],
+)
+def test_in_range(changes):
+    Sizes(**changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "wanted"),
+    [
+        ("count", (0, 10, 10**400, 3.0, "3", None, True), "a whole number from 1 to 9"),
+        ("rate", (-0.1, 1.1, math.nan, math.inf, "1", None), "a number from 0 to 1"),
+        ("pair", ([1, 2], 1, None, "12"), "a tuple"),
+        ("pair", ((), (1,), (1, 2, 3)), "a tuple of 2"),
+        ("pair", ((1, 10), (1, 2.0), (1, {})), "a whole number from 1 to 9"),
+        ("levels", ((), ((),), ((1,),) * 9, ((1,) * 9,)), "a tuple of 1 to 8"),
+        ("levels", (((1,), (0,)), ((1, math.nan),)), "a whole number from 1 to 9"),
+        ("switch", (1, 0, "yes", None), "a bool"),
+    ],
+)
+def test_out_of_range(name, values, wanted):
+    for value in values:
+        with pytest.raises(ValueError, match=rf"Sizes\.{name} must be {wanted}, not "):
+            Sizes(**{name: value})
+
+
+def test_an_inner_configuration_must_be_one():
+    Holder(Sizes(count=4))
+    with pytest.raises(ValueError, match=r"Holder\.sizes must be a Sizes"):
+        Holder({"count": 4})  # pyright: ignore
