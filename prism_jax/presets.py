@@ -220,7 +220,10 @@ def _replaced(config: Any, kind: Any, path: list[str], text: str, change: str) -
     if isinstance(config, tuple):
         index = int(name)
         return (*config[:index], value, *config[index + 1 :])
-    return dataclasses.replace(config, **{name: value})
+    try:
+        return dataclasses.replace(config, **{name: value})
+    except ValueError as error:
+        raise InputError(change, str(error), "give a value in its range") from None
 
 
 def _parts(config: Any, kind: Any) -> dict[str, tuple[Any, Any]]:

@@ -97,6 +97,8 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
         ("=1", "no field ''"),
         ("adapt..seed=1", "no field ''"),
         ("adapt.num_steps=1.5", "not of type int"),
+        ("adapt.num_steps=-1", "AdaptConfig.num_steps must be a whole number from 0"),
+        ("adapt.step_size=nan", "not a value"),
         ("pretrain.norm=l3", "not one of l2, l1"),
         ("meta.optimiser=adamw", "not one of sgd, adam"),
         ("meta.method.weight_rule=own", "not one of auxiliary, meta"),

@@ -74,15 +74,6 @@ class BackboneConfig:
             up_factors=(1, 256),
             offset_init=(0, 1e3),
         )
-        rates = (self.encoder_rates, *self.level_rates)
-        if not self.num_points >= self.patch_points[0] >= self.patch_points[1]:
-            raise ValueError("patch_points must not exceed the points before them")
-        if self.patch_features[0][1] != self.features:
-            raise ValueError("patch_features must reach the width of features first")
-        if max(map(len, rates)) > len(self.num_neighbors):
-            raise ValueError("every rate must have its num_neighbors")
-        if len(self.level_rates) != len(self.up_factors):
-            raise ValueError("level_rates and up_factors must be of one length")
         if max(self.stage_sizes) > MAX_POINTS:
             raise ValueError(f"a stage must not have over {MAX_POINTS:,} points")
 
