@@ -182,7 +182,19 @@ def settings(fields, path=()):
 
 
 SETTINGS = list(settings(dataclasses.asdict(PRESETS["tiny"].adapt)))
-NEVER = [-1, 10**30, -(10**400), float("nan"), "4", None, {}, [], [[]], [1] * 99, [{}]]
+NEVER = [
+    -(10**9),
+    10**30,
+    -(10**400),
+    float("nan"),
+    "4",
+    None,
+    {},
+    [],
+    [[]],
+    [1] * 99,
+    [{}],
+]
 
 
 @pytest.fixture

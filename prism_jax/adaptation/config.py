@@ -21,6 +21,7 @@ class AdaptConfig:
     Attributes:
       num_steps: gradient steps per frame, K_TTA.
       step_size: of plain SGD, alpha_TTA; learned steps are multiples of it.
+        A negative one goes uphill.
       clip_norm: bound on the global norm of the gradient of a step; 0 for none. One
         frame's can be ten times another's.
       depth_weight: of the depth consistency; 1 as in Eq. 13.
@@ -55,7 +56,7 @@ class AdaptConfig:
         check_ranges(
             self,
             num_steps=(0, 10_000),
-            step_size=weight,
+            step_size=(-1e6, 1e6),
             clip_norm=weight,
             depth_weight=weight,
             lambda_smooth=weight,
