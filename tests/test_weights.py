@@ -181,7 +181,7 @@ def settings(fields, path=()):
             yield (*path, name)
 
 
-SETTINGS = list(settings(dataclasses.asdict(PRESETS["tiny"].adapt)))
+SETTINGS = list(settings(dataclasses.asdict(PRESETS["tiny"].config)))
 NEVER = [
     -(10**9),
     10**30,
