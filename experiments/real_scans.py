@@ -11,6 +11,7 @@ from typing import Any
 
 from absl import flags
 
+from experiments.weights import located
 from prism_jax import io
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.completion import Completer
@@ -40,7 +41,7 @@ def main() -> None:
     scans = {pathlib.Path(path).stem: io.read_scan(path) for path in FLAGS.input}
     rows = []
     for weights in FLAGS.weights:
-        completer = Completer.from_pretrained(weights)
+        completer = Completer.from_pretrained(located(weights))
         for name, scan in scans.items():
             done = completer.complete(scan.points, scan.camera, up=FLAGS.up)
             row = {"scan": name, "points": len(scan.points), "weights": weights}

@@ -47,7 +47,8 @@ def picture() -> str:
     reached = {name: reach(name, below) for name in below}
     lines = ["```mermaid", "flowchart TD", *(f"    {name}" for name in below)]
     for name, targets in below.items():
-        through = set().union(*(reached[target] for target in targets))
+        apart = [target for target in targets if name not in reached[target]]
+        through = set().union(*(reached[target] for target in apart))
         lines += [f"    {name} --> {target}" for target in sorted(targets - through)]
     return "\n".join([*lines, "```"])
 

@@ -12,6 +12,7 @@ import pytest
 from experiments import results
 from experiments.assets import CELLS
 from experiments.real_scans import real_scans_markdown
+from experiments.verdicts import verdicts_markdown
 from prism_jax.evaluation import agreement_markdown, comparison_markdown, markdown
 from prism_jax.weights import save_weights
 
@@ -88,6 +89,7 @@ def test_tables_are_those_of_their_results(path):
         "rows": comparison_markdown,
         "losses": agreement_markdown,
         "scans": real_scans_markdown,
+        "rose": verdicts_markdown,
     }
     (text,) = [make(result) for kind, make in kinds.items() if kind in result] or [
         markdown(result)
