@@ -27,7 +27,7 @@ from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import CompleteFn, Row, comparison, prism_completer
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS

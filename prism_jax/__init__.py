@@ -11,7 +11,7 @@ from prism_jax.geometry.transport import sinkhorn
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.metrics import f_score
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 from prism_jax.weights import load_pretrained
 
 __version__ = "0.1.0"

@@ -20,12 +20,9 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.observation import Observation, observe
-from prism_jax.observation.observation import padded
+from prism_jax.observation.observation import Observation, observe, padded
 from prism_jax.trace_cache import compile_cached
-from prism_jax.weights import available_weights, load_pretrained
-
-__all__ = ["CompletedScan", "Completer", "available_weights", "keep_unmeasured"]
+from prism_jax.weights import load_pretrained
 
 DEPTH_PIXELS = 128
 

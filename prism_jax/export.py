@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.models.variables import Variables
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 
 PLATFORMS = ("cpu", "cuda")
 

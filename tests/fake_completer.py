@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from prism_jax.geometry import Camera, Workspace
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError
 
 LOSSES = ("objective", "depth_consistency", "normal", "denoise", "align")

@@ -14,7 +14,7 @@ from prism_jax.completion import CompletedScan, Completer, _checked, keep_unmeas
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
-from prism_jax.observation import UNKNOWN_EYE
+from prism_jax.observation.observation import UNKNOWN_EYE
 from prism_jax.weights import save_weights
 
 FAR = np.array([10_000.0, -10_000.0, 500.0])

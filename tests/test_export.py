@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from prism_jax.export import export_adapt
-from prism_jax.geometry import Camera, Workspace
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 
 PROGRAM = pathlib.Path(__file__).parents[1] / "experiments" / "run_exported.py"
 BATCH = 2

@@ -1,6 +1,8 @@
 """The public names."""
 
+import ast
 import inspect
+import pathlib
 
 import pytest
 
@@ -51,3 +53,17 @@ def test_so_is_every_public_method(name):
 
 def test_version():
     assert prism_jax.__version__.count(".") == 2
+
+
+def test_no_name_is_exported_twice():
+    package = pathlib.Path(prism_jax.__file__).parent
+    exports = []
+    for path in package.rglob("*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if (
+                isinstance(node, ast.Assign)
+                and ast.unparse(node.targets[0]) == "__all__"
+            ):
+                exports += ast.literal_eval(node.value)
+    assert set(exports) > NAMES
+    assert len(exports) == len(set(exports))

@@ -5,7 +5,7 @@ import html.parser
 import numpy as np
 import pytest
 
-from prism_jax.geometry import Camera
+from prism_jax.geometry.camera import Camera
 from prism_jax.io import Scan
 from prism_jax.report import Completed, render_report, viewing_direction
 from prism_jax.result import plain, score, summarize

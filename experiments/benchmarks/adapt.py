@@ -9,7 +9,7 @@ import numpy as np
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
 from experiments.weights import located
 from prism_jax import Camera, Workspace, load_pretrained, make_adapt, observe
-from prism_jax.geometry import resample
+from prism_jax.geometry.sampling import resample
 
 FRAMES_PER_SECOND = 10
 STEPS = 3

@@ -12,13 +12,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
-from prism_jax.geometry import (
-    farthest_point_sample,
-    nearest,
-    pca_normals,
-    sinkhorn,
-)
-from prism_jax.losses import chamfer
+from prism_jax.geometry.neighbors import nearest
+from prism_jax.geometry.normals import pca_normals
+from prism_jax.geometry.sampling import farthest_point_sample
+from prism_jax.geometry.transport import sinkhorn
+from prism_jax.losses.chamfer import chamfer
 
 SIZES = (1024, 4096, 16384, 65536)
 TARGET_SIZE = 16384

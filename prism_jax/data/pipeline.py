@@ -15,7 +15,7 @@ from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 from prism_jax.observation.strays import find_strays
 
 

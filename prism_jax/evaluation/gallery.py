@@ -27,7 +27,7 @@ from prism_jax.figures import (
     views_figure,
 )
 from prism_jax.geometry.camera import Camera
-from prism_jax.observation import Observation
+from prism_jax.observation.observation import Observation
 from prism_jax.report import viewing_direction
 from prism_jax.simulation.contact_sheet import Color, Row, draw_clouds
 

@@ -29,7 +29,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.prism import Frame, hold_decoding, predict, prepare_frame
 from prism_jax.models.variables import Variables
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 
 ERROR = "CD-L2 to the complete cloud"
 ORACLE = "that error itself, which nobody knows"

@@ -14,7 +14,7 @@ from prism_jax import metrics
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.observation import Observation, observe
+from prism_jax.observation.observation import Observation, observe
 
 NORMALISATIONS = ("partial", "oracle", "own")
 

@@ -29,7 +29,7 @@ from prism_jax.evaluation.scoring import EMD_POINTS, Scene, score
 from prism_jax.evaluation.summary import Scores, summarise
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 
 CompleteFn = Callable[
     [Float[np.ndarray, "B N 3"], Float[np.ndarray, "B 3"]],

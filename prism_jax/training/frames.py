@@ -8,7 +8,7 @@ from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import Frame, prepare_frame
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 
 
 def frames_of(batch: Batch, key: Key[Array, "..."], config: ModelConfig) -> Frame:

@@ -24,7 +24,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.weighting import entropy, loss_weights
 from prism_jax.models.variables import Variables
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.frames import frames_of
 from prism_jax.training.leg import Leg, TrainState, steps_of

@@ -11,7 +11,7 @@ from prism_jax.evaluation.protocol import (
     side_by_side,
     workspace_for,
 )
-from prism_jax.observation import UNKNOWN_EYE
+from prism_jax.observation.observation import UNKNOWN_EYE
 
 
 def given(example, protocol):

@@ -9,8 +9,7 @@ import pytest
 from jax.test_util import check_grads
 from scipy.spatial.transform import Rotation
 
-from prism_jax.geometry import VIEWS, Camera
-from prism_jax.geometry.camera import MIN_DEPTH
+from prism_jax.geometry.camera import MIN_DEPTH, VIEWS, Camera
 
 RNG = np.random.default_rng(0)
 

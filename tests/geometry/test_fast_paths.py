@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.geometry import farthest_point_sample, knn, nearest, pca_normals
-from prism_jax.losses import chamfer
+from prism_jax.geometry.neighbors import knn, nearest
+from prism_jax.geometry.normals import pca_normals
+from prism_jax.geometry.sampling import farthest_point_sample
+from prism_jax.losses.chamfer import chamfer
 
 KINDS = ["random", "clustered", "planar", "duplicated", "collinear"]
 SEEDS = range(3)

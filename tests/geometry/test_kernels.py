@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.geometry import farthest_point_sample, kernels, knn, nearest
+from prism_jax.geometry import kernels
+from prism_jax.geometry.neighbors import knn, nearest
+from prism_jax.geometry.sampling import farthest_point_sample
 
 RNG = np.random.default_rng(0)
 

@@ -7,7 +7,8 @@ import pytest
 from jax.test_util import check_grads
 from scipy.spatial import KDTree
 
-from prism_jax.geometry import knn, nearest, neighbors, three_point_interpolate
+from prism_jax.geometry import neighbors
+from prism_jax.geometry.neighbors import knn, nearest, three_point_interpolate
 
 RNG = np.random.default_rng(0)
 jit_nearest = jax.jit(nearest)

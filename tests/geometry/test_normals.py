@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.geometry import knn, pca_normals
+from prism_jax.geometry.neighbors import knn
+from prism_jax.geometry.normals import pca_normals
 
 RNG = np.random.default_rng(0)
 normals_of = jax.jit(pca_normals, static_argnames="k")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prism_jax import Camera, Workspace, chamfer, pca_normals, render_depth
-from prism_jax.geometry import three_point_interpolate
+from prism_jax.geometry.neighbors import three_point_interpolate
 from prism_jax.losses.alignment import alignment_loss
 
 POINTS = jnp.asarray(np.random.default_rng(0).normal(size=(32, 3)), jnp.float32)

@@ -10,7 +10,8 @@ from jax.test_util import check_grads
 from jaxtyping import TypeCheckError
 from PIL import Image
 
-from prism_jax.geometry import Camera, render_depth
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.render import render_depth
 
 RNG = np.random.default_rng(0)
 CAMERA = Camera.look_at((2.5, 1.0, 0.8), (0.0, 0.0, 0.0), height=16, width=20)

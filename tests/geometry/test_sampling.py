@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.geometry import farthest_point_sample, resample
+from prism_jax.geometry.sampling import farthest_point_sample, resample
 
 RNG = np.random.default_rng(0)
 sample = jax.jit(farthest_point_sample, static_argnums=(1, 2, 3))

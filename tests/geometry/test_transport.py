@@ -9,7 +9,7 @@ from ott.geometry import geometry
 from ott.solvers import linear
 from scipy.optimize import linear_sum_assignment
 
-from prism_jax.geometry import sinkhorn
+from prism_jax.geometry.transport import sinkhorn
 
 RNG = np.random.default_rng(0)
 transport = jax.jit(sinkhorn, static_argnums=2)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from prism_jax.geometry import Camera, Workspace, render_depth
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.render import render_depth
+from prism_jax.geometry.workspace import Workspace
 
 RNG = np.random.default_rng(0)
 render = jax.jit(render_depth)

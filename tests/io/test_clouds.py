@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from prism_jax.geometry import Camera
+from prism_jax.geometry.camera import Camera
 from prism_jax.io import InputError, check_cloud, check_in_view, clouds, read_points
 
 POINTS = np.random.default_rng(0).normal(size=(80, 3)).astype(np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from prism_jax.geometry import Camera
+from prism_jax.geometry.camera import Camera
 from prism_jax.io import (
     InputError,
     camera_from_dict,

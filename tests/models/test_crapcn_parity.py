@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.geometry import knn
+from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import CrossResolutionTransformer
 from prism_jax.models.config import PCN
 from prism_jax.models.decoder import (

@@ -5,10 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.geometry import Camera, Workspace
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
-from prism_jax.observation import UNKNOWN_EYE, UP_AXES, observe, upright
-from prism_jax.observation.observation import FAR_ORIGIN, padded
+from prism_jax.observation.observation import FAR_ORIGIN, UNKNOWN_EYE, observe, padded
+from prism_jax.observation.upright import UP_AXES, upright
 
 EYE = np.array([3.0, -2.0, 1.5])
 FAR = np.array([4e5, 5e6, 100.0])

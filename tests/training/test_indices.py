@@ -7,7 +7,7 @@ import pytest
 from experiments.assets import CELLS
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.geometry import knn
+from prism_jax.geometry.neighbors import knn
 from prism_jax.models.backbone import partial_indices
 from prism_jax.training import indices
 from prism_jax.training.indices import index_table
