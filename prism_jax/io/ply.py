@@ -52,7 +52,7 @@ def read_ply(
             lines = (line for line in io.BytesIO(data[start:]) if not line.isspace())
             skipped = sum(counts[e.name] for e in before if e.properties)
             lines = itertools.islice(lines, skipped, None)
-            places = [row.names.index(axis) for axis in _AXES]
+            places = [list(row.names or ()).index(axis) for axis in _AXES]
             columns = parse_rows(lines, places, counts["vertex"]).T
         else:
             for element in before:
