@@ -24,7 +24,7 @@ from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.pipeline import with_partial
 from prism_jax.evaluation.protocol import observed, side_by_side
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.observation import observe
+from prism_jax.observation.observation import observe
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
