@@ -14,8 +14,7 @@ from typing import Any
 
 import jinja2
 
-from prism_jax.evaluation import paired_difference
-from prism_jax.evaluation.summary import scores_of
+from prism_jax.evaluation.tables import interval_text, percent
 from prism_jax.io.atomic import write_bytes
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -45,9 +44,12 @@ def pages() -> dict[pathlib.Path, str]:
     shown = {
         **results,
         "table": table,
-        "change": change,
+        "effect": effect,
         "score": score,
-        "percent": percent,
+        "change": lambda found: percent(found["change"], found["interval"]),
+        "interval": interval_text,
+        "carrier": lambda found: found["carried_by"]["category"],
+        "without": without,
     }
 
     def block(match: re.Match) -> str:
@@ -73,21 +75,19 @@ def table(name: str) -> str:
 
 def score(result: Mapping[str, Any], cloud: str, metric: str = "cd_l2") -> str:
     """The mean of a cloud's scores, in the unit of the tables."""
-    factor = {"cd_l2": 1e4, "hd": 1e2, "f_score": 1.0}[metric]
-    return f"{factor * scores_of(result, cloud)['mean'][metric]:.4g}"
+    factor = {"cd_l2": 1e4, "hausdorff": 1e2, "f_score": 1.0}[metric]
+    return f"{factor * result['clouds'][cloud]['mean'][metric]:.4g}"
 
 
-def change(
-    before: Mapping[str, Any], after: Mapping[str, Any], clouds: tuple[str, str]
-) -> str:
-    """How CD-L2 changes between two clouds, with its 95 % interval."""
-    return percent(paired_difference(before, after, clouds=clouds))
+def effect(result: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What adaptation changes in the CD-L2 of the network's own output."""
+    return result["adaptation"]["network"]["cd_l2"]
 
 
-def percent(found: Mapping[str, Any]) -> str:
-    """A relative change and its interval."""
-    low, high = (f"{100 * bound:+.1f}" for bound in found["interval"])
-    return f"{100 * found['change']:+.1f} % [{low}, {high}]"
+def without(found: Mapping[str, Any]) -> str:
+    """What is left of a change without the category that carries it."""
+    rest = found["carried_by"]
+    return percent(rest["change_without"], rest["interval_without"])
 
 
 if __name__ == "__main__":

@@ -26,7 +26,13 @@ from experiments.scoring import (
 from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import training_split
-from prism_jax.evaluation import Row, comparison, network_completer, prism_completer
+from prism_jax.evaluation import (
+    Predictions,
+    Row,
+    comparison,
+    network_completer,
+    prism_completer,
+)
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (
     load_pretrained,
@@ -71,7 +77,7 @@ def main():
     training = open_split(training_split(FLAGS.dataset))
     mean = training_mean(training, protocol.margin, num_outputs)
 
-    mirror = jax.jit(lambda partials: {"output": mirrored(partials, num_outputs)})
+    mirror = jax.jit(lambda partials: mirrored(partials, num_outputs))
 
     def run(complete_fn):
         without = dataclasses.replace(protocol, with_measured=False)
@@ -79,22 +85,24 @@ def main():
 
     adapted = scored(prism_completer(config, variables), source, protocol)
     rows = {
-        "partial itself": Row(adapted, "control"),
+        "partial": Row(adapted, "partial"),
         "training mean": Row(
-            run(lambda partials, _: {"output": np.stack([mean] * len(partials))})
+            run(lambda partials, _: Predictions(np.stack([mean] * len(partials))))
         ),
-        "partial and its mirror image": Row(run(lambda partials, _: mirror(partials))),
+        "partial and its mirror image": Row(
+            run(lambda partials, _: Predictions(mirror(partials)))
+        ),
     }
     for name, (module, own) in others.items():
         found = run(network_completer(module, own))
-        rows[LABELS.get(name, name)] = Row(found, "output", count(own), seen(name))
+        rows[LABELS.get(name, name)] = Row(found, "network", count(own), seen(name))
     alone = alone.with_adapt(num_steps=0)
     found = run(prism_completer(alone, backbone))
     number = count(backbone, "point_encoder", "decoder")
-    rows[BACKBONE] = Row(found, "output", number, seen(FLAGS.backbone))
+    rows[BACKBONE] = Row(found, "network", number, seen(FLAGS.backbone))
     number, samples = count(variables), seen(FLAGS.weights)
-    rows["PRISM, not adapted"] = Row(adapted, "unadapted", number, samples)
-    rows["PRISM"] = Row(adapted, "output", number, samples)
+    rows["PRISM, not adapted"] = Row(adapted, "network_unadapted", number, samples)
+    rows["PRISM"] = Row(adapted, "network", number, samples)
     about = named(protocol) | {
         "weights": FLAGS.weights,
         "steps": config.adapt.num_steps,

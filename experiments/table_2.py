@@ -24,7 +24,13 @@ from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation import CompleteFn, Row, comparison, prism_completer
+from prism_jax.evaluation import (
+    CompleteFn,
+    Predictions,
+    Row,
+    comparison,
+    prism_completer,
+)
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.observation.observation import observe
@@ -66,7 +72,7 @@ def main():
             # its learned step sizes among them.
             changed = PrismConfig(config.model, own.adapt).with_adapt(num_steps=steps)
             found = scored(prism_completer(changed, weights), source, protocol)
-            rows.setdefault(f"{name}, K = 0", Row(found, "unadapted"))
+            rows.setdefault(f"{name}, K = 0", Row(found, "network_unadapted"))
             rows[f"{name}, K = {steps}"] = Row(found)
     for label, complete in {
         "equal weights": prism_completer(own, equally_weighted(variables)),
@@ -97,15 +103,13 @@ def online_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
         done = adapt(put_encoders(encoders, rest), partial, camera)
         return done.encoders, (done.points, done.before, done.accepted)
 
-    def complete(partials: np.ndarray, eyes: np.ndarray) -> dict[str, np.ndarray]:
+    def complete(partials: np.ndarray, eyes: np.ndarray) -> Predictions:
         nonlocal encoders
         found = []
         for partial, eye in zip(partials, eyes, strict=True):
-            encoders, clouds = one(encoders, partial, eye)
-            found.append(jax.device_get(clouds))
-        names = ("output", "unadapted", "accepted")
-        columns = zip(*found, strict=True)
-        return {n: np.stack(c) for n, c in zip(names, columns, strict=True)}
+            encoders, predicted = one(encoders, partial, eye)
+            found.append(jax.device_get(predicted))
+        return Predictions(*(np.stack(column) for column in zip(*found, strict=True)))
 
     return complete
 

@@ -67,9 +67,9 @@ def main():
         measured = dataclasses.replace(protocol, with_measured=label == NONE)
         found = scored(prism_completer(config, variables), source, measured)
         if label == NONE:
-            rows["partial itself"] = Row(found, "control")
+            rows["partial"] = Row(found, "partial")
         else:
-            rows[f"{label}, not adapted"] = Row(found, "unadapted")
+            rows[f"{label}, not adapted"] = Row(found, "network_unadapted")
         rows[label] = Row(found)
     deliver(comparison(rows, NONE, **named(protocol)))
 

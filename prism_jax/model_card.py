@@ -14,8 +14,16 @@ from prism_jax.weights import (
     trainings,
 )
 
+OLD_CLOUDS = {
+    "control": "partial",
+    "unadapted": "network_unadapted",
+    "merged_unadapted": "completed_unadapted",
+    "merged": "completed",
+}
+"""What clouds were called; ``network`` had no name."""
+
 WORST = 3
-"""Kinds that are named of each data set, the ones with the highest CD-L2."""
+"""How many categories of each data set are named, those with the highest CD-L2."""
 
 
 def model_card(name_or_path: str) -> str:
@@ -35,13 +43,42 @@ def model_card(name_or_path: str) -> str:
         f"{sizes}; {count:,} parameters; {adapting}.\n",
         *(f"- {line}" for line in _trainings(about)),
     ]
-    scores = about.get("scores", {})
+    scores = released_scores(name_or_path)
     for result in scores.values():
         lines += [f"\n{markdown(result)}", _worst(result)]
     if not scores:
         lines.append("\nNo scores.")
     lines += [f"\n{note}" for note in about.get("notes", [])]
     return "\n".join(lines) + "\n"
+
+
+def released_scores(name_or_path: str) -> dict[str, dict[str, Any]]:
+    """The results of `evaluate` that came with weights, by data set and split.
+
+    Without what they hold of every example. Older files have other names for clouds and
+    for a metric; those are replaced here.
+    """
+    scores = read_metadata(name_or_path).get("scores", {})
+    return {split: _renamed(result) for split, result in scores.items()}
+
+
+def _renamed(result: Mapping[str, Any]) -> dict[str, Any]:
+    """A result with today's names of clouds and metrics."""
+    if "clouds" in result:
+        return dict(result)
+    network = {name: result[name] for name in ("mean", "intervals", "per_category")}
+    others = {new: result[old] for old, new in OLD_CLOUDS.items() if old in result}
+    about = {k: v for k, v in result.items() if k not in {*network, *OLD_CLOUDS}}
+    return {**about, "clouds": _with_hausdorff({"network": network, **others})}
+
+
+def _with_hausdorff(value: Any) -> Any:
+    if not isinstance(value, Mapping):
+        return value
+    return {
+        "hausdorff" if name == "hd" else name: _with_hausdorff(entry)
+        for name, entry in value.items()
+    }
 
 
 def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
@@ -58,8 +95,8 @@ def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _worst(result: Mapping[str, Any]) -> str:
-    """Where the measured points and what was added to them are farthest off."""
-    kinds = result["merged"]["per_category"]
+    """The categories whose completed clouds are farthest off."""
+    kinds = result["clouds"]["completed"]["per_category"]
     worst = sorted(kinds, key=lambda kind: kinds[kind]["cd_l2"], reverse=True)
     told = (f"{kind} ({1e4 * kinds[kind]['cd_l2']:.4g})" for kind in worst[:WORST])
-    return f"Worst at, CD-L2 x1e4 with the measured points kept: {', '.join(told)}."
+    return f"Worst at, CD-L2 x1e4 of completed: {', '.join(told)}."

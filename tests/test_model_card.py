@@ -1,5 +1,6 @@
 """What weights say of themselves, beside what their file holds and the README shows."""
 
+import json
 import pathlib
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from prism_jax.data.datasets import parts_of
 from prism_jax.evaluation import markdown
 from prism_jax.io import InputError
-from prism_jax.model_card import model_card
+from prism_jax.model_card import model_card, released_scores
 from prism_jax.simulation.roboarm.models import arms_of
 from prism_jax.weights import available_weights, read_metadata, save_weights
 
@@ -33,25 +34,64 @@ def test_all_that_ship_have_one(name):
     assert all(note in card for note in about["notes"])
     assert "512 points in, 2,048 out" in card
     assert "meshes of shapes: procedural" in card
-    for result in about.get("scores", {}).values():
-        low, high = (1e4 * bound for bound in result["merged"]["intervals"]["cd_l2"])
-        mean = 1e4 * result["merged"]["mean"]["cd_l2"]
-        assert f"{mean:.4g} [{low:.4g}, {high:.4g}]" in card
-        kinds = result["merged"]["per_category"]
+    for result in released_scores(name).values():
+        completed = result["clouds"]["completed"]
+        low, high = (1e4 * bound for bound in completed["intervals"]["cd_l2"])
+        mean = 1e4 * completed["mean"]["cd_l2"]
+        assert f"| completed | {mean:.4g} [{low:.4g}, {high:.4g}]" in card
+        kinds = completed["per_category"]
         worst = max(kinds, key=lambda kind: kinds[kind]["cd_l2"])
-        assert f"with the measured points kept: {worst} (" in card
+        assert f"Worst at, CD-L2 x1e4 of completed: {worst} (" in card
 
 
-@pytest.mark.parametrize("name", ["small", "small-robocell"])
-def test_what_they_ship_with_of_the_test_splits_is_shown(name):
-    scores = read_metadata(name)["scores"]
-    shown = README.read_text() + README.with_name("BUILD_NOTES.md").read_text()
-    splits = [split for split in scores if "validation" not in split]
-    assert splits
-    for split in splits:
-        lines = [line for line in markdown(scores[split]).splitlines() if "[" in line]
-        assert len(lines) == 5
-        assert not [line for line in lines if line not in shown]
+def test_scores_under_older_names_are_converted():
+    """Of the weights that ship, beside what their file holds."""
+    old = read_metadata("small")["scores"]["shapes-test"]
+    new = released_scores("small")["shapes-test"]
+    pairs = {
+        "partial": old["control"],
+        "network": old,
+        "network_unadapted": old["unadapted"],
+        "completed": old["merged"],
+        "completed_unadapted": old["merged_unadapted"],
+    }
+    assert new["clouds"].keys() == pairs.keys()
+    for name, scores in pairs.items():
+        for key in ("mean", "intervals"):
+            found = dict(new["clouds"][name][key])
+            assert found.pop("hausdorff") == scores[key]["hd"]
+            assert all(scores[key][metric] == found[metric] for metric in found)
+        chair = new["clouds"][name]["per_category"]["chair"]
+        assert chair["hausdorff"] == scores["per_category"]["chair"]["hd"]
+    assert (new["unit"], new["num_examples"]) == (old["unit"], old["num_examples"])
+    assert not {"mean", "control", "merged"} & new.keys()
+
+
+def test_scores_under_todays_names_stay(card_of, tmp_path):
+    path = README.parent / "docs" / "tables" / "unseen.json"
+    result = json.loads(path.read_text())
+    card = card_of(scores={"shapes-unseen": result})
+    weights = str(tmp_path / "weights.safetensors")
+    found = released_scores(weights)
+    assert found == {"shapes-unseen": result}
+    assert markdown(found["shapes-unseen"]) in card
+
+
+@pytest.mark.parametrize(
+    ("name", "split"),
+    [
+        ("small", "shapes-test"),
+        ("small", "shapes-unseen"),
+        ("small-robocell", "roboarm-test"),
+    ],
+)
+def test_scores_that_they_ship_with_are_shown(name, split):
+    shown = (README.parent / "docs" / "results.md").read_text()
+    text = markdown(released_scores(name)[split])
+    lines = [line for line in text.splitlines() if "[" in line]
+    assert len(lines) == 5
+    # The page may have more columns.
+    assert not [line for line in lines if line.removesuffix(" |") not in shown]
 
 
 def test_every_training_counts(card_of):

@@ -54,12 +54,13 @@ def score_separately(
         from_own, from_workspace = into_scored(example, protocol)
         complete, measured = from_own(example.complete), from_own(example.partial)
         few = first_points(complete, EMD_POINTS, example.ordered)
-        clouds = {"control": measured}
-        for name in ("output", "unadapted"):
-            cloud = from_workspace(done[name][0])
+        clouds = {"partial": measured}
+        predicted = {"": done.network, "_unadapted": done.network_unadapted}
+        for suffix, points in predicted.items():
+            cloud = from_workspace(points[0])
             keep = keep_unmeasured(cloud, measured, from_workspace(partials[0]))
-            merged = np.concatenate([measured, cloud[keep]])
-            clouds |= {name: cloud, f"{name}, merged": merged}
+            completed = np.concatenate([measured, cloud[keep]])
+            clouds |= {f"network{suffix}": cloud, f"completed{suffix}": completed}
         scores = {}
         for name, cloud in clouds.items():
             fewer = farthest_point_order(cloud, EMD_POINTS)
@@ -68,7 +69,7 @@ def score_separately(
                 "cd_l1": metrics.cd_l1(cloud, complete),
                 "f_score": metrics.f_score(cloud, complete),
                 "emd": metrics.emd(fewer, few),
-                "hd": metrics.hausdorff(cloud, complete),
+                "hausdorff": metrics.hausdorff(cloud, complete),
             }
         rows.append(scores)
     return rows

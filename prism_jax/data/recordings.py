@@ -73,10 +73,9 @@ class RecordedCells:
 
     File names are checked when this is made, contents when an example is read. A file
     that the layout does not know, an incomplete frame and, with `verify`, a file that
-    differs from the manifest raise InputError. A sequence counts as one object.
+    differs from the manifest raise InputError. A sequence counts as one object. Its
+    category is the robot if its name tells it, as 003-ur5 does, else "robot cell".
     """
-
-    categories = ("robot cell",)
 
     def __init__(self, root: str | os.PathLike, verify: bool = True):
         self.root = pathlib.Path(root)
@@ -87,6 +86,7 @@ class RecordedCells:
         self.frames = tuple(found)
         sequences = [sequence for sequence, _ in found]
         self.objects = np.unique(sequences, return_inverse=True)[1]
+        self.categories = tuple(dict.fromkeys(map(_category, sequences)))
 
     @classmethod
     def bundled(cls) -> "RecordedCells":
@@ -105,7 +105,7 @@ class RecordedCells:
             complete=_read_cloud(complete) if complete.exists() else None,
             partial=_read_cloud(frame_file(frame, "partial.ply")),
             eye=np.asarray(camera.position, np.float32),
-            category=self.categories[0],
+            category=_category(sequence),
             name=f"{sequence}/{name}",
             any_heading=True,
         )
@@ -114,6 +114,12 @@ class RecordedCells:
         """All of a frame, each file checked against the others."""
         sequence, name = self.frames[index]
         return read_frame(self.root / sequence, int(name))
+
+
+def _category(sequence: str) -> str:
+    """What the sequence shows: the robot, if it is named as the simulator does it."""
+    named = re.fullmatch(r"\d+-(.+)", sequence)
+    return "robot cell" if named is None else named[1]
 
 
 def read_frame(folder: str | os.PathLike, number: int) -> Frame:

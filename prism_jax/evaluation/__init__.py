@@ -2,6 +2,7 @@
 
 from prism_jax.evaluation.comparison import Row, comparison
 from prism_jax.evaluation.gradients import agreement
+from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
 from prism_jax.evaluation.published import (
     PUBLISHED,
@@ -10,11 +11,11 @@ from prism_jax.evaluation.published import (
 )
 from prism_jax.evaluation.run import (
     CompleteFn,
+    Predictions,
     evaluate,
     network_completer,
     prism_completer,
 )
-from prism_jax.evaluation.summary import paired_difference
 from prism_jax.evaluation.tables import (
     agreement_markdown,
     comparison_markdown,
@@ -26,6 +27,7 @@ __all__ = [
     "NORMALISATIONS",
     "PUBLISHED",
     "CompleteFn",
+    "Predictions",
     "Protocol",
     "Row",
     "agreement",

@@ -82,7 +82,7 @@ def show(
     """The examples of these indices, completed as `evaluate` completes them."""
     examples = [with_partial(source[index]) for index in indices]
     seen = [observed(example, protocol) for example in examples]
-    outputs = np.asarray(complete_fn(*side_by_side(seen))["output"])
+    outputs = np.asarray(complete_fn(*side_by_side(seen)).network)
     rows = zip(examples, seen, outputs, strict=True)
     return [_shown(*row, protocol) for row in rows]
 

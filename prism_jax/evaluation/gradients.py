@@ -16,13 +16,13 @@ from prism_jax.adaptation.objective import test_time_objective
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Source
+from prism_jax.evaluation.bootstrap import mean_intervals
 from prism_jax.evaluation.protocol import (
     Protocol,
     observed,
     side_by_side,
     workspace_for,
 )
-from prism_jax.evaluation.summary import mean_intervals
 from prism_jax.geometry.neighbors import nearest
 from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace

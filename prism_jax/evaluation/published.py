@@ -1,4 +1,4 @@
-"""The columns of published tables, of results by the published protocols.
+"""The columns of published tables, for results of the published protocols.
 
 ShapeNet-55 and -34 (Yu et al., "PoinTr", ICCV 2021): the test objects from eight fixed
 viewpoints, 25, 50 and 75 % of the points removed (easy, median, hard); CD-L2 x1e3 as
@@ -13,28 +13,26 @@ from typing import Any
 
 import numpy as np
 
-from prism_jax.evaluation.summary import scores_of
-
 PUBLISHED = ("shapenet55", "shapenet34", "shapenet_unseen21", "pcn")
-"""Data sets whose published protocol is known here; the test split of each."""
+"""Data sets with a published protocol for their test split."""
 
 _LETTERS = {"easy": "S", "median": "M", "hard": "H"}
 
 
 def published_options(dataset: str) -> dict[str, str]:
-    """How to open a data set for its published test."""
+    """Options of `open_dataset` for the published test."""
     return {} if dataset == "pcn" else {"difficulty": "all"}
 
 
 def published_columns(
-    dataset: str, result: Mapping[str, Any], cloud: str = "output"
+    dataset: str, result: Mapping[str, Any], cloud: str = "network"
 ) -> dict[str, float]:
     """The columns of the data set's published table, scaled as there.
 
-    `result` is that of `evaluate` on the test split opened with `published_options`,
-    in the data set's own unit; `cloud` one of its clouds.
+    `result` comes from `evaluate` on the test split, opened with `published_options`,
+    in the data set's own unit. `cloud` is one of its clouds.
     """
-    scores = scores_of(result, cloud)["per_category"]
+    scores = result["clouds"][cloud]["per_category"]
     f_score = float(np.mean([means["f_score"] for means in scores.values()]))
     if dataset == "pcn":
         columns = {name: 1e3 * means["cd_l1"] for name, means in scores.items()}
@@ -49,9 +47,9 @@ def published_columns(
 
 
 def _of_difficulty(examples: Mapping[str, Any], cloud: str, difficulty: str) -> float:
-    """CD-L2 x1e3 of one difficulty, by the names that the source gives."""
+    """CD-L2 x1e3 of the examples whose names hold this difficulty."""
     by_category: dict[str, list[float]] = {}
-    values = examples[cloud]["cd_l2"]
+    values = examples["clouds"][cloud]["cd_l2"]
     for name, category, value in zip(
         examples["name"], examples["category"], values, strict=True
     ):

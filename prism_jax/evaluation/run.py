@@ -4,13 +4,13 @@ import collections
 import concurrent.futures
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
 from prism_jax.adaptation.config import PrismConfig
@@ -25,26 +25,39 @@ from prism_jax.evaluation.protocol import (
     observed,
     side_by_side,
 )
-from prism_jax.evaluation.scoring import EMD_POINTS, Scene, score
-from prism_jax.evaluation.summary import Scores, summarise
+from prism_jax.evaluation.scoring import EMD_POINTS, ExampleClouds, score
+from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
 from prism_jax.observation.observation import observe
 
+
+class Predictions(NamedTuple):
+    """What a completer returns for a batch, in the unit workspace.
+
+    Attributes:
+      network: the points that are scored.
+      network_unadapted: the same without test-time adaptation; None if the completer
+        does not adapt.
+      accepted: whether the adaptation of each example was accepted; None likewise.
+    """
+
+    network: Float[Array | np.ndarray, "B P 3"]
+    network_unadapted: Float[Array | np.ndarray, "B P 3"] | None = None
+    accepted: Bool[Array | np.ndarray, " B"] | None = None
+
+
 CompleteFn = Callable[
-    [Float[np.ndarray, "B N 3"], Float[np.ndarray, "B 3"]],
-    Mapping[str, Array | np.ndarray],
+    [Float[np.ndarray, "B N 3"], Float[np.ndarray, "B 3"]], Predictions
 ]
-"""What is scored: partial clouds and the sensors' places, in the unit workspace, to
-clouds there. ``output`` (B, M, 3) must be in the result; ``unadapted`` (B, M, 3), the
-output without adaptation, and ``accepted`` (B,), whether it was adapted, may be.
-Jitted functions and plain ones will do."""
+"""What is scored: a function of partial clouds and the sensors' positions, both in the
+unit workspace. It may be jitted."""
 
 
 def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
-    """PRISM with its test-time adaptation, jitted; compiled for each size of a batch.
+    """PRISM with its test-time adaptation, jitted; compiled for each batch size.
 
-    With ``num_steps=0`` there is the output alone.
+    With ``num_steps=0`` it returns ``network`` alone.
     """
     adapt = make_adapt(config)
 
@@ -52,22 +65,18 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
         camera = observe(partial, eye, Workspace.unit()).camera
         done = adapt(variables, partial, camera)
         if config.adapt.num_steps == 0:
-            return {"output": done.points}
-        return {
-            "output": done.points,
-            "unadapted": done.before,
-            "accepted": done.accepted,
-        }
+            return done.points, None, None
+        return done.points, done.before, done.accepted
 
     batched = jax.jit(jax.vmap(one, (None, 0, 0)))
-    return lambda partials, eyes: batched(variables, partials, eyes)
+    return lambda partials, eyes: Predictions(*batched(variables, partials, eyes))
 
 
 def network_completer(module: nn.Module, variables: Variables) -> CompleteFn:
-    """A network from partials to its stages, the last of which is its output; jitted,
-    and compiled for each size of a batch."""
+    """A network that maps partials to its stages, the last of which is scored; jitted,
+    and compiled for each batch size."""
     batched = jax.jit(lambda variables, partials: apply(module, variables, partials))
-    return lambda partials, eyes: {"output": batched(variables, partials)[-1]}
+    return lambda partials, eyes: Predictions(batched(variables, partials)[-1])
 
 
 def evaluate(
@@ -78,22 +87,23 @@ def evaluate(
     batch_size: int = 20,
     num_workers: int | None = None,
 ) -> dict[str, Any]:
-    """Scores of the output, and of what it is to be compared with, as JSON.
+    """Scores of all `CLOUDS` over a data set, as JSON.
 
-    ``mean``, ``intervals`` and ``per_category`` are of the output; ``unadapted``,
-    ``control`` (the partial itself), ``merged`` and ``merged_unadapted`` (the measured
-    points kept) have the same three; the last three only with
-    `Protocol.with_measured`. Distances are in ``unit``, squared where the metric is,
-    and nothing is scaled. ``accepted`` is the share of frames whose adaptation was.
-    ``per_example`` holds CD-L2 and F-score of every cloud, for `paired_difference`.
+    ``clouds`` holds for each cloud the ``mean``, its ``intervals``, the ``median`` and
+    the means ``per_category`` of every metric; all but ``network`` and
+    ``network_unadapted`` only with `Protocol.with_measured`. Distances are in ``unit``,
+    squared where the metric is, and nothing is scaled. If the completer adapts,
+    ``accepted`` is the share of examples whose adaptation was accepted, and
+    ``adaptation`` says what it changes (`adaptation_effect`). ``per_example`` holds
+    what `paired_difference` needs.
 
-    Of the source's examples the first ``limit`` count; one without a complete cloud
+    Only the first ``limit`` examples of the source count; one without a complete cloud
     raises InputError. While one batch is completed, the one before is scored by
     `num_workers` threads, one a core by default.
     """
     count = len(source) if limit is None else min(limit, len(source))
     size = min(batch_size, count)
-    rows: list[Scores] = []
+    rows: list[ExampleScores] = []
     waiting: collections.deque = collections.deque()
     with (
         tqdm(total=count, desc="evaluate", unit="shape", mininterval=2.0) as bar,
@@ -116,8 +126,9 @@ def evaluate(
 
 class _Item(NamedTuple):
     example: Example
-    partial: np.ndarray
-    completed: dict[str, np.ndarray]
+    network_input: np.ndarray
+    predictions: Predictions
+    """Of this example: without the leading axis."""
 
 
 def _complete(
@@ -133,33 +144,36 @@ def _complete(
         examples = [with_partial(source[int(row)]) for row in rows]
         seen = [observed(example, protocol) for example in examples]
         partials, eyes = side_by_side(seen)
-        completed = jax.device_get(complete_fn(partials, eyes))
+        predictions = jax.device_get(complete_fn(partials, eyes))
         yield [
-            _Item(examples[i], partials[i], {k: v[i] for k, v in completed.items()})
+            _Item(examples[i], partials[i], _one(predictions, i))
             for i in range(min(batch_size, count - start))
         ]
 
 
-def _score(item: _Item, protocol: Protocol) -> Scores:
-    """One example's scores, in their frame."""
-    example, accepted = item.example, item.completed.get("accepted")
+def _one(predictions: Predictions, row: int) -> Predictions:
+    """Those of one example of a batch."""
+    return jax.tree.map(lambda array: array[row], predictions)
+
+
+def _score(item: _Item, protocol: Protocol) -> ExampleScores:
+    """The scores of one example, in their frame."""
+    example, predictions = item.example, item.predictions
     assert example.partial is not None and example.complete is not None
     scaled, from_workspace = into_scored(example, protocol)
     few = first_points(example.complete, EMD_POINTS, example.ordered)
-    scene = Scene(
+    unadapted, accepted = predictions.network_unadapted, predictions.accepted
+    clouds = ExampleClouds(
         complete=scaled(example.complete),
-        few=scaled(few),
-        measured=scaled(example.partial),
-        partial=from_workspace(item.partial),
-        predictions={
-            name: from_workspace(item.completed[name])
-            for name in ("output", "unadapted")
-            if name in item.completed
-        },
+        complete_few=scaled(few),
+        partial=scaled(example.partial),
+        network_input=from_workspace(item.network_input),
+        network=from_workspace(predictions.network),
+        network_unadapted=None if unadapted is None else from_workspace(unadapted),
     )
-    return Scores(
+    return ExampleScores(
         example.name,
         example.category,
         None if accepted is None else bool(accepted),
-        score(scene, protocol.with_emd, protocol.with_measured),
+        score(clouds, protocol.with_emd, protocol.with_measured),
     )

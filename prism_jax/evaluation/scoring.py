@@ -9,37 +9,51 @@ from scipy.spatial import KDTree
 from prism_jax import metrics
 from prism_jax.completion import keep_unmeasured
 from prism_jax.data.ordering import farthest_point_order
+from prism_jax.metrics import Scores
 
 EMD_POINTS = 1024
-"""The exact earth mover's distance is taken between so many farthest points."""
+"""The exact earth mover's distance is computed between this many farthest points."""
 
-METRICS = ("cd_l2", "cd_l1", "f_score", "emd", "hd")
+CLOUDS = (
+    "partial",
+    "network_unadapted",
+    "network",
+    "completed_unadapted",
+    "completed",
+)
+"""Names of the clouds that are scored, in the order in which tables list them:
 
-MERGED = {"output": "merged", "unadapted": "merged_unadapted"}
-"""Names of the predictions with the measured points kept."""
+partial: the measured points.
+network: all that the network predicts.
+completed: what a user gets, the measured points and, where nothing was measured,
+  predicted ones.
+network_unadapted, completed_unadapted: the same without test-time adaptation. Only
+  where the prediction was adapted and the one before is known too.
+"""
 
 
-class Scene(NamedTuple):
-    """One example and its predictions, all in the frame and unit of the scores.
+class ExampleClouds(NamedTuple):
+    """One example and what was predicted for it, in the frame and unit of the scores.
 
     Attributes:
       complete: the ground truth.
-      few: `EMD_POINTS` farthest points of it.
-      measured: the partial as it was measured.
-      partial: the partial as the completer got it.
-      predictions: by name, ``output`` and perhaps ``unadapted``.
+      complete_few: `EMD_POINTS` farthest points of it.
+      partial: the measured points.
+      network_input: those of them that the network read.
+      network, network_unadapted: predicted points; the latter None if not adapted.
     """
 
     complete: Float[np.ndarray, "M 3"]
-    few: Float[np.ndarray, "E 3"]
-    measured: Float[np.ndarray, "N 3"]
-    partial: Float[np.ndarray, "P 3"]
-    predictions: dict[str, Float[np.ndarray, "_ 3"]]
+    complete_few: Float[np.ndarray, "E 3"]
+    partial: Float[np.ndarray, "N 3"]
+    network_input: Float[np.ndarray, "I 3"]
+    network: Float[np.ndarray, "P 3"]
+    network_unadapted: Float[np.ndarray, "P 3"] | None = None
 
 
-class _Found(NamedTuple):
-    """Nearest neighbours of a cloud in the complete one and the reverse, with the rows
-    of the cloud that the latter are."""
+class _Matched(NamedTuple):
+    """A cloud, its points' distances to the nearest complete ones (`forward`), the
+    reverse (`backward`), and which rows of the cloud the latter lead to."""
 
     cloud: np.ndarray
     forward: np.ndarray
@@ -48,74 +62,77 @@ class _Found(NamedTuple):
 
 
 def score(
-    scene: Scene, with_emd: bool = True, with_measured: bool = True
-) -> dict[str, dict[str, float]]:
-    """`METRICS` of each prediction and, `with_measured`, of ``control``, the partial
-    itself, and of each prediction with the measured points kept (`MERGED`).
+    clouds: ExampleClouds, with_emd: bool = True, with_measured: bool = True
+) -> dict[str, Scores]:
+    """The scores of all `CLOUDS` that can be made of an example.
 
-    As the functions of `prism_jax.metrics` give them, but for the last bits. Without
-    `with_emd`, ``emd`` is left out. Pure NumPy and SciPy on one thread, mostly without
-    Python's lock.
+    Values are those of the functions of `prism_jax.metrics`, except for the last bits.
+    Without `with_measured` only ``network`` and ``network_unadapted`` are scored.
+    Runs on one thread, mostly without holding Python's lock.
     """
-    tree = KDTree(scene.complete)
-    found, predictions = {}, scene.predictions
-    if with_measured:
-        found["control"] = _find(scene.measured, scene.complete, tree)
-    for name, cloud in predictions.items():
-        if name != "output" and np.array_equal(cloud, predictions["output"]):
-            continue  # Adaptation was not accepted.
-        found[name] = prediction = _find(cloud, scene.complete, tree)
-        if with_measured:
-            keep = keep_unmeasured(cloud, scene.measured, scene.partial)
-            merged = _merged(found["control"], prediction, keep, scene.complete)
-            found[MERGED[name]] = merged
+    tree = KDTree(clouds.complete)
+    partial = _match(clouds.partial, clouds.complete, tree) if with_measured else None
+    matched = {} if partial is None else {"partial": partial}
+    equal = clouds.network_unadapted is not None and np.array_equal(
+        clouds.network_unadapted, clouds.network
+    )
+    for suffix, cloud in (
+        ("", clouds.network),
+        ("_unadapted", None if equal else clouds.network_unadapted),
+    ):
+        if cloud is None:
+            continue
+        network = _match(cloud, clouds.complete, tree)
+        matched[f"network{suffix}"] = network
+        if partial is not None:
+            keep = keep_unmeasured(cloud, clouds.partial, clouds.network_input)
+            completed = _completed(partial, network, keep, clouds.complete)
+            matched[f"completed{suffix}"] = completed
     scores = {
-        name: metrics.from_distances(one.forward, one.backward).named()
-        for name, one in found.items()
+        name: metrics.from_distances(one.forward, one.backward)
+        for name, one in matched.items()
     }
-    for row in scores.values():
-        row["hd"] = row.pop("hausdorff")
     if with_emd:
-        few = {
-            name: farthest_point_order(one.cloud, EMD_POINTS)
-            for name, one in found.items()
-        }
-        # The partial is unlike the others, which are much like each other.
-        alike = [name for name in few if name != "control"]
-        for names in (few.keys() - alike, alike):
-            values = metrics.emds([few[name] for name in names], scene.few)
-            for name, value in zip(names, values, strict=True):
-                scores[name]["emd"] = value
-    for name in predictions.keys() - scores.keys():
-        scores[name] = scores["output"]
-        if with_measured:
-            scores[MERGED[name]] = scores["merged"]
-    return {
-        name: {metric: row[metric] for metric in METRICS if metric in row}
-        for name, row in scores.items()
-    }
+        for name, value in _emds(matched, clouds.complete_few).items():
+            scores[name] = scores[name]._replace(emd=value)
+    if equal:
+        scores |= {f"{k}_unadapted": v for k, v in scores.items() if k != "partial"}
+    return {name: scores[name] for name in CLOUDS if name in scores}
 
 
-def _find(cloud: np.ndarray, complete: np.ndarray, tree: KDTree) -> _Found:
+def _match(cloud: np.ndarray, complete: np.ndarray, tree: KDTree) -> _Matched:
     backward, rows = KDTree(cloud).query(complete)
-    return _Found(cloud, tree.query(cloud)[0], backward, np.asarray(rows))
+    return _Matched(cloud, tree.query(cloud)[0], backward, np.asarray(rows))
 
 
-def _merged(
-    control: _Found, prediction: _Found, keep: np.ndarray, complete: np.ndarray
-) -> _Found:
-    """The measured points and then the kept ones, from what is known of both.
+def _completed(
+    partial: _Matched, network: _Matched, keep: np.ndarray, complete: np.ndarray
+) -> _Matched:
+    """The measured points followed by the predicted ones in `keep`.
 
-    Of the complete points only those are searched again whose nearest predicted point
-    was not kept.
+    The search is repeated only for complete points whose nearest predicted point was
+    dropped.
     """
-    cloud = np.concatenate([control.cloud, prediction.cloud[keep]])
-    forward = np.concatenate([control.forward, prediction.forward[keep]])
-    nearest = prediction.backward.copy()
-    lost = ~keep[prediction.rows]
+    cloud = np.concatenate([partial.cloud, network.cloud[keep]])
+    forward = np.concatenate([partial.forward, network.forward[keep]])
+    nearest = network.backward.copy()
+    lost = ~keep[network.rows]
     if not keep.any():
         nearest[:] = np.inf
     elif lost.any():
-        nearest[lost] = KDTree(prediction.cloud[keep]).query(complete[lost])[0]
-    backward = np.minimum(control.backward, nearest)
-    return _Found(cloud, forward, backward, prediction.rows)
+        nearest[lost] = KDTree(network.cloud[keep]).query(complete[lost])[0]
+    backward = np.minimum(partial.backward, nearest)
+    return _Matched(cloud, forward, backward, network.rows)
+
+
+def _emds(
+    matched: dict[str, _Matched], complete_few: Float[np.ndarray, "E 3"]
+) -> dict[str, float]:
+    """The exact earth mover's distance of each cloud's farthest points."""
+    few = {k: farthest_point_order(m.cloud, EMD_POINTS) for k, m in matched.items()}
+    values = {}
+    # `emds` is fast for clouds that are alike, and the partial is unlike the others.
+    for names in (["partial"] * ("partial" in few), [k for k in few if k != "partial"]):
+        found = metrics.emds([few[name] for name in names], complete_few)
+        values |= dict(zip(names, found, strict=True))
+    return values

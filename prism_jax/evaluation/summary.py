@@ -1,151 +1,81 @@
-"""Means of scores with intervals over the objects, and differences of two results."""
+"""Scores of many examples as one result: means, medians and intervals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
-from prism_jax.evaluation.scoring import METRICS
+from prism_jax.evaluation.bootstrap import mean_intervals
+from prism_jax.evaluation.paired import MEASURES, adaptation_effect
+from prism_jax.metrics import Scores
 
-KEPT = ("cd_l2", "f_score")
-"""Metrics of which every example's value stays in a result."""
-
-_RESAMPLES = 2000
+KEPT = tuple(dict.fromkeys(measure.metric for measure in MEASURES.values()))
+"""Metrics whose value for every example stays in a result."""
 
 
-class Scores(NamedTuple):
-    """One example's: its name and category, whether its adaptation was accepted if it
-    was adapted, and every cloud's metrics."""
+class ExampleScores(NamedTuple):
+    """One example: its name and category, whether its adaptation was accepted (None if
+    it was not adapted), and the scores of its clouds."""
 
     name: str
     category: str
     accepted: bool | None
-    clouds: dict[str, dict[str, float]]
+    clouds: dict[str, Scores]
 
 
 def summarise(
-    rows: Sequence[Scores], categories: Sequence[str], objects: Int[np.ndarray, " E"]
+    rows: Sequence[ExampleScores],
+    categories: Sequence[str],
+    objects: Int[np.ndarray, " E"],
 ) -> dict[str, Any]:
-    """A result, as `evaluate` describes it, of examples and the object that each shows.
+    """The part of `evaluate`'s result that is made of scores.
 
-    Intervals are 95 % percentile bootstraps over objects: views of one are not
-    independent. Categories without an example are left out.
+    `objects` numbers the object that each example shows. Intervals of means are over
+    objects. Categories without an example are left out.
     """
     present = np.array([row.category for row in rows])
-    metrics = [metric for metric in METRICS if metric in rows[0].clouds["output"]]
+    clouds = list(rows[0].clouds)
 
     def summary(cloud: str) -> dict[str, Any]:
-        values = np.array([[row.clouds[cloud][m] for m in metrics] for row in rows])
+        named = [row.clouds[cloud].named() for row in rows]
+        metrics = list(named[0])
+        values = np.array([list(one.values()) for one in named])
         low, high = mean_intervals(values, objects)
 
-        def named(means: np.ndarray) -> dict[str, float]:
-            return dict(zip(metrics, means.tolist(), strict=True))
+        def by_metric(numbers: np.ndarray) -> dict[str, float]:
+            return dict(zip(metrics, numbers.tolist(), strict=True))
 
         return {
-            "mean": named(values.mean(0)),
+            "mean": by_metric(values.mean(0)),
+            "median": by_metric(np.median(values, axis=0)),
             "intervals": {m: [low[i], high[i]] for i, m in enumerate(metrics)},
             "per_category": {
-                name: named(values[present == name].mean(0))
+                name: by_metric(values[present == name].mean(0))
                 for name in categories
                 if (present == name).any()
             },
         }
 
+    def kept(cloud: str) -> dict[str, list[float]]:
+        scores = [row.clouds[cloud] for row in rows]
+        return {m: [_short(getattr(one, m)) for one in scores] for m in KEPT}
+
     accepted = [row.accepted for row in rows if row.accepted is not None]
-    others = [cloud for cloud in rows[0].clouds if cloud != "output"]
-    return {
+    result = {
         "num_examples": len(rows),
         "num_objects": int(objects[-1]) + 1,
         **({"accepted": float(np.mean(accepted))} if accepted else {}),
-        **summary("output"),
-        **{cloud: summary(cloud) for cloud in others},
+        "clouds": {cloud: summary(cloud) for cloud in clouds},
         "per_example": {
             "name": [row.name for row in rows],
             "category": present.tolist(),
             "object": objects.tolist(),
-            **{
-                cloud: {m: [_short(row.clouds[cloud][m]) for row in rows] for m in KEPT}
-                for cloud in rows[0].clouds
-            },
+            "clouds": {cloud: kept(cloud) for cloud in clouds},
         },
     }
-
-
-def scores_of(result: Mapping[str, Any], cloud: str) -> Mapping[str, Any]:
-    """``mean``, ``intervals`` and ``per_category`` of one of a result's clouds."""
-    return result if cloud == "output" else result[cloud]
-
-
-def paired_difference(
-    a: Mapping[str, Any],
-    b: Mapping[str, Any],
-    metric: str = "cd_l2",
-    clouds: tuple[str, str] = ("output", "output"),
-) -> dict[str, Any]:
-    """How much higher the mean of `metric` is in `b` than in `a`, as a share of a's.
-
-    `a` and `b` are results of the same examples, as `evaluate` returns them or as their
-    JSON is read; `metric` is one of `KEPT`, `clouds` names what to compare in each, so
-    that `paired_difference(r, r, clouds=("unadapted", "output"))` is what adaptation
-    changes. Returns ``change`` (-0.1 is ten percent lower) and ``interval``, its 95 %
-    percentile bootstrap over objects, drawn for both at once: what is hard for both
-    cancels out. Other examples, a metric or a cloud that is not there, or a mean of
-    zero in `a`, raise ValueError.
-    """
-    if any(a["per_example"][k] != b["per_example"][k] for k in ("name", "object")):
-        raise ValueError("the two results are not of the same examples in one order")
-    columns = []
-    for result, cloud in zip((a, b), clouds, strict=True):
-        try:
-            columns.append(result["per_example"][cloud][metric])
-        except (KeyError, TypeError):
-            raise ValueError(f"a result has no {metric} of {cloud}") from None
-    values = np.array(columns, np.float64).T
-    sums = _sums(values, np.array(a["per_example"]["object"]))
-    before, after = values.mean(0)
-    if before == 0:
-        raise ValueError(f"the mean {metric} of a is zero: there is no relative change")
-    means = _resampled_means(sums)
-    changes = (means[:, 1] - means[:, 0]) / np.where(means[:, 0] == 0, 1, means[:, 0])
-    low, high = np.quantile(changes, [0.025, 0.975]).tolist()
-    return {
-        "change": float(after / before - 1),
-        "interval": [low, high],
-        "num_examples": len(values),
-        "num_objects": len(sums),
-    }
-
-
-def mean_intervals(
-    values: Float[np.ndarray, "E K"], objects: Int[np.ndarray, " E"]
-) -> tuple[list[float], list[float]]:
-    """Bounds of the 95 % percentile bootstrap intervals of each column's mean.
-
-    Objects are drawn, with all of their examples.
-    """
-    means = _resampled_means(_sums(values, objects))
-    low, high = np.quantile(means, [0.025, 0.975], axis=0)
-    return low.tolist(), high.tolist()
-
-
-def _sums(
-    values: Float[np.ndarray, "E K"], objects: Int[np.ndarray, " E"]
-) -> Float[np.ndarray, "G K+1"]:
-    """The objects' sums of values, and in the last column the numbers of examples."""
-    rows = np.column_stack([values, np.ones(len(values))])
-    sums = np.zeros((int(objects.max()) + 1, rows.shape[1]))
-    np.add.at(sums, objects, rows)
-    return sums
-
-
-def _resampled_means(sums: Float[np.ndarray, "G K"]) -> Float[np.ndarray, "R K-1"]:
-    rng = np.random.default_rng(0)
-    means = []
-    for _ in range(_RESAMPLES):
-        total = sums[rng.integers(0, len(sums), len(sums))].sum(0)
-        means.append(total[:-1] / total[-1])
-    return np.array(means)
+    effect = adaptation_effect(result)
+    return {**result, **({"adaptation": effect} if effect else {})}
 
 
 def _short(value: float) -> float:

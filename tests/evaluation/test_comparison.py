@@ -6,26 +6,26 @@ import numpy as np
 import pytest
 
 from prism_jax.evaluation import Row, comparison, comparison_markdown
-from prism_jax.evaluation.scoring import METRICS
-from prism_jax.evaluation.summary import Scores, summarise
+from prism_jax.evaluation.summary import ExampleScores, summarise
+from prism_jax.metrics import Scores
 
 
-def result(first, second, objects="ab"):
+def result(first, second, objects="ab", kinds=("bag", "bag")):
     """Of two objects, scored these in every metric; the partial twice as much."""
-    rows = [
-        Scores(name, "bag", None, {"output": scores, "control": twice})
-        for name, value in zip(objects, (first, second), strict=True)
-        for scores in [dict.fromkeys(METRICS, value)]
-        for twice in [dict.fromkeys(METRICS, 2 * value)]
-    ]
-    return {"unit": "metres", **summarise(rows, ("bag",), np.arange(len(rows)))}
+    rows = []
+    for name, kind, value in zip(objects, kinds, (first, second), strict=True):
+        scores = Scores(*[value] * len(Scores._fields))
+        twice = Scores(*[2 * value] * len(Scores._fields))
+        clouds = {"partial": twice, "network": scores}
+        rows.append(ExampleScores(name, kind, None, clouds))
+    return {"unit": "metres", **summarise(rows, ("bag", "car"), np.arange(len(rows)))}
 
 
 @pytest.fixture
 def table():
     before, after = result(0.1, 0.3), result(0.1, 0.2)
     rows = {
-        "partial": Row(before, "control"),
+        "partial": Row(before, "partial"),
         "net": Row(before, parameters=1_500_000, samples=9000),
         "better": Row(after, parameters=2_000_000),
     }
@@ -36,8 +36,15 @@ def test_rows_have_their_own_cloud_and_the_change_against_one(table):
     rows = table["rows"]
     assert list(rows) == ["partial", "net", "better"]
     assert rows["partial"]["mean"]["cd_l2"] == pytest.approx(0.4)
-    assert rows["net"]["mean"]["hd"] == pytest.approx(0.2)
-    assert rows["net"]["change"]["cd_l2"] == {"change": 0, "interval": [0, 0]}
+    assert rows["net"]["mean"]["hausdorff"] == pytest.approx(0.2)
+    assert rows["net"]["change"]["cd_l2"] == {
+        "change": 0,
+        "interval": [0, 0],
+        "num_examples": 2,
+        "num_objects": 2,
+        "num_categories": 1,
+    }
+    assert rows["better"]["median"]["cd_l2"] == pytest.approx(0.15)
     assert rows["partial"]["change"]["f_score"]["change"] == pytest.approx(1)
     better = rows["better"]["change"]["cd_l2"]
     assert better["change"] == pytest.approx(-0.25)
@@ -64,6 +71,18 @@ def test_json_and_table_tell_the_same(table):
 def test_without_networks_there_are_no_columns_for_their_sizes():
     rows = {"net": Row(result(0.1, 0.3))}
     assert "parameters" not in comparison_markdown(comparison(rows, "net"))
+
+
+def test_a_change_says_which_category_carries_it():
+    kinds = ("bag", "car")
+    before, after = result(0.1, 0.3, kinds=kinds), result(0.1, 0.2, kinds=kinds)
+    table = comparison({"net": Row(before), "better": Row(after)}, "net")
+    lines = comparison_markdown(json.loads(json.dumps(table))).splitlines()
+    heads = "CD-L2 against net | over 2 categories | carried by | without it |"
+    assert lines[2].endswith(f"| {heads}")
+    assert lines[4].endswith("] |  |  |  |  |")
+    carried = "[-33.3, +0.0] | car (1 of 2): -25.0 % | +0.0 % [+0.0, +0.0] |"
+    assert lines[5].endswith(f"| -25.0 % [-33.3, +0.0] | {carried}")
 
 
 def test_results_of_other_examples_are_refused():

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Protocol, evaluate
+from prism_jax.evaluation import Predictions, Protocol, evaluate
 from prism_jax.evaluation.gallery import (
     COLUMNS,
     gallery_page,
@@ -20,7 +20,7 @@ PROTOCOL = Protocol(64, 1.4, with_emd=False)
 
 
 def moved(partials, eyes):
-    return {"output": partials + np.float32([0.3, 0.0, 0.2])}
+    return Predictions(partials + np.float32([0.3, 0.0, 0.2]))
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +31,11 @@ def shown():
 def test_numbers_are_those_of_the_evaluation(shown):
     scores = evaluate(moved, RecordedCells(CELLS), PROTOCOL)["per_example"]
     for item, index in zip(shown, (0, 3), strict=True):
-        assert item.before == pytest.approx(scores["control"]["cd_l2"][index], 1e-5)
-        assert item.after == pytest.approx(scores["merged"]["cd_l2"][index], 1e-5)
-        assert item.name == f"robot cell {scores['name'][index]}"
+        for name, value in (("partial", item.before), ("completed", item.after)):
+            expected = scores["clouds"][name]["cd_l2"][index]
+            assert value == pytest.approx(expected, 1e-5)
+        kind, name = scores["category"][index], scores["name"][index]
+        assert item.name == f"{kind} {name}"
         assert f"completed {1e4 * item.after:.4g}" in item.label
 
 

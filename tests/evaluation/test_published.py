@@ -5,18 +5,23 @@ import pytest
 
 from prism_jax.data.public.pcn import PCN
 from prism_jax.data.public.shapenet import ShapeNet
-from prism_jax.evaluation import Protocol, evaluate, published_columns
+from prism_jax.evaluation import (
+    Predictions,
+    Protocol,
+    evaluate,
+    published_columns,
+)
 from prism_jax.evaluation.published import published_options
-from prism_jax.evaluation.scoring import METRICS
-from prism_jax.evaluation.summary import Scores, summarise
+from prism_jax.evaluation.summary import ExampleScores, summarise
+from prism_jax.metrics import Scores
 from tests.public_sets import write_pcn, write_shapenet55
 
 DIFFICULTIES = {"easy": 1.0, "median": 2.0, "hard": 6.0}
 
 
-def row(name, category, value) -> Scores:
-    scores = dict.fromkeys(METRICS, value)
-    return Scores(name, category, None, {"control": scores, "output": scores})
+def row(name, category, value) -> ExampleScores:
+    scores = Scores(*[value] * len(Scores._fields))
+    return ExampleScores(name, category, None, {"partial": scores, "network": scores})
 
 
 def test_shapenet_averages_categories_and_not_examples():
@@ -33,7 +38,7 @@ def test_shapenet_averages_categories_and_not_examples():
     assert list(columns) == ["CD-S", "CD-M", "CD-H", "CD-Avg", "F-Score@1%"]
     expected = [5.5, 11.0, 33.0, 16.5, 1e-3 * 16.5]
     np.testing.assert_allclose(list(columns.values()), expected, rtol=1e-6)
-    assert published_columns("shapenet55", result, "control") == columns
+    assert published_columns("shapenet55", result, "partial") == columns
 
 
 def test_pcn_has_a_column_a_category():
@@ -57,7 +62,7 @@ def test_the_published_test_of_shapenet(tmp_path):
 
     def same(partials, eyes):
         given.extend(partials)
-        return {"output": partials}
+        return Predictions(partials)
 
     protocol = Protocol(256, 1.4, "own", "own", with_emd=False)
     result = evaluate(same, source, protocol, batch_size=8)
@@ -65,7 +70,7 @@ def test_the_published_test_of_shapenet(tmp_path):
     columns = published_columns("shapenet55", result)
     # All pairs, of the first test of each difficulty.
     for start, head in ((0, "CD-S"), (8, "CD-M"), (16, "CD-H")):
-        kept = result["per_example"]["output"]["cd_l2"][start : start + 8]
+        kept = result["per_example"]["clouds"]["network"]["cd_l2"][start : start + 8]
         assert np.isclose(columns[head], 1e3 * np.mean(kept), rtol=1e-6)
         complete, partial = source[start].complete, given[start]
         gaps = np.linalg.norm(complete[:, None] - partial, axis=2).astype(np.float64)
@@ -80,7 +85,7 @@ def test_the_published_test_of_pcn(tmp_path):
     source = PCN(tmp_path, "test", **published_options("pcn"))
     protocol = Protocol(128, 1.4, "own", "own", with_emd=False)
     answers = np.stack([source[i].complete for i in range(2)])
-    moved = {"output": answers + np.float32([0.002, 0.0, 0.0])}
+    moved = Predictions(answers + np.float32([0.002, 0.0, 0.0]))
     result = evaluate(lambda p, e: moved, source, protocol)
     columns = published_columns("pcn", result)
     assert list(columns) == ["airplane", "car", "Average", "F-Score@1%"]

@@ -9,28 +9,33 @@ from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.data.source import Example
 from prism_jax.evaluation import (
     NORMALISATIONS,
+    Predictions,
     Protocol,
     evaluate,
     paired_difference,
     prism_completer,
 )
+from prism_jax.evaluation.scoring import CLOUDS
 from prism_jax.io import InputError
 
 METRES = {"scale": 0.35, "shift": (2.0, -1.0, 4.0)}
-CLOUDS = ("control", "unadapted", "merged", "merged_unadapted")
 
 
 def same(partials, eyes):
     """Returns what it is given."""
     assert partials.shape[2] == eyes.shape[1] == 3
-    return {"output": partials}
+    return Predictions(partials)
 
 
 def mirrored(partials, eyes):
     """Adapted by mirroring, where the partial lies upwards of the workspace."""
     accepted = partials[:, :, 2].mean(axis=1) > 0
     output = partials * np.float32([1, 1, -1])
-    return {"output": output, "unadapted": partials, "accepted": accepted}
+    return Predictions(output, partials, accepted)
+
+
+def mean_of(result, cloud="network") -> dict[str, float]:
+    return result["clouds"][cloud]["mean"]
 
 
 def protocol(normalisation="partial", **changes) -> Protocol:
@@ -46,10 +51,10 @@ def test_a_partial_returned_is_a_partial_scored(boxes, normalisation):
     for i in range(len(source)):
         clouds = source[i].partial, source[i].complete
         expected.append(metrics.cd_l1(*clouds) / METRES["scale"])
-    assert np.isclose(result["control"]["mean"]["cd_l1"], np.mean(expected), rtol=1e-4)
+    assert np.isclose(mean_of(result, "partial")["cd_l1"], np.mean(expected), rtol=1e-4)
     unit = boxes()
     few = evaluate(same, unit, protocol("partial"))
-    assert np.isclose(result["mean"]["cd_l2"], few["mean"]["cd_l2"], rtol=1e-4)
+    assert np.isclose(mean_of(result)["cd_l2"], mean_of(few)["cd_l2"], rtol=1e-4)
     assert result["unit"] == "half the longest side of the complete cloud"
     assert result["num_partial"] == 60
 
@@ -58,11 +63,12 @@ def test_who_knows_the_answer_scores_zero(boxes):
     """In the oracle's frame, the complete cloud is as large as the margin says."""
     source = boxes(objects=1, **METRES)
     answer = boxes(objects=1)[0].complete / np.float32(1.4)
-    result = evaluate(lambda p, e: {"output": answer[None]}, source, protocol("oracle"))
-    assert result["mean"]["hd"] < 1e-5
-    assert result["mean"]["f_score"] == 1
-    blind = evaluate(lambda p, e: {"output": answer[None]}, source, protocol())
-    assert blind["mean"]["hd"] > 0.01
+    told = Predictions(answer[None])
+    result = evaluate(lambda p, e: told, source, protocol("oracle"))
+    assert mean_of(result)["hausdorff"] < 1e-5
+    assert mean_of(result)["f_score"] == 1
+    blind = evaluate(lambda p, e: told, source, protocol())
+    assert mean_of(blind)["hausdorff"] > 0.01
 
 
 def test_the_own_unit_is_the_data_sets(boxes):
@@ -70,7 +76,7 @@ def test_the_own_unit_is_the_data_sets(boxes):
     one = evaluate(same, source, protocol("own", unit="own"))
     other = evaluate(same, metres, protocol("own", unit="own"))
     assert other["unit"] == "the data set's own unit"
-    ratio = other["mean"]["cd_l1"] / one["mean"]["cd_l1"]
+    ratio = mean_of(other)["cd_l1"] / mean_of(one)["cd_l1"]
     assert np.isclose(ratio, METRES["scale"], rtol=1e-4)
 
 
@@ -99,31 +105,37 @@ def test_batches_all_have_one_size(boxes):
 
 def test_an_adapted_output_has_one_that_is_not(boxes):
     result = evaluate(mirrored, boxes(), protocol())
-    assert all(
-        set(result[name]) == {"mean", "intervals", "per_category"} for name in CLOUDS
-    )
+    assert tuple(result["clouds"]) == CLOUDS
+    for scores in result["clouds"].values():
+        assert set(scores) == {"mean", "median", "intervals", "per_category"}
     assert result["accepted"] == 1
     # A partial seen from above, mirrored in the middle of its own box, is farther away.
-    change = paired_difference(result, result, clouds=("unadapted", "output"))["change"]
-    means = result["mean"]["cd_l2"], result["unadapted"]["mean"]["cd_l2"]
-    assert np.isclose(change, means[0] / means[1] - 1, rtol=1e-4)
+    for name in ("network", "completed"):
+        change = paired_difference(result, result, clouds=(f"{name}_unadapted", name))
+        assert result["adaptation"][name]["cd_l2"] == change
+        before = mean_of(result, f"{name}_unadapted")["cd_l2"]
+        expected = mean_of(result, name)["cd_l2"] / before - 1
+        assert np.isclose(change["change"], expected, rtol=1e-4)
     without = evaluate(same, boxes(), protocol())
-    assert without["mean"] == result["unadapted"]["mean"]
-    assert without["merged"]["mean"] == result["merged_unadapted"]["mean"]
-    assert not {"accepted", "unadapted", "merged_unadapted"} & without.keys()
+    assert list(without["clouds"]) == ["partial", "network", "completed"]
+    for name in ("network", "completed"):
+        assert mean_of(without, name) == mean_of(result, f"{name}_unadapted")
+    assert not {"accepted", "adaptation"} & without.keys()
 
 
 def test_a_jitted_function_is_a_completer(boxes):
     plain = evaluate(mirrored, boxes(), protocol())
     jitted = evaluate(jax.jit(mirrored), boxes(), protocol())
     assert jitted["per_example"]["name"] == plain["per_example"]["name"]
-    np.testing.assert_allclose(jitted["mean"]["hd"], plain["mean"]["hd"], rtol=1e-6)
+    for name in ("hausdorff", "f_score"):
+        found = mean_of(jitted)[name]
+        np.testing.assert_allclose(found, mean_of(plain)[name], rtol=1e-6)
 
 
 def test_every_metric_is_there(boxes):
     result = evaluate(same, boxes(objects=1), Protocol(60, 1.4))
-    assert list(result["mean"]) == ["cd_l2", "cd_l1", "f_score", "emd", "hd"]
-    assert 0 < result["mean"]["emd"] < 1
+    assert tuple(mean_of(result)) == metrics.Scores._fields
+    assert 0 < mean_of(result)["emd"] < 1
 
 
 def test_a_fault_of_the_completer_ends_it(boxes):
@@ -133,7 +145,7 @@ def test_a_fault_of_the_completer_ends_it(boxes):
     with pytest.raises(RuntimeError, match="no network"):
         evaluate(broken, boxes(), protocol())
     with pytest.raises(ValueError, match="finite"):
-        evaluate(lambda p, e: {"output": p * np.nan}, boxes(), protocol())
+        evaluate(lambda p, e: Predictions(p * np.nan), boxes(), protocol())
 
 
 def test_an_example_without_truth_is_refused(boxes):
@@ -155,9 +167,9 @@ def test_prism_is_a_completer(minimal, minimal_variables, steps):
         np.zeros((2, 3), np.float32),
     )
     outputs = minimal.model.backbone.stage_sizes[-1]
-    assert shapes["output"].shape == (2, outputs, 3)
+    assert shapes.network.shape == (2, outputs, 3)
     if steps == 0:
-        assert shapes.keys() == {"output"}
+        assert shapes.network_unadapted is shapes.accepted is None
         return
-    assert shapes["unadapted"].shape == (2, outputs, 3)
-    assert (shapes["accepted"].shape, shapes["accepted"].dtype) == ((2,), bool)
+    assert shapes.network_unadapted.shape == (2, outputs, 3)
+    assert (shapes.accepted.shape, shapes.accepted.dtype) == ((2,), bool)

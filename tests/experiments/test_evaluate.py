@@ -11,7 +11,7 @@ import prism_jax
 from experiments import evaluate
 from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import paired_difference
+from prism_jax.evaluation import Predictions, paired_difference
 from prism_jax.metrics import hausdorff
 from tests import launching
 from tests.public_sets import write_pcn, write_shapenet55
@@ -22,10 +22,10 @@ def fake(config, variables):
 
     def complete(partials, eyes):
         if config.adapt.num_steps == 0:
-            return {"output": partials}
+            return Predictions(partials)
         moved = partials + np.float32([0, 0, 0.01 * config.adapt.num_steps])
         accepted = np.arange(len(partials)) % 2 == 0
-        return {"output": moved, "unadapted": partials, "accepted": accepted}
+        return Predictions(moved, partials, accepted)
 
     return complete
 
@@ -67,7 +67,7 @@ def test_changes_are_made_and_named(cells):
     assert changed["set"] == "adapt.num_steps=2 adapt.step_size=0.5"
     assert "set adapt.num_steps=2 adapt.step_size=0.5" in changed["table"]
     assert changed["steps"] == 2
-    assert changed["mean"] == cells["adapted"]["mean"]
+    assert changed["clouds"] == cells["adapted"]["clouds"]
     assert "set" not in cells["adapted"]
 
 
@@ -96,17 +96,29 @@ def test_cells_are_scored_in_their_own_size_under_both_normalisations(cells):
     """What is given back has the partial's scores, by any frame."""
     partial, oracle = cells["plain"], cells["oracle"]
     assert oracle["normalisation"] == "oracle"
-    assert oracle["control"] == partial["control"]
-    for metric, value in partial["mean"].items():
-        assert np.isclose(oracle["mean"][metric], value, rtol=1e-3), metric
+    partial, oracle = partial["clouds"], oracle["clouds"]
+    assert oracle["partial"] == partial["partial"]
+    for metric, value in partial["network"]["mean"].items():
+        found = oracle["network"]["mean"][metric]
+        assert np.isclose(found, value, rtol=1e-3), metric
     source = RecordedCells(CELLS)
     expected = []
     for example in (source[0], source[1]):
         half = np.ptp(example.complete, axis=0).max() / 2
         assert half < 0.9
         expected.append(hausdorff(example.partial, example.complete) / half)
-    found = partial["control"]["mean"]["hd"]
+    found = partial["partial"]["mean"]["hausdorff"]
     assert np.isclose(found, np.mean(expected), rtol=1e-5)
+
+
+def test_the_command_tells_what_adaptation_changes_and_which_arm_carries_it(cells):
+    result, table = cells["adapted"], cells["adapted"]["table"]
+    assert result["per_example"]["category"] == ["panda", "ur5"]
+    change = result["adaptation"]["completed"]["cd_l2"]
+    assert change["num_categories"] == 2
+    assert change["carried_by"]["category"] in ("panda", "ur5")
+    assert "| completed, CD-L2 | " in table and "over 2 categories" in table
+    assert "adaptation" not in cells["plain"]
 
 
 def test_two_files_can_be_compared(cells):
@@ -114,7 +126,7 @@ def test_two_files_can_be_compared(cells):
     assert change["change"] != 0
     assert change["num_examples"] == 2
     same = paired_difference(
-        cells["plain"], cells["adapted"], clouds=("output", "unadapted")
+        cells["plain"], cells["adapted"], clouds=("network", "network_unadapted")
     )
     assert (same["change"], same["interval"]) == (0, [0, 0])
 
@@ -128,7 +140,7 @@ def test_the_published_test_of_shapenet55_prints_its_columns(tmp_path, capsys):
     assert (result["split"], result["normalisation"]) == ("test", "own")
     assert result["unit"] == "the data set's own unit"
     assert f"| CD-L2 x1e3 | {' | '.join(heads)} |" in capsys.readouterr().out
-    assert "emd" not in result["mean"]
+    assert "emd" not in result["clouds"]["network"]["mean"]
 
 
 def test_the_published_test_of_pcn_prints_its_columns(tmp_path, capsys):

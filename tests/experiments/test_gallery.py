@@ -6,12 +6,13 @@ from PIL import Image
 from experiments import gallery
 from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
+from prism_jax.evaluation import Predictions
 from tests import launching
 
 
 def test_writes_a_page_and_a_picture(tmp_path, monkeypatch):
     def fake(config, variables):
-        return lambda partials, eyes: {"output": partials + np.float32(0.1)}
+        return lambda partials, eyes: Predictions(partials + np.float32(0.1))
 
     source = RecordedCells(CELLS)
     page = tmp_path / "out" / "cells.html"
@@ -21,6 +22,8 @@ def test_writes_a_page_and_a_picture(tmp_path, monkeypatch):
     assert launching.run(gallery, *place, *sizes) == 0
     text = page.read_text().replace("\\u002f", "/")
     for index in range(3):
-        assert f"{index + 1}. robot cell {source[index].name}: CD-L2" in text
+        assert (
+            f"{index + 1}. {source[index].category} {source[index].name}: CD-L2" in text
+        )
     with Image.open(page.with_suffix(".png")) as picture:
         assert picture.size == (4 * 32, 3 * (32 + 15))

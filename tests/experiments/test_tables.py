@@ -11,6 +11,7 @@ from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
+from prism_jax.evaluation import Predictions
 from prism_jax.models.variables import pop_encoders
 from prism_jax.weights import load_pretrained, read_metadata, samples_seen, save_weights
 from tests import launching
@@ -23,7 +24,7 @@ def fake(config, variables):
         weight = float(jnp.exp(variables["weighting"]["logits"][0]))
         moved = partials + np.float32([0, 0, 0.01 * weight * config.adapt.num_steps])
         accepted = np.ones(len(partials), bool)
-        return {"output": moved, "unadapted": partials, "accepted": accepted}
+        return Predictions(moved, partials, accepted)
 
     return complete
 
@@ -43,7 +44,7 @@ def test_table_one(tmp_path):
     table, text = run(table_1, tmp_path / "1.json", "--backbone=small")
     rows = table["rows"]
     assert list(rows) == [
-        *("partial itself", "training mean", "partial and its mirror image"),
+        *("partial", "training mean", "partial and its mirror image"),
         *(table_1.LABELS[name] for name in sorted(NETWORKS)),
         *("CRA-PCN", "PRISM, not adapted", "PRISM"),
     ]
@@ -89,7 +90,7 @@ def test_table_three(tmp_path):
     table, _ = run(table_3, tmp_path / "3.json", *arguments)
     rows = table["rows"]
     assert list(rows) == [
-        *("partial itself", "none", "align, not adapted", "align"),
+        *("partial", "none", "align, not adapted", "align"),
         *("align + normal, not adapted", "align + normal"),
         *("align + denoise, not adapted", "align + denoise", "all, not adapted", "all"),
     ]
@@ -139,7 +140,7 @@ def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
     complete = table_2.online_completer(None, variables)
     partials, eyes = np.zeros((2, 4, 3), np.float32), np.ones((2, 3), np.float32)
     partials[:, 0] = 1.0
-    outputs = [complete(partials, eyes)["output"] for _ in range(2)]
+    outputs = [complete(partials, eyes).network for _ in range(2)]
     moved = np.concatenate(outputs)[:, 1, 0]
     assert moved.tolist() == [0, 1, 2, 3]
 

@@ -1,0 +1,150 @@
+"""Paired differences: their intervals over objects and categories, and who carries
+them."""
+
+import numpy as np
+import pytest
+
+from prism_jax.evaluation import paired_difference
+from prism_jax.evaluation.bootstrap import resampled_medians
+from prism_jax.evaluation.paired import MEASURES, adaptation_effect
+
+RNG = np.random.default_rng(1)
+
+
+def result(values, views=1, categories=None, **clouds):
+    """A result's values of every example, all metrics alike; `clouds` besides
+    ``network``."""
+    objects = np.arange(len(values)) // views
+    kinds = ["bag"] * len(values) if categories is None else list(categories)
+    metrics = {measure.metric for measure in MEASURES.values()}
+    return {
+        "per_example": {
+            "name": [f"{i // views}/{i % views}" for i in range(len(values))],
+            "category": kinds,
+            "object": objects.tolist(),
+            "clouds": {
+                name: {metric: list(cloud) for metric in metrics}
+                for name, cloud in {"network": values, **clouds}.items()
+            },
+        }
+    }
+
+
+def test_a_tenth_lower_everywhere_is_a_tenth_lower():
+    values = RNG.uniform(0.1, 9, 50)
+    a, b = result(values), result(0.9 * values, partial=values)
+    for statistic in ("mean", "median"):
+        found = paired_difference(a, b, statistic=statistic)
+        assert np.isclose(found["change"], -0.1)
+        np.testing.assert_allclose(found["interval"], [-0.1, -0.1])
+        assert (found["num_examples"], found["num_objects"]) == (50, 50)
+        assert not {"category_interval", "carried_by"} & found.keys()
+    inside = paired_difference(b, b, "f_score", ("partial", "network"))
+    assert np.isclose(inside["change"], -0.1)
+
+
+def test_the_change_is_of_the_means_and_its_interval_of_pairs():
+    values = RNG.lognormal(0, 2, 300)
+    after = values * 1.05 + RNG.normal(0, 0.01, 300)
+    found = paired_difference(result(values), result(after))
+    assert np.isclose(found["change"], after.mean() / values.mean() - 1)
+    low, high = found["interval"]
+    assert low < found["change"] < high
+    # What is hard for both cancels: the mean's own interval is far wider.
+    error = values.std() / np.sqrt(len(values)) / values.mean()
+    assert high - low < 0.05 * error
+
+
+def test_two_results_without_a_difference_straddle_zero():
+    values = RNG.uniform(1, 2, 200)
+    other = values + RNG.normal(0, 0.1, 200)
+    other += values.mean() - other.mean()
+    low, high = paired_difference(result(values), result(other))["interval"]
+    assert low < 0 < high
+
+
+def test_a_single_category_carries_the_whole_effect():
+    """As one kind of six: significant over objects, nothing over kinds."""
+    kinds = np.repeat([f"kind {i}" for i in range(6)], 20)
+    before = RNG.uniform(1, 2, 120) + 4 * (kinds == "kind 2")
+    after = before * np.where(kinds == "kind 2", 0.9, 1.0) + RNG.normal(0, 0.01, 120)
+    found = paired_difference(
+        result(before, categories=kinds), result(after, categories=kinds)
+    )
+    assert found["interval"][1] < -0.02
+    assert found["category_interval"][1] > -0.01
+    assert found["num_categories"] == 6
+    carrier, rest = found["carried_by"], kinds != "kind 2"
+    assert (carrier["category"], carrier["num_examples"]) == ("kind 2", 20)
+    part = (after - before)[~rest].sum() / before.sum()
+    assert np.isclose(carrier["contribution"], part)
+    without = after[rest].mean() / before[rest].mean() - 1
+    assert np.isclose(carrier["change_without"], without, atol=1e-12)
+    low, high = carrier["interval_without"]
+    assert low < without < high and high - low < 0.01
+
+
+def test_contributions_add_up_and_the_carrier_goes_the_same_way():
+    """The largest of all is against the change, and does not carry it."""
+    kinds = np.array(["up", "down", "down again"])
+    before, after = np.array([1.0, 1.0, 1.0]), np.array([1.5, 0.6, 0.7])
+    found = paired_difference(
+        result(before, categories=kinds), result(after, categories=kinds)
+    )
+    assert np.isclose(found["change"], -0.2 / 3)
+    assert found["carried_by"]["category"] == "down"
+    assert np.isclose(found["carried_by"]["contribution"], -0.4 / 3)
+    assert np.isclose(found["carried_by"]["change_without"], 0.1)
+
+
+def test_a_median_does_not_hang_on_a_few_examples():
+    before = RNG.uniform(1, 2, 99)
+    after = np.where(before == before.max(), 1000.0, 0.9 * before)
+    a, b = result(before), result(after)
+    assert paired_difference(a, b)["change"] > 1
+    found = paired_difference(a, b, statistic="median")
+    exact = np.median(after) / np.median(before) - 1
+    assert np.isclose(found["change"], exact) and exact < -0.08
+    assert found["interval"][0] <= exact <= found["interval"][1] < 0
+
+
+def test_resampled_medians_are_those_of_the_drawn_examples():
+    """By drawing the examples one by one, of objects with unequal numbers of views."""
+    values = RNG.normal(5, 1, (20, 2)).round(1)
+    groups = np.sort(RNG.integers(0, 7, 20))
+    groups = np.unique(groups, return_inverse=True)[1]
+    count = groups.max() + 1
+    rng, expected = np.random.default_rng(0), []
+    for _ in range(50):
+        drawn = rng.integers(0, count, count)
+        rows = np.concatenate([np.flatnonzero(groups == one) for one in drawn])
+        expected.append(np.median(values[rows], axis=0))
+    np.testing.assert_allclose(resampled_medians(values, groups)[:50], expected)
+
+
+def test_adaptation_is_told_of_every_cloud_that_was_adapted():
+    values = RNG.uniform(1, 2, 10)
+    found = adaptation_effect(result(0.5 * values, network_unadapted=values))
+    assert list(found) == ["network"]
+    assert list(found["network"]) == list(MEASURES)
+    for change in found["network"].values():
+        assert np.isclose(change["change"], -0.5)
+    assert adaptation_effect(result(values)) == {}
+
+
+def test_what_cannot_be_compared_is_refused():
+    a = result([1.0, 2.0])
+    others = (
+        result([1.0, 2.0, 3.0]),
+        result([1.0, 2.0], views=2),
+        result([1.0, 2.0], categories=["bag", "car"]),
+    )
+    for other in others:
+        with pytest.raises(ValueError, match="not of the same examples"):
+            paired_difference(a, other)
+    with pytest.raises(ValueError, match="has no emd of network"):
+        paired_difference(a, a, "emd")
+    with pytest.raises(ValueError, match="has no cd_l2 of network_unadapted"):
+        paired_difference(a, a, clouds=("network_unadapted", "network"))
+    with pytest.raises(ValueError, match="is zero"):
+        paired_difference(result([0.0, 0.0]), a)
