@@ -1,17 +1,15 @@
 """PLY point clouds: the vertices of any PLY file, and clouds written back.
 
-plyfile reads headers and writes files. NumPy reads the vertices: plyfile reads every
-number of an ASCII file and every list of a binary one by itself, and takes ten to a
-hundred times as long.
+The format is Greg Turk's, "The PLY Polygon File Format" (1994).
 """
 
 import io
 import itertools
 import os
 import struct
+from typing import NamedTuple
 
 import numpy as np
-import plyfile
 from jaxtyping import Bool, Float
 
 from prism_jax.io import atomic
@@ -24,6 +22,21 @@ OBSERVED, COMPLETED = 0, 1
 
 COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34)}
 
+_FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_TYPES = {
+    name: code
+    for names, code in (
+        ("char int8", "i1"),
+        ("uchar uint8", "u1"),
+        ("short int16", "i2"),
+        ("ushort uint16", "u2"),
+        ("int int32", "i4"),
+        ("uint uint32", "u4"),
+        ("float float32", "f4"),
+        ("double float64", "f8"),
+    )
+    for name in names.split()
+}
 _AXES = ("x", "y", "z")
 _MAX_HEADER_BYTES = 2**18
 _SHORT = "it is shorter than its header says"
@@ -43,28 +56,26 @@ def read_ply(
     """
     data = read_bytes(path)
     try:
-        header, counts, start = _parse_header(data)
-        before = list(itertools.takewhile(lambda e: e.name != "vertex", header))
-        row = _vertex_row(header)
-        check_count(counts["vertex"], max_points)
-        check_count(sum(counts[e.name] for e in before), max_points, "rows before them")
-        if header.text:
+        layout, elements, start = _parse_header(data)
+        before = list(itertools.takewhile(lambda e: e.name != "vertex", elements))
+        count, row = _vertex_row(elements)
+        check_count(count, max_points)
+        check_count(sum(e.count for e in before), max_points, "rows before them")
+        if layout == "ascii":
             lines = (line for line in io.BytesIO(data[start:]) if not line.isspace())
-            skipped = sum(counts[e.name] for e in before if e.properties)
+            skipped = sum(element.count for element in before if element.properties)
             lines = itertools.islice(lines, skipped, None)
             places = [list(row.names or ()).index(axis) for axis in _AXES]
-            columns = parse_rows(lines, places, counts["vertex"]).T
+            columns = parse_rows(lines, places, count).T
         else:
             for element in before:
-                start = _skip(
-                    data, start, element, counts[element.name], header.byte_order
-                )
-            if start + counts["vertex"] * row.itemsize > len(data):
+                start = _skip(data, start, element)
+            if start + count * row.itemsize > len(data):
                 raise ValueError(_SHORT)
-            rows = np.frombuffer(data, row, counts["vertex"], start)
+            rows = np.frombuffer(data, row, count, start)
             columns = [rows[axis] for axis in _AXES]
         return stack_columns(columns, [row[axis] for axis in _AXES])
-    except (ValueError, plyfile.PlyParseError) as error:
+    except ValueError as error:
         raise unsound(path, "a sound PLY file", error, _REMEDY) from None
 
 
@@ -86,9 +97,10 @@ def ply_bytes(
     1 completed) and a colour. Binary little-endian, x y z in the type of `points`
     (float32 or float64).
     """
-    scalar = "f8" if points.dtype == np.float64 else "f4"
+    scalar = "double" if points.dtype == np.float64 else "float"
     marks = () if labels is None else ("label", "red", "green", "blue")
-    fields = [(axis, scalar) for axis in _AXES] + [(name, "u1") for name in marks]
+    kinds = {**dict.fromkeys(_AXES, scalar), **dict.fromkeys(marks, "uchar")}
+    fields = [(name, f"<{_TYPES[kind]}") for name, kind in kinds.items()]
     vertices = np.empty(len(points), fields)
     for axis, column in zip(_AXES, points.T, strict=True):
         vertices[axis] = column
@@ -97,72 +109,102 @@ def ply_bytes(
         palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
         for name, shades in zip(marks[1:], palette.T, strict=True):
             vertices[name] = shades[vertices["label"]]
-    comments = ["label 0: observed, 1: completed"] if marks else []
-    element = plyfile.PlyElement.describe(vertices, "vertex")
-    file = io.BytesIO()
-    plyfile.PlyData([element], byte_order="<", comments=comments).write(file)
-    return file.getvalue()
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(["comment label 0: observed, 1: completed"] if marks else []),
+        f"element vertex {len(points)}",
+        *(f"property {kind} {name}" for name, kind in kinds.items()),
+        "end_header\n",
+    ]
+    return "\n".join(header).encode() + vertices.tobytes()
 
 
-def _parse_header(data: bytes) -> tuple[plyfile.PlyData, dict[str, int], int]:
-    """The header as plyfile reads it, the rows of each element by name, and where the
-    body starts. plyfile is told of no rows: it takes memory for all that are claimed.
-    """
+class _Property(NamedTuple):
+    """One number of a row or, where ``length`` is a type, a list of them."""
+
+    name: str
+    value: np.dtype
+    length: np.dtype | None = None
+
+
+class _Element(NamedTuple):
+    name: str
+    count: int
+    properties: list[_Property]
+
+
+def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
+    """The format, the elements in the file's order, and where the body starts."""
     if not data.startswith(b"ply"):
         raise ValueError("it does not start with 'ply'")
-    lines, counts, start = [], {}, 0
-    while lines[-1:] != ["end_header"]:
+    layout, elements, start = "", [], 0
+    while True:
         end = data.find(b"\n", start, _MAX_HEADER_BYTES)
         if end < 0:
             raise ValueError("its header has no end")
         words = data[start:end].decode("latin-1").split()
         start = end + 1
         match words:
+            case ["end_header"]:
+                break
+            case ["format", name, *_] if name in _FORMATS:
+                layout = name
             case ["element", name, count] if count.isdecimal():
-                counts[name] = int(count)
-                lines.append(f"element {name} 0")
-            case ["element", *_]:
+                elements.append(_Element(name, int(count), []))
+            case ["property", "list", length, value, name] if elements:
+                kinds = _dtype(value, layout), _dtype(length, layout)
+                elements[-1].properties.append(_Property(name, *kinds))
+            case ["property", value, name] if elements:
+                elements[-1].properties.append(_Property(name, _dtype(value, layout)))
+            case ["format" | "element" | "property", *_]:
                 raise ValueError(f"its header line {' '.join(words)!r} makes no sense")
-            case ["ply" | "format" | "property" | "end_header", *_]:
-                lines.append(" ".join(words))
-            case _:
-                lines.append("comment")  # plyfile numbers the lines
-    if not counts.get("vertex"):
+    if not layout:
+        raise ValueError("its header names no format")
+    return layout, elements, start
+
+
+def _dtype(name: str, layout: str) -> np.dtype:
+    if name not in _TYPES:
+        raise ValueError(f"its header names an unknown type {name!r}")
+    return np.dtype(_FORMATS.get(layout, "=") + _TYPES[name])
+
+
+def _vertex_row(elements: list[_Element]) -> tuple[int, np.dtype]:
+    """How many vertices there are, and what is stored for one."""
+    vertex = next((e for e in elements if e.name == "vertex"), None)
+    if vertex is None or vertex.count == 0:
         raise ValueError("it holds no vertices")
-    text = "\n".join([*lines, ""]).encode()
-    return plyfile.PlyData.read(io.BytesIO(text)), counts, start
-
-
-def _vertex_row(header: plyfile.PlyData) -> np.dtype:
-    """What is stored for a vertex."""
-    row = header["vertex"].dtype(header.byte_order)
-    if not set(_AXES) <= set(row.names or ()):
-        names = ", ".join(row.names or ()) or "nothing"
-        raise ValueError(f"its vertices have {names}, not x y z")
-    if row.hasobject:
+    names = [prop.name for prop in vertex.properties]
+    if any(names.count(axis) != 1 for axis in _AXES):
+        found = ", ".join(names) or "nothing"
+        raise ValueError(f"its vertices have {found}, not x y z")
+    if len(set(names)) < len(names):
+        raise ValueError("its vertices have a property twice")
+    if any(prop.length is not None for prop in vertex.properties):
         raise ValueError("its vertices have list properties")
-    return row
+    return vertex.count, np.dtype(
+        [(prop.name, prop.value) for prop in vertex.properties]
+    )
 
 
-def _skip(
-    data: bytes, start: int, element: plyfile.PlyElement, count: int, order: str
-) -> int:
+def _skip(data: bytes, start: int, element: _Element) -> int:
     """Where the rows of a binary element end. Its lists are of any length."""
     lists, fixed = [], 0  # for each list: what leads up to its values, and their size
     for prop in element.properties:
-        size = np.dtype(prop.val_dtype).itemsize
-        if not isinstance(prop, plyfile.PlyListProperty):
-            fixed += size
+        if prop.length is None:
+            fixed += prop.value.itemsize
             continue
-        length = np.dtype(prop.len_dtype)
-        if length.kind == "f":
+        if prop.length.kind == "f":
             raise ValueError(f"its list {prop.name!r} has a length that is no integer")
-        lists.append((struct.Struct(f"{order}{fixed}x{length.char}"), size))
+        order = ">" if prop.length.byteorder == ">" else "<"
+        head = struct.Struct(f"{order}{fixed}x{prop.length.char}")
+        lists.append((head, prop.value.itemsize))
         fixed = 0
     if not lists:
-        return start + count * fixed
+        return start + element.count * fixed
     try:
-        for _ in range(count):
+        for _ in range(element.count):
             for head, size in lists:
                 (length,) = head.unpack_from(data, start)
                 if length < 0:
