@@ -79,7 +79,7 @@ def core(tmp_path_factory, minimal, minimal_variables):
     """``core(*arguments)``: files of ours that prism-complete loads with these, where
     no extra is installed, and what it prints before."""
     folder = tmp_path_factory.mktemp("core")
-    save_weights(folder / "weights.safetensors", minimal.adapt, minimal_variables, {})
+    save_weights(folder / "weights.safetensors", minimal.config, minimal_variables, {})
     scan = np.random.default_rng(0).uniform(1, 2, (300, 3))
     np.save(folder / "scan.npy", scan.astype(np.float32))
 
