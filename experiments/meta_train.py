@@ -21,9 +21,9 @@ from prism_jax.data.datasets import parts_of
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset, resolve
-from prism_jax.training.leg import train_leg
-from prism_jax.training.meta import meta_leg
+from prism_jax.training.meta import meta_phase
 from prism_jax.training.parallel import is_first
+from prism_jax.training.phase import train_phase
 from prism_jax.training.run import open_run, started_from
 from prism_jax.weights import save_weights, sha256
 
@@ -50,8 +50,8 @@ def main():
         "data": about_training(preset, data),
     }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
-    leg = meta_leg(variables, preset.config, config, FLAGS.seed)
-    trained = train_leg(leg, data, folder, FLAGS.max_steps, FLAGS.tensorboard)
+    phase = meta_phase(variables, preset.config, config, FLAGS.seed)
+    trained = train_phase(phase, data, folder, FLAGS.max_steps, FLAGS.tensorboard)
     if not is_first():
         return
     if trained.done:

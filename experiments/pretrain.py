@@ -20,8 +20,8 @@ from prism_jax.data.datasets import parts_of
 from prism_jax.presets import resolve
 from prism_jax.training.meta import check_meta
 from prism_jax.training.parallel import is_first
+from prism_jax.training.pretraining import pretrain
 from prism_jax.training.run import open_run, started_from
-from prism_jax.training.stages import pretrain
 from prism_jax.weights import save_weights, sha256
 
 FLAGS = flags.FLAGS
@@ -35,7 +35,7 @@ def main():
     config = preset.pretrain
     variables, before = started_from_weights(preset) or (None, None)
     start = None if variables is None else sha256(variables)
-    num_samples = sum(leg.num_samples for leg in config.backbone)
+    num_samples = sum(phase.num_samples for phase in config.backbone)
     encoded = num_samples + config.auxiliary_samples
     data = training_data(
         preset, config.num_complete, config.validate_every, encoded, start
@@ -47,7 +47,9 @@ def main():
     }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     ending = (FLAGS.max_steps, FLAGS.tensorboard)
-    variables = pretrain(preset, data, folder, FLAGS.seed, *ending, variables)
+    variables = pretrain(
+        preset.config, config, data, folder, FLAGS.seed, *ending, variables
+    )
     if variables is None:
         print(f"stopped; go on with --workdir={folder} --resume")
         return

@@ -20,10 +20,10 @@ from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
 from prism_jax.presets import resolve
 from prism_jax.training.config import PhaseConfig
-from prism_jax.training.leg import train_leg
 from prism_jax.training.parallel import is_first
+from prism_jax.training.phase import train_phase
 from prism_jax.training.run import open_run, started_from
-from prism_jax.training.supervised import network_leg
+from prism_jax.training.supervised import network_phase
 
 FLAGS = flags.FLAGS
 
@@ -38,7 +38,7 @@ def main():
         fault = f"{FLAGS.network} has no size for {FLAGS.preset}"
         raise InputError("--preset", fault, f"use one of {', '.join(sizes)}")
     config, network = preset.pretrain, sizes[FLAGS.preset]
-    num_samples = sum(leg.num_samples for leg in config.backbone)
+    num_samples = sum(phase.num_samples for phase in config.backbone)
     num_samples += preset.meta.num_samples
     phase = PhaseConfig(FLAGS.network, num_samples, None)
     data = training_data(preset, config.num_complete, config.validate_every, encoded=0)
@@ -51,8 +51,8 @@ def main():
     }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     num_points = preset.model.backbone.num_points
-    leg = network_leg(network, num_points, phase, config, FLAGS.seed)
-    trained = train_leg(leg, data, folder, FLAGS.max_steps, FLAGS.tensorboard)
+    training = network_phase(network, num_points, phase, config, FLAGS.seed)
+    trained = train_phase(training, data, folder, FLAGS.max_steps, FLAGS.tensorboard)
     if not trained.done:
         print(f"stopped; go on with --workdir={folder} --resume")
     elif is_first():

@@ -18,8 +18,8 @@ from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.indices import index_table
-from prism_jax.training.leg import Data, order_seed
 from prism_jax.training.parallel import wait_for_all
+from prism_jax.training.phase import Data, order_seed
 from prism_jax.weights import load_pretrained, read_metadata
 
 FLAGS = flags.FLAGS
@@ -31,7 +31,7 @@ def define_training_flags() -> None:
     flags.DEFINE_string("workdir", None, "Run directory.", required=True)
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
     flags.DEFINE_bool("resume", False, "Go on with the run in --workdir.")
-    flags.DEFINE_integer("max_steps", None, "End a leg at this step.")
+    flags.DEFINE_integer("max_steps", None, "End a phase at this step.")
     flags.DEFINE_bool("tensorboard", False, "Log for TensorBoard too (extra).")
     flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")

@@ -96,7 +96,7 @@ _TINY_AUXILIARY = AuxiliaryConfig(
 )
 
 
-def _legs(*samples: int) -> tuple[PhaseConfig, ...]:
+def _phases(*samples: int) -> tuple[PhaseConfig, ...]:
     """Seeds alone, then the whole decoder."""
     seeds, every = samples
     return (
@@ -137,7 +137,7 @@ _SMALL_META = MetaTrainConfig(
 )
 
 _PAPER_PRETRAIN = PretrainConfig(
-    _legs(2_000_000, 8_000_000), auxiliary_samples=500_000, num_complete=16_384
+    _phases(2_000_000, 8_000_000), auxiliary_samples=500_000, num_complete=16_384
 )
 
 _PAPER_META = MetaTrainConfig(MetaConfig(remat=True), at_once=4)
@@ -165,7 +165,7 @@ PRESETS = {
         ModelConfig(_TINY, _TINY_AUXILIARY, depth_pixels=32, consistency_pixels=16),
         AdaptConfig(normal_neighbors=4),
         PretrainConfig(
-            _legs(64, 64),
+            _phases(64, 64),
             auxiliary_samples=64,
             batch_size=8,
             num_complete=128,
@@ -179,7 +179,7 @@ PRESETS = {
     "small": Preset(
         ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
         _SMALL_ADAPT,
-        PretrainConfig(_legs(200_000, 768_000), auxiliary_samples=20_000),
+        PretrainConfig(_phases(200_000, 768_000), auxiliary_samples=20_000),
         _SMALL_META,
     ),
     "paper": Preset(ModelConfig(_PAPER), AdaptConfig(), _PAPER_PRETRAIN, _PAPER_META),

@@ -21,7 +21,6 @@ LAYERS = (
     "prism_jax.report prism_jax.result",
     "prism_jax.figures",
     "prism_jax.simulation",
-    "prism_jax.training.stages",
     "prism_jax.presets",
     "prism_jax.training",
     "prism_jax.adaptation",

@@ -47,7 +47,7 @@ def test_paper_has_the_papers_values():
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_leg_is_a_whole_number_of_batches(name):
+def test_every_phase_is_a_whole_number_of_batches(name):
     training = resolve(name).pretrain
     for phase in training.backbone:
         assert phase.num_samples % training.batch_size == 0

@@ -12,7 +12,7 @@ from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.encoder import PointFeatures
-from prism_jax.models.prism import Frame, Prediction
+from prism_jax.models.prism import NetworkInput, Prediction
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 from tests.trees import mean, row
 
@@ -91,7 +91,7 @@ def toy_inputs():
     weighting = {"logits": numbers(3), "scales": numbers(3), "log_steps": steps}
     variables = {"params": params, "batch_stats": {}, "weighting": weighting}
     unused = numbers(FRAMES)
-    frames = Frame(*[unused] * len(Frame._fields))
+    frames = NetworkInput(*[unused] * len(NetworkInput._fields))
     frames = frames._replace(partial=numbers(FRAMES, POINTS, 3), view=numbers(FRAMES))
     return variables, frames, numbers(FRAMES, 9, 3)
 
@@ -103,7 +103,7 @@ def toy_hold(variables, frame, model):
 STAND_INS = {
     "hold_decoding": toy_hold,
     "encode": toy_encode,
-    "completed": toy_completed,
+    "decode_and_refine": toy_completed,
     "refine": toy_refine,
     "test_time_objective": toy_objective,
     "depth_supervised": toy_depth,

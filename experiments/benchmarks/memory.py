@@ -10,43 +10,43 @@ from experiments.benchmarks.measure import MIB, Row, row
 from prism_jax.data.pipeline import Batch
 from prism_jax.models.initial import init_variables
 from prism_jax.presets import resolve
-from prism_jax.training.auxiliary import auxiliary_leg
-from prism_jax.training.leg import Leg
-from prism_jax.training.meta import meta_leg
-from prism_jax.training.stages import backbone_leg
+from prism_jax.training.auxiliary import auxiliary_phase
+from prism_jax.training.backbone import backbone_phase
+from prism_jax.training.meta import meta_phase
+from prism_jax.training.phase import Phase
 
 GPU_MIB = 80e9 / MIB
 
 
 def suite(preset: str = "paper") -> Iterator[Row]:
-    """A whole batch of every leg on one device, beside an accelerator of 80 GB."""
+    """A whole batch of every phase on one device, beside an accelerator of 80 GB."""
     settings = resolve(preset)
     shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), settings.model))
     variables = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
     backbone = settings.model.backbone
-    legs = [
+    phases = [
         *(
-            backbone_leg(variables, backbone, phase, settings.pretrain)
-            for phase in settings.pretrain.backbone
+            backbone_phase(variables, backbone, each, settings.pretrain)
+            for each in settings.pretrain.backbone
         ),
-        auxiliary_leg(variables, settings.config, settings.pretrain, 0),
-        meta_leg(variables, settings.config, settings.meta, 0),
+        auxiliary_phase(variables, settings.config, settings.pretrain, 0),
+        meta_phase(variables, settings.config, settings.meta, 0),
     ]
-    for leg in legs:
-        name = f"{preset}, {leg.name}, step of {leg.batch_size}"
-        ours = [_planned(leg, backbone.num_points) / MIB]
+    for phase in phases:
+        name = f"{preset}, {phase.name}, step of {phase.batch_size}"
+        ours = [_planned(phase, backbone.num_points) / MIB]
         yield row(name, ours, "80 GB", [GPU_MIB], 1.0, unit="MiB")
 
 
-def _planned(leg: Leg, num_points: int) -> int:
+def _planned(phase: Phase, num_points: int) -> int:
     """Bytes of a step's temporaries and arguments."""
 
     def floats(*shape: int) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct((leg.batch_size, *shape), jnp.float32)
+        return jax.ShapeDtypeStruct((phase.batch_size, *shape), jnp.float32)
 
-    clouds = floats(num_points, 3), floats(leg.num_complete, 3)
+    clouds = floats(num_points, 3), floats(phase.num_complete, 3)
     batch = Batch(*clouds, floats(3), floats())  # pyright: ignore
-    compiled = jax.jit(leg.step_fn).lower(leg.start, batch).compile()
+    compiled = jax.jit(phase.step_fn).lower(phase.start, batch).compile()
     analysis = compiled.memory_analysis()
     assert analysis is not None
     return analysis.temp_size_in_bytes + analysis.argument_size_in_bytes

@@ -11,9 +11,9 @@ from prism_jax.data.pipeline import Batch
 from prism_jax.models.backbone import partial_indices
 from prism_jax.models.initial import init_variables
 from prism_jax.presets import Preset, resolve
-from prism_jax.training.leg import Leg
-from prism_jax.training.meta import meta_leg
-from prism_jax.training.pretrain import backbone_leg
+from prism_jax.training.backbone import backbone_phase
+from prism_jax.training.meta import meta_phase
+from prism_jax.training.phase import Phase
 
 SAMPLES_PER_SECOND = 100
 MOST = 4.0
@@ -23,7 +23,7 @@ SIDE = 4096
 
 
 def suite(preset: str = "small") -> Iterator[Row]:
-    """Each leg of the preset's pretraining, and a meta-step beside the last of them.
+    """Each phase of the preset's pretraining, and a meta-step beside the last of them.
 
     On random clouds, the encoder's indices made beforehand as they are for a data set.
     A supervised step stands also beside the time in which a matrix product has as many
@@ -43,14 +43,14 @@ def suite(preset: str = "small") -> Iterator[Row]:
     best = np.median(products) / product.flops
     wanted = [1e3 * config.batch_size / SAMPLES_PER_SECOND]
     for phase in config.backbone:
-        step = _step(backbone_leg(own, backbone, phase, config), batch)
+        step = _step(backbone_phase(own, backbone, phase, config), batch)
         (times,) = in_turn(step, seconds=20.0)
         name = f"{preset}, {phase.name}, step of {config.batch_size} samples"
         peer = f"{SAMPLES_PER_SECOND} samples a second"
         yield row(name, times, peer, wanted, 1.0, **step.costs)
         yield row(name, times, "its operations, as a product", [best * step.flops])
     assert step is not None
-    meta = _step(meta_leg(variables, settings.config, settings.meta, 0), batch)
+    meta = _step(meta_phase(variables, settings.config, settings.meta, 0), batch)
     ours, theirs = in_turn(meta, step, seconds=30.0)
     name = f"{preset}, meta-step of {settings.meta.batch_size} samples"
     yield row(
@@ -58,8 +58,8 @@ def suite(preset: str = "small") -> Iterator[Row]:
     )
 
 
-def _step(leg: Leg, batch: Batch) -> Compiled:
-    return Compiled(leg.step_fn, leg.start, batch)
+def _step(phase: Phase, batch: Batch) -> Compiled:
+    return Compiled(phase.step_fn, phase.start, batch)
 
 
 def _batch(settings: Preset) -> Batch:

@@ -20,9 +20,9 @@ from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import update_scale, weighted_auxiliary
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.prism import (
-    Frame,
+    NetworkInput,
     Prediction,
-    completed,
+    decode_and_refine,
     encode,
     hold_decoding,
     refine,
@@ -54,7 +54,7 @@ class MetaTerms(NamedTuple):
 
 def meta_gradients(
     variables: Variables,
-    frames: Frame,
+    inputs: NetworkInput,
     complete: Float[Array, "B M 3"],
     config: PrismConfig,
     meta: MetaConfig,
@@ -82,7 +82,7 @@ def meta_gradients(
     moving = learned_part(variables, by_primary)
 
     def loss_fn(moving: Variables):
-        return _primary_terms(moving, variables, frames, complete, config, meta)
+        return _primary_terms(moving, variables, inputs, complete, config, meta)
 
     grads, (terms, auxiliary, refiner) = jax.grad(loss_fn, has_aux=True)(moving)
     params, weighting = grads["params"], grads["weighting"]
@@ -103,7 +103,7 @@ def meta_gradients(
 def _primary_terms(
     moving: Variables,
     variables: Variables,
-    frames: Frame,
+    inputs: NetworkInput,
     complete: Float[Array, "B M 3"],
     config: PrismConfig,
     meta: MetaConfig,
@@ -118,25 +118,25 @@ def _primary_terms(
     def primary(stages: tuple[Array, ...], complete: Array) -> Array:
         return primary_loss(stages, complete, meta.norm)
 
-    def one(frame: Frame, complete: Array):
-        found = episode(variables, frame, config, meta)
+    def one(inputs: NetworkInput, complete: Array):
+        found = episode(variables, inputs, config, meta)
         return found, primary(found.before, complete)
 
     def decoded(encoded: PointFeatures) -> Prediction:
-        return completed(variables, frames, encoded, config.model)
+        return decode_and_refine(variables, inputs, encoded, config.model)
 
     if meta.remat:
         decoded = jax.checkpoint(decoded)
     if meta.num_steps:
         held = jax.lax.stop_gradient(variables)
-        frames = jax.vmap(lambda f: hold_decoding(held, f, config.model))(frames)
-    episodes, zero_step = jax.vmap(one)(frames, complete)
+        inputs = jax.vmap(lambda f: hold_decoding(held, f, config.model))(inputs)
+    episodes, zero_step = jax.vmap(one)(inputs, complete)
     # All frames share the decoder: as one batch, its derivative is one product.
     after = decoded(episodes.encoded)
     adapted = jax.vmap(primary)(after.stages, complete).mean()
     zero_step = zero_step.mean() if meta.num_steps else adapted
     refined, refiner = jax.value_and_grad(_refined)(
-        variables["params"]["refiner"], after, frames, complete, config
+        variables["params"]["refiner"], after, inputs, complete, config
     )
     loss = (1.0 - meta.beta_0) * adapted + meta.beta_0 * zero_step
     losses, auxiliary = _mean((episodes.losses, episodes.auxiliary))
@@ -161,7 +161,7 @@ class Episode(NamedTuple):
 
 
 def episode(
-    variables: Variables, frame: Frame, config: PrismConfig, meta: MetaConfig
+    variables: Variables, inputs: NetworkInput, config: PrismConfig, meta: MetaConfig
 ) -> Episode:
     """One frame's inner loop, which holds the decoder."""
     encoders, rest = pop_encoders(variables)
@@ -170,12 +170,12 @@ def episode(
 
     def objective(encoders: Variables):
         losses, prediction = test_time_objective(
-            put_encoders(encoders, held), frame, inner
+            put_encoders(encoders, held), inputs, inner
         )
         return losses.objective, (losses, prediction.stages)
 
     def encoded(encoders: Variables) -> PointFeatures:
-        return encode(put_encoders(encoders, rest), frame, config.model)
+        return encode(put_encoders(encoders, rest), inputs, config.model)
 
     if meta.remat:
         objective, encoded = jax.checkpoint(objective), jax.checkpoint(encoded)
@@ -228,14 +228,14 @@ def measured_scales(variables: Variables, terms: MetaTerms) -> Float[Array, "3"]
 def _refined(
     refiner: Variables,
     after: Prediction,
-    frames: Frame,
+    inputs: NetworkInput,
     complete: Float[Array, "B M 3"],
     config: PrismConfig,
 ) -> Float[Array, ""]:
     after = jax.lax.stop_gradient(after)
     own = {"params": {"refiner": refiner}, "batch_stats": {}}
     points = refine(own, after, config.model)
-    return jax.vmap(depth_supervised)(points, complete, frames.view).mean()
+    return jax.vmap(depth_supervised)(points, complete, inputs.view).mean()
 
 
 def _three(losses: Losses) -> Float[Array, "3"]:

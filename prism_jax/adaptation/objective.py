@@ -13,7 +13,7 @@ from prism_jax.losses.normal import normal_loss
 from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.prism import (
     Branches,
-    Frame,
+    NetworkInput,
     Prediction,
     branches,
     predict,
@@ -33,7 +33,7 @@ class Losses(NamedTuple):
 
 
 def auxiliary_losses(
-    frame: Frame, prediction: Prediction, seen: Branches, config: AdaptConfig
+    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
 ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
     """L_normal, L_denoise and L_align of one frame (Eq. 5, 6 and 9)."""
     normal = normal_loss(
@@ -44,8 +44,8 @@ def auxiliary_losses(
         stride=config.normal_stride,
     )
     denoise = denoise_loss(
-        frame.perturbed + seen.offsets,
-        frame.upsampled,
+        inputs.perturbed + seen.offsets,
+        inputs.upsampled,
         seen.offsets,
         config.lambda_offset,
     )
@@ -60,19 +60,19 @@ def auxiliary_losses(
 
 
 def test_time_objective(
-    variables: Variables, frame: Frame, config: PrismConfig
+    variables: Variables, inputs: NetworkInput, config: PrismConfig
 ) -> tuple[Losses, Prediction]:
     """L_TTA of Eq. 13, its terms, and the prediction that they judge.
 
     Each auxiliary loss is divided by its scale from training (gap 15) and weighted by
     softmax(eta*). Differentiable in the encoders' parameters.
     """
-    prediction = predict(variables, frame, config.model)
-    depth_features = read_depth(variables, frame, config.model)
-    seen = branches(variables, frame, prediction, depth_features, config.model)
-    auxiliary = auxiliary_losses(frame, prediction, seen, config.adapt)
+    prediction = predict(variables, inputs, config.model)
+    depth_features = read_depth(variables, inputs, config.model)
+    seen = branches(variables, inputs, prediction, depth_features, config.model)
+    auxiliary = auxiliary_losses(inputs, prediction, seen, config.adapt)
     consistency = depth_error(
-        prediction.points, frame.reference, frame.reference_mask, frame.view
+        prediction.points, inputs.reference, inputs.reference_mask, inputs.view
     )
     weighting = variables["weighting"]
     weighted = weighted_auxiliary(

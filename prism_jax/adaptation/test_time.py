@@ -12,7 +12,7 @@ from prism_jax.adaptation.inner_loop import step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import loss_weights
-from prism_jax.models.prism import hold_decoding, prepare_frame
+from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
 
@@ -69,16 +69,16 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
     ) -> Completion:
         _check(partial, config)
         key = jax.random.key(settings.seed)
-        frame = prepare_frame(partial, camera, key, config.model)
+        inputs = prepare_input(partial, camera, key, config.model)
         if settings.num_steps:
-            frame = hold_decoding(variables, frame, config.model)
+            inputs = hold_decoding(variables, inputs, config.model)
         encoders, rest = pop_encoders(variables)
 
         # Compiled, so that it is traced once for the steps and for what follows them.
         @jax.jit
         def loss_fn(moving: Variables):
             losses, prediction = test_time_objective(
-                put_encoders(moving, rest), frame, config
+                put_encoders(moving, rest), inputs, config
             )
             return losses.objective, (losses, prediction.points)
 

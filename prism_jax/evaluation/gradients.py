@@ -27,7 +27,7 @@ from prism_jax.geometry.neighbors import nearest
 from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.chamfer import chamfer
-from prism_jax.models.prism import Frame, hold_decoding, predict, prepare_frame
+from prism_jax.models.prism import NetworkInput, hold_decoding, predict, prepare_input
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import observe
 
@@ -120,23 +120,23 @@ def gradients_followed(
     `LOSSES` and `ORACLE`, and to the shares by which a step against each raises the
     error."""
 
-    def prepared(variables: Variables, partial: Array, eye: Array) -> Frame:
+    def prepared(variables: Variables, partial: Array, eye: Array) -> NetworkInput:
         camera = observe(partial, eye, Workspace.unit()).camera
         key = jax.random.key(config.adapt.seed)
-        frame = prepare_frame(partial, camera, key, config.model)
-        return hold_decoding(variables, frame, config.model)
+        inputs = prepare_input(partial, camera, key, config.model)
+        return hold_decoding(variables, inputs, config.model)
 
     def followed(
         variables: Variables, partial: Array, eye: Array, complete: Array, key: Array
     ) -> Float[Array, "2 L"]:
-        frame = prepared(variables, partial, eye)
+        inputs = prepared(variables, partial, eye)
         hidden, left = _parted(partial, key)
         rest = prepared(variables, left, eye)
         params = variables["params"]
 
         def values(encoder: Variables) -> Float[Array, " terms"]:
             own = {**variables, "params": {**params, "point_encoder": encoder}}
-            losses, prediction = test_time_objective(own, frame, config)
+            losses, prediction = test_time_objective(own, inputs, config)
             completed_rest = predict(own, rest, config.model)
             terms = (
                 losses.depth_consistency,
@@ -157,7 +157,7 @@ def gradients_followed(
         def error(flat: Array) -> Float[Array, ""]:
             encoder = unravel(flat)
             own = {**variables, "params": {**params, "point_encoder": encoder}}
-            return chamfer(predict(own, frame, config.model).points, complete)
+            return chamfer(predict(own, inputs, config.model).points, complete)
 
         moved = jax.lax.map(
             lambda unit: error(start - config.adapt.step_size * unit), units

@@ -16,7 +16,7 @@ from prism_jax.models.auxiliary import (
 from prism_jax.models.backbone import decode, encode_points, init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
-from prism_jax.models.prism import prepare_frame
+from prism_jax.models.prism import prepare_input
 from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, unlearned_steps
 
@@ -37,15 +37,15 @@ def init_auxiliary(
         keys = jax.random.split(key, 7)
         shape = (config.backbone.num_points, 3)
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
-        frame = prepare_frame(cloud, Camera.fixed_view(), keys[0], config)
-        encoded = encode_points(backbone, config.backbone, cloud, frame.indices)
+        inputs = prepare_input(cloud, Camera.fixed_view(), keys[0], config)
+        encoded = encode_points(backbone, config.backbone, cloud, inputs.indices)
         decoded = decode(backbone, config.backbone, cloud, encoded)
         points, features = decoded.stages[-1], decoded.features
         depth_encoder = DepthEncoder(sizes)
-        depth = depth_encoder.init(keys[1], frame.depth, frame.depth_mask)
-        depth_features = depth_encoder.apply(depth, frame.depth, frame.depth_mask)
+        depth = depth_encoder.init(keys[1], inputs.depth, inputs.depth_mask)
+        depth_features = depth_encoder.apply(depth, inputs.depth, inputs.depth_mask)
         latent = jnp.zeros(sizes.token_features)
-        perturbed = (frame.perturbed, frame.perturbed_neighbors)
+        perturbed = (inputs.perturbed, inputs.perturbed_neighbors)
         return {
             "depth_encoder": depth,
             "refiner": Refiner(sizes).init(keys[2], points, features),

@@ -1,4 +1,4 @@
-"""PRISM's two streams and branches as functions of one frame."""
+"""PRISM's two streams and its auxiliary branches, as functions of their variables."""
 
 from typing import Any, NamedTuple
 
@@ -27,8 +27,10 @@ from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, apply, part
 
 
-class Frame(NamedTuple):
-    """What depends on one frame alone, computed once for all adaptation steps.
+class NetworkInput(NamedTuple):
+    """One partial cloud and its view, and all that follows from them alone.
+
+    It is computed once for all adaptation steps.
 
     Attributes:
       partial: measured points in the unit workspace.
@@ -57,7 +59,7 @@ class Frame(NamedTuple):
 class Prediction(NamedTuple):
     """A completion: the refined points, the decoder's stages and last features.
 
-    Of one frame, or of a batch.
+    Of one cloud, or of a batch.
     """
 
     points: Float[Array, "... N 3"]
@@ -75,14 +77,14 @@ class Branches(NamedTuple):
     tokens_depth: Float[Array, "n d"]
 
 
-def prepare_frame(
+def prepare_input(
     partial: Float[Array, "N 3"],
     camera: Camera,
     key: PRNGKeyArray,
     config: ModelConfig,
     indices: EncoderIndices | None = None,
-) -> Frame:
-    """The frame of a partial cloud and its camera, both in the unit workspace.
+) -> NetworkInput:
+    """What the network reads of a partial cloud and its camera, in the unit workspace.
 
     `indices` are the encoder's, if they are known already. No gradient reaches cloud
     or camera.
@@ -93,7 +95,7 @@ def prepare_frame(
     center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
     view = camera.resized(config.consistency_pixels, config.consistency_pixels)
     perturbed = perturb(key, partial, camera.position)
-    return Frame(
+    return NetworkInput(
         partial,
         encoder_indices(partial, config.backbone) if indices is None else indices,
         jnp.where(mask, depth - center_depth, 0.0),
@@ -106,33 +108,44 @@ def prepare_frame(
     )
 
 
-def hold_decoding(variables: Variables, frame: Frame, config: ModelConfig) -> Frame:
-    """The frame with the samples and neighbours that these variables decode it by.
+def hold_decoding(
+    variables: Variables, inputs: NetworkInput, config: ModelConfig
+) -> NetworkInput:
+    """The inputs with the samples and neighbours that these variables decode them by.
 
-    Its completion is then a continuous function of the encoders. Without, the smallest
-    of steps chooses other farthest points, and the losses of Eq. 13 jump by more than a
+    The completion is then a continuous function of the encoders. Otherwise the smallest
+    step chooses other farthest points, and the losses of Eq. 13 jump by more than a
     gradient step lowers them.
     """
-    encoded = encode(variables, frame, config)
-    decoded = decode(variables, config.backbone, frame.partial, encoded)
-    return frame._replace(decoding=decoded.indices)
+    encoded = encode(variables, inputs, config)
+    decoded = decode(variables, config.backbone, inputs.partial, encoded)
+    return inputs._replace(decoding=decoded.indices)
 
 
-def predict(variables: Variables, frame: Frame, config: ModelConfig) -> Prediction:
-    """Encode, decode, refine (Eq. 2)."""
-    return completed(variables, frame, encode(variables, frame, config), config)
-
-
-def encode(variables: Variables, frame: Frame, config: ModelConfig) -> PointFeatures:
-    """The point stream."""
-    return encode_points(variables, config.backbone, frame.partial, frame.indices)
-
-
-def completed(
-    variables: Variables, frame: Frame, encoded: PointFeatures, config: ModelConfig
+def predict(
+    variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> Prediction:
-    """Decode, refine. A batch of frames is one pass through the decoder."""
-    cloud, held = frame.partial, frame.decoding
+    """Encode, decode, refine (Eq. 2)."""
+    return decode_and_refine(
+        variables, inputs, encode(variables, inputs, config), config
+    )
+
+
+def encode(
+    variables: Variables, inputs: NetworkInput, config: ModelConfig
+) -> PointFeatures:
+    """The point stream."""
+    return encode_points(variables, config.backbone, inputs.partial, inputs.indices)
+
+
+def decode_and_refine(
+    variables: Variables,
+    inputs: NetworkInput,
+    encoded: PointFeatures,
+    config: ModelConfig,
+) -> Prediction:
+    """The stages and the refined points. A batch is one pass through the decoder."""
+    cloud, held = inputs.partial, inputs.decoding
     decoded = decode(variables, config.backbone, cloud, encoded, held)
     points = refine(variables, decoded, config)
     return Prediction(points, decoded.stages, decoded.features, encoded)
@@ -148,17 +161,17 @@ def refine(
 
 
 def read_depth(
-    variables: Variables, frame: Frame, config: ModelConfig
+    variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> DepthFeatures:
     """The depth stream, with BatchNorm statistics as they are."""
     encoder = DepthEncoder(config.auxiliary)
     own = part(variables, "depth_encoder")
-    return apply(encoder, own, frame.depth, frame.depth_mask)
+    return apply(encoder, own, inputs.depth, inputs.depth_mask)
 
 
 def branches(
     variables: Variables,
-    frame: Frame,
+    inputs: NetworkInput,
     prediction: Prediction,
     depth_features: DepthFeatures,
     config: ModelConfig,
@@ -170,7 +183,7 @@ def branches(
         return apply(module, part(variables, "auxiliary", name), *inputs)
 
     integrated: Tokens = read(TokenIntegrator(sizes), "integrator", prediction.encoded)
-    perturbed = (frame.perturbed, frame.perturbed_neighbors)
+    perturbed = (inputs.perturbed, inputs.perturbed_neighbors)
     return Branches(
         read(NormalHead(sizes), "normal", prediction.points, prediction.features),
         read(Denoiser(sizes), "denoiser", *perturbed, integrated.latent),

@@ -1,4 +1,4 @@
-"""The last leg of pretraining: refiner, depth encoder and auxiliary branches.
+"""The last phase of pretraining: refiner, depth encoder and auxiliary branches.
 
 The backbone is finished and frozen. The refiner learns from Eq. 3 through its own
 optimiser. The depth stream learns to give the tokens that the point stream gives; the
@@ -19,7 +19,7 @@ from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.weighting import update_scale
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.prism import (
-    Frame,
+    NetworkInput,
     Prediction,
     branches,
     predict,
@@ -27,52 +27,58 @@ from prism_jax.models.prism import (
 )
 from prism_jax.models.variables import Variables, apply_training, part
 from prism_jax.training.config import PretrainConfig
-from prism_jax.training.frames import frames_of
-from prism_jax.training.leg import Leg, TrainState, steps_of
-from prism_jax.training.supervised import adam
+from prism_jax.training.inputs import inputs_of
+from prism_jax.training.optimisers import optimiser
+from prism_jax.training.phase import Phase, TrainState, steps_of
 
 TRAINED = ("refiner", "depth_encoder", "auxiliary")
 
 
-def auxiliary_leg(
+def auxiliary_phase(
     variables: Variables, config: PrismConfig, training: PretrainConfig, seed: int
-) -> Leg:
+) -> Phase:
     """Everything but the backbone, on the losses of Eq. 3, 5, 6 and 9."""
     num_steps = steps_of("auxiliary", training.auxiliary_samples, training.batch_size)
-    optimiser = optax.partition(
-        {
-            name: adam(training.auxiliary_rate, num_steps, 0.01, training)
-            for name in ("refiner", "branches")
-        },
+    adam = optimiser(
+        "adam",
+        training.auxiliary_rate,
+        num_steps,
+        0.01,
+        training.warmup_steps,
+        training.clip_norm,
+    )
+    # The refiner's gradient is clipped on its own.
+    both = optax.partition(
+        {"refiner": adam, "branches": adam},
         {name: "refiner" if name == "refiner" else "branches" for name in TRAINED},
     )
     trained = {name: variables["params"][name] for name in TRAINED}
-    start = TrainState(jnp.int32(0), variables, optimiser.init(trained))
+    start = TrainState(jnp.int32(0), variables, both.init(trained))
     key = jax.random.key(seed)
-    return Leg(
+    return Phase(
         "auxiliary",
         training.auxiliary_samples,
         training.batch_size,
         training.num_complete,
         start,
-        _step(config, optimiser, key),
+        _step(config, both, key),
         _validation(config, key),
         ("refined", "normal", "denoise", "align"),
         ("unrefined", "refined", "losses"),
     )
 
 
-def _step(config: PrismConfig, optimiser, key: PRNGKeyArray):
+def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyArray):
     def loss_fn(trained, variables, batch, key):
         variables = {**variables, "params": {**variables["params"], **trained}}
-        frames = frames_of(batch, _keys(key, batch), config.model)
+        inputs = inputs_of(batch, _keys(key, batch), config.model)
         depth_features, statistics = apply_training(
             DepthEncoder(config.model.auxiliary),
             part(variables, "depth_encoder"),
-            frames.depth,
-            frames.depth_mask,
+            inputs.depth,
+            inputs.depth_mask,
         )
-        terms, measured, _ = _terms(variables, frames, depth_features, batch, config)
+        terms, measured, _ = _terms(variables, inputs, depth_features, batch, config)
         return terms.sum(), (terms, measured.mean(0), statistics)
 
     @jax.jit
@@ -83,7 +89,7 @@ def _step(config: PrismConfig, optimiser, key: PRNGKeyArray):
         grads, (terms, measured, statistics) = jax.grad(loss_fn, has_aux=True)(
             trained, variables, batch, jax.random.fold_in(key, state.step)
         )
-        updates, opt_state = optimiser.update(grads, state.opt_state, trained)
+        updates, opt_state = both.update(grads, state.opt_state, trained)
         moved: Variables = optax.apply_updates(trained, updates)  # pyright: ignore
         scales = update_scale(weighting["scales"], measured)
         variables = {
@@ -97,16 +103,16 @@ def _step(config: PrismConfig, optimiser, key: PRNGKeyArray):
 
 
 def _validation(config: PrismConfig, key: PRNGKeyArray):
-    """CD-L2 before and after the refiner, and the sum of the leg's losses, that of the
+    """CD-L2 before and after the refiner, and the sum of the phase's losses over the
     whole batch: Eq. 7 looks at all of its tokens."""
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        frames = frames_of(batch, _keys(key, batch), config.model)
+        inputs = inputs_of(batch, _keys(key, batch), config.model)
         depth_features = jax.vmap(lambda f: read_depth(variables, f, config.model))(
-            frames
+            inputs
         )
-        terms, _, predictions = _terms(variables, frames, depth_features, batch, config)
+        terms, _, predictions = _terms(variables, inputs, depth_features, batch, config)
         complete = jnp.asarray(batch.complete)
         scale = jnp.asarray(batch.scale) ** 2
         clouds = (predictions.stages[-1], predictions.points)
@@ -117,29 +123,29 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
 
 
 def _keys(key: PRNGKeyArray, batch: Batch) -> Key[Array, " B"]:
-    """One for each frame."""
+    """One for each example."""
     return jax.random.split(key, batch.partial.shape[0])
 
 
 def _terms(
     variables: Variables,
-    frames: Frame,
+    inputs: NetworkInput,
     depth_features: DepthFeatures,
     batch: Batch,
     config: PrismConfig,
 ) -> tuple[Float[Array, "4"], Float[Array, "B 3"], Prediction]:
-    """Losses of refiner, normals, denoising and alignment; L_aux frame by frame.
+    """Losses of refiner, normals, denoising and alignment; L_aux example by example.
 
     In training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6).
     """
 
-    def one(frame: Frame, features: DepthFeatures, complete: Array):
-        prediction = predict(variables, frame, config.model)
-        refined = depth_supervised(prediction.points, complete, frame.view)
+    def one(inputs: NetworkInput, features: DepthFeatures, complete: Array):
+        prediction = predict(variables, inputs, config.model)
+        refined = depth_supervised(prediction.points, complete, inputs.view)
         fixed = prediction._replace(points=jax.lax.stop_gradient(prediction.points))
-        seen = branches(variables, frame, fixed, features, config.model)
+        seen = branches(variables, inputs, fixed, features, config.model)
         seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))
-        auxiliary = auxiliary_losses(frame, fixed, seen, config.adapt)
+        auxiliary = auxiliary_losses(inputs, fixed, seen, config.adapt)
         transport = transport_alignment(
             seen.tokens_3d, seen.tokens_depth, config.adapt.transport_epsilon
         )
@@ -147,7 +153,7 @@ def _terms(
 
     complete = jnp.asarray(batch.complete)
     refined, auxiliary, transport, seen, predictions = jax.vmap(one)(
-        frames, depth_features, complete
+        inputs, depth_features, complete
     )
     width = config.model.auxiliary.token_features
     matching = manifold_matching(

@@ -9,7 +9,7 @@ from prism_jax.losses.chamfer import ChamferNorm
 
 @dataclasses.dataclass(frozen=True)
 class PhaseConfig:
-    """One leg of a pretraining.
+    """One phase of a pretraining.
 
     Attributes:
       name: what the log and the checkpoints call it.
@@ -32,7 +32,7 @@ class PretrainConfig:
     """Stage A: what makes weights for meta-training to start from (gap 4).
 
     Attributes:
-      backbone: legs on Eq. 10, coarse stages first.
+      backbone: phases on Eq. 10, coarse stages first.
       auxiliary_samples: examples for the refiner (Eq. 3), the depth encoder and the
         auxiliary heads, on the finished backbone.
       auxiliary_rate: Adam's step size for those.

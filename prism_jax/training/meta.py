@@ -26,9 +26,10 @@ from prism_jax.losses.weighting import entropy, loss_weights
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import observe
 from prism_jax.training.config import MetaTrainConfig
-from prism_jax.training.frames import frames_of
-from prism_jax.training.leg import Leg, TrainState, steps_of
+from prism_jax.training.inputs import inputs_of
+from prism_jax.training.optimisers import optimiser
 from prism_jax.training.parallel import DATA, data_mesh
+from prism_jax.training.phase import Phase, TrainState, steps_of
 
 TERMS = (
     "zero_step",
@@ -47,9 +48,9 @@ TERMS = (
 SCORES = ("unadapted", "accepted", "adapted")
 
 
-def meta_leg(
+def meta_phase(
     variables: Variables, config: PrismConfig, training: MetaTrainConfig, seed: int
-) -> Leg:
+) -> Phase:
     """Episodes from these variables on (Eq. 11, 12).
 
     Encoders and decoder, refiner, auxiliary modules, logits and step sizes each have an
@@ -59,7 +60,7 @@ def meta_leg(
     adaptation, in the unit of the scores (`Batch.scale`).
     """
     check_meta(training)
-    optimiser = _optimiser(training)
+    optimisers = _optimisers(training)
     counts = jnp.array([name in training.method.branches for name in BRANCHES])
     logits = jnp.where(counts, variables["weighting"]["logits"], -jnp.inf)
     scales = jnp.zeros(len(BRANCHES))
@@ -68,13 +69,13 @@ def meta_leg(
     learned = learned_part(variables, training.method)
     average = variables if training.average_decay else None
     key = jax.random.key(seed)
-    return Leg(
+    return Phase(
         "meta",
         training.num_samples,
         training.batch_size,
         training.num_complete,
-        TrainState(jnp.int32(0), variables, optimiser.init(learned), average),
-        _step(config, training, optimiser, key),
+        TrainState(jnp.int32(0), variables, optimisers.init(learned), average),
+        _step(config, training, optimisers, key),
         _validation(config),
         TERMS,
         SCORES,
@@ -98,23 +99,20 @@ def check_meta(training: MetaTrainConfig) -> None:
             raise InputError("meta.method.first_order", fault, "leave one of them out")
 
 
-def _optimiser(training: MetaTrainConfig) -> optax.GradientTransformation:
+def _optimisers(training: MetaTrainConfig) -> optax.GradientTransformation:
     """One for each kind of parameter, by its place in `learned_part`."""
     num_steps = steps_of("meta", training.num_samples, training.batch_size)
     make = {"sgd": optax.sgd, "adam": optax.adam}[training.optimiser]
 
-    def rate(peak: float) -> optax.Schedule:
-        return optax.warmup_cosine_decay_schedule(
-            0.0 if training.warmup_steps else peak,
-            peak,
-            min(training.warmup_steps, num_steps // 2),
+    def network(learning_rate: float) -> optax.GradientTransformation:
+        return optimiser(
+            training.optimiser,
+            learning_rate,
             num_steps,
-            training.final_rate * peak,
+            training.final_rate,
+            training.warmup_steps,
+            training.clip_norm,
         )
-
-    def network(peak: float) -> optax.GradientTransformation:
-        clip = optax.clip_by_global_norm(training.clip_norm or jnp.inf)
-        return optax.chain(clip, make(rate(peak)))
 
     return optax.partition(
         {
@@ -137,16 +135,16 @@ def _optimiser(training: MetaTrainConfig) -> optax.GradientTransformation:
 def _step(
     config: PrismConfig,
     training: MetaTrainConfig,
-    optimiser: optax.GradientTransformation,
+    optimisers: optax.GradientTransformation,
     key: PRNGKeyArray,
 ) -> Callable[[TrainState, Batch], tuple[TrainState, Float[Array, " L"]]]:
     method = training.method
 
     def gradients(variables: Variables, batch: Batch, key: PRNGKeyArray):
         # All alike, whatever the devices.
-        frames = frames_of(batch, key, config.model)
+        inputs = inputs_of(batch, key, config.model)
         complete = jnp.asarray(batch.complete)
-        return meta_gradients(variables, frames, complete, config, method)
+        return meta_gradients(variables, inputs, complete, config, method)
 
     def device_step(state: TrainState, batch: Batch):
         """What every device does with its share, and then with the mean of all."""
@@ -157,7 +155,7 @@ def _step(
         )
         grads, terms = jax.lax.pmean(found, DATA)
         learned = learned_part(variables, method)
-        updates, opt_state = optimiser.update(grads, state.opt_state, learned)
+        updates, opt_state = optimisers.update(grads, state.opt_state, learned)
         moved: Variables = optax.apply_updates(learned, updates)  # pyright: ignore
         scales = measured_scales(variables, terms)
         variables = put_learned(moved, variables)

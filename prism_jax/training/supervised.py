@@ -1,4 +1,4 @@
-"""Training on Eq. 10 alone: the backbone's legs, and any network to compare with."""
+"""Training on Eq. 10 alone: the backbone's phases, and any network to compare with."""
 
 from collections.abc import Callable
 
@@ -13,45 +13,37 @@ from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.variables import Variables, apply, apply_training
 from prism_jax.training.config import PhaseConfig, PretrainConfig
-from prism_jax.training.leg import Leg, TrainState, steps_of
+from prism_jax.training.optimisers import optimiser
+from prism_jax.training.phase import Phase, TrainState, steps_of
 
 Stages = tuple[Float[Array, "B _ 3"], ...]
 
 
-def adam(
-    learning_rate: float, num_steps: int, final_rate: float, config: PretrainConfig
-) -> optax.GradientTransformation:
-    """Adam under a clipped gradient: linear warm-up, then a cosine."""
-    schedule = optax.warmup_cosine_decay_schedule(
-        init_value=0.0,
-        peak_value=learning_rate,
-        warmup_steps=min(config.warmup_steps, num_steps // 2),
-        decay_steps=num_steps,
-        end_value=final_rate * learning_rate,
-    )
-    return optax.chain(
-        optax.clip_by_global_norm(config.clip_norm or jnp.inf), optax.adam(schedule)
-    )
-
-
-def supervised_leg(
+def supervised_phase(
     variables: Variables,
     train_fn: Callable[[Variables, Batch], tuple[Stages, Variables]],
     stages_fn: Callable[[Variables, Batch], Stages],
     names: tuple[str, ...],
     phase: PhaseConfig,
-    config: PretrainConfig,
-) -> Leg:
+    training: PretrainConfig,
+) -> Phase:
     """Eq. 10 over the stages that ``train_fn`` makes with BatchNorm's statistics of the
     batch, which it returns too; validated on those of ``stages_fn``, by CD-L2 in the
     unit of the scores. ``names`` are the stages', coarse first."""
-    num_steps = steps_of(phase.name, phase.num_samples, config.batch_size)
-    optimiser = adam(phase.learning_rate, num_steps, phase.final_rate, config)
+    num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
+    adam = optimiser(
+        "adam",
+        phase.learning_rate,
+        num_steps,
+        phase.final_rate,
+        training.warmup_steps,
+        training.clip_norm,
+    )
 
     def loss_fn(params: Variables, batch_stats: Variables, batch: Batch):
         variables = {"params": params, "batch_stats": batch_stats}
         stages, statistics = train_fn(variables, batch)
-        losses = jax.vmap(lambda s, c: stage_chamfers(s, c, config.norm))(
+        losses = jax.vmap(lambda s, c: stage_chamfers(s, c, training.norm))(
             stages, jnp.asarray(batch.complete)
         ).mean(0)
         return losses.sum(), (losses, statistics)
@@ -62,7 +54,7 @@ def supervised_leg(
         grads, (losses, statistics) = jax.grad(loss_fn, has_aux=True)(
             variables["params"], variables["batch_stats"], batch
         )
-        updates, opt_state = optimiser.update(grads, state.opt_state)
+        updates, opt_state = adam.update(grads, state.opt_state)
         params: Variables = optax.apply_updates(  # pyright: ignore
             variables["params"], updates
         )
@@ -76,12 +68,12 @@ def supervised_leg(
         distances = [jax.vmap(chamfer)(stage, complete) for stage in stages]
         return jnp.stack(distances, -1) * jnp.asarray(batch.scale)[:, None] ** 2
 
-    return Leg(
+    return Phase(
         phase.name,
         phase.num_samples,
-        config.batch_size,
-        config.num_complete,
-        TrainState(jnp.int32(0), variables, optimiser.init(variables["params"])),
+        training.batch_size,
+        training.num_complete,
+        TrainState(jnp.int32(0), variables, adam.init(variables["params"])),
         step,
         validate,
         names,
@@ -89,13 +81,13 @@ def supervised_leg(
     )
 
 
-def network_leg(
+def network_phase(
     module: nn.Module,
     num_points: int,
     phase: PhaseConfig,
-    config: PretrainConfig,
+    training: PretrainConfig,
     seed: int,
-) -> Leg:
+) -> Phase:
     """A network from ``(B, num_points, 3)`` to its stages, from fresh variables on."""
 
     def init(key: Array) -> Variables:
@@ -114,4 +106,4 @@ def network_leg(
     cloud = jax.ShapeDtypeStruct((1, num_points, 3), jnp.float32)
     made = jax.eval_shape(lambda cloud: apply(module, variables, cloud), cloud)
     names = tuple(f"stage_{i}" for i in range(len(made)))
-    return supervised_leg(variables, train, stages, names, phase, config)
+    return supervised_phase(variables, train, stages, names, phase, training)

@@ -15,7 +15,7 @@ from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import weighted_auxiliary
-from prism_jax.models.prism import hold_decoding, predict, prepare_frame
+from prism_jax.models.prism import hold_decoding, predict, prepare_input
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 from tests.toy_meta import of_the_weighted_sum
 from tests.trees import as_double, assert_close, dot, is_zero, mean, row
@@ -64,7 +64,7 @@ def frames(config, variables, tiny_frames, quick_jit, double):
     @quick_jit
     def prepare(partial, camera):
         key = jax.random.key(config.adapt.seed)
-        frame = prepare_frame(partial, camera, key, config.model)
+        frame = prepare_input(partial, camera, key, config.model)
         return hold_decoding(variables, frame, config.model)
 
     made = [prepare(*row(as_double(tiny_frames), i)) for i in range(FRAMES)]

@@ -10,7 +10,7 @@ from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
 from prism_jax.losses.depth import depth_consistency
 from prism_jax.losses.normal import normal_loss
-from prism_jax.models.prism import branches, predict, prepare_frame, read_depth
+from prism_jax.models.prism import branches, predict, prepare_input, read_depth
 from prism_jax.models.variables import pop_encoders, put_encoders
 
 LAMBDAS = {
@@ -48,7 +48,7 @@ def frame(config, tiny_frames, double):
     partials, cameras = as_double(tiny_frames)
     camera = jax.tree.map(lambda leaf: leaf[0], cameras)
     key = jax.random.key(config.adapt.seed)
-    return jax.jit(lambda p, c: prepare_frame(p, c, key, config.model))(
+    return jax.jit(lambda p, c: prepare_input(p, c, key, config.model))(
         partials[0], camera
     )
 

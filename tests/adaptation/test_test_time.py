@@ -9,7 +9,7 @@ import pytest
 
 from prism_jax.adaptation.objective import test_time_objective as losses_of
 from prism_jax.adaptation.test_time import make_adapt
-from prism_jax.models.prism import hold_decoding, prepare_frame
+from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 from tests.trees import bitwise
 
@@ -51,7 +51,7 @@ def decoded_by(tiny, tiny_variables):
     @jax.jit
     def decoded(encoders, partial, camera):
         key = jax.random.key(tiny.adapt.seed)
-        frame = prepare_frame(partial, camera, key, tiny.model)
+        frame = prepare_input(partial, camera, key, tiny.model)
         frame = hold_decoding(tiny_variables, frame, tiny.model)
         _, rest = pop_encoders(tiny_variables)
         return losses_of(put_encoders(encoders, rest), frame, tiny)

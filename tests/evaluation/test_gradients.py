@@ -14,7 +14,7 @@ from prism_jax.evaluation.gradients import LOSSES, ORACLE, gradients_followed
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.initial import init_variables
-from prism_jax.models.prism import hold_decoding, prepare_frame
+from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.presets import PRESETS
 
 CONFIG = PRESETS["tiny"].config
@@ -38,7 +38,7 @@ def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
         variables, partial, EYE, complete, jax.random.key(0)
     )
     camera = Camera.framing(partial, EYE)
-    frame = prepare_frame(partial, camera, jax.random.key(0), CONFIG.model)
+    frame = prepare_input(partial, camera, jax.random.key(0), CONFIG.model)
     frame = hold_decoding(variables, frame, CONFIG.model)
     start, unravel = ravel_pytree(variables["params"]["point_encoder"])
 

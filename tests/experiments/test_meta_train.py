@@ -15,7 +15,7 @@ from experiments import meta_train, training
 from prism_jax.models.variables import ENCODERS
 from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
-from tests import fake_meta, launching
+from tests import launching, stand_in_networks
 from tests.trees import bitwise
 
 NETWORK = (
@@ -51,7 +51,7 @@ def run(few_shapes, minimal_variables):
             fresh = lambda key, model: minimal_variables  # noqa: E731
             patch.setattr(meta_train, "init_variables", fresh)
             patch.setattr(training, "index_table", lambda *arguments: None)
-            fake_meta.replace_networks(patch)
+            stand_in_networks.replace_networks(patch)
             return launching.run(meta_train, *given)
 
     return run

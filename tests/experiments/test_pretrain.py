@@ -1,5 +1,5 @@
 """The launcher: what it starts from, and what its weights tell. The training is a
-stand-in; `tests/training/test_stages.py` has the real order of the legs."""
+stand-in; `tests/training/test_pretraining.py` has the real order of the phases."""
 
 import json
 

@@ -10,7 +10,7 @@ import pytest
 from prism_jax.geometry.render import render_depth
 from prism_jax.losses.denoise import perturb, upsample_midpoints
 from prism_jax.models.encoder import encoder_indices
-from prism_jax.models.prism import branches, predict, prepare_frame, read_depth
+from prism_jax.models.prism import branches, predict, prepare_input, read_depth
 
 KEY = jax.random.key(3)
 
@@ -28,7 +28,7 @@ def camera(tiny_frames):
 @pytest.fixture(scope="module")
 def prepare(tiny):
     return jax.jit(
-        lambda partial, camera: prepare_frame(partial, camera, KEY, tiny.model)
+        lambda partial, camera: prepare_input(partial, camera, KEY, tiny.model)
     )
 
 
@@ -99,7 +99,7 @@ def test_indices_are_the_encoders(frame, partial, tiny):
 
 def test_a_frame_carries_no_gradient_of_the_partial(tiny, partial, camera):
     def total(partial):
-        frame = prepare_frame(partial, camera, KEY, tiny.model)
+        frame = prepare_input(partial, camera, KEY, tiny.model)
         leaves = jax.tree.leaves(frame._replace(view=None))
         return sum(x.sum() for x in leaves if jnp.issubdtype(x.dtype, jnp.floating))
 

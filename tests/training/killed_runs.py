@@ -20,7 +20,7 @@ import optax
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
 
-from prism_jax.training.leg import Data, Leg, TrainState, train_leg
+from prism_jax.training.phase import Data, Phase, TrainState, train_phase
 from prism_jax.training.run import open_run
 from prism_jax.weights import sha256
 from tests.training.conftest import Boxes
@@ -33,7 +33,7 @@ BALLAST = 500_000
 OPTIMISER = optax.adam(0.3)
 
 
-def toy_leg():
+def toy_phase():
     """Fits the eye as a multiple, per axis, of the partial's mean. The ballast makes
     saving take long, and tells of every step that was left out or made twice."""
 
@@ -62,7 +62,7 @@ def toy_leg():
         jnp.int32(0), {"params": params, "ballast": ballast}, OPTIMISER.init(params)
     )
     names = ("loss",), ("score",)
-    return Leg("toy", STEPS * BATCH, BATCH, 128, start, step, validate, *names)
+    return Phase("toy", STEPS * BATCH, BATCH, 128, start, step, validate, *names)
 
 
 def train(folder, how, dies_at):
@@ -87,7 +87,7 @@ def train(folder, how, dies_at):
         sys.addaudithook(wait_or_die)
     open_run(str(folder), {}, 0, resume=True)
     data = Data(Boxes(20, 0), Boxes(10, 1), 64, 1.4, 7, EVERY * BATCH)
-    trained = train_leg(toy_leg(), data, folder)
+    trained = train_phase(toy_phase(), data, folder)
     leaves = {str(i): leaf for i, leaf in enumerate(jax.tree.leaves(trained.last))}
     ended = {
         "last": sha256(trained.last.variables),

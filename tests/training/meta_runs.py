@@ -19,8 +19,8 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
 
 from prism_jax.adaptation.config import MetaConfig
 from prism_jax.training.config import MetaTrainConfig
-from prism_jax.training.leg import Data, train_leg
-from prism_jax.training.meta import meta_leg
+from prism_jax.training.meta import meta_phase
+from prism_jax.training.phase import Data, train_phase
 from prism_jax.training.run import open_run
 from prism_jax.weights import load_pretrained
 from tests.training.conftest import Boxes
@@ -61,10 +61,10 @@ def train(folder, weights, devices, max_steps, coordinator, processes, process):
     sys.addaudithook(note)
     open_run(str(folder), {}, 0, resume=True)
     config, variables = load_pretrained(str(weights))
-    leg = meta_leg(variables, config, CONFIG, seed=0)
+    phase = meta_phase(variables, config, CONFIG, seed=0)
     points = config.model.backbone.num_points
     data = Data(Boxes(20, 0), Boxes(10, 1), points, 1.4, 7, 16)
-    trained = train_leg(leg, data, folder, max_steps)
+    trained = train_phase(phase, data, folder, max_steps)
     wrote = sorted(name for name in written if "/checkpoints/" not in name)
     name = f"{folder}.{process}.{max_steps or STEPS}"
     pathlib.Path(f"{name}.json").write_text(json.dumps(wrote))

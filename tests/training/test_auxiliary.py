@@ -1,4 +1,4 @@
-"""The leg after the backbone's: what it trains, and on what."""
+"""The phase after the backbone's: what it trains, and on what."""
 
 import dataclasses
 
@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from prism_jax.data.pipeline import Framing
-from prism_jax.training.auxiliary import TRAINED, auxiliary_leg
+from prism_jax.training.auxiliary import TRAINED, auxiliary_phase
 from prism_jax.training.checkpoints import Checkpoints
 from tests.trees import bitwise
 
 
 @pytest.fixture(scope="module")
-def leg(minimal, minimal_variables):
+def phase(minimal, minimal_variables):
     training = dataclasses.replace(
         minimal.pretrain, auxiliary_samples=160, auxiliary_rate=0.01, batch_size=4
     )
-    return auxiliary_leg(minimal_variables, minimal.config, training, seed=0)
+    return auxiliary_phase(minimal_variables, minimal.config, training, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -26,23 +26,23 @@ def batch(examples, framed):
     return framed(examples, range(4), Framing(64, 128, 1.4))
 
 
-def steps(leg, batch, count, variables=None):
-    state, history = leg.start, []
+def steps(phase, batch, count, variables=None):
+    state, history = phase.start, []
     if variables is not None:
         state = state._replace(variables=variables)
     for _ in range(count):
-        state, terms = leg.step_fn(state, batch)
+        state, terms = phase.step_fn(state, batch)
         history.append(np.asarray(terms))
     return state, np.array(history)
 
 
 @pytest.fixture(scope="module")
-def trained(leg, batch):
-    return steps(leg, batch, 40)
+def trained(phase, batch):
+    return steps(phase, batch, 40)
 
 
-def test_it_trains_these_and_nothing_of_the_backbone(leg, trained):
-    before, after = leg.start.variables, trained[0].variables
+def test_it_trains_these_and_nothing_of_the_backbone(phase, trained):
+    before, after = phase.start.variables, trained[0].variables
     assert set(TRAINED) == {"refiner", "depth_encoder", "auxiliary"}
     assert set(before["params"]) == {*TRAINED, "point_encoder", "decoder"}
     for name in before["params"]:
@@ -56,17 +56,20 @@ def test_it_trains_these_and_nothing_of_the_backbone(leg, trained):
         assert not bitwise(branch, after["params"]["auxiliary"][name]), name
 
 
-def test_loss_weights_stay_and_scales_are_measured(leg, trained):
-    before, after = leg.start.variables["weighting"], trained[0].variables["weighting"]
+def test_loss_weights_stay_and_scales_are_measured(phase, trained):
+    before, after = (
+        phase.start.variables["weighting"],
+        trained[0].variables["weighting"],
+    )
     assert bitwise(before["logits"], after["logits"])
     assert (np.asarray(before["scales"]) == 0).all()
     assert (np.asarray(after["scales"]) > 0).all()
 
 
-def test_scales_are_moving_averages_of_the_losses(leg, batch):
+def test_scales_are_moving_averages_of_the_losses(phase, batch):
     """Of normals and denoising; the alignment is measured frame by frame."""
-    first, _ = steps(leg, batch, 1)
-    second, history = steps(leg, batch, 2)
+    first, _ = steps(phase, batch, 1)
+    second, history = steps(phase, batch, 2)
     one = np.asarray(first.variables["weighting"]["scales"])
     two = np.asarray(second.variables["weighting"]["scales"])
     np.testing.assert_allclose(one[:2], history[0, 1:3], rtol=1e-5)
@@ -84,53 +87,53 @@ def test_losses_fall_on_one_batch(trained):
     assert denoised < 1.5
 
 
-def test_the_refiner_learns_from_eq_3_alone(leg, batch):
+def test_the_refiner_learns_from_eq_3_alone(phase, batch):
     """What only the other losses see does not change how it moves."""
-    variables = leg.start.variables
-    expected = steps(leg, batch, 3)[0].variables["params"]
+    variables = phase.start.variables
+    expected = steps(phase, batch, 3)[0].variables["params"]
     for name in ("auxiliary", "depth_encoder"):
         others = jax.tree.map(lambda leaf: 1.5 * leaf, variables["params"][name])
         changed = {**variables, "params": {**variables["params"], name: others}}
-        moved = steps(leg, batch, 3, changed)[0].variables["params"]
+        moved = steps(phase, batch, 3, changed)[0].variables["params"]
         assert bitwise(moved["refiner"], expected["refiner"])
         assert not bitwise(moved[name], expected[name])
 
 
-def test_and_the_branches_do_not_see_the_complete_cloud(leg, batch):
-    expected = steps(leg, batch, 2)[0].variables["params"]
+def test_and_the_branches_do_not_see_the_complete_cloud(phase, batch):
+    expected = steps(phase, batch, 2)[0].variables["params"]
     other = batch._replace(complete=batch.complete[:, ::-1] * 0.5)
-    moved = steps(leg, other, 2)[0].variables["params"]
+    moved = steps(phase, other, 2)[0].variables["params"]
     assert not bitwise(moved["refiner"], expected["refiner"])
     assert bitwise(moved["depth_encoder"], expected["depth_encoder"])
     assert bitwise(moved["auxiliary"], expected["auxiliary"])
 
 
-def test_validation_scores_before_and_after_the_refiner(leg, batch, trained):
+def test_validation_scores_before_and_after_the_refiner(phase, batch, trained):
     variables = trained[0].variables
-    scores = np.asarray(leg.validate_fn(variables, batch))
+    scores = np.asarray(phase.validate_fn(variables, batch))
     assert scores.shape == (4, 3)
     assert np.isfinite(scores).all()
     assert not np.allclose(scores[:, 0], scores[:, 1])
     idle = jax.tree.map(jnp.zeros_like, variables["params"]["refiner"])
     params = {**variables["params"], "refiner": idle}
-    other = np.asarray(leg.validate_fn({**variables, "params": params}, batch))
+    other = np.asarray(phase.validate_fn({**variables, "params": params}, batch))
     assert np.array_equal(other[:, 0], scores[:, 0])
     doubled = batch._replace(scale=2 * batch.scale)
-    larger = np.asarray(leg.validate_fn(variables, doubled))
+    larger = np.asarray(phase.validate_fn(variables, doubled))
     np.testing.assert_allclose(larger[:, :2], 4 * scores[:, :2], rtol=1e-6)
     np.testing.assert_allclose(larger[:, 2], scores[:, 2], rtol=1e-6)
 
 
-def test_its_state_goes_through_a_checkpoint(leg, batch, tmp_path):
+def test_its_state_goes_through_a_checkpoint(phase, batch, tmp_path):
     """Two optimisers, each blind to the other's part; and no step compiles anew."""
-    state, _ = steps(leg, batch, 2)
+    state, _ = steps(phase, batch, 2)
     checkpoints = Checkpoints(tmp_path)
     checkpoints.save(2, state, None)
-    restored = checkpoints.restore_latest(leg.start)
+    restored = checkpoints.restore_latest(phase.start)
     checkpoints.close()
     assert bitwise(restored, state)
     restored = jax.device_put(jax.device_get(restored))
-    expected, _ = leg.step_fn(state, batch)
-    resumed, _ = leg.step_fn(restored, batch)
+    expected, _ = phase.step_fn(state, batch)
+    resumed, _ = phase.step_fn(restored, batch)
     assert bitwise(resumed, expected)
-    assert leg.step_fn._cache_size() == 1
+    assert phase.step_fn._cache_size() == 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prism_jax.training.checkpoints import Checkpoints
-from prism_jax.training.leg import TrainState
+from prism_jax.training.phase import TrainState
 from tests.trees import bitwise
 
 

@@ -1,4 +1,4 @@
-"""The meta-training's leg: steps of the network once, and else of a stand-in for it."""
+"""The phase of meta-training: one step of the network, all others of a stand-in."""
 
 import dataclasses
 
@@ -18,8 +18,8 @@ from prism_jax.models.variables import ENCODERS
 from prism_jax.presets import PRESETS
 from prism_jax.training import meta, parallel
 from prism_jax.training.config import MetaTrainConfig
-from prism_jax.training.meta import SCORES, TERMS, check_meta, meta_leg
-from tests import fake_meta
+from prism_jax.training.meta import SCORES, TERMS, check_meta, meta_phase
+from tests import stand_in_networks
 from tests.trees import bitwise
 
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
@@ -55,24 +55,24 @@ def variables():
 
 
 @pytest.fixture
-def leg_of(variables, monkeypatch, quick_jit):
-    """``leg_of(config, ...)``: a leg whose network is the stand-in."""
-    fake_meta.replace_networks(monkeypatch)
+def phase_of(variables, monkeypatch, quick_jit):
+    """``phase_of(config, ...)``: a phase whose network is the stand-in."""
+    stand_in_networks.replace_networks(monkeypatch)
 
     def make(config, seed=0, jit=quick_jit):
-        leg = meta_leg(variables, PrismConfig(), config, seed)
-        return leg._replace(step_fn=jit(leg.step_fn))
+        phase = meta_phase(variables, PrismConfig(), config, seed)
+        return phase._replace(step_fn=jit(phase.step_fn))
 
     return make
 
 
-def steps(leg, batch, count):
+def steps(phase, batch, count):
     """The states after each step, the first of all at the front, and their terms."""
     mesh = parallel.data_mesh()
-    states, terms = [parallel.replicate(leg.start, mesh)], []
+    states, terms = [parallel.replicate(phase.start, mesh)], []
     batch = parallel.share(batch, mesh)
     for _ in range(count):
-        state, measured = leg.step_fn(states[-1], batch)
+        state, measured = phase.step_fn(states[-1], batch)
         states.append(state)
         terms.append(dict(zip(TERMS, np.asarray(measured).tolist(), strict=True)))
     return states, terms
@@ -92,14 +92,14 @@ def changed(before, after):
 
 
 def slope_of(batch):
-    return float(np.mean(fake_meta.slopes(batch.partial, batch.complete)))
+    return float(np.mean(stand_in_networks.slopes(batch.partial, batch.complete)))
 
 
 # The network.
 
 
 @pytest.fixture(scope="module")
-def real_leg(minimal, minimal_variables):
+def real_phase(minimal, minimal_variables):
     config = MetaTrainConfig(
         EVERYTHING,
         num_samples=16,
@@ -109,18 +109,20 @@ def real_leg(minimal, minimal_variables):
         learning_rate=1e-3,
         average_decay=0.75,
     )
-    return meta_leg(minimal_variables, minimal.config, config, seed=0)
+    return meta_phase(minimal_variables, minimal.config, config, seed=0)
 
 
 @pytest.fixture(scope="module")
-def real_step(real_leg, examples, framed, quick_jit):
+def real_step(real_phase, examples, framed, quick_jit):
     batch = framed(examples, range(2), FRAMING)
-    return quick_jit(real_leg.step_fn)(real_leg.start, batch)
+    return quick_jit(real_phase.step_fn)(real_phase.start, batch)
 
 
-def test_a_step_of_the_network_moves_what_learns_and_nothing_else(real_leg, real_step):
+def test_a_step_of_the_network_moves_what_learns_and_nothing_else(
+    real_phase, real_step
+):
     state, terms = real_step
-    before, after = real_leg.start.variables, state.variables
+    before, after = real_phase.start.variables, state.variables
     modules = (*ENCODERS, "decoder", "refiner", "auxiliary")
     assert changed(before, after) == {*modules, "logits", "log_steps", "scales"}
     for name in modules:
@@ -137,9 +139,9 @@ def test_a_step_of_the_network_moves_what_learns_and_nothing_else(real_leg, real
     np.testing.assert_allclose(after["weighting"]["scales"], scales, rtol=1e-6)
 
 
-def test_the_average_of_the_network_follows(real_leg, real_step):
+def test_the_average_of_the_network_follows(real_phase, real_step):
     state, _ = real_step
-    before, after = real_leg.start.variables, state.variables
+    before, after = real_phase.start.variables, state.variables
     expected = jax.tree.map(lambda b, a: 0.75 * b + 0.25 * a, before, after)
     expected["weighting"]["scales"] = after["weighting"]["scales"]
     for a, b in zip(*map(jax.tree.leaves, (state.average, expected)), strict=True):
@@ -150,15 +152,15 @@ def test_the_average_of_the_network_follows(real_leg, real_step):
 # The stand-in.
 
 
-def test_the_leg_is_what_the_configuration_says(leg_of):
+def test_the_phase_is_what_the_configuration_says(phase_of):
     config = MetaTrainConfig(EVERYTHING, 96, 12, num_complete=512)
-    leg = leg_of(config)
-    assert leg.name == "meta"
-    assert (leg.num_samples, leg.batch_size, leg.num_complete) == (96, 12, 512)
-    assert leg.terms == TERMS
-    assert leg.scores == SCORES == ("unadapted", "accepted", "adapted")
-    assert leg.start.average is None
-    assert int(leg.start.step) == 0
+    phase = phase_of(config)
+    assert phase.name == "meta"
+    assert (phase.num_samples, phase.batch_size, phase.num_complete) == (96, 12, 512)
+    assert phase.terms == TERMS
+    assert phase.scores == SCORES == ("unadapted", "accepted", "adapted")
+    assert phase.start.average is None
+    assert int(phase.start.step) == 0
 
 
 RATES = {
@@ -171,11 +173,11 @@ RATES = {
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_each_rate_moves_its_own_part(leg_of, batch, rate):
+def test_each_rate_moves_its_own_part(phase_of, batch, rate):
     """With the others none, all else stays bit for bit, but for the scales."""
     rates = {name: 0.1 * (name == rate) for name in RATES}
-    leg = leg_of(MetaTrainConfig(EVERYTHING, 40, 4, optimiser="adam", **rates))
-    states, _ = steps(leg, batch, 2)
+    phase = phase_of(MetaTrainConfig(EVERYTHING, 40, 4, optimiser="adam", **rates))
+    states, _ = steps(phase, batch, 2)
     assert changed(states[0].variables, states[2].variables) == {
         *RATES[rate],
         "scales",
@@ -185,20 +187,22 @@ def test_each_rate_moves_its_own_part(leg_of, batch, rate):
 @pytest.mark.parametrize(
     ("learn_steps", "learn_refiner"), [(False, True), (True, False)]
 )
-def test_what_does_not_learn_stays(leg_of, batch, learn_steps, learn_refiner):
+def test_what_does_not_learn_stays(phase_of, batch, learn_steps, learn_refiner):
     method = MetaConfig(learn_steps=learn_steps, learn_refiner=learn_refiner)
-    leg = leg_of(MetaTrainConfig(method, 40, 4, learning_rate=0.1, refiner_rate=0.1))
-    states, _ = steps(leg, batch, 2)
+    phase = phase_of(
+        MetaTrainConfig(method, 40, 4, learning_rate=0.1, refiner_rate=0.1)
+    )
+    states, _ = steps(phase, batch, 2)
     expected = {*ENCODERS, "decoder", "logits", "scales"}
     expected |= {"refiner"} if learn_refiner else set()
     expected |= {"log_steps"} if learn_steps else set()
     assert changed(states[0].variables, states[2].variables) == expected
 
 
-def test_branches_that_do_not_count_never_have_a_weight(leg_of, batch):
+def test_branches_that_do_not_count_never_have_a_weight(phase_of, batch):
     method = MetaConfig(branches=("denoise", "align"))
-    leg = leg_of(MetaTrainConfig(method, 40, 4, weight_rate=0.1))
-    states, terms = steps(leg, batch, 3)
+    phase = phase_of(MetaTrainConfig(method, 40, 4, weight_rate=0.1))
+    states, terms = steps(phase, batch, 3)
     assert np.isfinite([list(measured.values()) for measured in terms]).all()
     for state in states:
         weights = loss_weights(state.variables["weighting"]["logits"])
@@ -220,19 +224,19 @@ def moves(states, *path):
     return values[:-1] - values[1:]
 
 
-def at_zero(leg):
+def at_zero(phase):
     """From parameters of zero, whose small moves float32 tells apart."""
-    variables = jax.tree.map(jnp.zeros_like, leg.start.variables)
-    return leg._replace(start=leg.start._replace(variables=variables))
+    variables = jax.tree.map(jnp.zeros_like, phase.start.variables)
+    return phase._replace(start=phase.start._replace(variables=variables))
 
 
-def test_paper_is_plain_sgd_at_a_constant_rate(leg_of, batch):
+def test_paper_is_plain_sgd_at_a_constant_rate(phase_of, batch):
     """To the last step: 5e-5, and 5e-4 for the loss weights, one frame at a time."""
     preset = PRESETS["paper"].meta
     assert (preset.optimiser, preset.batch_size, preset.at_once) == ("sgd", 32, 4)
     assert preset.average_decay == 0
-    leg = at_zero(leg_of(dataclasses.replace(preset, num_samples=6 * 32)))
-    states, _ = steps(leg, batch, 6)
+    phase = at_zero(phase_of(dataclasses.replace(preset, num_samples=6 * 32)))
+    states, _ = steps(phase, batch, 6)
     slope = slope_of(batch)
     for name in (*ENCODERS, "decoder", "refiner"):
         np.testing.assert_allclose(moves(states, "params", name), 5e-5 * slope, 1e-4)
@@ -244,14 +248,14 @@ def test_paper_is_plain_sgd_at_a_constant_rate(leg_of, batch):
     )
 
 
-def test_small_warms_up_and_follows_a_cosine(leg_of, batch):
+def test_small_warms_up_and_follows_a_cosine(phase_of, batch):
     """Adam under a constant gradient moves by the rate itself."""
     preset = PRESETS["small"].meta
     assert (preset.optimiser, preset.final_rate) == ("adam", 0.01)
     peak = preset.learning_rate
     short = dataclasses.replace(preset, num_samples=30 * 32, warmup_steps=10)
-    leg = at_zero(leg_of(short))
-    states, _ = steps(leg, batch, 32)
+    phase = at_zero(phase_of(short))
+    states, _ = steps(phase, batch, 32)
     expected = [peak * i / 10 for i in range(10)]
     for i in range(21):
         cosine = 0.5 * (1 + np.cos(np.pi * i / 20))
@@ -270,23 +274,23 @@ def test_small_warms_up_and_follows_a_cosine(leg_of, batch):
     assert (moves(states, "params", "refiner") == 0).all()
 
 
-def test_a_leg_shorter_than_its_warm_up_gets_half_of_it(leg_of, batch):
+def test_a_phase_shorter_than_its_warm_up_gets_half_of_it(phase_of, batch):
     config = MetaTrainConfig(
         EVERYTHING, 8 * 4, 4, optimiser="adam", learning_rate=0.1, warmup_steps=1000
     )
-    states, _ = steps(at_zero(leg_of(config)), batch, 5)
+    states, _ = steps(at_zero(phase_of(config)), batch, 5)
     found = moves(states, "params", "decoder")
     np.testing.assert_allclose(found, [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
 
 
-def test_gradients_are_clipped_together_but_not_with_the_refiners(leg_of, batch):
+def test_gradients_are_clipped_together_but_not_with_the_refiners(phase_of, batch):
     """Encoders and decoder have 27 numbers, the refiner nine."""
     slope = slope_of(batch)
     assert slope > 0.1
     config = MetaTrainConfig(
         EVERYTHING, 40, 4, clip_norm=0.1, **dict.fromkeys(RATES, 1.0)
     )
-    states, _ = steps(at_zero(leg_of(config)), batch, 1)
+    states, _ = steps(at_zero(phase_of(config)), batch, 1)
     for name in (*ENCODERS, "decoder"):
         found = moves(states, "params", name)
         np.testing.assert_allclose(found, 0.1 / 27**0.5, rtol=1e-5)
@@ -296,19 +300,19 @@ def test_gradients_are_clipped_together_but_not_with_the_refiners(leg_of, batch)
 
 
 @pytest.mark.parametrize("at_once", [2, 3, 32])
-def test_parts_of_a_batch_add_up_to_it(leg_of, batch, monkeypatch, at_once):
+def test_parts_of_a_batch_add_up_to_it(phase_of, batch, monkeypatch, at_once):
     """To float32's rounding; and no more frames are seen at once than were asked."""
     whole = MetaTrainConfig(EVERYTHING, 40, 4, **dict.fromkeys(RATES, 0.1))
-    expected, terms = steps(leg_of(whole), batch, 3)
+    expected, terms = steps(phase_of(whole), batch, 3)
     sizes = []
 
     def noted(variables, frames, *others):
         sizes.append(len(frames.partial))
-        return fake_meta.meta_gradients(variables, frames, *others)
+        return stand_in_networks.meta_gradients(variables, frames, *others)
 
     monkeypatch.setattr(meta, "meta_gradients", noted)
     states, others = steps(
-        leg_of(dataclasses.replace(whole, at_once=at_once)), batch, 3
+        phase_of(dataclasses.replace(whole, at_once=at_once)), batch, 3
     )
     assert set(sizes) == {{2: 2, 3: 1, 32: 4}[at_once]}
     for a, b in zip(
@@ -319,13 +323,13 @@ def test_parts_of_a_batch_add_up_to_it(leg_of, batch, monkeypatch, at_once):
         assert a == pytest.approx(b, rel=2e-6)
 
 
-def test_the_average_is_the_closed_form(leg_of, batch):
+def test_the_average_is_the_closed_form(phase_of, batch):
     """d^n v_0 + (1 - d) sum d^(n - i) v_i, of every variable but the scales: these are
     averages already, and were none to begin with."""
     rates = dict.fromkeys(RATES, 0.3)
     config = MetaTrainConfig(EVERYTHING, 40, 4, average_decay=0.8, **rates)
-    leg = leg_of(config)
-    states, _ = steps(leg, batch, 5)
+    phase = phase_of(config)
+    states, _ = steps(phase, batch, 5)
     assert bitwise(states[0].average, states[0].variables)
     shares = [0.8**5, *[0.2 * 0.8 ** (5 - i) for i in range(1, 6)]]
     assert sum(shares) == pytest.approx(1)
@@ -342,26 +346,26 @@ def test_the_average_is_the_closed_form(leg_of, batch):
     for a, b in zip(*map(jax.tree.leaves, (states[5].average, expected)), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6)
     # The steps themselves know nothing of it.
-    alone, _ = steps(leg_of(dataclasses.replace(config, average_decay=0.0)), batch, 5)
+    alone, _ = steps(phase_of(dataclasses.replace(config, average_decay=0.0)), batch, 5)
     assert alone[5].average is None
     assert bitwise(alone[5].variables, states[5].variables)
     assert bitwise(alone[5].kept, alone[5].variables)
 
 
-def test_terms_have_their_names(leg_of, batch, variables, monkeypatch):
+def test_terms_have_their_names(phase_of, batch, variables, monkeypatch):
     """And the weights are those after the step."""
 
     def fixed(variables, *others):
-        grads, _ = fake_meta.meta_gradients(variables, *others)
+        grads, _ = stand_in_networks.meta_gradients(variables, *others)
         grads["weighting"]["logits"] = jnp.array([1.0, 0.0, -3.0])
         losses = Losses(*jnp.array([1.0, 2.0, 3.0, 4.0, 5.0]))
         return grads, MetaTerms(
             jnp.float32(0.1), jnp.float32(0.2), losses, jnp.float32(0.3)
         )
 
-    leg = leg_of(MetaTrainConfig(EVERYTHING, 40, 4, weight_rate=0.5))
+    phase = phase_of(MetaTrainConfig(EVERYTHING, 40, 4, weight_rate=0.5))
     monkeypatch.setattr(meta, "meta_gradients", fixed)
-    _, (terms,) = steps(leg, batch, 1)
+    _, (terms,) = steps(phase, batch, 1)
     logits = np.float64(variables["weighting"]["logits"]) - [0.5, 0, -1.5]
     weights = np.exp(logits) / np.exp(logits).sum()
     expected = {
@@ -383,56 +387,56 @@ def test_terms_have_their_names(leg_of, batch, variables, monkeypatch):
     assert TERMS[-1] == "adapted"
 
 
-def test_scales_are_measured_anew(leg_of, batch, variables):
+def test_scales_are_measured_anew(phase_of, batch, variables):
     """From none, whatever the weights came with; then as moving averages."""
     assert (np.asarray(variables["weighting"]["scales"]) > 0).all()
-    leg = leg_of(MetaTrainConfig(EVERYTHING, 40, 4))
-    assert (np.asarray(leg.start.variables["weighting"]["scales"]) == 0).all()
-    states, terms = steps(leg, batch, 3)
+    phase = phase_of(MetaTrainConfig(EVERYTHING, 40, 4))
+    assert (np.asarray(phase.start.variables["weighting"]["scales"]) == 0).all()
+    states, terms = steps(phase, batch, 3)
     expected = terms[0]["denoise"]
     for state, measured in zip(states[1:], terms, strict=True):
         expected = 0.99 * expected + 0.01 * measured["denoise"]
         scale = state.variables["weighting"]["scales"][1]
         np.testing.assert_allclose(scale, expected, rtol=1e-6)
-    assert changed(variables, leg.start.variables) == {"scales"}
+    assert changed(variables, phase.start.variables) == {"scales"}
 
 
-def test_perturbations_are_one_for_a_step_and_new_for_the_next(leg_of, batch):
+def test_perturbations_are_one_for_a_step_and_new_for_the_next(phase_of, batch):
     config = MetaTrainConfig(EVERYTHING, 40, 4)
-    _, terms = steps(leg_of(config), batch, 3)
+    _, terms = steps(phase_of(config), batch, 3)
     assert all(each["align"] == 0 for each in terms)
     noise = [each["denoise"] for each in terms]
     assert len(set(noise)) == 3
-    _, again = steps(leg_of(dataclasses.replace(config, at_once=1)), batch, 3)
+    _, again = steps(phase_of(dataclasses.replace(config, at_once=1)), batch, 3)
     assert [each["denoise"] for each in again] == pytest.approx(noise, rel=1e-6)
-    _, other = steps(leg_of(config, seed=1), batch, 3)
+    _, other = steps(phase_of(config, seed=1), batch, 3)
     assert not {each["denoise"] for each in other} & set(noise)
 
 
-def test_frames_get_the_indices_that_come_with_the_batch(leg_of, batch):
+def test_frames_get_the_indices_that_come_with_the_batch(phase_of, batch):
     """Of 16 bits in the table, of 32 in the frame: their sum is beyond 16."""
     indices = {"rows": np.full((BATCH, 3), 40_000, np.uint16)}
-    leg = leg_of(MetaTrainConfig(EVERYTHING, 40, 4))
-    _, terms = steps(leg, batch._replace(indices=indices), 1)
+    phase = phase_of(MetaTrainConfig(EVERYTHING, 40, 4))
+    _, terms = steps(phase, batch._replace(indices=indices), 1)
     assert terms[0]["normal"] == BATCH * 3 * 40_000
-    _, terms = steps(leg, batch, 1)
+    _, terms = steps(phase, batch, 1)
     assert terms[0]["normal"] == 0
 
 
-def test_every_step_is_of_one_compilation(leg_of, batch):
+def test_every_step_is_of_one_compilation(phase_of, batch):
     config = MetaTrainConfig(EVERYTHING, 40, 4, average_decay=0.5, warmup_steps=2)
-    leg = leg_of(config, jit=lambda step: step)
-    steps(leg, batch, 4)
-    assert leg.step_fn._cache_size() == 1
+    phase = phase_of(config, jit=lambda step: step)
+    steps(phase, batch, 4)
+    assert phase.step_fn._cache_size() == 1
 
 
-def test_validation_scores(leg_of, batch, variables):
+def test_validation_scores(phase_of, batch, variables):
     """CD-L2 before, whether the adapted one was taken, and CD-L2 of what was."""
     above = np.array([True, False, True, True])
     eye = batch.eye.copy()
     eye[:, 2] = np.where(above, 1, -1) * np.abs(eye[:, 2])
     batch = batch._replace(eye=eye)
-    scores = np.asarray(leg_of(MetaTrainConfig()).validate_fn(variables, batch))
+    scores = np.asarray(phase_of(MetaTrainConfig()).validate_fn(variables, batch))
     assert scores.shape == (BATCH, 3)
     for i in range(BATCH):
         complete, partial = batch.complete[i], batch.partial[i]

@@ -14,7 +14,7 @@ from jax.sharding import PartitionSpec
 
 from prism_jax.io.errors import InputError
 from prism_jax.training import parallel
-from prism_jax.training.leg import Data, Leg, TrainState, train_leg
+from prism_jax.training.phase import Data, Phase, TrainState, train_phase
 from prism_jax.weights import save_weights
 
 SCRIPT = pathlib.Path(__file__).with_name("meta_runs.py")
@@ -96,10 +96,10 @@ def test_it_is_refused_before_anything_is_written(
         raise AssertionError("trained")
 
     start = TrainState(jnp.int32(0), {"params": {"w": jnp.zeros(3)}}, ())
-    leg = Leg("toy", 48, 12, 128, start, never, never, ("loss",), ("score",))
+    phase = Phase("toy", 48, 12, 128, start, never, never, ("loss",), ("score",))
     data = Data(examples, validation_examples, 64, 1.4, 7, 48)
     with pytest.raises(InputError, match="12 examples cannot be shared"):
-        train_leg(leg, data, tmp_path)
+        train_phase(phase, data, tmp_path)
     assert not list(tmp_path.iterdir())
 
 

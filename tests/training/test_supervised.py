@@ -12,7 +12,7 @@ from prism_jax.data.pipeline import Framing
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.presets import resolve
 from prism_jax.training.config import PhaseConfig
-from prism_jax.training.supervised import network_leg
+from prism_jax.training.supervised import network_phase
 
 BATCH = 4
 MODULE = PCN(
@@ -21,12 +21,12 @@ MODULE = PCN(
 
 
 @pytest.fixture(scope="module")
-def leg():
+def phase():
     config = dataclasses.replace(
         resolve("tiny").pretrain, batch_size=BATCH, warmup_steps=2
     )
     phase = PhaseConfig("pcn", 40 * BATCH, None, learning_rate=3e-3)
-    return network_leg(MODULE, 64, phase, config, seed=0)
+    return network_phase(MODULE, 64, phase, config, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -34,37 +34,37 @@ def batch(examples, framed):
     return framed(examples, range(BATCH), Framing(64, 128, 1.4))
 
 
-def test_the_terms_are_eq_10_stage_by_stage(leg, batch):
-    _, losses = leg.step_fn(leg.start, batch)
-    stages = MODULE.apply(leg.start.variables, jnp.asarray(batch.partial))
+def test_the_terms_are_eq_10_stage_by_stage(phase, batch):
+    _, losses = phase.step_fn(phase.start, batch)
+    stages = MODULE.apply(phase.start.variables, jnp.asarray(batch.partial))
     complete = jnp.asarray(batch.complete)
     each = jax.vmap(lambda s, c: stage_chamfers(s, c, "l1"))(stages, complete)
     np.testing.assert_allclose(losses, each.mean(0), rtol=1e-5)
-    assert leg.terms == leg.scores == ("stage_0", "stage_1")
+    assert phase.terms == phase.scores == ("stage_0", "stage_1")
 
 
-def test_it_learns_and_only_parameters_change(leg, batch):
-    state, first = leg.step_fn(leg.start, batch)
+def test_it_learns_and_only_parameters_change(phase, batch):
+    state, first = phase.step_fn(phase.start, batch)
     for _ in range(20):
-        state, last = leg.step_fn(state, batch)
+        state, last = phase.step_fn(state, batch)
     assert last.sum() < 0.8 * first.sum()
     assert int(state.step) == 21
     assert state.variables["batch_stats"] == {}
 
 
-def test_the_score_is_in_the_unit_of_the_scores(leg, batch):
-    scores = np.asarray(leg.validate_fn(leg.start.variables, batch))
+def test_the_score_is_in_the_unit_of_the_scores(phase, batch):
+    scores = np.asarray(phase.validate_fn(phase.start.variables, batch))
     doubled = batch._replace(scale=2 * batch.scale)
-    twice = np.asarray(leg.validate_fn(leg.start.variables, doubled))
+    twice = np.asarray(phase.validate_fn(phase.start.variables, doubled))
     assert scores.shape == (BATCH, 2)
     np.testing.assert_allclose(twice, 4 * scores, rtol=1e-6)
 
 
-def test_a_seed_is_one_start(leg):
+def test_a_seed_is_one_start(phase):
     config, phase = resolve("tiny").pretrain, PhaseConfig("pcn", 64, None)
-    same = network_leg(MODULE, 64, phase, config, seed=0).start.variables
-    other = network_leg(MODULE, 64, phase, config, seed=1).start.variables
-    first = jax.tree.leaves(leg.start.variables)
+    same = network_phase(MODULE, 64, phase, config, seed=0).start.variables
+    other = network_phase(MODULE, 64, phase, config, seed=1).start.variables
+    first = jax.tree.leaves(phase.start.variables)
     pairs = zip(first, jax.tree.leaves(same), strict=True)
     assert all(np.array_equal(a, b) for a, b in pairs)
     pairs = zip(first, jax.tree.leaves(other), strict=True)

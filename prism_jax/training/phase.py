@@ -51,7 +51,7 @@ class TrainState(NamedTuple):
         return self.variables if self.average is None else self.average
 
 
-class Leg(NamedTuple):
+class Phase(NamedTuple):
     """A stretch of training with one loss and one optimiser.
 
     Attributes:
@@ -96,21 +96,21 @@ class Data(NamedTuple):
 
 class Trained(NamedTuple):
     """What a training leaves: the variables that did best on the validation examples,
-    the last state, and whether the leg is done."""
+    the last state, and whether the phase is done."""
 
     best: Variables
     last: TrainState
     done: bool
 
 
-def train_leg(
-    leg: Leg,
+def train_phase(
+    phase: Phase,
     data: Data,
     folder: pathlib.Path,
     max_steps: int | None = None,
     tensorboard: bool = False,
 ) -> Trained:
-    """Trains a leg to its end, or to step ``max_steps``.
+    """Trains a phase to its end, or to step ``max_steps``.
 
     Goes on from the latest checkpoint in ``folder`` if there is one, with the batches
     that would have come next (`order_seed`). One step is always queued behind the one
@@ -120,57 +120,59 @@ def train_leg(
     A batch lies over all devices of all processes, each of which reads its own share.
     A loss or a variable that is not a number raises FloatingPointError, and the
     checkpoint before it stays. The state is saved at every validation, every
-    `SAVE_SECONDS`, and where ``max_steps`` ends the leg; what is not validated is never
-    the best, so that a leg that goes on keeps what an unbroken one keeps.
+    `SAVE_SECONDS`, and where ``max_steps`` ends the phase. Only what is validated can
+    be the best, so a phase that was interrupted keeps what an unbroken one keeps.
     """
-    parallel.check_batch(leg.batch_size)
+    parallel.check_batch(phase.batch_size)
     mesh = parallel.data_mesh()
-    checkpoints = Checkpoints(folder / leg.name)
-    start = parallel.replicate(leg.start, mesh)
+    checkpoints = Checkpoints(folder / phase.name)
+    start = parallel.replicate(phase.start, mesh)
     state = parallel.replicate(checkpoints.restore_latest(start) or start, mesh)
-    num_steps = steps_of(leg.name, leg.num_samples, leg.batch_size)
+    num_steps = steps_of(phase.name, phase.num_samples, phase.batch_size)
     step = int(state.step)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
     shard = parallel.shard()
     batches = training_batches(
         data.train,
-        data.framing(leg.num_complete),
-        leg.batch_size // shard[1],
-        order_seed(data.seed, leg.name),
+        data.framing(phase.num_complete),
+        phase.batch_size // shard[1],
+        order_seed(data.seed, phase.name),
         data.num_workers,
         shard,
         data.indices,
         step,
     )
-    log = Log(folder, leg.name, leg.num_samples, step, leg.batch_size, tensorboard)
-    validate_steps = max(1, data.validate_every // leg.batch_size)
+    log = Log(
+        folder, phase.name, phase.num_samples, step, phase.batch_size, tensorboard
+    )
+    validate_steps = max(1, data.validate_every // phase.batch_size)
     recent, before = [], None
     saved = time.monotonic()
     while step < last:
         with log.waiting():
             batch = parallel.share(next(batches), mesh)
-        state, losses = leg.step_fn(state, batch)
+        state, losses = phase.step_fn(state, batch)
         recent.append(losses)
         step += 1
         jax.block_until_ready(before)
         before = losses
-        log.advance(leg.batch_size)
+        log.advance(phase.batch_size)
         at_validation = step % validate_steps == 0 or step == num_steps
         if step % LOG_EVERY == 0 or at_validation or step == last:
-            mean = _finite_mean(recent, leg.name, step)
+            mean = _finite_mean(recent, phase.name, step)
             recent.clear()
-            log.write(step, losses=_named(leg.terms, mean))
-            log.show(**{leg.terms[-1]: float(mean[-1])})
+            log.write(step, losses=_named(phase.terms, mean))
+            log.show(**{phase.terms[-1]: float(mean[-1])})
         is_due = step % LOG_EVERY == 0 and parallel.as_the_first(
             time.monotonic() - saved > SAVE_SECONDS
         )
         if not (at_validation or is_due or step == last):
             continue
-        _check_numbers(state.variables, leg.name, step)
+        _check_numbers(state.variables, phase.name, step)
         score = None
         if at_validation:
-            scores = validate(leg, data, state.kept)
-            log.write(step, validation=_named(leg.scores, scores))
+            scores = validate(phase, data, state.kept)
+            log.write(step, validation=_named(phase.scores, scores))
             score = float(scores[-1])
         checkpoints.save(step, state, score)
         saved = time.monotonic()
@@ -181,18 +183,18 @@ def train_leg(
 
 
 def order_seed(seed: int, name: str) -> int:
-    """What a leg's batches are shuffled and mirrored by.
+    """What a phase's batches are shuffled and mirrored by.
 
-    It follows from the leg's name, so that one leg does not repeat another's batches,
-    and from no number that is computed: those differ in their last bits from one
-    machine to the next, on which the leg may go on.
+    It follows from the phase's name, so that no phase repeats another's batches. It
+    does not depend on computed numbers: their last bits differ between machines, and a
+    phase may go on on another one.
     """
     digest = hashlib.sha256(f"{seed} {name}".encode()).digest()
     return int.from_bytes(digest[:4]) % 2**31
 
 
 def steps_of(name: str, num_samples: int, batch_size: int) -> int:
-    """Of a leg; InputError if its samples do not fill one batch."""
+    """Of a phase; InputError if its samples do not fill one batch."""
     if num_samples < batch_size or batch_size < 1:
         fault = f"{num_samples} samples do not fill a batch of {batch_size}"
         raise InputError(name, fault, "train on more, or in smaller batches")
@@ -217,13 +219,13 @@ def _check_numbers(variables: Variables, name: str, step: int) -> None:
         raise FloatingPointError(f"{name}: variables are not numbers at step {step}")
 
 
-def validate(leg: Leg, data: Data, variables: Variables) -> np.ndarray:
+def validate(phase: Phase, data: Data, variables: Variables) -> np.ndarray:
     """Mean scores over the validation examples, in batches of the training's size.
 
     A last batch that would be short goes on from the first example, and what was scored
     before is left out. Each process frames its own share of a batch.
     """
-    count, size = len(data.validation), leg.batch_size
+    count, size = len(data.validation), phase.batch_size
     mesh, (process, processes) = parallel.data_mesh(), parallel.shard()
     framing = data.framing(VALIDATION_COMPLETE)
     scores = []
@@ -234,6 +236,6 @@ def validate(leg: Leg, data: Data, variables: Variables) -> np.ndarray:
         ]
         batch = stack([frame_example(example, framing) for example in examples])
         batch = parallel.share(batch, mesh)
-        scored = parallel.gather(leg.validate_fn(variables, batch))
+        scored = parallel.gather(phase.validate_fn(variables, batch))
         scores.append(scored[: count - start])
     return np.concatenate(scores).mean(0)

@@ -10,13 +10,14 @@ import jax.numpy as jnp
 from prism_jax.adaptation.meta import MetaTerms, learned_part
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.models.prism import Frame
-from prism_jax.training import frames, meta
+from prism_jax.models.prism import NetworkInput
+from prism_jax.training import inputs as training_inputs
+from prism_jax.training import meta
 
 
-def prepare_frame(partial, camera, key, config, indices=None):
+def prepare_input(partial, camera, key, config, indices=None):
     """Its perturbation is the noise alone."""
-    frame = Frame(*[partial.mean()] * len(Frame._fields))
+    frame = NetworkInput(*[partial.mean()] * len(NetworkInput._fields))
     noise = jax.random.normal(key, partial.shape)
     return frame._replace(partial=partial, perturbed=noise, indices=indices)
 
@@ -58,7 +59,7 @@ def make_adapt(config):
 
 
 def replace_networks(patch):
-    """What the leg knows of the networks is this module's."""
-    patch.setattr(frames, "prepare_frame", prepare_frame)
+    """What the phase knows of the networks is this module's."""
+    patch.setattr(training_inputs, "prepare_input", prepare_input)
     for stand_in in (meta_gradients, make_adapt):
         patch.setattr(meta, stand_in.__name__, stand_in)

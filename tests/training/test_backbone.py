@@ -1,4 +1,4 @@
-"""The backbone's legs, on boxes."""
+"""The backbone's phases, on boxes."""
 
 import dataclasses
 import json
@@ -12,10 +12,10 @@ import pytest
 from prism_jax.data.holdout import Subset
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.training import parallel
+from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.indices import index_table
-from prism_jax.training.leg import VALIDATION_COMPLETE, Data, order_seed, train_leg
-from prism_jax.training.pretrain import backbone_leg
+from prism_jax.training.phase import VALIDATION_COMPLETE, Data, order_seed, train_phase
 from prism_jax.training.supervised import adam
 from tests.trees import bitwise
 
@@ -24,14 +24,14 @@ BATCH, FRAMING = 4, Framing(64, 128, 1.4)
 
 @pytest.fixture(scope="module")
 def preset(minimal):
-    """Two short legs, the second with longer steps."""
+    """Two short phases, the second with longer steps."""
     seeds, stages = minimal.pretrain.backbone
-    legs = (
+    phases = (
         dataclasses.replace(seeds, num_samples=8 * BATCH),
         dataclasses.replace(stages, num_samples=60 * BATCH, learning_rate=3e-3),
     )
     training = dataclasses.replace(
-        minimal.pretrain, backbone=legs, batch_size=BATCH, validate_every=4 * BATCH
+        minimal.pretrain, backbone=phases, batch_size=BATCH, validate_every=4 * BATCH
     )
     return dataclasses.replace(minimal, pretrain=training)
 
@@ -49,13 +49,13 @@ def backbone(minimal_variables):
 @pytest.fixture(scope="module")
 def seeds(preset, backbone):
     phase = preset.pretrain.backbone[0]
-    return backbone_leg(backbone, preset.model.backbone, phase, preset.pretrain)
+    return backbone_phase(backbone, preset.model.backbone, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
 def stages(preset, backbone):
     phase = preset.pretrain.backbone[1]
-    return backbone_leg(backbone, preset.model.backbone, phase, preset.pretrain)
+    return backbone_phase(backbone, preset.model.backbone, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def after_seeds(seeds, batch):
 
 
 def test_losses_fall_on_one_batch(stages, indexed):
-    """Every stage's, over a leg of sixty steps."""
+    """Every stage's, over a phase of sixty steps."""
     state, history = stages.start, []
     for _ in range(60):
         state, losses = stages.step_fn(state, indexed)
@@ -97,7 +97,7 @@ def test_losses_fall_on_one_batch(stages, indexed):
     assert int(state.step) == 60
 
 
-def test_the_leg_of_the_seeds_leaves_the_later_stages_alone(seeds, after_seeds):
+def test_the_phase_of_the_seeds_leaves_the_later_stages_alone(seeds, after_seeds):
     state, losses = after_seeds
     assert losses.shape == (1,)
     for kind in ("params", "batch_stats"):
@@ -144,9 +144,9 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
         batch = parallel.share(next(batches), mesh)
         expected.append(seeds.step_fn(expected[-1], batch)[0])
     compiled = seeds.step_fn._cache_size()
-    *_, done = train_leg(seeds, data, tmp_path, max_steps=4)
+    *_, done = train_phase(seeds, data, tmp_path, max_steps=4)
     assert not done
-    best, _, done = train_leg(seeds, data, tmp_path)
+    best, _, done = train_phase(seeds, data, tmp_path)
     assert done
     checkpoints = Checkpoints(tmp_path / seeds.name)
     assert bitwise(checkpoints.restore_latest(seeds.start), expected[8])
@@ -189,7 +189,7 @@ def test_step_sizes_rise_and_then_follow_a_cosine(preset):
     np.testing.assert_allclose(moves, expected, rtol=1e-3, atol=1e-7)
 
 
-def test_a_leg_shorter_than_the_warm_up_gets_half_of_it(preset):
+def test_a_phase_shorter_than_the_warm_up_gets_half_of_it(preset):
     optimiser = adam(0.1, 8, 1.0, preset.pretrain)
     state, moves = optimiser.init(jnp.zeros(())), []
     for _ in range(8):

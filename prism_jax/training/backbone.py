@@ -15,16 +15,16 @@ from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import EncoderIndices
 from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
-from prism_jax.training.leg import Leg
-from prism_jax.training.supervised import Stages, supervised_leg
+from prism_jax.training.phase import Phase
+from prism_jax.training.supervised import Stages, supervised_phase
 
 
-def backbone_leg(
+def backbone_phase(
     variables: Variables,
     model: BackboneConfig,
     phase: PhaseConfig,
-    config: PretrainConfig,
-) -> Leg:
+    training: PretrainConfig,
+) -> Phase:
     """Encoder and decoder on the stages that the phase trains."""
     blocks = len(model.up_factors) if phase.num_blocks is None else phase.num_blocks
     names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))
@@ -44,7 +44,7 @@ def backbone_leg(
         )
         return decode(variables, model, partial, encoded).stages[: blocks + 1]
 
-    return supervised_leg(variables, train, stages, names, phase, config)
+    return supervised_phase(variables, train, stages, names, phase, training)
 
 
 def _indices(batch: Batch, partial: Array, model: BackboneConfig) -> EncoderIndices:

@@ -1,4 +1,4 @@
-"""The training loop, around legs so small that they compile to nothing."""
+"""The training loop, around phases so small that they compile to nothing."""
 
 import json
 
@@ -10,16 +10,16 @@ import pytest
 
 from prism_jax.data.pipeline import training_batches
 from prism_jax.io.errors import InputError
-from prism_jax.training import leg as training_leg
+from prism_jax.training import phase as training_phase
 from prism_jax.training.checkpoints import Checkpoints
-from prism_jax.training.leg import (
+from prism_jax.training.phase import (
     VALIDATION_COMPLETE,
     Data,
-    Leg,
+    Phase,
     TrainState,
     order_seed,
 )
-from prism_jax.training.leg import train_leg as train
+from prism_jax.training.phase import train_phase as train
 from prism_jax.training.run import Log
 from tests.trees import bitwise
 
@@ -33,12 +33,12 @@ def data(examples, validation_examples):
     return Data(examples, validation_examples, 64, MARGIN, 7, 4 * BATCH)
 
 
-def make_leg(step_fn, validate_fn, count_scores=2, num_steps=STEPS):
+def make_phase(step_fn, validate_fn, count_scores=2, num_steps=STEPS):
     variables = {"params": {"w": jnp.zeros(3)}}
     start = TrainState(jnp.int32(0), variables, OPTIMISER.init(variables["params"]))
     size = num_steps * BATCH
     names = ("loss",), ("first", "last")[-count_scores:]
-    return Leg("toy", size, BATCH, 128, start, step_fn, validate_fn, *names)
+    return Phase("toy", size, BATCH, 128, start, step_fn, validate_fn, *names)
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +60,11 @@ def regression():
     def validate(variables, batch):
         return jnp.stack([batch.scale, errors(variables["params"], batch)], -1)
 
-    return make_leg(step, validate)
+    return make_phase(step, validate)
 
 
 def counting(scores):
-    """A leg whose only parameter is the step number, and whose score is a table's."""
+    """A phase whose only parameter is the step number, and whose score is a table's."""
 
     def step(state, batch):
         variables = {"params": {"w": state.variables["params"]["w"] + 1}}
@@ -74,7 +74,7 @@ def counting(scores):
         score = jnp.asarray(scores)[variables["params"]["w"][0].astype(int)]
         return jnp.full((len(batch.eye), 1), score)
 
-    return make_leg(step, validate, 1)
+    return make_phase(step, validate, 1)
 
 
 def lines(folder):
@@ -82,21 +82,21 @@ def lines(folder):
     return [json.loads(line) for line in text.splitlines()]
 
 
-def latest(leg, folder):
-    checkpoints = Checkpoints(folder / leg.name)
-    state = checkpoints.restore_latest(leg.start)
+def latest(phase, folder):
+    checkpoints = Checkpoints(folder / phase.name)
+    state = checkpoints.restore_latest(phase.start)
     checkpoints.close()
     return state
 
 
-def recording(leg, seen):
-    """The leg, noting which batch each step is given."""
+def recording(phase, seen):
+    """The phase, noting which batch each step is given."""
 
     def step(state, batch):
         seen.append((int(state.step), batch))
-        return leg.step_fn(state, batch)
+        return phase.step_fn(state, batch)
 
-    return leg._replace(step_fn=step)
+    return phase._replace(step_fn=step)
 
 
 def test_it_learns(regression, data, tmp_path):
@@ -155,7 +155,7 @@ def test_killed_between_checkpoints_it_repeats_what_was_lost(
     """Steps and batches alike, bit for bit; the last save is that of the validation, or
     that of the next log line when it is due."""
     unbroken, seen = [], []
-    monkeypatch.setattr(training_leg, "LOG_EVERY", 3)
+    monkeypatch.setattr(training_phase, "LOG_EVERY", 3)
     expected, *_ = train(recording(regression, unbroken), data, tmp_path / "unbroken")
     remembering = recording(regression, seen)
 
@@ -164,7 +164,7 @@ def test_killed_between_checkpoints_it_repeats_what_was_lost(
             raise KeyboardInterrupt
         return remembering.step_fn(state, batch)
 
-    monkeypatch.setattr(training_leg, "SAVE_SECONDS", seconds)
+    monkeypatch.setattr(training_phase, "SAVE_SECONDS", seconds)
     with pytest.raises(KeyboardInterrupt):
         train(regression._replace(step_fn=dying), data, tmp_path / "killed")
     assert int(latest(regression, tmp_path / "killed").step) == kept
@@ -180,9 +180,9 @@ def test_the_batches_are_those_of_the_pipeline(data, tmp_path):
     """From the first on, over more than one epoch, and with what is known of each."""
     data = data._replace(indices=np.arange(20, dtype=np.uint16))
     seen = []
-    leg = counting(np.ones(STEPS + 1))
-    train(recording(leg, seen), data, tmp_path)
-    seed = order_seed(data.seed, leg.name)
+    phase = counting(np.ones(STEPS + 1))
+    train(recording(phase, seen), data, tmp_path)
+    seed = order_seed(data.seed, phase.name)
     batches = training_batches(
         data.train, data.framing(128), BATCH, seed, indices=data.indices
     )
@@ -195,7 +195,7 @@ def test_the_batches_are_those_of_the_pipeline(data, tmp_path):
     assert np.array_equal(np.sort(first_epoch), np.arange(20))
 
 
-def test_legs_are_told_apart_by_seed_and_name():
+def test_phases_are_told_apart_by_seed_and_name():
     seeds = [order_seed(seed, name) for name in ("seeds", "meta") for seed in (0, 1)]
     assert len(set(seeds)) == 4 and min(seeds) >= 0 and max(seeds) < 2**31
 
@@ -222,7 +222,7 @@ def test_a_score_that_is_not_a_number_is_not_kept(data, tmp_path):
     assert np.array_equal(variables["params"]["w"], [8, 8, 8])
 
 
-def test_a_finished_leg_is_not_trained_again(regression, data, tmp_path):
+def test_a_finished_phase_is_not_trained_again(regression, data, tmp_path):
     expected, *_ = train(regression, data, tmp_path)
 
     def never(*arguments):
@@ -266,12 +266,12 @@ def test_variables_that_are_not_numbers_end_it(regression, data, tmp_path):
     assert int(latest(regression, tmp_path).step) == 4
 
 
-def test_a_leg_that_fills_no_batch_is_refused(regression, data, tmp_path):
+def test_a_phase_that_fills_no_batch_is_refused(regression, data, tmp_path):
     with pytest.raises(InputError, match="toy: 3 samples do not fill a batch of 4"):
         train(regression._replace(num_samples=3), data, tmp_path)
 
 
-def test_ended_early_nothing_is_kept_that_an_unbroken_leg_would_not(data, tmp_path):
+def test_ended_early_nothing_is_kept_that_an_unbroken_phase_would_not(data, tmp_path):
     """The best of all scores is of a step at which nothing is validated."""
     scores = np.full(STEPS + 1, 9.0)
     scores[[3, 8]] = 0.1, 0.2

@@ -1,0 +1,33 @@
+"""The optimiser of every network that is trained, with its schedule."""
+
+from typing import Literal
+
+import jax.numpy as jnp
+import optax
+
+Kind = Literal["sgd", "adam"]
+
+
+def optimiser(
+    kind: Kind,
+    learning_rate: float,
+    num_steps: int,
+    final_rate: float,
+    warmup_steps: int,
+    clip_norm: float,
+) -> optax.GradientTransformation:
+    """Adam or plain gradient descent under a clipped gradient.
+
+    The step size rises linearly from zero for ``warmup_steps``, or for half of the
+    steps if there are not as many, and then falls along a cosine to ``final_rate``
+    times ``learning_rate``. A ``clip_norm`` of 0 clips nothing.
+    """
+    schedule = optax.warmup_cosine_decay_schedule(
+        init_value=0.0 if warmup_steps else learning_rate,
+        peak_value=learning_rate,
+        warmup_steps=min(warmup_steps, num_steps // 2),
+        decay_steps=num_steps,
+        end_value=final_rate * learning_rate,
+    )
+    make = {"sgd": optax.sgd, "adam": optax.adam}[kind]
+    return optax.chain(optax.clip_by_global_norm(clip_norm or jnp.inf), make(schedule))
