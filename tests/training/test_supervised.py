@@ -61,9 +61,9 @@ def test_the_score_is_in_the_unit_of_the_scores(phase, batch):
 
 
 def test_a_seed_is_one_start(phase):
-    config, phase = resolve("tiny").pretrain, PhaseConfig("pcn", 64, None)
-    same = network_phase(MODULE, 64, phase, config, seed=0).start.variables
-    other = network_phase(MODULE, 64, phase, config, seed=1).start.variables
+    training, short = resolve("tiny").pretrain, PhaseConfig("pcn", 64, None)
+    same = network_phase(MODULE, 64, short, training, seed=0).start.variables
+    other = network_phase(MODULE, 64, short, training, seed=1).start.variables
     first = jax.tree.leaves(phase.start.variables)
     pairs = zip(first, jax.tree.leaves(same), strict=True)
     assert all(np.array_equal(a, b) for a, b in pairs)
