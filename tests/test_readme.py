@@ -1,5 +1,7 @@
 """README and docs: their Python examples run, their figures are those of the tables."""
 
+import importlib
+import importlib.util
 import json
 import pathlib
 import re
@@ -9,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-from experiments import results
+from experiments import results, rooms
 from experiments.assets import CELLS
 from experiments.real_scans import real_scans_markdown
 from experiments.verdicts import verdicts_markdown
@@ -22,6 +24,7 @@ EXAMPLES = {
     name: re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
     for name, page in PAGES.items()
 }
+FILES = (".json", ".jsonl", ".html", ".ply")
 LONGEST = {"README.md": 150, "BUILD_NOTES.md": 250}
 GIVEN = """
 import numpy as np
@@ -101,9 +104,13 @@ def test_tables_are_those_of_their_results(path):
     assert not [line for line in lines if line not in shown]
 
 
-@pytest.mark.parametrize(("path", "text"), results.pages().items(), ids=lambda p: "")
-def test_pages_show_the_tables(path, text):
-    assert path.read_text() == text, "run python -m experiments.results"
+def test_pages_show_the_tables():
+    for path, text in results.pages().items():
+        assert path.read_text() == text, "run python -m experiments.results"
+
+
+def test_the_rooms_are_drawn_as_they_are():
+    assert rooms.PAGE.read_text() == rooms.page(), "run python -m experiments.rooms"
 
 
 def test_the_first_screen_says_what_adaptation_gains():
@@ -133,3 +140,22 @@ def anchors(page: pathlib.Path) -> set[str]:
     heads = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
     words = [re.sub(r"[^\w\- ]", "", head.lower()) for head in heads]
     return {"-".join(word.split(" ")) for word in words}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_names_are_those_of_the_code(name):
+    """`room.module.name` and `path/to/file`, as far as they are the repository's."""
+    rooms = "|".join(path.stem for path in (ROOT / "prism_jax").iterdir())
+    text = PAGES[name].read_text()
+    for dotted in re.findall(rf"`(?:prism_jax\.)?((?:{rooms})\.[a-z_]\w*[\w.]*)", text):
+        if dotted.endswith(FILES):
+            continue
+        module, _, attribute = f"prism_jax.{dotted}".rpartition(".")
+        try:
+            found = hasattr(importlib.import_module(module), attribute)
+            found = found or importlib.util.find_spec(f"{module}.{attribute}")
+        except ModuleNotFoundError:
+            found = False
+        assert found, f"{name} speaks of {dotted}"
+    for path in re.findall(r"`((?:experiments|tests|prism_jax)/[\w./]*)`", text):
+        assert (ROOT / path).exists(), f"{name} speaks of {path}"
