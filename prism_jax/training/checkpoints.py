@@ -1,17 +1,22 @@
 """Training states on disk, by Orbax: the latest, to resume, and the best, to keep."""
 
+import contextlib
 import math
 import pathlib
+from collections.abc import Iterator
 from typing import Any
 
 import jax
 import orbax.checkpoint as ocp
 
+from prism_jax.io.errors import InputError
+
 
 class Checkpoints:
     """Two Orbax managers over one run directory.
 
-    A checkpoint appears whole or not at all: Orbax writes it aside and renames it.
+    A checkpoint appears whole or not at all: Orbax writes it aside and renames it. One
+    that was damaged later raises InputError where it is read: Orbax keeps checksums.
     """
 
     def __init__(self, workdir: pathlib.Path):
@@ -59,7 +64,8 @@ class Checkpoints:
 
 def _manager(folder: pathlib.Path, **options: Any) -> ocp.CheckpointManager:
     kept = ocp.CheckpointManagerOptions(max_to_keep=1, create=True, **options)
-    return ocp.CheckpointManager(folder, options=kept)
+    with _undamaged(folder):
+        return ocp.CheckpointManager(folder, options=kept)
 
 
 def _quality(metrics: dict[str, float]) -> float:
@@ -71,4 +77,17 @@ def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:
     if step is None:
         return None
     abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
-    return manager.restore(step, args=ocp.args.StandardRestore(abstract))
+    with _undamaged(manager.directory):
+        return manager.restore(step, args=ocp.args.StandardRestore(abstract))
+
+
+@contextlib.contextmanager
+def _undamaged(folder: Any) -> Iterator[None]:
+    """Turns what goes wrong while Orbax reads into one line. It raises all kinds of
+    errors, from JSON's to those of its storage."""
+    try:
+        yield
+    except Exception as error:
+        fault = f"a damaged checkpoint ({type(error).__name__})"
+        remedy = "put it back from a copy, or delete the folder to lose what it holds"
+        raise InputError(folder, fault, remedy) from None

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from prism_jax.io.errors import InputError
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.phase import TrainState
 from tests.trees import bitwise
@@ -117,3 +118,35 @@ def test_and_training_goes_on_over_it(checkpoints, tmp_path):
     latest, best, _ = reopened(tmp_path)
     assert bitwise(latest, state(8))
     assert bitwise(best, state(8))
+
+
+def flipped(content):
+    """Every seventh part of it has other bits."""
+    content = bytearray(content)
+    for i in range(0, len(content), max(1, len(content) // 7)):
+        content[i] ^= 0x55
+    return bytes(content)
+
+
+# Orbax leaves its other reads unfinished when one fails.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("kind", ["latest", "best"])
+def test_a_damaged_one_is_one_line(checkpoints, tmp_path, kind):
+    """Whatever file it is, and however it was damaged, if it is needed at all."""
+    save(checkpoints, 4, 0.5)
+    checkpoints.close()
+    folder = tmp_path / "checkpoints" / kind
+    refused = 0
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = path.read_bytes()
+        for damaged in (content[: len(content) // 2], flipped(content)):
+            path.write_bytes(damaged)
+            try:
+                found = reopened(tmp_path)
+                assert all(bitwise(each, state(4)) for each in found[:2]), path
+            except InputError as error:
+                assert str(error).startswith(f"{folder}: a damaged checkpoint")
+                assert "\n" not in str(error)
+                refused += 1
+            path.write_bytes(content)
+    assert refused >= 8
