@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from prism_jax.adaptation.config import AdaptConfig, MetaConfig, PrismConfig
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
+from prism_jax.models.ranges import check_ranges
 from prism_jax.training.config import MetaTrainConfig, PhaseConfig, PretrainConfig
 
 
@@ -30,6 +31,9 @@ class Preset:
     pretrain: PretrainConfig
     meta: MetaTrainConfig
     num_shapes: int = 0
+
+    def __post_init__(self):
+        check_ranges(self, num_shapes=(0, 10**9))
 
     @property
     def config(self) -> PrismConfig:
@@ -112,6 +116,10 @@ _SMALL_ADAPT = AdaptConfig(
     normal_stride=4,
 )
 
+# It differs from the paper's method: the encoders have no auxiliary loss in the outer
+# loop (lambda_aux=0), the loss weights learn from the adapted completion and not from the
+# weighted loss itself ("meta"), the inner loop descends exactly what test time descends,
+# its step sizes and the auxiliary modules are learned, and the refiner stays.
 _SMALL_META = MetaTrainConfig(
     MetaConfig(
         lambda_aux=0.0,

@@ -20,14 +20,16 @@ class AdaptConfig:
 
     Attributes:
       num_steps: gradient steps per frame, K_TTA.
-      step_size: of plain SGD, alpha_TTA; learned steps are multiples of it.
-        A negative one goes uphill.
+      step_size: of plain SGD, alpha_TTA; learned steps are multiples of it. A
+        negative one goes uphill.
       clip_norm: bound on the global norm of the gradient of a step; 0 for none. One
         frame's can be ten times another's.
       depth_weight: of the depth consistency; 1 as in Eq. 13.
       lambda_smooth: of the normals' smoothness in Eq. 5.
       normal_neighbors: neighbourhood of the PCA normals.
-      normal_stride: Eq. 5 is the mean over every so many-th point.
+      normal_stride: Eq. 5 is the mean over every so many-th point. The children of a
+        point follow one another, so with 4 and eight children (`small`) the mean is
+        over the same two children of every point.
       lambda_offset: of the denoiser's offsets in Eq. 6.
       lambda_sigma: of the covariances in Eq. 7.
       lambda_transport: of the optimal transport in Eq. 9.
@@ -91,10 +93,11 @@ class MetaConfig:
       num_steps: of the inner loop, K; its step size is `AdaptConfig.step_size`.
       first_order: whether the inner gradients count as constants.
       beta_0: weight of the zero-step term.
-      lambda_aux: of what the inner loop descends, which the encoders also descend.
+      lambda_aux: of what the inner loop descends, which the encoders also descend. At
+        0, as in `small`, the outer loop has no auxiliary loss of its own.
       weight_rule: what teaches the logits of the loss weights: "auxiliary", the
-        weighted loss itself, as in the paper, or "meta", the primary loss after
-        adaptation.
+        weighted loss itself, as in the paper, or "meta" (`small`), the primary loss
+        after adaptation: a weight grows if that makes the adapted completion better.
       branches: the losses of Eq. 11 that count; the others get no weight, in training
         and ever after.
       rehearse_depth: whether the inner loop descends the depth consistency too, and so
@@ -106,7 +109,8 @@ class MetaConfig:
         et al., Meta-learning via learned loss, 2019). In the paper they are frozen.
       learn_refiner: whether the refiner learns, from Eq. 3; if not, it stays.
       remat: whether the backward pass computes the networks anew, for memory.
-      norm: Chamfer convention of Eq. 10.
+      norm: Chamfer convention of Eq. 10. Presets train on CD-L1; scores, and what is
+        said of them, are in CD-L2.
     """
 
     num_steps: int = 1
@@ -121,3 +125,6 @@ class MetaConfig:
     learn_refiner: bool = True
     remat: bool = False
     norm: ChamferNorm = "l1"
+
+    def __post_init__(self):
+        check_ranges(self, num_steps=(0, 100), beta_0=(0, 1), lambda_aux=(0, 1e6))

@@ -1,7 +1,8 @@
 """Types and ranges of a configuration's fields, checked when it is made."""
 
 import dataclasses
-from typing import Any, get_args, get_origin
+from types import UnionType
+from typing import Any, Literal, get_args, get_origin
 
 Range = tuple[int | float, int | float]
 
@@ -12,8 +13,10 @@ MAX_LENGTH = 8
 def check_ranges(config: Any, **ranges: Range) -> None:
     """Raises a ValueError that names the first field of a wrong type or value.
 
-    ``ranges`` are the least and the greatest value of each field of numbers, or of all
-    numbers in a field of tuples. Numbers must be finite.
+    Fields are numbers, words of a `Literal`, switches, inner configurations, tuples of
+    these, or one of them or None. ``ranges`` are the least and the greatest value of
+    each field of numbers, or of all numbers in a field of tuples. Numbers must be
+    finite.
     """
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
@@ -37,6 +40,13 @@ def _fault(value: Any, kind: Any, within: Range) -> str:
             return f"a tuple of {len(kinds)}"
         faults = (_fault(*pair, within) for pair in zip(value, kinds, strict=True))
         return next(filter(None, faults), "")
+    if get_origin(kind) is UnionType:
+        if value is None:
+            return ""
+        kind = get_args(kind)[0]
+    if get_origin(kind) is Literal:
+        words = get_args(kind)
+        return "" if value in words else f"one of {', '.join(words)}"
     if kind not in (int, float):
         return "" if isinstance(value, kind) else f"a {kind.__name__}"
     is_number = isinstance(value, int if kind is int else int | float)

@@ -5,11 +5,15 @@ from typing import Literal
 
 from prism_jax.adaptation.config import MetaConfig
 from prism_jax.losses.chamfer import ChamferNorm
+from prism_jax.models.ranges import check_ranges
+
+SAMPLES = (0, 10**12)
+RATE = (0, 1e3)
 
 
 @dataclasses.dataclass(frozen=True)
 class PhaseConfig:
-    """One phase of a pretraining.
+    """One phase of pretraining the backbone.
 
     Attributes:
       name: what the log and the checkpoints call it.
@@ -26,6 +30,15 @@ class PhaseConfig:
     learning_rate: float = 1e-3
     final_rate: float = 0.01
 
+    def __post_init__(self):
+        check_ranges(
+            self,
+            num_samples=SAMPLES,
+            num_blocks=(0, 8),
+            learning_rate=RATE,
+            final_rate=(0, 1),
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class PretrainConfig:
@@ -38,7 +51,8 @@ class PretrainConfig:
       auxiliary_rate: Adam's step size for those.
       batch_size: examples a step.
       num_complete: points of the complete cloud that a loss looks at.
-      norm: Chamfer convention of Eq. 10 in training.
+      norm: Chamfer convention of Eq. 10 in training: CD-L1, while validation and all
+        scores are CD-L2.
       warmup_steps: steps in which the step size rises from zero.
       clip_norm: bound on the gradient's global norm; 0 for none.
       validate_every: samples between validations.
@@ -53,6 +67,18 @@ class PretrainConfig:
     warmup_steps: int = 200
     clip_norm: float = 1.0
     validate_every: int = 16_000
+
+    def __post_init__(self):
+        check_ranges(
+            self,
+            auxiliary_samples=SAMPLES,
+            auxiliary_rate=RATE,
+            batch_size=(1, 2**16),
+            num_complete=(1, 2**20),
+            warmup_steps=SAMPLES,
+            clip_norm=(0, 1e6),
+            validate_every=SAMPLES,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,3 +122,22 @@ class MetaTrainConfig:
     refiner_rate: float = 5e-5
     average_decay: float = 0.0
     validate_every: int = 64_000
+
+    def __post_init__(self):
+        check_ranges(
+            self,
+            num_samples=SAMPLES,
+            batch_size=(1, 2**16),
+            at_once=(0, 2**16),
+            num_complete=(1, 2**20),
+            learning_rate=RATE,
+            final_rate=(0, 1),
+            warmup_steps=SAMPLES,
+            clip_norm=(0, 1e6),
+            weight_rate=RATE,
+            step_rate=RATE,
+            auxiliary_rate=RATE,
+            refiner_rate=RATE,
+            average_decay=(0, 1),
+            validate_every=SAMPLES,
+        )

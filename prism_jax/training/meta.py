@@ -86,9 +86,6 @@ def check_meta(training: MetaTrainConfig) -> None:
     """Raises InputError for settings under which something would not be learned."""
     steps_of("meta", training.num_samples, training.batch_size)
     method = training.method
-    if not method.branches:
-        fault = "no branch counts, and the weights of none have no sum"
-        raise InputError("meta.method.branches", fault, f"name some of {BRANCHES}")
     learned = {
         "weight_rule=meta": method.weight_rule == "meta",
         "learn_auxiliary": method.learn_auxiliary,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Literal
 
 import pytest
 
@@ -15,9 +16,13 @@ class Sizes:
     pair: tuple[int, int] = (1, 2)
     levels: tuple[tuple[int, ...], ...] = ((1, 2), (1,))
     switch: bool = True
+    word: Literal["near", "far"] = "near"
+    words: tuple[Literal["near", "far"], ...] = ("far",)
+    some: int | None = None
 
     def __post_init__(self):
-        check_ranges(self, count=(1, 9), rate=(0, 1), pair=(1, 9), levels=(1, 9))
+        numbers = dict.fromkeys(("count", "pair", "levels", "some"), (1, 9))
+        check_ranges(self, rate=(0, 1), **numbers)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,6 +39,7 @@ class Holder:
         {},
         {"count": 9, "rate": 1, "pair": (9, 9), "levels": ((9,) * 8,) * 8},
         {"count": 1, "rate": 0.0, "switch": False},
+        {"word": "far", "words": ("near", "far"), "some": 9},
     ],
 )
 def test_in_range(changes):
@@ -51,6 +57,10 @@ def test_in_range(changes):
         ("levels", ((), ((),), ((1,),) * 9, ((1,) * 9,)), "a tuple of 1 to 8"),
         ("levels", (((1,), (0,)), ((1, math.nan),)), "a whole number from 1 to 9"),
         ("switch", (1, 0, "yes", None), "a bool"),
+        ("word", ("away", None, 1), "one of near, far"),
+        ("words", (("far", "away"), ("away",), (None,)), "one of near, far"),
+        ("words", ((),), "a tuple of 1 to 8"),
+        ("some", (0, 10, 1.5, "1", True), "a whole number from 1 to 9"),
     ],
 )
 def test_out_of_range(name, values, wanted):

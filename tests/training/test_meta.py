@@ -455,7 +455,6 @@ def test_validation_scores(phase_of, batch, variables):
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        ({"branches": ()}, "no branch counts"),
         ({"first_order": True, "weight_rule": "meta"}, "teach nothing to weight_rule"),
         ({"first_order": True, "learn_auxiliary": True}, "teach nothing to learn_aux"),
     ],
