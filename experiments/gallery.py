@@ -10,6 +10,7 @@ import pathlib
 import numpy as np
 from absl import flags
 
+from experiments.gallery_page import gallery_page, picture_row, show
 from experiments.scoring import (
     define_frame_flags,
     make_protocol,
@@ -18,7 +19,6 @@ from experiments.scoring import (
 from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.evaluation import prism_completer
-from prism_jax.evaluation.gallery import gallery_page, picture_row, show
 from prism_jax.evaluation.protocol import UNITS
 from prism_jax.io.atomic import write_bytes
 from prism_jax.simulation.contact_sheet import contact_sheet

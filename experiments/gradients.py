@@ -5,6 +5,7 @@ python -m experiments.gradients --weights=small --limit=200 --output=FILE.json
 
 from absl import flags
 
+from experiments.loss_gradients import agreement
 from experiments.scoring import (
     define_scoring_flags,
     deliver,
@@ -14,7 +15,7 @@ from experiments.scoring import (
 )
 from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation import agreement, agreement_markdown
+from prism_jax.evaluation import agreement_markdown
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS

@@ -17,17 +17,6 @@ MAX_SHOWN_POINTS = 10_000
 OBSERVED_COLOR, COMPLETED_COLOR = (
     "rgb({}, {}, {})".format(*COLORS[label]) for label in (OBSERVED, COMPLETED)
 )
-FAR = 0.1
-"""The distance that has the last of `DISTANCE_COLORS`, in the points' unit."""
-
-DISTANCE_COLORS = (
-    (0.0, (0.16, 0.35, 0.6)),
-    (0.35, (0.45, 0.75, 0.75)),
-    (0.65, (0.96, 0.82, 0.4)),
-    (1.0, (0.78, 0.16, 0.16)),
-)
-"""Shares of `FAR`, and their red, green and blue within 0 to 1."""
-
 GROUND_TRUTH_COLOR = "rgb(96, 108, 118)"
 _FONT = {"family": "system-ui, Segoe UI, Helvetica, Arial, sans-serif", "size": 13}
 _GRID = "#dfe3e8"
@@ -37,19 +26,17 @@ _NO_DEPTH = "#d5d9df"
 
 @dataclasses.dataclass(frozen=True)
 class Cloud:
-    """Points of one colour in a panel, or each of the colour of its distance.
+    """Points of one colour in a panel.
 
     Attributes:
       name: what the legend calls them.
       points: in the figure's frame.
       color: CSS.
-      distances: of each point, shown by `DISTANCE_COLORS` in place of the colour.
     """
 
     name: str
     points: Float[np.ndarray, "N 3"]
     color: str
-    distances: Float[np.ndarray, " N"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,14 +45,6 @@ class Panel:
 
     title: str
     clouds: Sequence[Cloud]
-
-
-@dataclasses.dataclass(frozen=True)
-class View:
-    """Panels side by side, all seen from one direction (in the points' frame)."""
-
-    panels: Sequence[Panel]
-    toward_viewer: Float[np.ndarray, "3"]
 
 
 def subsample(points: np.ndarray, max_points: int) -> np.ndarray:
@@ -86,16 +65,7 @@ def clouds_figure(
     The axes are the points' own, in their units, less what their titles say where the
     origin is far away. `toward_viewer` and `up` are directions in their frame.
     """
-    return views_figure({"": View(panels, toward_viewer)}, up)
-
-
-def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Figure:
-    """As `clouds_figure`, of one of several views, with a menu to choose another.
-
-    All views have as many panels, of the same titles, on the scale of the largest.
-    """
-    first = next(iter(views.values()))
-    titles = [panel.title for panel in first.panels]
+    titles = [panel.title for panel in panels]
     figure = make_subplots(
         rows=1,
         cols=len(titles),
@@ -103,36 +73,20 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
         subplot_titles=titles,
         horizontal_spacing=0.01,
     )
-    clouds = [c for v in views.values() for p in v.panels for c in p.clouds]
-    everything = np.concatenate([cloud.points for cloud in clouds])
+    clouds = [(column, c) for column, p in enumerate(panels, 1) for c in p.clouds]
+    everything = np.concatenate([cloud.points for _, cloud in clouds])
     shift = _shift(everything)
-    distance = 1.3 + 0.4 * len(titles)
-    owners, cameras = [], {}
-    for label, view in views.items():
-        eye = _vector(distance * view.toward_viewer)
-        cameras[label] = {"eye": eye, "up": _vector(up)}
-        in_legend = set()
-        for column, panel in enumerate(view.panels, start=1):
-            for cloud in panel.clouds:
-                listed = cloud.name not in in_legend and cloud.distances is None
-                trace = _markers(cloud, shift, listed)
-                trace.visible = view is first
-                figure.add_trace(trace, 1, column)
-                in_legend.add(cloud.name)
-                owners.append(label)
+    listed = set()
+    for column, cloud in clouds:
+        figure.add_trace(_markers(cloud, shift, cloud.name not in listed), 1, column)
+        listed.add(cloud.name)
+    eye = _vector((1.3 + 0.4 * len(titles)) * toward_viewer)
     figure.update_scenes(
         _box(everything - shift, shift),
         dragmode="orbit",
-        camera=next(iter(cameras.values())),
+        camera={"eye": eye, "up": _vector(up)},
     )
-    if len(views) > 1:
-        scenes = ["scene", *(f"scene{i}" for i in range(2, len(titles) + 1))]
-        figure.update_layout(updatemenus=[_menu(owners, cameras, scenes)])
-    if any(cloud.distances is not None for cloud in clouds):
-        bar = {"title": {"text": "distance"}, "thickness": 14, "len": 0.8}
-        scale = [[share, _css(color)] for share, color in DISTANCE_COLORS]
-        figure.update_coloraxes(colorscale=scale, cmin=0, cmax=FAR, colorbar=bar)
-    return _styled(figure, height=520 if len(views) == 1 else 640).update_layout(
+    return _styled(figure, height=520).update_layout(
         legend={
             "orientation": "h",
             "itemsizing": "constant",
@@ -141,40 +95,8 @@ def views_figure(views: Mapping[str, View], up: Float[np.ndarray, "3"]) -> go.Fi
             "y": 0,
             "yanchor": "top",
         },
-        margin={"t": 64 if len(views) == 1 else 104},
+        margin={"t": 64},
     )
-
-
-def _menu(
-    owners: Sequence[str], cameras: Mapping[str, Any], scenes: Sequence[str]
-) -> dict[str, Any]:
-    """Each choice shows its own traces, from its own direction."""
-    buttons = [
-        {
-            "label": label,
-            "method": "update",
-            "args": [
-                {"visible": [owner == label for owner in owners]},
-                {f"{scene}.camera": camera for scene in scenes},
-            ],
-        }
-        for label, camera in cameras.items()
-    ]
-    return {"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.2, "yanchor": "top"}
-
-
-def distance_colors(
-    distances: Float[np.ndarray, " N"],
-) -> Float[np.ndarray, "N 3"]:
-    """`DISTANCE_COLORS` of each distance, as red, green and blue within 0 to 1."""
-    shares, colors = zip(*DISTANCE_COLORS, strict=True)
-    share = np.clip(distances / FAR, 0, 1)
-    channels = np.array(colors).T
-    return np.stack([np.interp(share, shares, c) for c in channels], -1)
-
-
-def _css(color: Sequence[float]) -> str:
-    return "rgb({}, {}, {})".format(*(round(255 * channel) for channel in color))
 
 
 def depth_figure(
@@ -256,10 +178,6 @@ def _markers(cloud: Cloud, shift: np.ndarray, in_legend: bool) -> go.Scatter3d:
     points = subsample(cloud.points, MAX_SHOWN_POINTS) - shift
     points = points.astype(np.float32)
     size = 1.6 if len(points) > 4000 else 2.6
-    marker: dict[str, Any] = {"size": size, "color": cloud.color}
-    if cloud.distances is not None:
-        shown = subsample(cloud.distances, MAX_SHOWN_POINTS).astype(np.float32)
-        marker |= {"color": shown, "coloraxis": "coloraxis"}
     return go.Scatter3d(
         x=points[:, 0],
         y=points[:, 1],
@@ -268,7 +186,7 @@ def _markers(cloud: Cloud, shift: np.ndarray, in_legend: bool) -> go.Scatter3d:
         name=cloud.name,
         legendgroup=cloud.name,
         showlegend=in_legend,
-        marker=marker,
+        marker={"size": size, "color": cloud.color},
         hovertemplate="x %{x:.4g}<br>y %{y:.4g}<br>z %{z:.4g}",
     )
 

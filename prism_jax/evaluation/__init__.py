@@ -1,7 +1,6 @@
 """Scores of anything that completes clouds, on any data set."""
 
 from prism_jax.evaluation.comparison import Row, comparison
-from prism_jax.evaluation.gradients import agreement
 from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
 from prism_jax.evaluation.published import (
@@ -30,7 +29,6 @@ __all__ = [
     "Predictions",
     "Protocol",
     "Row",
-    "agreement",
     "agreement_markdown",
     "comparison",
     "comparison_markdown",

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 
+from experiments.baselines.crapcn import convert_state_dict
 from prism_jax.models.backbone import (
     decode,
     encode_points,
@@ -14,7 +15,6 @@ from prism_jax.models.backbone import (
     train_backbone,
 )
 from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
-from prism_jax.models.torch_import import convert_state_dict
 
 CONFIGS = {"pcn": PCN, "sn55": SHAPENET55}
 

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 
+from experiments.baselines.crapcn import convert_state_dict
 from prism_jax.geometry.neighbors import nearest
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.config import PCN
 from prism_jax.models.pyramid import farthest_order
-from prism_jax.models.torch_import import convert_state_dict
 
 NORMS = {"sqrt": "l1", "sq": "l2"}
 

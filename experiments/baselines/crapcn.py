@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from flax.traverse_util import unflatten_dict
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, require
 from prism_jax.io.files import read_bytes
 from prism_jax.models.config import BackboneConfig
 
@@ -19,16 +19,11 @@ _FAULTS_NAMED = 5
 def load_torch(path: str | os.PathLike, config: BackboneConfig) -> dict[str, Any]:
     """Variables from an official CRA-PCN checkpoint (``.pth``).
 
-    Needs PyTorch, the optional extra ``torch``; without it an ImportError says so.
-    Only tensors and plain values are unpickled. A file that cannot be read, is no such
-    checkpoint, or does not fit ``config`` raises an InputError.
+    Needs PyTorch, the optional extra ``torch``. Only tensors and plain values are
+    unpickled. A missing extra, and a file that cannot be read, is no such checkpoint
+    or does not fit ``config``, raise an InputError.
     """
-    try:
-        import torch
-    except ImportError as error:
-        raise ImportError(
-            "reading .pth files needs PyTorch: install prism_jax with its extra 'torch'"
-        ) from error
+    torch = require("torch", "torch")
     data = read_bytes(path)
     try:
         loaded = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)

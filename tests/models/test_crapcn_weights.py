@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 
+from experiments.baselines.crapcn import convert_state_dict, load_torch
 from prism_jax.io.errors import InputError
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
-from prism_jax.models.torch_import import convert_state_dict, load_torch
 
 # No two widths that meet in one layer are equal.
 TINY = BackboneConfig(
@@ -295,5 +295,5 @@ def test_load_torch_runs_nothing(tmp_path):
 
 def test_absent_torch_names_the_extra(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ImportError, match="extra 'torch'"):
+    with pytest.raises(InputError, match=r"prism_jax\[torch\]"):
         load_torch(tmp_path / "weights.pth", TINY)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from experiments import loss_gradients
 from experiments.assets import CELLS
+from experiments.loss_gradients import LOSSES, ORACLE, agreement, gradients_followed
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Protocol, agreement, agreement_markdown, gradients
-from prism_jax.evaluation.gradients import LOSSES, ORACLE, gradients_followed
+from prism_jax.evaluation import Protocol, agreement_markdown
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.initial import init_variables
@@ -73,7 +74,7 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
             prediction
         )
 
-    monkeypatch.setattr(gradients, "test_time_objective", itself)
+    monkeypatch.setattr(loss_gradients, "test_time_objective", itself)
     found = jax.jit(gradients_followed(CONFIG))(
         variables, partial, EYE, complete, jax.random.key(0)
     )

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import plotly.graph_objects as go
 from jaxtyping import Float
 from PIL import ImageColor
 from scipy.spatial import KDTree
@@ -19,12 +20,12 @@ from prism_jax.evaluation.run import CompleteFn
 from prism_jax.figures import (
     COMPLETED_COLOR,
     GROUND_TRUTH_COLOR,
+    MAX_SHOWN_POINTS,
     OBSERVED_COLOR,
     Cloud,
     Panel,
-    View,
-    distance_colors,
-    views_figure,
+    clouds_figure,
+    subsample,
 )
 from prism_jax.geometry.camera import Camera
 from prism_jax.observation.observation import Observation
@@ -37,6 +38,17 @@ COLUMNS = (
     "Ground truth",
     "Distance to the ground truth",
 )
+FAR = 0.1
+"""The distance that has the last of `DISTANCE_COLORS`, in the points' unit."""
+
+DISTANCE_COLORS = (
+    (0.0, (0.16, 0.35, 0.6)),
+    (0.35, (0.45, 0.75, 0.75)),
+    (0.65, (0.96, 0.82, 0.4)),
+    (1.0, (0.78, 0.16, 0.16)),
+)
+"""Shares of `FAR`, and their red, green and blue within 0 to 1."""
+
 UP = np.array([0.0, 0.0, 1.0])
 TURN = 75.0
 """Degrees from the sensor's view: so far that both sides show."""
@@ -138,24 +150,68 @@ def _rgb(css: str) -> Color:
     return red / 255, green / 255, blue / 255
 
 
+def distance_colors(
+    distances: Float[np.ndarray, " N"],
+) -> Float[np.ndarray, "N 3"]:
+    """`DISTANCE_COLORS` of each distance, as red, green and blue within 0 to 1."""
+    shares, colors = zip(*DISTANCE_COLORS, strict=True)
+    share = np.clip(distances / FAR, 0, 1)
+    channels = np.array(colors).T
+    return np.stack([np.interp(share, shares, c) for c in channels], -1)
+
+
 def gallery_page(shown: Sequence[Shown], caption: str) -> str:
-    """All examples in 3-D, one at a time, as HTML that needs no network."""
-    views = {f"{i + 1}. {item.label}": _view(item) for i, item in enumerate(shown)}
-    figure = views_figure(views, UP).update_layout(
-        title={"text": html.escape(caption), "font": {"size": 13}, "x": 0.01}
+    """All examples in 3-D, one at a time, as HTML that needs no network.
+
+    A menu chooses the example: its clouds, its box and its direction.
+    """
+    figures = [_figure(item) for item in shown]
+    owners = [i for i, figure in enumerate(figures) for _ in figure.data]
+    page, *others = figures
+    for other in others:
+        page.add_traces(other.update_traces(visible=False).data)
+    scenes = [f"scene{i}" if i > 1 else "scene" for i in range(1, len(COLUMNS) + 1)]
+    buttons = [
+        {
+            "label": f"{i + 1}. {item.label}",
+            "method": "update",
+            "args": [
+                {"visible": [owner == i for owner in owners]},
+                {scene: figure.layout[scene].to_plotly_json() for scene in scenes},
+            ],
+        }
+        for i, (item, figure) in enumerate(zip(shown, figures, strict=True))
+    ]
+    menu = {"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.2, "yanchor": "top"}
+    scale = [
+        [share, "rgb({}, {}, {})".format(*(round(255 * channel) for channel in color))]
+        for share, color in DISTANCE_COLORS
+    ]
+    bar = {"title": {"text": "distance"}, "thickness": 14, "len": 0.8}
+    page.update_coloraxes(colorscale=scale, cmin=0, cmax=FAR, colorbar=bar)
+    page.update_layout(
+        title={"text": html.escape(caption), "font": {"size": 13}, "x": 0.01},
+        updatemenus=[menu] if others else [],
+        height=640,
+        margin={"t": 104},
     )
-    return figure.to_html(
+    return page.to_html(
         config={"displaylogo": False, "responsive": True}, default_height="100%"
     )
 
 
-def _view(shown: Shown) -> View:
+def _figure(shown: Shown) -> go.Figure:
     measured = Cloud("measured", shown.measured, OBSERVED_COLOR)
     added = Cloud("added", shown.added, COMPLETED_COLOR)
     truth = Cloud("ground truth", shown.complete, GROUND_TRUTH_COLOR)
-    errors = Cloud("distance", shown.completed, COMPLETED_COLOR, shown.errors)
+    errors = Cloud("distance", shown.completed, COMPLETED_COLOR)
     clouds = ([measured], [measured, added], [truth], [errors])
-    return View(
-        [Panel(t, c) for t, c in zip(COLUMNS, clouds, strict=True)],
-        shown.toward_viewer,
+    panels = [Panel(t, c) for t, c in zip(COLUMNS, clouds, strict=True)]
+    figure = clouds_figure(panels, shown.toward_viewer, UP)
+    distances = subsample(shown.errors, MAX_SHOWN_POINTS).astype(np.float32)
+    figure.update_traces(
+        marker={"color": distances, "coloraxis": "coloraxis"},
+        showlegend=False,
+        selector={"name": errors.name},
     )
+    return figure

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from experiments.assets import CELLS
-from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Predictions, Protocol, evaluate
-from prism_jax.evaluation.gallery import (
+from experiments.gallery_page import (
     COLUMNS,
+    DISTANCE_COLORS,
+    FAR,
+    distance_colors,
     gallery_page,
     picture_row,
     show,
 )
-from prism_jax.figures import DISTANCE_COLORS, FAR, distance_colors
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.evaluation import Predictions, Protocol, evaluate
 
 PROTOCOL = Protocol(64, 1.4, with_emd=False)
 
