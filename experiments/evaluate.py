@@ -17,6 +17,7 @@ from experiments.scoring import (
     open_split,
     scored,
 )
+from experiments.settings import changed
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.cli.launch import launch, prepare_output
@@ -32,7 +33,6 @@ from prism_jax.evaluation import (
     published_options,
 )
 from prism_jax.io.errors import InputError
-from prism_jax.presets import changed
 from prism_jax.training.run import commit
 from prism_jax.weights import file_sha256, load_pretrained, read_metadata
 

@@ -8,6 +8,7 @@ import dataclasses
 import jax
 from absl import flags
 
+from experiments.settings import resolve
 from experiments.training import (
     about_training,
     define_start_flag,
@@ -20,7 +21,7 @@ from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
-from prism_jax.presets import Preset, resolve
+from prism_jax.presets import Preset
 from prism_jax.training.meta import meta_phase
 from prism_jax.training.parallel import is_first
 from prism_jax.training.phase import train_phase

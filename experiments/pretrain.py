@@ -7,6 +7,7 @@ import dataclasses
 
 from absl import flags
 
+from experiments.settings import resolve
 from experiments.training import (
     about_training,
     define_start_flag,
@@ -17,7 +18,6 @@ from experiments.training import (
 )
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
-from prism_jax.presets import resolve
 from prism_jax.training.meta import check_meta
 from prism_jax.training.parallel import is_first
 from prism_jax.training.pretraining import pretrain

@@ -9,10 +9,10 @@ from typing import Any
 
 from absl import flags
 
+from experiments.settings import changed
 from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError
-from prism_jax.presets import changed
 from prism_jax.weights import (
     SUFFIX,
     file_sha256,

@@ -9,6 +9,7 @@ from absl import flags
 
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.weights import save_network
+from experiments.settings import resolve
 from experiments.training import (
     about_training,
     define_training_flags,
@@ -18,7 +19,6 @@ from experiments.training import (
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
-from prism_jax.presets import resolve
 from prism_jax.training.config import PhaseConfig
 from prism_jax.training.parallel import is_first
 from prism_jax.training.phase import train_phase

@@ -54,9 +54,9 @@ def x64():
 @pytest.fixture(scope="session")
 def tiny():
     """Configuration of the smallest preset."""
-    from prism_jax.presets import resolve
+    from prism_jax.presets import PRESETS
 
-    return resolve("tiny").config
+    return PRESETS["tiny"].config
 
 
 @pytest.fixture(scope="session")
@@ -94,7 +94,7 @@ def tiny_frames(tiny):
 @pytest.fixture(scope="session")
 def minimal():
     """A preset of one resolution and one up-sampling block: quick to compile."""
-    from prism_jax.presets import resolve
+    from experiments.settings import resolve
 
     changes = [
         "num_neighbors=(4,)",

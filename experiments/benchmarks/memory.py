@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmarks.measure import MIB, Row, row
+from experiments.settings import resolve
 from prism_jax.data.pipeline import Batch
 from prism_jax.models.initial import init_variables
-from prism_jax.presets import resolve
 from prism_jax.training.auxiliary import auxiliary_phase
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.meta import meta_phase

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
+from experiments.settings import resolve
 from prism_jax.data.pipeline import Batch
 from prism_jax.models.backbone import partial_indices
 from prism_jax.models.initial import init_variables
-from prism_jax.presets import Preset, resolve
+from prism_jax.presets import Preset
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.meta import meta_phase
 from prism_jax.training.phase import Phase

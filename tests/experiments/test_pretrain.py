@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from experiments import pretrain, training
+from experiments.settings import resolve
 from prism_jax.models.initial import init_variables
-from prism_jax.presets import resolve
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 from tests import launching
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.settings import resolve
 from prism_jax.io.errors import InputError
-from prism_jax.presets import resolve
 from prism_jax.training import pretraining
 from prism_jax.training.phase import Data, Phase, TrainState
 

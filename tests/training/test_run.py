@@ -7,9 +7,9 @@ import time
 
 import pytest
 
+from experiments.settings import resolve
 from prism_jax.evaluation.tables import short
 from prism_jax.io.errors import InputError
-from prism_jax.presets import resolve
 from prism_jax.training import run
 from prism_jax.training.run import Log, commit, open_run
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from experiments.baselines.pcn import PCN, PCNConfig
+from experiments.settings import resolve
 from prism_jax.data.pipeline import Framing
 from prism_jax.losses.primary import stage_chamfers
-from prism_jax.presets import resolve
 from prism_jax.training.config import PhaseConfig
 from prism_jax.training.supervised import network_phase
 
