@@ -1,8 +1,12 @@
-"""Scores weights on a split of a data set, the procedural shapes unless told otherwise.
+"""Scores weights on a split of a data set, and says what adaptation changes.
 
 python -m experiments.evaluate --weights=small --split=test --output=FILE.json
 python -m experiments.evaluate --weights=FILE --dataset=shapenet55 --data_dir=DIR \
     --protocol=published --output=FILE.json
+
+The tables show every cloud's scores and what adaptation changes in them: with
+intervals over objects and over categories (kinds of shapes, robot arms), the category
+that carries most of the change, and what is left without it.
 """
 
 from typing import Any
@@ -10,12 +14,12 @@ from typing import Any
 from absl import flags
 
 from experiments.scoring import (
-    about_data,
     define_scoring_flags,
-    deliver,
+    describe_data,
     make_protocol,
     open_split,
-    scored,
+    print_and_write,
+    run_evaluation,
 )
 from experiments.settings import changed
 from experiments.weights import located
@@ -23,15 +27,14 @@ from prism_jax.adaptation.config import PrismConfig
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.source import Source
-from prism_jax.evaluation import (
+from prism_jax.evaluation.protocol import Protocol
+from prism_jax.evaluation.published import (
     PUBLISHED,
-    Protocol,
-    markdown,
-    prism_completer,
     published_columns,
-    published_markdown,
     published_options,
 )
+from prism_jax.evaluation.run import prism_completer
+from prism_jax.evaluation.tables import markdown, published_markdown
 from prism_jax.io.errors import InputError
 from prism_jax.training.run import commit
 from prism_jax.weights import file_sha256, load_pretrained, read_metadata
@@ -40,7 +43,7 @@ FLAGS = flags.FLAGS
 
 
 def define_flags() -> None:
-    """The flags of this launcher; the split is validation, or test if published."""
+    """The flags; the split defaults to validation, or to test if published."""
     define_scoring_flags(split=None)
     flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
     flags.DEFINE_enum(
@@ -58,7 +61,7 @@ def define_flags() -> None:
 
 
 def main():
-    """Builds the split where it is missing, scores, writes and prints the table."""
+    """Scores the weights, prints the tables and writes them if asked."""
     prepare_output(FLAGS.output, ".json")
     config, variables = load_pretrained(located(FLAGS.weights))
     config = changed(config, FLAGS.set)
@@ -68,17 +71,17 @@ def main():
     split = FLAGS.split or ("test" if published else "validation")
     source = open_published(split) if published else open_split(split)
     protocol = make_protocol(config, published)
-    scores = scored(prism_completer(config, variables), source, protocol)
+    scores = run_evaluation(prism_completer(config, variables), source, protocol)
     result = {**about(config, protocol, split), **scores}
     table = markdown(result)
     if published:
         result["published"] = published_columns(FLAGS.dataset, result)
         table = f"{published_markdown(FLAGS.dataset, result)}\n{table}"
-    deliver(result, table)
+    print_and_write(result, table)
 
 
 def open_published(split: str) -> Source:
-    """All of a published test."""
+    """The whole test split of a data set with a published protocol."""
     if FLAGS.limit is not None:
         fault = "the published protocol is of the whole test"
         raise InputError("--limit", fault, "leave it out")
@@ -91,10 +94,10 @@ def open_published(split: str) -> Source:
 
 
 def about(config: PrismConfig, protocol: Protocol, split: str) -> dict[str, Any]:
-    """What names the result."""
+    """The part of the result that says what it was made from."""
     known = read_metadata(located(FLAGS.weights))
     return {
-        **about_data(split),
+        **describe_data(split),
         "protocol": FLAGS.protocol,
         "normalisation": protocol.normalisation,
         "weights": FLAGS.weights,

@@ -10,7 +10,7 @@ import pathlib
 import numpy as np
 from absl import flags
 
-from experiments.gallery_page import gallery_page, picture_row, show
+from experiments.gallery_page import complete_items, gallery_page, picture_row
 from experiments.scoring import (
     define_frame_flags,
     make_protocol,
@@ -18,8 +18,8 @@ from experiments.scoring import (
 )
 from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation import prism_completer
 from prism_jax.evaluation.protocol import UNITS
+from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.atomic import write_bytes
 from prism_jax.simulation.contact_sheet import contact_sheet
 from prism_jax.weights import load_pretrained
@@ -37,13 +37,15 @@ def define_flags() -> None:
 
 
 def main():
-    """Draws the first view of the first objects; the picture lies beside the page."""
+    """Draws the first view of the first objects, as a page and as a picture."""
     prepare_output(FLAGS.output, ".html")
     config, variables = load_pretrained(located(FLAGS.weights))
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     _, indices = np.unique(source.objects, return_index=True)
     indices = indices[: FLAGS.limit].tolist()
-    shown = show(prism_completer(config, variables), source, indices, protocol)
+    shown = complete_items(
+        prism_completer(config, variables), source, indices, protocol
+    )
     page = pathlib.Path(FLAGS.output)
     caption = (
         f"{FLAGS.weights} on {FLAGS.dataset}, {FLAGS.split}: the first {len(shown)} "

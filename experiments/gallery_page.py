@@ -51,10 +51,10 @@ DISTANCE_COLORS = (
 
 UP = np.array([0.0, 0.0, 1.0])
 TURN = 75.0
-"""Degrees from the sensor's view: so far that both sides show."""
+"""Degrees from the sensor's view, so that both sides can be seen."""
 
 
-class Shown(NamedTuple):
+class GalleryItem(NamedTuple):
     """One example, in the frame and unit of the scores.
 
     Attributes:
@@ -88,23 +88,23 @@ class Shown(NamedTuple):
         return f"{self.name}: CD-L2 x1e4 {before:.4g}, completed {after:.4g}"
 
 
-def show(
+def complete_items(
     complete_fn: CompleteFn, source: Source, indices: Sequence[int], protocol: Protocol
-) -> list[Shown]:
+) -> list[GalleryItem]:
     """The examples of these indices, completed as `evaluate` completes them."""
     examples = [with_partial(source[index]) for index in indices]
     seen = [observed(example, protocol) for example in examples]
     outputs = np.asarray(complete_fn(*side_by_side(seen)).network)
     rows = zip(examples, seen, outputs, strict=True)
-    return [_shown(*row, protocol) for row in rows]
+    return [_item(*row, protocol) for row in rows]
 
 
-def _shown(
+def _item(
     example: Example,
     seen: Observation,
     output: Float[np.ndarray, "P 3"],
     protocol: Protocol,
-) -> Shown:
+) -> GalleryItem:
     assert example.partial is not None and example.complete is not None
     scaled, from_workspace = into_scored(example, protocol)
     measured, complete = scaled(example.partial), scaled(example.complete)
@@ -113,7 +113,7 @@ def _shown(
     added = predicted[keep_unmeasured(predicted, measured, partial)]
     cloud = np.concatenate([measured, added])
     errors = KDTree(complete).query(cloud)[0]
-    return Shown(
+    return GalleryItem(
         f"{example.category.replace('_', ' ')} {example.name}",
         measured,
         added,
@@ -129,7 +129,7 @@ def _chamfer(errors: np.ndarray, cloud: np.ndarray, complete: np.ndarray) -> flo
     return metrics.from_distances(errors, KDTree(cloud).query(complete)[0]).cd_l2
 
 
-def picture_row(shown: Shown, size: int) -> Row:
+def picture_row(shown: GalleryItem, size: int) -> Row:
     """Four square pictures, in the order of `COLUMNS`, all from one side."""
     everything = np.concatenate([shown.complete, shown.completed])
     center = (everything.min(0) + everything.max(0)) / 2
@@ -160,7 +160,7 @@ def distance_colors(
     return np.stack([np.interp(share, shares, c) for c in channels], -1)
 
 
-def gallery_page(shown: Sequence[Shown], caption: str) -> str:
+def gallery_page(shown: Sequence[GalleryItem], caption: str) -> str:
     """All examples in 3-D, one at a time, as HTML that needs no network.
 
     A menu chooses the example: its clouds, its box and its direction.
@@ -200,7 +200,7 @@ def gallery_page(shown: Sequence[Shown], caption: str) -> str:
     )
 
 
-def _figure(shown: Shown) -> go.Figure:
+def _figure(shown: GalleryItem) -> go.Figure:
     measured = Cloud("measured", shown.measured, OBSERVED_COLOR)
     added = Cloud("added", shown.added, COMPLETED_COLOR)
     truth = Cloud("ground truth", shown.complete, GROUND_TRUTH_COLOR)

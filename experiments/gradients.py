@@ -1,35 +1,35 @@
-"""How far the label-free losses point where the error falls, frame by frame.
+"""How well the gradients of label-free losses agree with that of the error.
 
 python -m experiments.gradients --weights=small --limit=200 --output=FILE.json
 """
 
 from absl import flags
 
-from experiments.loss_gradients import agreement
+from experiments.loss_gradients import gradient_agreement
 from experiments.scoring import (
     define_scoring_flags,
-    deliver,
+    describe_run,
     make_protocol,
-    named,
     open_split,
+    print_and_write,
 )
 from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation import agreement_markdown
+from prism_jax.evaluation.tables import agreement_markdown
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
 
 
 def main():
-    """Prints the mean cosine of every loss, and the error after a step along it."""
+    """Prints each loss's mean cosine with the error, and what a step along it does."""
     prepare_output(FLAGS.output, ".json")
     config, variables = load_pretrained(located(FLAGS.weights))
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     sizes = (FLAGS.limit, FLAGS.batch_size)
-    found = agreement(config, variables, source, protocol, *sizes)
-    result = {**named(protocol), "weights": FLAGS.weights, **found}
-    deliver(result, agreement_markdown(result))
+    found = gradient_agreement(config, variables, source, protocol, *sizes)
+    result = {**describe_run(protocol), "weights": FLAGS.weights, **found}
+    print_and_write(result, agreement_markdown(result))
 
 
 def run():

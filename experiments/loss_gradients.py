@@ -1,5 +1,8 @@
-"""Whether a step that lowers a label-free loss also lowers the error: the cosines of
-their gradients in the point encoder, and the error after a step along each."""
+"""Whether a step that lowers a label-free loss also lowers the error.
+
+Measured by the cosines of their gradients in the point encoder, and by the error after
+a step along each gradient.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -42,12 +45,12 @@ LOSSES = (
     "hidden measured points to the completion of the rest",
 )
 HIDDEN = 0.25
-"""Share of the partial, nearest to one of its points, that is hidden."""
+"""Share of the partial that is hidden: the points nearest to one of them."""
 
 NUM_COMPLETE = 2048
 
 
-def agreement(
+def gradient_agreement(
     config: PrismConfig,
     variables: Variables,
     source: Source,
@@ -58,17 +61,17 @@ def agreement(
     """Cosines between the gradients of `LOSSES` and that of `ERROR`, as JSON, and the
     error after a step against each gradient.
 
-    Of every example's own completion, with the samples and neighbours of the decoder
-    held as adaptation holds them: ``mean`` over examples, its 95 % bootstrap
-    ``interval`` over objects, and the share that is ``positive``. A step has the length
-    ``config.adapt.step_size``; ``change`` is the mean share by which it raises the
-    error, and ``change_interval`` the same bootstrap of it. `ORACLE` steps against the
-    error's own gradient. Where a loss has no gradient, its cosine counts as 0 and
-    nothing moves.
+    Both are taken for each example at the weights' own completion of it, with the
+    decoder's samples and neighbours fixed as adaptation fixes them. A cosine has its
+    ``mean`` over examples, a 95 % bootstrap ``interval`` over objects, and the share of
+    examples where it is ``positive``. A step has the length ``step_length``;
+    ``change`` is the mean relative rise of the error after it, with a
+    ``change_interval``. `ORACLE` steps against the gradient of the error itself. A loss
+    without a gradient has cosine 0 and moves nothing.
     """
     count = len(source) if limit is None else min(limit, len(source))
     size = min(batch_size, count)
-    followed = jax.jit(jax.vmap(gradients_followed(config), (None, 0, 0, 0, 0)))
+    followed = jax.jit(jax.vmap(cosines_and_changes(config), (None, 0, 0, 0, 0)))
     rows = []
     for start in tqdm(range(0, count, size), desc="gradients", unit="batch"):
         indices = np.arange(start, start + size) % count
@@ -112,13 +115,15 @@ def _framed(
     return partial, eye, np.asarray(complete, np.float32)
 
 
-def gradients_followed(
+def cosines_and_changes(
     config: PrismConfig,
 ) -> Callable[[Variables, Array, Array, Array, Array], Float[Array, "2 L"]]:
-    """A pure function of variables, partial (N, 3), eye (3,), complete (M, 3), all in
-    the unit workspace, and a key that chooses what is hidden; to the cosines of
-    `LOSSES` and `ORACLE`, and to the shares by which a step against each raises the
-    error."""
+    """A pure function that measures one example.
+
+    It takes variables, partial (N, 3), eye (3,) and complete (M, 3), all three in the
+    unit workspace, and a key that chooses what is hidden. It returns the cosines of
+    `LOSSES` and `ORACLE`, and by what share a step against each raises the error.
+    """
 
     def prepared(variables: Variables, partial: Array, eye: Array) -> NetworkInput:
         camera = observe(partial, eye, Workspace.unit()).camera
@@ -168,8 +173,8 @@ def gradients_followed(
 
 
 def _parted(partial: Float[Array, "N 3"], key: Array) -> tuple[Array, Array]:
-    """`HIDDEN` of the partial, around one of its points, and what is left, as many
-    points as the whole."""
+    """The `HIDDEN` points around one of the partial's, and the rest, resampled to as
+    many points as the whole."""
     count = len(partial)
     around = partial[jax.random.randint(key, (), 0, count)]
     order = jnp.argsort(((partial - around) ** 2).sum(-1))

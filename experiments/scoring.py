@@ -1,4 +1,4 @@
-"""What the launchers that score share: flags, frames, what they write."""
+"""What the commands that score share: flags, how examples are framed, output."""
 
 import json
 import pathlib
@@ -17,13 +17,9 @@ from prism_jax.data.datasets import (
     open_dataset,
 )
 from prism_jax.data.source import Source
-from prism_jax.evaluation import (
-    NORMALISATIONS,
-    CompleteFn,
-    Protocol,
-    comparison_markdown,
-    evaluate,
-)
+from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
+from prism_jax.evaluation.run import CompleteFn, evaluate
+from prism_jax.evaluation.tables import comparison_markdown
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
@@ -34,7 +30,7 @@ FLAGS = flags.FLAGS
 
 
 def define_scoring_flags(split: str | None, dataset: str = "shapes") -> None:
-    """The flags of a launcher that scores, and what it scores on by default."""
+    """The flags of a command that scores; the arguments are defaults."""
     define_frame_flags(split, dataset)
     flags.DEFINE_integer("batch_size", 20, "Examples completed at once.", 1)
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
@@ -43,7 +39,7 @@ def define_scoring_flags(split: str | None, dataset: str = "shapes") -> None:
 def define_frame_flags(
     split: str | None, dataset: str = "shapes", limit: int | None = None
 ) -> None:
-    """The flags that say which frames, and how a network gets them."""
+    """The flags that choose examples and how a network's input is framed."""
     flags.DEFINE_enum("dataset", dataset, DATASETS, "What to score on.")
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_string("split", split, "The data set's split.")
@@ -58,21 +54,24 @@ def define_frame_flags(
 
 
 def open_split(split: str) -> Source:
-    """The flags' data set, built where it is missing."""
+    """The data set that the flags name; a generated one is built if it is missing."""
     place = (FLAGS.dataset, split, FLAGS.data_dir)
     build_if_missing(*place)
     return open_dataset(*place)
 
 
-def about_data(split: str) -> dict[str, Any]:
-    """What names the examples."""
+def describe_data(split: str) -> dict[str, Any]:
+    """The part of a result that says what it was scored on.
+
+    `digest` differs between builds of one split whose files differ.
+    """
     digest = digest_of(FLAGS.dataset, split, FLAGS.data_dir)
     known = {} if digest is None else {"digest": digest}
     return {"data": FLAGS.dataset, "split": split, **known}
 
 
-class Size(NamedTuple):
-    """Points that a network reads and returns, and the margin of its workspace."""
+class NetworkSize(NamedTuple):
+    """How many points a network reads and returns, and the margin of its workspace."""
 
     num_points: int
     num_outputs: int
@@ -82,22 +81,24 @@ class Size(NamedTuple):
         return f"{self.num_points} points to {self.num_outputs}, margin {self.margin}"
 
 
-def size_of(config: PrismConfig) -> Size:
-    """Of PRISM's networks."""
+def prism_size(config: PrismConfig) -> NetworkSize:
+    """The size of a PRISM network."""
     backbone = config.model.backbone
-    return Size(backbone.num_points, backbone.stage_sizes[-1], config.model.margin)
+    return NetworkSize(
+        backbone.num_points, backbone.stage_sizes[-1], config.model.margin
+    )
 
 
-def size_of_network(module: nn.Module, variables: Variables, margin: float) -> Size:
-    """Of a network to compare with, which knows of no margin."""
+def network_size(module: nn.Module, variables: Variables, margin: float) -> NetworkSize:
+    """The size of a baseline, which has no margin of its own."""
     num_points: int = module.config.num_points  # pyright: ignore
     cloud = jax.ShapeDtypeStruct((1, num_points, 3), np.float32)
     stages = jax.eval_shape(lambda cloud: apply(module, variables, cloud), cloud)
-    return Size(num_points, stages[-1].shape[1], margin)
+    return NetworkSize(num_points, stages[-1].shape[1], margin)
 
 
-def require_alike(sizes: Mapping[str, Size]) -> None:
-    """Raises InputError, before hours of scoring, unless all are the first one's."""
+def require_equal_sizes(sizes: Mapping[str, NetworkSize]) -> None:
+    """Raises InputError before hours of scoring if the sizes differ."""
     (first, wanted), *others = sizes.items()
     for name, found in others:
         if found != wanted:
@@ -106,7 +107,7 @@ def require_alike(sizes: Mapping[str, Size]) -> None:
 
 
 def make_protocol(config: PrismConfig, published: bool = False) -> Protocol:
-    """What the flags say of frames and units; a published test needs no EMD."""
+    """The protocol that the flags ask for; published tests report no EMD."""
     default = "own" if published else "partial"
     return Protocol(
         config.model.backbone.num_points,
@@ -117,22 +118,22 @@ def make_protocol(config: PrismConfig, published: bool = False) -> Protocol:
     )
 
 
-def scored(complete_fn: CompleteFn, source: Source, protocol: Protocol) -> dict:
-    """`evaluate` as the flags say."""
+def run_evaluation(complete_fn: CompleteFn, source: Source, protocol: Protocol) -> dict:
+    """`evaluate` with the flags' limit and batch size."""
     return evaluate(complete_fn, source, protocol, FLAGS.limit, FLAGS.batch_size)
 
 
-def named(protocol: Protocol) -> dict[str, Any]:
-    """What names a comparison."""
+def describe_run(protocol: Protocol) -> dict[str, Any]:
+    """The part of a result that says what it was made from."""
     return {
-        **about_data(FLAGS.split),
+        **describe_data(FLAGS.split),
         "normalisation": protocol.normalisation,
         "commit": commit(),
     }
 
 
-def deliver(result: Mapping[str, Any], table: str | None = None) -> None:
-    """Prints the table, and writes both if --output says where."""
+def print_and_write(result: Mapping[str, Any], table: str | None = None) -> None:
+    """Prints the table; with --output, writes the result and the table beside it."""
     table = comparison_markdown(result) if table is None else table
     print(table)
     if FLAGS.output is not None:

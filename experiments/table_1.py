@@ -1,4 +1,4 @@
-"""Table I: PRISM beside other networks and completions that need none.
+"""Table I: PRISM beside other networks, and beside completions without a network.
 
 python -m experiments.table_1 --split=test --output=tables/table_1.json
 """
@@ -14,25 +14,20 @@ from experiments.baselines.trivial import mirrored, training_mean
 from experiments.baselines.weights import load_network
 from experiments.scoring import (
     define_scoring_flags,
-    deliver,
+    describe_run,
     make_protocol,
-    named,
+    network_size,
     open_split,
-    require_alike,
-    scored,
-    size_of,
-    size_of_network,
+    print_and_write,
+    prism_size,
+    require_equal_sizes,
+    run_evaluation,
 )
 from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
 from prism_jax.data.datasets import training_split
-from prism_jax.evaluation import (
-    Predictions,
-    Row,
-    comparison,
-    network_completer,
-    prism_completer,
-)
+from prism_jax.evaluation.comparison import Row, comparison
+from prism_jax.evaluation.run import Predictions, network_completer, prism_completer
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (
     load_pretrained,
@@ -68,10 +63,10 @@ def main():
     alone, backbone = load_pretrained(located(FLAGS.backbone))
     names = sorted(NETWORKS) if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
-    sizes = {FLAGS.weights: size_of(config), FLAGS.backbone: size_of(alone)}
+    sizes = {FLAGS.weights: prism_size(config), FLAGS.backbone: prism_size(alone)}
     for name, (module, own) in others.items():
-        sizes[name] = size_of_network(module, own, config.model.margin)
-    require_alike(sizes)
+        sizes[name] = network_size(module, own, config.model.margin)
+    require_equal_sizes(sizes)
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     num_outputs = config.model.backbone.stage_sizes[-1]
     training = open_split(training_split(FLAGS.dataset))
@@ -81,9 +76,9 @@ def main():
 
     def run(complete_fn):
         without = dataclasses.replace(protocol, with_measured=False)
-        return scored(complete_fn, source, without)
+        return run_evaluation(complete_fn, source, without)
 
-    adapted = scored(prism_completer(config, variables), source, protocol)
+    adapted = run_evaluation(prism_completer(config, variables), source, protocol)
     rows = {
         "partial": Row(adapted, "partial"),
         "training mean": Row(
@@ -103,11 +98,11 @@ def main():
     number, samples = count(variables), seen(FLAGS.weights)
     rows["PRISM, not adapted"] = Row(adapted, "network_unadapted", number, samples)
     rows["PRISM"] = Row(adapted, "network", number, samples)
-    about = named(protocol) | {
+    about = describe_run(protocol) | {
         "weights": FLAGS.weights,
         "steps": config.adapt.num_steps,
     }
-    deliver(comparison(rows, BACKBONE, **about))
+    print_and_write(comparison(rows, BACKBONE, **about))
 
 
 def count(variables: Variables, *parts: str) -> int:

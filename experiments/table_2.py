@@ -12,25 +12,20 @@ from absl import flags
 
 from experiments.scoring import (
     define_scoring_flags,
-    deliver,
+    describe_run,
     make_protocol,
-    named,
     open_split,
-    require_alike,
-    scored,
-    size_of,
+    print_and_write,
+    prism_size,
+    require_equal_sizes,
+    run_evaluation,
 )
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation import (
-    CompleteFn,
-    Predictions,
-    Row,
-    comparison,
-    prism_completer,
-)
+from prism_jax.evaluation.comparison import Row, comparison
+from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.observation.observation import observe
@@ -55,14 +50,16 @@ def define_flags() -> None:
 
 
 def main():
-    """Scores both weights with each number of steps, and the variations of one."""
+    """Scores both weights with each number of steps, and two variants of one."""
     prepare_output(FLAGS.output, ".json")
     both = {
         PRETRAINED: load_pretrained(located(FLAGS.pretrained)),
         META: load_pretrained(located(FLAGS.weights)),
     }
     own, variables = both[META]
-    require_alike({name: size_of(config) for name, (config, _) in both.items()})
+    require_equal_sizes(
+        {name: prism_size(config) for name, (config, _) in both.items()}
+    )
     source = open_split(FLAGS.split)
     protocol = dataclasses.replace(make_protocol(own), with_measured=False)
     rows = {}
@@ -71,21 +68,21 @@ def main():
             # All with the settings of the meta-trained: what differs is the weights,
             # its learned step sizes among them.
             changed = PrismConfig(config.model, own.adapt).with_adapt(num_steps=steps)
-            found = scored(prism_completer(changed, weights), source, protocol)
+            found = run_evaluation(prism_completer(changed, weights), source, protocol)
             rows.setdefault(f"{name}, K = 0", Row(found, "network_unadapted"))
             rows[f"{name}, K = {steps}"] = Row(found)
     for label, complete in {
         "equal weights": prism_completer(own, equally_weighted(variables)),
         "online": online_completer(own, variables),
     }.items():
-        found = scored(complete, source, protocol)
+        found = run_evaluation(complete, source, protocol)
         rows[f"{META}, K = {own.adapt.num_steps}, {label}"] = Row(found)
-    about = named(protocol) | {"weights": FLAGS.weights}
-    deliver(comparison(rows, f"{PRETRAINED}, K = 0", **about))
+    about = describe_run(protocol) | {"weights": FLAGS.weights}
+    print_and_write(comparison(rows, f"{PRETRAINED}, K = 0", **about))
 
 
 def equally_weighted(variables: Variables) -> Variables:
-    """The variables with the weights of Eq. 11 as before they are learned."""
+    """The variables with the weights of Eq. 11 as they are before training."""
     weighting = variables["weighting"]
     # Of a branch that does not count it is minus infinity, before and after.
     logits = jnp.where(jnp.isneginf(weighting["logits"]), -jnp.inf, 0.0)
@@ -93,7 +90,7 @@ def equally_weighted(variables: Variables) -> Variables:
 
 
 def online_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
-    """Frames in turn, each from the encoders that the one before it adapted."""
+    """Adapts to one frame after the other, each from the encoders of the one before."""
     adapt = make_adapt(config)
     encoders, rest = pop_encoders(variables)
 

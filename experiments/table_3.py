@@ -9,17 +9,18 @@ from absl import flags
 
 from experiments.scoring import (
     define_scoring_flags,
-    deliver,
+    describe_run,
     make_protocol,
-    named,
     open_split,
-    require_alike,
-    scored,
-    size_of,
+    print_and_write,
+    prism_size,
+    require_equal_sizes,
+    run_evaluation,
 )
 from experiments.weights import located
 from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation import Row, comparison, prism_completer
+from prism_jax.evaluation.comparison import Row, comparison
+from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.errors import InputError
 from prism_jax.weights import load_pretrained
 
@@ -32,8 +33,8 @@ VARIANTS = {
     "align + denoise": "small-align-denoise",
     "all": "small",
 }
-"""Weights meta-trained with some of the branches, or with none: as many samples
-without the method."""
+"""Weights meta-trained with some of the branches; ``none`` saw as many samples without
+the method."""
 
 
 def define_flags() -> None:
@@ -57,7 +58,9 @@ def main():
             raise InputError(change, "no label", "write LABEL=NAME|FILE")
         variants[label] = weights
     loaded = {label: load_pretrained(located(n)) for label, n in variants.items()}
-    require_alike({label: size_of(config) for label, (config, _) in loaded.items()})
+    require_equal_sizes(
+        {label: prism_size(config) for label, (config, _) in loaded.items()}
+    )
     source = open_split(FLAGS.split)
     protocol = make_protocol(loaded[NONE][0])
     rows = {}
@@ -65,13 +68,13 @@ def main():
         if label == NONE:
             config = config.with_adapt(num_steps=0)
         measured = dataclasses.replace(protocol, with_measured=label == NONE)
-        found = scored(prism_completer(config, variables), source, measured)
+        found = run_evaluation(prism_completer(config, variables), source, measured)
         if label == NONE:
             rows["partial"] = Row(found, "partial")
         else:
             rows[f"{label}, not adapted"] = Row(found, "network_unadapted")
         rows[label] = Row(found)
-    deliver(comparison(rows, NONE, **named(protocol)))
+    print_and_write(comparison(rows, NONE, **describe_run(protocol)))
 
 
 def run():

@@ -12,10 +12,10 @@ from absl import flags
 
 from experiments.scoring import (
     define_scoring_flags,
-    deliver,
+    describe_run,
     make_protocol,
-    named,
     open_split,
+    print_and_write,
 )
 from experiments.weights import located
 from prism_jax.adaptation.objective import Losses
@@ -63,13 +63,13 @@ def main() -> None:
         rose += (after_minus_before > 0)[:of_batch].tolist()
     of_accepted = np.array(rose)[np.array(accepted)]
     result = {
-        **named(protocol),
+        **describe_run(protocol),
         "weights": FLAGS.weights,
         "num_examples": count,
         "accepted": float(np.mean(accepted)),
         "rose": dict(zip(Losses._fields, of_accepted.mean(0).tolist(), strict=True)),
     }
-    deliver(result, verdicts_markdown(result))
+    print_and_write(result, verdicts_markdown(result))
 
 
 def verdicts_markdown(result: Mapping[str, Any]) -> str:

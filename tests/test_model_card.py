@@ -6,7 +6,7 @@ import pathlib
 import pytest
 
 from prism_jax.data.datasets import parts_of
-from prism_jax.evaluation import markdown
+from prism_jax.evaluation.tables import markdown
 from prism_jax.io import InputError
 from prism_jax.model_card import model_card, released_scores
 from prism_jax.simulation.roboarm.models import arms_of

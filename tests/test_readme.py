@@ -15,7 +15,11 @@ from experiments import results, rooms
 from experiments.assets import CELLS
 from experiments.real_scans import real_scans_markdown
 from experiments.verdicts import verdicts_markdown
-from prism_jax.evaluation import agreement_markdown, comparison_markdown, markdown
+from prism_jax.evaluation.tables import (
+    agreement_markdown,
+    comparison_markdown,
+    markdown,
+)
 from prism_jax.weights import save_weights
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

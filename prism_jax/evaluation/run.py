@@ -162,14 +162,16 @@ def _score(item: _Item, protocol: Protocol) -> ExampleScores:
     assert example.partial is not None and example.complete is not None
     scaled, from_workspace = into_scored(example, protocol)
     few = first_points(example.complete, EMD_POINTS, example.ordered)
-    unadapted, accepted = predictions.network_unadapted, predictions.accepted
+    network, unadapted, accepted = predictions
     clouds = ExampleClouds(
         complete=scaled(example.complete),
         complete_few=scaled(few),
         partial=scaled(example.partial),
         network_input=from_workspace(item.network_input),
-        network=from_workspace(predictions.network),
-        network_unadapted=None if unadapted is None else from_workspace(unadapted),
+        network=from_workspace(np.asarray(network)),
+        network_unadapted=(
+            None if unadapted is None else from_workspace(np.asarray(unadapted))
+        ),
     )
     return ExampleScores(
         example.name,

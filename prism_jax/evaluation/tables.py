@@ -94,7 +94,7 @@ def comparison_markdown(table: Mapping[str, Any]) -> str:
 
 
 def agreement_markdown(result: Mapping[str, Any]) -> str:
-    """What names the result of `agreement`, and its rows."""
+    """What names the result of `gradient_agreement`, and its rows."""
     rows = []
     for label, row in result["losses"].items():
         low, high = row["interval"]

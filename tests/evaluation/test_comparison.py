@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from prism_jax.evaluation import Row, comparison, comparison_markdown
+from prism_jax.evaluation.comparison import Row, comparison
 from prism_jax.evaluation.summary import ExampleScores, summarise
+from prism_jax.evaluation.tables import comparison_markdown
 from prism_jax.metrics import Scores
 
 

@@ -4,9 +4,8 @@ them."""
 import numpy as np
 import pytest
 
-from prism_jax.evaluation import paired_difference
 from prism_jax.evaluation.bootstrap import resampled_medians
-from prism_jax.evaluation.paired import MEASURES, adaptation_effect
+from prism_jax.evaluation.paired import MEASURES, adaptation_effect, paired_difference
 
 RNG = np.random.default_rng(1)
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from prism_jax.data.source import Example
-from prism_jax.evaluation import NORMALISATIONS, Protocol
 from prism_jax.evaluation.protocol import (
+    NORMALISATIONS,
+    Protocol,
     observed,
     scored_in,
     side_by_side,

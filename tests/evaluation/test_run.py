@@ -7,14 +7,9 @@ import pytest
 from prism_jax import metrics
 from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.data.source import Example
-from prism_jax.evaluation import (
-    NORMALISATIONS,
-    Predictions,
-    Protocol,
-    evaluate,
-    paired_difference,
-    prism_completer,
-)
+from prism_jax.evaluation.paired import paired_difference
+from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
+from prism_jax.evaluation.run import Predictions, evaluate, prism_completer
 from prism_jax.evaluation.scoring import CLOUDS
 from prism_jax.io import InputError
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from prism_jax.evaluation import markdown, published_markdown
 from prism_jax.evaluation.paired import MEASURES
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from prism_jax.evaluation.tables import LABELS
+from prism_jax.evaluation.tables import LABELS, markdown, published_markdown
 from prism_jax.metrics import Scores
 
 NAMED = {

@@ -11,7 +11,8 @@ import prism_jax
 from experiments import evaluate
 from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Predictions, paired_difference
+from prism_jax.evaluation.paired import paired_difference
+from prism_jax.evaluation.run import Predictions
 from prism_jax.metrics import hausdorff
 from tests import launching
 from tests.public_sets import write_pcn, write_shapenet55

@@ -6,7 +6,7 @@ from PIL import Image
 from experiments import gallery
 from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Predictions
+from prism_jax.evaluation.run import Predictions
 from tests import launching
 
 

@@ -10,13 +10,14 @@ from experiments.gallery_page import (
     COLUMNS,
     DISTANCE_COLORS,
     FAR,
+    complete_items,
     distance_colors,
     gallery_page,
     picture_row,
-    show,
 )
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Predictions, Protocol, evaluate
+from prism_jax.evaluation.protocol import Protocol
+from prism_jax.evaluation.run import Predictions, evaluate
 
 PROTOCOL = Protocol(64, 1.4, with_emd=False)
 
@@ -27,7 +28,7 @@ def moved(partials, eyes):
 
 @pytest.fixture(scope="module")
 def shown():
-    return show(moved, RecordedCells(CELLS), [0, 3], PROTOCOL)
+    return complete_items(moved, RecordedCells(CELLS), [0, 3], PROTOCOL)
 
 
 def test_numbers_are_those_of_the_evaluation(shown):

@@ -8,10 +8,16 @@ from jax.flatten_util import ravel_pytree
 
 from experiments import loss_gradients
 from experiments.assets import CELLS
-from experiments.loss_gradients import LOSSES, ORACLE, agreement, gradients_followed
+from experiments.loss_gradients import (
+    LOSSES,
+    ORACLE,
+    cosines_and_changes,
+    gradient_agreement,
+)
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation import Protocol, agreement_markdown
+from prism_jax.evaluation.protocol import Protocol
+from prism_jax.evaluation.tables import agreement_markdown
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.initial import init_variables
@@ -35,7 +41,7 @@ def clouds():
 
 def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
     partial, complete = clouds
-    found = jax.jit(gradients_followed(CONFIG))(
+    found = jax.jit(cosines_and_changes(CONFIG))(
         variables, partial, EYE, complete, jax.random.key(0)
     )
     camera = Camera.framing(partial, EYE)
@@ -75,7 +81,7 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
         )
 
     monkeypatch.setattr(loss_gradients, "test_time_objective", itself)
-    found = jax.jit(gradients_followed(CONFIG))(
+    found = jax.jit(cosines_and_changes(CONFIG))(
         variables, partial, EYE, complete, jax.random.key(0)
     )
     names = (*LOSSES, ORACLE)
@@ -92,9 +98,13 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
 def test_table_of_a_source(variables):
     source = RecordedCells(CELLS)
     protocol = Protocol(CONFIG.model.backbone.num_points, CONFIG.model.margin)
-    result = agreement(CONFIG, variables, source, protocol, limit=3, batch_size=2)
+    result = gradient_agreement(
+        CONFIG, variables, source, protocol, limit=3, batch_size=2
+    )
     assert (result["num_examples"], result["num_objects"]) == (3, 3)
-    again = agreement(CONFIG, variables, source, protocol, limit=3, batch_size=2)
+    again = gradient_agreement(
+        CONFIG, variables, source, protocol, limit=3, batch_size=2
+    )
     assert result == again
     for row in result["losses"].values():
         low, high = row["interval"]

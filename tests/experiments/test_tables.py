@@ -11,7 +11,7 @@ from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.evaluation import Predictions
+from prism_jax.evaluation.run import Predictions
 from prism_jax.models.variables import pop_encoders
 from prism_jax.weights import load_pretrained, read_metadata, samples_seen, save_weights
 from tests import launching
@@ -112,7 +112,7 @@ def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
 ):
     path = tmp_path / "tiny.safetensors"
     save_weights(path, tiny, tiny_variables, {})
-    monkeypatch.setattr(module, "scored", None)
+    monkeypatch.setattr(module, "run_evaluation", None)
     flag = f"--weights={'all=' if module is table_3 else ''}{path}"
     place = ("--dataset=shapes", f"--data_dir={tmp_path}")
     assert launching.run(module, flag, *place) == 2
