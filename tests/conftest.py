@@ -9,6 +9,9 @@ _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE / "prism_jax" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 
+# Compiles quicker, and rounds differently: `XLA_FLAGS= pytest` tests what users run.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+
 # JAX reads its environment when it is imported.
 import jax  # noqa: E402
 import numpy as np  # noqa: E402
@@ -17,6 +20,7 @@ from jaxtyping import install_import_hook  # noqa: E402
 
 install_import_hook("prism_jax", "beartype.beartype")
 
+_GOLDEN = Path(__file__).resolve().parent / "golden"
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
@@ -28,14 +32,22 @@ def _optional(folder: str, name: str) -> Path:
 
 
 @pytest.fixture(scope="session")
-def parity() -> Callable[[str], Mapping[str, np.ndarray]]:
-    """Loads ``../shared/parity/NAME`` (arrays of the reference model), or skips."""
+def golden() -> Callable[[str], Mapping[str, np.ndarray]]:
+    """Loads ``tests/golden/NAME``: arrays that the official CRA-PCN computed."""
+    return functools.cache(lambda name: np.load(_GOLDEN / name, allow_pickle=False))
 
-    @functools.cache
-    def load(name: str) -> Mapping[str, np.ndarray]:
-        return np.load(_optional("parity", name), allow_pickle=False)
 
-    return load
+@pytest.fixture(
+    scope="session", params=["small", pytest.param("full", marks=pytest.mark.slow)]
+)
+def reference(request, golden) -> Callable[[str], Mapping[str, np.ndarray]]:
+    """As `golden`. A test that asks for this runs again, marked slow, with the network
+    in its published size (``../shared/parity/NAME``), and skips that without it."""
+    if request.param == "small":
+        return golden
+    return functools.cache(
+        lambda name: np.load(_optional("parity", name), allow_pickle=False)
+    )
 
 
 @pytest.fixture(scope="session")
@@ -59,12 +71,36 @@ def tiny():
     return PRESETS["tiny"].config
 
 
-@pytest.fixture(scope="session")
-def tiny_variables(tiny):
-    """Fresh variables of `tiny`."""
+def _variables(model, fill):
+    """Variables of arrays ``fill(path, shape)``: none of the compilation that fresh
+    ones cost."""
     from prism_jax.models.initial import init_variables
 
-    return init_variables(jax.random.key(0), tiny.model)
+    def leaf(path, leaf):
+        name = jax.tree_util.keystr(path, simple=True, separator="/")
+        return jax.numpy.asarray(fill(name, leaf.shape), np.float32)
+
+    shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), model))
+    return jax.tree_util.tree_map_with_path(leaf, shapes)
+
+
+@pytest.fixture(scope="session")
+def tiny_variables(tiny):
+    """Variables of `tiny`, as large as fresh ones."""
+    rng = np.random.default_rng(0)
+    factors = {
+        "offset/dense_1/kernel": 0.03,
+        "denoiser/mlp/dense_2/kernel": 0.03,
+        "refiner/g/dense_1/kernel": 0.0,
+    }
+
+    def fill(name, shape):
+        if len(shape) < 2:
+            return np.full(shape, float(name.endswith(("/var", "/scale"))))
+        factor = next((f for end, f in factors.items() if name.endswith(end)), 1.0)
+        return factor * rng.normal(size=shape) / np.prod(shape[:-1]) ** 0.5
+
+    return _variables(tiny.model, fill)
 
 
 @pytest.fixture(scope="session")
@@ -107,23 +143,17 @@ def minimal():
 
 @pytest.fixture(scope="session")
 def minimal_variables(minimal):
-    """Variables of `minimal`: any numbers will do, and cost no compilation."""
-    from prism_jax.models.initial import init_variables
-
+    """Variables of `minimal`, of any numbers."""
     rng = np.random.default_rng(0)
 
-    def fill(path, leaf):
-        name = path[-1].key
-        if name in ("var", "scale", "mean", "logits", "scales"):
-            return jax.numpy.full(
-                leaf.shape, float(name in ("var", "scale")), np.float32
-            )
-        width = leaf.shape[0] if leaf.ndim > 1 else 100
-        values = rng.normal(size=leaf.shape) / width**0.5
-        return jax.numpy.asarray(values, np.float32)
+    def fill(name, shape):
+        kind = name.rpartition("/")[2]
+        if kind in ("var", "scale", "mean", "logits", "scales"):
+            return np.full(shape, float(kind in ("var", "scale")))
+        width = shape[0] if len(shape) > 1 else 100
+        return rng.normal(size=shape) / width**0.5
 
-    shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), minimal.model))
-    return jax.tree_util.tree_map_with_path(fill, shapes)
+    return _variables(minimal.model, fill)
 
 
 @pytest.fixture(scope="session")

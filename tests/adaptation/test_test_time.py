@@ -141,6 +141,7 @@ def test_norms_adapt_with_their_encoder(adapted, tiny_variables):
     assert sum(scales) > len(scales) / 2
 
 
+@pytest.mark.slow
 def test_norms_that_are_held(differentiated, minimal_variables):
     _, completion = differentiated
     assert completion.accepted
@@ -160,6 +161,7 @@ def test_two_runs_are_bitwise_equal(tiny_adapt, tiny_variables, frames, adapted)
     assert bitwise(tiny_adapt(tiny_variables, *frames[0]), adapted[0])
 
 
+@pytest.mark.slow
 def test_mapped_over_frames_it_is_the_loop(
     tiny, tiny_variables, tiny_frames, adapted, quick_jit
 ):
@@ -280,6 +282,7 @@ def test_another_number_of_points(tiny, tiny_variables, frames, count):
         make_adapt(tiny)(tiny_variables, jnp.zeros((count, 3)), camera)
 
 
+@pytest.mark.slow
 def test_inside_a_users_jit_and_grad(differentiated):
     (gradient, *by_input), completion = differentiated
     assert completion.accepted
@@ -291,6 +294,7 @@ def test_inside_a_users_jit_and_grad(differentiated):
         assert any(np.abs(leaf).max() > 0 for leaf in leaves), name
 
 
+@pytest.mark.slow
 def test_meta_gradients_are_of_second_order(differentiated):
     """A first-order loop gives the loss logits and the branches none at all."""
     (gradient, *_), _ = differentiated

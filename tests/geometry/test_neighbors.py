@@ -86,8 +86,8 @@ def test_a_point_finds_itself_first():
     assert np.all(distances == 0) and np.array_equal(indices, np.arange(1500))
 
 
-def test_knn_agrees_with_the_reference_model(parity):
-    ops = parity("ops.npz")
+def test_knn_agrees_with_the_reference_model(golden):
+    ops = golden("ops.npz")
     for query, support, expected in zip(
         ops["knn/query"], ops["knn/support"], ops["knn/idx16"], strict=True
     ):
@@ -150,8 +150,8 @@ def test_nearest_takes_linear_memory():
     assert analysis.temp_size_in_bytes < 0.05 * 4 * count**2
 
 
-def test_interpolation_agrees_with_the_reference_model(parity):
-    ops = parity("ops.npz")
+def test_interpolation_agrees_with_the_reference_model(golden):
+    ops = golden("ops.npz")
     for query, support, features, expected in zip(
         ops["knn/query"],
         ops["knn/support"],

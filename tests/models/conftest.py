@@ -1,5 +1,8 @@
-"""The published network, with the reference's weights and arrays."""
+"""The official network, with its weights and arrays."""
 
+import dataclasses
+import functools
+from collections import ChainMap
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -17,6 +20,15 @@ from prism_jax.models.backbone import (
 from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
 
 CONFIGS = {"pcn": PCN, "sn55": SHAPENET55}
+QUARTER = dict(
+    num_points=512,
+    patch_points=(128, 32),
+    patch_features=((16, 32), (32, 64)),
+    global_features=(128, 128),
+    features=32,
+    attention_features=16,
+    num_initial=128,
+)
 
 
 class Published(NamedTuple):
@@ -45,17 +57,20 @@ class Published(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def published(parity):
-    """``published(variant)`` for "pcn" or "sn55"; skips without the arrays."""
-    loaded = {}
+def published(reference):
+    """``published(variant)`` for "pcn" or "sn55"."""
 
+    @functools.cache
     def load(variant: str) -> Published:
-        if variant not in loaded:
-            config, arrays = CONFIGS[variant], parity(f"crapcn_{variant}.npz")
-            bare = Published(config, arrays, {})
-            variables = convert_state_dict(bare.state_dict(), config)
-            loaded[variant] = bare._replace(variables=variables)
-        return loaded[variant]
+        # The variants differ in their last layers alone.
+        names = dict.fromkeys((f"crapcn_{variant}.npz", "crapcn_pcn.npz", "ops.npz"))
+        arrays = ChainMap(*(dict(reference(name)) for name in names))
+        config = CONFIGS[variant]
+        if len(arrays["input"][0]) != config.num_points:
+            config = dataclasses.replace(config, **QUARTER)
+        bare = Published(config, arrays, {})
+        variables = convert_state_dict(bare.state_dict(), config)
+        return bare._replace(variables=variables)
 
     return load
 

@@ -9,6 +9,11 @@ from prism_jax.models.variables import pop_encoders
 from prism_jax.presets import PRESETS
 
 
+@pytest.fixture(scope="module")
+def tiny_variables(tiny):
+    return init_variables(jax.random.key(0), tiny.model)
+
+
 def test_structure(tiny_variables):
     assert set(tiny_variables) == {"params", "batch_stats", "weighting"}
     assert set(tiny_variables["params"]) == {

@@ -118,6 +118,7 @@ def real_step(real_phase, examples, framed, quick_jit):
     return quick_jit(real_phase.step_fn)(real_phase.start, batch)
 
 
+@pytest.mark.slow
 def test_a_step_of_the_network_moves_what_learns_and_nothing_else(
     real_phase, real_step
 ):
@@ -139,6 +140,7 @@ def test_a_step_of_the_network_moves_what_learns_and_nothing_else(
     np.testing.assert_allclose(after["weighting"]["scales"], scales, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_average_of_the_network_follows(real_phase, real_step):
     state, _ = real_step
     before, after = real_phase.start.variables, state.variables

@@ -135,6 +135,7 @@ def same(found, expected):
         )
 
 
+@pytest.mark.slow
 def test_five_steps_move_what_learns_by_more_than_the_tolerance(
     runs, minimal_variables
 ):
@@ -155,10 +156,12 @@ def test_five_steps_move_what_learns_by_more_than_the_tolerance(
     assert {kind for kind, by in moved.items() if by > 0} == learning
 
 
+@pytest.mark.slow
 def test_eight_devices_train_as_one(runs):
     same(left(runs, "eight"), left(runs, "one"))
 
 
+@pytest.mark.slow
 def test_two_processes_broken_off_and_resumed_train_as_one(runs):
     assert left(runs, "two", step=2)[".last.step"] == 2
     assert not left(runs, "two", step=2)[".done"]
@@ -166,6 +169,7 @@ def test_two_processes_broken_off_and_resumed_train_as_one(runs):
         same(left(runs, "two", process), left(runs, "one"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["eight", "two"])
 def test_they_log_the_same(runs, name):
     """Each step once, whoever validated which example."""
@@ -181,6 +185,7 @@ def test_they_log_the_same(runs, name):
             assert a.get(kind, {}) == told
 
 
+@pytest.mark.slow
 def test_the_first_process_alone_writes_config_and_metrics(runs):
     def wrote(process, step):
         names = json.loads((runs / f"two.{process}.{step}.json").read_text())
