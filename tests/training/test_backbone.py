@@ -15,8 +15,8 @@ from prism_jax.training import parallel
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.indices import index_table
+from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import VALIDATION_COMPLETE, Data, order_seed, train_phase
-from prism_jax.training.supervised import adam
 from tests.trees import bitwise
 
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
@@ -173,14 +173,13 @@ def test_validation_is_in_the_unit_of_the_scores(seeds, examples, framed):
     )
 
 
-def test_step_sizes_rise_and_then_follow_a_cosine(preset):
+def test_step_sizes_rise_and_then_follow_a_cosine():
     """Adam under a constant gradient moves by the step size itself."""
-    config = dataclasses.replace(preset.pretrain, warmup_steps=5)
-    optimiser = adam(0.1, 40, 0.2, config)
+    adam = optimiser("adam", 0.1, 40, 0.2, warmup_steps=5, clip_norm=10.0)
     params = jnp.zeros(())
-    state, moves = optimiser.init(params), []
+    state, moves = adam.init(params), []
     for _ in range(41):
-        updates, state = optimiser.update(jnp.float32(0.5), state)
+        updates, state = adam.update(jnp.float32(0.5), state)
         moves.append(-float(updates))
     expected = [0.1 * i / 5 for i in range(5)]
     for i in range(36):
@@ -190,10 +189,11 @@ def test_step_sizes_rise_and_then_follow_a_cosine(preset):
 
 
 def test_a_phase_shorter_than_the_warm_up_gets_half_of_it(preset):
-    optimiser = adam(0.1, 8, 1.0, preset.pretrain)
-    state, moves = optimiser.init(jnp.zeros(())), []
+    settings = preset.pretrain
+    adam = optimiser("adam", 0.1, 8, 1.0, settings.warmup_steps, settings.clip_norm)
+    state, moves = adam.init(jnp.zeros(())), []
     for _ in range(8):
-        updates, state = optimiser.update(jnp.float32(0.5), state)
+        updates, state = adam.update(jnp.float32(0.5), state)
         moves.append(-float(updates))
     np.testing.assert_allclose(moves[:5], [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
 
@@ -201,11 +201,11 @@ def test_a_phase_shorter_than_the_warm_up_gets_half_of_it(preset):
 def test_gradients_are_clipped_together(preset):
     """One enormous gradient does not outweigh the moments of all that follow."""
     config = dataclasses.replace(preset.pretrain, clip_norm=1.0, warmup_steps=0)
-    optimiser = adam(0.1, 1000, 1.0, config)
+    adam = optimiser("adam", 0.1, 1000, 1.0, config.warmup_steps, config.clip_norm)
     params = {"a": jnp.zeros(2), "b": jnp.zeros(())}
-    state = optimiser.init(params)
+    state = adam.init(params)
     huge = {"a": jnp.array([3e9, 0.0]), "b": jnp.float32(-4e9)}
-    _, state = optimiser.update(huge, state)
+    _, state = adam.update(huge, state)
     mu = optax.tree_utils.tree_get(state, "mu")
     np.testing.assert_allclose(mu["a"], [0.1 * 0.6, 0], rtol=1e-5)
     np.testing.assert_allclose(mu["b"], 0.1 * -0.8, rtol=1e-5)
