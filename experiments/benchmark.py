@@ -12,7 +12,8 @@ import pathlib
 from absl import flags
 
 from experiments.benchmarks.measure import Row
-from prism_jax.cli.launch import launch, prepare_output
+from experiments.output import prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 

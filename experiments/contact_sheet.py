@@ -8,7 +8,8 @@ import io
 
 from absl import flags
 
-from prism_jax.cli.launch import launch, prepare_output
+from experiments.output import prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
 from prism_jax.simulation.contact_sheet import contact_sheet, shape_row
 from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS

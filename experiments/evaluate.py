@@ -13,6 +13,13 @@ from typing import Any
 
 from absl import flags
 
+from experiments.output import prepare_output
+from experiments.published import (
+    PUBLISHED,
+    published_columns,
+    published_markdown,
+    published_options,
+)
 from experiments.scoring import (
     define_scoring_flags,
     describe_data,
@@ -24,17 +31,12 @@ from experiments.scoring import (
 from experiments.settings import changed
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
-from prism_jax.cli.launch import launch, prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import Protocol
-from prism_jax.evaluation.published import (
-    PUBLISHED,
-    published_columns,
-    published_options,
-)
 from prism_jax.evaluation.run import prism_completer
-from prism_jax.evaluation.tables import markdown, published_markdown
+from prism_jax.evaluation.tables import markdown
 from prism_jax.io.errors import InputError
 from prism_jax.training.run import commit
 from prism_jax.weights import file_sha256, load_pretrained, read_metadata

@@ -7,8 +7,9 @@ experiments/run_exported.py runs it, and needs only JAX and the file.
 
 from absl import flags
 
+from experiments.output import prepare_output
 from experiments.weights import located
-from prism_jax.cli.launch import launch, prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.export import PLATFORMS, export_adapt
 from prism_jax.io.atomic import write_bytes
 from prism_jax.weights import load_pretrained

@@ -11,13 +11,14 @@ import numpy as np
 from absl import flags
 
 from experiments.gallery_page import complete_items, gallery_page, picture_row
+from experiments.output import prepare_output
 from experiments.scoring import (
     define_frame_flags,
     make_protocol,
     open_split,
 )
 from experiments.weights import located
-from prism_jax.cli.launch import launch, prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.evaluation.protocol import UNITS
 from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.atomic import write_bytes

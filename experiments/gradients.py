@@ -5,7 +5,8 @@ python -m experiments.gradients --weights=small --limit=200 --output=FILE.json
 
 from absl import flags
 
-from experiments.loss_gradients import gradient_agreement
+from experiments.loss_gradients import agreement_markdown, gradient_agreement
+from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
@@ -14,8 +15,7 @@ from experiments.scoring import (
     print_and_write,
 )
 from experiments.weights import located
-from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation.tables import agreement_markdown
+from prism_jax.cli.launch import launch
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS

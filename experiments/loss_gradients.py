@@ -4,7 +4,7 @@ Measured by the cosines of their gradients in the point encoder, and by the erro
 a step along each gradient.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -26,6 +26,7 @@ from prism_jax.evaluation.protocol import (
     side_by_side,
     workspace_for,
 )
+from prism_jax.evaluation.tables import percent, table_lines, title
 from prism_jax.geometry.neighbors import nearest
 from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
@@ -180,3 +181,16 @@ def _parted(partial: Float[Array, "N 3"], key: Array) -> tuple[Array, Array]:
     order = jnp.argsort(((partial - around) ** 2).sum(-1))
     hidden = int(HIDDEN * count)
     return partial[order[:hidden]], resample(partial[order[hidden:]], count)
+
+
+def agreement_markdown(result: Mapping[str, Any]) -> str:
+    """What names the result of `gradient_agreement`, and its rows."""
+    rows = []
+    for label, row in result["losses"].items():
+        low, high = row["interval"]
+        mean = f"{row['mean']:+.3f} [{low:+.3f}, {high:+.3f}]"
+        change = percent(row["change"], row["change_interval"])
+        rows.append([label, mean, f"{100 * row['positive']:.0f} %", change])
+    head = ["gradient of", f"cosine with that of {result['error']}", "positive"]
+    head.append(f"the error after a step of length {result['step_length']:g}")
+    return "\n".join([f"{title(result)}\n", *table_lines(head, rows), ""])

@@ -11,9 +11,10 @@ from typing import Any
 
 from absl import flags
 
+from experiments.output import prepare_output
 from experiments.weights import located
 from prism_jax import io
-from prism_jax.cli.launch import launch, prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.completion import Completer
 from prism_jax.evaluation.tables import short
 from prism_jax.io.atomic import write_bytes

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from absl import flags
 
+from experiments.comparison import comparison_markdown
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.datasets import (
     DATASETS,
@@ -19,7 +20,6 @@ from prism_jax.data.datasets import (
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
 from prism_jax.evaluation.run import CompleteFn, evaluate
-from prism_jax.evaluation.tables import comparison_markdown
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply

@@ -12,6 +12,8 @@ from absl import flags
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.trivial import mirrored, training_mean
 from experiments.baselines.weights import load_network
+from experiments.comparison import Row, comparison
+from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
@@ -24,9 +26,8 @@ from experiments.scoring import (
     run_evaluation,
 )
 from experiments.weights import located
-from prism_jax.cli.launch import launch, prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import training_split
-from prism_jax.evaluation.comparison import Row, comparison
 from prism_jax.evaluation.run import Predictions, network_completer, prism_completer
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from absl import flags
 
+from experiments.comparison import Row, comparison
+from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
@@ -23,8 +25,7 @@ from experiments.scoring import (
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
-from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation.comparison import Row, comparison
+from prism_jax.cli.launch import launch
 from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders

@@ -7,6 +7,8 @@ import dataclasses
 
 from absl import flags
 
+from experiments.comparison import Row, comparison
+from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
@@ -18,8 +20,7 @@ from experiments.scoring import (
     run_evaluation,
 )
 from experiments.weights import located
-from prism_jax.cli.launch import launch, prepare_output
-from prism_jax.evaluation.comparison import Row, comparison
+from prism_jax.cli.launch import launch
 from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.errors import InputError
 from prism_jax.weights import load_pretrained

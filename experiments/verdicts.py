@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from absl import flags
 
+from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
@@ -20,7 +21,7 @@ from experiments.scoring import (
 from experiments.weights import located
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import make_adapt
-from prism_jax.cli.launch import launch, prepare_output
+from prism_jax.cli.launch import launch
 from prism_jax.data.pipeline import with_partial
 from prism_jax.evaluation.protocol import observed, side_by_side
 from prism_jax.geometry.workspace import Workspace

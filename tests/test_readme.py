@@ -13,13 +13,11 @@ import pytest
 
 from experiments import results, rooms
 from experiments.assets import CELLS
+from experiments.comparison import comparison_markdown
+from experiments.loss_gradients import agreement_markdown
 from experiments.real_scans import real_scans_markdown
 from experiments.verdicts import verdicts_markdown
-from prism_jax.evaluation.tables import (
-    agreement_markdown,
-    comparison_markdown,
-    markdown,
-)
+from prism_jax.evaluation.tables import markdown
 from prism_jax.weights import save_weights
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

@@ -2,14 +2,12 @@
 
 import io
 import os
-import pathlib
 import sys
 from collections.abc import Callable, Sequence
 
 import jax
 from absl import app, flags, logging
 
-from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 
@@ -46,17 +44,6 @@ def launch(name: str, main: Callable[[], None], stray: str = "name") -> None:
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
     except KeyboardInterrupt:
         _end(name, "interrupted", status=130)
-
-
-def prepare_output(path: str | None, suffix: str) -> None:
-    """Raises InputError now for an output that could not be written at the end, or
-    whose name does not end as it must for what is written beside it."""
-    if path is None:
-        return
-    if pathlib.Path(path).suffix != suffix:
-        remedy = f"name a file that ends in {suffix}"
-        raise InputError("--output", f"{path} is no {suffix} file", remedy)
-    make_output_dir(pathlib.Path(path).parent)
 
 
 def keep_compiled() -> None:

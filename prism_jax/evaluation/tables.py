@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from prism_jax.evaluation.paired import MEASURES
-from prism_jax.evaluation.published import published_columns
 from prism_jax.evaluation.scoring import CLOUDS
 
 
@@ -42,19 +41,19 @@ LABELS = {
 def markdown(result: Mapping[str, Any]) -> str:
     """What the result is of, the means with their intervals, CD-L2 by category, and
     what adaptation changes."""
-    clouds = {name: result["clouds"][name] for name in _clouds(result)}
-    columns = _columns(clouds["network"])
+    clouds = {name: result["clouds"][name] for name in clouds_of(result)}
+    columns = columns_of(clouds["network"])
     categories = list(clouds["network"]["per_category"])
     means, by_category = [], []
     for name, scores in clouds.items():
-        means.append([name, *_scores(scores, columns)])
+        means.append([name, *score_cells(scores, columns)])
         cells = [scores["per_category"][name]["cd_l2"] for name in categories]
         by_category.append([name, *(f"{1e4 * cell:.4g}" for cell in cells)])
     lines = [
-        f"{_title(result)}\n",
-        *_table(["", *(column.head for column in columns)], means),
+        f"{title(result)}\n",
+        *table_lines(["", *(column.head for column in columns)], means),
         "",
-        *_table(["CD-L2 x1e4", *categories], by_category),
+        *table_lines(["CD-L2 x1e4", *categories], by_category),
         "",
     ]
     changes = {
@@ -64,54 +63,18 @@ def markdown(result: Mapping[str, Any]) -> str:
         if measure in found
     }
     if changes:
-        heads, cells = _changes(changes, "adaptation changes")
+        heads, cells = change_cells(changes, "adaptation changes")
         rows = [[label, *row] for label, row in zip(changes, cells, strict=True)]
-        lines += [*_table(["", *heads], rows), ""]
+        lines += [*table_lines(["", *heads], rows), ""]
     return "\n".join(lines)
 
 
-def comparison_markdown(table: Mapping[str, Any]) -> str:
-    """What names a `comparison`, and its rows."""
-    rows, against = table["rows"], table["against"]
-    columns = _columns(next(iter(rows.values())))
-    counted = any(row["parameters"] for row in rows.values())
-    changes = {
-        label: None if label == against else row["change"].get("cd_l2")
-        for label, row in rows.items()
-    }
-    heads, cells = _changes(changes, f"CD-L2 against {against}")
-    lines = []
-    for (label, row), change in zip(rows.items(), cells, strict=True):
-        line = [label, *_scores(row, columns), *change]
-        if counted:
-            number = row["parameters"]
-            line.append(f"{number / 1e6:.2f} M" if number else "")
-            line.append(f"{row['samples']:,}" if row["samples"] else "")
-        lines.append(line)
-    head = ["", *(column.head for column in columns), *heads]
-    head += ["parameters", "samples"] if counted else []
-    return "\n".join([f"{_title(table)}\n", *_table(head, lines), ""])
-
-
-def agreement_markdown(result: Mapping[str, Any]) -> str:
-    """What names the result of `gradient_agreement`, and its rows."""
-    rows = []
-    for label, row in result["losses"].items():
-        low, high = row["interval"]
-        mean = f"{row['mean']:+.3f} [{low:+.3f}, {high:+.3f}]"
-        change = percent(row["change"], row["change_interval"])
-        rows.append([label, mean, f"{100 * row['positive']:.0f} %", change])
-    head = ["gradient of", f"cosine with that of {result['error']}", "positive"]
-    head.append(f"the error after a step of length {result['step_length']:g}")
-    return "\n".join([f"{_title(result)}\n", *_table(head, rows), ""])
-
-
-def _columns(scores: Mapping[str, Any]) -> list[Column]:
+def columns_of(scores: Mapping[str, Any]) -> list[Column]:
     """Those whose numbers are there."""
     return [c for c in COLUMNS if c.metric in scores.get(c.statistic, {})]
 
 
-def _scores(scores: Mapping[str, Any], columns: Sequence[Column]) -> list[str]:
+def score_cells(scores: Mapping[str, Any], columns: Sequence[Column]) -> list[str]:
     """The cells of one cloud; means have intervals."""
     cells = []
     for statistic, metric, _, factor in columns:
@@ -123,7 +86,7 @@ def _scores(scores: Mapping[str, Any], columns: Sequence[Column]) -> list[str]:
     return cells
 
 
-def _changes(
+def change_cells(
     changes: Mapping[str, Mapping[str, Any] | None], head: str
 ) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of paired differences; those over categories only if there are
@@ -169,21 +132,7 @@ def interval_text(bounds: Sequence[float]) -> str:
     return f"[{low}, {high}]"
 
 
-def published_markdown(dataset: str, result: Mapping[str, Any]) -> str:
-    """What names the result, and the columns of the data set's published table."""
-    columns = {
-        name: published_columns(dataset, result, name) for name in _clouds(result)
-    }
-    head = "CD-L1 x1e3" if dataset == "pcn" else "CD-L2 x1e3"
-    rows = [
-        [name, *(f"{value:.4g}" for value in row.values())]
-        for name, row in columns.items()
-    ]
-    table = _table([head, *next(iter(columns.values()))], rows)
-    return "\n".join([f"{_title(result)}\n", *table, ""])
-
-
-def _title(result: Mapping[str, Any]) -> str:
+def title(result: Mapping[str, Any]) -> str:
     """One line on what the result was made from, as far as is known."""
     named = ("data", "split", "digest", "protocol", "normalisation", "weights", "seed")
     named += ("steps", "set")
@@ -202,11 +151,12 @@ def short(commit: str) -> str:
     return commit[:12] + commit[40:]
 
 
-def _clouds(result: Mapping[str, Any]) -> list[str]:
+def clouds_of(result: Mapping[str, Any]) -> list[str]:
     """The clouds that were scored, in the order of tables."""
     return [name for name in CLOUDS if name in result["clouds"]]
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+def table_lines(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table of Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return [f"| {' | '.join(cells)} |" for cells in lines]

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from experiments.published import published_markdown
 from prism_jax.evaluation.paired import MEASURES
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from prism_jax.evaluation.tables import LABELS, markdown, published_markdown
+from prism_jax.evaluation.tables import LABELS, markdown
 from prism_jax.metrics import Scores
 
 NAMED = {

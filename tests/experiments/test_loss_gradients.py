@@ -11,13 +11,13 @@ from experiments.assets import CELLS
 from experiments.loss_gradients import (
     LOSSES,
     ORACLE,
+    agreement_markdown,
     cosines_and_changes,
     gradient_agreement,
 )
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.protocol import Protocol
-from prism_jax.evaluation.tables import agreement_markdown
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.initial import init_variables

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from experiments.published import published_columns, published_options
 from prism_jax.data.public.pcn import PCN
 from prism_jax.data.public.shapenet import ShapeNet
 from prism_jax.evaluation.protocol import Protocol
-from prism_jax.evaluation.published import published_columns, published_options
 from prism_jax.evaluation.run import Predictions, evaluate
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.metrics import Scores

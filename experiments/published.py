@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from prism_jax.evaluation.tables import clouds_of, table_lines, title
+
 PUBLISHED = ("shapenet55", "shapenet34", "shapenet_unseen21", "pcn")
 """Data sets with a published protocol for their test split."""
 
@@ -56,3 +58,17 @@ def _of_difficulty(examples: Mapping[str, Any], cloud: str, difficulty: str) -> 
         if name.split("/")[1] == difficulty:
             by_category.setdefault(category, []).append(value)
     return 1e3 * float(np.mean([np.mean(rows) for rows in by_category.values()]))
+
+
+def published_markdown(dataset: str, result: Mapping[str, Any]) -> str:
+    """What names the result, and the columns of the data set's published table."""
+    columns = {
+        name: published_columns(dataset, result, name) for name in clouds_of(result)
+    }
+    head = "CD-L1 x1e3" if dataset == "pcn" else "CD-L2 x1e3"
+    rows = [
+        [name, *(f"{value:.4g}" for value in row.values())]
+        for name, row in columns.items()
+    ]
+    table = table_lines([head, *next(iter(columns.values()))], rows)
+    return "\n".join([f"{title(result)}\n", *table, ""])

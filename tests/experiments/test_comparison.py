@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from prism_jax.evaluation.comparison import Row, comparison
+from experiments.comparison import Row, comparison, comparison_markdown
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from prism_jax.evaluation.tables import comparison_markdown
 from prism_jax.metrics import Scores
 
 

@@ -4,6 +4,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from prism_jax.evaluation.paired import all_differences
+from prism_jax.evaluation.tables import (
+    change_cells,
+    columns_of,
+    score_cells,
+    table_lines,
+    title,
+)
 
 
 class Row(NamedTuple):
@@ -48,3 +55,26 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
         "against": against,
         "rows": {label: entry(row) for label, row in rows.items()},
     }
+
+
+def comparison_markdown(table: Mapping[str, Any]) -> str:
+    """What names a `comparison`, and its rows."""
+    rows, against = table["rows"], table["against"]
+    columns = columns_of(next(iter(rows.values())))
+    counted = any(row["parameters"] for row in rows.values())
+    changes = {
+        label: None if label == against else row["change"].get("cd_l2")
+        for label, row in rows.items()
+    }
+    heads, cells = change_cells(changes, f"CD-L2 against {against}")
+    lines = []
+    for (label, row), change in zip(rows.items(), cells, strict=True):
+        line = [label, *score_cells(row, columns), *change]
+        if counted:
+            number = row["parameters"]
+            line.append(f"{number / 1e6:.2f} M" if number else "")
+            line.append(f"{row['samples']:,}" if row["samples"] else "")
+        lines.append(line)
+    head = ["", *(column.head for column in columns), *heads]
+    head += ["parameters", "samples"] if counted else []
+    return "\n".join([f"{title(table)}\n", *table_lines(head, lines), ""])
