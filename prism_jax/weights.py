@@ -5,6 +5,7 @@ measured scores as JSON. Nothing is ever unpickled.
 """
 
 import dataclasses
+import functools
 import hashlib
 import json
 import pathlib
@@ -191,16 +192,19 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
 def _checked_tree(
     arrays: dict[str, np.ndarray], config: PrismConfig, path: pathlib.Path
 ) -> Variables:
-    """The arrays in the tree that the configuration asks for.
-
-    Shapes alone are computed for it: no memory is taken for what a configuration says.
-    """
+    """The arrays in the tree that the configuration asks for."""
     try:
-        wanted = jax.eval_shape(lambda: init_variables(jax.random.key(0), config.model))
+        wanted = _shapes(config.model)
     except Exception as error:  # sizes that are in range and do not fit together
         fault = f"its configuration makes no network ({str(error)[:200]})"
         raise InputError(path, fault, _remedy()) from None
     return checked_arrays(arrays, wanted, path)
+
+
+@functools.cache
+def _shapes(config: ModelConfig) -> Variables:
+    """Of a network's variables: no memory is taken for what a configuration says."""
+    return jax.eval_shape(lambda: init_variables(jax.random.key(0), config))
 
 
 def checked_arrays(

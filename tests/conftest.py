@@ -84,9 +84,8 @@ def _variables(model, fill):
     return jax.tree_util.tree_map_with_path(leaf, shapes)
 
 
-@pytest.fixture(scope="session")
-def tiny_variables(tiny):
-    """Variables of `tiny`, as large as fresh ones."""
+def _as_fresh(model):
+    """Variables as large as fresh ones."""
     rng = np.random.default_rng(0)
     factors = {
         "offset/dense_1/kernel": 0.03,
@@ -100,7 +99,13 @@ def tiny_variables(tiny):
         factor = next((f for end, f in factors.items() if name.endswith(end)), 1.0)
         return factor * rng.normal(size=shape) / np.prod(shape[:-1]) ** 0.5
 
-    return _variables(tiny.model, fill)
+    return _variables(model, fill)
+
+
+@pytest.fixture(scope="session")
+def tiny_variables(tiny):
+    """Variables of `tiny`, as large as fresh ones."""
+    return _as_fresh(tiny.model)
 
 
 @pytest.fixture(scope="session")
@@ -139,6 +144,12 @@ def minimal():
         "up_factors=(2,)",
     ]
     return resolve("tiny", [f"model.backbone.{change}" for change in changes])
+
+
+@pytest.fixture(scope="session")
+def minimal_fresh(minimal):
+    """Variables of `minimal`, as large as fresh ones."""
+    return _as_fresh(minimal.model)
 
 
 @pytest.fixture(scope="session")

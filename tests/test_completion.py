@@ -37,8 +37,8 @@ def camera_at(eye):
 
 
 @pytest.fixture(scope="module")
-def completer(tiny, tiny_variables):
-    return Completer(tiny, tiny_variables)
+def completer(minimal, minimal_variables):
+    return Completer(minimal.config, minimal_variables)
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +69,10 @@ def test_added_points_are_of_the_prediction(far):
     assert np.isfinite(result.points).all()
 
 
-def test_the_workspace_is_the_users(far, tiny):
+def test_the_workspace_is_the_users(far, minimal):
     points, result = far
     center = (points.min(0) + points.max(0)) / 2
-    half_extent = 0.5 * tiny.model.margin * np.ptp(points, axis=0).max()
+    half_extent = 0.5 * minimal.model.margin * np.ptp(points, axis=0).max()
     np.testing.assert_allclose(result.workspace.center, center, rtol=1e-12)
     np.testing.assert_allclose(result.workspace.half_extent, half_extent, rtol=1e-6)
     away = np.abs(result.prediction - result.workspace.center)
@@ -248,11 +248,11 @@ def test_a_workspace_of_jax_arrays_will_do(completer, near):
     assert result.prediction.dtype == np.float64
 
 
-def test_losses_before_each_step_and_after_the_last(near, tiny):
+def test_losses_before_each_step_and_after_the_last(near, minimal):
     names = {"objective", "depth_consistency", "normal", "denoise", "align"}
     assert set(near.losses) == names
     for values in near.losses.values():
-        assert len(values) == tiny.adapt.num_steps + 1
+        assert len(values) == minimal.config.adapt.num_steps + 1
         assert np.isfinite(values).all()
     assert near.losses["objective"][-1] < near.losses["objective"][0]
     assert near.accepted is True

@@ -20,6 +20,8 @@ from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 from tests.toy_meta import of_the_weighted_sum
 from tests.trees import as_double, assert_close, dot, is_zero, mean, row
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 2
 
 

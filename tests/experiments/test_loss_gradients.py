@@ -20,17 +20,19 @@ from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.protocol import Protocol
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.chamfer import chamfer
-from prism_jax.models.initial import init_variables
 from prism_jax.models.prism import hold_decoding, prepare_input
-from prism_jax.presets import PRESETS
 
-CONFIG = PRESETS["tiny"].config
 EYE = jnp.array([2.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def variables():
-    return init_variables(jax.random.key(0), CONFIG.model)
+def config(minimal):
+    return minimal.config
+
+
+@pytest.fixture(scope="module")
+def variables(minimal_fresh):
+    return minimal_fresh
 
 
 @pytest.fixture(scope="module")
@@ -39,19 +41,19 @@ def clouds():
     return [jax.random.uniform(key, (64, 3), minval=-0.7, maxval=0.7) for key in keys]
 
 
-def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
+def test_cosine_is_what_a_step_along_the_gradient_shows(config, variables, clouds):
     partial, complete = clouds
-    found = jax.jit(cosines_and_changes(CONFIG))(
+    found = jax.jit(cosines_and_changes(config))(
         variables, partial, EYE, complete, jax.random.key(0)
     )
     camera = Camera.framing(partial, EYE)
-    frame = prepare_input(partial, camera, jax.random.key(0), CONFIG.model)
-    frame = hold_decoding(variables, frame, CONFIG.model)
+    frame = prepare_input(partial, camera, jax.random.key(0), config.model)
+    frame = hold_decoding(variables, frame, config.model)
     start, unravel = ravel_pytree(variables["params"]["point_encoder"])
 
     def values(flat):
         params = {**variables["params"], "point_encoder": unravel(flat)}
-        losses, prediction = objective({**variables, "params": params}, frame, CONFIG)
+        losses, prediction = objective({**variables, "params": params}, frame, config)
         return losses.denoise, chamfer(prediction.points, complete)
 
     values = jax.jit(values)
@@ -65,12 +67,14 @@ def test_cosine_is_what_a_step_along_the_gradient_shows(variables, clouds):
     assert np.abs(cosines).max() <= 1.0001
     for row, gradient in ((place, by_loss), (-1, by_error)):
         unit = gradient / jnp.linalg.norm(gradient)
-        after = values(start - CONFIG.adapt.step_size * unit)[1] / values(start)[1] - 1
+        after = values(start - config.adapt.step_size * unit)[1] / values(start)[1] - 1
         assert changes[row] == pytest.approx(float(after), rel=1e-3, abs=1e-6)
     assert changes[-1] < 0
 
 
-def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch):
+def test_a_loss_that_is_the_error_has_cosine_one(
+    config, variables, clouds, monkeypatch
+):
     partial, complete = clouds
 
     def itself(variables, frame, config):
@@ -81,7 +85,7 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
         )
 
     monkeypatch.setattr(loss_gradients, "test_time_objective", itself)
-    found = jax.jit(cosines_and_changes(CONFIG))(
+    found = jax.jit(cosines_and_changes(config))(
         variables, partial, EYE, complete, jax.random.key(0)
     )
     names = (*LOSSES, ORACLE)
@@ -95,15 +99,15 @@ def test_a_loss_that_is_the_error_has_cosine_one(variables, clouds, monkeypatch)
     assert change["denoising, Eq. 6"] == pytest.approx(0, abs=1e-6)
 
 
-def test_table_of_a_source(variables):
+def test_table_of_a_source(config, variables):
     source = RecordedCells(CELLS)
-    protocol = Protocol(CONFIG.model.backbone.num_points, CONFIG.model.margin)
+    protocol = Protocol(config.model.backbone.num_points, config.model.margin)
     result = gradient_agreement(
-        CONFIG, variables, source, protocol, limit=3, batch_size=2
+        config, variables, source, protocol, limit=3, batch_size=2
     )
     assert (result["num_examples"], result["num_objects"]) == (3, 3)
     again = gradient_agreement(
-        CONFIG, variables, source, protocol, limit=3, batch_size=2
+        config, variables, source, protocol, limit=3, batch_size=2
     )
     assert result == again
     for row in result["losses"].values():

@@ -51,7 +51,11 @@ def results(published, run_backbone):
     nothing = tuple(np.zeros((len(partial), size, 3), np.float32) for size in sizes)
     stages, _ = stages_and_gradient(params, nothing)
     one_sided = jax.jit(jax.vmap(lambda p, s: nearest(p, s)[0]))(partial, stages[-1])
-    results = {"complete": complete, "one_sided": np.asarray(one_sided)}
+    results = {
+        "stages": stages,
+        "complete": complete,
+        "one_sided": np.asarray(one_sided),
+    }
     for name, ((total, distances), cotangents) in losses(stages).items():
         _, gradient = stages_and_gradient(params, cotangents)
         results[name] = float(total), np.asarray(distances), flatten_dict(gradient)
@@ -75,6 +79,10 @@ def gradient_names(published):
     }
     converted = flatten_dict(convert_state_dict(filled, pcn.config)["params"])
     return {path: int(array.flat[0]) for path, array in converted.items()}
+
+
+def test_end_to_end(published, results):
+    published("pcn").check_end_to_end(results["stages"])
 
 
 def test_targets_are_nested(published, results):

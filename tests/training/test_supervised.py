@@ -36,9 +36,9 @@ def batch(examples, framed):
 
 def test_the_terms_are_eq_10_stage_by_stage(phase, batch):
     _, losses = phase.step_fn(phase.start, batch)
-    stages = MODULE.apply(phase.start.variables, jnp.asarray(batch.partial))
+    stages = jax.jit(MODULE.apply)(phase.start.variables, jnp.asarray(batch.partial))
     complete = jnp.asarray(batch.complete)
-    each = jax.vmap(lambda s, c: stage_chamfers(s, c, "l1"))(stages, complete)
+    each = jax.jit(jax.vmap(lambda s, c: stage_chamfers(s, c, "l1")))(stages, complete)
     np.testing.assert_allclose(losses, each.mean(0), rtol=1e-5)
     assert phase.terms == phase.scores == ("stage_0", "stage_1")
 
