@@ -146,9 +146,7 @@ def cosines_and_changes(
             completed_rest = predict(own, rest, config.model)
             terms = (
                 losses.depth_consistency,
-                losses.normal,
-                losses.denoise,
-                losses.align,
+                *losses.auxiliary,
                 nearest(partial, prediction.points)[0].mean(),
                 nearest(hidden, completed_rest.points)[0].mean(),
                 chamfer(prediction.points, complete),

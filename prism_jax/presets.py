@@ -111,10 +111,10 @@ _SMALL_ADAPT = AdaptConfig(
     normal_stride=4,
 )
 
-# It differs from the paper's method: the encoders have no auxiliary loss in the outer
-# loop (lambda_aux=0), the loss weights learn from the adapted completion and not from
-# the weighted loss itself ("meta"), the inner loop descends exactly what test time
-# descends, its step sizes and the auxiliary modules are learned, and the refiner stays.
+# It differs from the paper's method. The encoders have no auxiliary loss in the outer
+# loop (lambda_aux=0). The loss weights learn from the adapted completion and not from
+# the weighted loss itself ("meta"). The inner loop descends exactly what test time
+# descends. Step sizes and auxiliary modules are learned, and the refiner stays.
 _SMALL_META = MetaTrainConfig(
     MetaConfig(
         lambda_aux=0.0,

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax import io, metrics
-from prism_jax.adaptation.config import BRANCHES
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.losses.weighting import BRANCHES
 
 
 def summarize(

@@ -1,17 +1,14 @@
 """Settings of test-time adaptation and of the meta-objective."""
 
 import dataclasses
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from prism_jax.losses.chamfer import ChamferNorm
+from prism_jax.losses.weighting import BRANCHES, Branch
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.ranges import check_ranges
 
 WeightRule = Literal["auxiliary", "meta"]
-Branch = Literal["normal", "denoise", "align"]
-
-BRANCHES: tuple[Branch, ...] = get_args(Branch)
-"""The auxiliary losses, in the order of their weights."""
 
 
 @dataclasses.dataclass(frozen=True)

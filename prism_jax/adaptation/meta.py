@@ -1,32 +1,23 @@
 """The meta-objective, Eq. 12: a completion is judged after its encoders have adapted.
 
-An episode is one frame, as at test time: its own encoders take ``num_steps`` steps on
+An episode is one cloud, as at test time: its own encoders take ``num_steps`` steps on
 the weighted auxiliary losses (Eq. 11), and Eq. 10 of what they then encode, decoded by
 the shared decoder, is differentiated through those steps.
 """
 
-import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from prism_jax.adaptation.config import MetaConfig, PrismConfig
+from prism_jax.adaptation.config import AdaptConfig, MetaConfig, PrismConfig
 from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import update_scale, weighted_auxiliary
-from prism_jax.models.encoder import PointFeatures
-from prism_jax.models.prism import (
-    NetworkInput,
-    Prediction,
-    decode_and_refine,
-    encode,
-    hold_decoding,
-    refine,
-)
+from prism_jax.models.prism import decode_and_refine, encode, hold_decoding, refine
 from prism_jax.models.variables import (
     ENCODERS,
     Variables,
@@ -35,8 +26,28 @@ from prism_jax.models.variables import (
 )
 
 
+class Functions(NamedTuple):
+    """What Eq. 12 is composed of, as functions of all variables.
+
+    Attributes:
+      encode: of one cloud's inputs.
+      decode: of inputs and what was encoded of them, for a batch; what it returns has
+        the ``stages``.
+      auxiliary_loss: Eq. 11 of one cloud's inputs, or Eq. 13 where it is rehearsed:
+        `Losses`, whose ``objective`` the inner loop descends, and the prediction.
+      primary_loss: Eq. 10 of one cloud's stages and the complete cloud.
+      refiner_loss: Eq. 3 of a batch: what was decoded, inputs, complete clouds.
+    """
+
+    encode: Callable[[Variables, Any], Any]
+    decode: Callable[[Variables, Any, Any], Any]
+    auxiliary_loss: Callable[[Variables, Any], tuple[Losses, Any]]
+    primary_loss: Callable[[Any, Array], Float[Array, ""]]
+    refiner_loss: Callable[[Variables, Any, Any, Array], Float[Array, ""]]
+
+
 class MetaTerms(NamedTuple):
-    """What a meta-step measures, as means over its frames.
+    """What a meta-step measures, as means over its clouds.
 
     Attributes:
       adapted: Eq. 10 with the adapted encoders.
@@ -52,143 +63,122 @@ class MetaTerms(NamedTuple):
     refined: Float[Array, ""]
 
 
+def meta_loss(
+    learned: Variables,
+    variables: Variables,
+    inputs: Any,
+    complete: Float[Array, "B M 3"],
+    functions: Functions,
+    adapt: AdaptConfig,
+    meta: MetaConfig,
+) -> tuple[Float[Array, ""], MetaTerms]:
+    """Eq. 12 over a batch, as a function of what learns (`learned_part`).
+
+    Its gradient takes each term to the leaves that the term is for:
+
+    - encoders: from ``(1 - beta_0) (L_pri(enc', dec) + lambda_aux L_aux(enc)) + beta_0
+      L_pri(enc)``, differentiated through the inner loop;
+    - decoder: from ``(1 - beta_0) L_pri(enc', dec)`` with the adapted encoders as
+      given: the zero-step term of Eq. 12 names no decoder, and the inner loop, as at
+      test time, holds it fixed. Without inner steps both terms are one, and it has all;
+    - auxiliary modules and log_steps: from L_pri(enc', dec), if they learn;
+    - logits: from L_aux (``weight_rule="auxiliary"``) or L_pri(enc', dec) (``"meta"``);
+    - refiner: from Eq. 3 of the adapted completion alone, if it learns.
+    """
+    if meta.remat:
+        names = ("encode", "decode", "auxiliary_loss")
+        anew = {name: jax.checkpoint(getattr(functions, name)) for name in names}
+        functions = functions._replace(**anew)
+    variables = put_learned(learned, variables)
+    outer = _stopped(variables, "refiner")
+    own_rule = meta.weight_rule == "auxiliary"
+    inner = _stopped(outer, "decoder", *(["logits"] if own_rule else []))
+    encoders, held = pop_encoders(inner)
+
+    def episode(inputs: Any):
+        def loss_fn(encoders: Variables):
+            whole = put_encoders(encoders, held)
+            losses, prediction = functions.auxiliary_loss(whole, inputs)
+            return losses.objective, (losses, prediction.stages)
+
+        (_, seen), slope = jax.value_and_grad(loss_fn, has_aux=True)(encoders)
+        adapted = encoders
+        if meta.num_steps:
+            sizes, how = step_sizes(outer, adapt), (meta.first_order, adapt.clip_norm)
+            adapted = descend(encoders, slope, sizes, *how)
+            # A loop of no steps would still be compiled.
+            if meta.num_steps > 1:
+                adapted, _ = unroll(loss_fn, adapted, sizes, meta.num_steps - 1, *how)
+        return functions.encode(put_encoders(adapted, held), inputs), *seen, slope
+
+    encoded, losses, before, slope = jax.vmap(episode)(inputs)
+    losses, slope = jax.tree.map(lambda leaf: leaf.mean(0), (losses, slope))
+    # All clouds share the decoder: as one batch, its derivative is one product.
+    after = functions.decode(outer, inputs, encoded)
+    primary = jax.vmap(functions.primary_loss)
+    adapted = zero_step = primary(after.stages, complete).mean()
+    if meta.num_steps:
+        zero_step = primary(before, complete).mean()
+    loss = (1.0 - meta.beta_0) * adapted + meta.beta_0 * zero_step
+
+    refined = functions.refiner_loss(
+        variables, jax.lax.stop_gradient(after), inputs, complete
+    )
+    loss += refined
+    if own_rule:
+        weighting = variables["weighting"]
+        fixed = jax.lax.stop_gradient(losses.auxiliary)
+        loss += weighted_auxiliary(weighting["logits"], fixed, weighting["scales"])
+    if meta.lambda_aux:
+        # L_aux in the encoders alone. Its slope there is what the first inner step
+        # descended, so it is not computed again: this has the same.
+        fixed = jax.lax.stop_gradient(slope)
+        along = jax.tree.map(lambda s, e: (s * e).sum(), fixed, encoders)
+        factor = (1.0 - meta.beta_0) * meta.lambda_aux
+        loss += factor * sum(jax.tree.leaves(along))
+    return loss, MetaTerms(adapted, zero_step, losses, refined)
+
+
 def meta_gradients(
     variables: Variables,
-    inputs: NetworkInput,
+    inputs: Any,
     complete: Float[Array, "B M 3"],
     config: PrismConfig,
     meta: MetaConfig,
 ) -> tuple[Variables, MetaTerms]:
-    """Gradients of Eq. 12 over a batch of frames, each to the leaf that it is for.
-
-    The tree is that of the variables, with what learns and nothing else:
-
-    - encoders: from ``(1 - beta_0) (L_pri(enc', dec) + lambda_aux L_aux(enc)) + beta_0
-      L_pri(enc)``, differentiated through the inner loop; with ``rehearse_depth`` L_aux
-      is all that the inner loop descends, Eq. 13;
-    - decoder: from ``(1 - beta_0) L_pri(enc', dec)`` with the adapted encoders as
-      given: the zero-step term of Eq. 12 names no decoder, and the inner loop, as at
-      test time, holds it fixed. Without inner steps both terms are one, and it has all;
-    - auxiliary modules: from the adapted primary loss, if they learn;
-    - refiner: from Eq. 3 of the adapted completion alone, if it learns;
-    - logits: from L_aux of Eq. 11 (``weight_rule="auxiliary"``), or from the adapted
-      primary loss (``"meta"``);
-    - log_steps: from the adapted primary loss, if they are learned.
+    """Gradients of `meta_loss` of the network, in the tree of `learned_part`.
 
     `complete` is in farthest-point order. BatchNorm statistics are read as they are,
-    as at test time.
+    and each cloud's decoding is held through its episode, as at test time.
     """
-    by_primary = dataclasses.replace(meta, learn_refiner=False)
-    moving = learned_part(variables, by_primary)
-
-    def loss_fn(moving: Variables):
-        return _primary_terms(moving, variables, inputs, complete, config, meta)
-
-    grads, (terms, auxiliary, refiner) = jax.grad(loss_fn, has_aux=True)(moving)
-    params, weighting = grads["params"], grads["weighting"]
-    if meta.learn_refiner:
-        params["refiner"] = refiner
-    if meta.lambda_aux:
-        factor = (1.0 - meta.beta_0) * meta.lambda_aux
-        for name, tree in auxiliary.items():
-            params[name] = jax.tree.map(lambda g, a: g + factor * a, params[name], tree)
-    if meta.weight_rule == "auxiliary":
-        own = variables["weighting"]
-        weighting["logits"] = jax.grad(weighted_auxiliary)(
-            own["logits"], _three(terms.losses), own["scales"]
-        )
-    return grads, terms
-
-
-def _primary_terms(
-    moving: Variables,
-    variables: Variables,
-    inputs: NetworkInput,
-    complete: Float[Array, "B M 3"],
-    config: PrismConfig,
-    meta: MetaConfig,
-) -> tuple[Float[Array, ""], tuple[MetaTerms, Variables, Variables]]:
-    """The primary terms of Eq. 12, differentiable in ``moving``.
-
-    Beside them all terms, and two gradients that no other derivative is to pass
-    through: of L_aux in the encoders, and of Eq. 3 in the refiner.
-    """
-    variables = put_learned(moving, variables)
-
-    def primary(stages: tuple[Array, ...], complete: Array) -> Array:
-        return primary_loss(stages, complete, meta.norm)
-
-    def one(inputs: NetworkInput, complete: Array):
-        found = episode(variables, inputs, config, meta)
-        return found, primary(found.before, complete)
-
-    def decoded(encoded: PointFeatures) -> Prediction:
-        return decode_and_refine(variables, inputs, encoded, config.model)
-
-    if meta.remat:
-        decoded = jax.checkpoint(decoded)
     if meta.num_steps:
-        held = jax.lax.stop_gradient(variables)
-        inputs = jax.vmap(lambda f: hold_decoding(held, f, config.model))(inputs)
-    episodes, zero_step = jax.vmap(one)(inputs, complete)
-    # All frames share the decoder: as one batch, its derivative is one product.
-    after = decoded(episodes.encoded)
-    adapted = jax.vmap(primary)(after.stages, complete).mean()
-    zero_step = zero_step.mean() if meta.num_steps else adapted
-    refined, refiner = jax.value_and_grad(_refined)(
-        variables["params"]["refiner"], after, inputs, complete, config
-    )
-    loss = (1.0 - meta.beta_0) * adapted + meta.beta_0 * zero_step
-    losses, auxiliary = _mean((episodes.losses, episodes.auxiliary))
-    terms = MetaTerms(adapted, zero_step, losses, refined)
-    return loss, jax.lax.stop_gradient((terms, auxiliary, refiner))
+        inputs = jax.vmap(lambda one: hold_decoding(variables, one, config.model))(
+            inputs
+        )
+    learned = learned_part(variables, meta)
+    functions = network_functions(config, meta)
+    gradient = jax.grad(meta_loss, has_aux=True)
+    return gradient(learned, variables, inputs, complete, functions, config.adapt, meta)
 
 
-class Episode(NamedTuple):
-    """What the inner loop makes of one frame.
-
-    Attributes:
-      encoded: by the adapted encoders.
-      before: the decoder's stages before adaptation.
-      losses: before adaptation.
-      auxiliary: gradient, in the encoders, of what the inner loop descends.
-    """
-
-    encoded: PointFeatures
-    before: tuple[Float[Array, "_ 3"], ...]
-    losses: Losses
-    auxiliary: Variables
-
-
-def episode(
-    variables: Variables, inputs: NetworkInput, config: PrismConfig, meta: MetaConfig
-) -> Episode:
-    """One frame's inner loop, which holds the decoder."""
-    encoders, rest = pop_encoders(variables)
-    held = _hold_decoder(rest)
+def network_functions(config: PrismConfig, meta: MetaConfig) -> Functions:
+    """The functions that Eq. 12 is composed of, of PRISM's network."""
+    model = config.model
     inner = config if meta.rehearse_depth else config.with_adapt(depth_weight=0.0)
 
-    def objective(encoders: Variables):
-        losses, prediction = test_time_objective(
-            put_encoders(encoders, held), inputs, inner
-        )
-        return losses.objective, (losses, prediction.stages)
+    def refiner_loss(variables: Variables, after: Any, inputs: Any, complete: Array):
+        points = refine(variables, after, model)
+        return jax.vmap(depth_supervised)(points, complete, inputs.view).mean()
 
-    def encoded(encoders: Variables) -> PointFeatures:
-        return encode(put_encoders(encoders, rest), inputs, config.model)
-
-    if meta.remat:
-        objective, encoded = jax.checkpoint(objective), jax.checkpoint(encoded)
-    sizes = step_sizes(variables, config.adapt)
-    (_, (losses, before)), auxiliary = jax.value_and_grad(objective, has_aux=True)(
-        encoders
+    return Functions(
+        lambda variables, inputs: encode(variables, inputs, model),
+        lambda variables, inputs, encoded: decode_and_refine(
+            variables, inputs, encoded, model
+        ),
+        lambda variables, inputs: test_time_objective(variables, inputs, inner),
+        lambda stages, complete: primary_loss(stages, complete, meta.norm),
+        refiner_loss,
     )
-    if meta.num_steps:
-        how = (meta.first_order, config.adapt.clip_norm)
-        encoders = descend(encoders, auxiliary, sizes, *how)
-        if meta.num_steps > 1:
-            encoders, _ = unroll(objective, encoders, sizes, meta.num_steps - 1, *how)
-    return Episode(encoded(encoders), before, losses, auxiliary)
 
 
 def learned_part(variables: Variables, meta: MetaConfig) -> Variables:
@@ -215,32 +205,17 @@ def put_learned(learned: Variables, variables: Variables) -> Variables:
     }
 
 
-def _hold_decoder(rest: Variables) -> Variables:
-    decoder = jax.lax.stop_gradient(rest["params"]["decoder"])
-    return {**rest, "params": {**rest["params"], "decoder": decoder}}
+def _stopped(variables: Variables, *names: str) -> Variables:
+    """The variables, some of them without a gradient."""
+
+    def stop(tree: Variables) -> Variables:
+        found = [name for name in names if name in tree]
+        return {**tree, **{name: jax.lax.stop_gradient(tree[name]) for name in found}}
+
+    changed = {kind: stop(variables[kind]) for kind in ("params", "weighting")}
+    return {**variables, **changed}
 
 
 def measured_scales(variables: Variables, terms: MetaTerms) -> Float[Array, "3"]:
     """The scales of Eq. 11, moved towards what this step measured."""
-    return update_scale(variables["weighting"]["scales"], _three(terms.losses))
-
-
-def _refined(
-    refiner: Variables,
-    after: Prediction,
-    inputs: NetworkInput,
-    complete: Float[Array, "B M 3"],
-    config: PrismConfig,
-) -> Float[Array, ""]:
-    after = jax.lax.stop_gradient(after)
-    own = {"params": {"refiner": refiner}, "batch_stats": {}}
-    points = refine(own, after, config.model)
-    return jax.vmap(depth_supervised)(points, complete, inputs.view).mean()
-
-
-def _three(losses: Losses) -> Float[Array, "3"]:
-    return jnp.stack([losses.normal, losses.denoise, losses.align])
-
-
-def _mean(tree: Any) -> Any:
-    return jax.tree.map(lambda leaf: leaf.mean(0), tree)
+    return update_scale(variables["weighting"]["scales"], terms.losses.auxiliary)

@@ -1,4 +1,4 @@
-"""The label-free objective of a frame, Eq. 11 and Eq. 13."""
+"""The label-free objective of one cloud, Eq. 11 and Eq. 13."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
 from prism_jax.losses.depth import depth_error
 from prism_jax.losses.normal import normal_loss
-from prism_jax.losses.weighting import weighted_auxiliary
+from prism_jax.losses.weighting import BRANCHES, weighted_auxiliary
 from prism_jax.models.prism import (
     Branches,
     NetworkInput,
@@ -31,32 +31,55 @@ class Losses(NamedTuple):
     denoise: Float[Array, "*steps"]
     align: Float[Array, "*steps"]
 
+    @property
+    def auxiliary(self) -> Float[Array, "*steps K"]:
+        """Those of Eq. 11, in the order of `BRANCHES`."""
+        return jnp.stack([getattr(self, name) for name in BRANCHES], -1)
 
-def auxiliary_losses(
+
+def _normal(
     inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
-) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-    """L_normal, L_denoise and L_align of one frame (Eq. 5, 6 and 9)."""
-    normal = normal_loss(
+) -> Float[Array, ""]:
+    """Eq. 5."""
+    return normal_loss(
         seen.normals,
         prediction.points,
         config.lambda_smooth,
         config.normal_neighbors,
         stride=config.normal_stride,
     )
-    denoise = denoise_loss(
-        inputs.perturbed + seen.offsets,
-        inputs.upsampled,
-        seen.offsets,
-        config.lambda_offset,
-    )
-    align = alignment_loss(
+
+
+def _denoise(
+    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
+) -> Float[Array, ""]:
+    """Eq. 6."""
+    denoised = inputs.perturbed + seen.offsets
+    return denoise_loss(denoised, inputs.upsampled, seen.offsets, config.lambda_offset)
+
+
+def _align(
+    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
+) -> Float[Array, ""]:
+    """Eq. 9."""
+    return alignment_loss(
         seen.tokens_3d,
         seen.tokens_depth,
         config.lambda_sigma,
         config.lambda_transport,
         config.transport_epsilon,
     )
-    return normal, denoise, align
+
+
+_LOSSES = {"normal": _normal, "denoise": _denoise, "align": _align}
+
+
+def auxiliary_losses(
+    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
+) -> Float[Array, " K"]:
+    """The losses of one cloud's branches, in the order of `BRANCHES`."""
+    arguments = (inputs, prediction, seen, config)
+    return jnp.stack([_LOSSES[name](*arguments) for name in BRANCHES])
 
 
 def test_time_objective(
@@ -75,8 +98,6 @@ def test_time_objective(
         prediction.points, inputs.reference, inputs.reference_mask, inputs.view
     )
     weighting = variables["weighting"]
-    weighted = weighted_auxiliary(
-        weighting["logits"], jnp.stack(auxiliary), weighting["scales"]
-    )
+    weighted = weighted_auxiliary(weighting["logits"], auxiliary, weighting["scales"])
     objective = config.adapt.depth_weight * consistency + weighted
     return Losses(objective, consistency, *auxiliary), prediction

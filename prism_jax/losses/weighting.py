@@ -1,8 +1,15 @@
-"""Weighting of the auxiliary losses, Eq. 11."""
+"""The auxiliary losses' names, and their weighting, Eq. 11."""
+
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+Branch = Literal["normal", "denoise", "align"]
+
+BRANCHES: tuple[Branch, ...] = get_args(Branch)
+"""The auxiliary losses, Eq. 5, 6 and 9, in the order of their weights."""
 
 
 def loss_weights(logits: Float[Array, " K"]) -> Float[Array, " K"]:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.losses.weighting import BRANCHES
 from prism_jax.models.auxiliary import (
     Denoiser,
     DepthProjection,
@@ -71,8 +72,8 @@ def init_auxiliary(
             "depth_encoder": depth["batch_stats"],
         },
         "weighting": {
-            "logits": jnp.zeros(3),
-            "scales": jnp.zeros(3),
+            "logits": jnp.zeros(len(BRANCHES)),
+            "scales": jnp.zeros(len(BRANCHES)),
             "log_steps": unlearned_steps(params),
         },
     }

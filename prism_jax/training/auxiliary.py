@@ -16,7 +16,7 @@ from prism_jax.data.pipeline import Batch
 from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
-from prism_jax.losses.weighting import update_scale
+from prism_jax.losses.weighting import BRANCHES, update_scale
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.prism import (
     NetworkInput,
@@ -63,7 +63,7 @@ def auxiliary_phase(
         start,
         _step(config, both, key),
         _validation(config, key),
-        ("refined", "normal", "denoise", "align"),
+        ("refined", *BRANCHES),
         ("unrefined", "refined", "losses"),
     )
 
@@ -149,7 +149,7 @@ def _terms(
         transport = transport_alignment(
             seen.tokens_3d, seen.tokens_depth, config.adapt.transport_epsilon
         )
-        return refined, jnp.stack(auxiliary), transport, seen, prediction
+        return refined, auxiliary, transport, seen, prediction
 
     complete = jnp.asarray(batch.complete)
     refined, auxiliary, transport, seen, predictions = jax.vmap(one)(

@@ -9,7 +9,7 @@ import optax
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from prism_jax.adaptation.config import BRANCHES, PrismConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.meta import (
     MetaTerms,
     learned_part,
@@ -17,12 +17,13 @@ from prism_jax.adaptation.meta import (
     meta_gradients,
     put_learned,
 )
+from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
-from prism_jax.losses.weighting import entropy, loss_weights
+from prism_jax.losses.weighting import BRANCHES, entropy, loss_weights
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import observe
 from prism_jax.training.config import MetaTrainConfig
@@ -33,15 +34,9 @@ from prism_jax.training.phase import Phase, TrainState, steps_of
 
 TERMS = (
     "zero_step",
-    "objective",
-    "depth_consistency",
-    "normal",
-    "denoise",
-    "align",
+    *Losses._fields,
     "refined",
-    "weight_normal",
-    "weight_denoise",
-    "weight_align",
+    *(f"weight_{name}" for name in BRANCHES),
     "weight_entropy",
     "adapted",
 )

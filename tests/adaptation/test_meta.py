@@ -17,7 +17,7 @@ from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.prism import hold_decoding, predict, prepare_input
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
-from tests.toy_meta import of_the_weighted_sum
+from tests.toy_functions import of_the_weighted_sum
 from tests.trees import as_double, assert_close, dot, is_zero, mean, row
 
 pytestmark = pytest.mark.slow

@@ -2,28 +2,31 @@
 
 import dataclasses
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.adaptation import meta
 from prism_jax.adaptation.config import MetaConfig
 from prism_jax.adaptation.inner_loop import step_sizes
 from prism_jax.adaptation.meta import (
+    Functions,
+    MetaTerms,
     learned_part,
     measured_scales,
-    meta_gradients,
+    meta_loss,
     put_learned,
 )
+from prism_jax.adaptation.objective import Losses
 from prism_jax.models.variables import ENCODERS, pop_encoders
-from tests.toy_meta import (
-    FRAMES,
-    STAND_INS,
+from tests.toy_functions import (
+    CLOUDS,
     TOY,
     eq_3,
     expected_gradients,
+    gradients_of_toys,
     inner_loss,
     toy_adapted,
     toy_inputs,
@@ -31,6 +34,10 @@ from tests.toy_meta import (
     toy_primary,
 )
 from tests.trees import assert_close, equal, is_zero, mean, row
+
+
+class Stages(NamedTuple):
+    stages: jax.Array
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -50,15 +57,12 @@ def toy_gradients(toy):
 
     @functools.cache
     def of(config, meta):
-        return jax.device_get(meta_gradients(*toy, config, meta))
+        return jax.device_get(gradients_of_toys(*toy, config, meta))
 
     def gradients(clip_norm=0.0, **changes):
         return of(TOY.with_adapt(clip_norm=clip_norm), MetaConfig(**changes))
 
-    with pytest.MonkeyPatch.context() as patch:
-        for name, stand_in in STAND_INS.items():
-            patch.setattr(meta, name, stand_in)
-        yield gradients
+    return gradients
 
 
 SMALL = {
@@ -74,6 +78,7 @@ VARIATIONS = {
     "small": SMALL,
     "three steps": {"num_steps": 3, "beta_0": 0.4, "learn_steps": True},
     "small, three steps": SMALL | {"num_steps": 3},
+    "small, with an auxiliary loss": SMALL | {"lambda_aux": 3.0},
     "no step": {"num_steps": 0},
     "no step, rehearsed": SMALL | {"num_steps": 0, "lambda_aux": 3.0},
     "first order": {"first_order": True, "weight_rule": "meta", "learn_steps": True},
@@ -82,6 +87,50 @@ VARIATIONS = {
     "bounded": {"clip_norm": 0.3, "learn_steps": True},
     "bounded, three steps": SMALL | {"clip_norm": 0.3, "num_steps": 3},
 }
+
+
+def test_on_a_quadratic_it_is_the_closed_form():
+    """The encoder x seeks t, the decoder is a factor d, the complete cloud is y."""
+    x, t, d, y, size, beta, factor = 0.7, 1.9, 1.3, 2.2, 0.25, 0.3, 5.0
+
+    def auxiliary_loss(variables, inputs):
+        x = variables["params"]["point_encoder"]["x"]
+        seeks, none = 0.5 * (x - inputs) ** 2, jnp.zeros(())
+        return Losses(seeks, none, none, none, none), decode(variables, inputs, x)
+
+    def decode(variables, inputs, code):
+        return Stages(code * variables["params"]["decoder"])
+
+    functions = Functions(
+        lambda variables, inputs: variables["params"]["point_encoder"]["x"],
+        decode,
+        auxiliary_loss,
+        lambda stages, complete: 0.5 * ((stages - complete) ** 2).mean(),
+        lambda variables, after, inputs, complete: jnp.zeros(()),
+    )
+    encoders = {"point_encoder": {"x": jnp.array(x)}, "depth_encoder": {}}
+    variables = {
+        "params": {**encoders, "decoder": jnp.array(d)},
+        "weighting": {
+            "logits": jnp.zeros(3),
+            "scales": jnp.zeros(3),
+            "log_steps": {"point_encoder": {"x": jnp.zeros(())}, "depth_encoder": {}},
+        },
+    }
+    meta = MetaConfig(beta_0=beta, lambda_aux=factor, learn_refiner=False)
+    learned, complete = learned_part(variables, meta), jnp.full((1, 1, 3), y)
+    adapt = dataclasses.replace(TOY.adapt, step_size=size)
+    grads, terms = jax.grad(meta_loss, has_aux=True)(
+        learned, variables, jnp.array([t]), complete, functions, adapt, meta
+    )
+    moved = x - size * (x - t)
+    np.testing.assert_allclose(terms.adapted, 0.5 * (d * moved - y) ** 2, rtol=1e-12)
+    slope = (1 - beta) * (d * (d * moved - y) * (1 - size) + factor * (x - t))
+    slope += beta * d * (d * x - y)
+    found = grads["params"]["point_encoder"]["x"]
+    np.testing.assert_allclose(found, slope, rtol=1e-12)
+    slope = (1 - beta) * moved * (d * moved - y)
+    np.testing.assert_allclose(grads["params"]["decoder"], slope, rtol=1e-12)
 
 
 @pytest.mark.parametrize("changes", VARIATIONS.values(), ids=VARIATIONS)
@@ -107,12 +156,12 @@ def test_what_the_auxiliary_loss_teaches(toy, toy_gradients, num_steps, first_or
     same = {"num_steps": num_steps, "first_order": first_order, "weight_rule": "meta"}
     none, _ = toy_gradients(lambda_aux=0.0, **same)
     ten, _ = toy_gradients(lambda_aux=10.0, **same)
-    variables, frames, _ = toy
+    variables, inputs, _ = toy
     encoders, _ = pop_encoders(variables)
     shares = mean(
         [
-            jax.grad(inner_loss)(encoders, variables, row(frames, i), TOY, MetaConfig())
-            for i in range(FRAMES)
+            jax.grad(inner_loss)(encoders, variables, row(inputs, i), TOY, MetaConfig())
+            for i in range(CLOUDS)
         ]
     )
     for name in ENCODERS:
@@ -135,9 +184,9 @@ def test_eq_3_teaches_the_refiner_alone(toy, toy_gradients):
         {**with_it["params"], "refiner": None}, {**without["params"], "refiner": None}
     )
     assert equal(with_it["weighting"], without["weighting"])
-    variables, frames, complete = toy
-    other = frames._replace(view=2.0 * frames.view)
-    moved, others = meta_gradients(variables, other, complete, TOY, MetaConfig())
+    variables, inputs, complete = toy
+    other = inputs._replace(view=2.0 * inputs.view)
+    moved, others = gradients_of_toys(variables, other, complete, TOY, MetaConfig())
     for name in (*ENCODERS, "decoder"):
         assert_close(moved["params"][name], with_it["params"][name], 1e-12)
     assert abs(others.refined - terms.refined) > 0.01
@@ -201,21 +250,21 @@ def test_the_depth_stream_learns_through_the_inner_loop_alone(toy_gradients):
 
 
 def test_terms_of_the_toy(toy, toy_gradients):
-    variables, frames, complete = toy
+    variables, inputs, complete = toy
     config = MetaConfig(num_steps=3, rehearse_depth=True)
     _, terms = toy_gradients(num_steps=3, rehearse_depth=True)
 
-    def of_frame(frame, complete):
-        end = toy_adapted(variables, frame, TOY, config)
+    def of_cloud(one, complete):
+        end = toy_adapted(variables, one, TOY, config)
         refiner = variables["params"]["refiner"]
-        return meta.MetaTerms(
-            toy_primary(end, frame, complete, config),
-            toy_primary(variables, frame, complete, config),
-            toy_objective(variables, frame, TOY)[0],
-            eq_3(refiner, variables, frame, complete, TOY, config),
+        return MetaTerms(
+            toy_primary(end, one, complete, config),
+            toy_primary(variables, one, complete, config),
+            toy_objective(variables, one, TOY.adapt.depth_weight)[0],
+            eq_3(refiner, variables, one, complete, TOY, config),
         )
 
-    parts = [of_frame(row(frames, i), complete[i]) for i in range(FRAMES)]
+    parts = [of_cloud(row(inputs, i), complete[i]) for i in range(CLOUDS)]
     assert_close(terms, mean(parts), 1e-12)
 
 

@@ -1,66 +1,76 @@
-"""A toy that stands in for the networks and losses of the meta-objective.
+"""Toy functions for Eq. 12, in the place of the networks and losses.
 
 A few numbers a module, and smooth losses in the place of Eq. 3 to 10; Eq. 11 is the
-real one. What Eq. 12 asks of it is written out here as functions of all variables.
+real one. What Eq. 12 asks of them is written out here as functions of all variables.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from prism_jax.adaptation.config import PrismConfig
+from prism_jax.adaptation.meta import Functions, learned_part, meta_loss
 from prism_jax.adaptation.objective import Losses
 from prism_jax.losses.weighting import weighted_auxiliary
-from prism_jax.models.encoder import PointFeatures
-from prism_jax.models.prism import NetworkInput, Prediction
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 from tests.trees import mean, row
 
 TOY = PrismConfig().with_adapt(step_size=0.2, depth_weight=0.7)
-FRAMES, POINTS = 2, 6
+CLOUDS, POINTS = 2, 6
 
 
-def toy_encode(variables, frame, model):
+class ToyInput(NamedTuple):
+    partial: jax.Array
+    view: jax.Array
+
+
+class ToyPrediction(NamedTuple):
+    stages: tuple[jax.Array, jax.Array]
+    features: jax.Array
+
+
+def toy_encode(variables, inputs):
     point = variables["params"]["point_encoder"]
-    code = jnp.tanh(frame.partial.mean(0) * point["first"] + point["second"] ** 2)
-    return PointFeatures(*[code] * len(PointFeatures._fields))
+    return jnp.tanh(inputs.partial.mean(0) * point["first"] + point["second"] ** 2)
 
 
-def toy_completed(variables, frame, encoded, model):
-    """Of one frame or several, as the network's."""
-    code = encoded.global_feature
+def toy_decode(variables, inputs, code):
+    """Of one cloud or several, as the network's."""
     decoder, spread = variables["params"]["decoder"]["only"], code[..., None, :]
-    seeds = frame.partial[..., :3, :] * decoder + spread
-    last = (frame.partial + spread) * jnp.cos(decoder)
-    made = Prediction(last, (seeds, last), jnp.sin(frame.partial + spread), encoded)
-    return made._replace(points=toy_refine(variables, made, model))
+    seeds = inputs.partial[..., :3, :] * decoder + spread
+    last = (inputs.partial + spread) * jnp.cos(decoder)
+    return ToyPrediction((seeds, last), jnp.sin(inputs.partial + spread))
 
 
-def toy_predict(variables, frame, model):
-    return toy_completed(variables, frame, toy_encode(variables, frame, model), model)
+def toy_predict(variables, inputs):
+    return toy_decode(variables, inputs, toy_encode(variables, inputs))
 
 
-def toy_refine(variables, decoded, model):
+def toy_refine(variables, prediction):
     own = variables["params"]["refiner"]["only"]
-    return decoded.stages[-1] + 0.1 * jnp.tanh(own * decoded.features)
+    return prediction.stages[-1] + 0.1 * jnp.tanh(own * prediction.features)
 
 
-def toy_objective(variables, frame, config):
-    made = toy_predict(variables, frame, config.model)
-    code, weighting = made.encoded.global_feature, variables["weighting"]
+def toy_objective(variables, inputs, depth_weight):
+    code = toy_encode(variables, inputs)
+    prediction = toy_decode(variables, inputs, code)
+    points = toy_refine(variables, prediction)
+    weighting = variables["weighting"]
     depth = jnp.sin(variables["params"]["depth_encoder"]["only"])
     branch = variables["params"]["auxiliary"]["only"]
-    consistency = ((made.points - frame.partial) ** 2).mean()
+    consistency = ((points - inputs.partial) ** 2).mean()
     terms = jnp.stack(
         [
-            (jnp.sin(code * branch) ** 2).sum() + (made.points**2).mean(),
+            (jnp.sin(code * branch) ** 2).sum() + (points**2).mean(),
             ((code - depth) ** 2).sum(),
             ((branch * code * depth) ** 2).sum(),
         ]
     )
     weighted = weighted_auxiliary(weighting["logits"], terms, weighting["scales"])
-    objective = config.adapt.depth_weight * consistency + weighted
-    return Losses(objective, consistency, *terms), made
+    objective = depth_weight * consistency + weighted
+    return Losses(objective, consistency, *terms), prediction
 
 
 def toy_loss(stages, complete, norm):
@@ -73,8 +83,34 @@ def toy_depth(predicted, complete, view):
     return ((predicted - view * complete[: len(predicted)]) ** 2).mean()
 
 
+def toy_functions(config, meta):
+    """What `prism_jax.adaptation.meta.network_functions` is of the networks."""
+    depth_weight = config.adapt.depth_weight if meta.rehearse_depth else 0.0
+
+    def refiner_loss(variables, after, inputs, complete):
+        points = toy_refine(variables, after)
+        return jax.vmap(toy_depth)(points, complete, inputs.view).mean()
+
+    return Functions(
+        toy_encode,
+        toy_decode,
+        lambda variables, inputs: toy_objective(variables, inputs, depth_weight),
+        lambda stages, complete: toy_loss(stages, complete, meta.norm),
+        refiner_loss,
+    )
+
+
+def gradients_of_toys(variables, inputs, complete, config, meta):
+    """Gradients and terms of Eq. 12, of toy functions."""
+    functions = toy_functions(config, meta)
+    learned = learned_part(variables, meta)
+    batch = (variables, inputs, complete)
+    gradient = jax.grad(meta_loss, has_aux=True)
+    return gradient(learned, *batch, functions, config.adapt, meta)
+
+
 def toy_inputs():
-    """Variables, frames and complete clouds of the toy."""
+    """Variables, inputs and complete clouds of the toy."""
     rng = np.random.default_rng(3)
 
     def numbers(*shape):
@@ -90,54 +126,34 @@ def toy_inputs():
     steps = {name: {module: numbers() for module in params[name]} for name in ENCODERS}
     weighting = {"logits": numbers(3), "scales": numbers(3), "log_steps": steps}
     variables = {"params": params, "batch_stats": {}, "weighting": weighting}
-    unused = numbers(FRAMES)
-    frames = NetworkInput(*[unused] * len(NetworkInput._fields))
-    frames = frames._replace(partial=numbers(FRAMES, POINTS, 3), view=numbers(FRAMES))
-    return variables, frames, numbers(FRAMES, 9, 3)
-
-
-def toy_hold(variables, frame, model):
-    return frame
-
-
-STAND_INS = {
-    "hold_decoding": toy_hold,
-    "encode": toy_encode,
-    "decode_and_refine": toy_completed,
-    "refine": toy_refine,
-    "test_time_objective": toy_objective,
-    "depth_supervised": toy_depth,
-    "primary_loss": toy_loss,
-}
-"""What `prism_jax.adaptation.meta` knows of the networks."""
+    inputs = ToyInput(numbers(CLOUDS, POINTS, 3), numbers(CLOUDS))
+    return variables, inputs, numbers(CLOUDS, 9, 3)
 
 
 def of_the_weighted_sum(logits, losses, scales):
     """d/d eta of sum softmax(eta) l / s = w (l / s - sum w l / s)."""
     weights = np.exp(logits) / np.exp(logits).sum()
-    terms = np.array([losses.normal, losses.denoise, losses.align]) / scales
+    terms = np.asarray(losses.auxiliary) / scales
     return weights * (terms - weights @ terms)
 
 
-def inner_loss(encoders, variables, frame, config, meta):
+def inner_loss(encoders, variables, inputs, config, meta):
     depth_weight = config.adapt.depth_weight if meta.rehearse_depth else 0.0
-    inner = config.with_adapt(depth_weight=depth_weight)
     _, rest = pop_encoders(variables)
-    losses, _ = toy_objective(put_encoders(encoders, rest), frame, inner)
+    losses, _ = toy_objective(put_encoders(encoders, rest), inputs, depth_weight)
     return losses.objective
 
 
-def toy_primary(variables, frame, complete, meta):
-    made = toy_predict(variables, frame, None)
-    return toy_loss(made.stages, complete, meta.norm)
+def toy_primary(variables, inputs, complete, meta):
+    return toy_loss(toy_predict(variables, inputs).stages, complete, meta.norm)
 
 
-def toy_adapted(variables, frame, config, meta):
+def toy_adapted(variables, inputs, config, meta):
     encoders, rest = pop_encoders(variables)
     learned = variables["weighting"]["log_steps"]
     for _ in range(meta.num_steps):
         whole = put_encoders(encoders, rest)
-        slope = jax.grad(inner_loss)(encoders, whole, frame, config, meta)
+        slope = jax.grad(inner_loss)(encoders, whole, inputs, config, meta)
         if meta.first_order:
             slope = jax.lax.stop_gradient(slope)
         norm = sum((leaf**2).sum() for leaf in jax.tree.leaves(slope)) ** 0.5
@@ -152,41 +168,42 @@ def toy_adapted(variables, frame, config, meta):
     return put_encoders(encoders, rest)
 
 
-def eq_12(variables, frame, complete, config, meta):
+def eq_12(variables, inputs, complete, config, meta):
     """Eq. 12 without its auxiliary term, as one function of all variables; the decoder
     has no part in the inner loop's derivative, nor in the zero-step term's."""
     held = variables
     if meta.num_steps:
         decoder = jax.lax.stop_gradient(variables["params"]["decoder"])
         held = {**variables, "params": {**variables["params"], "decoder": decoder}}
-    adapted = toy_adapted(held, frame, config, meta)
+    adapted = toy_adapted(held, inputs, config, meta)
     params = {**adapted["params"], "decoder": variables["params"]["decoder"]}
-    end = toy_primary({**adapted, "params": params}, frame, complete, meta)
-    start = toy_primary(held, frame, complete, meta)
+    end = toy_primary({**adapted, "params": params}, inputs, complete, meta)
+    start = toy_primary(held, inputs, complete, meta)
     return (1 - meta.beta_0) * end + meta.beta_0 * start
 
 
-def eq_3(refiner, variables, frame, complete, config, meta):
-    adapted = toy_adapted(variables, frame, config, meta)
+def eq_3(refiner, variables, inputs, complete, config, meta):
+    adapted = toy_adapted(variables, inputs, config, meta)
     params = {**adapted["params"], "refiner": refiner}
-    made = toy_predict({**adapted, "params": params}, frame, None)
-    return toy_depth(made.points, complete, frame.view)
+    adapted = {**adapted, "params": params}
+    points = toy_refine(adapted, toy_predict(adapted, inputs))
+    return toy_depth(points, complete, inputs.view)
 
 
 def expected_gradients(toy, config, meta):
-    variables, frames, complete = toy
+    variables, inputs, complete = toy
 
-    def of_frame(frame, complete):
+    def of_cloud(one, complete):
         encoders, _ = pop_encoders(variables)
         refiner, settings = variables["params"]["refiner"], (config, meta)
         return (
-            jax.grad(eq_12)(variables, frame, complete, *settings),
-            jax.grad(eq_3)(refiner, variables, frame, complete, *settings),
-            jax.grad(inner_loss)(encoders, variables, frame, *settings),
-            toy_objective(variables, frame, config)[0],
+            jax.grad(eq_12)(variables, one, complete, *settings),
+            jax.grad(eq_3)(refiner, variables, one, complete, *settings),
+            jax.grad(inner_loss)(encoders, variables, one, *settings),
+            toy_objective(variables, one, 0.0)[0],
         )
 
-    parts = [of_frame(row(frames, i), complete[i]) for i in range(FRAMES)]
+    parts = [of_cloud(row(inputs, i), complete[i]) for i in range(CLOUDS)]
     whole, refiner, auxiliary, losses = jax.device_get(mean(parts))
     factor = (1 - meta.beta_0) * meta.lambda_aux
     params = {
