@@ -4,6 +4,7 @@ import importlib
 import sys
 from types import ModuleType
 
+import grain  # noqa: F401  (defines flags of its own when it is first imported)
 import pytest
 from absl import app, flags
 
