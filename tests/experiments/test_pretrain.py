@@ -36,7 +36,7 @@ def run(few_shapes, variables, monkeypatch):
     """``run(arguments)``: the command's exit status, and what it started from."""
     starts = []
 
-    def train(preset, data, folder, seed, max_steps, tensorboard, start):
+    def train(config, pretraining, data, folder, seed, max_steps, tensorboard, start):
         starts.append(start)
         return None if max_steps else variables
 
@@ -72,7 +72,9 @@ def test_indices_are_made_beforehand_where_examples_come_again(
     """The corpus has eight."""
     monkeypatch.setattr(training, "index_table", lambda *arguments: "made")
     seen = []
-    monkeypatch.setattr(pretrain, "pretrain", lambda _, data, *rest: seen.append(data))
+    monkeypatch.setattr(
+        pretrain, "pretrain", lambda config, pretraining, data, *rest: seen.append(data)
+    )
     changed = [f"--set=pretrain.backbone.1.num_samples={num_samples}"]
     changed.append(f"--set=pretrain.auxiliary_samples={auxiliary}")
     assert run(f"--workdir={tmp_path}", *changed)[0] == 0
@@ -87,7 +89,7 @@ def test_batches_come_in_another_order_after_other_weights(
     changed = {**variables, "params": jax.tree.map(np.negative, variables["params"])}
     save_weights(other, resolve("tiny").config, changed, BEFORE)
     seeds = []
-    keep = lambda _, data, *rest: seeds.append(data.seed)  # noqa: E731
+    keep = lambda config, pretraining, data, *rest: seeds.append(data.seed)  # noqa: E731
     monkeypatch.setattr(pretrain, "pretrain", keep)
     for n, start in enumerate((None, weights, weights, other)):
         given = [] if start is None else [f"--weights={start}"]
