@@ -40,6 +40,7 @@ def run(module, output, *arguments):
     return json.loads(output.read_text()), output.with_suffix(".md").read_text()
 
 
+@pytest.mark.slow
 def test_table_one(tmp_path):
     table, text = run(table_1, tmp_path / "1.json", "--backbone=small")
     rows = table["rows"]

@@ -12,7 +12,7 @@ from prism_jax.losses.normal import normal_loss
 
 RNG = np.random.default_rng(5)
 
-loss = jax.jit(normal_loss, static_argnames=("lambda_smooth", "k"))
+loss = jax.jit(normal_loss, static_argnames=("lambda_smooth", "k", "stride"))
 gradients = jax.jit(jax.grad(normal_loss, argnums=(0, 1)), static_argnames="k")
 
 
@@ -52,8 +52,8 @@ def test_over_every_so_many_th_point(count, stride):
     points, normals = jnp.asarray(surface(count)), jnp.asarray(directions(count))
     _, neighbors = KDTree(points).query(points[::stride], k=12)
     neighbors = jnp.asarray(neighbors, jnp.int32)
-    found = normal_loss(normals, points, 0.3, k=12, stride=stride)
-    given = normal_loss(normals, points, 0.3, neighbors=neighbors, stride=stride)
+    found = loss(normals, points, 0.3, k=12, stride=stride)
+    given = loss(normals, points, 0.3, neighbors=neighbors, stride=stride)
     assert np.allclose(found, given, rtol=1e-6)
     agreement, differences = [], []
     for j, row in zip(range(0, count, stride), np.asarray(neighbors), strict=True):
@@ -67,8 +67,8 @@ def test_over_every_so_many_th_point(count, stride):
 def test_a_known_graph_gives_the_same_loss():
     points, normals = jnp.asarray(surface(80)), jnp.asarray(directions(80))
     graph = knn(points, points, 10)
-    given = normal_loss(normals, points, neighbors=graph)
-    assert given == normal_loss(normals, points, k=10)
+    given = loss(normals, points, neighbors=graph)
+    assert given == loss(normals, points, k=10)
 
 
 def test_normals_of_a_plane_have_no_loss_whatever_their_sign():

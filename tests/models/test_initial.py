@@ -10,13 +10,13 @@ from prism_jax.presets import PRESETS
 
 
 @pytest.fixture(scope="module")
-def tiny_variables(tiny):
-    return init_variables(jax.random.key(0), tiny.model)
+def variables(minimal):
+    return init_variables(jax.random.key(0), minimal.model)
 
 
-def test_structure(tiny_variables):
-    assert set(tiny_variables) == {"params", "batch_stats", "weighting"}
-    assert set(tiny_variables["params"]) == {
+def test_structure(variables):
+    assert set(variables) == {"params", "batch_stats", "weighting"}
+    assert set(variables["params"]) == {
         "point_encoder",
         "depth_encoder",
         "decoder",
@@ -24,51 +24,49 @@ def test_structure(tiny_variables):
         "auxiliary",
     }
     branches = {"integrator", "projection", "normal", "denoiser"}
-    assert set(tiny_variables["params"]["auxiliary"]) == branches
+    assert set(variables["params"]["auxiliary"]) == branches
     statistics = {"point_encoder", "depth_encoder", "decoder"}
-    assert set(tiny_variables["batch_stats"]) == statistics
-    for leaf in jax.tree.leaves(tiny_variables):
+    assert set(variables["batch_stats"]) == statistics
+    for leaf in jax.tree.leaves(variables):
         assert leaf.dtype == np.float32
         assert np.isfinite(leaf).all()
 
 
-def test_losses_start_equally_weighted_and_unmeasured(tiny_variables):
-    assert np.array_equal(tiny_variables["weighting"]["logits"], np.zeros(3))
-    assert np.array_equal(tiny_variables["weighting"]["scales"], np.zeros(3))
+def test_losses_start_equally_weighted_and_unmeasured(variables):
+    assert np.array_equal(variables["weighting"]["logits"], np.zeros(3))
+    assert np.array_equal(variables["weighting"]["scales"], np.zeros(3))
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_preset_has_the_structure(name, tiny_variables):
+def test_every_preset_has_the_structure(name, variables):
     """Also of a network that takes part in no other test for its size."""
     model = PRESETS[name].model
     shapes = jax.eval_shape(lambda: init_variables(jax.random.key(0), model))
-    assert set(shapes["params"]) == set(tiny_variables["params"])
+    assert set(shapes["params"]) == set(variables["params"])
     encoders, rest = pop_encoders(shapes)
     assert all(encoders.values())
     assert all(rest["params"].values())
 
 
-def test_a_key_gives_the_same_variables_and_another_others(tiny, tiny_variables):
-    same = init_variables(jax.random.key(0), tiny.model)
-    assert jax.tree.structure(same) == jax.tree.structure(tiny_variables)
-    for a, b in zip(
-        jax.tree.leaves(same), jax.tree.leaves(tiny_variables), strict=True
-    ):
+def test_a_key_gives_the_same_variables_and_another_others(minimal, variables):
+    same = init_variables(jax.random.key(0), minimal.model)
+    assert jax.tree.structure(same) == jax.tree.structure(variables)
+    for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(variables), strict=True):
         assert np.array_equal(a, b)
-    other = init_auxiliary(jax.random.key(1), tiny_variables, tiny.model)
+    other = init_auxiliary(jax.random.key(1), variables, minimal.model)
     kernel = ("params", "auxiliary", "normal", "mlp", "dense_0", "kernel")
-    assert not np.array_equal(leaf(other, kernel), leaf(tiny_variables, kernel))
+    assert not np.array_equal(leaf(other, kernel), leaf(variables, kernel))
 
 
-def test_a_trained_backbone_is_kept(tiny, tiny_variables):
+def test_a_trained_backbone_is_kept(minimal, variables):
     backbone = {
         kind: {
-            name: jax.tree.map(lambda x: x + 1, tiny_variables[kind][name])
+            name: jax.tree.map(lambda x: x + 1, variables[kind][name])
             for name in ("point_encoder", "decoder")
         }
         for kind in ("params", "batch_stats")
     }
-    together = init_auxiliary(jax.random.key(1), backbone, tiny.model)
+    together = init_auxiliary(jax.random.key(1), backbone, minimal.model)
     for kind, parts in backbone.items():
         for name, tree in parts.items():
             assert together[kind][name] is tree

@@ -279,19 +279,21 @@ def test_conv_is_flax_conv(size, strides, pixels):
     x = normal(2, *pixels, 3)
     module = Conv(4, size, strides)
     oracle = nn.Conv(4, (size, size), strides, use_bias=False)
-    variables = module.init(jax.random.key(0), x)
-    expected = oracle.init(jax.random.key(0), x)
-    np.testing.assert_array_equal(
-        variables["params"]["kernel"], expected["params"]["kernel"]
-    )
 
-    def both(apply):
-        return jax.jit(
-            jax.value_and_grad(lambda v, x: (apply(v, x) ** 3).sum(), argnums=(0, 1))
-        )(variables, x)
+    @jax.jit
+    def everything(x):
+        variables = [m.init(jax.random.key(0), x) for m in (module, oracle)]
 
-    leaves = map(jax.tree.leaves, (both(module.apply), both(oracle.apply)))
-    for a, b in zip(*leaves, strict=True):
+        def both(apply):
+            total = lambda v, x: (apply(v, x) ** 3).sum()  # noqa: E731
+            return jax.value_and_grad(total, argnums=(0, 1))(variables[0], x)
+
+        mapped = jax.vmap(lambda x: module.apply(variables[0], x))(x)
+        outputs = mapped, oracle.apply(variables[0], x)
+        return variables, (both(module.apply), both(oracle.apply)), outputs
+
+    (ours, flax), derivatives, (mapped, expected) = everything(x)
+    np.testing.assert_array_equal(ours["params"]["kernel"], flax["params"]["kernel"])
+    for a, b in zip(*map(jax.tree.leaves, derivatives), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-5, atol=2e-5)
-    mapped = jax.vmap(lambda x: module.apply(variables, x))(x)
-    np.testing.assert_allclose(mapped, oracle.apply(variables, x), atol=1e-5)
+    np.testing.assert_allclose(mapped, expected, atol=1e-5)

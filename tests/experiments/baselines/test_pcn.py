@@ -212,6 +212,7 @@ def test_any_leading_axes(complete_fn, quick_jit, variables):
             np.testing.assert_allclose(stages[i], expected, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_some_steps_of_adam_lower_the_loss(loss_and_grad, quick_jit, variables):
     optimizer = optax.adam(3e-3)
     update = quick_jit(optimizer.update)

@@ -307,6 +307,7 @@ def test_order_of_the_points_does_not_matter_after_the_first(complete_fn):
     assert np.abs(moved - coarse)[:, :8].max() > 1e-3
 
 
+@pytest.mark.slow
 def test_batch_vmap_and_loop_agree(complete_fn, quick_jit):
     batch = complete_fn(VARIABLES, PARTIAL)
     mapped = quick_jit(jax.vmap(PoinTr(TINY).apply, (None, 0)))(VARIABLES, PARTIAL)
@@ -344,6 +345,7 @@ def test_a_few_steps_lower_the_loss(step):
     assert losses[-1] < 0.9 * losses[0]
 
 
+@pytest.mark.slow
 def test_training_moves_the_statistics_of_batch_norm(quick_jit):
     module = PoinTr(dataclasses.replace(TINY, use_norm=True))
     variables = randomised(module, PARTIAL)

@@ -222,6 +222,7 @@ def test_gradient_of_the_upsample_transformer(x64):
     check_grads(total, (variables, *floats), order=1, modes=["rev"])
 
 
+@pytest.mark.slow
 def test_a_cloud_alone_mapped_and_in_a_batch(
     variables, apply, value_and_grad, quick_jit, clouds
 ):
@@ -319,6 +320,7 @@ def test_seeds_from_patches_start_at_the_patches(quick_jit):
     np.testing.assert_array_equal(seeds, np.repeat(xyz, 2, axis=0))
 
 
+@pytest.mark.slow
 def test_training_moves_the_statistics_and_nothing_else_does(quick_jit, clouds):
     network, partial = SeedFormer(NORMED), clouds[0]
     variables = drawn(network, partial)
@@ -336,6 +338,7 @@ def test_training_moves_the_statistics_and_nothing_else_does(quick_jit, clouds):
     jax.eval_shape(network.apply, variables, partial)
 
 
+@pytest.mark.slow
 def test_a_few_steps_lower_the_loss(variables, value_and_grad, quick_jit, clouds):
     params = variables["params"]
     optimiser = optax.adam(1e-2)
