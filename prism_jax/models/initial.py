@@ -8,16 +8,15 @@ from jaxtyping import PRNGKeyArray
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import BRANCHES
-from prism_jax.models.auxiliary import (
-    Denoiser,
-    DepthProjection,
-    NormalHead,
-    TokenIntegrator,
-)
 from prism_jax.models.backbone import decode, encode_points, init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
-from prism_jax.models.prism import prepare_input
+from prism_jax.models.prism import (
+    AUXILIARY,
+    Prediction,
+    prepare_input,
+    run_auxiliary,
+)
 from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, unlearned_steps
 
@@ -44,17 +43,22 @@ def init_auxiliary(
         points, features = decoded.stages[-1], decoded.features
         depth_encoder = DepthEncoder(sizes)
         depth = depth_encoder.init(keys[1], inputs.depth, inputs.depth_mask)
-        depth_features = depth_encoder.apply(depth, inputs.depth, inputs.depth_mask)
-        latent = jnp.zeros(sizes.token_features)
-        perturbed = (inputs.perturbed, inputs.perturbed_neighbors)
-        return {
+        depth_features: Any = depth_encoder.apply(
+            depth, inputs.depth, inputs.depth_mask
+        )
+        fresh = {
             "depth_encoder": depth,
             "refiner": Refiner(sizes).init(keys[2], points, features),
-            "integrator": TokenIntegrator(sizes).init(keys[3], encoded),
-            "projection": DepthProjection(sizes).init(keys[4], depth_features),
-            "normal": NormalHead(sizes).init(keys[5], points, features),
-            "denoiser": Denoiser(sizes).init(keys[6], *perturbed, latent),
         }
+
+        def made(name: str, *arguments: Any) -> Any:
+            module, key = AUXILIARY[name](sizes), keys[3 + [*AUXILIARY].index(name)]
+            output, fresh[name] = module.init_with_output(key, *arguments)
+            return output
+
+        prediction = Prediction(points, decoded.stages, features, encoded)
+        run_auxiliary(made, inputs, prediction, depth_features)
+        return fresh
 
     fresh = jax.jit(init)(key, backbone)
     depth = fresh.pop("depth_encoder")

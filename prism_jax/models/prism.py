@@ -1,5 +1,6 @@
 """PRISM's two streams and its auxiliary branches, as functions of their variables."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import flax.linen as nn
@@ -176,17 +177,37 @@ def branches(
     depth_features: DepthFeatures,
     config: ModelConfig,
 ) -> Branches:
-    """The auxiliary branches of a prediction."""
-    sizes = config.auxiliary
+    """What the auxiliary modules make of a prediction."""
 
-    def read(module: nn.Module, name: str, *inputs: Any) -> Any:
-        return apply(module, part(variables, "auxiliary", name), *inputs)
+    def read(name: str, *arguments: Any) -> Any:
+        own = part(variables, "auxiliary", name)
+        return apply(AUXILIARY[name](config.auxiliary), own, *arguments)
 
-    integrated: Tokens = read(TokenIntegrator(sizes), "integrator", prediction.encoded)
+    return run_auxiliary(read, inputs, prediction, depth_features)
+
+
+AUXILIARY: dict[str, type[nn.Module]] = {
+    "integrator": TokenIntegrator,
+    "projection": DepthProjection,
+    "normal": NormalHead,
+    "denoiser": Denoiser,
+}
+"""The auxiliary modules, by the names of their variables."""
+
+
+def run_auxiliary(
+    read: Callable[..., Any],
+    inputs: NetworkInput,
+    prediction: Prediction,
+    depth_features: DepthFeatures,
+) -> Branches:
+    """Gives each of `AUXILIARY` what it looks at: ``read(name, *arguments)`` is what
+    the module makes of the arguments."""
+    integrated: Tokens = read("integrator", prediction.encoded)
     perturbed = (inputs.perturbed, inputs.perturbed_neighbors)
     return Branches(
-        read(NormalHead(sizes), "normal", prediction.points, prediction.features),
-        read(Denoiser(sizes), "denoiser", *perturbed, integrated.latent),
+        read("normal", prediction.points, prediction.features),
+        read("denoiser", *perturbed, integrated.latent),
         integrated.tokens,
-        read(DepthProjection(sizes), "projection", depth_features),
+        read("projection", depth_features),
     )
