@@ -168,7 +168,8 @@ def test_mapped_over_frames_it_is_the_loop(
     """Every frame with encoders of its own.
 
     Not bitwise: batched products add up in another order. float32 keeps the
-    encoders to 1e-6; the untrained network magnifies that tenfold in the points.
+    encoders to 1e-6; the untrained network magnifies that tenfold in the points, and
+    PCA a thousandfold in normals of neighbourhoods that are almost round.
     """
     mapped = quick_jit(jax.vmap(make_adapt(tiny), (None, 0, 0)))
     together = mapped(tiny_variables, *tiny_frames)
@@ -178,8 +179,10 @@ def test_mapped_over_frames_it_is_the_loop(
         assert one.accepted == alone.accepted
         np.testing.assert_allclose(one.points, alone.points, atol=5e-5)
         np.testing.assert_allclose(one.before, alone.before, atol=5e-6)
-        for a, b in zip(one.losses, alone.losses, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5)
+        for name in one.losses._fields:
+            a, b = getattr(one.losses, name), getattr(alone.losses, name)
+            rtol = 1e-3 if name == "normal" else 1e-5
+            np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-5)
         new, old = jax.tree.leaves(one.encoders), jax.tree.leaves(alone.encoders)
         for a, b in zip(new, old, strict=True):
             np.testing.assert_allclose(a, b, atol=1e-6)
