@@ -115,6 +115,7 @@ def make_protocol(config: PrismConfig, published: bool = False) -> Protocol:
         FLAGS.normalisation or default,
         unit="own" if published else "complete",
         with_emd=not published,
+        heading=config.model.heading,
     )
 
 

@@ -1,5 +1,6 @@
 """What the launchers that train share: flags, data, several processes."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -65,7 +66,8 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     if FLAGS.weights is None:
         return None
     config, variables = load_pretrained(located(FLAGS.weights))
-    if config.model != preset.model:
+    # In which heading the network gets an object is no matter of its size.
+    if dataclasses.replace(config.model, heading=preset.model.heading) != preset.model:
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
     known = ("preset", "seed", "commit", "data", "samples", "pretrained")
@@ -102,6 +104,7 @@ def training_data(
         FLAGS.seed if start is None else order_seed(FLAGS.seed, start),
         validate_every,
         FLAGS.num_workers,
+        heading=preset.model.heading,
     )
     if FLAGS.num_workers or encoded <= len(train):
         return data

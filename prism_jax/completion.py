@@ -126,11 +126,11 @@ class Completer:
         else:
             _check_workspace(workspace)
         sensor = "origin" if camera is None else np.asarray(camera.position)
-        margin = self.config.model.margin
-        seen = observe(points, sensor, workspace, margin, up)
+        model = self.config.model
+        seen = observe(points, sensor, workspace, model.margin, up, model.heading)
         measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
         check_cloud(measured, "points inside the workspace")
-        read = seen.sampled(self.config.model.backbone.num_points)
+        read = seen.sampled(model.backbone.num_points)
         view = read.camera
         completion, seconds = self._run(adapt, read.partial, view)
         prediction = np.asarray(completion.points, np.float64)

@@ -40,7 +40,9 @@ def export_adapt(
     adapt = make_adapt(config)
 
     def complete(scan: Float[Array, "N 3"], sensor: Float[Array, "3"]):
-        seen = observe(scan, sensor, margin=config.model.margin).filled()
+        model = config.model
+        seen = observe(scan, sensor, margin=model.margin, heading=model.heading)
+        seen = seen.filled()
         completion = adapt(variables, jnp.asarray(seen.partial), seen.camera)
         return {
             "points": seen.workspace.from_unit(completion.points),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import hashlib
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -9,14 +10,21 @@ import jax
 import numpy as np
 from absl import flags
 from jaxtyping import Float32
+from scipy.spatial.transform import Rotation
 
 from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop, random_crop
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
-from prism_jax.observation.observation import observe
+from prism_jax.observation.observation import Heading, observe, workspace_around
 from prism_jax.observation.strays import find_strays
+
+MAX_TILT = np.deg2rad(20.0)
+"""Of training examples whose heading the network finds itself."""
+
+ASIDE = 4
+"""One in so many of those gets a random quarter turn."""
 
 
 class Batch(NamedTuple):
@@ -41,11 +49,12 @@ class Batch(NamedTuple):
 @dataclasses.dataclass(frozen=True)
 class Framing:
     """How examples become arrays of one size: points of the partial and of the
-    complete cloud, and the workspace's margin around the partial."""
+    complete cloud, and the workspace's margin around the partial and its heading."""
 
     num_partial: int
     num_complete: int
     margin: float
+    heading: Heading = "given"
 
 
 def frame_example(
@@ -56,8 +65,14 @@ def frame_example(
     With `rng`, for training: mirrored along x with probability one half, which makes
     an object of the same kind where left and right are x; turned about the vertical at
     random where it may have any heading; and a partial that is None is cropped at
-    random. Without, it is cropped as the median test from the first
-    fixed viewpoint. An example without a complete cloud raises InputError.
+    random. Without, it is cropped as the median test from the first fixed viewpoint.
+
+    Where the network finds the heading itself, each example has any heading, and every
+    other a tilt of up to `MAX_TILT`, before the rule has its way; without `rng` these
+    are a function of the example's name. For training, one in `ASIDE` then gets a
+    random quarter turn: the rule will take one side for another now and then.
+
+    An example without a complete cloud raises InputError.
     """
     example = with_partial(example, rng)
     assert example.partial is not None and example.complete is not None
@@ -68,21 +83,26 @@ def frame_example(
         "few": first_points(example.partial, framing.num_partial, example.ordered),
         "many": first_points(example.complete, framing.num_complete, example.ordered),
     }
-    eye = example.eye
-    if rng is not None and example.any_heading:
-        turn = _about_vertical(rng.uniform(0.0, 2.0 * np.pi))
-        clouds = {name: cloud @ turn for name, cloud in clouds.items()}
-        eye = None if eye is None else eye @ turn
-    workspace = Workspace.from_points(clouds["partial"], framing.margin)
-    seen = observe(clouds["few"], eye, workspace)
     unit = Workspace.from_points(clouds["complete"], 1.0)
+    eye = example.eye
+    pose = _pose(example, framing, rng)
+    if pose is not None:
+        clouds = {name: cloud @ pose for name, cloud in clouds.items()}
+        eye = None if eye is None else eye @ pose
+    partial = clouds["partial"]
+    workspace = workspace_around(partial, eye, framing.margin, heading=framing.heading)
+    seen = observe(clouds["few"], eye, workspace)
     batch = Batch(
         np.asarray(seen.partial, np.float32),
         np.asarray(workspace.to_unit(clouds["many"]), np.float32),
         np.asarray(seen.eye, np.float32),
         np.asarray(workspace.half_extent / unit.half_extent, np.float32),
     )
-    return batch if rng is None or rng.random() < 0.5 else _mirrored(batch)
+    if rng is None:
+        return batch
+    if framing.heading == "level" and rng.random() < 1 / ASIDE:
+        batch = _turned(batch, int(rng.integers(4)))
+    return batch if rng.random() < 0.5 else _mirrored(batch)
 
 
 def with_partial(example: Example, rng: np.random.Generator | None = None) -> Example:
@@ -176,10 +196,42 @@ class _WithIndices:
         return self._source[int(index)], indices
 
 
+def _pose(
+    example: Example, framing: Framing, rng: np.random.Generator | None
+) -> Float32[np.ndarray, "3 3"] | None:
+    """What turns an example's points, as rows, before it is framed, if anything does.
+
+    Framing takes no notice of where the axes are.
+    """
+    if framing.heading == "given":
+        if rng is None or not example.any_heading:
+            return None
+        return _about_vertical(rng.uniform(0.0, 2.0 * np.pi))
+    if rng is None:
+        digest = hashlib.sha256(example.name.encode()).digest()
+        rng = np.random.default_rng(int.from_bytes(digest[:8]))
+    turn = _about_vertical(rng.uniform(0.0, 2.0 * np.pi))
+    if rng.random() < 0.5:
+        return turn
+    axis = _about_vertical(rng.uniform(0.0, 2.0 * np.pi))[0]
+    tilt = Rotation.from_rotvec(rng.uniform(0.0, MAX_TILT) * axis)
+    return turn @ tilt.as_matrix().astype(np.float32)
+
+
 def _about_vertical(angle: float) -> Float32[np.ndarray, "3 3"]:
-    """Turns points, as rows, about z; framing takes no notice of where the axis is."""
+    """Turns points, as rows, about z."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
+
+
+def _turned(batch: Batch, quarters: int) -> Batch:
+    """By quarter turns about the middle of the unit workspace."""
+    turn = np.rint(_about_vertical(quarters * 0.5 * np.pi))
+    return batch._replace(
+        partial=batch.partial @ turn,
+        complete=batch.complete @ turn,
+        eye=batch.eye @ turn,
+    )
 
 
 def _mirrored(batch: Batch) -> Batch:

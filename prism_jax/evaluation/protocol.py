@@ -14,7 +14,12 @@ from prism_jax import metrics
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.observation.observation import Observation, observe
+from prism_jax.observation.observation import (
+    Heading,
+    Observation,
+    observe,
+    workspace_around,
+)
 
 NORMALISATIONS = ("partial", "oracle", "own")
 
@@ -44,6 +49,7 @@ class Protocol:
       with_emd: whether the earth mover's distance is taken, which costs the most.
       with_measured: whether the partial itself is scored, and the predictions with the
         measured points kept; about half of the time.
+      heading: which one the completer knows objects in; the partial decides on it.
     """
 
     num_partial: int
@@ -52,6 +58,7 @@ class Protocol:
     unit: str = "complete"
     with_emd: bool = True
     with_measured: bool = True
+    heading: Heading = "given"
 
     def __post_init__(self):
         if self.normalisation not in NORMALISATIONS:
@@ -64,10 +71,15 @@ def workspace_for(example: Example, protocol: Protocol) -> Workspace:
     """Where the completer works, in the frame of the example."""
     if protocol.normalisation == "own":
         return Workspace.unit()
-    oracle = protocol.normalisation == "oracle"
-    cloud = example.complete if oracle else example.partial
-    assert cloud is not None
-    return Workspace.from_points(cloud, protocol.margin)
+    margin = protocol.margin
+    assert example.partial is not None
+    workspace = workspace_around(
+        example.partial, example.eye, margin, heading=protocol.heading
+    )
+    if protocol.normalisation == "partial":
+        return workspace
+    assert example.complete is not None
+    return Workspace.from_points(example.complete, margin, workspace.rotation)
 
 
 def scored_in(example: Example, protocol: Protocol) -> Workspace:

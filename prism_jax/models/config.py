@@ -1,6 +1,7 @@
 """Sizes of the networks. Frozen and hashable, so static under ``jit``."""
 
 import dataclasses
+from typing import Literal
 
 from prism_jax.models.ranges import check_ranges
 
@@ -137,6 +138,9 @@ class ModelConfig:
 
     Attributes:
       margin: side of the workspace over the longest side of the partial's box.
+      heading: "level" if the workspace is turned about the vertical as
+        `prism_jax.observation.heading` says, in training and afterwards; "given" if the
+        weights know objects with their front along y, and get them as they come.
       depth_pixels: side of the depth map that the depth stream reads.
       consistency_pixels: side of the maps that Eq. 3 and Eq. 4 compare: few points
         leave holes in a fine map, through which the far side of the shape shows.
@@ -145,6 +149,7 @@ class ModelConfig:
     backbone: BackboneConfig = BackboneConfig()
     auxiliary: AuxiliaryConfig = AuxiliaryConfig()
     margin: float = 1.4
+    heading: Literal["given", "level"] = "given"
     depth_pixels: int = 128
     consistency_pixels: int = 128
 

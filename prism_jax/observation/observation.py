@@ -12,8 +12,12 @@ from jaxtyping import Array, Bool, Float
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.observation.heading import level_heading
 from prism_jax.observation.strays import find_strays
 from prism_jax.observation.upright import upright
+
+Heading = Literal["given", "level"]
+"""Which heading a network knows objects in: the given one, or `level_heading`'s."""
 
 UNKNOWN_EYE = np.sqrt(3.0) * np.ones(3)
 """Where the sensor is taken to be, in the unit workspace, if nobody knows: in the
@@ -106,6 +110,7 @@ def observe(
     workspace: Workspace | None = None,
     margin: float = 1.25,
     up: str = "z",
+    heading: Heading = "given",
 ) -> Observation:
     """Points and a sensor in the user's frame as what the network reads.
 
@@ -115,11 +120,9 @@ def observe(
     centre; then it is unknown too.
 
     `workspace` is the cube to work in; points outside it are not ``inside``. If it is
-    None it is the cube around the points, the longest side of their box times `margin`;
-    only strays (`find_strays`) can lie outside that.
-
-    `up` is the axis of the user's frame that points upwards (`UP_AXES`): the weights
-    know upright objects. A workspace with a rotation of its own has settled that.
+    None it is `workspace_around` the points, by `margin`, `up` and `heading`; only
+    strays (`find_strays`) can lie outside that. One that is given without a rotation
+    has the axes that `up` says.
 
     With NumPy points everything is done in double precision, for frames whose origin is
     far away. With JAX arrays it can be jitted and mapped; use ``points`` near the
@@ -129,7 +132,7 @@ def observe(
     xp = _numpy_of(points)
     if workspace is None:
         strays = find_strays(points)
-        workspace = Workspace.from_points(points, margin, upright(up), ~strays)
+        workspace = workspace_around(points, sensor, margin, up, heading, ~strays)
         partial = workspace.to_unit(points)
         # Rounding must not leave out what decided the cube.
         inside = ~strays | _within(partial)
@@ -142,6 +145,33 @@ def observe(
         inside = _within(partial)
     eye, known = _place(sensor, workspace, xp)
     return Observation(partial, eye, workspace, inside, known)
+
+
+def workspace_around(
+    points: Float[Array | np.ndarray, "N 3"],
+    sensor: Vector | Literal["origin"] | None = None,
+    margin: float = 1.25,
+    up: str = "z",
+    heading: Heading = "given",
+    where: Bool[Array | np.ndarray, " N"] | None = None,
+) -> Workspace:
+    """The cube around a partial cloud: the longest side of its box times `margin`.
+
+    `up` is the axis of the user's frame that points upwards (`UP_AXES`): the weights
+    know upright objects. With the `heading` "level" the cube is turned about it as
+    `level_heading` says; with "given" it is not. `sensor` is as for `observe`, and the
+    points that `where` marks, or all, are as `Workspace.from_points` has them.
+    """
+    workspace = Workspace.from_points(points, margin, upright(up), where)
+    if heading == "given":
+        return workspace
+    xp = _numpy_of(points)
+    eye, known = _place(sensor, workspace, xp)
+    counting = xp.ones(points.shape[0], bool) if where is None else where
+    turn = level_heading(workspace.to_unit(points), eye, known, counting)
+    if workspace.rotation is not None:
+        turn = turn @ workspace.rotation
+    return Workspace.from_points(points, margin, turn, where)
 
 
 def padded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:

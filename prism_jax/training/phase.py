@@ -20,6 +20,7 @@ from prism_jax.data.pipeline import (
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
+from prism_jax.observation.observation import Heading
 from prism_jax.training import parallel
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.run import Log
@@ -88,10 +89,11 @@ class Data(NamedTuple):
     validate_every: int
     num_workers: int = 0
     indices: Any = None
+    heading: Heading = "given"
 
     def framing(self, num_complete: int) -> Framing:
         """Of batches with so many points of the complete cloud."""
-        return Framing(self.num_partial, num_complete, self.margin)
+        return Framing(self.num_partial, num_complete, self.margin, self.heading)
 
 
 class Trained(NamedTuple):

@@ -1,5 +1,7 @@
 """An example in the workspace of its partial."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
@@ -175,3 +177,25 @@ def test_stacked_examples_get_a_batch_axis(example):
     assert both.partial.shape == (2, 64, 3)
     assert both.scale.shape == (2,)
     assert both.indices["a"].shape == (2, 3)
+
+
+def test_a_level_heading_is_found_whatever_the_pose(example):
+    """In validation by the example's name; in training at random, tilts and quarter
+    turns among them. The clouds stay together, and in the unit of the scores."""
+    level = dataclasses.replace(FRAMING, heading="level")
+    given = frame_example(example, FRAMING)
+    posed = frame_example(example, level)
+    np.testing.assert_array_equal(frame_example(example, level).partial, posed.partial)
+    other = frame_example(example._replace(name="another"), level)
+    assert not np.allclose(other.eye, posed.eye)
+    rng = np.random.default_rng(0)
+    trained = [frame_example(example, level, rng) for _ in range(12)]
+    bearings = [np.arctan2(batch.eye[0], batch.eye[1]) for batch in trained]
+    assert max(np.abs(bearings)) > np.pi / 4  # not always in front
+    for batch in (posed, other, *trained):
+        assert np.abs(batch.partial).max() <= 1 / 1.4 + 1e-6
+        for name in ("partial", "complete"):
+            was = getattr(given, name) * given.scale
+            now = getattr(batch, name) * batch.scale
+            spread = [np.linalg.norm(cloud - cloud[0], axis=1) for cloud in (was, now)]
+            np.testing.assert_allclose(*spread, rtol=1e-3, atol=1e-4)
