@@ -39,6 +39,7 @@ def test_it_is_portable(exported):
     assert results["left_out"].shape == (BATCH,)
 
 
+@pytest.mark.slow
 def test_a_clean_process_gets_the_same(exported, scans, minimal, minimal_variables):
     from prism_jax import make_adapt
 

@@ -102,6 +102,7 @@ def core(tmp_path_factory, minimal, minimal_variables):
     return run
 
 
+@pytest.mark.slow
 def test_a_scan_is_completed_without_any_extra(core):
     files, printed = core("--weights=weights.safetensors", "--input=scan.npy")
     assert "300 observed" in printed

@@ -69,6 +69,7 @@ def test_a_plain_script(folder):
     np.testing.assert_array_equal(completed[: len(scan)], scan)
 
 
+@pytest.mark.slow
 def test_inside_ones_own_jax_code(folder, minimal):
     run(folder, GIVEN + EXAMPLES["python.md"][0] + SHOWN)
     metres, scan = np.load(folder / "metres.npy"), np.load(folder / "scan.npy")

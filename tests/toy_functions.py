@@ -203,6 +203,8 @@ def expected_gradients(toy, config, meta):
             toy_objective(variables, one, 0.0)[0],
         )
 
+    # One compilation, where every operation of its own has one else.
+    of_cloud = jax.jit(of_cloud)
     parts = [of_cloud(row(inputs, i), complete[i]) for i in range(CLOUDS)]
     whole, refiner, auxiliary, losses = jax.device_get(mean(parts))
     factor = (1 - meta.beta_0) * meta.lambda_aux

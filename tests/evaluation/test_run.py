@@ -75,10 +75,16 @@ def test_the_own_unit_is_the_data_sets(boxes):
     assert np.isclose(ratio, METRES["scale"], rtol=1e-4)
 
 
-@pytest.mark.parametrize("batch_size", [1, 2, 3, 20])
-def test_batches_change_nothing(boxes, batch_size):
+@pytest.fixture(scope="module")
+def whole(boxes):
+    """Five examples in one batch."""
     source = boxes(objects=4, views=2)
-    whole = evaluate(mirrored, source, protocol(), limit=5, batch_size=5)
+    return evaluate(mirrored, source, protocol(), limit=5, batch_size=5)
+
+
+@pytest.mark.parametrize("batch_size", [1, 2, 3, 20])
+def test_batches_change_nothing(boxes, whole, batch_size):
+    source = boxes(objects=4, views=2)
     parts = evaluate(mirrored, source, protocol(), limit=5, batch_size=batch_size)
     assert parts == whole
     assert parts["num_examples"] == 5

@@ -2,7 +2,16 @@
 
 import pytest
 
+from prism_jax.evaluation import bootstrap
 from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_resamples():
+    """`tests/evaluation` looks at the intervals of as many as the figures have."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bootstrap, "_RESAMPLES", 50)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -41,6 +41,7 @@ def clouds():
     return [jax.random.uniform(key, (64, 3), minval=-0.7, maxval=0.7) for key in keys]
 
 
+@pytest.mark.slow
 def test_cosine_is_what_a_step_along_the_gradient_shows(config, variables, clouds):
     partial, complete = clouds
     found = jax.jit(cosines_and_changes(config))(
@@ -104,6 +105,7 @@ def test_a_loss_that_is_the_error_has_cosine_one(
     assert change["denoising, Eq. 6"] == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_table_of_a_source(config, variables):
     source = RecordedCells(CELLS)
     protocol = Protocol(config.model.backbone.num_points, config.model.margin)

@@ -8,26 +8,31 @@ import numpy as np
 import pytest
 
 from experiments import pretrain, training
-from experiments.settings import resolve
-from prism_jax.models.initial import init_variables
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 from tests import launching
 
+NETWORK = (
+    "num_neighbors=(4,)",
+    "encoder_rates=(1,)",
+    "level_rates=((1,),)",
+    "up_factors=(2,)",
+)
 CHANGES = [
-    f"--set=pretrain.backbone.{i}.num_samples={n}" for i, n in enumerate((0, 32))
+    *(f"--set=model.backbone.{change}" for change in NETWORK),
+    *(f"--set=pretrain.backbone.{i}.num_samples={n}" for i, n in enumerate((0, 32))),
 ]
 BEFORE = {"preset": "tiny", "seed": 5, "commit": None, "data": "shapes", "samples": 64}
 
 
 @pytest.fixture(scope="module")
-def variables():
-    return init_variables(jax.random.key(1), resolve("tiny").model)
+def variables(minimal_variables):
+    return minimal_variables
 
 
 @pytest.fixture(scope="module")
-def weights(tmp_path_factory, variables):
+def weights(tmp_path_factory, minimal, variables):
     path = tmp_path_factory.mktemp("weights") / "before.safetensors"
-    save_weights(path, resolve("tiny").config, variables, BEFORE)
+    save_weights(path, minimal.config, variables, BEFORE)
     return path
 
 
@@ -82,12 +87,12 @@ def test_indices_are_made_beforehand_where_examples_come_again(
 
 
 def test_batches_come_in_another_order_after_other_weights(
-    run, weights, variables, tmp_path, monkeypatch
+    run, weights, minimal, variables, tmp_path, monkeypatch
 ):
     """The same for the same weights, and the seed's own where there are none."""
     other = tmp_path / "other.safetensors"
     changed = {**variables, "params": jax.tree.map(np.negative, variables["params"])}
-    save_weights(other, resolve("tiny").config, changed, BEFORE)
+    save_weights(other, minimal.config, changed, BEFORE)
     seeds = []
     keep = lambda config, pretraining, data, *rest: seeds.append(data.seed)  # noqa: E731
     monkeypatch.setattr(pretrain, "pretrain", keep)

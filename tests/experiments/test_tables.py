@@ -32,7 +32,7 @@ def fake(config, variables):
 def run(module, output, *arguments):
     """The table that the command writes, and what it prints."""
     root = CELLS
-    place = ["--dataset=recordings", f"--data_dir={root}", "--limit=3"]
+    place = ["--dataset=recordings", f"--data_dir={root}", "--limit=2"]
     place += ["--split=all", f"--output={output}"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "prism_completer", fake)
@@ -109,10 +109,10 @@ def test_table_three_asks_for_a_label(tmp_path, capsys):
 
 @pytest.mark.parametrize("module", [table_3, table_2, table_1])
 def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
-    module, tmp_path, capsys, monkeypatch, tiny, tiny_variables
+    module, tmp_path, capsys, monkeypatch, minimal, minimal_variables
 ):
-    path = tmp_path / "tiny.safetensors"
-    save_weights(path, tiny, tiny_variables, {})
+    path = tmp_path / "minimal.safetensors"
+    save_weights(path, minimal.config, minimal_variables, {})
     monkeypatch.setattr(module, "run_evaluation", None)
     flag = f"--weights={'all=' if module is table_3 else ''}{path}"
     place = ("--dataset=shapes", f"--data_dir={tmp_path}")

@@ -69,6 +69,7 @@ def test_what_is_set_already_stays(run):
     assert found.startswith("['libm.so.6', '9', None]")
 
 
+@pytest.mark.slow
 def test_freed_blocks_stay_unless_they_are_large(run):
     """Written to and freed: 256 MiB are the program's still, 2 GiB are not."""
     assert run(RESIDENT).split() == ["True", "True", "True", "False"]

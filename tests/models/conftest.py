@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 
 from experiments.baselines.crapcn import convert_state_dict
-from prism_jax.models.backbone import (
-    decode,
-    encode_points,
-    partial_indices,
-    train_backbone,
-)
+from prism_jax.models.backbone import decode, encode_points, partial_indices
 from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
 
 CONFIGS = {"pcn": PCN, "sn55": SHAPENET55}
@@ -91,15 +86,11 @@ def published(reference):
 
 @pytest.fixture(scope="session")
 def run_backbone():
-    """``(config, variables, partial, train) -> (stages, statistics)``, compiled."""
+    """``(config, variables, partial) -> stages``, compiled."""
 
-    def run(config, variables, partial, train=False):
+    def run(config, variables, partial):
         indices = partial_indices(partial, config)
-        if train:
-            decoded, statistics = train_backbone(variables, config, partial, indices)
-            return decoded.stages, statistics
         encoded = encode_points(variables, config, partial, indices)
-        stages = decode(variables, config, partial, encoded).stages
-        return stages, variables["batch_stats"]
+        return decode(variables, config, partial, encoded).stages
 
-    return jax.jit(run, static_argnums=(0, 3))
+    return jax.jit(run, static_argnums=0)

@@ -235,13 +235,11 @@ def test_upsampling_block(published, variant, number):
     assert_within(inter, network.ref(f"ub{number}_inter"), FEATURES)
 
 
-# Of the other variant `test_crapcn_gradients.py` asks the same.
+# Of the other variant `test_crapcn_gradients.py`, as slow, asks the same.
 @pytest.mark.slow
 def test_end_to_end(published, run_backbone):
     network = published("sn55")
-    stages, _ = run_backbone(
-        network.config, network.variables, network.arrays["input"], False
-    )
+    stages = run_backbone(network.config, network.variables, network.arrays["input"])
     network.check_end_to_end(stages)
 
 

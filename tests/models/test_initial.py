@@ -37,7 +37,10 @@ def test_losses_start_equally_weighted_and_unmeasured(variables):
     assert np.array_equal(variables["weighting"]["scales"], np.zeros(3))
 
 
-@pytest.mark.parametrize("name", PRESETS)
+OTHERS = [pytest.param(n, marks=pytest.mark.slow) for n in PRESETS if n != "tiny"]
+
+
+@pytest.mark.parametrize("name", ["tiny", *OTHERS])
 def test_every_preset_has_the_structure(name, variables):
     """Also of a network that takes part in no other test for its size."""
     model = PRESETS[name].model
