@@ -128,14 +128,6 @@ def tiny_variables(tiny):
 
 
 @pytest.fixture(scope="session")
-def tiny_adapt(tiny):
-    """Test-time adaptation of `tiny`, compiled once for all tests."""
-    from prism_jax.adaptation.test_time import make_adapt
-
-    return jax.jit(make_adapt(tiny))
-
-
-@pytest.fixture(scope="session")
 def tiny_frames(tiny):
     """Three partial clouds, half shells of boxes, and the cameras that saw them."""
     from prism_jax.geometry.camera import Camera

@@ -23,6 +23,17 @@ def with_scales(variables, scale):
 
 
 @pytest.fixture(scope="module")
+def config(minimal):
+    return minimal.config
+
+
+@pytest.fixture(scope="module")
+def adapt(config):
+    """Test-time adaptation, compiled once."""
+    return jax.jit(make_adapt(config))
+
+
+@pytest.fixture(scope="module")
 def frames(tiny_frames):
     """The frames one by one, as arguments of ``adapt``."""
     partials, cameras = tiny_frames
@@ -33,28 +44,28 @@ def frames(tiny_frames):
 
 
 @pytest.fixture(scope="module")
-def adapted(tiny_adapt, tiny_variables, frames):
-    return [tiny_adapt(tiny_variables, *frame) for frame in frames]
+def adapted(adapt, minimal_fresh, frames):
+    return [adapt(minimal_fresh, *frame) for frame in frames]
 
 
 @pytest.fixture(scope="module")
-def unadapted(tiny):
+def unadapted(config):
     """``adapt`` with no step at all, compiled once."""
-    return jax.jit(make_adapt(tiny.with_adapt(num_steps=0)))
+    return jax.jit(make_adapt(config.with_adapt(num_steps=0)))
 
 
 @pytest.fixture(scope="module")
-def decoded_by(tiny, tiny_variables):
+def decoded_by(config, minimal_fresh):
     """Losses and completion by other encoders, with the samples and neighbours that the
     decoder had before they adapted."""
 
     @jax.jit
     def decoded(encoders, partial, camera):
-        key = jax.random.key(tiny.adapt.seed)
-        frame = prepare_input(partial, camera, key, tiny.model)
-        frame = hold_decoding(tiny_variables, frame, tiny.model)
-        _, rest = pop_encoders(tiny_variables)
-        return losses_of(put_encoders(encoders, rest), frame, tiny)
+        key = jax.random.key(config.adapt.seed)
+        frame = prepare_input(partial, camera, key, config.model)
+        frame = hold_decoding(minimal_fresh, frame, config.model)
+        _, rest = pop_encoders(minimal_fresh)
+        return losses_of(put_encoders(encoders, rest), frame, config)
 
     return decoded
 
@@ -106,13 +117,13 @@ def test_objective_is_the_sum_of_the_terms_at_every_step(adapted):
 
 
 def test_both_encoders_move_and_nothing_else_does(
-    adapted, decoded_by, tiny_variables, frames
+    adapted, decoded_by, minimal_fresh, frames
 ):
     """The rest that comes with the new encoders is, bit for bit, the one given.
 
     That it explains the completion says that nothing else was used either.
     """
-    originals, _ = pop_encoders(tiny_variables)
+    originals, _ = pop_encoders(minimal_fresh)
     for completion, frame in zip(adapted, frames, strict=True):
         assert set(completion.encoders) == set(ENCODERS)
         for name in ENCODERS:
@@ -124,14 +135,14 @@ def test_both_encoders_move_and_nothing_else_does(
             np.testing.assert_allclose(a, b[-1], rtol=1e-5)
 
 
-def test_the_callers_variables_are_untouched(tiny_adapt, tiny_variables, frames):
-    before = jax.tree.map(lambda leaf: np.array(leaf, copy=True), tiny_variables)
-    assert tiny_adapt(tiny_variables, *frames[0]).accepted
-    assert bitwise(tiny_variables, before)
+def test_the_callers_variables_are_untouched(adapt, minimal_fresh, frames):
+    before = jax.tree.map(lambda leaf: np.array(leaf, copy=True), minimal_fresh)
+    assert adapt(minimal_fresh, *frames[0]).accepted
+    assert bitwise(minimal_fresh, before)
 
 
-def test_norms_adapt_with_their_encoder(adapted, tiny_variables):
-    originals, _ = pop_encoders(tiny_variables)
+def test_norms_adapt_with_their_encoder(adapted, minimal_fresh):
+    originals, _ = pop_encoders(minimal_fresh)
     paths = jax.tree_util.tree_leaves_with_path(adapted[0].encoders)
     moved = {
         jax.tree_util.keystr(path): not np.array_equal(new, old)
@@ -157,13 +168,13 @@ def test_norms_that_are_held(differentiated, minimal_variables):
         assert not bitwise(completion.encoders[name], originals[name])
 
 
-def test_two_runs_are_bitwise_equal(tiny_adapt, tiny_variables, frames, adapted):
-    assert bitwise(tiny_adapt(tiny_variables, *frames[0]), adapted[0])
+def test_two_runs_are_bitwise_equal(adapt, minimal_fresh, frames, adapted):
+    assert bitwise(adapt(minimal_fresh, *frames[0]), adapted[0])
 
 
 @pytest.mark.slow
 def test_mapped_over_frames_it_is_the_loop(
-    tiny, tiny_variables, tiny_frames, adapted, quick_jit
+    tiny, tiny_variables, frames, tiny_frames, quick_jit
 ):
     """Every frame with encoders of its own.
 
@@ -171,10 +182,13 @@ def test_mapped_over_frames_it_is_the_loop(
     encoders to 1e-6; the untrained network magnifies that tenfold in the points, and
     PCA a thousandfold in normals of neighbourhoods that are almost round.
     """
-    mapped = quick_jit(jax.vmap(make_adapt(tiny), (None, 0, 0)))
+    adapt = make_adapt(tiny)
+    mapped = quick_jit(jax.vmap(adapt, (None, 0, 0)))
     together = mapped(tiny_variables, *tiny_frames)
     assert together.accepted.shape == (3,)
-    for i, alone in enumerate(adapted):
+    adapt = quick_jit(adapt)
+    for i, frame in enumerate(frames):
+        alone = adapt(tiny_variables, *frame)
         one = jax.tree.map(lambda leaf, i=i: leaf[i], together)
         assert one.accepted == alone.accepted
         np.testing.assert_allclose(one.points, alone.points, atol=5e-5)
@@ -192,11 +206,11 @@ def test_mapped_over_frames_it_is_the_loop(
     )
 
 
-def test_without_steps_nothing_is_adapted(unadapted, tiny_variables, frames, adapted):
-    completion = unadapted(tiny_variables, *frames[0])
+def test_without_steps_nothing_is_adapted(unadapted, minimal_fresh, frames, adapted):
+    completion = unadapted(minimal_fresh, *frames[0])
     assert not completion.accepted
     assert bitwise(completion.points, completion.before)
-    assert bitwise(completion.encoders, pop_encoders(tiny_variables)[0])
+    assert bitwise(completion.encoders, pop_encoders(minimal_fresh)[0])
     assert all(term.shape == (1,) for term in completion.losses)
     np.testing.assert_allclose(completion.points, adapted[0].before, atol=1e-5)
     first = adapted[0].losses.objective[0]
@@ -212,20 +226,20 @@ def refused(completion, variables):
     )
 
 
-def test_a_point_that_is_not_a_number_is_refused(tiny_adapt, tiny_variables, frames):
+def test_a_point_that_is_not_a_number_is_refused(adapt, minimal_fresh, frames):
     partial, camera = frames[0]
-    completion = tiny_adapt(tiny_variables, partial.at[5, 1].set(jnp.nan), camera)
-    assert refused(completion, tiny_variables)
+    completion = adapt(minimal_fresh, partial.at[5, 1].set(jnp.nan), camera)
+    assert refused(completion, minimal_fresh)
 
 
 @pytest.mark.parametrize("bad", [jnp.nan, jnp.inf])
-def test_a_broken_branch_is_refused(tiny_adapt, tiny_variables, frames, adapted, bad):
+def test_a_broken_branch_is_refused(adapt, minimal_fresh, frames, adapted, bad):
     """The completion itself is sound, and comes back."""
-    branch = tiny_variables["params"]["auxiliary"]
+    branch = minimal_fresh["params"]["auxiliary"]
     broken = jax.tree.map(lambda leaf: leaf * bad, branch["normal"])
-    params = {**tiny_variables["params"], "auxiliary": {**branch, "normal": broken}}
-    variables = {**tiny_variables, "params": params}
-    completion = tiny_adapt(variables, *frames[0])
+    params = {**minimal_fresh["params"], "auxiliary": {**branch, "normal": broken}}
+    variables = {**minimal_fresh, "params": params}
+    completion = adapt(variables, *frames[0])
     assert refused(completion, variables)
     assert bitwise(completion.points, adapted[0].before)
     assert np.isfinite(completion.points).all()
@@ -233,9 +247,9 @@ def test_a_broken_branch_is_refused(tiny_adapt, tiny_variables, frames, adapted,
     assert np.isfinite(completion.losses.align[0])
 
 
-def test_enormous_steps_are_refused(tiny_adapt, tiny_variables, frames, adapted):
-    variables = with_scales(tiny_variables, 1e-9)
-    completion = tiny_adapt(variables, *frames[0])
+def test_enormous_steps_are_refused(adapt, minimal_fresh, frames, adapted):
+    variables = with_scales(minimal_fresh, 1e-9)
+    completion = adapt(variables, *frames[0])
     assert not np.isfinite(completion.losses.objective[-1])
     assert refused(completion, variables)
     assert bitwise(completion.points, adapted[0].before)
@@ -255,7 +269,7 @@ def test_an_objective_that_rose_is_refused(
 
 
 @pytest.mark.parametrize("kind", ["one place", "a line", "out of view"])
-def test_degenerate_frames_stay_finite(tiny_adapt, tiny_variables, frames, kind):
+def test_degenerate_frames_stay_finite(adapt, minimal_fresh, frames, kind):
     partial, camera = frames[0]
     if kind == "one place":
         partial = jnp.broadcast_to(partial[0], partial.shape)
@@ -263,7 +277,7 @@ def test_degenerate_frames_stay_finite(tiny_adapt, tiny_variables, frames, kind)
         partial = jnp.linspace(-0.7, 0.7, len(partial))[:, None] * partial[0]
     else:
         camera = dataclasses.replace(camera, translation=-camera.translation)
-    completion = tiny_adapt(tiny_variables, partial, camera)
+    completion = adapt(minimal_fresh, partial, camera)
     assert np.isfinite(completion.points).all()
     assert np.isfinite(np.stack(completion.losses)).all()
     leaves = jax.tree.leaves(completion.encoders)
@@ -272,17 +286,17 @@ def test_degenerate_frames_stay_finite(tiny_adapt, tiny_variables, frames, kind)
         assert (completion.losses.depth_consistency == 0).all()
 
 
-def test_the_camera_matters(tiny_adapt, tiny_variables, frames, adapted):
-    other = tiny_adapt(tiny_variables, frames[0][0], frames[1][1])
+def test_the_camera_matters(adapt, minimal_fresh, frames, adapted):
+    other = adapt(minimal_fresh, frames[0][0], frames[1][1])
     assert not np.allclose(other.losses.align, adapted[0].losses.align)
     assert bitwise(other.before, adapted[0].before)
 
 
 @pytest.mark.parametrize("count", [0, 63, 65])
-def test_another_number_of_points(tiny, tiny_variables, frames, count):
+def test_another_number_of_points(config, minimal_fresh, frames, count):
     camera = frames[0][1]
     with pytest.raises(ValueError, match="one cloud of 64 points"):
-        make_adapt(tiny)(tiny_variables, jnp.zeros((count, 3)), camera)
+        make_adapt(config)(minimal_fresh, jnp.zeros((count, 3)), camera)
 
 
 @pytest.mark.slow

@@ -15,6 +15,13 @@ from prism_jax.geometry.sampling import farthest_point_sample
 
 RNG = np.random.default_rng(0)
 
+nearest = jax.jit(nearest)
+knn = jax.jit(knn, static_argnums=2)
+farthest_point_sample = jax.jit(farthest_point_sample, static_argnums=(1, 3))
+nearest_indices = jax.jit(kernels.nearest_indices, static_argnums=2)
+knn_indices = jax.jit(kernels.knn_indices, static_argnums=(2, 3))
+farthest_indices = jax.jit(kernels.farthest_indices, static_argnums=(3, 4))
+
 
 def cloud(kind: str, count: int) -> jax.Array:
     points = RNG.uniform(-1, 1, (count, 3))
@@ -48,7 +55,7 @@ def squared(query, support, indices):
 def test_nearest(kind, sizes):
     query, support = (cloud(kind, count) for count in sizes)
     _, expected = nearest(query, support)
-    found = kernels.nearest_indices(query, support, True)
+    found = nearest_indices(query, support, True)
     same = squared(query, support, np.asarray(found)[:, None])
     np.testing.assert_allclose(
         same, squared(query, support, np.asarray(expected)[:, None]), rtol=1e-5
@@ -62,7 +69,7 @@ def test_nearest(kind, sizes):
 def test_knn(kind, sizes, k):
     query, support = (cloud(kind, count) for count in sizes)
     expected = knn(query, support, k)
-    found = kernels.knn_indices(query, support, k, True)
+    found = knn_indices(query, support, k, True)
     assert found.shape == expected.shape
     np.testing.assert_allclose(
         squared(query, support, np.asarray(found)),
@@ -79,7 +86,7 @@ def test_knn_keeps_ties_in_order_when_a_nearer_point_comes():
     query = jnp.zeros((1, 3))
     support = jnp.array([[1.0, 0, 0], [-1, 0, 0], [0.5, 0, 0], [0, 1, 0]])
     for k in (1, 2, 3, 4):
-        found = kernels.knn_indices(query, support, k, True)
+        found = knn_indices(query, support, k, True)
         np.testing.assert_array_equal(found[0], [2, 0, 1, 3][:k])
         np.testing.assert_array_equal(found, knn(query, support, k))
 
@@ -90,7 +97,7 @@ def test_farthest_points(kind, skip):
     points = cloud(kind, 70)
     expected = farthest_point_sample(points, 20, 3, skip)
     allowed = (points**2).sum(-1) > (1e-3 if skip else -1.0)
-    found = kernels.farthest_indices(points, allowed, jnp.int32(3), 20, True)
+    found = farthest_indices(points, allowed, jnp.int32(3), 20, True)
     np.testing.assert_array_equal(found, expected)
 
 
