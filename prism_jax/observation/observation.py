@@ -109,7 +109,7 @@ def observe(
     sensor: Vector | Literal["origin"] | None = None,
     workspace: Workspace | None = None,
     margin: float = 1.25,
-    up: str = "z",
+    up: str | Vector = "z",
     heading: Heading = "given",
 ) -> Observation:
     """Points and a sensor in the user's frame as what the network reads.
@@ -151,16 +151,17 @@ def workspace_around(
     points: Float[Array | np.ndarray, "N 3"],
     sensor: Vector | Literal["origin"] | None = None,
     margin: float = 1.25,
-    up: str = "z",
+    up: str | Vector = "z",
     heading: Heading = "given",
     where: Bool[Array | np.ndarray, " N"] | None = None,
 ) -> Workspace:
     """The cube around a partial cloud: the longest side of its box times `margin`.
 
-    `up` is the axis of the user's frame that points upwards (`UP_AXES`): the weights
-    know upright objects. With the `heading` "level" the cube is turned about it as
-    `level_heading` says; with "given" it is not. `sensor` is as for `observe`, and the
-    points that `where` marks, or all, are as `Workspace.from_points` has them.
+    `up` is the direction of the user's frame that points upwards, as `upright` has it:
+    the weights know upright objects. With the `heading` "level" the cube is turned
+    about it as `level_heading` says; with "given" it is not. `sensor` is as for
+    `observe`, and the points that `where` marks, or all, are as `Workspace.from_points`
+    has them.
     """
     workspace = Workspace.from_points(points, margin, upright(up), where)
     if heading == "given":

@@ -1,8 +1,11 @@
-"""The axis of the user's frame that points upwards."""
+"""Which direction of the user's frame points upwards."""
+
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
+from prism_jax.geometry.camera import Vector
 from prism_jax.io.errors import InputError
 
 _TURNS = {
@@ -15,15 +18,58 @@ _TURNS = {
 }
 
 UP_AXES = tuple(_TURNS)
-"""What `upright` knows."""
+"""The names that `upright` knows."""
+
+_REMEDY = f"use one of {', '.join(UP_AXES)}, or three numbers such as 0,-0.8,-0.6"
 
 
-def upright(up: str) -> Float64[np.ndarray, "3 3"] | None:
-    """The rotation that takes one of `UP_AXES` to z, as `Workspace.rotation` has it.
+def upright(up: str | Vector) -> Float64[np.ndarray, "3 3"] | None:
+    """The rotation that takes up to z, as `Workspace.rotation` has it.
 
-    None for z itself. Any other name raises InputError.
+    `up` is one of `UP_AXES` or a vector of any length, for which it is the smallest
+    turn. None for the name z. Any other name, and a vector that is zero or not finite,
+    raise InputError. "auto" is for `find_up` to resolve beforehand.
     """
+    if not isinstance(up, str):
+        return _smallest_turn(_unit(up, "up", _REMEDY))
     if up not in _TURNS:
-        raise InputError(f"up={up}", "no such axis", f"use one of {', '.join(UP_AXES)}")
+        raise InputError(f"up={up}", "no such axis", _REMEDY)
     turn = _TURNS[up]
     return None if turn is None else np.array(turn, np.float64)
+
+
+def parse_up(text: str) -> str | Float64[np.ndarray, "3"]:
+    """What the flag `--up` says: an axis, "auto", or a unit vector from `x,y,z`.
+
+    Anything else raises InputError.
+    """
+    if text in UP_AXES or text == "auto":
+        return text
+    remedy = f"{_REMEDY}, or auto"
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        raise InputError("--up", f"cannot read {text!r}", remedy) from None
+    return _unit(numbers, "--up", remedy)
+
+
+def _unit(vector: Any, subject: str, remedy: str) -> Float64[np.ndarray, "3"]:
+    """The vector at length one, or InputError."""
+    vector = np.asarray(vector, np.float64)
+    if vector.shape != (3,):
+        raise InputError(subject, f"{vector.tolist()} is not three numbers", remedy)
+    if not np.isfinite(vector).all() or not vector.any():
+        raise InputError(subject, f"{vector.tolist()} points nowhere", remedy)
+    # Squares of very large or small numbers would not be representable.
+    vector = vector / np.abs(vector).max()
+    return vector / np.linalg.norm(vector)
+
+
+def _smallest_turn(up: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """The rotation about an axis across `up` and z that takes the one to the other."""
+    sine, cosine = np.hypot(up[0], up[1]), up[2]
+    ahead = up[:2] / sine if sine > 0 else np.array([0.0, 1.0])
+    # Along the horizontal part of up, across it, and z: the turn is about the second.
+    axes = np.array([[*ahead, 0.0], [-ahead[1], ahead[0], 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+    return axes.T @ turn @ axes

@@ -1,0 +1,67 @@
+"""Points thinned to one a cell, and what hangs together among them."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float64, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+CELLS = 128
+"""Along the longest side of a cloud's bulk."""
+
+NEIGHBOURS = 16
+"""So many nearest points can be linked to one."""
+
+
+def thin(
+    points: Float[np.ndarray, "N 3"], cells: int = CELLS
+) -> tuple[Float64[np.ndarray, "M 3"], Int[np.ndarray, " N"]]:
+    """The mean of the points in each occupied cell of a grid, and each point's cell.
+
+    The longest side of the bulk, which leaves out a hundredth of the points at each end
+    of each axis, holds `cells` of them. One point a cell means that a surface weighs as
+    much as it has area, however near the sensor it is.
+    """
+    points = np.asarray(points, np.float64)
+    if len(points) == 0:
+        return points, np.zeros(0, int)
+    origin = np.median(points, axis=0)
+    around = points - origin
+    rank = len(points) // 100
+    ordered = np.partition(around, (rank, len(points) - 1 - rank), axis=0)
+    side = (ordered[len(points) - 1 - rank] - ordered[rank]).max()
+    side = side if side > 0 else np.ptp(around, axis=0).max()
+    scale = cells / side if side > 0 else 0.0
+    index = np.clip(np.floor(around * scale), -(2**20), 2**20 - 1).astype(np.int64)
+    code = ((index[:, 0] << 42) + (index[:, 1] << 21)) + index[:, 2]
+    _, owner = np.unique(code, return_inverse=True)
+    counts = np.bincount(owner)
+    sums = [np.bincount(owner, column) for column in around.T]
+    return origin + np.stack(sums, axis=1) / counts[:, None], owner
+
+
+def components(
+    points: Float64[np.ndarray, "N D"], reach: Float64[np.ndarray, " N"]
+) -> Int[np.ndarray, " N"]:
+    """Numbers of connected groups; two points within both their reaches are linked.
+
+    Only the `NEIGHBOURS` nearest of each point are asked.
+    """
+    if len(points) < 2:
+        return np.zeros(len(points), int)
+    count = min(NEIGHBOURS + 1, len(points))
+    found: Any = KDTree(points).query(
+        points, k=count, distance_upper_bound=1.001 * reach.max()
+    )
+    apart, other = found
+    linked = np.isfinite(apart)
+    one = np.broadcast_to(np.arange(len(points))[:, None], other.shape)[linked]
+    other, apart = other[linked], apart[linked]
+    near = apart <= np.minimum(reach[one], reach[other])
+    graph = coo_array(
+        (np.ones(near.sum(), bool), (one[near], other[near])),
+        shape=(len(points), len(points)),
+    )
+    return connected_components(graph, directed=False)[1]

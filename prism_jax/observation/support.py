@@ -1,0 +1,155 @@
+"""The plane that objects stand on, and with it the way up."""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float, Float64
+from scipy.spatial import ConvexHull, KDTree, QhullError
+
+from prism_jax.geometry.camera import Vector
+from prism_jax.observation.clusters import components, thin
+from prism_jax.observation.planes import Plane, find_planes
+
+RIM = 0.01
+"""How far from a plane's border something is inside or outside, in its width."""
+
+WITHIN = 0.6
+"""The share of a cloud over, on or under a support, seen along its normal."""
+
+FLAT = 0.4
+"""The share of that which lies on the support."""
+
+BELOW = 0.15
+"""As many points as this, for each above a support, may lie below it."""
+
+FILLED = 0.5
+"""The share of a support's outline that has points."""
+
+MIN_CELLS = 10
+"""What stands on a support has so many cells of the thinned cloud."""
+
+MAX_TILT = 60.0
+"""In degrees from z, of a support whose side nobody's sensor tells."""
+
+REACH = 4.0
+"""Points no farther apart than so many spacings hang together."""
+
+
+class Up(NamedTuple):
+    """Which way is up, and what says so.
+
+    Attributes:
+      vector: of unit length, in the points' frame.
+      source: the normal of the "support" plane, the "camera" that was held upright, or
+        "z", the axis that is taken if nothing says more.
+    """
+
+    vector: Float64[np.ndarray, "3"]
+    source: Literal["support", "camera", "z"]
+
+
+def find_up(
+    points: Float[np.ndarray, "N 3"],
+    sensor: Vector | None = None,
+    camera_rotation: Float[Array | np.ndarray, "3 3"] | None = None,
+) -> Up:
+    """Up by the support plane; without one by the camera; without that, z.
+
+    `sensor` is as for `find_support`. `camera_rotation` is a known orientation of the
+    camera in the points' frame (`Camera.rotation`): up is then against its y axis,
+    which points down in the image.
+    """
+    support = find_support(points, sensor)
+    if support is not None:
+        return Up(support.normal, "support")
+    if camera_rotation is not None:
+        up = -np.asarray(camera_rotation, np.float64)[1]
+        return Up(up / np.linalg.norm(up), "camera")
+    return Up(np.array([0.0, 0.0, 1.0]), "z")
+
+
+def find_support(
+    points: Float[np.ndarray, "N 3"], sensor: Vector | None = None
+) -> Plane | None:
+    """The plane that objects stand on: a table, a floor; None if there is none.
+
+    Of the large planes it is the widest one that has objects on the sensor's side, and
+    next to nothing on the other. An object stands on it if most of it projects inside
+    the plane's border, if it is not higher than the plane is wide, and if it touches
+    the plane or hovers by no more than its own height (its foot may be hidden). Most of
+    the cloud must lie over the plane, and much of that on it. A face of an object is
+    no support: what is joined to it goes beyond its border or lies behind it. Neither
+    is a table with nothing on it, which could be a wall.
+
+    The normal points to the objects. `sensor` is the place the points were seen from.
+    If it is unknown, None or not finite, the objects' side is taken to be that of z,
+    and a plane tilted from it by over `MAX_TILT` to be none: the inner sides of single
+    objects would pass. The same points give the same plane. The unit does not matter.
+    """
+    cells, _ = thin(points)
+    best, widest = None, 0.0
+    for plane in find_planes(points):
+        side = _objects_side(plane, sensor)
+        area = 0.0 if side is None else _supporting_area(cells, side)
+        if area > widest:
+            best, widest = side, area
+    return best
+
+
+def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
+    """The plane with its normal to where objects can be, if they can be anywhere."""
+    if sensor is not None and np.isfinite(np.asarray(sensor)).all():
+        positive = plane.height(np.asarray(sensor, np.float64)[None])[0] > 0
+    elif np.abs(plane.normal[2]) < np.cos(np.deg2rad(MAX_TILT)):
+        return None
+    else:
+        positive = plane.normal[2] > 0
+    return plane if positive else plane.flipped()
+
+
+def _supporting_area(cells: Float64[np.ndarray, "N 3"], plane: Plane) -> float:
+    """The area of a plane that objects stand on; zero if it is none."""
+    height = plane.height(cells)
+    flat = (cells - cells.mean(axis=0)) @ np.linalg.svd(plane.normal[None])[2][1:].T
+    on = np.abs(height) <= plane.tolerance
+    spacing = np.median(KDTree(cells).query(cells, k=2)[0][:, 1])
+    base = _largest_pieces(flat[on], REACH * spacing)
+    try:
+        hull = ConvexHull(base)
+    except (QhullError, ValueError):
+        return 0.0
+    edges, offsets = hull.equations[:, :2], hull.equations[:, 2]
+    width = np.ptp(base @ edges.T, axis=0).min()
+    inside = -(flat @ edges.T + offsets).max(axis=1)
+
+    over = inside > -RIM * width
+    above = over & (height > plane.tolerance)
+    below = over & (height < -2.0 * plane.tolerance)
+    filled = len(np.unique(np.floor(base / (0.05 * width)), axis=0)) * 0.05**2
+    large = (
+        over.mean() >= WITHIN
+        and len(base) >= FLAT * (len(base) + (over & ~on).sum())
+        and filled * width**2 >= FILLED * hull.volume
+    )
+    if not large or below.sum() > BELOW * above.sum():
+        return 0.0
+
+    off = height > plane.tolerance
+    group = components(cells[off], np.full(off.sum(), REACH * spacing))
+    size = np.bincount(group)
+    top, foot = np.zeros(len(size)), np.full(len(size), np.inf)
+    np.maximum.at(top, group, height[off])
+    np.minimum.at(foot, group, height[off])
+    touches = foot <= np.maximum(plane.tolerance + REACH * spacing, 0.5 * top)
+    enclosed = np.bincount(group, inside[off] > RIM * width) >= 0.7 * size
+    proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance) & (top <= width)
+    return float(hull.volume) if (proper & enclosed & touches).any() else 0.0
+
+
+def _largest_pieces(
+    flat: Float64[np.ndarray, "N 2"], reach: float
+) -> Float64[np.ndarray, "M 2"]:
+    """Without what is cut off from the rest and small: where a plane meets others."""
+    piece = components(flat, np.full(len(flat), reach))
+    size = np.bincount(piece)
+    return flat[(size >= 0.2 * size.max())[piece]]
