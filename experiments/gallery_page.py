@@ -12,7 +12,6 @@ from PIL import ImageColor
 from scipy.spatial import KDTree
 
 from prism_jax import metrics
-from prism_jax.completion import keep_unmeasured
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
@@ -30,6 +29,7 @@ from prism_jax.figures import (
 from prism_jax.geometry.camera import Camera
 from prism_jax.observation.observation import Observation
 from prism_jax.report import viewing_direction
+from prism_jax.selection import keep_unmeasured
 from prism_jax.simulation.contact_sheet import Color, Row, draw_clouds
 
 COLUMNS = (

@@ -9,7 +9,6 @@ import jax
 import jax.export
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.spatial import KDTree
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
@@ -21,6 +20,7 @@ from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import Observation, observe, padded
+from prism_jax.selection import densify, select, surface_density
 from prism_jax.trace_cache import compile_cached
 from prism_jax.weights import load_pretrained
 
@@ -42,6 +42,9 @@ class CompletedScan:
         predicted points where nothing was measured.
       observed: True for a measured point.
       prediction: the network's own output, all of it.
+      left_away: how many predicted points are not among the added ones, and why:
+        "outside" the workspace, a "stray", "in_front" of what was measured, or "known"
+        (`prism_jax.selection`). One can be counted twice.
       left_out: how many measured points lie outside the workspace: strays, far from
         all others, unless the workspace was given. They are not among the points.
       accepted: whether the adapted completion is the one returned
@@ -60,6 +63,7 @@ class CompletedScan:
     observed: Bool[np.ndarray, " M"]
     prediction: Float[np.ndarray, "P 3"]
     left_out: int
+    left_away: dict[str, int]
     accepted: bool
     losses: dict[str, list[float]]
     weights: Float[np.ndarray, "3"]
@@ -105,6 +109,7 @@ class Completer:
         workspace: Workspace | None = None,
         adapt: bool = True,
         up: str = "z",
+        density: float = 1.0,
     ) -> CompletedScan:
         """Completes one scan.
 
@@ -115,7 +120,9 @@ class Completer:
         ``workspace`` is the cube to complete, taken from the points if it is None;
         points outside are left out and counted. ``adapt=False`` leaves out test-time
         adaptation. ``up`` is the axis of the user's frame that points upwards (x, y, z,
-        -x, -y or -z; -y for a camera's): the weights know upright objects.
+        -x, -y or -z; -y for a camera's): the weights know upright objects. Added points
+        are ``density`` times as dense as the measured ones where the network's output
+        is a surface, and never sparser than that; 0 leaves them as predicted.
         Points of another shape, complex or not finite, fewer than 64 distinct ones, an
         extent of zero or above 10,000, and a workspace without volume raise
         `prism_jax.io.InputError`.
@@ -134,7 +141,9 @@ class Completer:
         view = read.camera
         completion, seconds = self._run(adapt, read.partial, view)
         prediction = np.asarray(completion.points, np.float64)
-        kept = prediction[keep_unmeasured(prediction, unit, read.partial)]
+        eye = np.asarray(seen.eye) if seen.sensor_known else None
+        selection = select(prediction, unit, read.partial, eye)
+        kept = _dense(prediction[selection.kept], unit, density)
         added = seen.workspace.from_unit(kept).astype(points.dtype)
         together = np.concatenate([measured, added])
         return CompletedScan(
@@ -142,6 +151,11 @@ class Completer:
             observed=np.arange(len(together)) < len(measured),
             prediction=np.asarray(seen.workspace.from_unit(prediction)),
             left_out=len(points) - len(measured),
+            left_away={
+                reason: int(which.sum())
+                for reason, which in selection._asdict().items()
+                if reason != "kept"
+            },
             accepted=bool(completion.accepted),
             losses={
                 name: np.asarray(values, np.float64).tolist()
@@ -176,21 +190,20 @@ class Completer:
         return completion, {"compile": compiled - start, "run": done - compiled}
 
 
-def keep_unmeasured(
-    prediction: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
-    partial: Float[Array | np.ndarray, "M 3"],
-    spacing: float = 0.5,
-) -> Bool[np.ndarray, " P"]:
-    """Which predicted points to add to the measured ones: where nothing was measured.
-
-    All in one frame. A predicted point nearer to a measured one than ``spacing`` times
-    the typical distance between neighbours of the network's input says nothing new.
-    """
-    cloud = np.asarray(partial)
-    distinct = np.unique(cloud, axis=0)
-    apart = KDTree(distinct).query(distinct, k=2)[0][:, 1]
-    return KDTree(measured).query(prediction)[0] > spacing * np.median(apart)
+def _dense(
+    added: np.ndarray, measured: np.ndarray, density: float
+) -> Float[np.ndarray, "Q 3"]:
+    """The added points, between them so many more as a density is asked for."""
+    if density < 0 or not np.isfinite(density):
+        fault = f"cannot be {density}"
+        raise InputError("density", fault, "give 0 or a number of times, as 1")
+    if density == 0:
+        return added
+    predicted = surface_density(added)
+    if predicted == 0:
+        return added
+    dense = densify(added, density * surface_density(measured) / predicted)
+    return dense[(np.abs(dense) <= 1.0).all(axis=1)]
 
 
 def _checked(points: Any) -> Float[np.ndarray, "N 3"]:

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.completion import CompletedScan, Completer, _checked, keep_unmeasured
+from prism_jax.completion import CompletedScan, Completer, _checked
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.observation.observation import UNKNOWN_EYE
+from prism_jax.selection import keep_unmeasured
 from prism_jax.weights import save_weights
 
 FAR = np.array([10_000.0, -10_000.0, 500.0])
@@ -58,15 +59,32 @@ def test_measured_points_come_back_as_given(far):
     assert result.points.dtype == points.dtype
     assert result.points[result.observed].tobytes() == points.tobytes()
     assert np.array_equal(result.observed, np.arange(len(result.points)) < len(points))
-    assert 0 < (~result.observed).sum() <= len(result.prediction)
+    assert (~result.observed).any()
 
 
-def test_added_points_are_of_the_prediction(far):
+def test_added_points_are_of_the_prediction_and_between_them(far, completer):
     points, result = far
-    added = result.points[~result.observed]
+    plain = completer.complete(points, camera_at(EYE + FAR), density=0.0)
+    added = plain.points[~plain.observed]
     among = result.prediction.astype(points.dtype)
     assert {tuple(p) for p in added} <= {tuple(p) for p in among}
-    assert np.isfinite(result.points).all()
+    assert plain.left_away == result.left_away
+    kept = len(among) - max(plain.left_away.values())
+    assert 0 < len(added) <= kept
+    more = result.points[~result.observed]
+    np.testing.assert_array_equal(more[: len(added)], added)
+    assert np.isfinite(result.points).all() and len(more) > len(added)
+
+
+@pytest.mark.parametrize("density", [-1.0, np.nan, np.inf])
+def test_a_density_that_is_none_is_refused(completer, density):
+    with pytest.raises(InputError, match="density: cannot be"):
+        completer.complete(scan(), density=density)
+
+
+def test_nothing_is_added_outside_the_workspace(near):
+    unit = near.workspace.to_unit(near.points[~near.observed])
+    assert np.abs(unit).max() <= 1
 
 
 def test_the_workspace_is_the_users(far, minimal):

@@ -12,7 +12,6 @@ from experiments.assets import CELLS
 from experiments.benchmarks.measure import Row, in_turn, row
 from experiments.weights import located
 from prism_jax import metrics
-from prism_jax.completion import keep_unmeasured
 from prism_jax.data.ordering import farthest_point_order, first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
@@ -20,6 +19,7 @@ from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
 from prism_jax.evaluation.run import CompleteFn, evaluate, prism_completer
 from prism_jax.evaluation.scoring import EMD_POINTS
+from prism_jax.selection import keep_unmeasured
 from prism_jax.weights import load_pretrained
 
 MOST = 1 / 5

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from prism_jax import metrics
-from prism_jax.completion import keep_unmeasured
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.metrics import Scores
+from prism_jax.selection import keep_unmeasured
 
 EMD_POINTS = 1024
 """The exact earth mover's distance is computed between this many farthest points."""

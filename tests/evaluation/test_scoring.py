@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from prism_jax import metrics
-from prism_jax.completion import keep_unmeasured
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.evaluation.scoring import CLOUDS, EMD_POINTS, ExampleClouds, score
+from prism_jax.selection import keep_unmeasured
 
 RNG = np.random.default_rng(5)
 COMPLETE = RNG.normal(size=(1500, 3)) * [1.0, 0.5, 0.2]

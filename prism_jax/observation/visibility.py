@@ -1,0 +1,54 @@
+"""What a measured surface hides, and what would have hidden it."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+NUM_RAYS = 8
+"""Measured points about a line of sight that are asked."""
+
+REACH = 3.0
+"""In spacings: lines of sight that pass each other by less are neighbours."""
+
+MAX_MEASURED = 16_384
+"""Of a larger cloud, evenly spaced rows are asked."""
+
+
+def in_front(
+    points: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    eye: Float[np.ndarray, "3"],
+    spacing: float,
+    tolerance: float,
+) -> Bool[np.ndarray, " P"]:
+    """Which points would have hidden a measured surface from a sensor at `eye`.
+
+    `spacing` is the usual distance between measured neighbours. A point is in front if
+    something was measured about its line of sight, within `REACH` spacings at the
+    measured surface's usual distance, and all of it more than `tolerance` spacings
+    farther from the sensor. Behind the surface, and where nothing was measured, none
+    is.
+
+    All in one frame and unit of length. NumPy, not differentiable. Of two clouds of
+    which one is empty no point is in front.
+    """
+    if len(points) == 0 or len(measured) == 0:
+        return np.zeros(len(points), bool)
+    measured = measured[:: -(-len(measured) // MAX_MEASURED)]
+    sight, distance = _rays(measured, eye)
+    wanted, away = _rays(points, eye)
+    apart, rows = KDTree(sight).query(
+        wanted, k=NUM_RAYS, distance_upper_bound=REACH * spacing / np.median(distance)
+    )
+    near = np.isfinite(apart)
+    farther = np.append(distance, np.inf)[rows] - away[:, None] > tolerance * spacing
+    return near.any(axis=1) & (farther | ~near).all(axis=1)
+
+
+def _rays(
+    points: np.ndarray, eye: np.ndarray
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+    """Directions from the eye, and distances along them."""
+    rays = points - eye
+    distance = np.maximum(np.linalg.norm(rays, axis=1), np.finfo(np.float64).tiny)
+    return rays / distance[:, None], distance
