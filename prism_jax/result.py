@@ -21,6 +21,7 @@ def summarize(
     weights: str,
     adapt: bool,
     up: str,
+    density: float,
     bounds: str | None,
 ) -> dict[str, Any]:
     """The content of result.json except times and scores. Lengths in input units.
@@ -42,6 +43,8 @@ def summarize(
         "adapt": adapt,
         "accepted": bool(result.accepted),
         "points": {name: len(cloud) for name, cloud in clouds(result).items()},
+        "left_away": dict(result.left_away),
+        "density": density,
         "workspace": {
             "center": np.asarray(result.workspace.center),
             "half_extent": float(result.workspace.half_extent),

@@ -17,6 +17,7 @@ class Result:
     observed: np.ndarray
     prediction: np.ndarray
     left_out: int
+    left_away: dict
     accepted: bool
     losses: dict
     weights: np.ndarray
@@ -39,7 +40,9 @@ class FakeCompleter:
             raise InputError(name, "no such weights", "choose one of small")
         return cls()
 
-    def complete(self, points, camera=None, workspace=None, adapt=True, up="z"):
+    def complete(
+        self, points, camera=None, workspace=None, adapt=True, up="z", density=1.0
+    ):
         workspace = workspace or Workspace.from_points(points.astype(np.float64))
         prediction = 2 * workspace.center - points[::2]
         everything = np.concatenate([points, prediction.astype(points.dtype)])
@@ -51,6 +54,7 @@ class FakeCompleter:
             observed=np.arange(len(everything)) < len(points),
             prediction=prediction,
             left_out=0,
+            left_away={"outside": 0, "stray": 1, "in_front": 2, "known": 3},
             accepted=adapt,
             losses={name: np.geomspace(1, 0.5, steps).tolist() for name in LOSSES},
             weights=np.array([0.5, 0.25, 0.25], np.float32),

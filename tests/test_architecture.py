@@ -17,7 +17,7 @@ LAYERS = (
     "prism_jax.evaluation",
     "prism_jax.completion prism_jax.export",
     "prism_jax.weights",
-    "prism_jax.trace_cache",
+    "prism_jax.selection prism_jax.trace_cache",
     "prism_jax.report prism_jax.result",
     "prism_jax.figures",
     "prism_jax.simulation",

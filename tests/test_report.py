@@ -14,7 +14,7 @@ from tests.fake_completer import FakeCompleter
 POINTS = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32)
 
 
-ASKED = {"weights": "small", "up": "z", "bounds": None}
+ASKED = {"weights": "small", "up": "z", "bounds": None, "density": 1.0}
 
 
 class Outline(html.parser.HTMLParser):

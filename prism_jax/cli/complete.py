@@ -76,6 +76,13 @@ def define_flags() -> None:
         f"Name of released weights, or a file of them; {LIST} prints what ships.",
     )
     flags.DEFINE_bool("adapt", True, "Adapt the network to the scan first.")
+    flags.DEFINE_float(
+        "density",
+        1.0,
+        "Added points are so many times as dense as the measured ones, where the "
+        "network's output is a surface; 0 leaves them as predicted.",
+        lower_bound=0.0,
+    )
     flags.DEFINE_string("output_dir", "prism_output", "Where the results are written.")
 
 
@@ -93,6 +100,7 @@ def main() -> None:
         up=FLAGS.up,
         weights=FLAGS.weights,
         adapt=FLAGS.adapt,
+        density=FLAGS.density,
         output_dir=FLAGS.output_dir,
     )
     print(outcome(summary, FLAGS.output_dir))
@@ -108,6 +116,7 @@ def complete_file(
     up: str | None = None,
     weights: str = "small",
     adapt: bool = True,
+    density: float = 1.0,
     output_dir: str = "prism_output",
 ) -> dict[str, Any]:
     """Completes one scan and writes completed.ply, report.html and result.json.
@@ -136,7 +145,8 @@ def complete_file(
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     doing = "adapting to and completing" if adapt else "completing"
     with timed(f"{doing} {count}", "complete", seconds):
-        result = completer.complete(scan.points, camera=scan.camera, adapt=adapt, up=up)
+        asked = {"adapt": adapt, "up": up, "density": density}
+        result = completer.complete(scan.points, camera=scan.camera, **asked)
     if result.sensor == "unknown":
         say(
             "the origin is too far away to be the sensor's place, or among the points; "
@@ -146,8 +156,9 @@ def complete_file(
         count = f"{result.left_out:,} of {len(scan.points):,} points"
         say(f"{count} lie far from all others and were left out")
     seconds.update(result.seconds)
-    asked = {"weights": weights, "adapt": adapt, "up": up, "bounds": workspace}
-    summary = summarize(result, scan, source, **asked)
+    summary = summarize(
+        result, scan, source, weights=weights, bounds=workspace, **asked
+    )
     if truth is not None:
         with timed("scoring against the ground truth", "score", seconds):
             summary["scores"] = score(result, truth)

@@ -77,7 +77,13 @@ def test_every_flag_reaches_the_completion(monkeypatch):
     defaults = {name: argument.default for name, argument in arguments.items()}
     monkeypatch.setattr(complete, "complete_file", record)
     given = ["--input=a.ply", "--ground_truth", "b.ply", "--camera=c.json"]
-    given += ["--workspace=-1,-1,-1,1,1,1", "--up=-y", "--weights=w", "--noadapt"]
+    given += [
+        "--workspace=-1,-1,-1,1,1,1",
+        "--up=-y",
+        "--weights=w",
+        "--noadapt",
+        "--density=0.5",
+    ]
     given += ["--max_points=1000"]
     assert run(*given, "--output_dir=d") == 0
     assert run() == 0
@@ -90,6 +96,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "up": "-y",
         "weights": "w",
         "adapt": False,
+        "density": 0.5,
         "output_dir": "d",
     }
     assert asked == [expected, defaults]
