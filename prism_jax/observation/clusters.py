@@ -20,19 +20,15 @@ def thin(
 ) -> tuple[Float64[np.ndarray, "M 3"], Int[np.ndarray, " N"]]:
     """The mean of the points in each occupied cell of a grid, and each point's cell.
 
-    The longest side of the bulk, which leaves out a hundredth of the points at each end
-    of each axis, holds `cells` of them. One point a cell means that a surface weighs as
-    much as it has area, however near the sensor it is.
+    The `extent` is so many `cells` long. With one point a cell a surface weighs as much
+    as it has area, however near the sensor it is.
     """
     points = np.asarray(points, np.float64)
     if len(points) == 0:
         return points, np.zeros(0, int)
     origin = np.median(points, axis=0)
     around = points - origin
-    rank = len(points) // 100
-    ordered = np.partition(around, (rank, len(points) - 1 - rank), axis=0)
-    side = (ordered[len(points) - 1 - rank] - ordered[rank]).max()
-    side = side if side > 0 else np.ptp(around, axis=0).max()
+    side = extent(around)
     scale = cells / side if side > 0 else 0.0
     index = np.clip(np.floor(around * scale), -(2**20), 2**20 - 1).astype(np.int64)
     code = ((index[:, 0] << 42) + (index[:, 1] << 21)) + index[:, 2]
@@ -40,6 +36,25 @@ def thin(
     counts = np.bincount(owner)
     sums = [np.bincount(owner, column) for column in around.T]
     return origin + np.stack(sums, axis=1) / counts[:, None], owner
+
+
+def extent(points: Float64[np.ndarray, "N D"]) -> float:
+    """The longest side of the bulk: without a hundredth at each end of each axis.
+
+    Of all points where that is nothing.
+    """
+    if len(points) == 0:
+        return 0.0
+    rank = len(points) // 100
+    last = len(points) - 1 - rank
+    ordered = np.partition(points, (rank, last), axis=0)
+    side = (ordered[last] - ordered[rank]).max()
+    return float(side if side > 0 else np.ptp(points, axis=0).max())
+
+
+def spacing(points: Float64[np.ndarray, "N 3"]) -> float:
+    """The median distance to the nearest other point; of at least two."""
+    return float(np.median(KDTree(points).query(points, k=2)[0][:, 1]))
 
 
 def components(

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, QhullError
 
-from prism_jax.observation.clusters import thin
+from prism_jax.observation.clusters import components, extent, spacing, thin
 
 MAX_PLANES = 6
 """More are not looked for."""
@@ -16,6 +16,9 @@ NUM_TRIALS = 1000
 
 MAX_JUDGES = 3000
 """So many points, spread evenly, vote for the planes."""
+
+TILES = 20
+"""Along a plane: two of them without a point are a gap between two pieces."""
 
 COARSE = 0.01
 """The first tolerance, in longest sides of the cloud."""
@@ -66,8 +69,8 @@ def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
         return []
     center = cells.mean(axis=0)
     cells = cells - center
-    side = np.ptp(cells, axis=0).max()
-    spacing = np.median(KDTree(cells).query(cells, k=2)[0][:, 1])
+    side = extent(cells)
+    apart = spacing(cells)
     rng = np.random.default_rng(0)
     rest = np.ones(len(cells), bool)
     planes = []
@@ -77,7 +80,7 @@ def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
         plane = _consensus(cells[rest], COARSE * side, rng)
         if plane is None:
             break
-        plane = _refined(cells[rest], plane, spacing, COARSEST * side)
+        plane = _refined(cells[rest], plane, apart, COARSEST * side)
         on = rest & (np.abs(plane.height(cells)) <= plane.tolerance)
         if on.sum() < max(4, MIN_SHARE * len(cells)):
             break
@@ -86,6 +89,79 @@ def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
             offset = float(plane.offset + plane.normal @ center)
             planes.append(dataclasses.replace(plane, offset=offset))
     return planes
+
+
+@dataclasses.dataclass(frozen=True)
+class Outline:
+    """The convex hull of a plane's points, seen along its normal.
+
+    Attributes:
+      axes: two directions in the plane.
+      lines: of unit length and outwards, one for each side of the hull.
+      offsets: how far out these sides are.
+      area: of the hull.
+      width: the least distance between two parallel lines around it.
+      length: the longest side of its box along `axes`.
+      filled: the share of the area that has points.
+      count: how many points it is made of.
+    """
+
+    axes: Float64[np.ndarray, "2 3"]
+    lines: Float64[np.ndarray, "E 2"]
+    offsets: Float64[np.ndarray, " E"]
+    area: float
+    width: float
+    length: float
+    filled: float
+    count: int
+
+    def depth(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
+        """How far inside the hull points project; negative outside."""
+        outside = np.full(len(points), -np.inf)
+        flat = points @ self.axes.T
+        for line, offset in zip(self.lines, self.offsets, strict=True):
+            np.maximum(outside, flat @ line - offset, out=outside)
+        return -outside
+
+
+def outline(cells: Float64[np.ndarray, "N 3"], plane: Plane) -> Outline | None:
+    """Where a plane has points; None if they span no area.
+
+    Small parts apart from the others, such as where it meets other things, do not
+    count.
+    """
+    axes = np.linalg.svd(plane.normal[None])[2][1:]
+    flat = cells[np.abs(plane.height(cells)) <= plane.tolerance] @ axes.T
+    middle = flat.mean(axis=0) if len(flat) else np.zeros(2)
+    flat = flat - middle
+    flat = _largest_pieces(flat)
+    try:
+        hull = ConvexHull(flat)
+    except (QhullError, ValueError):
+        return None
+    lines = hull.equations[:, :2]
+    width = np.ptp(flat @ lines.T, axis=0).min()
+    tile = 0.05 * width
+    filled = len(np.unique(np.floor(flat / tile), axis=0)) * tile**2 / hull.volume
+    return Outline(
+        axes,
+        lines,
+        offsets=lines @ middle - hull.equations[:, 2],
+        area=float(hull.volume),
+        width=float(width),
+        length=float(np.ptp(flat, axis=0).max()),
+        filled=float(filled),
+        count=len(flat),
+    )
+
+
+def _largest_pieces(flat: Float64[np.ndarray, "N 2"]) -> Float64[np.ndarray, "M 2"]:
+    """Those of at least a fifth of the largest one's points."""
+    tiles, owner = thin(np.pad(flat, [(0, 0), (0, 1)]), TILES)
+    reach = 2.0 * extent(flat) / TILES
+    piece = components(tiles, np.full(len(tiles), reach))[owner]
+    size = np.bincount(piece)
+    return flat[(size >= 0.2 * size.max(initial=0))[piece]]
 
 
 def _consensus(
@@ -108,7 +184,7 @@ def _consensus(
 
 
 def _refined(
-    points: Float64[np.ndarray, "N 3"], plane: Plane, spacing: float, largest: float
+    points: Float64[np.ndarray, "N 3"], plane: Plane, apart: float, largest: float
 ) -> Plane:
     """By least squares over its points, of which each round finds the noise anew."""
     for _ in range(10):
@@ -121,6 +197,6 @@ def _refined(
         normal = axes[:, 0]
         off = np.abs((near - mean) @ normal)
         sigma = 1.4826 * np.median(off)
-        tolerance = min(largest, max(3.0 * sigma, 0.5 * spacing))
+        tolerance = min(largest, max(3.0 * sigma, 0.5 * apart))
         plane = Plane(normal, float(normal @ mean), float(tolerance))
     return plane

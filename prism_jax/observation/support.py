@@ -4,11 +4,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Float64
-from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from prism_jax.geometry.camera import Vector
-from prism_jax.observation.clusters import components, thin
-from prism_jax.observation.planes import Plane, find_planes
+from prism_jax.observation.clusters import components, spacing, thin
+from prism_jax.observation.planes import Plane, find_planes, outline
 
 RIM = 0.01
 """How far from a plane's border something is inside or outside, in its width."""
@@ -109,47 +108,32 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
 
 def _supporting_area(cells: Float64[np.ndarray, "N 3"], plane: Plane) -> float:
     """The area of a plane that objects stand on; zero if it is none."""
-    height = plane.height(cells)
-    flat = (cells - cells.mean(axis=0)) @ np.linalg.svd(plane.normal[None])[2][1:].T
-    on = np.abs(height) <= plane.tolerance
-    spacing = np.median(KDTree(cells).query(cells, k=2)[0][:, 1])
-    base = _largest_pieces(flat[on], REACH * spacing)
-    try:
-        hull = ConvexHull(base)
-    except (QhullError, ValueError):
+    reach = REACH * spacing(cells)
+    border = outline(cells, plane)
+    if border is None:
         return 0.0
-    edges, offsets = hull.equations[:, :2], hull.equations[:, 2]
-    width = np.ptp(base @ edges.T, axis=0).min()
-    inside = -(flat @ edges.T + offsets).max(axis=1)
-
-    over = inside > -RIM * width
+    height, depth = plane.height(cells), border.depth(cells)
+    rim = RIM * border.width
+    over = depth > -rim
+    on = np.abs(height) <= plane.tolerance
     above = over & (height > plane.tolerance)
     below = over & (height < -2.0 * plane.tolerance)
-    filled = len(np.unique(np.floor(base / (0.05 * width)), axis=0)) * 0.05**2
     large = (
         over.mean() >= WITHIN
-        and len(base) >= FLAT * (len(base) + (over & ~on).sum())
-        and filled * width**2 >= FILLED * hull.volume
+        and border.count >= FLAT * (border.count + (over & ~on).sum())
+        and border.filled >= FILLED
     )
     if not large or below.sum() > BELOW * above.sum():
         return 0.0
 
     off = height > plane.tolerance
-    group = components(cells[off], np.full(off.sum(), REACH * spacing))
+    group = components(cells[off], np.full(off.sum(), reach))
     size = np.bincount(group)
     top, foot = np.zeros(len(size)), np.full(len(size), np.inf)
     np.maximum.at(top, group, height[off])
     np.minimum.at(foot, group, height[off])
-    touches = foot <= np.maximum(plane.tolerance + REACH * spacing, 0.5 * top)
-    enclosed = np.bincount(group, inside[off] > RIM * width) >= 0.7 * size
-    proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance) & (top <= width)
-    return float(hull.volume) if (proper & enclosed & touches).any() else 0.0
-
-
-def _largest_pieces(
-    flat: Float64[np.ndarray, "N 2"], reach: float
-) -> Float64[np.ndarray, "M 2"]:
-    """Without what is cut off from the rest and small: where a plane meets others."""
-    piece = components(flat, np.full(len(flat), reach))
-    size = np.bincount(piece)
-    return flat[(size >= 0.2 * size.max())[piece]]
+    touches = foot <= np.maximum(plane.tolerance + reach, 0.5 * top)
+    enclosed = np.bincount(group, depth[off] > rim) >= 0.7 * size
+    proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance)
+    proper &= top <= border.width
+    return border.area if (proper & enclosed & touches).any() else 0.0
