@@ -1,80 +1,38 @@
 """Scans in the user's frame and units, completed."""
 
-import dataclasses
 import pathlib
 import time
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.export
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
-from prism_jax.adaptation.test_time import Completion, make_adapt
-from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.render import render_depth
+from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
+from prism_jax.completed import CompletedScan, CompletedScene, assemble, in_one_scene
+from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.observation.observation import Observation, observe, padded
-from prism_jax.selection import densify, select, surface_density
+from prism_jax.observation.observation import Observation, observe
+from prism_jax.observation.scene import Scene, split_scene
+from prism_jax.observation.support import Up, find_up
+from prism_jax.observation.upright import upright
 from prism_jax.trace_cache import compile_cached
 from prism_jax.weights import load_pretrained
 
-DEPTH_PIXELS = 128
-
-_render = jax.jit(render_depth)
+SLOTS = 8
+"""Objects that one compiled call completes, at most."""
 
 for kind in (Completion, Losses):
     name = f"prism_jax.{kind.__name__}"
     jax.export.register_namedtuple_serialization(kind, serialized_name=name)
-
-
-@dataclasses.dataclass(frozen=True)
-class CompletedScan:
-    """A completed scan, in the user's frame and units.
-
-    Attributes:
-      points: the measured points inside the workspace, exactly as given, and then the
-        predicted points where nothing was measured.
-      observed: True for a measured point.
-      prediction: the network's own output, all of it.
-      left_away: how many predicted points are not among the added ones, and why:
-        "outside" the workspace, a "stray", "in_front" of what was measured, or "known"
-        (`prism_jax.selection`). One can be counted twice.
-      left_out: how many measured points lie outside the workspace: strays, far from
-        all others, unless the workspace was given. They are not among the points.
-      accepted: whether the adapted completion is the one returned
-        (`prism_jax.adaptation.test_time.Completion` says what that means).
-      losses: the terms of Eq. 13 before each step and after the last.
-      weights: of normals, denoising and alignment in them.
-      workspace: the cube that was completed.
-      camera: the view that depths were compared in.
-      sensor: where it stands: "given", at the "origin", or "unknown".
-      depth_observed, mask_observed: the measured points in that view.
-      depth_completed, mask_completed: the completed ones.
-      seconds: spent on compiling and on running.
-    """
-
-    points: Float[np.ndarray, "M 3"]
-    observed: Bool[np.ndarray, " M"]
-    prediction: Float[np.ndarray, "P 3"]
-    left_out: int
-    left_away: dict[str, int]
-    accepted: bool
-    losses: dict[str, list[float]]
-    weights: Float[np.ndarray, "3"]
-    workspace: Workspace
-    camera: Camera
-    sensor: str
-    depth_observed: Float[np.ndarray, "H W"]
-    mask_observed: Bool[np.ndarray, "H W"]
-    depth_completed: Float[np.ndarray, "H W"]
-    mask_completed: Bool[np.ndarray, "H W"]
-    seconds: dict[str, float]
 
 
 class Completer:
@@ -108,10 +66,10 @@ class Completer:
         camera: Camera | None = None,
         workspace: Workspace | None = None,
         adapt: bool = True,
-        up: str = "z",
+        up: str | Vector = "z",
         density: float = 1.0,
     ) -> CompletedScan:
-        """Completes one scan.
+        """Completes one scan of one object.
 
         Points are in any unit of length and any frame, the same for all arguments.
         ``camera`` says where the sensor stood. If it is None, that is the origin, or
@@ -119,91 +77,204 @@ class Completer:
         view is aimed at the points from there, so that its pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
         points outside are left out and counted. ``adapt=False`` leaves out test-time
-        adaptation. ``up`` is the axis of the user's frame that points upwards (x, y, z,
-        -x, -y or -z; -y for a camera's): the weights know upright objects. Added points
-        are ``density`` times as dense as the measured ones where the network's output
-        is a surface, and never sparser than that; 0 leaves them as predicted.
+        adaptation. ``up`` is the direction in the user's frame that points upwards, for
+        the weights know upright objects: an axis (x, y, z, -x, -y or -z; -y for a
+        camera's), a vector, or "auto" (`prism_jax.observation.support.find_up`). Added
+        points are ``density`` times as dense as the measured ones where the network's
+        output is a surface, and never sparser than that; 0 leaves them as predicted.
         Points of another shape, complex or not finite, fewer than 64 distinct ones, an
-        extent of zero or above 10,000, and a workspace without volume raise
-        `prism_jax.io.InputError`.
+        extent of zero or above 10,000, a workspace without volume, and an ``up`` or a
+        ``density`` that is none raise `prism_jax.io.InputError`.
         """
         points = _checked(points)
+        _check_density(density)
         if workspace is None:
             check_cloud(points, "points")
         else:
             _check_workspace(workspace)
-        sensor = "origin" if camera is None else np.asarray(camera.position)
-        model = self.config.model
-        seen = observe(points, sensor, workspace, model.margin, up, model.heading)
-        measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
-        check_cloud(measured, "points inside the workspace")
-        read = seen.sampled(model.backbone.num_points)
-        view = read.camera
-        completion, seconds = self._run(adapt, read.partial, view)
-        prediction = np.asarray(completion.points, np.float64)
-        eye = np.asarray(seen.eye) if seen.sensor_known else None
-        selection = select(prediction, unit, read.partial, eye)
-        kept = _dense(prediction[selection.kept], unit, density)
-        added = seen.workspace.from_unit(kept).astype(points.dtype)
-        together = np.concatenate([measured, added])
-        return CompletedScan(
-            points=together,
-            observed=np.arange(len(together)) < len(measured),
-            prediction=np.asarray(seen.workspace.from_unit(prediction)),
-            left_out=len(points) - len(measured),
-            left_away={
-                reason: int(which.sum())
-                for reason, which in selection._asdict().items()
-                if reason != "kept"
-            },
-            accepted=bool(completion.accepted),
-            losses={
-                name: np.asarray(values, np.float64).tolist()
-                for name, values in completion.losses._asdict().items()
-            },
-            weights=np.asarray(completion.weights),
-            workspace=seen.workspace,
-            camera=seen.camera_to_user(view),
-            sensor=_told(camera, seen),
-            **_depth_maps(unit, kept, view, seen.workspace),
+        up, _ = _resolved(up, points, camera)
+        task = self._task(points, camera, workspace, up)
+        completion, seconds = self._run(adapt, task.read.partial, task.view)
+        return assemble(
+            *task,
+            completion,
+            density=density,
+            camera_given=camera is not None,
             seconds=seconds,
         )
 
+    def complete_scene(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None = None,
+        adapt: bool = True,
+        up: str | Vector = "auto",
+        density: float = 1.0,
+        scene: Scene | None = None,
+    ) -> CompletedScene:
+        """Completes every object of a scene, each in a workspace of its own.
+
+        What objects stand on and walls are set aside, and so are outliers and what is
+        too small (`split_scene`, whose result for the same points can be given). One
+        compiled function completes all objects, `SLOTS` in a call. Arguments and errors
+        are those of `complete`.
+        """
+        points = _checked(points)
+        _check_density(density)
+        check_cloud(points, "points")
+        up, up_source = _resolved(up, points, camera)
+        if scene is None:
+            scene = split_scene(points, up, _seen_from(points, camera))
+        tasks = [
+            self._task(points[scene.object == number], camera, None, up)
+            for number in range(len(scene.num_points))
+        ]
+        objects = []
+        for start in range(0, len(tasks), SLOTS):
+            batch = tasks[start : start + SLOTS]
+            completions, seconds = self._run_together(adapt, batch)
+            for task, completion in zip(batch, completions, strict=True):
+                done = assemble(
+                    *task,
+                    completion,
+                    density=density,
+                    camera_given=camera is not None,
+                    seconds=seconds,
+                )
+                objects.append(done)
+        turn = upright(up)
+        vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
+        return in_one_scene(
+            points, scene.object, objects, scene.planes, vertical, up_source
+        )
+
+    def split_scene(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None = None,
+        up: str | Vector = "auto",
+    ) -> Scene:
+        """Which points are whose; see `prism_jax.observation.scene.split_scene`."""
+        points = _checked(points)
+        up, _ = _resolved(up, points, camera)
+        return split_scene(points, up, _seen_from(points, camera))
+
+    def _task(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None,
+        workspace: Workspace | None,
+        up: str | Vector,
+    ) -> "_Task":
+        sensor = "origin" if camera is None else np.asarray(camera.position)
+        model = self.config.model
+        seen = observe(points, sensor, workspace, model.margin, up, model.heading)
+        check_cloud(points[seen.inside], "points inside the workspace")
+        read = seen.sampled(model.backbone.num_points)
+        return _Task(points, seen, read, read.camera)
+
     def _run(
-        self, adapt: bool, partial: Array | np.ndarray, view: Camera
+        self, adapt: bool, partial: Any, view: Camera
     ) -> tuple[Completion, dict[str, float]]:
         start = time.perf_counter()
         arguments = (self.variables, partial, view)
-        if adapt not in self._compiled:
-            steps = self.config.adapt.num_steps if adapt else 0
-            config = self.config.with_adapt(num_steps=steps)
-            fn = make_adapt(config)
-            if self._trace_dir is None:
-                call = jax.jit(fn).lower(*arguments).compile()
-            else:
-                call = compile_cached(fn, arguments, self._trace_dir, config)
-            self._compiled[adapt] = call
+        call = self._compile(lambda adapt: adapt, adapt, arguments)
         compiled = time.perf_counter()
-        completion = self._compiled[adapt](*arguments)
-        completion = jax.block_until_ready(completion)
+        completion = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
         return completion, {"compile": compiled - start, "run": done - compiled}
 
+    def _run_together(
+        self, adapt: bool, tasks: Sequence["_Task"]
+    ) -> tuple[list[Completion], dict[str, float]]:
+        """Completions of at most `SLOTS` tasks, and the seconds that each took."""
+        start = time.perf_counter()
+        filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
+        inputs = [(task.read.partial, task.view) for task in filled]
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
+        arguments = (self.variables, *stacked, np.arange(SLOTS) < len(tasks))
+        call = self._compile(_in_slots, adapt, arguments)
+        compiled = time.perf_counter()
+        together = jax.device_get(call(*arguments))
+        spent = time.perf_counter() - compiled
+        completions = [
+            jax.tree.map(lambda leaf, row=row: leaf[row], together)
+            for row in range(len(tasks))
+        ]
+        seconds = {"compile": compiled - start, "run": spent / len(tasks)}
+        return completions, seconds
 
-def _dense(
-    added: np.ndarray, measured: np.ndarray, density: float
-) -> Float[np.ndarray, "Q 3"]:
-    """The added points, between them so many more as a density is asked for."""
-    if density < 0 or not np.isfinite(density):
-        fault = f"cannot be {density}"
-        raise InputError("density", fault, "give 0 or a number of times, as 1")
-    if density == 0:
-        return added
-    predicted = surface_density(added)
-    if predicted == 0:
-        return added
-    dense = densify(added, density * surface_density(measured) / predicted)
-    return dense[(np.abs(dense) <= 1.0).all(axis=1)]
+    def _compile(
+        self,
+        make: Callable[[AdaptFn], Callable[..., Completion]],
+        adapt: bool,
+        arguments: tuple[Any, ...],
+    ) -> Callable[..., Completion]:
+        """What ``make`` makes of the adaptation function, compiled once."""
+        key = (len(arguments), adapt)
+        if key not in self._compiled:
+            steps = self.config.adapt.num_steps if adapt else 0
+            config = self.config.with_adapt(num_steps=steps)
+            fn = make(make_adapt(config))
+            if self._trace_dir is None:
+                self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
+            else:
+                self._compiled[key] = compile_cached(
+                    fn, arguments, self._trace_dir, config
+                )
+        return self._compiled[key]
+
+
+class _Task(NamedTuple):
+    """One object's points, what was made of them, and what the network reads."""
+
+    points: Float[np.ndarray, "N 3"]
+    seen: Observation
+    read: Observation
+    view: Camera
+
+
+def _in_slots(adapt: AdaptFn) -> Callable[..., Completion]:
+    """The adaptation of several frames one after another; empty slots cost nothing."""
+
+    def in_slots(
+        variables: Variables, partials: Any, views: Camera, used: Any
+    ) -> Completion:
+        def one(partial: Any, view: Camera) -> Completion:
+            # Each frame's encoders would be as large as the network.
+            return adapt(variables, partial, view)._replace(encoders={})
+
+        shapes = jax.eval_shape(
+            one, *jax.tree.map(lambda leaf: leaf[0], (partials, views))
+        )
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        return jax.lax.map(
+            lambda slot: jax.lax.cond(slot[2], one, lambda *_: nothing, *slot[:2]),
+            (partials, views, used),
+        )
+
+    return in_slots
+
+
+def _resolved(
+    up: str | Vector, points: np.ndarray, camera: Camera | None
+) -> tuple[str | Vector, str]:
+    """Up as `upright` takes it, and what says so."""
+    if not (isinstance(up, str) and up == "auto"):
+        upright(up)
+        return up, "given"
+    rotation = None if camera is None else camera.rotation
+    found: Up = find_up(points, _seen_from(points, camera), rotation)
+    return found.vector, found.source
+
+
+def _seen_from(
+    points: np.ndarray, camera: Camera | None
+) -> Float[np.ndarray, "3"] | None:
+    """Where the sensor of a whole cloud stood, if anything says so."""
+    if camera is not None:
+        return np.asarray(camera.position, np.float64)
+    return np.zeros(3) if observe(points, "origin").sensor_known else None
 
 
 def _checked(points: Any) -> Float[np.ndarray, "N 3"]:
@@ -230,22 +301,7 @@ def _check_workspace(workspace: Workspace) -> None:
         raise InputError("workspace", fault, "give finite numbers, the latter positive")
 
 
-def _told(camera: Camera | None, seen: Observation) -> str:
-    """`CompletedScan.sensor`."""
-    if not seen.sensor_known:
-        return "unknown"
-    return "origin" if camera is None else "given"
-
-
-def _depth_maps(
-    measured: np.ndarray, added: np.ndarray, view: Camera, workspace: Workspace
-) -> dict[str, np.ndarray]:
-    """Depth of the measured and of all points, in the user's units."""
-    view = view.resized(DEPTH_PIXELS, DEPTH_PIXELS)
-    maps = {}
-    clouds = {"observed": measured, "completed": np.concatenate([measured, added])}
-    for name, cloud in clouds.items():
-        depth, mask = _render(padded(cloud).astype(np.float32), view)
-        maps[f"depth_{name}"] = np.asarray(depth) * workspace.half_extent
-        maps[f"mask_{name}"] = np.asarray(mask)
-    return maps
+def _check_density(density: float) -> None:
+    if density < 0 or not np.isfinite(density):
+        fault = f"cannot be {density}"
+        raise InputError("density", fault, "give 0 or a number of times, as 1")

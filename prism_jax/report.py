@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from plotly.offline import get_plotlyjs
 
 from prism_jax.assets import asset
+from prism_jax.completed import CompletedScene
 from prism_jax.figures import (
     COMPLETED_COLOR,
     GROUND_TRUTH_COLOR,
@@ -96,6 +97,31 @@ def render_report(
     )
 
 
+def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> str:
+    """The report of a scene: all of it in 3D, and a row for each object.
+
+    `summary` is the content of `result.json`.
+    """
+    measured, added = scene.points[scene.observed], scene.points[~scene.observed]
+    of_objects = scene.object[scene.observed] >= 0
+    panel = Panel(
+        f"{len(scene.objects)} objects",
+        [
+            Cloud("support and the rest", measured[~of_objects], GROUND_TRUTH_COLOR),
+            Cloud("observed", measured[of_objects], OBSERVED_COLOR),
+            Cloud("completed", added, COMPLETED_COLOR),
+        ],
+    )
+    if scene.objects:
+        toward = -np.asarray(scene.objects[0].camera.rotation, np.float64)[2]
+    else:
+        toward = np.asarray(scene.up)
+    clouds = clouds_figure([panel], toward, np.asarray(scene.up))
+    page = _page("scene.html")
+    figure = _figure(clouds, "clouds", modeBarButtons=_CLOUD_BUTTONS)
+    return page.render(summary=summary, plotly=get_plotlyjs(), clouds=figure)
+
+
 def viewing_direction(
     camera: Camera, axis_up: str = "z", turn_degrees: float = 35.0
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -131,10 +157,10 @@ def _panels(result: Completed, ground_truth: np.ndarray | None) -> list[Panel]:
     return panels
 
 
-def _page() -> jinja2.Template:
+def _page(name: str = "report.html") -> jinja2.Template:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     environment.filters["number"] = _number
-    return environment.from_string(asset("report.html").read_text(encoding="utf-8"))
+    return environment.from_string(asset(name).read_text(encoding="utf-8"))
 
 
 def _verdict(summary: Mapping[str, Any]) -> dict[str, str]:

@@ -13,22 +13,52 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.weighting import BRANCHES
 
 
-def summarize(
-    result: Any,
-    scan: io.Scan,
-    source: str,
-    *,
-    weights: str,
-    adapt: bool,
-    up: str,
-    density: float,
-    bounds: str | None,
-) -> dict[str, Any]:
+def summarize(result: Any, scan: io.Scan, source: str, **asked: Any) -> dict[str, Any]:
     """The content of result.json except times and scores. Lengths in input units.
 
-    ``result`` is a `prism_jax.completion.CompletedScan` of ``scan``, which was read
-    from ``source``; the others are what the user asked for.
+    ``result`` is a `prism_jax.completed.CompletedScan` of ``scan``, which was read from
+    ``source``; the others are what the user asked for: ``weights``, ``adapt``, ``up``,
+    ``density``, and the ``bounds`` of the workspace.
     """
+    bounds = asked.pop("bounds")
+    own = _of_object(result)
+    own["workspace"]["bounds"] = bounds
+    about = _about(scan, source)
+    about["input"]["points_left_out"] = result.left_out
+    return {**about, **asked, **own, "ground_truth": None, "scores": None}
+
+
+def summarize_scene(
+    scene: Any, scan: io.Scan, source: str, **asked: Any
+) -> dict[str, Any]:
+    """The same of a `prism_jax.completed.CompletedScene`: each object's part of it is
+    an entry of ``objects``, in the order of their numbers."""
+    bounds = asked.pop("bounds")
+    measured = scene.object[scene.observed]
+    counts = {
+        "partial": len(measured),
+        "completed": len(scene.points),
+        "support": int((measured == -1).sum()),
+        "left_over": int((measured == -2).sum()),
+    }
+    planes = [
+        {"normal": np.asarray(plane.normal), "offset": float(plane.offset)}
+        for plane in scene.planes
+    ]
+    return {
+        **_about(scan, source),
+        **asked,
+        "up": np.asarray(scene.up),
+        "up_source": scene.up_source,
+        "bounds": bounds,
+        "points": counts,
+        "planes": planes,
+        "objects": [_of_object(one) for one in scene.objects],
+    }
+
+
+def _about(scan: io.Scan, source: str) -> dict[str, Any]:
+    """What a result says of the software and its input."""
     return {
         "prism_jax": _version(),
         "input": {
@@ -36,26 +66,26 @@ def summarize(
             "points_read": len(scan.points) + scan.num_outside + scan.num_not_finite,
             "points_not_finite": scan.num_not_finite,
             "points_outside": scan.num_outside,
-            "points_left_out": result.left_out,
         },
-        "ground_truth": None,
-        "weights": weights,
-        "adapt": adapt,
+    }
+
+
+def _of_object(result: Any) -> dict[str, Any]:
+    """What it says of one completed object."""
+    verdict = result.verdict
+    return {
+        "verdict": None if verdict is None else verdict._asdict(),
         "accepted": bool(result.accepted),
         "points": {name: len(cloud) for name, cloud in clouds(result).items()},
         "left_away": dict(result.left_away),
-        "density": density,
         "workspace": {
             "center": np.asarray(result.workspace.center),
             "half_extent": float(result.workspace.half_extent),
-            "bounds": bounds,
         },
         "camera": io.camera_to_dict(result.camera),
-        "up": up,
         "sensor": result.sensor,
         "losses": dict(result.losses),
         "loss_weights": dict(zip(BRANCHES, result.weights, strict=True)),
-        "scores": None,
     }
 
 

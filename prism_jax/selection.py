@@ -65,7 +65,7 @@ def select(
     reasons.
     """
     spacing = usual_spacing(np.asarray(partial))
-    outside = ~(np.abs(prediction) <= 1.0).all(axis=1)
+    outside = np.asarray(~(np.abs(prediction) <= 1.0).all(axis=1))
     stray = _lonely(prediction, measured)
     hides = np.zeros(len(prediction), bool)
     if eye is not None:
@@ -120,7 +120,7 @@ def surface_density(cloud: Float[np.ndarray, "N 3"]) -> float:
     distinct = np.unique(cloud, axis=0)
     if len(distinct) <= NUM_NEAR:
         return 0.0
-    apart = KDTree(distinct).query(distinct, k=[NUM_NEAR + 1])[0]
+    apart = KDTree(distinct).query(distinct, k=NUM_NEAR + 1)[0][:, -1]
     return float(NUM_NEAR / (np.pi * np.median(apart) ** 2))
 
 
@@ -147,7 +147,7 @@ def _middles(
     """Middles of edges between near neighbours, no two of them close together."""
     apart, rows = KDTree(points).query(points, k=NUM_EDGES + 1)
     first = np.repeat(np.arange(len(points)), NUM_EDGES)
-    second, length = rows[:, 1:].ravel(), apart[:, 1:].ravel()
+    second, length = np.asarray(rows)[:, 1:].ravel(), apart[:, 1:].ravel()
     # A missing neighbour is infinitely far away.
     edges = np.flatnonzero((length > 0) & (length <= longest))
     pairs = np.unique(np.sort([first[edges], second[edges]], axis=0), axis=1)

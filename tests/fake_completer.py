@@ -1,38 +1,20 @@
 """A stand-in for `prism_jax.completion` that completes in no time, and badly."""
 
-import dataclasses
-
 import numpy as np
 
+from prism_jax.completed import CompletedScan, in_one_scene
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError
+from prism_jax.observation.planes import Plane
+from prism_jax.observation.scene import SUPPORT, Scene
 
 LOSSES = ("objective", "depth_consistency", "normal", "denoise", "align")
 
 
-@dataclasses.dataclass(frozen=True)
-class Result:
-    points: np.ndarray
-    observed: np.ndarray
-    prediction: np.ndarray
-    left_out: int
-    left_away: dict
-    accepted: bool
-    losses: dict
-    weights: np.ndarray
-    workspace: Workspace
-    camera: Camera
-    sensor: str
-    depth_observed: np.ndarray
-    mask_observed: np.ndarray
-    depth_completed: np.ndarray
-    mask_completed: np.ndarray
-    seconds: dict
-
-
 class FakeCompleter:
-    """Mirrors the cloud in its centre."""
+    """Mirrors the cloud in its centre. A scene's objects are those beyond x = 10, 20,
+    ..., and its support all points below z = 0."""
 
     @classmethod
     def from_pretrained(cls, name: str) -> "FakeCompleter":
@@ -49,7 +31,7 @@ class FakeCompleter:
         steps = 4 if adapt else 1
         mask = np.arange(128 * 128).reshape(128, 128) % 3 == 0
         depth = np.where(mask, 1.5, 0.0).astype(np.float32)
-        return Result(
+        return CompletedScan(
             points=everything,
             observed=np.arange(len(everything)) < len(points),
             prediction=prediction,
@@ -66,4 +48,22 @@ class FakeCompleter:
             depth_completed=depth,
             mask_completed=~mask,
             seconds={"compile": 12.5, "run": 0.25},
+        )
+
+    def split_scene(self, points, camera=None, up="auto"):
+        number = np.maximum(np.floor(points[:, 0] / 10).astype(int), 0)
+        number = np.where(points[:, 2] < 0, SUPPORT, number)
+        sizes = np.bincount(number[number >= 0]).tolist()
+        support = int((number == SUPPORT).sum())
+        planes = (Plane(np.array([0, 0, 1.0]), 0.0, 0.1),) if support else ()
+        return Scene(number, planes, tuple(sizes), support, 0)
+
+    def complete_scene(self, points, camera=None, *, scene, up="auto", **asked):
+        objects = [
+            self.complete(points[scene.object == i], camera, **asked)
+            for i in range(len(scene.num_points))
+        ]
+        vertical = np.array([0.0, 0.0, 1.0])
+        return in_one_scene(
+            points, scene.object, objects, scene.planes, vertical, "support"
         )

@@ -59,7 +59,7 @@ def run(folder, code: str) -> str:
 
 def test_every_example_is_run_here():
     found = {name: len(codes) for name, codes in EXAMPLES.items() if codes}
-    assert found == {"README.md": 1, "python.md": 1, "data.md": 1}
+    assert found == {"README.md": 1, "python.md": 2, "data.md": 1}
     assert all('"small"' in EXAMPLES[n][0] for n in ("README.md", "python.md"))
 
 
@@ -79,6 +79,21 @@ def test_inside_ones_own_jax_code(folder, minimal):
     half = 0.5 * minimal.model.margin * np.ptp(scan, axis=0).max()
     middle = 0.5 * (scan.min(0) + scan.max(0))
     assert (np.abs(metres - middle) <= half * (1 + 1e-5)).all()
+
+
+@pytest.mark.slow
+def test_a_scene(folder):
+    """A box on a table, seen from above."""
+    rng = np.random.default_rng(0)
+    table = rng.uniform(-3, 3, (4000, 3)) * [1, 1, 1e-3]
+    box = rng.uniform(-0.5, 0.5, (600, 3)) + [0, 0, 0.5]
+    box[:, 2] = np.where(rng.random(600) < 0.5, 1.0, box[:, 2])
+    points = np.concatenate([table, box]) - [0, 0, 8]
+    np.save(folder / "scan.npy", points.astype(np.float32))
+    printed = run(folder, GIVEN + EXAMPLES["python.md"][1] + "print(len(table))")
+    first, last = printed.split("\n")[0], printed.split()[-1]
+    assert first.startswith("0 ") and "measured" in first and "added" in first
+    assert 3900 < int(last) < 4100
 
 
 def test_ones_own_recordings(folder):

@@ -7,8 +7,13 @@ import pytest
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io import Scan
-from prism_jax.report import Completed, render_report, viewing_direction
-from prism_jax.result import plain, score, summarize
+from prism_jax.report import (
+    Completed,
+    render_report,
+    render_scene_report,
+    viewing_direction,
+)
+from prism_jax.result import plain, score, summarize, summarize_scene
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32)
@@ -135,3 +140,19 @@ def test_viewing_direction_is_near_the_cameras_own():
     angle = np.rad2deg(np.arccos(toward_viewer @ toward_camera))
     assert 30 < angle < 45
     assert toward_viewer @ up > toward_camera @ up
+
+
+def test_a_scene_has_a_row_for_each_object():
+    points = np.random.default_rng(0).uniform(1, 2, (300, 3))
+    points[200:] += [10, 0, 0]
+    points[:50, 2] = -1
+    completer = FakeCompleter()
+    taken_apart = completer.split_scene(points)
+    scene = completer.complete_scene(points, scene=taken_apart)
+    scan = Scan(points, None, 0, 0)
+    asked = ASKED | {"adapt": True}
+    summary = plain(summarize_scene(scene, scan, "<scan>.ply", **asked))
+    page = render_scene_report(scene, summary)
+    assert "<h1>&lt;scan&gt;.ply: 2 objects</h1>" in page and "<scan>" not in page
+    assert "50 points lie on planes" in page and page.count("<td>unknown</td>") == 4
+    assert Outline(page).fetched == []

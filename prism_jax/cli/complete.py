@@ -1,18 +1,21 @@
-"""prism-complete: a partial scan in; the completed cloud, its figures and a report out.
+"""prism-complete: partial scans in; completed clouds, their figures and reports out.
 
     prism-complete --input=scan.ply --output_dir=out
+    prism-complete scan.ply others/ --output_dir=out
 
-Without --input it completes a sample that ships with the package. If the input cannot
-be used, it ends with status 2 and one line on stderr.
+Without a scan it completes a sample that ships with the package. If the input cannot be
+used, it ends with status 2 and one line on stderr. Of several inputs the others are
+done, and the status is 1 unless none could be used.
 """
 
 import contextlib
+import functools
 import json
 import pathlib
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,13 +23,32 @@ from absl import flags
 
 from prism_jax import io
 from prism_jax.assets import asset
-from prism_jax.cli.launch import launch
-from prism_jax.report import render_report
-from prism_jax.result import plain, score, summarize
+from prism_jax.cli.index import index_page
+from prism_jax.cli.launch import SomeFailed, launch
+from prism_jax.observation.upright import parse_up
+from prism_jax.report import render_report, render_scene_report
+from prism_jax.result import plain, score, summarize, summarize_scene
 
 FLAGS = flags.FLAGS
 NAME = "prism-complete"
 LIST = "list"
+
+_SETTINGS = (
+    "ground_truth",
+    "camera",
+    "workspace",
+    "max_points",
+    "up",
+    "objects",
+    "weights",
+    "adapt",
+    "density",
+    "output_dir",
+)
+"""The flags that are arguments of `complete_file`."""
+
+_SCANS = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".csv", ".png")
+"""What is taken from a folder."""
 
 PATIENCE = 2.0
 """Seconds after which a step says what it is doing."""
@@ -62,13 +84,21 @@ def define_flags() -> None:
         "A file of more points or pixels is refused before it is read.",
         lower_bound=1,
     )
-    flags.DEFINE_enum(
+    flags.DEFINE_string(
         "up",
         None,
-        ["x", "y", "z", "-x", "-y", "-z"],
-        "Axis of the input that points upwards. If not given, -y for a depth "
-        "image in its camera's own axes, and z for one whose camera is turned by "
-        "10 degrees or more (--camera) and for a cloud.",
+        "Direction of the input that points upwards: x, y, z, -x, -y, -z, three "
+        "numbers x,y,z, or auto: across the plane that objects stand on, as the "
+        "camera was held, or z. If not given, -y for a depth image in its camera's "
+        "own axes, and z for one whose camera is turned by 10 degrees or more "
+        "(--camera) and for a cloud.",
+    )
+    flags.DEFINE_enum(
+        "objects",
+        "auto",
+        ["auto", "one"],
+        "auto: planes that objects stand on are set aside, and each object is "
+        "completed by itself. one: all points are one object.",
     )
     flags.DEFINE_string(
         "weights",
@@ -86,34 +116,28 @@ def define_flags() -> None:
     flags.DEFINE_string("output_dir", "prism_output", "Where the results are written.")
 
 
-def main() -> None:
-    """Does what the flags ask for."""
+def main(inputs: Sequence[str] = ()) -> None:
+    """Does what the flags ask for, with scans and folders of scans beside --input."""
     if FLAGS.weights == LIST:
         print(weight_cards())
         return
-    summary = complete_file(
-        input=FLAGS.input,
-        ground_truth=FLAGS.ground_truth,
-        camera=FLAGS.camera,
-        workspace=FLAGS.workspace,
-        max_points=FLAGS.max_points,
-        up=FLAGS.up,
-        weights=FLAGS.weights,
-        adapt=FLAGS.adapt,
-        density=FLAGS.density,
-        output_dir=FLAGS.output_dir,
-    )
-    print(outcome(summary, FLAGS.output_dir))
+    settings = {name: getattr(FLAGS, name) for name in _SETTINGS}
+    if inputs:
+        complete_files([*([FLAGS.input] if FLAGS.input else []), *inputs], **settings)
+    else:
+        summary = complete_file(FLAGS.input, **settings)
+        print(outcome(summary, FLAGS.output_dir))
 
 
 def complete_file(
-    *,
     input: str | None = None,
+    *,
     ground_truth: str | None = None,
     camera: str | None = None,
     workspace: str | None = None,
     max_points: int = io.MAX_POINTS,
     up: str | None = None,
+    objects: str = "auto",
     weights: str = "small",
     adapt: bool = True,
     density: float = 1.0,
@@ -121,13 +145,15 @@ def complete_file(
 ) -> dict[str, Any]:
     """Completes one scan and writes completed.ply, report.html and result.json.
 
-    The arguments are the flags of the command. Returns the content of result.json,
-    which is written last. Everything the user can put right raises an InputError, and
-    all that can be known to be wrong does so before the weights are loaded. What takes
-    over two seconds says so on stderr.
+    The arguments are the flags of the command. A scan that `objects` "auto" takes apart
+    is completed object by object; one with a ground truth never is. Returns the content
+    of result.json, which is written last. Everything the user can put right raises an
+    InputError, and all that can be known to be wrong does so before the weights are
+    loaded. What takes over two seconds says so on stderr.
     """
     seconds: dict[str, float] = {}
     bounds = None if workspace is None else io.parse_bounds(workspace)
+    direction = None if up is None else parse_up(up)
     source = str(asset("sample.ply")) if input is None else input
     truth = None
     with timed(f"reading {source}", "read", seconds):
@@ -141,12 +167,26 @@ def complete_file(
     folder = io.make_output_dir(output_dir)
     with timed(f"loading the weights {weights}", "load", seconds):
         completer = load_completer(weights)
-    up = up or ("-y" if scan.in_camera_frame else "z")
+    if direction is None:
+        direction = "-y" if scan.in_camera_frame else "z"
+    scene, taken_apart = None, False
+    if objects == "auto" and truth is None:
+        with timed("looking for objects", "split", seconds):
+            scene = completer.split_scene(scan.points, scan.camera, direction)
+            taken_apart = bool(scene.planes) or len(scene.num_points) > 1
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     doing = "adapting to and completing" if adapt else "completing"
+    asked = {"adapt": adapt, "up": direction, "density": density}
     with timed(f"{doing} {count}", "complete", seconds):
-        asked = {"adapt": adapt, "up": up, "density": density}
-        result = completer.complete(scan.points, camera=scan.camera, **asked)
+        if taken_apart:
+            result = completer.complete_scene(
+                scan.points, scan.camera, scene=scene, **asked
+            )
+        else:
+            result = completer.complete(scan.points, scan.camera, **asked)
+    about = {"weights": weights, "bounds": workspace, **asked}
+    if taken_apart:
+        return _write_scene(folder, result, scan, source, about, seconds)
     if result.sensor == "unknown":
         say(
             "the origin is too far away to be the sensor's place, or among the points; "
@@ -156,21 +196,82 @@ def complete_file(
         count = f"{result.left_out:,} of {len(scan.points):,} points"
         say(f"{count} lie far from all others and were left out")
     seconds.update(result.seconds)
-    summary = summarize(
-        result, scan, source, weights=weights, bounds=workspace, **asked
-    )
+    summary = summarize(result, scan, source, **about)
     if truth is not None:
         with timed("scoring against the ground truth", "score", seconds):
             summary["scores"] = score(result, truth)
         summary["ground_truth"] = {"file": ground_truth, "points": len(truth)}
     summary["seconds"] = seconds
     with timed(f"writing to {folder}", "write", seconds):
-        _write(folder, result, plain(summary), truth)
+        report = render_report(result, plain(summary), truth)
+        cloud = io.ply_bytes(result.points, ~result.observed)
+        _write(folder, cloud, report, plain(summary))
     return plain(summary)
 
 
+def complete_files(
+    inputs: Sequence[str], *, output_dir: str, **settings: Any
+) -> dict[str, dict[str, Any]]:
+    """Completes several scans, each into a folder of its own, with an index page.
+
+    ``inputs`` are files and folders of them, ``settings`` the arguments of
+    `complete_file` for all. The network is compiled once. Returns the results by the
+    folders' names. What cannot be used is told at the end, when everything else is
+    done: SomeFailed is raised then, or an InputError if nothing could be used.
+    """
+    if settings.get("ground_truth") is not None:
+        fault = "is of one scan, and there are several"
+        raise io.InputError("--ground_truth", fault, "score them one by one")
+    jobs = _jobs(inputs)
+    folder = io.make_output_dir(output_dir)
+    done: dict[str, dict[str, Any]] = {}
+    faults: list[io.InputError] = []
+    for number, (name, path) in enumerate(jobs.items(), 1):
+        say(f"{number} of {len(jobs)}: {path}")
+        try:
+            own = str(folder / name)
+            done[name] = complete_file(str(path), output_dir=own, **settings)
+        except io.InputError as error:
+            faults.append(error)
+    failed = [str(error) for error in faults]
+    page = index_page(done, failed)
+    io.write_together({folder / "index.html": page.encode(errors="backslashreplace")})
+    print(f"written     {output_dir}: index.html and {len(done)} folders")
+    if faults and not done:
+        raise faults[0]
+    if faults:
+        raise SomeFailed(failed)
+    return done
+
+
+def _jobs(inputs: Sequence[str]) -> dict[str, pathlib.Path]:
+    """The files that the inputs name, by the folder that each is written to."""
+    paths: list[pathlib.Path] = []
+    for given in map(pathlib.Path, inputs):
+        if given.is_dir():
+            inside = sorted(p for p in given.iterdir() if p.suffix.lower() in _SCANS)
+            if not inside:
+                remedy = f"it takes {' '.join(_SCANS)}"
+                raise io.InputError(given, "is a folder without scans", remedy)
+            paths += inside
+        else:
+            paths.append(given)
+    jobs: dict[str, pathlib.Path] = {}
+    for path in paths:
+        name, again = path.stem, 1
+        while name in jobs:
+            again += 1
+            name = f"{path.stem}-{again}"
+        jobs[name] = path
+    return jobs
+
+
+@functools.cache
 def load_completer(weights: str) -> Any:
-    """The completer, imported this late so that bad input is refused in a moment."""
+    """The completer, imported this late so that bad input is refused in a moment.
+
+    The same one for the same weights, so that several scans compile once.
+    """
     from prism_jax.completion import Completer
 
     return Completer.from_pretrained(weights, io.default_cache_dir() / "traced")
@@ -186,18 +287,23 @@ def weight_cards() -> str:
 
 
 def outcome(summary: dict[str, Any], output_dir: str) -> str:
-    """What was done, in three lines."""
+    """What was done, in a few lines."""
+    written = f"written     {output_dir}: completed.ply, result.json, report.html"
     partial, completed = (summary["points"][k] for k in ("partial", "completed"))
+    counts = f"points      {partial:,} observed, {completed - partial:,} added"
+    if "objects" in summary:
+        support, rest = (summary["points"][k] for k in ("support", "left_over"))
+        objects = (
+            f"objects     {len(summary['objects'])}; {support:,} points are of planes "
+            f"that were set aside, {rest:,} of no object"
+        )
+        return f"{objects}\n{counts}\n{written}"
     adapted = "not asked for"
     if summary["adapt"] and len(summary["losses"]["objective"]) == 1:
         adapted = "none, these weights take no step"
     elif summary["adapt"]:
         adapted = "accepted" if summary["accepted"] else "not accepted, left out"
-    return (
-        f"points      {partial:,} observed, {completed - partial:,} added\n"
-        f"adaptation  {adapted}\n"
-        f"written     {output_dir}: completed.ply, result.json, report.html"
-    )
+    return f"{counts}\nadaptation  {adapted}\n{written}"
 
 
 @contextlib.contextmanager
@@ -221,16 +327,29 @@ def say(text: str) -> None:
     print(f"{NAME}: {text}", file=sys.stderr, flush=True)
 
 
-def _write(
+def _write_scene(
     folder: pathlib.Path,
     result: Any,
-    summary: Mapping[str, Any],
-    ground_truth: np.ndarray | None,
+    scan: io.Scan,
+    source: str,
+    about: Mapping[str, Any],
+    seconds: dict[str, float],
+) -> dict[str, Any]:
+    """Writes a scene's files and returns the content of result.json."""
+    summary = {**summarize_scene(result, scan, source, **about), "seconds": seconds}
+    with timed(f"writing to {folder}", "write", seconds):
+        report = render_scene_report(result, plain(summary))
+        cloud = io.ply_bytes(result.points, ~result.observed, result.object)
+        _write(folder, cloud, report, plain(summary))
+    return plain(summary)
+
+
+def _write(
+    folder: pathlib.Path, cloud: bytes, report: str, summary: Mapping[str, Any]
 ) -> None:
     text = json.dumps(summary, indent=2, allow_nan=False)
-    report = render_report(result, summary, ground_truth)
     contents = {
-        "completed.ply": io.ply_bytes(result.points, ~result.observed),
+        "completed.ply": cloud,
         # A file's name may hold bytes that are no UTF-8.
         "report.html": report.encode(errors="backslashreplace"),
         "result.json": (text + "\n").encode(),
@@ -241,7 +360,7 @@ def _write(
 def run() -> None:
     """The entry point of `prism-complete`."""
     define_flags()
-    launch(NAME, main, stray="input")
+    launch(NAME, main, takes_words=True)
 
 
 if __name__ == "__main__":

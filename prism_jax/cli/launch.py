@@ -14,19 +14,24 @@ from prism_jax.io.files import default_cache_dir
 FLAGS = flags.FLAGS
 
 
-def launch(name: str, main: Callable[[], None], stray: str = "name") -> None:
+class SomeFailed(Exception):
+    """Several inputs were asked for, and some could not be used; the lines say why."""
+
+
+def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> None:
     """Runs ``main`` under absl.
 
     An `InputError` or a fault in the flags ends in one line on stderr and status 2,
-    Ctrl-C in one line and status 130.
-    ``stray`` is the flag that a word without a flag was probably meant for.
+    `SomeFailed` in a line for each and status 1, Ctrl-C in one line and status 130.
+    ``main`` gets the words that are no flags if it takes them; else there must be none.
     """
 
-    def without_arguments(argv: Sequence[str]) -> None:
+    def with_words(argv: Sequence[str]) -> None:
+        if takes_words:
+            return main(argv[1:])
         if len(argv) > 1:
-            value = "value for each" if stray == "name" else argv[1]
-            raise InputError(argv[1], "is no flag", f"write --{stray}={value}")
-        main()
+            raise InputError(argv[1], "is no flag", "write --name=value for each")
+        return main()
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A folder's name may hold what the terminal cannot show.
@@ -37,9 +42,11 @@ def launch(name: str, main: Callable[[], None], stray: str = "name") -> None:
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:
-        app.run(without_arguments, flags_parser=FLAGS)
+        app.run(with_words, flags_parser=FLAGS)
     except InputError as error:
         _end(name, str(error))
+    except SomeFailed as error:
+        _end(name, f"\n{name}: ".join(error.args[0]), status=1)
     except flags.Error as error:
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
     except KeyboardInterrupt:

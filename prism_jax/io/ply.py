@@ -10,7 +10,7 @@ import struct
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from prism_jax.io import atomic
 from prism_jax.io.arrays import stack_columns
@@ -19,6 +19,8 @@ from prism_jax.io.text import parse_rows
 
 OBSERVED, COMPLETED = 0, 1
 """Values of the `label` property."""
+
+OBJECTS = "object -1: support or wall, -2: none, else the object's number"
 
 COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34)}
 
@@ -89,17 +91,21 @@ def write_ply(
 
 
 def ply_bytes(
-    points: Float[np.ndarray, "M 3"], labels: Bool[np.ndarray, " M"] | None = None
+    points: Float[np.ndarray, "M 3"],
+    labels: Bool[np.ndarray, " M"] | None = None,
+    objects: Int[np.ndarray, " M"] | None = None,
 ) -> bytes:
     """A file of points, which `read_ply` reads back bit for bit.
 
     With `labels`, True for completed points, each has a `label` (0 observed,
-    1 completed) and a colour. Binary little-endian, x y z in the type of `points`
-    (float32 or float64).
+    1 completed) and a colour; with `objects` too, the number of an `object`. Binary
+    little-endian, x y z in the type of `points` (float32 or float64).
     """
     scalar = "double" if points.dtype == np.float64 else "float"
     marks = () if labels is None else ("label", "red", "green", "blue")
     kinds = {**dict.fromkeys(_AXES, scalar), **dict.fromkeys(marks, "uchar")}
+    if objects is not None:
+        kinds["object"] = "int"
     fields = [(name, f"<{_TYPES[kind]}") for name, kind in kinds.items()]
     vertices = np.empty(len(points), fields)
     for axis, column in zip(_AXES, points.T, strict=True):
@@ -109,10 +115,13 @@ def ply_bytes(
         palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
         for name, shades in zip(marks[1:], palette.T, strict=True):
             vertices[name] = shades[vertices["label"]]
+    if objects is not None:
+        vertices["object"] = objects
     header = [
         "ply",
         "format binary_little_endian 1.0",
         *(["comment label 0: observed, 1: completed"] if marks else []),
+        *([f"comment {OBJECTS}"] if objects is not None else []),
         f"element vertex {len(points)}",
         *(f"property {kind} {name}" for name, kind in kinds.items()),
         "end_header\n",

@@ -1,5 +1,6 @@
 """The command: what it prints, and how it ends."""
 
+import functools
 import inspect
 import json
 import os
@@ -8,6 +9,7 @@ import subprocess
 import sys
 
 import numpy as np
+import plyfile
 import pytest
 
 from prism_jax.cli import complete
@@ -15,6 +17,7 @@ from prism_jax.weights import available_weights
 from tests import launching
 from tests.fake_completer import FakeCompleter
 
+LOAD_COMPLETER = complete.load_completer
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 POINTS = np.random.default_rng(0).uniform(1, 2, size=(200, 3)).astype(np.float32)
 CAMERA = {"width": 64, "height": 48, "fx": 40, "fy": 40, "cx": 31.5, "cy": 23.5}
@@ -66,8 +69,8 @@ def test_completes_a_scan(capsys):
 def test_every_flag_reaches_the_completion(monkeypatch):
     asked = []
 
-    def record(**given):
-        asked.append(given)
+    def record(input, **given):
+        asked.append({"input": input, **given})
         points = {"partial": 0, "completed": 0}
         losses = {"objective": [2.0, 1.0]}
         told = {"points": points, "adapt": given["adapt"], "accepted": False}
@@ -83,6 +86,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "--weights=w",
         "--noadapt",
         "--density=0.5",
+        "--objects=one",
     ]
     given += ["--max_points=1000"]
     assert run(*given, "--output_dir=d") == 0
@@ -97,13 +101,14 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "weights": "w",
         "adapt": False,
         "density": 0.5,
+        "objects": "one",
         "output_dir": "d",
     }
     assert asked == [expected, defaults]
 
 
 def test_interrupted_it_ends_in_one_line(monkeypatch, capsys):
-    def interrupt(**_):
+    def interrupt(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(complete, "complete_file", interrupt)
@@ -168,7 +173,9 @@ FAULTS = [
     (["--inptu=scan.npy"], "Unknown command line flag 'inptu'"),
     (["--adapt=perhaps"], "flag --adapt=perhaps"),
     (["--camera"], "Missing value for flag --camera"),
-    (["other.npy"], "other.npy: is no flag; write --input=other.npy"),
+    (["--up=w"], "--up: cannot read 'w'; use one of x, y, z"),
+    (["--up=0,0,0"], "--up: [0.0, 0.0, 0.0] points nowhere"),
+    (["--objects=two"], "flag --objects=two"),
 ]
 
 
@@ -186,7 +193,7 @@ def test_bad_input_ends_with_one_line_and_status_2(capsys, given, fault):
 
 
 def test_a_bug_is_not_hidden(monkeypatch):
-    def fail(**asked):
+    def fail(*_, **__):
         raise KeyError("a bug")
 
     monkeypatch.setattr(complete, "complete_file", fail)
@@ -211,3 +218,99 @@ def test_as_a_process():
     assert ended.stdout == ""
     expected = "prism-complete: missing.ply: no such file; check the path\n"
     assert ended.stderr == expected
+
+
+@pytest.fixture
+def several(folder):
+    """Two scans beside each other, and what is none of them."""
+    (folder / "scans").mkdir()
+    np.save(folder / "scans" / "a.npy", POINTS)
+    np.save(folder / "scans" / "b.npy", POINTS + 1)
+    (folder / "scans" / "notes.md").touch()
+    return folder / "scans"
+
+
+def test_several_scans_have_a_folder_each_and_an_index(several, capsys):
+    assert run("scans", "scan.npy", "scans/a.npy", "--output_dir=out") == 0
+    printed = capsys.readouterr()
+    folders = ["a", "a-2", "b", "scan"]
+    assert sorted(os.listdir("out")) == sorted([*folders, "index.html"])
+    for name in folders:
+        assert sorted(os.listdir(f"out/{name}")) == [
+            "completed.ply",
+            "report.html",
+            "result.json",
+        ]
+    page = pathlib.Path("out/index.html").read_text()
+    assert all(f'href="{name}/report.html"' in page for name in folders)
+    assert "Not completed" not in page
+    assert "prism-complete: 2 of 4: scans/b.npy\n" in printed.err
+    assert printed.out == "written     out: index.html and 4 folders\n"
+
+
+def test_the_weights_are_loaded_once(several, monkeypatch):
+    loaded = []
+
+    def load(name):
+        loaded.append(name)
+        return FakeCompleter.from_pretrained(name)
+
+    monkeypatch.setattr(complete, "load_completer", functools.cache(load))
+    assert run("scans", "scan.npy") == 0
+    assert loaded == ["small"]
+    assert hasattr(LOAD_COMPLETER, "cache_info")
+
+
+def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
+    assert run("few.npy", "scans", "missing.ply", "--output_dir=out") == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-2].startswith("prism-complete: few.npy: has 63 distinct points")
+    assert lines[-1].startswith("prism-complete: missing.ply: no such file")
+    assert sorted(os.listdir("out")) == ["a", "b", "index.html"]
+    page = pathlib.Path("out/index.html").read_text()
+    assert "Not completed" in page and "missing.ply: no such file" in page
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        (["few.npy", "missing.ply"], "few.npy: has 63 distinct points"),
+        (["nothing"], "nothing: is a folder without scans; it takes .ply"),
+        (["scans", "--ground_truth=scan.npy"], "--ground_truth: is of one scan"),
+    ],
+)
+def test_if_none_can_be_used_the_status_is_2(several, capsys, given, fault):
+    os.mkdir("nothing")
+    assert run(*given) == 2
+    assert f"prism-complete: {fault}" in capsys.readouterr().err
+
+
+@pytest.fixture
+def scene(folder):
+    """Two objects on a support."""
+    clouds = [POINTS, POINTS[:150] + [10, 0, 0], POINTS[:90] - [0, 0, 5]]
+    np.save(folder / "scene.npy", np.concatenate(clouds).astype(np.float32))
+
+
+def test_a_scene_comes_back_as_its_objects(scene, capsys):
+    assert run("--input=scene.npy", "--output_dir=out") == 0
+    assert capsys.readouterr().out == (
+        "objects     2; 90 points are of planes that were set aside, 0 of no object\n"
+        "points      440 observed, 175 added\n"
+        "written     out: completed.ply, result.json, report.html\n"
+    )
+    result = json.loads(pathlib.Path("out/result.json").read_text())
+    assert [one["points"]["partial"] for one in result["objects"]] == [200, 150]
+    assert result["up_source"] == "support" and len(result["planes"]) == 1
+    vertices = plyfile.PlyData.read("out/completed.ply")["vertex"]
+    assert np.bincount(vertices["object"] + 1).tolist() == [90, 300, 225]
+    assert vertices["label"].sum() == 175
+    assert (vertices["label"][:440] == 0).all()
+
+
+def test_one_object_if_asked_for(scene):
+    assert run("--input=scene.npy", "--objects=one", "--output_dir=out") == 0
+    result = json.loads(pathlib.Path("out/result.json").read_text())
+    assert result["points"]["partial"] == 440 and "objects" not in result
+    assert run("--input=scene.npy", "--ground_truth=scan.npy", "--output_dir=b") == 0
+    assert json.loads(pathlib.Path("b/result.json").read_text())["scores"]

@@ -1,0 +1,166 @@
+"""What turning, tilting, thinning, noise and cropping do to completions.
+
+    python -m experiments.robustness --weights=small --output=FILE.json
+
+Every view of a validation split is shifted (`experiments.shifts`) and completed as a
+user's scan is, by `Completer`.
+"""
+
+import json
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from absl import flags
+from tqdm import tqdm
+
+from experiments.output import prepare_output
+from experiments.shifts import SHIFTS, View
+from experiments.weights import located
+from prism_jax import io, metrics
+from prism_jax.cli.launch import launch
+from prism_jax.completion import Completer
+from prism_jax.data.datasets import digest_of, open_dataset, validation_split
+from prism_jax.data.pipeline import with_partial
+from prism_jax.evaluation.tables import short
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.atomic import write_bytes
+from prism_jax.io.errors import choose
+from prism_jax.observation.support import find_up
+from prism_jax.observation.upright import upright
+from prism_jax.training.run import commit
+
+FLAGS = flags.FLAGS
+
+COLUMNS = {
+    "CD-L2 x1e4": ("cd_l2", np.mean, 1e4),
+    "median": ("cd_l2", np.median, 1e4),
+    "prediction to truth x1e4": ("prediction_to_truth", np.mean, 1e4),
+    "truth to prediction x1e4": ("truth_to_prediction", np.mean, 1e4),
+    "CD-L1 x1e3": ("cd_l1", np.mean, 1e3),
+}
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("weights", "small", "A name, or a file.")
+    flags.DEFINE_enum("dataset", "shapes", ("shapes", "roboarm"), "Whose validation.")
+    flags.DEFINE_multi_string("scan", [], "Real scans instead, with --ground_truth.")
+    flags.DEFINE_string("ground_truth", None, "The true shape of those scans.")
+    flags.DEFINE_string("up", "z", "Axis of the real scans that points upwards.")
+    flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
+    flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
+    flags.DEFINE_bool("adapt", True, "Adapt to each view.")
+    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+
+
+def main() -> None:
+    """Shifts, completes, scores, writes and prints the table."""
+    prepare_output(FLAGS.output, ".json")
+    for name in FLAGS.shift:
+        choose("shift", name, SHIFTS)
+    completer = Completer.from_pretrained(located(FLAGS.weights))
+    views, about = _views()
+    rows = {}
+    with tqdm(total=len(FLAGS.shift) * len(views), mininterval=2.0) as bar:
+        for name in FLAGS.shift:
+            scores = []
+            for number, view in enumerate(views):
+                shifted = SHIFTS[name](view, np.random.default_rng(number))
+                scores.append(score(completer, shifted, FLAGS.adapt))
+                bar.update()
+            rows[name] = _summary(scores)
+    result = {"commit": commit(), "weights": FLAGS.weights, **about, "shifts": rows}
+    text = robustness_markdown(result)
+    print(text)
+    if FLAGS.output is not None:
+        path = pathlib.Path(FLAGS.output)
+        write_bytes(path, json.dumps(result, indent=1).encode())
+        write_bytes(path.with_suffix(".md"), text.encode())
+
+
+def score(completer: Completer, view: View, adapt: bool) -> dict[str, dict[str, float]]:
+    """The scores of the partial and of what a user gets, by cloud and metric.
+
+    A view with a table is completed with the way up that the table says.
+    """
+    camera, up = None, "z"
+    if view.eye is not None:
+        camera = Camera.look_at(view.eye, view.partial.mean(axis=0))
+    if view.table is not None:
+        up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
+    done = completer.complete(view.partial, camera, adapt=adapt, up=up)
+    unit = Workspace.from_points(view.complete, 1.0)
+    truth = np.asarray(unit.to_unit(view.complete))
+    clouds = {"partial": view.partial, "completed": done.points}
+    return {
+        name: metrics.score(np.asarray(unit.to_unit(cloud)), truth).named()
+        for name, cloud in clouds.items()
+    }
+
+
+def robustness_markdown(result: Mapping[str, Any]) -> str:
+    """A row for each shift."""
+    lines = [
+        f"`{result['weights']}`, commit {short(result['commit'] or 'unknown')}, "
+        f"{result['views']} views of {result['data']}. "
+        f"Unit of length: {metrics.UNIT}.\n",
+        f"| shift | the partial's CD-L2 x1e4 | {' | '.join(COLUMNS)} |",
+        f"| --- | --- |{' --- |' * len(COLUMNS)}",
+    ]
+    for name, row in result["shifts"].items():
+        cells = [f"{row['completed'][column]:.4g}" for column in COLUMNS]
+        partial = f"{row['partial']['CD-L2 x1e4']:.4g}"
+        lines.append(f"| {name} | {partial} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _views() -> tuple[list[View], dict[str, Any]]:
+    """The views that are shifted, and what the result says of them."""
+    if FLAGS.scan:
+        if FLAGS.ground_truth is None:
+            fault = "is missing, and --scan has nothing to be compared with"
+            raise io.InputError("--ground_truth", fault, "give the true shape")
+        turn = Workspace(np.zeros(3), np.ones(()), upright(FLAGS.up))
+        truth = io.read_points(FLAGS.ground_truth).astype(np.float64)
+        truth = np.asarray(turn.to_unit(truth))
+        names = [pathlib.Path(path).stem for path in FLAGS.scan]
+        scans = [io.read_scan(path).points.astype(np.float64) for path in FLAGS.scan]
+        views = [View(np.asarray(turn.to_unit(scan)), truth, None) for scan in scans]
+        return views, {"data": ", ".join(names), "views": len(views)}
+    split = validation_split(FLAGS.dataset)
+    source = open_dataset(FLAGS.dataset, split)
+    count = min(len(source), FLAGS.limit or len(source))
+    views = []
+    for row in np.linspace(0, len(source) - 1, count).astype(int):
+        example = with_partial(source[int(row)])
+        clouds = (example.partial, example.complete, example.eye)
+        views.append(View(*(_double(cloud) for cloud in clouds)))  # pyright: ignore
+    about = {"data": f"{FLAGS.dataset}, {split}", "views": len(views)}
+    return views, {**about, "digest": digest_of(FLAGS.dataset, split)}
+
+
+def _double(cloud: np.ndarray | None) -> np.ndarray | None:
+    return None if cloud is None else cloud.astype(np.float64)
+
+
+def _summary(scores: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+    return {
+        cloud: {
+            title: factor * float(mean([row[cloud][metric] for row in scores]))
+            for title, (metric, mean, factor) in COLUMNS.items()
+        }
+        for cloud in ("partial", "completed")
+    }
+
+
+def run() -> None:
+    """The entry point."""
+    define_flags()
+    launch("robustness", main)
+
+
+if __name__ == "__main__":
+    run()

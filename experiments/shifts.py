@@ -1,0 +1,125 @@
+"""What real scans differ by from the views that networks are trained on.
+
+A shift changes a partial view, its sensor and the frame of both; the truth follows.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from prism_jax.selection import densify
+
+HEADINGS = tuple(range(0, 360, 45))
+TILT = 36.0
+DENSITIES = (100, 500, 2_000, 20_000, 200_000)
+NOISES = (0.005, 0.01, 0.02)
+CROPS = (0.1, 0.3, 0.5)
+
+TABLE_SIDE = 3.0
+"""Of the table under a tilted object, in the object's longest side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """A partial cloud, where its sensor stood, and the truth, all in one frame.
+
+    `table` are points of what the object stands on, where that is in the view.
+    """
+
+    partial: Float[np.ndarray, "N 3"]
+    complete: Float[np.ndarray, "M 3"]
+    eye: Float[np.ndarray, "3"] | None
+    table: Float[np.ndarray, "T 3"] | None = None
+
+    @property
+    def size(self) -> float:
+        """The longest side of the truth's box."""
+        return float(np.ptp(self.complete, axis=0).max())
+
+
+Shift = Callable[[View, np.random.Generator], View]
+
+
+def turned(view: View, rotation: Rotation) -> View:
+    """All of it about the origin."""
+    matrix = rotation.as_matrix()
+
+    def turn(cloud: np.ndarray | None) -> np.ndarray | None:
+        return None if cloud is None else cloud @ matrix.T
+
+    clouds = (view.partial, view.complete, view.eye, view.table)
+    return View(*map(turn, clouds))  # pyright: ignore
+
+
+def heading(degrees: float) -> Shift:
+    """Turned about the vertical."""
+    return lambda view, rng: turned(view, Rotation.from_euler("z", degrees, True))
+
+
+def tilted(view: View, rng: np.random.Generator) -> View:
+    """By `TILT` about a random horizontal axis, at a random heading, on a table.
+
+    The table is as dense as the object, noisy by a thousandth of its size, and without
+    what the object covers.
+    """
+    lower, upper = view.complete.min(axis=0), view.complete.max(axis=0)
+    count = int(len(view.partial) * TABLE_SIDE**2 / 3)
+    table = np.empty((count, 3))
+    middle = 0.5 * (lower + upper)[:2]
+    table[:, :2] = middle + rng.uniform(-0.5, 0.5, (count, 2)) * TABLE_SIDE * view.size
+    table[:, 2] = lower[2] + rng.normal(0.0, 1e-3 * view.size, count)
+    under = ((table > lower) & (table < upper))[:, :2].all(axis=1)
+    angle = rng.uniform(0, 2 * np.pi)
+    axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+    turn = Rotation.from_rotvec(np.deg2rad(TILT) * axis)
+    turn = turn * Rotation.from_euler("z", rng.uniform(0, 360), True)
+    return turned(dataclasses.replace(view, table=table[~under]), turn)
+
+
+def with_points(count: int) -> Shift:
+    """Thinned at random, or made denser between its points."""
+
+    def shift(view: View, rng: np.random.Generator) -> View:
+        partial = view.partial
+        if count > len(partial):
+            partial = densify(partial, count / len(partial))
+        else:
+            partial = partial[rng.permutation(len(partial))[:count]]
+        return dataclasses.replace(view, partial=partial)
+
+    return shift
+
+
+def noisy(share: float) -> Shift:
+    """Gaussian in each coordinate, of a share of the object's longest side."""
+
+    def shift(view: View, rng: np.random.Generator) -> View:
+        noise = rng.normal(0.0, share * view.size, view.partial.shape)
+        return dataclasses.replace(view, partial=view.partial + noise)
+
+    return shift
+
+
+def cropped(share: float) -> Shift:
+    """Without that share of the points that lies farthest in some direction."""
+
+    def shift(view: View, rng: np.random.Generator) -> View:
+        direction = rng.normal(size=3)
+        along = view.partial @ direction
+        kept = along <= np.quantile(along, 1.0 - share)
+        return dataclasses.replace(view, partial=view.partial[kept])
+
+    return shift
+
+
+SHIFTS: dict[str, Shift] = {
+    **{f"heading {degrees}": heading(degrees) for degrees in HEADINGS},
+    f"tilt {TILT:g}, on a table": tilted,
+    **{f"{count:,} points": with_points(count) for count in DENSITIES},
+    **{f"noise {100 * share:g} %": noisy(share) for share in NOISES},
+    **{f"cropped by {100 * share:g} %": cropped(share) for share in CROPS},
+}
+"""By the names that tables give them."""
