@@ -75,7 +75,7 @@ def render_report(
     `summary` is the content of `result.json`, so that the two never disagree; clouds
     are in the user's units and frame. Large clouds are thinned for display alone.
     """
-    toward_viewer, up = viewing_direction(result.camera, summary["up"])
+    toward_viewer, up = viewing_direction(result.camera, result.workspace.up)
     clouds = clouds_figure(_panels(result, ground_truth), toward_viewer, up)
     depth = depth_figure(
         ("Partial scan", "Completion"),
@@ -123,19 +123,21 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
 
 
 def viewing_direction(
-    camera: Camera, axis_up: str = "z", turn_degrees: float = 35.0
+    camera: Camera,
+    up: Float[np.ndarray, "3"] | None = None,
+    turn_degrees: float = 35.0,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Toward the viewer, and up: as the camera saw it, turned and raised 20 degrees.
 
-    Unit vectors in the points' frame; `axis_up` is one of x, y, z, -x, -y, -z. Looking
-    from where the sensor stood would hide depth; from elsewhere, what it saw.
+    Unit vectors in the points' frame, in which `up` is one, too: z if not given.
+    Looking from where the sensor stood would hide depth; from elsewhere, what it saw.
     """
-    sign = -1.0 if axis_up.startswith("-") else 1.0
-    up = sign * np.eye(3)["xyz".index(axis_up[-1])]
+    up = np.array([0.0, 0.0, 1.0]) if up is None else up
     toward = -np.asarray(camera.rotation, dtype=np.float64)[2]
     level = toward - (toward @ up) * up
     if np.linalg.norm(level) < 0.1:
-        level = np.roll(up, 1)
+        across = np.eye(3)[np.abs(up).argmin()]
+        level = across - (across @ up) * up
     level = level / np.linalg.norm(level)
     turn, rise = np.deg2rad(turn_degrees), np.deg2rad(20.0)
     level = np.cos(turn) * level + np.sin(turn) * np.cross(up, level)

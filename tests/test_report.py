@@ -142,6 +142,15 @@ def test_viewing_direction_is_near_the_cameras_own():
     assert toward_viewer @ up > toward_camera @ up
 
 
+@pytest.mark.parametrize("up", [[0, 0, 1], [0, -1, 0], [1, 1, 1]])
+def test_seen_from_above_there_is_a_way_to_look(up):
+    up = np.array(up) / np.linalg.norm(up)
+    toward, same = viewing_direction(Camera.look_at(5 * up, np.zeros(3)), up)
+    np.testing.assert_allclose(np.linalg.norm(toward), 1, atol=1e-6)
+    np.testing.assert_allclose(toward @ up, np.sin(np.deg2rad(20)), atol=1e-6)
+    assert same is up
+
+
 def test_a_scene_has_a_row_for_each_object():
     points = np.random.default_rng(0).uniform(1, 2, (300, 3))
     points[200:] += [10, 0, 0]

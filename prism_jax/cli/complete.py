@@ -185,6 +185,8 @@ def complete_file(
         else:
             result = completer.complete(scan.points, scan.camera, **asked)
     about = {"weights": weights, "bounds": workspace, **asked}
+    if not taken_apart and up == "auto":
+        about["up"] = result.workspace.up
     if taken_apart:
         return _write_scene(folder, result, scan, source, about, seconds)
     if result.sensor == "unknown":

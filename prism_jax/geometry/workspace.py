@@ -60,6 +60,12 @@ class Workspace:
         """[-1, 1]^3 itself, for points that are in their workspace already."""
         return cls(np.zeros(3), np.ones(()))
 
+    @property
+    def up(self) -> Float[np.ndarray, "3"]:
+        """The cube's z axis in the user's frame, in double precision. Of one cube."""
+        vertical = np.array([0.0, 0.0, 1.0])
+        return vertical if self.rotation is None else np.asarray(self.rotation)[2]
+
     @exact_products
     def to_unit(
         self, points: Float[Array | np.ndarray, "*points 3"]

@@ -308,6 +308,13 @@ def test_a_scene_comes_back_as_its_objects(scene, capsys):
     assert (vertices["label"][:440] == 0).all()
 
 
+@pytest.mark.parametrize("up", ["auto", "0,0,2", "-y"])
+def test_up_is_written_as_it_was_taken(up):
+    assert run("--input=scan.npy", f"--up={up}") == 0
+    told = json.loads(pathlib.Path("prism_output/result.json").read_text())["up"]
+    assert told == ("-y" if up == "-y" else [0, 0, 1])
+
+
 def test_one_object_if_asked_for(scene):
     assert run("--input=scene.npy", "--objects=one", "--output_dir=out") == 0
     result = json.loads(pathlib.Path("out/result.json").read_text())
