@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import KDTree
 
 from prism_jax import io, metrics
 from prism_jax.geometry.workspace import Workspace
@@ -103,11 +104,17 @@ def clouds(result: Any) -> dict[str, Float[np.ndarray, "_ 3"]]:
     }
 
 
+STRAY = 0.1
+"""A predicted point farther than this from the truth, in the unit of scores, strays."""
+
+
 def score(result: Any, ground_truth: Float[np.ndarray, "G 3"]) -> dict[str, Any]:
     """The metrics of all `clouds` against the truth, without the EMD.
 
     Functions and unit are those of `prism_jax.evaluation`. No cloud is thinned: that
     would change how much measured and predicted points weigh against each other.
+    ``strays`` is the share of the network's own points, and of the added ones, that are
+    farther than `STRAY` from the truth.
     """
     truth = np.asarray(ground_truth, np.float64)
     unit = Workspace.from_points(truth, margin=1.0)
@@ -117,10 +124,23 @@ def score(result: Any, ground_truth: Float[np.ndarray, "G 3"]) -> dict[str, Any]
         return metrics.score(points, target).named()
 
     target = np.asarray(unit.to_unit(truth))
+    tree = KDTree(target)
+
+    def strays(cloud: np.ndarray) -> float:
+        if len(cloud) == 0:
+            return 0.0
+        points = np.asarray(unit.to_unit(cloud.astype(np.float64)))
+        return float((tree.query(points)[0] > STRAY).mean())
+
     return {
         "unit": metrics.UNIT,
         "unit_length": float(unit.half_extent),
         "f_score_threshold": metrics.F_SCORE_THRESHOLD,
+        "strays": {
+            "threshold": STRAY,
+            "network": strays(result.prediction),
+            "added": strays(result.points[~result.observed]),
+        },
         "clouds": {name: scored(cloud) for name, cloud in clouds(result).items()},
     }
 

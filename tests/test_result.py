@@ -72,3 +72,25 @@ def test_plain_is_strict_json():
     }
     assert plain(value) == expected
     json.dumps(plain(value), allow_nan=False)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+def test_strays_are_counted_apart(scale):
+    """In the unit of scores, whatever the scan's."""
+    completed = FakeCompleter().complete(scale * POINTS.astype(np.float64))
+    prediction = completed.prediction.copy()
+    half = np.ptp(prediction, axis=0).max() / 2
+    prediction[:30] += [2.2 * half, 0, 0]
+    truth = completed.prediction
+    added = completed.points[~completed.observed]
+    moved = dataclasses.replace(completed, prediction=prediction)
+    told = score(moved, truth)["strays"]
+    away = cdist(prediction, truth).min(1) > 0.1 * half
+    assert told["network"] == away.mean() and away[:30].all()
+    assert told["added"] == (cdist(added, truth).min(1) > 0.1 * half).mean()
+    none = dataclasses.replace(
+        completed,
+        points=completed.points[completed.observed],
+        observed=completed.observed[completed.observed],
+    )
+    assert score(none, truth)["strays"]["added"] == 0
