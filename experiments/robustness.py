@@ -16,13 +16,12 @@ from absl import flags
 from tqdm import tqdm
 
 from experiments.output import prepare_output
-from experiments.shifts import SHIFTS, View
+from experiments.shifts import SHIFTS, View, validation_views
 from experiments.weights import located
 from prism_jax import io, metrics
 from prism_jax.cli.launch import launch
 from prism_jax.completion import Completer
-from prism_jax.data.datasets import digest_of, open_dataset, validation_split
-from prism_jax.data.pipeline import with_partial
+from prism_jax.data.datasets import digest_of, validation_split
 from prism_jax.evaluation.tables import short
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
@@ -131,19 +130,9 @@ def _views() -> tuple[list[View], dict[str, Any]]:
         views = [View(np.asarray(turn.to_unit(scan)), truth, None) for scan in scans]
         return views, {"data": ", ".join(names), "views": len(views)}
     split = validation_split(FLAGS.dataset)
-    source = open_dataset(FLAGS.dataset, split)
-    count = min(len(source), FLAGS.limit or len(source))
-    views = []
-    for row in np.linspace(0, len(source) - 1, count).astype(int):
-        example = with_partial(source[int(row)])
-        clouds = (example.partial, example.complete, example.eye)
-        views.append(View(*(_double(cloud) for cloud in clouds)))  # pyright: ignore
+    views = validation_views(FLAGS.dataset, FLAGS.limit)
     about = {"data": f"{FLAGS.dataset}, {split}", "views": len(views)}
     return views, {**about, "digest": digest_of(FLAGS.dataset, split)}
-
-
-def _double(cloud: np.ndarray | None) -> np.ndarray | None:
-    return None if cloud is None else cloud.astype(np.float64)
 
 
 def _summary(scores: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:

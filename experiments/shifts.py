@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prism_jax.data.datasets import open_dataset, validation_split
+from prism_jax.data.pipeline import with_partial
 from prism_jax.selection import densify
 
 HEADINGS = tuple(range(0, 360, 45))
@@ -38,6 +40,19 @@ class View:
     def size(self) -> float:
         """The longest side of the truth's box."""
         return float(np.ptp(self.complete, axis=0).max())
+
+
+def validation_views(dataset: str, limit: int | None = None) -> list[View]:
+    """Those of a data set's validation split, or so many of them, evenly spaced."""
+    source = open_dataset(dataset, validation_split(dataset))
+    count = min(len(source), limit or len(source))
+    views = []
+    for row in np.linspace(0, len(source) - 1, count).astype(int):
+        example = with_partial(source[int(row)])
+        clouds = (example.partial, example.complete, example.eye)
+        double = [None if c is None else c.astype(np.float64) for c in clouds]
+        views.append(View(*double))  # pyright: ignore
+    return views
 
 
 Shift = Callable[[View, np.random.Generator], View]

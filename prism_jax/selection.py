@@ -10,7 +10,7 @@ from prism_jax.observation.visibility import in_front
 
 STRAY = 0.3
 """A predicted point whose second neighbour is farther off, in the unit workspace, lies
-alone. Chosen on validation: 0.2 costs cells a third in CD-L2, and 0.3 a twentieth."""
+alone. Chosen on validation (`experiments.filters`, docs/experiments.md)."""
 
 TOLERANCE = 4.0
 """In spacings of the network's input: a point that much nearer to the sensor than all

@@ -1,0 +1,118 @@
+"""Shifted views, and what is measured on them, on boxes and a network of few points."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from experiments import filters, headings, robustness, shifts
+from experiments.shifts import SHIFTS, View
+from prism_jax.completion import Completer
+from prism_jax.observation.support import find_up
+
+RNG = np.random.default_rng(0)
+
+
+def box(count, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1, 1, (count, 3))
+    points /= np.abs(points).max(axis=1, keepdims=True)
+    return points * [1.0, 0.6, 0.5]
+
+
+@pytest.fixture(scope="module")
+def view():
+    complete = box(2000, 0)
+    eye = np.array([2.0, 4.0, 3.0])
+    return View(box(600, 1)[box(600, 1) @ eye > 0], complete, eye)
+
+
+@pytest.fixture(scope="module")
+def completer(minimal, minimal_variables):
+    return Completer(minimal.config, minimal_variables)
+
+
+@pytest.mark.parametrize("name", SHIFTS)
+def test_the_truth_follows(view, name):
+    """What was measured stays near the true surface, and as large as it was."""
+    shifted = SHIFTS[name](view, np.random.default_rng(0))
+    gaps = KDTree(shifted.complete).query(shifted.partial)[0]
+    assert np.median(gaps) < 0.1
+    assert shifted.complete.shape == view.complete.shape
+    distance = np.linalg.norm(shifted.eye - shifted.complete.mean(axis=0))
+    before = np.linalg.norm(view.eye - view.complete.mean(axis=0))
+    np.testing.assert_allclose(distance, before)
+    again = SHIFTS[name](view, np.random.default_rng(0))
+    np.testing.assert_array_equal(again.partial, shifted.partial)
+
+
+def test_each_does_what_its_name_says(view):
+    def shifted(name):
+        return SHIFTS[name](view, np.random.default_rng(0))
+
+    quarter = shifted("heading 90").partial
+    np.testing.assert_allclose(quarter[:, 1], view.partial[:, 0], atol=1e-12)
+    for count in (100, 2_000):
+        assert len(shifted(f"{count:,} points").partial) == count
+    noise = shifted("noise 1 %").partial - view.partial
+    assert 0.8 < noise.std() / (0.01 * view.size) < 1.2
+    share = len(shifted("cropped by 30 %").partial) / len(view.partial)
+    assert abs(share - 0.7) < 0.01
+
+
+def test_a_tilt_is_undone_by_the_table(view):
+    rng = np.random.default_rng(0)
+    tilted = SHIFTS["tilt 36, on a table"](view, rng)
+    found = find_up(np.concatenate([tilted.partial, tilted.table]), tilted.eye)
+    assert found.source == "support"
+    assert abs(np.rad2deg(np.arccos(found.vector[2])) - 36) < 2
+
+
+def test_scores_are_those_of_the_partial_and_of_what_a_user_gets(view, completer):
+    scores = robustness.score(completer, view, adapt=False)
+    assert scores["partial"]["prediction_to_truth"] < 0.01
+    assert set(scores) == {"partial", "completed"}
+    tilted = SHIFTS["tilt 36, on a table"](view, np.random.default_rng(0))
+    again = robustness.score(completer, tilted, adapt=False)
+    assert np.isfinite(again["completed"]["cd_l2"])
+
+
+def test_the_table_has_a_row_for_each_shift(view, completer):
+    scores = [robustness.score(completer, view, adapt=False)]
+    rows = {"heading 0": robustness._summary(scores)}
+    about = {"weights": "w", "commit": None, "data": "boxes", "views": 1}
+    text = robustness.robustness_markdown({**about, "shifts": rows})
+    shown = 1e4 * scores[0]["completed"]["cd_l2"]
+    assert "| heading 0 | " in text and f"{shown:.4g}" in text
+
+
+def test_rules_leave_away_what_they_say(view):
+    away = np.array([[3.0, 0, 0], [0.0, 0.0, 0.0], 0.5 * view.eye])
+    found = filters.rules(away, view.partial, view.partial[:300], view.eye)
+    assert found["outside"].tolist() == [True, False, True]
+    assert found["in front by 4 spacings"].tolist() == [False, False, True]
+    assert found["looked through, 5 spacings about"][0]
+    assert not found["none"].any()
+
+
+def test_the_rectangle_of_a_box_lies_along_it(view):
+    turned = shifts.heading(20.0)(view, RNG).partial
+    assert np.rad2deg(headings.smallest_rectangle(turned)) == pytest.approx(20, abs=1.5)
+
+
+def test_views_are_of_the_validation_split(monkeypatch, view):
+    asked = []
+
+    class Few:
+        def __len__(self):
+            return 9
+
+        def __getitem__(self, row):
+            asked.append(row)
+            return row
+
+    monkeypatch.setattr(shifts, "open_dataset", lambda name, split: Few())
+    monkeypatch.setattr(shifts, "with_partial", lambda row: dataclasses.replace(view))
+    assert len(shifts.validation_views("shapes", 3)) == 3
+    assert asked == [0, 4, 8]
