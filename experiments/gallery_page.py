@@ -28,7 +28,7 @@ from prism_jax.figures import (
 )
 from prism_jax.geometry.camera import Camera
 from prism_jax.observation.observation import Observation
-from prism_jax.report import viewing_direction
+from prism_jax.report.view import viewing_direction
 from prism_jax.selection import keep_unmeasured
 from prism_jax.simulation.contact_sheet import Color, Row, draw_clouds
 
@@ -121,7 +121,7 @@ def _item(
         errors,
         _chamfer(errors[: len(measured)], measured, complete),
         _chamfer(errors, cloud, complete),
-        viewing_direction(seen.camera, turn_degrees=TURN)[0],
+        viewing_direction(seen.camera, turn_degrees=TURN),
     )
 
 

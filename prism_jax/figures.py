@@ -1,6 +1,7 @@
 """Plotly figures of a completion: clouds, depth maps and losses."""
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,16 +9,27 @@ import numpy as np
 import plotly.graph_objects as go
 from jaxtyping import Bool, Float
 from plotly.subplots import make_subplots
+from scipy.spatial import KDTree
 
 from prism_jax.io.ply import COLORS, COMPLETED, OBSERVED
 
 MAX_SHOWN_POINTS = 10_000
 """Of each cloud in a figure; a larger one is thinned, the same points every time."""
 
+PAGE_ASPECT = 2.1
+"""Width to height of all panels together, about."""
+
+SHOWN_PIXELS = 400
+"""About the length, on a screen, of the longest side of what a panel shows."""
+
+MARKER_SIZES = (1.4, 4.0)
+"""The smallest and the largest diameter of a point, in pixels."""
+
 OBSERVED_COLOR, COMPLETED_COLOR = (
     "rgb({}, {}, {})".format(*COLORS[label]) for label in (OBSERVED, COMPLETED)
 )
 GROUND_TRUTH_COLOR = "rgb(96, 108, 118)"
+SUPPORT_COLOR, LEFT_OVER_COLOR = "rgb(178, 186, 196)", "rgb(75, 85, 99)"
 _FONT = {"family": "system-ui, Segoe UI, Helvetica, Arial, sans-serif", "size": 13}
 _GRID = "#dfe3e8"
 _LINE = "#8b949e"
@@ -59,11 +71,13 @@ def clouds_figure(
     panels: Sequence[Panel],
     toward_viewer: Float[np.ndarray, "3"],
     up: Float[np.ndarray, "3"],
+    bounds: Float[np.ndarray, "2 3"] | None = None,
 ) -> go.Figure:
     """Panels side by side on one scale, seen from one direction.
 
     The axes are the points' own, in their units, less what their titles say where the
-    origin is far away. `toward_viewer` and `up` are directions in their frame.
+    origin is far away. `toward_viewer` and `up` are directions in their frame. The axes
+    span `bounds`, a lower and an upper corner, or all points; others are not drawn.
     """
     titles = [panel.title for panel in panels]
     figure = make_subplots(
@@ -74,18 +88,18 @@ def clouds_figure(
         horizontal_spacing=0.01,
     )
     clouds = [(column, c) for column, p in enumerate(panels, 1) for c in p.clouds]
-    everything = np.concatenate([cloud.points for _, cloud in clouds])
-    shift = _shift(everything)
+    if bounds is None:
+        everything = np.concatenate([cloud.points for _, cloud in clouds])
+        bounds = np.stack([everything.min(axis=0), everything.max(axis=0)])
+    shift, extent = axis_shift(bounds), float(np.ptp(bounds, axis=0).max())
     listed = set()
     for column, cloud in clouds:
-        figure.add_trace(_markers(cloud, shift, cloud.name not in listed), 1, column)
+        trace = _markers(cloud, shift, extent, cloud.name not in listed)
+        figure.add_trace(trace, 1, column)
         listed.add(cloud.name)
-    eye = _vector((1.3 + 0.4 * len(titles)) * toward_viewer)
-    figure.update_scenes(
-        _box(everything - shift, shift),
-        dragmode="orbit",
-        camera={"eye": eye, "up": _vector(up)},
-    )
+    box = axis_box(bounds - shift, shift)
+    camera = framing(box, toward_viewer, up, PAGE_ASPECT / len(titles))
+    figure.update_scenes(box, dragmode="orbit", camera=camera)
     return _styled(figure, height=520).update_layout(
         legend={
             "orientation": "h",
@@ -163,37 +177,38 @@ def losses_figure(losses: Mapping[str, Sequence[float]]) -> go.Figure:
     )
 
 
-def _shift(points: np.ndarray) -> Float[np.ndarray, "3"]:
-    """What is taken off each axis: round numbers near the middle of a cloud that is so
+def axis_shift(bounds: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "3"]:
+    """What is taken off each axis: round numbers near the middle of a box that is so
     far away that float32, in which browsers draw, would show steps."""
-    points = points.astype(np.float64)
-    extent = np.ptp(points, axis=0).max() or 1.0
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    lower, upper = bounds.astype(np.float64)
+    extent = (upper - lower).max() or 1.0
+    middle = (lower + upper) / 2
     unit = 10.0 ** np.ceil(np.log10(extent))
     far = np.abs(middle) > 1000 * extent
     return np.where(far, np.round(middle / unit) * unit, 0.0)
 
 
-def _markers(cloud: Cloud, shift: np.ndarray, in_legend: bool) -> go.Scatter3d:
-    points = subsample(cloud.points, MAX_SHOWN_POINTS) - shift
-    points = points.astype(np.float32)
-    size = 1.6 if len(points) > 4000 else 2.6
-    return go.Scatter3d(
-        x=points[:, 0],
-        y=points[:, 1],
-        z=points[:, 2],
-        mode="markers",
-        name=cloud.name,
-        legendgroup=cloud.name,
-        showlegend=in_legend,
-        marker={"size": size, "color": cloud.color},
-        hovertemplate="x %{x:.4g}<br>y %{y:.4g}<br>z %{z:.4g}",
-    )
+def marker_size(points: Float[np.ndarray, "N 3"], extent: float) -> float:
+    """The diameter in pixels that makes a surface of the points, not a blot.
+
+    `extent` is the longest side of the box that is shown.
+    """
+    least, most = MARKER_SIZES
+    if len(points) < 2 or not extent > 0:
+        return most
+    asked = subsample(points, 500)
+    spacing = np.median(KDTree(points).query(asked, k=2)[0][:, 1])
+    return float(np.clip(0.8 * SHOWN_PIXELS * spacing / extent, least, most))
 
 
-def _box(points: np.ndarray, shift: np.ndarray) -> dict[str, Any]:
-    """The same box of space for every panel, and one scale for all axes."""
-    lower, upper = points.min(axis=0), points.max(axis=0)
+def axis_box(
+    bounds: Float[np.ndarray, "2 3"], shift: Float[np.ndarray, "3"]
+) -> dict[str, Any]:
+    """Axes around the bounds with a margin, and one scale for all three.
+
+    `shift` was taken off the bounds already; titles say it.
+    """
+    lower, upper = bounds
     extent = (upper - lower).max() or 1.0
     sides = np.maximum(1.06 * (upper - lower), 0.15 * extent)
     center = (lower + upper) / 2
@@ -219,6 +234,52 @@ def _box(points: np.ndarray, shift: np.ndarray) -> dict[str, Any]:
     }
     ratio = _vector(1.6 * sides / np.linalg.norm(sides))
     return {**axes, "aspectmode": "manual", "aspectratio": ratio}
+
+
+def framing(
+    box: Mapping[str, Any],
+    toward_viewer: Float[np.ndarray, "3"],
+    up: Float[np.ndarray, "3"],
+    aspect: float = PAGE_ASPECT,
+) -> dict[str, Any]:
+    """Plotly's camera that has an `axis_box` and its labels fill a view.
+
+    `aspect` is the view's width to its height.
+    """
+    sides = np.array([box["aspectratio"][name] for name in "xyz"])
+    right = np.cross(up, toward_viewer)
+    right = right / (np.linalg.norm(right) or 1.0)
+    corners = sides * np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    across = 1.35 * np.abs(corners @ right) / aspect
+    upwards = 1.25 * np.abs(corners @ np.cross(toward_viewer, right))
+    # Plotly's angle of view is 45 degrees from top to bottom.
+    needed = np.maximum(across, upwards) / np.tan(np.pi / 8)
+    far = (needed + corners @ toward_viewer).max()
+    # What is near looks larger, and from above it is at the bottom.
+    center = -0.08 * up
+    return {
+        "eye": _vector(far * toward_viewer + center),
+        "center": _vector(center),
+        "up": _vector(up),
+    }
+
+
+def _markers(
+    cloud: Cloud, shift: np.ndarray, extent: float, in_legend: bool
+) -> go.Scatter3d:
+    points = subsample(cloud.points, MAX_SHOWN_POINTS) - shift
+    points = points.astype(np.float32)
+    return go.Scatter3d(
+        x=points[:, 0],
+        y=points[:, 1],
+        z=points[:, 2],
+        mode="markers",
+        name=cloud.name,
+        legendgroup=cloud.name,
+        showlegend=in_legend,
+        marker={"size": marker_size(points, extent), "color": cloud.color},
+        hovertemplate="x %{x:.4g}<br>y %{y:.4g}<br>z %{z:.4g}",
+    )
 
 
 def _vector(direction: np.ndarray) -> dict[str, float]:

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from prism_jax.figures import (
+    MARKER_SIZES,
     MAX_SHOWN_POINTS,
+    PAGE_ASPECT,
     Cloud,
     Panel,
     clouds_figure,
     depth_figure,
     losses_figure,
+    marker_size,
     subsample,
 )
 
@@ -41,6 +44,55 @@ def test_panels_share_one_scale_and_one_view():
     ratio = [first.aspectratio[axis] for axis in "xyz"]
     np.testing.assert_allclose(np.divide(ratio, sides), ratio[0] / sides[0])
     assert first.camera == second.camera
+
+
+def test_axes_span_the_bounds_that_are_given():
+    strays = np.concatenate([POINTS, [[500.0, 0, 0], [0, -900, 0]]])
+    cloud = Cloud("a", strays, "red")
+    bounds = np.array([[-1.0, -2, -3], [1, 2, 3]])
+    figure = clouds_figure([Panel("A", [cloud])], UP[[2, 1, 0]], UP, bounds)
+    for axis, least in zip("xyz", bounds[0], strict=True):
+        span = figure.layout.scene[f"{axis}axis"].range
+        np.testing.assert_allclose(span, [1.06 * least, -1.06 * least])
+
+
+def test_markers_are_as_large_as_the_cloud_is_sparse():
+    """The scale of the unit does not matter."""
+    flat = POINTS * [1, 1, 0]
+    sizes = [marker_size(flat[:count], 6.0) for count in (50, 2000, 20_000)]
+    assert sizes[2] < sizes[1] < sizes[0]
+    assert sizes[0] == MARKER_SIZES[1] and sizes[2] == MARKER_SIZES[0]
+    grid = np.mgrid[:40, :40, :1].reshape(3, -1).T
+    sizes = [marker_size(scale * grid, 100 * scale) for scale in (1e-3, 1.0, 1e3)]
+    np.testing.assert_allclose(sizes, sizes[0])
+    assert MARKER_SIZES[0] < sizes[0] < MARKER_SIZES[1]
+    for few in (POINTS[:1], POINTS[:0]):
+        assert marker_size(few, 0.0) == MARKER_SIZES[1]
+
+
+@pytest.mark.parametrize("up", [UP, UP[[2, 0, 1]], np.array([0.0, -0.8, -0.6])])
+@pytest.mark.parametrize("sides", [[1, 1, 1], [9, 1, 1], [1, 9, 2], [0, 5, 5]])
+def test_every_box_is_within_the_view(up, sides):
+    """Through the same perspective as Plotly's: 45 degrees from top to bottom."""
+    bounds = np.array([[0.0, 0, 0], sides])
+    toward = np.array([0.6, -0.64, 0.48])
+    toward = toward - (toward @ up - 0.3) * up
+    toward /= np.linalg.norm(toward)
+    cloud = Cloud("a", bounds, "red")
+    scene = clouds_figure([Panel("A", [cloud])] * 2, toward, up).layout.scene
+    eye, center = (
+        [v[a] for a in "xyz"] for v in (scene.camera.eye, scene.camera.center)
+    )
+    ratio = np.array([scene.aspectratio[axis] for axis in "xyz"])
+    corners = ratio * (np.mgrid[:2, :2, :2].reshape(3, -1).T - 0.5)
+    forward = np.subtract(center, eye) / np.linalg.norm(np.subtract(center, eye))
+    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    along = (corners - eye) @ forward
+    assert (along > 0).all()
+    high = (corners - eye) @ np.cross(right, forward) / along / np.tan(np.pi / 8)
+    wide = (corners - eye) @ right / along / np.tan(np.pi / 8)
+    assert np.abs(high).max() < 1 and np.abs(wide).max() < PAGE_ASPECT / 2
+    assert max(np.abs(high).max(), np.abs(wide).max() / (PAGE_ASPECT / 2)) > 0.6
 
 
 def test_far_from_the_origin_the_axes_say_what_was_taken_off():

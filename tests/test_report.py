@@ -1,25 +1,31 @@
 """The report: one file, true to result.json, that fetches nothing."""
 
+import dataclasses
 import html.parser
+import itertools
+import json
+import re
 
 import numpy as np
 import pytest
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import Scan
-from prism_jax.report import (
-    Completed,
-    render_report,
-    render_scene_report,
-    viewing_direction,
-)
+from prism_jax.report import render_report, render_scene_report
+from prism_jax.report.verdict import TRUST_COLORS
+from prism_jax.report.view import shown_bounds, viewing_direction
 from prism_jax.result import plain, score, summarize, summarize_scene
+from prism_jax.trust import Verdict
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32)
 
-
 ASKED = {"weights": "small", "up": "z", "bounds": None, "density": 1.0}
+
+LOW = Verdict("low", 0.0321, ("<Few> points: come closer.",), {"num_points": 99.0})
+FAIR = Verdict("fair", 0.01, (), {})
+HIGH = Verdict("high", 0.00123, (), {"strays": 0.5})
 
 
 class Outline(html.parser.HTMLParser):
@@ -45,8 +51,9 @@ class Outline(html.parser.HTMLParser):
             self.text += data
 
 
-def report(adapt=True, ground_truth=None, points=POINTS, **changes):
+def report(adapt=True, ground_truth=None, points=POINTS, verdict=None, **changes):
     result = FakeCompleter().complete(points, adapt=adapt)
+    result = dataclasses.replace(result, verdict=verdict)
     scan = Scan(points, None, num_not_finite=7, num_outside=11)
     summary = summarize(result, scan, "scan.ply", **(ASKED | {"adapt": adapt}))
     summary["seconds"] = dict(result.seconds)
@@ -54,7 +61,6 @@ def report(adapt=True, ground_truth=None, points=POINTS, **changes):
         summary["scores"] = score(result, ground_truth)
         summary["ground_truth"] = {"file": "gt.ply", "points": len(ground_truth)}
     summary |= changes
-    assert isinstance(result, Completed)
     return render_report(result, plain(summary), ground_truth), summary
 
 
@@ -70,12 +76,14 @@ def test_is_one_file_that_fetches_nothing():
 def test_says_what_result_json_says():
     page, summary = report(ground_truth=POINTS[:100])
     text = Outline(page).text
-    assert "300points observed" in text
-    assert "150points added" in text
-    assert "12.5seconds to compile" in text
+    assert "300 points observed, 150 added, weights small" in text
+    assert "compile 12.50, run 0.25" in text
+    assert "1 strays, 2 in front of what was measured, 3 where points were" in text
     assert "318, of them 7 not finite, 11 outside the workspace and 0 left out" in text
     assert "normal 0.5, denoise 0.25, align 0.25" in text
     assert "the objective went from 1 to 0.5 in 3 steps" in text
+    strays = summary["scores"]["strays"]
+    assert f"{100 * strays['added']:.3g} % of the added" in text
     clouds = summary["scores"]["clouds"]
     assert list(clouds) == ["partial", "network", "completed"]
     for name, metrics in clouds.items():
@@ -84,25 +92,62 @@ def test_says_what_result_json_says():
 
 
 @pytest.mark.parametrize(
-    ("adapt", "changes", "verdict"),
+    ("verdict", "headline", "said"),
     [
-        (True, {"accepted": True}, "Adaptation accepted: the objective went from 1"),
-        (True, {"accepted": True}, "not that the completion is better"),
+        (LOW, "Low trust", "expected to lie 0.0321 apart"),
+        (LOW, "Low trust", "<Few> points: come closer."),
+        (FAIR, "Fair trust", "expected to lie 0.01 apart"),
+        (HIGH, "High trust", "Nothing in the evidence speaks against it."),
+        (HIGH, "High trust", "strays 0.5"),
+        (HIGH._replace(expected_error=np.inf), "High trust", "not a finite number"),
+        (None, "No verdict", "nothing vouches for this completion"),
+    ],
+)
+def test_opens_with_the_verdict(verdict, headline, said):
+    text = Outline(report(verdict=verdict)[0]).text
+    assert text.split("scan.ply completed by prism_jax")[1].strip().startswith(headline)
+    assert said in text
+
+
+def test_expected_error_is_told_in_the_longest_side_of_the_scan():
+    points = POINTS * [1, 1, 10]
+    error = 0.05 * np.ptp(points[:, 2])
+    page, _ = report(points=points, verdict=HIGH._replace(expected_error=error))
+    assert "5 % of the scan's longest side" in Outline(page).text
+
+
+def test_trust_differs_in_lightness_too():
+    """As the sum of squares of red, green and blue, weighted as the eye does."""
+    lightness = sorted(
+        0.21 * red**2 + 0.72 * green**2 + 0.07 * blue**2
+        for red, green, blue in (
+            bytes.fromhex(TRUST_COLORS[trust][1:]) for trust in ("low", "fair", "high")
+        )
+    )
+    assert all(b > 1.2 * a for a, b in itertools.pairwise(lightness))
+
+
+@pytest.mark.parametrize(
+    ("adapt", "changes", "said"),
+    [
+        (True, {"accepted": True}, "accepted: the objective went from 1 to 0.5 in 3"),
+        (True, {"accepted": True}, "does not say that the completion is better"),
         (True, {"accepted": False}, "not accepted: the objective went from 1 to 0.5"),
         (False, {}, "without test-time adaptation, as asked"),
         (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
         (False, {"losses": {}}, "without test-time adaptation"),
-        (True, {"losses": {"objective": [1.0]}}, "of which these weights take no step"),
+        (True, {"losses": {"objective": [1.0]}}, "these weights take no step"),
     ],
 )
-def test_verdict(adapt, changes, verdict):
-    page, _ = report(adapt, **changes)
-    assert verdict in Outline(page).text
+def test_details_say_what_became_of_the_adaptation(adapt, changes, said):
+    text = Outline(report(adapt, **changes)[0]).text
+    assert said in text.split("Adaptation")[1]
 
 
 def test_ground_truth_is_shown_only_if_given():
     assert "Ground truth: " not in report()[0]
-    assert "No ground truth was given" in Outline(report()[0]).text
+    assert "Scores against" not in Outline(report()[0]).text
+    assert "Scores against" in Outline(report(ground_truth=POINTS[:9])[0]).text
     assert "Ground truth: 100 points" in report(ground_truth=POINTS[:100])[0]
 
 
@@ -121,7 +166,7 @@ def test_names_are_escaped():
     assert "<script>alert" not in page
     text = Outline(page).text
     assert text.count(name) == 3
-    assert "<b>weights" in text
+    assert "weights <b>." in text
 
 
 def test_large_clouds_leave_it_under_6_megabytes():
@@ -133,35 +178,104 @@ def test_large_clouds_leave_it_under_6_megabytes():
 
 def test_viewing_direction_is_near_the_cameras_own():
     camera = Camera.look_at((3, -2, 1), (0, 0, 0))
-    toward_viewer, up = viewing_direction(camera)
+    toward_viewer = viewing_direction(camera)
     np.testing.assert_allclose(np.linalg.norm(toward_viewer), 1, atol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(up), 1, atol=1e-6)
     toward_camera = np.array([3, -2, 1]) / np.sqrt(14)
     angle = np.rad2deg(np.arccos(toward_viewer @ toward_camera))
     assert 30 < angle < 45
-    assert toward_viewer @ up > toward_camera @ up
+    assert toward_viewer[2] > toward_camera[2]
 
 
-@pytest.mark.parametrize("up", [[0, 0, 1], [0, -1, 0], [1, 1, 1]])
-def test_seen_from_above_there_is_a_way_to_look(up):
-    up = np.array(up) / np.linalg.norm(up)
-    toward, same = viewing_direction(Camera.look_at(5 * up, np.zeros(3)), up)
-    np.testing.assert_allclose(np.linalg.norm(toward), 1, atol=1e-6)
-    np.testing.assert_allclose(toward @ up, np.sin(np.deg2rad(20)), atol=1e-6)
-    assert same is up
+def test_viewing_direction_rises_from_level_whatever_is_up():
+    """Also for a camera that looks straight down."""
+    for up in np.array([[0, 1.0, 0], [0, -0.8, -0.6], [1.0, 0, 0]]):
+        for eye in (up, [0.3, 0.4, 0.5]):
+            camera = Camera.look_at(eye, (0, 0, 0), up=(0.5, 0.1, 0.7))
+            toward = viewing_direction(camera, up, rise_degrees=30.0)
+            np.testing.assert_allclose(toward @ up, 0.5, atol=1e-6)
 
 
-def test_a_scene_has_a_row_for_each_object():
-    points = np.random.default_rng(0).uniform(1, 2, (300, 3))
-    points[200:] += [10, 0, 0]
-    points[:50, 2] = -1
+def test_strays_do_not_make_an_object_small():
+    measured = np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)) * [1, 1, 0]
+    added = np.random.default_rng(1).uniform(-0.5, 0.5, (1000, 3))
+    few = np.concatenate([added, [[0, 0, 0.9], [-0.9, 0, 0]]])
+    lower, upper = shown_bounds(measured, few, Workspace.unit())
+    assert (lower > -0.51).all() and (upper < 0.51).all()
+    assert lower[2] < -0.48 and upper[2] > 0.48
+    many = np.concatenate([added, np.full((500, 3), 23.0)])
+    assert shown_bounds(measured, many, Workspace.unit())[1].tolist() == [1, 1, 1]
+    nothing = shown_bounds(measured, measured[:0], Workspace.unit())
+    np.testing.assert_array_equal(nothing, [measured.min(0), measured.max(0)])
+
+
+def scene_report(verdicts, stray=None, name="<scan>.ply"):
+    """Of objects in a row on a plane, one for each verdict."""
+    points = np.random.default_rng(0).uniform(1, 2, (100 * len(verdicts) + 50, 3))
+    points[:, 0] += 10 * (np.arange(len(points)) // 100)
+    points[-50:] *= [0, 1, -1]
     completer = FakeCompleter()
     taken_apart = completer.split_scene(points)
-    scene = completer.complete_scene(points, scene=taken_apart)
-    scan = Scan(points, None, 0, 0)
+    scene = completer.complete_scene(points, scene=taken_apart, adapt=True)
+    objects = [
+        dataclasses.replace(one, verdict=verdict)
+        for one, verdict in zip(scene.objects, verdicts, strict=True)
+    ]
+    scene = dataclasses.replace(scene, objects=tuple(objects))
+    if stray is not None:
+        scene.points[-1] = scene.objects[-1].points[-1] = stray
     asked = ASKED | {"adapt": True}
-    summary = plain(summarize_scene(scene, scan, "<scan>.ply", **asked))
-    page = render_scene_report(scene, summary)
-    assert "<h1>&lt;scan&gt;.ply: 2 objects</h1>" in page and "<scan>" not in page
-    assert "50 points lie on planes" in page and page.count("<td>unknown</td>") == 4
-    assert Outline(page).fetched == []
+    summary = summarize_scene(scene, Scan(points, None, 0, 0), name, **asked)
+    return render_scene_report(scene, plain(summary | {"seconds": {"run": 1.0}}))
+
+
+def boxes_of(page):
+    return json.loads(re.search(r"const boxes = (.*);", page)[1])
+
+
+def test_a_scene_opens_with_how_many_objects_of_which_trust():
+    page = scene_report([HIGH, LOW, HIGH, FAIR])
+    outline = Outline(page)
+    assert "4 objects\n1 of low, 1 of fair, 2 of high trust." in outline.text
+    assert outline.fetched == [] and "<scan>" not in page
+    assert '<header class="verdict low">' in page
+
+
+def test_a_scene_lists_its_objects():
+    text = Outline(scene_report([HIGH, LOW])).text
+    rows = re.findall(r"(\d)\n(low|high)\n(\d+)(\d{2})\n([\d.]+)", text)
+    assert rows == [
+        ("0", "high", "100", "50", "0.00123"),
+        ("1", "low", "100", "50", "0.0321"),
+    ]
+    assert "<Few> points: come closer." in text
+    assert "50 on the support" in text
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "said"),
+    [
+        ([None, None], "2 objects\nThese weights come without a calibration"),
+        ([None, HIGH], "2 objects\n1 of unknown, 1 of high trust."),
+        ([HIGH], "1 object\n1 of high trust."),
+        ([], "No object\nNothing was found that could be completed."),
+    ],
+)
+def test_a_scene_says_whose_trust_is_not_known(verdicts, said):
+    assert said in Outline(scene_report(verdicts)).text
+
+
+def test_every_object_of_a_scene_can_be_shown_alone():
+    page = scene_report([HIGH, LOW])
+    everything, *alone = boxes_of(page)
+    spans = [box["scene.xaxis.range"] for box in (everything, *alone)]
+    for number, (first, last) in enumerate(spans[1:]):
+        assert 10 * number < first < 10 * number + 1.1
+        assert 10 * number + 1.9 < last < 10 * number + 3
+    assert spans[0][0] < 1 and spans[0][1] > 12
+    assert page.split("<nav")[1].count('aria-pressed="false"') == 2
+    assert page.count('<button type="button" data-object=') == 3
+
+
+def test_a_stray_does_not_make_a_scene_small():
+    near = boxes_of(scene_report([HIGH, LOW]))[0]
+    assert boxes_of(scene_report([HIGH, LOW], stray=1e3))[0] == near

@@ -1,0 +1,145 @@
+"""What a report says beside its verdict, in words and rows of tables."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+LEFT_AWAY = {
+    "outside": "outside the workspace",
+    "stray": "strays",
+    "in_front": "in front of what was measured",
+    "known": "where points were measured",
+}
+"""Why predicted points are not among the added ones."""
+
+SENSOR = {
+    "given": "given",
+    "origin": "placed at the origin",
+    "unknown": "placed by the program: the origin is too far away, or among the points",
+}
+"""Where the view of the depths is from."""
+
+UP_SOURCE = {
+    "given": "as given",
+    "support": "across the plane that objects stand on",
+    "camera": "as the camera was held",
+    "z": "taken to be z, for nothing says more",
+}
+
+
+def number(value: float | None) -> str:
+    """Four digits of it; what is not finite is null in result.json."""
+    return "not finite" if value is None else f"{value:.4g}"
+
+
+def adaptation(entry: Mapping[str, Any], asked: bool) -> str:
+    """What became of the adaptation to one object."""
+    objective = entry["losses"].get("objective") or [None]
+    if len(objective) == 1:
+        why = "these weights take no step" if asked else "as asked"
+        return f"without test-time adaptation, {why}"
+    first, last = number(objective[0]), number(objective[-1])
+    steps = f"{len(objective) - 1} step{'s' if len(objective) != 2 else ''}"
+    went = f"the objective went from {first} to {last} in {steps}"
+    if entry["accepted"]:
+        return f"accepted: {went}. That does not say that the completion is better"
+    return f"not accepted: {went}. This is the completion of the network as released"
+
+
+def left_away(entry: Mapping[str, Any]) -> str:
+    """How many predicted points were not added, and why."""
+    told = [
+        f"{count:,} {LEFT_AWAY.get(reason, reason)}"
+        for reason, count in entry["left_away"].items()
+        if count
+    ]
+    return ", ".join(told) or "none"
+
+
+def workspace(entry: Mapping[str, Any]) -> str:
+    """The cube that was completed."""
+    cube = entry["workspace"]
+    center = _vector(cube["center"], cube["half_extent"])
+    return f"cube about ({center}), half extent {number(cube['half_extent'])}"
+
+
+def evidence(entry: Mapping[str, Any]) -> str:
+    """The numbers that the verdict rests on."""
+    if entry["verdict"] is None:
+        return "none: these weights come without a calibration"
+    numbers = entry["verdict"]["evidence"].items()
+    return ", ".join(f"{k.replace('_', ' ')} {number(v)}" for k, v in numbers)
+
+
+def of_scan(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Rows of a name and a text for one object."""
+    camera, points = summary["camera"], summary["points"]
+    rotation, translation = map(np.array, (camera["rotation"], camera["translation"]))
+    position = _vector(-translation @ rotation, summary["workspace"]["half_extent"])
+    view = (
+        f"{camera['width']} x {camera['height']} pixels, "
+        f"{SENSOR[summary['sensor']]}, centre at ({position})"
+    )
+    left_out = f" and {summary['input']['points_left_out']:,} left out, far from all"
+    rows = [
+        *_of_input(summary, f"{left_out} others"),
+        ("Up", _up(summary["up"])),
+        ("Workspace", workspace(summary)),
+        ("Camera", view),
+        ("Adaptation", adaptation(summary, summary["adapt"])),
+        ("Network output", f"{points['network']:,} points"),
+        ("Not added", left_away(summary)),
+        ("Evidence", evidence(summary)),
+    ]
+    if summary["ground_truth"]:
+        truth = summary["ground_truth"]
+        rows.append(("Ground truth", f"{truth['file']}, {truth['points']:,} points"))
+    return [*rows, *_of_run(summary)]
+
+
+def of_scene(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Rows of a name and a text for what a scene's objects share."""
+    support, rest = summary["points"]["support"], summary["points"]["left_over"]
+    return [
+        *_of_input(summary),
+        ("Support", f"{support:,} points on what objects stand on, and on walls"),
+        ("Left over", f"{rest:,} points of no object, or of one that is too small"),
+        ("Up", f"{_up(summary['up'])}, {UP_SOURCE[summary['up_source']]}"),
+        *_of_run(summary),
+    ]
+
+
+def _of_input(summary: Mapping[str, Any], more: str = "") -> list[tuple[str, str]]:
+    source = summary["input"]
+    outside = f"{source['points_outside']:,} outside the workspace"
+    joint = ", " if more else " and "
+    read = (
+        f"{source['points_read']:,}, of them {source['points_not_finite']:,} not "
+        f"finite{joint}{outside}{more}"
+    )
+    return [
+        ("Input", source["file"]),
+        ("Points read", read),
+        ("Weights", summary["weights"]),
+    ]
+
+
+def _of_run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    seconds = summary["seconds"].items()
+    return [
+        ("Density", f"{number(summary['density'])} of the measured points'"),
+        ("Seconds", ", ".join(f"{name} {value:.2f}" for name, value in seconds)),
+        ("Software", f"prism_jax {summary['prism_jax']}"),
+    ]
+
+
+def _up(up: Any) -> str:
+    return up if isinstance(up, str) else f"({', '.join(f'{v:.3f}' for v in up)})"
+
+
+def _vector(values: Any, length: float) -> str:
+    """Coordinates with the decimals that matter to something of this length."""
+    decimals = max(0, 3 - math.floor(math.log10(length)))
+    return ", ".join(f"{value:,.{decimals}f}" for value in values)
