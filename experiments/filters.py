@@ -18,7 +18,6 @@ from experiments.weights import located
 from prism_jax import metrics
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import choose
 from prism_jax.observation.observation import observe
 from prism_jax.observation.visibility import in_front
@@ -95,9 +94,8 @@ def looked_through(
 
 def cd_l2(cloud: np.ndarray, view: View) -> float:
     """In the unit of scores."""
-    unit = Workspace.from_points(view.complete, 1.0)
-    truth = np.asarray(unit.to_unit(view.complete))
-    return metrics.cd_l2(np.asarray(unit.to_unit(cloud)), truth)
+    unit = 0.5 * view.size
+    return metrics.cd_l2(cloud / unit, view.complete / unit)
 
 
 def filters_markdown(scores: dict[str, list[float]]) -> str:

@@ -91,11 +91,10 @@ def score(completer: Completer, view: View, adapt: bool) -> dict[str, dict[str, 
     if view.table is not None:
         up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
     done = completer.complete(view.partial, camera, adapt=adapt, up=up)
-    unit = Workspace.from_points(view.complete, 1.0)
-    truth = np.asarray(unit.to_unit(view.complete))
+    unit = 0.5 * view.size
     clouds = {"partial": view.partial, "completed": done.points}
     return {
-        name: metrics.score(np.asarray(unit.to_unit(cloud)), truth).named()
+        name: metrics.score(cloud / unit, view.complete / unit).named()
         for name, cloud in clouds.items()
     }
 
@@ -127,7 +126,9 @@ def _views() -> tuple[list[View], dict[str, Any]]:
         truth = np.asarray(turn.to_unit(truth))
         names = [pathlib.Path(path).stem for path in FLAGS.scan]
         scans = [io.read_scan(path).points.astype(np.float64) for path in FLAGS.scan]
-        views = [View(np.asarray(turn.to_unit(scan)), truth, None) for scan in scans]
+        size = float(np.ptp(truth, axis=0).max())
+        clouds = [np.asarray(turn.to_unit(scan)) for scan in scans]
+        views = [View(cloud, truth, None, size) for cloud in clouds]
         return views, {"data": ", ".join(names), "views": len(views)}
     split = validation_split(FLAGS.dataset)
     views = validation_views(FLAGS.dataset, FLAGS.limit)

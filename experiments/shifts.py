@@ -28,18 +28,15 @@ TABLE_SIDE = 3.0
 class View:
     """A partial cloud, where its sensor stood, and the truth, all in one frame.
 
-    `table` are points of what the object stands on, where that is in the view.
+    `table` are points of what the object stands on, where that is in the view. `size`
+    is the longest side of the truth's box before any turn.
     """
 
     partial: Float[np.ndarray, "N 3"]
     complete: Float[np.ndarray, "M 3"]
     eye: Float[np.ndarray, "3"] | None
+    size: float
     table: Float[np.ndarray, "T 3"] | None = None
-
-    @property
-    def size(self) -> float:
-        """The longest side of the truth's box."""
-        return float(np.ptp(self.complete, axis=0).max())
 
 
 def validation_views(dataset: str, limit: int | None = None) -> list[View]:
@@ -51,7 +48,9 @@ def validation_views(dataset: str, limit: int | None = None) -> list[View]:
         example = with_partial(source[int(row)])
         clouds = (example.partial, example.complete, example.eye)
         double = [None if c is None else c.astype(np.float64) for c in clouds]
-        views.append(View(*double))  # pyright: ignore
+        assert example.complete is not None
+        size = float(np.ptp(example.complete, axis=0).max())
+        views.append(View(*double, size))  # pyright: ignore
     return views
 
 
@@ -65,8 +64,11 @@ def turned(view: View, rotation: Rotation) -> View:
     def turn(cloud: np.ndarray | None) -> np.ndarray | None:
         return None if cloud is None else cloud @ matrix.T
 
-    clouds = (view.partial, view.complete, view.eye, view.table)
-    return View(*map(turn, clouds))  # pyright: ignore
+    clouds = {
+        name: turn(getattr(view, name))
+        for name in ("partial", "complete", "eye", "table")
+    }
+    return dataclasses.replace(view, **clouds)
 
 
 def heading(degrees: float) -> Shift:

@@ -25,7 +25,7 @@ def box(count, seed):
 def view():
     complete = box(2000, 0)
     eye = np.array([2.0, 4.0, 3.0])
-    return View(box(600, 1)[box(600, 1) @ eye > 0], complete, eye)
+    return View(box(600, 1)[box(600, 1) @ eye > 0], complete, eye, 2.0)
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +40,7 @@ def test_the_truth_follows(view, name):
     gaps = KDTree(shifted.complete).query(shifted.partial)[0]
     assert np.median(gaps) < 0.1
     assert shifted.complete.shape == view.complete.shape
+    assert shifted.size == view.size
     distance = np.linalg.norm(shifted.eye - shifted.complete.mean(axis=0))
     before = np.linalg.norm(view.eye - view.complete.mean(axis=0))
     np.testing.assert_allclose(distance, before)
