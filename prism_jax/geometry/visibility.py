@@ -17,6 +17,9 @@ UNKNOWN, SURFACE, NEARER, BACKGROUND = range(4)
 """States of a pixel. Nothing was measured; the object was; something nearer was, which
 hides all behind it; or the sensor looked past the object, to what lies beyond."""
 
+MAP_SIZE = 64
+"""Pixels of the side of the maps that are made and stored."""
+
 
 class Visibility(NamedTuple):
     """A map of what one sensor knows, in the frame and the unit of its clouds.
@@ -74,14 +77,14 @@ def mirrored(visibility: Visibility) -> Visibility:
     return Visibility(camera, visibility.state[..., ::-1], visibility.depth[..., ::-1])
 
 
-def nothing_known(height: int, width: int) -> Visibility:
-    """A map that knows nothing, for views of which none was kept."""
+def nothing_known(size: int = MAP_SIZE) -> Visibility:
+    """A square map that knows nothing, for views of which none was kept."""
     camera = Camera(
         rotation=np.eye(3, dtype=np.float32),
         translation=np.zeros(3, np.float32),
         intrinsics=np.eye(3, dtype=np.float32),
-        height=height,
-        width=width,
+        height=size,
+        width=size,
     )
-    shape = height, width
+    shape = size, size
     return Visibility(camera, np.zeros(shape, np.uint8), np.zeros(shape, np.float32))

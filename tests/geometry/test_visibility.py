@@ -108,7 +108,7 @@ def test_what_is_rendered_is_found_again():
 
 
 def test_a_map_that_knows_nothing():
-    state, behind = look_up(nothing_known(4, 6), POINTS)
+    state, behind = look_up(nothing_known(5), POINTS)
     assert np.all(state == UNKNOWN) and np.all(behind == 0)
 
 
