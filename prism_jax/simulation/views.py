@@ -6,11 +6,15 @@ taken from the partial alone, later. Coordinates are multiples of `QUANTUM`, whi
 bits hold up to +-2, and float32 exactly.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+import trimesh
 from jaxtyping import Float, Float32
 
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.simulation.partials import make_partial
+from prism_jax.geometry.visibility import Visibility
+from prism_jax.simulation.kinds import View, draw_kind, make_view
 from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.shapes import category_rng, make_shape
 
@@ -20,6 +24,17 @@ PARTIAL_POINTS = 2048
 MIN_RETURNS = 16
 """A view of fewer points, of a slender shape or through dropouts, is drawn again."""
 MAX_DRAWS = 100
+
+
+class Views(NamedTuple):
+    """Partial clouds, the complete cloud, viewpoints, kinds as in `kinds.KINDS` without
+    "mixed", and what each sensor knows, if it is said."""
+
+    partials: Float32[np.ndarray, "V 2048 3"]
+    complete: Float32[np.ndarray, "16384 3"]
+    eyes: Float32[np.ndarray, "V 3"]
+    kinds: tuple[str, ...]
+    visibilities: tuple[Visibility | None, ...]
 
 
 def rounded(
@@ -34,37 +49,51 @@ def rounded(
 
 def make_views(
     category: str, seed: int, num_views: int = 1, partial: str = "self_occlusion"
-) -> tuple[
-    Float32[np.ndarray, "V 2048 3"],
-    Float32[np.ndarray, "16384 3"],
-    Float32[np.ndarray, "V 3"],
-]:
-    """Partial clouds, the complete cloud, viewpoints: a pure function of its arguments.
+) -> Views:
+    """`views_of` a procedural shape: a pure function of its arguments."""
+    rng = category_rng(category, seed, 1)
+    return views_of(make_shape(category, seed), rng, num_views, partial)
 
-    `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
-    from outside. All clouds are in farthest-point order; a partial of fewer than 2,048
+
+def views_of(
+    mesh: trimesh.Trimesh,
+    rng: np.random.Generator,
+    num_views: int = 1,
+    partial: str = "self_occlusion",
+) -> Views:
+    """Views of a mesh whose normals point outward.
+
+    `partial` is one of `kinds.KINDS`. The complete cloud is of what can be seen from
+    outside. All clouds are in farthest-point order; a partial of fewer than 2,048
     distinct points is repeated from its start. More views begin with the same ones. A
     crop is seen by no sensor: its viewpoint is NaN.
     """
-    rng = category_rng(category, seed, 1)
-    mesh = make_shape(category, seed)
     surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng)
     lower, upper = surface.min(axis=0), surface.max(axis=0)
     center, half = (lower + upper) / 2, (upper - lower).max() / 2
-    mesh.vertices = (mesh.vertices - center) / half
+    vertices = (mesh.vertices - center) / half
     complete = farthest_point_order((surface - center) / half, SURFACE_POINTS)
-    scene = Scene(mesh)
+    scene = Scene(trimesh.Trimesh(vertices, mesh.faces, process=False))
     views = [_view(partial, scene, complete, rng) for _ in range(num_views)]
-    partials, eyes = (np.stack(column) for column in zip(*views, strict=True))
-    return partials, rounded(complete), eyes
+    return Views(
+        np.stack([rounded(view.points) for view in views]),
+        rounded(complete),
+        np.stack([view.eye.astype(np.float32) for view in views]),
+        tuple(view.kind for view in views),
+        tuple(view.visibility for view in views),
+    )
 
 
-def _view(kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generator):
+def _view(
+    kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generator
+) -> View:
+    if kind == "mixed":
+        # Once, or kinds that are often drawn again would become rare.
+        kind = draw_kind(rng)
     for _ in range(MAX_DRAWS):
-        points, eye = make_partial(kind, scene, complete, rng, PARTIAL_POINTS)
-        if len(points) >= MIN_RETURNS:
-            ordered = farthest_point_order(points, PARTIAL_POINTS)
-            if kind == "crop":
-                eye = np.full(3, np.nan)
-            return rounded(ordered), eye.astype(np.float32)
+        view = make_view(kind, scene, complete, rng, PARTIAL_POINTS)
+        if len(view.points) >= MIN_RETURNS:
+            ordered = farthest_point_order(view.points, PARTIAL_POINTS)
+            eye = np.full(3, np.nan) if kind == "crop" else view.eye
+            return view._replace(points=ordered, eye=eye)
     raise ValueError(f"no {kind} view of {MIN_RETURNS} points in {MAX_DRAWS} draws")

@@ -15,7 +15,7 @@ import numpy as np
 from prism_jax.data.datasets import SHAPES_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError, choose
-from prism_jax.simulation.partials import PARTIALS
+from prism_jax.simulation.kinds import KINDS, MIXTURE
 from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
 from prism_jax.simulation.shard_writer import build_shards
 from prism_jax.simulation.views import (
@@ -46,7 +46,7 @@ class ShapesConfig:
       num_shapes: shape i has category `i % len(categories)`, so that every prefix is
         balanced; 0 for the split's own number.
       num_views: partial clouds of each shape; 0 for the split's own number.
-      partial: one of `partials.PARTIALS`.
+      partial: one of `kinds.KINDS`.
       seed: of the whole set.
       shard_shapes: shapes in a shard.
     """
@@ -60,7 +60,7 @@ class ShapesConfig:
 
     def __post_init__(self):
         choose("split", self.split, SPLITS)
-        choose("partial", self.partial, PARTIALS)
+        choose("partial", self.partial, KINDS)
         own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
         for name, number in own.items():
             if getattr(self, name) == 0:
@@ -111,15 +111,22 @@ def build_shapes(
         num_workers,
         progress,
         _BOX,
+        maps=config.partial == "mixed" or config.partial in MIXTURE,
     )
 
 
 def _views(config: ShapesConfig, index: int) -> Iterator[Example]:
     category = config.categories[index % len(config.categories)]
     seed = shape_seed(config, index)
-    partials, complete, eyes = make_views(
-        category, seed, config.num_views, config.partial
-    )
-    for view, (partial, eye) in enumerate(zip(partials, eyes, strict=True)):
+    made = make_views(category, seed, config.num_views, config.partial)
+    for view, kind in enumerate(made.kinds):
         name = f"{index:06d}/{view:02d}"
-        yield Example(complete, partial, eye, category, name, ordered=True)
+        yield Example(
+            made.complete,
+            made.partials[view],
+            made.eyes[view],
+            category,
+            f"{name}/{kind}" if config.partial == "mixed" else name,
+            ordered=True,
+            visibility=made.visibilities[view],
+        )
