@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float, Float32, UInt8
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.precision import exact_products
+from prism_jax.geometry.workspace import Workspace
 
 UNKNOWN, SURFACE, NEARER, BACKGROUND = range(4)
 """States of a pixel. Nothing was measured; the object was; something nearer was, which
@@ -54,6 +56,24 @@ def look_up(
     padded = (xp.pad(rows.ravel(), (0, 1)) for rows in map(xp.asarray, visibility[1:]))
     state, depth = (rows[pixel] for rows in padded)
     return state, xp.where(state == UNKNOWN, 0.0, z - depth).astype(z.dtype)
+
+
+@exact_products
+def turned(
+    visibility: Visibility, turn: Float[Array | np.ndarray, "3 3"]
+) -> Visibility:
+    """The same of points, as rows, that are turned: ``points @ turn``."""
+    camera = visibility.camera
+    camera = dataclasses.replace(camera, rotation=camera.rotation @ turn)
+    return visibility._replace(camera=camera)
+
+
+def to_unit(visibility: Visibility, workspace: Workspace) -> Visibility:
+    """The same of points in the unit of a workspace."""
+    camera = workspace.camera_to_unit(visibility.camera)
+    return Visibility(
+        camera, visibility.state, visibility.depth / workspace.half_extent
+    )
 
 
 def mirrored(visibility: Visibility) -> Visibility:

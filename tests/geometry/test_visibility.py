@@ -19,7 +19,10 @@ from prism_jax.geometry.visibility import (
     look_up,
     mirrored,
     nothing_known,
+    to_unit,
+    turned,
 )
+from prism_jax.geometry.workspace import Workspace
 
 
 def view_along_x() -> Visibility:
@@ -143,3 +146,19 @@ def test_a_mirror_image_knows_the_same_of_mirrored_points(stacked):
     again = jax.tree.leaves(mirrored(image))
     for found, given in zip(again, jax.tree.leaves(view), strict=True):
         np.testing.assert_allclose(found, given, atol=1e-5)
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_turned_points_and_those_of_a_workspace_are_found_as_before(xp):
+    """Depths in the unit of the workspace."""
+    rng = np.random.default_rng(2)
+    view = jax.tree.map(xp.asarray, view_along_x())
+    turn = Rotation.random(rng=rng).as_matrix().astype(np.float32)
+    state, behind = look_up(turned(view, turn), xp.asarray(POINTS @ turn))
+    np.testing.assert_array_equal(state, STATES)
+    np.testing.assert_allclose(behind, BEHIND, atol=1e-5)
+    workspace = Workspace(np.array([0.3, 2, -1]), np.array(2.5), turn.astype(float))
+    unit = xp.asarray(workspace.to_unit(POINTS).astype(np.float32))
+    state, behind = look_up(to_unit(view, workspace), unit)
+    np.testing.assert_array_equal(state, STATES)
+    np.testing.assert_allclose(behind, np.array(BEHIND) / 2.5, atol=1e-5)
