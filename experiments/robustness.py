@@ -20,6 +20,7 @@ from experiments.shifts import SHIFTS, View, validation_views
 from experiments.weights import located
 from prism_jax import io, metrics
 from prism_jax.cli.launch import launch
+from prism_jax.completed import CompletedScan
 from prism_jax.completion import Completer
 from prism_jax.data.datasets import digest_of, validation_split
 from prism_jax.evaluation.tables import short
@@ -81,22 +82,24 @@ def main() -> None:
 
 
 def score(completer: Completer, view: View, adapt: bool) -> dict[str, dict[str, float]]:
-    """The scores of the partial and of what a user gets, by cloud and metric.
-
-    A view with a table is completed with the way up that the table says.
-    """
-    camera, up = None, "z"
-    if view.eye is not None:
-        camera = Camera.look_at(view.eye, view.partial.mean(axis=0))
-    if view.table is not None:
-        up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
-    done = completer.complete(view.partial, camera, adapt=adapt, up=up)
+    """The scores of the partial and of what a user gets, by cloud and metric."""
+    done = completed(completer, view, adapt)
     unit = 0.5 * view.size
     clouds = {"partial": view.partial, "completed": done.points}
     return {
         name: metrics.score(cloud / unit, view.complete / unit).named()
         for name, cloud in clouds.items()
     }
+
+
+def completed(completer: Completer, view: View, adapt: bool) -> CompletedScan:
+    """As a user's scan is. A view with a table, with the way up that the table says."""
+    camera, up = None, "z"
+    if view.eye is not None:
+        camera = Camera.look_at(view.eye, view.partial.mean(axis=0))
+    if view.table is not None:
+        up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
+    return completer.complete(view.partial, camera, adapt=adapt, up=up)
 
 
 def robustness_markdown(result: Mapping[str, Any]) -> str:

@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
+from prism_jax.evidence import SecondLook, evidence_of
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.observation import Observation, padded
 from prism_jax.observation.planes import Plane
 from prism_jax.selection import densify, select, surface_density
-from prism_jax.trust import Verdict
+from prism_jax.trust import Calibration, Verdict
 
 DEPTH_PIXELS = 128
 
@@ -104,16 +105,24 @@ def assemble(
     density: float,
     camera_given: bool,
     seconds: dict[str, float],
+    look: SecondLook | None = None,
+    calibration: Calibration | None = None,
 ) -> CompletedScan:
     """What a user gets of a completion in the unit workspace.
 
     ``seen`` is what `observe` made of the points, ``read`` what the network read of it
     and ``view`` its camera. ``density`` is as `prism_jax.Completer.complete` has it.
+    The verdict needs a ``look`` and a ``calibration``.
     """
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
     prediction = np.asarray(completion.points, np.float64)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     selection = select(prediction, unit, read.partial, eye)
+    verdict = None
+    if look is not None and calibration is not None:
+        novelty = calibration.novelty(np.asarray(look.features))
+        evidence = evidence_of(seen, read, prediction, selection, look, novelty)
+        verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
     kept = _dense(prediction[selection.kept], unit, density)
     added = seen.workspace.from_unit(kept).astype(points.dtype)
     together = np.concatenate([measured, added])
@@ -137,6 +146,7 @@ def assemble(
         camera=seen.camera_to_user(view),
         sensor=_told(camera_given, seen),
         seconds=seconds,
+        verdict=verdict,
         **_depth_maps(unit, kept, view, seen.workspace),
     )
 

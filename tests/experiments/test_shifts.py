@@ -106,6 +106,8 @@ def test_views_are_of_the_validation_split(monkeypatch, view):
     asked = []
 
     class Few:
+        objects = np.arange(9) // 2
+
         def __len__(self):
             return 9
 
@@ -115,5 +117,19 @@ def test_views_are_of_the_validation_split(monkeypatch, view):
 
     monkeypatch.setattr(shifts, "open_dataset", lambda name, split: Few())
     monkeypatch.setattr(shifts, "with_partial", lambda row: dataclasses.replace(view))
-    assert len(shifts.validation_views("shapes", 3)) == 3
+    views = shifts.validation_views("shapes", 3)
     assert asked == [0, 4, 8]
+    assert [one.group for one in views] == [0, 2, 4]
+
+
+def test_any_shift_is_one_of_every_kind_and_the_same_again(view):
+    kinds = {}
+    for seed in range(40):
+        kind, shifted = shifts.any_shift(view, np.random.default_rng(seed))
+        _, again = shifts.any_shift(view, np.random.default_rng(seed))
+        np.testing.assert_array_equal(shifted.partial, again.partial)
+        assert not np.array_equal(shifted.complete, view.complete)
+        kinds.setdefault(kind, []).append(shifted)
+    assert set(kinds) == {"heading", "tilt", "points", "noise", "crop"}
+    assert all(one.table is not None for one in kinds["tilt"])
+    assert all(len(one.partial) < len(view.partial) for one in kinds["crop"])
