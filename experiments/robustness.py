@@ -6,13 +6,16 @@ Every view of a validation split is shifted (`experiments.shifts`) and completed
 user's scan is, by `Completer`.
 """
 
+import concurrent.futures
 import json
+import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from absl import flags
+from jaxtyping import Float
 from tqdm import tqdm
 
 from experiments.output import prepare_output
@@ -64,14 +67,19 @@ def main() -> None:
     completer = Completer.from_pretrained(located(FLAGS.weights))
     views, about = _views()
     rows = {}
-    with tqdm(total=len(FLAGS.shift) * len(views), mininterval=2.0) as bar:
+    # While one view is completed, those before are scored.
+    with (
+        tqdm(total=len(FLAGS.shift) * len(views), mininterval=2.0) as bar,
+        concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool,
+    ):
         for name in FLAGS.shift:
             scores = []
             for number, view in enumerate(views):
                 shifted = SHIFTS[name](view, np.random.default_rng(number))
-                scores.append(score(completer, shifted, FLAGS.adapt))
+                done = completed(completer, shifted, FLAGS.adapt)
+                scores.append(pool.submit(score, shifted, done.points))
                 bar.update()
-            rows[name] = _summary(scores)
+            rows[name] = _summary([waiting.result() for waiting in scores])
     result = {"commit": commit(), "weights": FLAGS.weights, **about, "shifts": rows}
     text = robustness_markdown(result)
     print(text)
@@ -81,11 +89,10 @@ def main() -> None:
         write_bytes(path.with_suffix(".md"), text.encode())
 
 
-def score(completer: Completer, view: View, adapt: bool) -> dict[str, dict[str, float]]:
+def score(view: View, points: Float[np.ndarray, "N 3"]) -> dict[str, dict[str, float]]:
     """The scores of the partial and of what a user gets, by cloud and metric."""
-    done = completed(completer, view, adapt)
     unit = 0.5 * view.size
-    clouds = {"partial": view.partial, "completed": done.points}
+    clouds = {"partial": view.partial, "completed": points}
     return {
         name: metrics.score(cloud / unit, view.complete / unit).named()
         for name, cloud in clouds.items()

@@ -71,16 +71,18 @@ def test_a_tilt_is_undone_by_the_table(view):
 
 
 def test_scores_are_those_of_the_partial_and_of_what_a_user_gets(view, completer):
-    scores = robustness.score(completer, view, adapt=False)
+    scores = robustness.score(view, robustness.completed(completer, view, False).points)
     assert scores["partial"]["prediction_to_truth"] < 0.01
     assert set(scores) == {"partial", "completed"}
     tilted = SHIFTS["tilt 36, on a table"](view, np.random.default_rng(0))
-    again = robustness.score(completer, tilted, adapt=False)
+    done = robustness.completed(completer, tilted, adapt=False)
+    again = robustness.score(tilted, done.points)
     assert np.isfinite(again["completed"]["cd_l2"])
 
 
 def test_the_table_has_a_row_for_each_shift(view, completer):
-    scores = [robustness.score(completer, view, adapt=False)]
+    done = robustness.completed(completer, view, adapt=False)
+    scores = [robustness.score(view, done.points)]
     rows = {"heading 0": robustness._summary(scores)}
     about = {"weights": "w", "commit": None, "data": "boxes", "views": 1}
     text = robustness.robustness_markdown({**about, "shifts": rows})
