@@ -46,7 +46,10 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
     entries = summary["objects"]
     clouds, meta = _clouds(scene, entries)
     bounds = _bounds(scene)
-    camera = scene.objects[0].camera if scene.objects else _FROM_X
+    if scene.objects:
+        camera = scene.objects[0].camera
+    else:
+        camera = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     up = np.asarray(scene.up, np.float64)
     toward = viewing_direction(camera, up, turn_degrees=20.0, rise_degrees=35.0)
     figure = clouds_figure([Panel("", clouds)], toward, up, bounds)
@@ -80,9 +83,6 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         max_shown=f"{_share(scene):,}",
         details=details.of_scene(summary),
     )
-
-
-_FROM_X = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def _clouds(
