@@ -59,7 +59,8 @@ def supervised_phase(
             variables["params"], updates
         )
         variables = {"params": params, "batch_stats": statistics}
-        return TrainState(state.step + 1, variables, opt_state), losses
+        average = _averaged(state, variables, training.average_decay)
+        return TrainState(state.step + 1, variables, opt_state, average), losses
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
@@ -73,11 +74,29 @@ def supervised_phase(
         phase.num_samples,
         training.batch_size,
         training.num_complete,
-        TrainState(jnp.int32(0), variables, adam.init(variables["params"])),
+        TrainState(
+            jnp.int32(0),
+            variables,
+            adam.init(variables["params"]),
+            variables if training.average_decay else None,
+        ),
         step,
         validate,
         names,
         names,
+    )
+
+
+def _averaged(
+    state: TrainState, variables: Variables, decay: float
+) -> Variables | None:
+    """The moving average after a step. It forgets sooner at first, so that it soon is
+    one of trained variables."""
+    if state.average is None:
+        return None
+    kept = jnp.minimum(decay, (1.0 + state.step) / (10.0 + state.step))
+    return jax.tree.map(
+        lambda old, new: kept * old + (1.0 - kept) * new, state.average, variables
     )
 
 

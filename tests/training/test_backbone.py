@@ -160,6 +160,29 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     assert seeds.validate_fn._cache_size() == 1
 
 
+def test_the_average_is_what_is_kept(preset, backbone, batch):
+    """In closed form: it forgets sooner at first. Training is as without it."""
+    phase, settings = preset.pretrain.backbone[0], preset.pretrain
+    averaged = dataclasses.replace(settings, average_decay=0.25)
+    with_average = backbone_phase(backbone, preset.model.backbone, phase, averaged)
+    alone = backbone_phase(backbone, preset.model.backbone, phase, settings)
+    assert alone.start.average is None
+    state, plain, expected = with_average.start, alone.start, alone.start.variables
+    assert bitwise(state.kept, state.variables)
+    for step, kept in enumerate([0.1, 2 / 11, 0.25, 0.25]):
+        state, _ = with_average.step_fn(state, batch)
+        plain, _ = alone.step_fn(plain, batch)
+        assert bitwise(state.variables, plain.variables), step
+        expected = jax.tree.map(
+            lambda old, new, kept=kept: kept * old + (1 - kept) * new,
+            expected,
+            state.variables,
+        )
+    for a, b in zip(*map(jax.tree.leaves, (state.kept, expected)), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6)
+
+
 def test_validation_is_in_the_unit_of_the_scores(seeds, examples, framed):
     variables = seeds.start.variables
     framing = dataclasses.replace(FRAMING, num_complete=VALIDATION_COMPLETE)
