@@ -189,6 +189,15 @@ def validation_split(name: str) -> str:
     return split
 
 
+def validation_rows(
+    name: str, data_dir: str | os.PathLike | None = None, count: int = 200
+) -> Subset:
+    """So many examples of a set's validation split, or all, evenly spaced."""
+    validation = open_dataset(name, validation_split(name), data_dir)
+    rows = np.unique(np.linspace(0, len(validation) - 1, count, dtype=int))
+    return Subset(validation, rows)
+
+
 def opened_splits(name: str) -> tuple[str, ...]:
     """The splits that a training opens: its own, and that it is validated on."""
     validation = DATASETS[name].validation
@@ -218,9 +227,7 @@ def open_training(
     split = DATASETS[name].validation
     if split is None:
         return hold_out(train, num_validation)
-    validation = open_dataset(name, split, data_dir)
-    rows = np.unique(np.linspace(0, len(validation) - 1, num_validation, dtype=int))
-    return train, Subset(validation, rows)
+    return train, validation_rows(name, data_dir, num_validation)
 
 
 def parts_of(name: str, data_dir: str | os.PathLike | None = None) -> list[str]:

@@ -29,7 +29,8 @@ def supervised_phase(
 ) -> Phase:
     """Eq. 10 over the stages that ``train_fn`` makes with BatchNorm's statistics of the
     batch, which it returns too; validated on those of ``stages_fn``, by CD-L2 in the
-    unit of the scores. ``names`` are the stages', coarse first."""
+    unit of the scores. What decides is the mean logarithm of the last stage's CD-L1,
+    which one bad example cannot carry. ``names`` are the stages', coarse first."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
     adam = optimiser(
         "adam",
@@ -65,9 +66,11 @@ def supervised_phase(
     @jax.jit
     def validate(variables: Variables, batch: Batch):
         complete = jnp.asarray(batch.complete)
-        stages = stages_fn(variables, batch)
-        distances = [jax.vmap(chamfer)(stage, complete) for stage in stages]
-        return jnp.stack(distances, -1) * jnp.asarray(batch.scale)[:, None] ** 2
+        stages, scale = stages_fn(variables, batch), jnp.asarray(batch.scale)
+        squared = [jax.vmap(chamfer)(stage, complete) for stage in stages]
+        plain = jax.vmap(lambda s, c: chamfer(s, c, "l1"))(stages[-1], complete)
+        scores = [*(distance * scale**2 for distance in squared), plain * scale]
+        return jnp.stack([*scores[:-1], jnp.log(scores[-1])], -1)
 
     return Phase(
         phase.name,
@@ -83,7 +86,7 @@ def supervised_phase(
         step,
         validate,
         names,
-        names,
+        (*names, "log_cd_l1"),
     )
 
 
