@@ -52,15 +52,17 @@ def views_of(
     rng: np.random.Generator,
     num_views: int = 1,
     partial: str = "self_occlusion",
+    two_sided: bool = False,
 ) -> Views:
     """Partial clouds, the complete cloud, viewpoints.
 
     `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
-    from outside. All clouds are in farthest-point order; a partial of fewer than 2,048
-    distinct points is repeated from its start. More views begin with the same ones. A
-    crop is seen by no sensor: its viewpoint is NaN.
+    from outside (`sample_outside`, also for `two_sided`). All clouds are in
+    farthest-point order; a partial of fewer than 2,048 distinct points is repeated from
+    its start. More views begin with the same ones. A crop is seen by no sensor: its
+    viewpoint is NaN.
     """
-    surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng)
+    surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng, two_sided)
     lower, upper = surface.min(axis=0), surface.max(axis=0)
     center, half = (lower + upper) / 2, (upper - lower).max() / 2
     vertices = (mesh.vertices - center) / half
