@@ -16,6 +16,8 @@ from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.shapes import category_rng, make_shape
 
 QUANTUM = 2.0**-14
+BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
+"""That shards store these clouds in: what is stored is exactly what was made."""
 SURFACE_POINTS = 16384
 PARTIAL_POINTS = 2048
 MIN_RETURNS = 16
