@@ -2,7 +2,7 @@
 
 python -m experiments.contact_sheet --output=docs/shapes.png
 python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
-python -m experiments.contact_sheet --dataset=objects --columns=8 --output=objects.png
+python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
 """
 
 import io

@@ -1,10 +1,12 @@
 """Builds splits of the models that people made."""
 
+import collections
 import dataclasses
 import functools
 import hashlib
 import os
 import pathlib
+import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -16,7 +18,7 @@ from prism_jax.io.errors import InputError, choose
 from prism_jax.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE
 from prism_jax.simulation.objects.categories import CATEGORIES, category_of
 from prism_jax.simulation.objects.models import Model
-from prism_jax.simulation.objects.survey import survey
+from prism_jax.simulation.objects.survey import ALIKE, Survey, survey
 from prism_jax.simulation.partials import PARTIALS
 from prism_jax.simulation.shard_writer import build_shards
 from prism_jax.simulation.views import (
@@ -77,6 +79,8 @@ def build_objects(
     folder = make_output_dir(folder_of("objects", config.split, data_dir))
     found = survey([config.split], catalogue_dir, progress)
     models = [model for model, _ in found.models]
+    if progress:
+        print(f"{folder.name}: {told_counts(found)}", file=sys.stderr)
     content = {
         "generator": "prism_jax objects",
         "generator_version": OBJECTS_VERSION,
@@ -115,6 +119,16 @@ def build_objects(
         progress,
         BOX,
     )
+
+
+def told_counts(found: Survey) -> str:
+    """How many models are taken, and how many are left out for which reason."""
+    kinds = collections.Counter(
+        f"{ALIKE} another" if reason.startswith(ALIKE) else reason
+        for reason in found.left_out.values()
+    )
+    left_out = ", ".join(f"{kinds[reason]} {reason}" for reason in sorted(kinds))
+    return f"{len(found.models)} models are taken; left out: {left_out or 'none'}"
 
 
 def model_views(config: ObjectsConfig, model: Model) -> Views:

@@ -30,6 +30,7 @@ MAX_OVERLAP = 0.8
 """Share of the cells that either of two models is in: if more have both in them, and no
 side of theirs differs by `MAX_SIDES` or more, they look alike."""
 MAX_SIDES = 0.05
+ALIKE = "looks like"
 CELLS = 24
 """Along each side of a model's box."""
 SAMPLES = 20_000
@@ -95,7 +96,7 @@ class _Taken:
             np.abs(self._sides - sides).max(axis=1, initial=0) < MAX_SIDES
         )
         if alike.any():
-            return f"looks like {self._models[int(alike.argmax())].identity}"
+            return f"{ALIKE} {self._models[int(alike.argmax())].identity}"
         self._models.append(model)
         self._cells = np.concatenate([self._cells, cells[None]])
         self._sides = np.concatenate([self._sides, sides[None]])

@@ -14,6 +14,7 @@ from prism_jax.simulation.objects.build import (
     ObjectsConfig,
     build_objects,
     model_views,
+    told_counts,
 )
 from prism_jax.simulation.objects.catalogues import CATALOGUES, PACKAGE
 from prism_jax.simulation.objects.categories import CATEGORIES
@@ -70,6 +71,14 @@ def test_the_manifest_names_makers_and_what_is_left_out(built):
     assert (locker["catalogue"], locker["name"]) == ("BlendSwap-CC-BY", "locker")
     assert len(cone["digest"]) == 12
     assert told["left_out"]["BlendSwap-CC-0/panel"] == "is a slab"
+
+
+def test_reasons_are_counted(catalogue_dir):
+    assert told_counts(survey(["test"], catalogue_dir)) == (
+        "2 models are taken; left out: 1 looks like another"
+    )
+    counted = told_counts(survey(["validation"], catalogue_dir))
+    assert counted.startswith("1 models are taken; left out: 1 belongs to a door or")
 
 
 @pytest.mark.parametrize("num_workers", [0, 2])
