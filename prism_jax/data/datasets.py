@@ -112,7 +112,7 @@ DATASETS: Mapping[str, DataSet] = {
         folder="objects-{split}",
         generated=True,
         licence="Blend Swap models of Debian's sweethome3d-furniture (CC0 1.0, "
-        "CC BY 3.0), whose makers the manifest names",
+        "CC BY 3.0), whose makers docs/data.md and the manifest name",
     ),
     "packed": DataSet(
         _open_packed,
