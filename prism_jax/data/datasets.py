@@ -23,7 +23,7 @@ from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
 
-SHAPES_VERSION, ROBOARM_VERSION = 2, 1
+SHAPES_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1
 """Raised with every change of what is drawn, so that builds are never mixed."""
 
 
@@ -65,6 +65,12 @@ def _open_roboarm(root: pathlib.Path, split: str) -> Source:
     return RecordedCells(folder)
 
 
+def _open_objects(root: pathlib.Path, split: str) -> Source:
+    folder = folder_of("objects", split, root)
+    remedy = _build_it("objects", split, root)
+    return Shards(folder, remedy, generator_version=OBJECTS_VERSION)
+
+
 def _open_packed(root: pathlib.Path, split: str) -> Source:
     return Shards(root / split)
 
@@ -97,6 +103,16 @@ DATASETS: Mapping[str, DataSet] = {
         generated=True,
         licence="arms of example-robot-data (tiago Apache-2.0, pr2 BSD, "
         "tiago_pro Apache-2.0, romeo BSD, talos Apache-2.0), the rest procedural",
+    ),
+    "objects": DataSet(
+        _open_objects,
+        splits=("train", "validation", "test"),
+        validation="validation",
+        scored=("validation", "test"),
+        folder="objects-{split}",
+        generated=True,
+        licence="Blend Swap models of Debian's sweethome3d-furniture (CC0 1.0, "
+        "CC BY 3.0), whose makers docs/data.md and the manifest name",
     ),
     "packed": DataSet(
         _open_packed,

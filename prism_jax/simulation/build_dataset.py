@@ -54,6 +54,23 @@ def _roboarm(
     )
 
 
+def _objects(
+    split: str,
+    data_dir: _Place,
+    num_workers: int | None,
+    num_views: int = 0,
+    partial: str = "self_occlusion",
+    seed: int = 0,
+    catalogue_dir: str | None = None,
+) -> pathlib.Path:
+    from prism_jax.simulation.objects.build import ObjectsConfig, build_objects
+    from prism_jax.simulation.objects.catalogues import FOLDER
+
+    config = ObjectsConfig(split, num_views, partial, seed)
+    place = catalogue_dir or FOLDER
+    return build_objects(config, data_dir, num_workers, catalogue_dir=place)
+
+
 def _meshes(
     split: str, data_dir: _Place, num_workers: int | None, mesh_dir: str | None = None
 ) -> pathlib.Path:
@@ -68,6 +85,7 @@ def _meshes(
 BUILDERS: Mapping[str, Callable[..., pathlib.Path]] = {
     "shapes": _shapes,
     "roboarm": _roboarm,
+    "objects": _objects,
     "meshes": _meshes,
 }
 """By split, folder for all splits, number of workers, and settings of their own."""

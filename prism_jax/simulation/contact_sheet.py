@@ -22,6 +22,7 @@ from prism_jax.simulation.shapes import UNSEEN_CATEGORIES, make_shape
 Color = tuple[float, float, float]
 
 STEEL, AMBER = (0.55, 0.66, 0.8), (0.95, 0.68, 0.34)
+OBSERVED, GROUND_TRUTH = (0.15, 0.39, 0.69), (0.95, 0.75, 0.5)
 TOWARD_VIEWER = (0.8, 1.0, 0.62)
 TOWARD_LIGHT = np.array([1.0, 0.1, 1.25]) / np.linalg.norm([1.0, 0.1, 1.25])
 SUPERSAMPLING = 2
@@ -55,8 +56,8 @@ def draw(
     """The mesh on a floor at its lowest point, filling a square picture.
 
     z is up; `toward_viewer` is a direction in the mesh's frame that leads upwards but
-    not straight. `color` is the surface's red, green and blue, each within 0 to 1.
-    A mesh without triangles raises ValueError.
+    not straight. `color` is the surface's red, green and blue, each within 0 to 1;
+    faces look alike from both sides. A mesh without triangles raises ValueError.
     """
     scene, side = Scene(mesh), size * SUPERSAMPLING
     axes = camera_axes(-np.asarray(toward_viewer, float))
@@ -65,7 +66,9 @@ def draw(
     to_floor = (mesh.bounds[0, 2] - origins[:, 2]) / axes[2, 2]
     points = origins + to_floor[:, None] * axes[2]
     normals = np.tile([0.0, 0.0, 1.0], (len(origins), 1))
-    points[hits.ray], normals[hits.ray] = hits.points, scene.normals[hits.faces]
+    seen = scene.normals[hits.faces]
+    seen[seen @ axes[2] > 0] *= -1
+    points[hits.ray], normals[hits.ray] = hits.points, seen
     points += 1e-4 * scene.radius * normals
     lit, sky = _is_lit(scene, points, normals), _open_sky(scene, points, normals)
     floor = 1 - 0.22 * ~lit - 0.45 * (1 - sky)

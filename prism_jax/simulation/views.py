@@ -1,4 +1,4 @@
-"""One shape: its complete cloud and partial views of it.
+"""One mesh: its complete cloud and partial views of it.
 
 Frame: the bounding box of the 16,384-point complete cloud is centred at the origin and
 the box's longest side spans [-1, 1]. A network never sees this frame: its workspace is
@@ -7,6 +7,7 @@ bits hold up to +-2, and float32 exactly.
 """
 
 import numpy as np
+import trimesh
 from jaxtyping import Float, Float32
 
 from prism_jax.data.ordering import farthest_point_order
@@ -15,11 +16,19 @@ from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.shapes import category_rng, make_shape
 
 QUANTUM = 2.0**-14
+BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
+"""That shards store these clouds in: what is stored is exactly what was made."""
 SURFACE_POINTS = 16384
 PARTIAL_POINTS = 2048
 MIN_RETURNS = 16
 """A view of fewer points, of a slender shape or through dropouts, is drawn again."""
 MAX_DRAWS = 100
+
+Views = tuple[
+    Float32[np.ndarray, "V 2048 3"],
+    Float32[np.ndarray, "16384 3"],
+    Float32[np.ndarray, "V 3"],
+]
 
 
 def rounded(
@@ -34,26 +43,33 @@ def rounded(
 
 def make_views(
     category: str, seed: int, num_views: int = 1, partial: str = "self_occlusion"
-) -> tuple[
-    Float32[np.ndarray, "V 2048 3"],
-    Float32[np.ndarray, "16384 3"],
-    Float32[np.ndarray, "V 3"],
-]:
-    """Partial clouds, the complete cloud, viewpoints: a pure function of its arguments.
+) -> Views:
+    """`views_of` a procedural shape: a pure function of its arguments."""
+    rng = category_rng(category, seed, 1)
+    return views_of(make_shape(category, seed), rng, num_views, partial)
+
+
+def views_of(
+    mesh: trimesh.Trimesh,
+    rng: np.random.Generator,
+    num_views: int = 1,
+    partial: str = "self_occlusion",
+    two_sided: bool = False,
+) -> Views:
+    """Partial clouds, the complete cloud, viewpoints.
 
     `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
-    from outside. All clouds are in farthest-point order; a partial of fewer than 2,048
-    distinct points is repeated from its start. More views begin with the same ones. A
-    crop is seen by no sensor: its viewpoint is NaN.
+    from outside (`sample_outside`, also for `two_sided`). All clouds are in
+    farthest-point order; a partial of fewer than 2,048 distinct points is repeated from
+    its start. More views begin with the same ones. A crop is seen by no sensor: its
+    viewpoint is NaN.
     """
-    rng = category_rng(category, seed, 1)
-    mesh = make_shape(category, seed)
-    surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng)
+    surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng, two_sided)
     lower, upper = surface.min(axis=0), surface.max(axis=0)
     center, half = (lower + upper) / 2, (upper - lower).max() / 2
-    mesh.vertices = (mesh.vertices - center) / half
+    vertices = (mesh.vertices - center) / half
     complete = farthest_point_order((surface - center) / half, SURFACE_POINTS)
-    scene = Scene(mesh)
+    scene = Scene(trimesh.Trimesh(vertices, mesh.faces, process=False))
     views = [_view(partial, scene, complete, rng) for _ in range(num_views)]
     partials, eyes = (np.stack(column) for column in zip(*views, strict=True))
     return partials, rounded(complete), eyes

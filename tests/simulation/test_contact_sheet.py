@@ -34,6 +34,13 @@ def test_the_view_has_z_up_and_the_light_from_above():
     assert top.sum() > 1.2 * front.sum()
 
 
+def test_winding_does_not_show():
+    box = trimesh.creation.box((1, 2, 1))
+    inverted = box.copy()
+    inverted.invert()
+    np.testing.assert_array_equal(draw(box, SIZE), draw(inverted, SIZE))
+
+
 def test_shadows_fall_on_the_floor_away_from_the_light():
     picture = draw(trimesh.creation.box((1, 1, 1)), SIZE).astype(int)
     floor = np.where(colored(picture), 255, picture.mean(axis=2))

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import KDTree
 
 from prism_jax.simulation import views as examples
 from prism_jax.simulation.shapes import make_shape
-from prism_jax.simulation.views import QUANTUM, make_views, rounded
+from prism_jax.simulation.views import QUANTUM, make_views, rounded, views_of
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +84,17 @@ def test_example_uses_the_mesh_of_its_seed(shape):
     extents = make_shape("mug", 11).extents
     span = np.ptp(shape[1], axis=0)
     np.testing.assert_allclose(span / span.max(), extents / extents.max(), atol=0.01)
+
+
+def test_any_mesh_has_views_and_stays_as_it_was():
+    box = trimesh.creation.box((3.0, 2.0, 1.0))
+    box.apply_translation((10.0, 0.0, -4.0))
+    before = box.vertices.copy()
+    partials, complete, _ = views_of(box, np.random.default_rng(0))
+    np.testing.assert_array_equal(box.vertices, before)
+    faces = np.array([1.0, 2 / 3, 1 / 3])
+    for cloud in (complete, partials[0]):
+        np.testing.assert_allclose(np.abs(cloud / faces).max(axis=1), 1, atol=0.01)
 
 
 def test_coordinates_are_rounded_to_the_nearest_step_and_overflow_is_refused():

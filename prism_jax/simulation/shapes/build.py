@@ -10,8 +10,6 @@ import os
 import pathlib
 from collections.abc import Iterator
 
-import numpy as np
-
 from prism_jax.data.datasets import SHAPES_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError, choose
@@ -19,6 +17,7 @@ from prism_jax.simulation.partials import PARTIALS
 from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
 from prism_jax.simulation.shard_writer import build_shards
 from prism_jax.simulation.views import (
+    BOX,
     PARTIAL_POINTS,
     QUANTUM,
     SURFACE_POINTS,
@@ -32,9 +31,6 @@ SPLITS = {
     "unseen": (132, 1),
 }
 """Shapes of a split, and views of each, unless told otherwise."""
-
-_BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
-"""Of every shape: what is stored is exactly what was made."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +106,7 @@ def build_shapes(
         functools.partial(_views, config),
         num_workers,
         progress,
-        _BOX,
+        BOX,
     )
 
 
