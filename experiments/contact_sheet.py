@@ -1,6 +1,8 @@
-"""Draws a picture of the procedural shapes, or of the simulated robot cells.
+"""Draws a picture of the procedural shapes, the open ones, or the robot cells.
 
 python -m experiments.contact_sheet --output=docs/shapes.png
+python -m experiments.contact_sheet --dataset=open --size=128 \
+    --output=docs/open_shapes.png
 python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
 """
 
@@ -11,7 +13,7 @@ from absl import flags
 from experiments.output import prepare_output
 from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
-from prism_jax.simulation.contact_sheet import contact_sheet, shape_row
+from prism_jax.simulation.contact_sheet import contact_sheet, open_row, shape_row
 from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
 from prism_jax.simulation.roboarm.pictures import cell_row
 from prism_jax.simulation.shapes import CATEGORIES
@@ -21,10 +23,11 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_enum("dataset", "shapes", ["shapes", "roboarm"], "What to draw.")
+    flags.DEFINE_enum("dataset", "shapes", ["shapes", "open", "roboarm"], "Of what.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
     flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells.")
     flags.DEFINE_integer("sequences", NUM_SEQUENCES, "Robot cells to draw.", 1)
+    flags.DEFINE_integer("rows", 10, "Rows of open shapes.", 1)
     flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "Which shapes.")
     flags.DEFINE_integer(
         "seed", 0, "Seed of the cells, or the first of the seeds in a row.", 0
@@ -36,11 +39,15 @@ def define_flags() -> None:
 
 
 def main():
-    """One row a category, steel-blue ones for training; or one row a robot cell."""
+    """One row a category, steel-blue ones for training; or rows of open shapes, seed
+    after seed; or one row a robot cell."""
     prepare_output(FLAGS.output, ".png")
     if FLAGS.dataset == "roboarm":
         cells = range(FLAGS.sequences)
         rows = [cell_row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]
+    elif FLAGS.dataset == "open":
+        starts = range(FLAGS.seed, FLAGS.seed + FLAGS.rows * FLAGS.seeds, FLAGS.seeds)
+        rows = [open_row(range(s, s + FLAGS.seeds), FLAGS.size) for s in starts]
     else:
         seeds = range(FLAGS.seed, FLAGS.seed + FLAGS.seeds)
         rows = [shape_row(name, seeds, FLAGS.size) for name in FLAGS.category]

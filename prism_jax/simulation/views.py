@@ -7,6 +7,7 @@ bits hold up to +-2, and float32 exactly.
 """
 
 import numpy as np
+import trimesh
 from jaxtyping import Float, Float32
 
 from prism_jax.data.ordering import farthest_point_order
@@ -39,21 +40,36 @@ def make_views(
     Float32[np.ndarray, "16384 3"],
     Float32[np.ndarray, "V 3"],
 ]:
-    """Partial clouds, the complete cloud, viewpoints: a pure function of its arguments.
+    """`views_of` the mesh of a category and a seed: a pure function of its arguments.
+    More views begin with the same ones."""
+    rng = category_rng(category, seed, 1)
+    return views_of(make_shape(category, seed), rng, num_views, partial)
+
+
+def views_of(
+    mesh: trimesh.Trimesh,
+    rng: np.random.Generator,
+    num_views: int = 1,
+    partial: str = "self_occlusion",
+) -> tuple[
+    Float32[np.ndarray, "V 2048 3"],
+    Float32[np.ndarray, "16384 3"],
+    Float32[np.ndarray, "V 3"],
+]:
+    """Partial clouds, the complete cloud, viewpoints, of a mesh with outward normals.
 
     `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
     from outside. All clouds are in farthest-point order; a partial of fewer than 2,048
-    distinct points is repeated from its start. More views begin with the same ones. A
-    crop is seen by no sensor: its viewpoint is NaN.
+    distinct points is repeated from its start. A crop is seen by no sensor: its
+    viewpoint is NaN. A mesh of which almost nothing is seen from outside, or that gives
+    no view of `MIN_RETURNS` points, raises ValueError.
     """
-    rng = category_rng(category, seed, 1)
-    mesh = make_shape(category, seed)
     surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng)
     lower, upper = surface.min(axis=0), surface.max(axis=0)
     center, half = (lower + upper) / 2, (upper - lower).max() / 2
-    mesh.vertices = (mesh.vertices - center) / half
+    vertices = (mesh.vertices - center) / half
+    scene = Scene(trimesh.Trimesh(vertices, mesh.faces, process=False))
     complete = farthest_point_order((surface - center) / half, SURFACE_POINTS)
-    scene = Scene(mesh)
     views = [_view(partial, scene, complete, rng) for _ in range(num_views)]
     partials, eyes = (np.stack(column) for column in zip(*views, strict=True))
     return partials, rounded(complete), eyes

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import KDTree
 
 from prism_jax.simulation import views as examples
 from prism_jax.simulation.shapes import make_shape
-from prism_jax.simulation.views import QUANTUM, make_views, rounded
+from prism_jax.simulation.views import QUANTUM, make_views, rounded, views_of
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,17 @@ def test_kinds_of_partials_differ_and_the_shape_does_not(shape):
     partials, complete, _ = make_views("mug", 11, 1, "crop")
     np.testing.assert_array_equal(complete, shape[1])
     assert not np.array_equal(partials[0], shape[0][0])
+
+
+def test_a_mesh_of_any_place_and_size_is_viewed_in_the_same_frame_and_left_alone():
+    mesh = trimesh.creation.box((1, 2, 4)).apply_translation((50, 60, 70))
+    before = mesh.vertices.copy()
+    partials, complete, _ = views_of(mesh, np.random.default_rng(0), 2)
+    np.testing.assert_array_equal(mesh.vertices, before)
+    spans = np.ptp(complete, axis=0)
+    np.testing.assert_allclose(spans, (0.5, 1, 2), atol=0.01)
+    gaps, _ = KDTree(complete).query(partials.reshape(-1, 3))
+    assert gaps.max() < 0.06
 
 
 def test_example_uses_the_mesh_of_its_seed(shape):
