@@ -1,6 +1,8 @@
-"""Draws a picture of the procedural shapes, of robot cells, or of people's models.
+"""Draws a picture of procedural shapes, open ones, robot cells, or people's models.
 
 python -m experiments.contact_sheet --output=docs/shapes.png
+python -m experiments.contact_sheet --dataset=open --size=128 \
+    --output=docs/open_shapes.png
 python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
 python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
 """
@@ -13,7 +15,7 @@ from absl import flags
 from experiments.output import prepare_output
 from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
-from prism_jax.simulation.contact_sheet import Row, contact_sheet, shape_row
+from prism_jax.simulation.contact_sheet import Row, contact_sheet, open_row, shape_row
 from prism_jax.simulation.objects.build import NUM_VIEWS
 from prism_jax.simulation.objects.catalogues import FOLDER
 from prism_jax.simulation.objects.pictures import credit, model_row
@@ -27,11 +29,12 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    known = ["shapes", "roboarm", "objects"]
+    known = ["shapes", "open", "roboarm", "objects"]
     flags.DEFINE_enum("dataset", "shapes", known, "What to draw.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
     flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells.")
     flags.DEFINE_integer("sequences", NUM_SEQUENCES, "Robot cells to draw.", 1)
+    flags.DEFINE_integer("rows", 10, "Rows of open shapes.", 1)
     flags.DEFINE_integer("models", 40, "Models to draw, evenly spaced through all.", 1)
     flags.DEFINE_string("catalogue_dir", str(FOLDER), "Where the models are.")
     flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "Which shapes.")
@@ -45,14 +48,17 @@ def define_flags() -> None:
 
 
 def main():
-    """One row a category, steel-blue ones for training; or one row a robot cell, or a
-    model, whose makers are printed."""
+    """One row a category, steel-blue ones for training; or rows of open shapes, seed
+    after seed; or one row a robot cell, or a model, whose makers are printed."""
     prepare_output(FLAGS.output, ".png")
     if FLAGS.dataset == "roboarm":
         cells = range(FLAGS.sequences)
         rows = [cell_row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]
     elif FLAGS.dataset == "objects":
         rows = model_rows()
+    elif FLAGS.dataset == "open":
+        starts = range(FLAGS.seed, FLAGS.seed + FLAGS.rows * FLAGS.seeds, FLAGS.seeds)
+        rows = [open_row(range(s, s + FLAGS.seeds), FLAGS.size) for s in starts]
     else:
         seeds = range(FLAGS.seed, FLAGS.seed + FLAGS.seeds)
         rows = [shape_row(name, seeds, FLAGS.size) for name in FLAGS.category]

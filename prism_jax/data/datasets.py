@@ -23,7 +23,7 @@ from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
 
-SHAPES_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1
+SHAPES_VERSION, OPEN_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1, 1
 """Raised with every change of what is drawn, so that builds are never mixed."""
 
 
@@ -58,6 +58,12 @@ def _open_shapes(root: pathlib.Path, split: str) -> Source:
     return Shards(folder, remedy, generator_version=SHAPES_VERSION)
 
 
+def _open_open(root: pathlib.Path, split: str) -> Source:
+    folder = folder_of("open", split, root)
+    remedy = _build_it("open", split, root)
+    return Shards(folder, remedy, generator_version=OPEN_VERSION)
+
+
 def _open_roboarm(root: pathlib.Path, split: str) -> Source:
     folder = folder_of("roboarm", split, root)
     remedy = _build_it("roboarm", split, root)
@@ -84,6 +90,8 @@ def _build_it(name: str, split: str, root: pathlib.Path) -> str:
     return f"build it: {command} --output_dir={root}"
 
 
+_PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
+
 DATASETS: Mapping[str, DataSet] = {
     "shapes": DataSet(
         _open_shapes,
@@ -92,7 +100,15 @@ DATASETS: Mapping[str, DataSet] = {
         scored=("validation", "test", "unseen"),
         folder="shapes-{split}",
         generated=True,
-        licence="procedural, made by prism_jax (Apache-2.0), nobody else's meshes",
+        licence=_PROCEDURAL,
+    ),
+    "open": DataSet(
+        _open_open,
+        splits=("train",),
+        scored=(),
+        folder="open-{split}",
+        generated=True,
+        licence=_PROCEDURAL,
     ),
     "roboarm": DataSet(
         _open_roboarm,

@@ -31,6 +31,21 @@ def _shapes(
     return build_shapes(config, data_dir, num_workers)
 
 
+def _open(
+    split: str,
+    data_dir: _Place,
+    num_workers: int | None,
+    num_shapes: int = 12_000,
+    num_views: int = 8,
+    partial: str = "self_occlusion",
+    seed: int = 0,
+) -> pathlib.Path:
+    from prism_jax.simulation.open_shapes.build import OpenConfig, build_open_shapes
+
+    config = OpenConfig(split, num_shapes, num_views, partial, seed)
+    return build_open_shapes(config, data_dir, num_workers)
+
+
 def _roboarm(
     split: str,
     data_dir: _Place,
@@ -84,6 +99,7 @@ def _meshes(
 
 BUILDERS: Mapping[str, Callable[..., pathlib.Path]] = {
     "shapes": _shapes,
+    "open": _open,
     "roboarm": _roboarm,
     "objects": _objects,
     "meshes": _meshes,

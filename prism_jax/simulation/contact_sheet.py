@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.simulation.open_shapes import make_open_shape
 from prism_jax.simulation.raycast import Scene, sphere_directions
 from prism_jax.simulation.sensors import camera_axes
 from prism_jax.simulation.shapes import UNSEEN_CATEGORIES, make_shape
@@ -45,6 +46,12 @@ def shape_row(category: str, seeds: Sequence[int], size: int) -> Row:
     color = AMBER if category in UNSEEN_CATEGORIES else STEEL
     shapes = [make_shape(category, seed) for seed in seeds]
     return Row(category.replace("_", " "), [draw(s, size, color) for s in shapes])
+
+
+def open_row(seeds: Sequence[int], size: int) -> Row:
+    """The open shapes of some seeds that follow one another."""
+    label = f"{seeds[0]} to {seeds[-1]}"
+    return Row(label, [draw(make_open_shape(seed), size) for seed in seeds])
 
 
 def draw(

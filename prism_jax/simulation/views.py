@@ -62,7 +62,8 @@ def views_of(
     from outside (`sample_outside`, also for `two_sided`). All clouds are in
     farthest-point order; a partial of fewer than 2,048 distinct points is repeated from
     its start. More views begin with the same ones. A crop is seen by no sensor: its
-    viewpoint is NaN.
+    viewpoint is NaN. A mesh of which almost nothing is seen from outside, or that gives
+    no view of `MIN_RETURNS` points, raises ValueError.
     """
     surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng, two_sided)
     lower, upper = surface.min(axis=0), surface.max(axis=0)

@@ -25,6 +25,14 @@ def test_writes_one_row_a_category(tmp_path):
     assert output.read_bytes() == before
 
 
+def test_writes_rows_of_open_shapes(tmp_path):
+    output = tmp_path / "sheet.png"
+    few = ["--dataset=open", "--rows=3", "--seeds=2", "--size=32"]
+    assert run(f"--output={output}", *few) == 0
+    with Image.open(output) as sheet:
+        assert sheet.size == (2 * (2 * 32 + 4) - 4, 2 * (32 + 15))
+
+
 def test_writes_one_row_a_robot_cell(tmp_path):
     output = tmp_path / "sheet.png"
     one = ["--dataset=roboarm", "--split=train", "--sequences=1", "--size=40"]

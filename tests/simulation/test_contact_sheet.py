@@ -8,6 +8,7 @@ from prism_jax.simulation.contact_sheet import (
     Row,
     contact_sheet,
     draw,
+    open_row,
     shape_row,
 )
 
@@ -78,6 +79,12 @@ def test_a_row_holds_its_seeds_and_tells_unseen_categories_apart():
     assert not np.array_equal(*row.pictures)
     amber = shape_row("bench", (3,), 16).pictures[0].astype(int)
     assert (amber[..., 0] - amber[..., 2]).max() > 40
+
+
+def test_a_row_of_open_shapes_has_one_of_each_seed():
+    row = open_row(range(3, 6), 16)
+    assert row.label == "3 to 5"
+    assert len({picture.tobytes() for picture in row.pictures}) == 3
 
 
 def test_pictures_of_several_sizes_are_refused():

@@ -80,6 +80,17 @@ def test_kinds_of_partials_differ_and_the_shape_does_not(shape):
     assert not np.array_equal(partials[0], shape[0][0])
 
 
+def test_a_mesh_of_any_place_and_size_is_viewed_in_the_same_frame_and_left_alone():
+    mesh = trimesh.creation.box((1, 2, 4)).apply_translation((50, 60, 70))
+    before = mesh.vertices.copy()
+    partials, complete, _ = views_of(mesh, np.random.default_rng(0), 2)
+    np.testing.assert_array_equal(mesh.vertices, before)
+    spans = np.ptp(complete, axis=0)
+    np.testing.assert_allclose(spans, (0.5, 1, 2), atol=0.01)
+    gaps, _ = KDTree(complete).query(partials.reshape(-1, 3))
+    assert gaps.max() < 0.06
+
+
 def test_example_uses_the_mesh_of_its_seed(shape):
     extents = make_shape("mug", 11).extents
     span = np.ptp(shape[1], axis=0)

@@ -30,7 +30,7 @@ from prism_jax.simulation.shapes import (
     vehicles,
     vessels,
 )
-from prism_jax.simulation.solids import union
+from prism_jax.simulation.solids import as_mesh, union
 
 _TRAIN = {
     "chair": furniture.chair,
@@ -88,7 +88,4 @@ def make_shape(category: str, seed: int) -> trimesh.Trimesh:
         raise ValueError(f"unknown category {category!r}: choose one of {known}")
     if seed < 0:
         raise ValueError(f"seed must not be negative, got {seed}")
-    solid = union(_BUILDERS[category](category_rng(category, seed)))
-    mesh = solid.to_mesh64()
-    vertices = np.array(mesh.vert_properties)[:, :3]
-    return trimesh.Trimesh(vertices, np.array(mesh.tri_verts), process=False)
+    return as_mesh(union(_BUILDERS[category](category_rng(category, seed))))

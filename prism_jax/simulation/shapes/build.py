@@ -9,6 +9,7 @@ import functools
 import os
 import pathlib
 from collections.abc import Iterator
+from typing import Any
 
 from prism_jax.data.datasets import SHAPES_VERSION, folder_of
 from prism_jax.data.source import Example
@@ -21,6 +22,7 @@ from prism_jax.simulation.views import (
     PARTIAL_POINTS,
     QUANTUM,
     SURFACE_POINTS,
+    Views,
     make_views,
 )
 
@@ -56,16 +58,11 @@ class ShapesConfig:
 
     def __post_init__(self):
         choose("split", self.split, SPLITS)
-        choose("partial", self.partial, PARTIALS)
         own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
         for name, number in own.items():
             if getattr(self, name) == 0:
                 object.__setattr__(self, name, number)
-        for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
-            value, lowest = getattr(self, name), 0 if name == "seed" else 1
-            if not lowest <= value < 2**31:
-                fault = f"{value} is not within {lowest} to {2**31 - 1}"
-                raise InputError(name, fault, "choose another number")
+        check_settings(self)
 
     @property
     def categories(self) -> tuple[str, ...]:
@@ -112,10 +109,26 @@ def build_shapes(
 
 def _views(config: ShapesConfig, index: int) -> Iterator[Example]:
     category = config.categories[index % len(config.categories)]
-    seed = shape_seed(config, index)
-    partials, complete, eyes = make_views(
-        category, seed, config.num_views, config.partial
+    views = make_views(
+        category, shape_seed(config, index), config.num_views, config.partial
     )
+    return examples(views, category, index)
+
+
+def check_settings(config: Any) -> None:
+    """Raises InputError for a kind of partial that there is not, or a number of a
+    configuration of shapes that makes no sense."""
+    choose("partial", config.partial, PARTIALS)
+    for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
+        value, lowest = getattr(config, name), 0 if name == "seed" else 1
+        if not lowest <= value < 2**31:
+            fault = f"{value} is not within {lowest} to {2**31 - 1}"
+            raise InputError(name, fault, "choose another number")
+
+
+def examples(views: Views, category: str, index: int) -> Iterator[Example]:
+    """What `views.views_of` gives of one shape, view after view, named by its index."""
+    partials, complete, eyes = views
     for view, (partial, eye) in enumerate(zip(partials, eyes, strict=True)):
         name = f"{index:06d}/{view:02d}"
         yield Example(complete, partial, eye, category, name, ordered=True)
