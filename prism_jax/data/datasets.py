@@ -95,9 +95,9 @@ _PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
 DATASETS: Mapping[str, DataSet] = {
     "shapes": DataSet(
         _open_shapes,
-        splits=("train", "validation", "test", "unseen"),
+        splits=("train", "validation", "test", "unseen", "novel"),
         validation="validation",
-        scored=("validation", "test", "unseen"),
+        scored=("validation", "test", "unseen", "novel"),
         folder="shapes-{split}",
         generated=True,
         licence=_PROCEDURAL,

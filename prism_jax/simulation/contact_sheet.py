@@ -18,7 +18,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.simulation.open_shapes import make_open_shape
 from prism_jax.simulation.raycast import Scene, sphere_directions
 from prism_jax.simulation.sensors import camera_axes
-from prism_jax.simulation.shapes import UNSEEN_CATEGORIES, make_shape
+from prism_jax.simulation.shapes import TRAIN_CATEGORIES, make_shape
 
 Color = tuple[float, float, float]
 
@@ -42,8 +42,8 @@ class Row(NamedTuple):
 
 
 def shape_row(category: str, seeds: Sequence[int], size: int) -> Row:
-    """The procedural shapes of some seeds; unseen categories are amber."""
-    color = AMBER if category in UNSEEN_CATEGORIES else STEEL
+    """The procedural shapes of some seeds; categories never trained on are amber."""
+    color = STEEL if category in TRAIN_CATEGORIES else AMBER
     shapes = [make_shape(category, seed) for seed in seeds]
     return Row(category.replace("_", " "), [draw(s, size, color) for s in shapes])
 

@@ -81,7 +81,7 @@ def test_recordings_have_one_split():
 
 
 def test_splits_that_can_be_scored():
-    assert scored_splits("shapes") == ("validation", "test", "unseen")
+    assert scored_splits("shapes") == ("validation", "test", "unseen", "novel")
     assert scored_splits("roboarm") == ("validation", "test")
     assert scored_splits("pcn") == ("val", "test")
     assert scored_splits("completion3d") == ("val",)

@@ -14,18 +14,24 @@ from prism_jax.simulation.shapes import (
     arms,
     beds,
     benches,
+    bicycles,
     cabinets,
     conveyors,
     drives,
+    fans,
     fixtures,
+    forklifts,
     furniture,
     gantries,
     grippers,
     interior,
+    ladders,
     machine_frames,
     monitors,
     pallets,
     piping,
+    pumps,
+    tanks,
     valves,
     vehicles,
     vessels,
@@ -60,11 +66,22 @@ _UNSEEN = {
     "gripper": grippers.gripper,
     "valve": valves.valve,
 }
-_BUILDERS = _TRAIN | _UNSEEN
+_NOVEL = {
+    "ladder": ladders.ladder,
+    "fan": fans.fan,
+    "bicycle": bicycles.bicycle,
+    "forklift": forklifts.forklift,
+    "pump": pumps.pump,
+    "tank": tanks.tank,
+}
+_BUILDERS = _TRAIN | _UNSEEN | _NOVEL
 TRAIN_CATEGORIES = tuple(_TRAIN)
 UNSEEN_CATEGORIES = tuple(_UNSEEN)
 """Kept from training, to see what becomes of kinds of object never met before."""
-CATEGORIES = TRAIN_CATEGORIES + UNSEEN_CATEGORIES
+NOVEL_CATEGORIES = tuple(_NOVEL)
+"""Kept from training too, to choose by what helps on kinds never met, so that nothing
+is ever chosen by the unseen ones."""
+CATEGORIES = TRAIN_CATEGORIES + UNSEEN_CATEGORIES + NOVEL_CATEGORIES
 """Category names; an index into it is the category of an example."""
 
 

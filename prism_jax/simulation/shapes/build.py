@@ -1,7 +1,7 @@
 """Builds splits of the procedural shapes.
 
-Shapes of different splits and seeds never share a seed of their own; the split `unseen`
-has the categories that no other split has.
+Shapes of different splits and seeds never share a seed of their own; the splits
+`unseen` and `novel` have categories that no other split has.
 """
 
 import dataclasses
@@ -15,7 +15,11 @@ from prism_jax.data.datasets import SHAPES_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError, choose
 from prism_jax.simulation.partials import PARTIALS
-from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
+from prism_jax.simulation.shapes import (
+    NOVEL_CATEGORIES,
+    TRAIN_CATEGORIES,
+    UNSEEN_CATEGORIES,
+)
 from prism_jax.simulation.shard_writer import build_shards
 from prism_jax.simulation.views import (
     BOX,
@@ -31,8 +35,12 @@ SPLITS = {
     "validation": (396, 1),
     "test": (396, 1),
     "unseen": (132, 1),
+    "novel": (132, 1),
 }
-"""Shapes of a split, and views of each, unless told otherwise."""
+"""Shapes of a split, and views of each, unless told otherwise. A new split comes last:
+`shape_seed` counts them."""
+FIRST_SPLITS = 4
+"""So many were there first. Their seeds stay what they were, whatever came later."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,12 +75,16 @@ class ShapesConfig:
     @property
     def categories(self) -> tuple[str, ...]:
         """Of the split's shapes."""
-        return UNSEEN_CATEGORIES if self.split == "unseen" else TRAIN_CATEGORIES
+        own = {"unseen": UNSEEN_CATEGORIES, "novel": NOVEL_CATEGORIES}
+        return own.get(self.split, TRAIN_CATEGORIES)
 
 
 def shape_seed(config: ShapesConfig, index: int) -> int:
     """Seed of a shape, distinct for every (seed of the set, split, index < 2**32)."""
-    block = config.seed * len(SPLITS) + list(SPLITS).index(config.split)
+    position = list(SPLITS).index(config.split)
+    if position >= FIRST_SPLITS:
+        return (position << 96) + (config.seed << 32) + index
+    block = config.seed * FIRST_SPLITS + position
     return (block << 32) + index
 
 
