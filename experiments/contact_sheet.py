@@ -1,20 +1,28 @@
-"""Draws a picture of the procedural shapes, of views of them, or of the robot cells.
+"""Draws a picture of shapes, of views of them, of robot cells, or of people's models.
 
 python -m experiments.contact_sheet --output=docs/shapes.png
+python -m experiments.contact_sheet --dataset=open --size=128 \
+    --output=docs/open_shapes.png
 python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
+python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
 python -m experiments.contact_sheet --dataset=views --output=docs/views.png \
     --category=chair --category=gearbox --category=conveyor
 """
 
 import io
 
+import numpy as np
 from absl import flags
 
 from experiments.output import prepare_output
 from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
-from prism_jax.simulation.contact_sheet import contact_sheet, shape_row
+from prism_jax.simulation.contact_sheet import Row, contact_sheet, open_row, shape_row
 from prism_jax.simulation.kinds import MIXTURE
+from prism_jax.simulation.objects.build import NUM_VIEWS
+from prism_jax.simulation.objects.catalogues import FOLDER
+from prism_jax.simulation.objects.pictures import credit, model_row
+from prism_jax.simulation.objects.survey import survey
 from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
 from prism_jax.simulation.roboarm.pictures import cell_row
 from prism_jax.simulation.shapes import CATEGORIES
@@ -25,12 +33,14 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_enum(
-        "dataset", "shapes", ["shapes", "roboarm", "views"], "What to draw."
-    )
+    known = ["shapes", "open", "views", "roboarm", "objects"]
+    flags.DEFINE_enum("dataset", "shapes", known, "What to draw.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
     flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells.")
     flags.DEFINE_integer("sequences", NUM_SEQUENCES, "Robot cells to draw.", 1)
+    flags.DEFINE_integer("rows", 10, "Rows of open shapes.", 1)
+    flags.DEFINE_integer("models", 40, "Models to draw, evenly spaced through all.", 1)
+    flags.DEFINE_string("catalogue_dir", str(FOLDER), "Where the models are.")
     flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "Which shapes.")
     flags.DEFINE_integer(
         "seed", 0, "Seed of the cells, or the first of the seeds in a row.", 0
@@ -42,7 +52,9 @@ def define_flags() -> None:
 
 
 def main():
-    """One row a category, steel-blue ones for training; or a robot cell; or a kind."""
+    """One row a category, steel-blue ones for training; or rows of open shapes, seed
+    after seed; or one row a kind of view, a robot cell, or a model, whose makers are
+    printed."""
     prepare_output(FLAGS.output, ".png")
     if FLAGS.dataset == "roboarm":
         cells = range(FLAGS.sequences)
@@ -50,6 +62,11 @@ def main():
     elif FLAGS.dataset == "views":
         shapes = FLAGS.category, FLAGS.seed, FLAGS.size
         rows = [kind_row(kind, *shapes) for kind in MIXTURE]
+    elif FLAGS.dataset == "objects":
+        rows = model_rows()
+    elif FLAGS.dataset == "open":
+        starts = range(FLAGS.seed, FLAGS.seed + FLAGS.rows * FLAGS.seeds, FLAGS.seeds)
+        rows = [open_row(range(s, s + FLAGS.seeds), FLAGS.size) for s in starts]
     else:
         seeds = range(FLAGS.seed, FLAGS.seed + FLAGS.seeds)
         rows = [shape_row(name, seeds, FLAGS.size) for name in FLAGS.category]
@@ -58,6 +75,16 @@ def main():
     sheet.save(buffer, "PNG", optimize=True)
     write_bytes(FLAGS.output, buffer.getvalue())
     print(FLAGS.output)
+
+
+def model_rows() -> list[Row]:
+    """The rows of some models; prints whom each is by."""
+    found = survey(list(NUM_VIEWS), FLAGS.catalogue_dir, progress=True).models
+    picks = np.unique(np.linspace(0, len(found) - 1, FLAGS.models, dtype=int))
+    models = [found[pick][0] for pick in picks]
+    for model in models:
+        print(credit(model))
+    return [model_row(model, FLAGS.seed, FLAGS.size) for model in models]
 
 
 def run():

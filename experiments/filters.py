@@ -20,7 +20,7 @@ from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch
 from prism_jax.io.errors import choose
 from prism_jax.observation.observation import observe
-from prism_jax.observation.visibility import in_front
+from prism_jax.observation.visibility import in_front, looked_through
 from prism_jax.selection import keep_unmeasured, usual_spacing
 from prism_jax.weights import load_pretrained
 
@@ -80,16 +80,6 @@ def rules(
             prediction, measured, eye, reach * spacing
         )
     return found
-
-
-def looked_through(
-    points: np.ndarray, measured: np.ndarray, eye: np.ndarray, reach: float
-) -> np.ndarray:
-    """Points about whose line of sight nothing was measured, within `reach`."""
-    sights = [cloud - eye for cloud in (measured, points)]
-    usual = np.median(np.linalg.norm(sights[0], axis=1))
-    rays = [ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in sights]
-    return KDTree(rays[0]).query(rays[1])[0] > reach / usual
 
 
 def cd_l2(cloud: np.ndarray, view: View) -> float:

@@ -15,7 +15,7 @@ from prism_jax import metrics
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
-from prism_jax.evaluation.run import CompleteFn
+from prism_jax.evaluation.run import CompleteFn, Predictions, scored_clouds
 from prism_jax.figures import (
     COMPLETED_COLOR,
     GROUND_TRUTH_COLOR,
@@ -29,7 +29,6 @@ from prism_jax.figures import (
 from prism_jax.geometry.camera import Camera
 from prism_jax.observation.observation import Observation
 from prism_jax.report.view import viewing_direction
-from prism_jax.selection import keep_unmeasured
 from prism_jax.simulation.contact_sheet import Color, Row, draw_clouds
 
 COLUMNS = (
@@ -60,7 +59,7 @@ class GalleryItem(NamedTuple):
     Attributes:
       name: of the example, after its category.
       measured: the partial as it was measured.
-      added: predicted points where nothing was measured.
+      added: what a user gets beside them.
       complete: the ground truth.
       errors: distance of every measured and then every added point to the nearest of
         the ground truth.
@@ -95,23 +94,22 @@ def complete_items(
     examples = [with_partial(source[index]) for index in indices]
     seen = [observed(example, protocol) for example in examples]
     outputs = np.asarray(complete_fn(*side_by_side(seen)).network)
-    rows = zip(examples, seen, outputs, strict=True)
+    rows = zip(examples, seen, map(Predictions, outputs), strict=True)
     return [_item(*row, protocol) for row in rows]
 
 
 def _item(
     example: Example,
     seen: Observation,
-    output: Float[np.ndarray, "P 3"],
+    output: Predictions,
     protocol: Protocol,
 ) -> GalleryItem:
-    assert example.partial is not None and example.complete is not None
-    scaled, from_workspace = into_scored(example, protocol)
-    measured, complete = scaled(example.partial), scaled(example.complete)
-    predicted = from_workspace(output)
-    partial = from_workspace(np.asarray(seen.partial))
-    added = predicted[keep_unmeasured(predicted, measured, partial)]
-    cloud = np.concatenate([measured, added])
+    assert example.complete is not None
+    scaled, _ = into_scored(example, protocol)
+    complete = scaled(example.complete)
+    clouds = scored_clouds(example, np.asarray(seen.partial), output, protocol)
+    measured, cloud = clouds["partial"], clouds["completed"]
+    added = cloud[len(measured) :]
     errors = KDTree(complete).query(cloud)[0]
     return GalleryItem(
         f"{example.category.replace('_', ' ')} {example.name}",

@@ -14,11 +14,11 @@ from experiments.training import (
     define_start_flag,
     define_training_flags,
     join_processes,
+    parts_of_training,
     started_from_weights,
     training_data,
 )
 from prism_jax.cli.launch import launch
-from prism_jax.data.datasets import parts_of
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
@@ -60,7 +60,7 @@ def main():
             "preset": FLAGS.preset,
             "seed": FLAGS.seed,
             "commit": started_from(folder),
-            "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
+            "data": parts_of_training(),
             "samples": config.num_samples,
             "meta": dataclasses.asdict(config),
             "pretrained": before,

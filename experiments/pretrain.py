@@ -13,11 +13,11 @@ from experiments.training import (
     define_start_flag,
     define_training_flags,
     join_processes,
+    parts_of_training,
     started_from_weights,
     training_data,
 )
 from prism_jax.cli.launch import launch
-from prism_jax.data.datasets import parts_of
 from prism_jax.training.meta import check_meta
 from prism_jax.training.parallel import is_first
 from prism_jax.training.pretraining import pretrain
@@ -57,7 +57,7 @@ def main():
         "preset": FLAGS.preset,
         "seed": FLAGS.seed,
         "commit": started_from(folder),
-        "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
+        "data": parts_of_training(),
         "samples": num_samples,
         "pretrained": before,
     }

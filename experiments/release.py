@@ -1,6 +1,7 @@
 """Puts a run's weights into the package, with their measured scores in the metadata.
 
-python -m experiments.release --weights=FILE --scores=EVALUATION.json --name=small
+python -m experiments.release --weights=FILE --scores=EVALUATION.json \
+    --calibration=TRUST.json --name=small
 """
 
 import json
@@ -29,6 +30,7 @@ def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("weights", None, "File of a finished run.", required=True)
     flags.DEFINE_multi_string("scores", [], "JSON files of experiments.evaluate.")
+    flags.DEFINE_string("calibration", None, "JSON file of experiments.trust.")
     flags.DEFINE_string("name", None, "Name to ship under.", required=True)
     flags.DEFINE_string("output_dir", str(ASSETS), "Where it goes.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
@@ -43,6 +45,8 @@ def main():
     results = [_scores(path) for path in FLAGS.scores]
     about["scores"] = {f"{found['data']}-{found['split']}": found for found in results}
     about["notes"] = FLAGS.note
+    if FLAGS.calibration is not None:
+        about |= _calibration(FLAGS.calibration)
     path = make_output_dir(pathlib.Path(FLAGS.output_dir)) / f"{FLAGS.name}{SUFFIX}"
     save_weights(path, config, variables, about)
     print(f"written {path}, {path.stat().st_size / 1e6:.1f} MB")
@@ -50,12 +54,23 @@ def main():
 
 def _scores(path: str) -> dict[str, Any]:
     """What an evaluation of these weights found, under the name that they get."""
-    result = json.loads(pathlib.Path(path).read_text())
-    if result.get("weights_sha256") != file_sha256(FLAGS.weights):
-        fault = f"scores of {result['weights']}, not of {FLAGS.weights} as it is"
-        raise InputError(path, fault, "evaluate the weights that are released")
+    result = _result(path)
     del result["per_example"]
     return {**result, "weights": FLAGS.name}
+
+
+def _calibration(path: str) -> dict[str, Any]:
+    """What gives their completions a verdict, and how far that is right."""
+    result = _result(path)
+    return {name: result[name] for name in ("calibration", "trust")}
+
+
+def _result(path: str) -> dict[str, Any]:
+    result = json.loads(pathlib.Path(path).read_text())
+    if result.get("weights_sha256") != file_sha256(FLAGS.weights):
+        fault = f"is of {result['weights']}, not of {FLAGS.weights} as it is"
+        raise InputError(path, fault, "make it for the weights that are released")
+    return result
 
 
 def run():

@@ -6,13 +6,16 @@ Every view of a validation split is shifted (`experiments.shifts`) and completed
 user's scan is, by `Completer`.
 """
 
+import concurrent.futures
 import json
+import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from absl import flags
+from jaxtyping import Float
 from tqdm import tqdm
 
 from experiments.output import prepare_output
@@ -20,6 +23,7 @@ from experiments.shifts import SHIFTS, View, validation_views
 from experiments.weights import located
 from prism_jax import io, metrics
 from prism_jax.cli.launch import launch
+from prism_jax.completed import CompletedScan
 from prism_jax.completion import Completer
 from prism_jax.data.datasets import digest_of, validation_split
 from prism_jax.evaluation.tables import short
@@ -63,14 +67,19 @@ def main() -> None:
     completer = Completer.from_pretrained(located(FLAGS.weights))
     views, about = _views()
     rows = {}
-    with tqdm(total=len(FLAGS.shift) * len(views), mininterval=2.0) as bar:
+    # While one view is completed, those before are scored.
+    with (
+        tqdm(total=len(FLAGS.shift) * len(views), mininterval=2.0) as bar,
+        concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool,
+    ):
         for name in FLAGS.shift:
             scores = []
             for number, view in enumerate(views):
                 shifted = SHIFTS[name](view, np.random.default_rng(number))
-                scores.append(score(completer, shifted, FLAGS.adapt))
+                done = completed(completer, shifted, FLAGS.adapt)
+                scores.append(pool.submit(score, shifted, done.points))
                 bar.update()
-            rows[name] = _summary(scores)
+            rows[name] = _summary([waiting.result() for waiting in scores])
     result = {"commit": commit(), "weights": FLAGS.weights, **about, "shifts": rows}
     text = robustness_markdown(result)
     print(text)
@@ -80,23 +89,24 @@ def main() -> None:
         write_bytes(path.with_suffix(".md"), text.encode())
 
 
-def score(completer: Completer, view: View, adapt: bool) -> dict[str, dict[str, float]]:
-    """The scores of the partial and of what a user gets, by cloud and metric.
+def score(view: View, points: Float[np.ndarray, "N 3"]) -> dict[str, dict[str, float]]:
+    """The scores of the partial and of what a user gets, by cloud and metric."""
+    unit = 0.5 * view.size
+    clouds = {"partial": view.partial, "completed": points}
+    return {
+        name: metrics.score(cloud / unit, view.complete / unit).named()
+        for name, cloud in clouds.items()
+    }
 
-    A view with a table is completed with the way up that the table says.
-    """
+
+def completed(completer: Completer, view: View, adapt: bool) -> CompletedScan:
+    """As a user's scan is. A view with a table, with the way up that the table says."""
     camera, up = None, "z"
     if view.eye is not None:
         camera = Camera.look_at(view.eye, view.partial.mean(axis=0))
     if view.table is not None:
         up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
-    done = completer.complete(view.partial, camera, adapt=adapt, up=up)
-    unit = 0.5 * view.size
-    clouds = {"partial": view.partial, "completed": done.points}
-    return {
-        name: metrics.score(cloud / unit, view.complete / unit).named()
-        for name, cloud in clouds.items()
-    }
+    return completer.complete(view.partial, camera, adapt=adapt, up=up)
 
 
 def robustness_markdown(result: Mapping[str, Any]) -> str:

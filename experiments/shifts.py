@@ -29,7 +29,8 @@ class View:
     """A partial cloud, where its sensor stood, and the truth, all in one frame.
 
     `table` are points of what the object stands on, where that is in the view. `size`
-    is the longest side of the truth's box before any turn.
+    is the longest side of the truth's box before any turn, `group` the number of the
+    object that is shown.
     """
 
     partial: Float[np.ndarray, "N 3"]
@@ -37,6 +38,7 @@ class View:
     eye: Float[np.ndarray, "3"] | None
     size: float
     table: Float[np.ndarray, "T 3"] | None = None
+    group: int = 0
 
 
 def validation_views(dataset: str, limit: int | None = None) -> list[View]:
@@ -50,7 +52,8 @@ def validation_views(dataset: str, limit: int | None = None) -> list[View]:
         double = [None if c is None else c.astype(np.float64) for c in clouds]
         assert example.complete is not None
         size = float(np.ptp(example.complete, axis=0).max())
-        views.append(View(*double, size))  # pyright: ignore
+        group = int(source.objects[row])
+        views.append(View(*double, size, group=group))  # pyright: ignore
     return views
 
 
@@ -130,6 +133,22 @@ def cropped(share: float) -> Shift:
         return dataclasses.replace(view, partial=view.partial[kept])
 
     return shift
+
+
+def any_shift(view: View, rng: np.random.Generator) -> tuple[str, View]:
+    """One of every kind, of random strength, at a random heading; and what it is."""
+    kind = str(rng.choice(["heading", "tilt", "points", "noise", "crop"]))
+    shifted = turned(view, Rotation.from_euler("z", rng.uniform(0, 360), True))
+    if kind == "tilt":
+        shifted = tilted(shifted, rng)
+    elif kind == "points":
+        count = int(np.exp(rng.uniform(np.log(100), np.log(20_000))))
+        shifted = with_points(count)(shifted, rng)
+    elif kind == "noise":
+        shifted = noisy(rng.uniform(0.0, 0.03))(shifted, rng)
+    elif kind == "crop":
+        shifted = cropped(rng.uniform(0.05, 0.6))(shifted, rng)
+    return kind, shifted
 
 
 SHIFTS: dict[str, Shift] = {

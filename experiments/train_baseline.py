@@ -14,10 +14,10 @@ from experiments.training import (
     about_training,
     define_training_flags,
     join_processes,
+    parts_of_training,
     training_data,
 )
 from prism_jax.cli.launch import launch
-from prism_jax.data.datasets import parts_of
 from prism_jax.io.errors import InputError
 from prism_jax.training.config import PhaseConfig
 from prism_jax.training.parallel import is_first
@@ -59,7 +59,7 @@ def main():
         about = {
             "seed": FLAGS.seed,
             "commit": started_from(folder),
-            "data": ", ".join(parts_of(FLAGS.dataset, FLAGS.data_dir)),
+            "data": parts_of_training(),
             "samples": num_samples,
         }
         path = folder / "weights.safetensors"

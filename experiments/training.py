@@ -12,7 +12,9 @@ from prism_jax.data.datasets import (
     digest_of,
     open_training,
     opened_splits,
+    parts_of,
 )
+from prism_jax.data.mixture import open_mixture, parse_mixture
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.models.variables import Variables
@@ -35,6 +37,11 @@ def define_training_flags() -> None:
     flags.DEFINE_integer("max_steps", None, "End a phase at this step.")
     flags.DEFINE_bool("tensorboard", False, "Log for TensorBoard too (extra).")
     flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
+    flags.DEFINE_string(
+        "mixture",
+        None,
+        "Several sets instead, by how often each is seen, as shapes:1,packed:2.",
+    )
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_integer("num_workers", 0, "Processes that read ahead; 0 for threads.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
@@ -90,12 +97,16 @@ def training_data(
     are built where missing: for a preset with a `num_shapes` of its own, so many shapes
     in a folder of its own.
     """
-    name, data_dir, changes = _place(preset)
+    weights, data_dir, changes = _place(preset)
     if FLAGS.process == 0:
-        for split in ("train", "validation"):
-            build_if_missing(name, split, data_dir, **changes)
+        for name in weights:
+            for split in opened_splits(name):
+                build_if_missing(name, split, data_dir, **changes)
     wait_for_all("the data")
-    train, validation = open_training(name, data_dir)
+    if FLAGS.mixture is None:
+        train, validation = open_training(*weights, data_dir)
+    else:
+        train, validation = open_mixture(weights, data_dir)
     data = Data(
         train,
         validation,
@@ -115,20 +126,40 @@ def training_data(
 
 def about_training(preset: Preset, data: Data) -> dict[str, Any]:
     """What tells the training's data from others, wherever they lie."""
-    name, data_dir, _ = _place(preset)
-    splits = opened_splits(name)
-    return {
-        "dataset": name,
-        "digests": {split: digest_of(name, split, data_dir) for split in splits},
+    weights, data_dir, _ = _place(preset)
+    digests = {
+        name: {split: digest_of(name, split, data_dir) for split in opened_splits(name)}
+        for name in weights
+    }
+    sizes = {
         "examples": len(data.train),
         "validation_examples": len(data.validation),
     }
+    if FLAGS.mixture is not None:
+        return {"mixture": weights, "digests": digests, **sizes}
+    (name,) = weights
+    return {"dataset": name, "digests": digests[name], **sizes}
 
 
-def _place(preset: Preset) -> tuple[str, str | None, dict[str, Any]]:
-    """The data set, its folder, and how it is to be built where it is missing."""
-    name, data_dir, changes = FLAGS.dataset, FLAGS.data_dir, {}
-    if name == "shapes" and data_dir is None and preset.num_shapes:
+def parts_of_training() -> str:
+    """The names of the sets that the flags' training sees."""
+    weights = _weights()
+    parts = (part for name in weights for part in parts_of(name, FLAGS.data_dir))
+    return ", ".join(dict.fromkeys(parts))
+
+
+def _weights() -> dict[str, float]:
+    """The flags' data sets, and how often each is seen."""
+    if FLAGS.mixture is None:
+        return {FLAGS.dataset: 1.0}
+    return parse_mixture(FLAGS.mixture)
+
+
+def _place(preset: Preset) -> tuple[dict[str, float], str | None, dict[str, Any]]:
+    """The data sets and their weights, their folder, and how they are to be built where
+    they are missing."""
+    weights, data_dir, changes = _weights(), FLAGS.data_dir, {}
+    if [*weights] == ["shapes"] and data_dir is None and preset.num_shapes:
         data_dir = str(default_cache_dir() / FLAGS.preset)
         changes = {"num_shapes": preset.num_shapes}
-    return name, data_dir, changes
+    return weights, data_dir, changes

@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
+from prism_jax.evidence import SecondLook, evidence_of
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.observation import Observation, padded
 from prism_jax.observation.planes import Plane
-from prism_jax.selection import densify, select, surface_density
-from prism_jax.trust import Verdict
+from prism_jax.selection import added_points
+from prism_jax.trust import Calibration, Verdict
 
 DEPTH_PIXELS = 128
 
@@ -104,18 +105,25 @@ def assemble(
     density: float,
     camera_given: bool,
     seconds: dict[str, float],
+    look: SecondLook | None = None,
+    calibration: Calibration | None = None,
 ) -> CompletedScan:
     """What a user gets of a completion in the unit workspace.
 
     ``seen`` is what `observe` made of the points, ``read`` what the network read of it
     and ``view`` its camera. ``density`` is as `prism_jax.Completer.complete` has it.
+    The verdict needs a ``look`` and a ``calibration``.
     """
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
     prediction = np.asarray(completion.points, np.float64)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
-    selection = select(prediction, unit, read.partial, eye)
-    kept = _dense(prediction[selection.kept], unit, density)
-    added = seen.workspace.from_unit(kept).astype(points.dtype)
+    new, selection = added_points(prediction, unit, read.partial, eye, density)
+    verdict = None
+    if look is not None and calibration is not None:
+        novelty = calibration.novelty(np.asarray(look.features))
+        evidence = evidence_of(seen, read, prediction, selection, look, novelty)
+        verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
+    added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])
     return CompletedScan(
         points=together,
@@ -137,7 +145,8 @@ def assemble(
         camera=seen.camera_to_user(view),
         sensor=_told(camera_given, seen),
         seconds=seconds,
-        **_depth_maps(unit, kept, view, seen.workspace),
+        verdict=verdict,
+        **_depth_maps(unit, new, view, seen.workspace),
     )
 
 
@@ -162,17 +171,6 @@ def in_one_scene(
         up=up,
         up_source=up_source,
     )
-
-
-def _dense(
-    added: np.ndarray, measured: np.ndarray, density: float
-) -> Float[np.ndarray, "Q 3"]:
-    """The added points, between them so many more as a density is asked for."""
-    predicted = surface_density(added)
-    if density == 0 or predicted == 0:
-        return added
-    dense = densify(added, density * surface_density(measured) / predicted)
-    return dense[(np.abs(dense) <= 1.0).all(axis=1)]
 
 
 def _told(camera_given: bool, seen: Observation) -> str:

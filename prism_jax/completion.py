@@ -15,6 +15,7 @@ from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
 from prism_jax.completed import CompletedScan, CompletedScene, assemble, in_one_scene
+from prism_jax.evidence import SecondLook, make_second_look
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
@@ -25,12 +26,13 @@ from prism_jax.observation.scene import Scene, split_scene
 from prism_jax.observation.support import Up, find_up
 from prism_jax.observation.upright import upright
 from prism_jax.trace_cache import compile_cached
-from prism_jax.weights import load_pretrained
+from prism_jax.trust import Calibration
+from prism_jax.weights import load_calibration, load_pretrained
 
 SLOTS = 8
 """Objects that one compiled call completes, at most."""
 
-for kind in (Completion, Losses):
+for kind in (Completion, Losses, SecondLook):
     name = f"prism_jax.{kind.__name__}"
     jax.export.register_namedtuple_serialization(kind, serialized_name=name)
 
@@ -39,7 +41,8 @@ class Completer:
     """Weights and what is compiled for them.
 
     The function of one configuration is compiled at its first use and kept. Its trace
-    is kept in ``trace_dir``, if one is given, for the next process.
+    is kept in ``trace_dir``, if one is given, for the next process. With a
+    ``calibration`` every completion has a verdict.
     """
 
     def __init__(
@@ -47,9 +50,11 @@ class Completer:
         config: PrismConfig,
         variables: Variables,
         trace_dir: pathlib.Path | None = None,
+        calibration: Calibration | None = None,
     ):
         self.config = config
         self.variables = variables
+        self.calibration = calibration
         self._trace_dir = trace_dir
         self._compiled = {}
 
@@ -58,7 +63,8 @@ class Completer:
         cls, name_or_path: str = "small", trace_dir: pathlib.Path | None = None
     ) -> "Completer":
         """A completer with released weights, by name or by file."""
-        return cls(*load_pretrained(name_or_path), trace_dir)
+        calibration = load_calibration(name_or_path)
+        return cls(*load_pretrained(name_or_path), trace_dir, calibration)
 
     def complete(
         self,
@@ -101,6 +107,8 @@ class Completer:
             density=density,
             camera_given=camera is not None,
             seconds=seconds,
+            look=self._look_again(task),
+            calibration=self.calibration,
         )
 
     def complete_scene(
@@ -140,6 +148,8 @@ class Completer:
                     density=density,
                     camera_given=camera is not None,
                     seconds=seconds,
+                    look=self._look_again(task),
+                    calibration=self.calibration,
                 )
                 objects.append(done)
         turn = upright(up)
@@ -178,7 +188,7 @@ class Completer:
     ) -> tuple[Completion, dict[str, float]]:
         start = time.perf_counter()
         arguments = (self.variables, partial, view)
-        call = self._compile(lambda adapt: adapt, adapt, arguments)
+        call = self._compile_adapt(lambda adapt: adapt, adapt, arguments)
         compiled = time.perf_counter()
         completion = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
@@ -193,7 +203,7 @@ class Completer:
         inputs = [(task.read.partial, task.view) for task in filled]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
         arguments = (self.variables, *stacked, np.arange(SLOTS) < len(tasks))
-        call = self._compile(_in_slots, adapt, arguments)
+        call = self._compile_adapt(_in_slots, adapt, arguments)
         compiled = time.perf_counter()
         together = jax.device_get(call(*arguments))
         spent = time.perf_counter() - compiled
@@ -204,23 +214,37 @@ class Completer:
         seconds = {"compile": compiled - start, "run": spent / len(tasks)}
         return completions, seconds
 
-    def _compile(
+    def _look_again(self, task: "_Task") -> SecondLook | None:
+        """What a verdict needs beside the completion."""
+        if self.calibration is None:
+            return None
+        arguments = (self.variables, task.read.partial)
+        call = self._compile(
+            "look", make_second_look(self.config.model), arguments, self.config.model
+        )
+        return jax.device_get(call(*arguments))
+
+    def _compile_adapt(
         self,
         make: Callable[[AdaptFn], Callable[..., Completion]],
         adapt: bool,
         arguments: tuple[Any, ...],
     ) -> Callable[..., Completion]:
         """What ``make`` makes of the adaptation function, compiled once."""
-        key = (len(arguments), adapt)
+        steps = self.config.adapt.num_steps if adapt else 0
+        config = self.config.with_adapt(num_steps=steps)
+        fn = make(make_adapt(config))
+        return self._compile((len(arguments), adapt), fn, arguments, config)
+
+    def _compile(
+        self, key: Any, fn: Callable[..., Any], arguments: tuple[Any, ...], about: Any
+    ) -> Callable[..., Any]:
         if key not in self._compiled:
-            steps = self.config.adapt.num_steps if adapt else 0
-            config = self.config.with_adapt(num_steps=steps)
-            fn = make(make_adapt(config))
             if self._trace_dir is None:
                 self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
             else:
                 self._compiled[key] = compile_cached(
-                    fn, arguments, self._trace_dir, config
+                    fn, arguments, self._trace_dir, about
                 )
         return self._compiled[key]
 

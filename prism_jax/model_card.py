@@ -48,6 +48,7 @@ def model_card(name_or_path: str) -> str:
         lines += [f"\n{markdown(result)}", _worst(result)]
     if not scores:
         lines.append("\nNo scores.")
+    lines += [f"\n{line}" for line in _trust(about)]
     lines += [f"\n{note}" for note in about.get("notes", [])]
     return "\n".join(lines) + "\n"
 
@@ -92,6 +93,21 @@ def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
         yield f"{samples:,} samples of {data}, {made}, {where}"
     yield f"{samples_seen(about):,} samples in all"
     yield from (f"meshes of {name}: {mesh_licences(name)}" for name in sets)
+
+
+def _trust(about: Mapping[str, Any]) -> Iterator[str]:
+    """How far the verdicts on their completions are right, if there are any."""
+    if "calibration" not in about:
+        yield "No verdicts: they come without a calibration."
+    elif "trust" in about:
+        held_out = about["trust"]["all"]
+        yield (
+            f"Verdicts, on {held_out['views']:,} shifted validation views: the rank "
+            "correlation of expected and true error is "
+            f"{held_out['rank_correlation']:.2f}; {held_out['worst_tenth_low']:.0%} of "
+            f"the worst tenth have low trust, {held_out['better_half_low']:.0%} of the "
+            "better half."
+        )
 
 
 def _worst(result: Mapping[str, Any]) -> str:

@@ -152,7 +152,7 @@ _PLUS = Preset(
         AuxiliaryConfig(max_coordinate=2.0),
     ),
     _SMALL_ADAPT,
-    _PAPER_PRETRAIN,
+    dataclasses.replace(_PAPER_PRETRAIN, average_decay=0.999),
     dataclasses.replace(
         _SMALL_META,
         method=dataclasses.replace(_SMALL_META.method, remat=True),
@@ -182,7 +182,9 @@ PRESETS = {
     "small": Preset(
         ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
         _SMALL_ADAPT,
-        PretrainConfig(_phases(200_000, 768_000), auxiliary_samples=20_000),
+        PretrainConfig(
+            _phases(200_000, 768_000), auxiliary_samples=20_000, average_decay=0.999
+        ),
         _SMALL_META,
     ),
     "paper": Preset(ModelConfig(_PAPER), AdaptConfig(), _PAPER_PRETRAIN, _PAPER_META),

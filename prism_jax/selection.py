@@ -48,6 +48,28 @@ class Selection(NamedTuple):
     known: Bool[np.ndarray, " P"]
 
 
+def added_points(
+    prediction: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    partial: Float[Array | np.ndarray, "M 3"],
+    eye: Float[np.ndarray, "3"] | None,
+    density: float = 1.0,
+) -> tuple[Float[np.ndarray, "Q 3"], Selection]:
+    """What a user gets beside the measured points, and what became of the predicted.
+
+    Those that `select` keeps, and between them so many more that all are `density`
+    times as dense as the measured ones, where they are not so anyway; 0 leaves them as
+    predicted. All in the unit workspace, and within it.
+    """
+    selection = select(prediction, measured, partial, eye)
+    kept = prediction[selection.kept]
+    predicted = surface_density(kept)
+    if density == 0 or predicted == 0:
+        return kept, selection
+    dense = densify(kept, density * surface_density(measured) / predicted)
+    return dense[(np.abs(dense) <= 1.0).all(axis=1)], selection
+
+
 def select(
     prediction: Float[np.ndarray, "P 3"],
     measured: Float[np.ndarray, "N 3"],

@@ -25,6 +25,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables, unlearned_steps
+from prism_jax.trust import Calibration
 
 SUFFIX = ".safetensors"
 NOT_OURS = "it holds no prism_jax configuration"
@@ -57,6 +58,18 @@ def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables
 def read_metadata(name_or_path: str) -> dict[str, Any]:
     """What is known of weights, by name or by file: data, seed, commit, scores."""
     return read_file(_locate(name_or_path))[0]
+
+
+def load_calibration(name_or_path: str) -> Calibration | None:
+    """What gives completions by these weights a verdict; None if they come without.
+
+    One that is damaged raises InputError.
+    """
+    fields = read_metadata(name_or_path).get("calibration")
+    try:
+        return None if fields is None else Calibration.from_dict(fields)
+    except ValueError as error:
+        raise InputError(name_or_path, str(error), _remedy()) from None
 
 
 def file_sha256(name_or_path: str) -> str:
@@ -183,10 +196,11 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
         branch = variables
         for step in path:
             branch = branch.setdefault(step, {})
-        branch[name] = jnp.asarray(array)
+        branch[name] = array
     steps = unlearned_steps(variables["params"])
     variables["weighting"].setdefault("log_steps", steps)
-    return variables
+    # All at once: one by one takes most of a second.
+    return jax.device_put(variables)
 
 
 def _checked_tree(

@@ -21,6 +21,7 @@ LAYERS = (
     "prism_jax.report prism_jax.result",
     "prism_jax.figures",
     "prism_jax.completed",
+    "prism_jax.evidence",
     "prism_jax.selection prism_jax.trust",
     "prism_jax.simulation",
     "prism_jax.presets",

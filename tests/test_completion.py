@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.trust import unfitted
 from prism_jax.completion import CompletedScan, Completer, _checked
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.observation.observation import UNKNOWN_EYE
 from prism_jax.selection import keep_unmeasured
+from prism_jax.trust import EVIDENCE
 from prism_jax.weights import save_weights
 
 FAR = np.array([10_000.0, -10_000.0, 500.0])
@@ -74,6 +76,39 @@ def test_added_points_are_of_the_prediction_and_between_them(far, completer):
     more = result.points[~result.observed]
     np.testing.assert_array_equal(more[: len(added)], added)
     assert np.isfinite(result.points).all() and len(more) > len(added)
+
+
+@pytest.fixture(scope="module")
+def judging(completer, minimal, minimal_variables):
+    """The same with a calibration by which every error is a tenth of the half side."""
+    width = minimal.model.backbone.global_features[-1]
+    features = np.random.default_rng(0).normal(size=(30, width))
+    blank = unfitted(features)
+    coefficients = np.append(np.log(0.1), blank.coefficients[1:])
+    calibration = dataclasses.replace(
+        blank, coefficients=coefficients, fair=0.01, low=0.05
+    )
+    judging = Completer(minimal.config, minimal_variables, calibration=calibration)
+    judging._compiled = completer._compiled
+    return judging
+
+
+def test_without_a_calibration_there_is_no_verdict(near, judging):
+    assert near.verdict is None
+    result = judging.complete(scan(), camera_at(EYE))
+    assert result.verdict.trust == "low"
+    assert list(result.verdict.evidence) == list(EVIDENCE)
+    expected = 0.1 * result.workspace.half_extent
+    assert result.verdict.expected_error == pytest.approx(expected)
+    np.testing.assert_array_equal(result.points, near.points)
+
+
+def test_a_verdict_is_the_same_in_any_unit_and_place(judging):
+    here = judging.complete(scan(), camera_at(EYE)).verdict
+    there = judging.complete(1e-3 * (scan() + FAR), camera_at(1e-3 * (EYE + FAR)))
+    assert there.verdict.expected_error == pytest.approx(1e-3 * here.expected_error)
+    for name, value in here.evidence.items():
+        assert there.verdict.evidence[name] == pytest.approx(value, rel=1e-3, abs=1e-4)
 
 
 @pytest.mark.parametrize("density", [-1.0, np.nan, np.inf])

@@ -17,9 +17,14 @@ from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
-from prism_jax.evaluation.run import CompleteFn, evaluate, prism_completer
+from prism_jax.evaluation.run import (
+    CompleteFn,
+    Predictions,
+    evaluate,
+    prism_completer,
+    scored_clouds,
+)
 from prism_jax.evaluation.scoring import EMD_POINTS
-from prism_jax.selection import keep_unmeasured
 from prism_jax.weights import load_pretrained
 
 MOST = 1 / 5
@@ -84,17 +89,11 @@ def completed_clouds(
         partials, eyes = side_by_side([observed(example, protocol)])
         done = jax.device_get(completer(partials, eyes))
         assert example.complete is not None and example.partial is not None
-        from_own, from_workspace = into_scored(example, protocol)
-        complete, measured = from_own(example.complete), from_own(example.partial)
+        from_own, _ = into_scored(example, protocol)
+        complete = from_own(example.complete)
         few = first_points(complete, EMD_POINTS, example.ordered)
-        clouds = {"partial": measured}
-        predicted = {"": done.network, "_unadapted": done.network_unadapted}
-        for suffix, points in predicted.items():
-            cloud = from_workspace(points[0])
-            keep = keep_unmeasured(cloud, measured, from_workspace(partials[0]))
-            completed = np.concatenate([measured, cloud[keep]])
-            clouds |= {f"network{suffix}": cloud, f"completed{suffix}": completed}
-        yield clouds, complete, few
+        alone = Predictions(*(None if x is None else x[0] for x in done))
+        yield scored_clouds(example, partials[0], alone, protocol), complete, few
 
 
 def plain_emd(cloud: np.ndarray, target: np.ndarray) -> float:

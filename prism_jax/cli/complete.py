@@ -27,6 +27,7 @@ from prism_jax.cli.index import index_page
 from prism_jax.cli.launch import SomeFailed, launch
 from prism_jax.observation.upright import parse_up
 from prism_jax.report import render_report, render_scene_report
+from prism_jax.report.verdict import verdict_of_scene
 from prism_jax.result import plain, score, summarize, summarize_scene
 
 FLAGS = flags.FLAGS
@@ -197,6 +198,7 @@ def complete_file(
     if result.left_out:
         count = f"{result.left_out:,} of {len(scan.points):,} points"
         say(f"{count} lie far from all others and were left out")
+    warn_of_low_trust("this completion", result.verdict)
     seconds.update(result.seconds)
     summary = summarize(result, scan, source, **about)
     if truth is not None:
@@ -299,13 +301,22 @@ def outcome(summary: dict[str, Any], output_dir: str) -> str:
             f"objects     {len(summary['objects'])}; {support:,} points are of planes "
             f"that were set aside, {rest:,} of no object"
         )
-        return f"{objects}\n{counts}\n{written}"
+        trust = f"trust       {verdict_of_scene(summary['objects'])['text']}"
+        return f"{trust}\n{objects}\n{counts}\n{written}"
+    trust = "trust       unknown: these weights come without a calibration"
+    if summary["verdict"] is not None:
+        verdict = summary["verdict"]
+        error = f"{verdict['expected_error']:.3g}"
+        trust = (
+            f"trust       {verdict['trust']}: expected error {error}, in the "
+            "input's units"
+        )
     adapted = "not asked for"
     if summary["adapt"] and len(summary["losses"]["objective"]) == 1:
         adapted = "none, these weights take no step"
     elif summary["adapt"]:
         adapted = "accepted" if summary["accepted"] else "not accepted, left out"
-    return f"{counts}\nadaptation  {adapted}\n{written}"
+    return f"{trust}\n{counts}\nadaptation  {adapted}\n{written}"
 
 
 @contextlib.contextmanager
@@ -324,6 +335,13 @@ def timed(text: str, name: str, seconds: dict[str, float]) -> Iterator[None]:
         timer.cancel()
 
 
+def warn_of_low_trust(what: str, verdict: Any) -> None:
+    """Says why a completion is not to be relied on, and what to do."""
+    if verdict is not None and verdict.trust == "low":
+        why = "; ".join(verdict.reasons) or "all the evidence together says so"
+        say(f"low trust in {what}: {why}")
+
+
 def say(text: str) -> None:
     """One line to the user, on stderr."""
     print(f"{NAME}: {text}", file=sys.stderr, flush=True)
@@ -338,6 +356,8 @@ def _write_scene(
     seconds: dict[str, float],
 ) -> dict[str, Any]:
     """Writes a scene's files and returns the content of result.json."""
+    for number, one in enumerate(result.objects):
+        warn_of_low_trust(f"object {number}", one.verdict)
     summary = {**summarize_scene(result, scan, source, **about), "seconds": seconds}
     with timed(f"writing to {folder}", "write", seconds):
         report = render_scene_report(result, plain(summary))

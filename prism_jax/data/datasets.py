@@ -23,7 +23,7 @@ from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
 
-SHAPES_VERSION, ROBOARM_VERSION = 2, 1
+SHAPES_VERSION, OPEN_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1, 1
 """Raised with every change of what is drawn, so that builds are never mixed."""
 
 
@@ -58,11 +58,23 @@ def _open_shapes(root: pathlib.Path, split: str) -> Source:
     return Shards(folder, remedy, generator_version=SHAPES_VERSION)
 
 
+def _open_open(root: pathlib.Path, split: str) -> Source:
+    folder = folder_of("open", split, root)
+    remedy = _build_it("open", split, root)
+    return Shards(folder, remedy, generator_version=OPEN_VERSION)
+
+
 def _open_roboarm(root: pathlib.Path, split: str) -> Source:
     folder = folder_of("roboarm", split, root)
     remedy = _build_it("roboarm", split, root)
     read_manifest(folder, remedy, generator_version=ROBOARM_VERSION)
     return RecordedCells(folder)
+
+
+def _open_objects(root: pathlib.Path, split: str) -> Source:
+    folder = folder_of("objects", split, root)
+    remedy = _build_it("objects", split, root)
+    return Shards(folder, remedy, generator_version=OBJECTS_VERSION)
 
 
 def _open_packed(root: pathlib.Path, split: str) -> Source:
@@ -78,15 +90,25 @@ def _build_it(name: str, split: str, root: pathlib.Path) -> str:
     return f"build it: {command} --output_dir={root}"
 
 
+_PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
+
 DATASETS: Mapping[str, DataSet] = {
     "shapes": DataSet(
         _open_shapes,
-        splits=("train", "validation", "test", "unseen"),
+        splits=("train", "validation", "test", "unseen", "novel"),
         validation="validation",
-        scored=("validation", "test", "unseen"),
+        scored=("validation", "test", "unseen", "novel"),
         folder="shapes-{split}",
         generated=True,
-        licence="procedural, made by prism_jax (Apache-2.0), nobody else's meshes",
+        licence=_PROCEDURAL,
+    ),
+    "open": DataSet(
+        _open_open,
+        splits=("train",),
+        scored=(),
+        folder="open-{split}",
+        generated=True,
+        licence=_PROCEDURAL,
     ),
     "roboarm": DataSet(
         _open_roboarm,
@@ -97,6 +119,16 @@ DATASETS: Mapping[str, DataSet] = {
         generated=True,
         licence="arms of example-robot-data (tiago Apache-2.0, pr2 BSD, "
         "tiago_pro Apache-2.0, romeo BSD, talos Apache-2.0), the rest procedural",
+    ),
+    "objects": DataSet(
+        _open_objects,
+        splits=("train", "validation", "test"),
+        validation="validation",
+        scored=("validation", "test"),
+        folder="objects-{split}",
+        generated=True,
+        licence="Blend Swap models of Debian's sweethome3d-furniture (CC0 1.0, "
+        "CC BY 3.0), whose makers docs/data.md and the manifest name",
     ),
     "packed": DataSet(
         _open_packed,
@@ -189,6 +221,15 @@ def validation_split(name: str) -> str:
     return split
 
 
+def validation_rows(
+    name: str, data_dir: str | os.PathLike | None = None, count: int = 200
+) -> Subset:
+    """So many examples of a set's validation split, or all, evenly spaced."""
+    validation = open_dataset(name, validation_split(name), data_dir)
+    rows = np.unique(np.linspace(0, len(validation) - 1, count, dtype=int))
+    return Subset(validation, rows)
+
+
 def opened_splits(name: str) -> tuple[str, ...]:
     """The splits that a training opens: its own, and that it is validated on."""
     validation = DATASETS[name].validation
@@ -218,9 +259,7 @@ def open_training(
     split = DATASETS[name].validation
     if split is None:
         return hold_out(train, num_validation)
-    validation = open_dataset(name, split, data_dir)
-    rows = np.unique(np.linspace(0, len(validation) - 1, num_validation, dtype=int))
-    return train, Subset(validation, rows)
+    return train, validation_rows(name, data_dir, num_validation)
 
 
 def parts_of(name: str, data_dir: str | os.PathLike | None = None) -> list[str]:

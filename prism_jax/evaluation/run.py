@@ -24,12 +24,14 @@ from prism_jax.evaluation.protocol import (
     into_scored,
     observed,
     side_by_side,
+    workspace_for,
 )
-from prism_jax.evaluation.scoring import EMD_POINTS, ExampleClouds, score
+from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
 from prism_jax.observation.observation import observe
+from prism_jax.selection import added_points
 
 
 class Predictions(NamedTuple):
@@ -156,26 +158,59 @@ def _one(predictions: Predictions, row: int) -> Predictions:
     return jax.tree.map(lambda array: array[row], predictions)
 
 
+def scored_clouds(
+    example: Example,
+    partial: Float[np.ndarray, "N 3"],
+    predictions: Predictions,
+    protocol: Protocol,
+) -> dict[str, Float[np.ndarray, "_ 3"]]:
+    """Those of `CLOUDS` that there are of an example, in the frame of the scores.
+
+    `partial` is what the completer read of it, and `predictions` are of it alone, both
+    in the workspace.
+    """
+    assert example.partial is not None
+    from_own, from_workspace = into_scored(example, protocol)
+    seen = observe(
+        example.partial.astype(np.float64),
+        example.eye,
+        workspace_for(example, protocol),
+    )
+    measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
+    clouds = {}
+    if protocol.with_measured:
+        clouds["partial"] = from_own(example.partial)
+    outputs = {"": predictions.network, "_unadapted": predictions.network_unadapted}
+    for suffix, output in outputs.items():
+        if output is None:
+            continue
+        if suffix and np.array_equal(output, predictions.network):
+            clouds |= {f"{k}{suffix}": v for k, v in clouds.items() if k != "partial"}
+            continue
+        network = np.asarray(output, np.float64)
+        clouds[f"network{suffix}"] = from_workspace(network)
+        if protocol.with_measured:
+            new, _ = added_points(
+                network, measured, partial, eye if seen.sensor_known else None
+            )
+            cloud = np.concatenate([clouds["partial"], from_workspace(new)])
+            clouds[f"completed{suffix}"] = cloud
+    return clouds
+
+
 def _score(item: _Item, protocol: Protocol) -> ExampleScores:
     """The scores of one example, in their frame."""
     example, predictions = item.example, item.predictions
-    assert example.partial is not None and example.complete is not None
-    scaled, from_workspace = into_scored(example, protocol)
-    few = first_points(example.complete, EMD_POINTS, example.ordered)
-    network, unadapted, accepted = predictions
-    clouds = ExampleClouds(
-        complete=scaled(example.complete),
-        complete_few=scaled(few),
-        partial=scaled(example.partial),
-        network_input=from_workspace(item.network_input),
-        network=from_workspace(np.asarray(network)),
-        network_unadapted=(
-            None if unadapted is None else from_workspace(np.asarray(unadapted))
-        ),
-    )
+    assert example.complete is not None
+    from_own, _ = into_scored(example, protocol)
+    few = None
+    if protocol.with_emd:
+        few = from_own(first_points(example.complete, EMD_POINTS, example.ordered))
+    clouds = scored_clouds(example, item.network_input, predictions, protocol)
+    accepted = predictions.accepted
     return ExampleScores(
         example.name,
         example.category,
         None if accepted is None else bool(accepted),
-        score(clouds, protocol.with_emd, protocol.with_measured),
+        score(clouds, from_own(example.complete), few),
     )

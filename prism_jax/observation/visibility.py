@@ -1,4 +1,4 @@
-"""What a measured surface hides, and what would have hidden it."""
+"""What would have hidden a measured surface, and where nothing was measured."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -43,6 +43,23 @@ def in_front(
     near = np.isfinite(apart)
     farther = np.append(distance, np.inf)[rows] - away[:, None] > tolerance * spacing
     return near.any(axis=1) & (farther | ~near).all(axis=1)
+
+
+def looked_through(
+    points: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    eye: Float[np.ndarray, "3"],
+    reach: float,
+) -> Bool[np.ndarray, " P"]:
+    """Points about whose line of sight nothing was measured, from a sensor at `eye`.
+
+    Within `reach`, at the measured surface's usual distance. The sensor looked through
+    such a point, or away from it. Of no measured points it looked through all.
+    """
+    if len(points) == 0 or len(measured) == 0:
+        return np.ones(len(points), bool)
+    sight, distance = _rays(measured, eye)
+    return KDTree(sight).query(_rays(points, eye)[0])[0] > reach / np.median(distance)
 
 
 def _rays(

@@ -33,6 +33,9 @@ from prism_jax.report.view import BULK, shown_bounds, viewing_direction
 BESIDE_LIST = 0.7
 """The share of the page's width that the list of objects leaves to the clouds."""
 
+ABOUT = 0.5
+"""How far about the objects the support is shown, in the longest side of their box."""
+
 MAX_SHOWN_IN_SCENE = 60_000
 """Observed points of all objects in a scene's figure, and as many added ones."""
 
@@ -46,7 +49,10 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
     entries = summary["objects"]
     clouds, meta = _clouds(scene, entries)
     bounds = _bounds(scene)
-    camera = scene.objects[0].camera if scene.objects else _FROM_X
+    if scene.objects:
+        camera = scene.objects[0].camera
+    else:
+        camera = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     up = np.asarray(scene.up, np.float64)
     toward = viewing_direction(camera, up, turn_degrees=20.0, rise_degrees=35.0)
     figure = clouds_figure([Panel("", clouds)], toward, up, bounds)
@@ -82,9 +88,6 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
     )
 
 
-_FROM_X = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
 def _clouds(
     scene: CompletedScene, entries: Sequence[Mapping[str, Any]]
 ) -> tuple[list[Cloud], list[dict[str, Any]]]:
@@ -115,16 +118,21 @@ def _share(scene: CompletedScene) -> int:
 
 
 def _bounds(scene: CompletedScene) -> Float[np.ndarray, "2 3"]:
-    """The box around what was measured of the objects and the bulk of the support."""
+    """The box around what was measured of the objects, and of the bulk of the support
+    what lies about them."""
     support = scene.points[scene.object == SUPPORT]
-    if not scene.objects and not len(support):
-        support = scene.points
-    corners = [np.quantile(support, BULK, axis=0)] if len(support) else []
-    for one in scene.objects:
-        measured = one.points[one.observed]
-        corners.append(np.stack([measured.min(axis=0), measured.max(axis=0)]))
-    corners = np.stack(corners).astype(np.float64)
-    return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+    if not scene.objects:
+        all_there_is = support if len(support) else scene.points
+        return np.quantile(all_there_is, BULK, axis=0).astype(np.float64)
+    measured = [one.points[one.observed] for one in scene.objects]
+    lower = np.min([cloud.min(axis=0) for cloud in measured], axis=0).astype(float)
+    upper = np.max([cloud.max(axis=0) for cloud in measured], axis=0).astype(float)
+    if len(support):
+        about = ABOUT * (upper - lower).max()
+        low, high = np.quantile(support, BULK, axis=0)
+        lower = np.minimum(lower, np.maximum(low, lower - about))
+        upper = np.maximum(upper, np.minimum(high, upper + about))
+    return np.stack([lower, upper])
 
 
 def _layout(

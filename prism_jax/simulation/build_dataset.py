@@ -31,6 +31,21 @@ def _shapes(
     return build_shapes(config, data_dir, num_workers)
 
 
+def _open(
+    split: str,
+    data_dir: _Place,
+    num_workers: int | None,
+    num_shapes: int = 12_000,
+    num_views: int = 8,
+    partial: str = "self_occlusion",
+    seed: int = 0,
+) -> pathlib.Path:
+    from prism_jax.simulation.open_shapes.build import OpenConfig, build_open_shapes
+
+    config = OpenConfig(split, num_shapes, num_views, partial, seed)
+    return build_open_shapes(config, data_dir, num_workers)
+
+
 def _roboarm(
     split: str,
     data_dir: _Place,
@@ -54,6 +69,23 @@ def _roboarm(
     )
 
 
+def _objects(
+    split: str,
+    data_dir: _Place,
+    num_workers: int | None,
+    num_views: int = 0,
+    partial: str = "self_occlusion",
+    seed: int = 0,
+    catalogue_dir: str | None = None,
+) -> pathlib.Path:
+    from prism_jax.simulation.objects.build import ObjectsConfig, build_objects
+    from prism_jax.simulation.objects.catalogues import FOLDER
+
+    config = ObjectsConfig(split, num_views, partial, seed)
+    place = catalogue_dir or FOLDER
+    return build_objects(config, data_dir, num_workers, catalogue_dir=place)
+
+
 def _meshes(
     split: str, data_dir: _Place, num_workers: int | None, mesh_dir: str | None = None
 ) -> pathlib.Path:
@@ -67,7 +99,9 @@ def _meshes(
 
 BUILDERS: Mapping[str, Callable[..., pathlib.Path]] = {
     "shapes": _shapes,
+    "open": _open,
     "roboarm": _roboarm,
+    "objects": _objects,
     "meshes": _meshes,
 }
 """By split, folder for all splits, number of workers, and settings of their own."""

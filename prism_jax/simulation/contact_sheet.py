@@ -15,13 +15,15 @@ from jaxtyping import Bool, Float, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.simulation.open_shapes import make_open_shape
 from prism_jax.simulation.raycast import Scene, sphere_directions
 from prism_jax.simulation.sensors import camera_axes
-from prism_jax.simulation.shapes import UNSEEN_CATEGORIES, make_shape
+from prism_jax.simulation.shapes import TRAIN_CATEGORIES, make_shape
 
 Color = tuple[float, float, float]
 
 STEEL, AMBER = (0.55, 0.66, 0.8), (0.95, 0.68, 0.34)
+OBSERVED, GROUND_TRUTH = (0.15, 0.39, 0.69), (0.95, 0.75, 0.5)
 TOWARD_VIEWER = (0.8, 1.0, 0.62)
 TOWARD_LIGHT = np.array([1.0, 0.1, 1.25]) / np.linalg.norm([1.0, 0.1, 1.25])
 SUPERSAMPLING = 2
@@ -40,10 +42,16 @@ class Row(NamedTuple):
 
 
 def shape_row(category: str, seeds: Sequence[int], size: int) -> Row:
-    """The procedural shapes of some seeds; unseen categories are amber."""
-    color = AMBER if category in UNSEEN_CATEGORIES else STEEL
+    """The procedural shapes of some seeds; categories never trained on are amber."""
+    color = STEEL if category in TRAIN_CATEGORIES else AMBER
     shapes = [make_shape(category, seed) for seed in seeds]
     return Row(category.replace("_", " "), [draw(s, size, color) for s in shapes])
+
+
+def open_row(seeds: Sequence[int], size: int) -> Row:
+    """The open shapes of some seeds that follow one another."""
+    label = f"{seeds[0]} to {seeds[-1]}"
+    return Row(label, [draw(make_open_shape(seed), size) for seed in seeds])
 
 
 def draw(
@@ -55,8 +63,8 @@ def draw(
     """The mesh on a floor at its lowest point, filling a square picture.
 
     z is up; `toward_viewer` is a direction in the mesh's frame that leads upwards but
-    not straight. `color` is the surface's red, green and blue, each within 0 to 1.
-    A mesh without triangles raises ValueError.
+    not straight. `color` is the surface's red, green and blue, each within 0 to 1;
+    faces look alike from both sides. A mesh without triangles raises ValueError.
     """
     scene, side = Scene(mesh), size * SUPERSAMPLING
     axes = camera_axes(-np.asarray(toward_viewer, float))
@@ -65,7 +73,9 @@ def draw(
     to_floor = (mesh.bounds[0, 2] - origins[:, 2]) / axes[2, 2]
     points = origins + to_floor[:, None] * axes[2]
     normals = np.tile([0.0, 0.0, 1.0], (len(origins), 1))
-    points[hits.ray], normals[hits.ray] = hits.points, scene.normals[hits.faces]
+    seen = scene.normals[hits.faces]
+    seen[seen @ axes[2] > 0] *= -1
+    points[hits.ray], normals[hits.ray] = hits.points, seen
     points += 1e-4 * scene.radius * normals
     lit, sky = _is_lit(scene, points, normals), _open_sky(scene, points, normals)
     floor = 1 - 0.22 * ~lit - 0.45 * (1 - sky)

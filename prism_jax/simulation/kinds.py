@@ -54,6 +54,12 @@ MIXTURE: Mapping[str, float] = {
 KINDS = (*PARTIALS, *MIXTURE, "mixed")
 """What a data set can be asked for."""
 
+
+def has_maps(kind: str) -> bool:
+    """Whether views of a kind come with what their sensor knows."""
+    return kind not in PARTIALS
+
+
 EVERY = 4
 """One ray in so many, each way, tells whether an occluder stands in the way."""
 

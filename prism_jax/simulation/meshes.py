@@ -112,18 +112,37 @@ def _category(path: pathlib.Path) -> str:
 
 
 def _read(path: pathlib.Path) -> trimesh.Trimesh:
-    """The file's triangles as one mesh, centred, its longest side spanning [-1, 1]."""
+    """A file's mesh, normalised."""
+    return normalised(parse_mesh(read_bytes(path), path.suffix[1:].lower(), path))
+
+
+def parse_mesh(
+    data: bytes, file_type: str, subject: str | os.PathLike
+) -> trimesh.Trimesh:
+    """The triangles of a file's bytes as one mesh, without stray vertices.
+
+    `file_type` is one of `SUFFIXES` without its dot. Nothing beside the bytes is read.
+    What cannot be read, has no area or is not finite raises InputError about the
+    subject.
+    """
     remedy = "export it again as a mesh of triangles, or take it away"
-    data = io.BytesIO(read_bytes(path))
     try:
-        mesh = trimesh.load_mesh(data, file_type=path.suffix[1:].lower(), process=False)
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=file_type, process=False)
         mesh.remove_unreferenced_vertices()
         sound = len(mesh.faces) > 0 and bool(np.isfinite(mesh.triangles).all())
     except Exception as error:  # trimesh's parsers raise of every kind
         fault = f"cannot be read as a mesh ({error})"
-        raise InputError(path, fault, remedy) from None
+        raise InputError(subject, fault, remedy) from None
     if not sound or not mesh.area > 0:
-        raise InputError(path, "has no surface, or one that is not finite", remedy)
+        raise InputError(subject, "has no surface, or one that is not finite", remedy)
+    return mesh
+
+
+def normalised(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with its box centred at the origin, the longest side spanning [-1, 1].
+
+    It is the given mesh, moved and scaled.
+    """
     lower, upper = mesh.bounds
     mesh.vertices = (mesh.vertices - (lower + upper) / 2) / ((upper - lower).max() / 2)
     return mesh

@@ -87,17 +87,32 @@ class Scene:
         return Hits(ray, points, faces, distances, np.minimum(cosines, 1.0))
 
     def seen_from_outside(
-        self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
+        self,
+        points: Float[np.ndarray, "N 3"],
+        normals: Float[np.ndarray, "N 3"],
+        two_sided: bool = False,
     ) -> Bool[np.ndarray, " N"]:
         """Whether a straight line leads from each surface point to a viewpoint.
 
-        `normals` point away from the solid. A point is lifted by `CRACK` along its
+        `normals` point away from the solid; of a mesh that is wound inconsistently, or
+        not closed, they may point to either side, and `two_sided` counts a point as
+        seen if it is on one of the two. A point is lifted by `CRACK` along its
         normal and seen if nothing stands between it and one of `NUM_VIEWPOINTS` points
         spread around the mesh. So the walls of a crack narrower than `CRACK` are not
         seen, and those of a wider one as far as such lines reach into it; the inside
         of a closed hollow body is not seen at all. What shows itself to less than about
         1 / `NUM_VIEWPOINTS` of all directions, deep in a slit, may count as unseen.
         """
+        seen = self._seen_along(points, normals)
+        if two_sided:
+            rest = np.flatnonzero(~seen)
+            seen[rest] = self._seen_along(points[rest], -normals[rest])
+        return seen
+
+    def _seen_along(
+        self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
+    ) -> Bool[np.ndarray, " N"]:
+        """Of the side that normals point to."""
         around = VIEWPOINT_DISTANCE * self.radius * VIEWPOINT_DIRECTIONS
         eyes = _single(self.center + around - self._shift)
         lifted = _single(points + CRACK * self.radius * normals - self._shift)
@@ -121,12 +136,13 @@ class Scene:
 
 
 def sample_outside(
-    scene: Scene, num_points: int, rng: np.random.Generator
+    scene: Scene, num_points: int, rng: np.random.Generator, two_sided: bool = False
 ) -> Float64[np.ndarray, "num_points 3"]:
     """Points uniform on the area of the mesh that is seen from outside.
 
-    Normals are taken to point outward, as in a watertight mesh. A surface of which
-    less than `MIN_SEEN` is seen raises ValueError.
+    Normals are taken to point outward, as in a watertight mesh, unless `two_sided`
+    (`Scene.seen_from_outside`). A surface of which less than `MIN_SEEN` is seen raises
+    ValueError.
     """
     cumulative = np.cumsum(scene.areas)
     kept, missing = [], num_points
@@ -139,7 +155,7 @@ def sample_outside(
         folded = u + v > 1
         u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
         points = scene._on_faces(faces, u, v)
-        seen = scene.seen_from_outside(points, scene.normals[faces])
+        seen = scene.seen_from_outside(points, scene.normals[faces], two_sided)
         drawn, seen_of_drawn = drawn + draw, seen_of_drawn + int(seen.sum())
         if seen_of_drawn < MIN_SEEN * drawn:
             raise ValueError("almost nothing of the surface is seen from outside")

@@ -9,7 +9,9 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from manifold3d import CrossSection, Manifold, OpType
+import trimesh
+from jaxtyping import Float
+from manifold3d import CrossSection, Manifold, Mesh64, OpType, triangulate
 
 SPLINTER = 1e-7
 """Volume below which a separate piece is an artefact of touching faces."""
@@ -158,6 +160,73 @@ def loft(sections: Sequence[np.ndarray]) -> list[Manifold]:
     ]
 
 
+def sweep(
+    path: Float[np.ndarray, "P 3"],
+    outline: Float[np.ndarray, "N 2"],
+    scales: Float[np.ndarray, " P"] | None = None,
+) -> Manifold:
+    """What a simple counter-clockwise outline covers that is moved along a path of
+    distinct points, always across it; at each point it has its own scale.
+
+    The outline's x axis starts close to the x axis, and turns no more than the path
+    does. A path that bends within the outline's reach gives a solid that overlaps
+    itself. A path that turns straight back raises ValueError.
+    """
+    steps = np.diff(path, axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    tangents = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
+    lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
+    if lengths.min() < 1e-6:
+        raise ValueError("the path turns straight back")
+    x_axis, rings = axes_along(tangents[0])[:, 0], []
+    sizes = np.ones(len(path)) if scales is None else scales
+    for point, tangent, scale in zip(path, tangents / lengths, sizes, strict=True):
+        x_axis = x_axis - (x_axis @ tangent) * tangent
+        x_axis /= np.linalg.norm(x_axis)
+        axes = np.stack([x_axis, np.cross(tangent, x_axis)])
+        rings.append(point + scale * outline @ axes)
+    count, cap = len(outline), triangulate([np.asarray(outline, float)])
+    walls = _strips(np.arange(len(path) * count).reshape(len(path), count))
+    ends = cap[:, ::-1], cap + count * (len(path) - 1)
+    return _closed(np.concatenate(rings), np.concatenate([walls, *ends]))
+
+
+def slab(
+    upper: Float[np.ndarray, "U V 3"], lower: Float[np.ndarray, "U V 3"]
+) -> Manifold:
+    """What lies between two grids of points, `upper` above where U runs along x and V
+    along y."""
+    count_u, count_v, _ = upper.shape
+    top = np.arange(count_u * count_v).reshape(count_u, count_v)
+    bottom = top + top.size
+    faces = [_grid_faces(top), _grid_faces(bottom)[:, ::-1]]
+    rim = [
+        np.concatenate([g[:, 0], g[-1, 1:], g[-2::-1, -1], g[0, -2:0:-1]])
+        for g in (bottom, top)
+    ]
+    points = np.concatenate([upper.reshape(-1, 3), lower.reshape(-1, 3)])
+    return _closed(points, np.concatenate([*faces, _strips(np.stack(rim))]))
+
+
+def _grid_faces(index: np.ndarray) -> np.ndarray:
+    """Two triangles for each cell of a grid, counter-clockwise about rows x columns."""
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+
+
+def _strips(rings: np.ndarray) -> np.ndarray:
+    """Faces between consecutive rings, each counter-clockwise about the way on."""
+    return _grid_faces(np.concatenate([rings, rings[:, :1]], axis=1).T)
+
+
+def _closed(points: np.ndarray, faces: np.ndarray) -> Manifold:
+    mesh = Mesh64(
+        np.ascontiguousarray(points, np.float64),
+        np.ascontiguousarray(faces, np.uint64),
+    )
+    return Manifold(mesh)
+
+
 def ring_of(solid: Manifold, count: int, start: float = 0.0) -> list[Manifold]:
     """Copies of a solid turned about z by equal steps, the first by `start` degrees."""
     return [solid.rotate((0, 0, start + 360 * k / count)) for k in range(count)]
@@ -201,3 +270,10 @@ def assembled(solids: Sequence[Manifold]) -> list[Manifold]:
     if len(parts) > 1:
         whole = union([part for part in parts if part.volume() > SPLINTER])
     return [whole]
+
+
+def as_mesh(solid: Manifold) -> trimesh.Trimesh:
+    """A solid's surface, vertices and triangles as they are."""
+    mesh = solid.to_mesh64()
+    vertices = np.array(mesh.vert_properties)[:, :3]
+    return trimesh.Trimesh(vertices, np.array(mesh.tri_verts), process=False)

@@ -15,8 +15,13 @@ from prism_jax.geometry.visibility import (
     UNKNOWN,
     Visibility,
 )
-from prism_jax.simulation.contact_sheet import Row, draw_clouds, to_bytes
-from prism_jax.simulation.roboarm.pictures import GROUND_TRUTH, OBSERVED
+from prism_jax.simulation.contact_sheet import (
+    GROUND_TRUTH,
+    OBSERVED,
+    Row,
+    draw_clouds,
+    to_bytes,
+)
 from prism_jax.simulation.views import make_views
 
 COLORS = {

@@ -1,4 +1,4 @@
-"""One shape: its complete cloud and partial views of it.
+"""One mesh: its complete cloud and partial views of it.
 
 Frame: the bounding box of the 16,384-point complete cloud is centred at the origin and
 the box's longest side spans [-1, 1]. A network never sees this frame: its workspace is
@@ -6,6 +6,7 @@ taken from the partial alone, later. Coordinates are multiples of `QUANTUM`, whi
 bits hold up to +-2, and float32 exactly.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +14,15 @@ import trimesh
 from jaxtyping import Float, Float32
 
 from prism_jax.data.ordering import farthest_point_order
+from prism_jax.data.source import Example
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.simulation.kinds import View, draw_kind, make_view
 from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.shapes import category_rng, make_shape
 
 QUANTUM = 2.0**-14
+BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
+"""That shards store these clouds in: what is stored is exactly what was made."""
 SURFACE_POINTS = 16384
 PARTIAL_POINTS = 2048
 MIN_RETURNS = 16
@@ -60,15 +64,18 @@ def views_of(
     rng: np.random.Generator,
     num_views: int = 1,
     partial: str = "self_occlusion",
+    two_sided: bool = False,
 ) -> Views:
-    """Views of a mesh whose normals point outward.
+    """Views of a mesh.
 
-    `partial` is one of `kinds.KINDS`. The complete cloud is of what can be seen from
-    outside. All clouds are in farthest-point order; a partial of fewer than 2,048
-    distinct points is repeated from its start. More views begin with the same ones. A
-    crop is seen by no sensor: its viewpoint is NaN.
+    `partial` is one of `kinds.KINDS`. The complete cloud is of what can be seen
+    from outside (`sample_outside`, also for `two_sided`). All clouds are in
+    farthest-point order; a partial of fewer than 2,048 distinct points is repeated from
+    its start. More views begin with the same ones. A crop is seen by no sensor: its
+    viewpoint is NaN. A mesh of which almost nothing is seen from outside, or that gives
+    no view of `MIN_RETURNS` points, raises ValueError.
     """
-    surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng)
+    surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng, two_sided)
     lower, upper = surface.min(axis=0), surface.max(axis=0)
     center, half = (lower + upper) / 2, (upper - lower).max() / 2
     vertices = (mesh.vertices - center) / half
@@ -82,6 +89,22 @@ def views_of(
         tuple(view.kind for view in views),
         tuple(view.visibility for view in views),
     )
+
+
+def examples(made: Views, category: str, name: str) -> Iterator[Example]:
+    """Views as a source has them, view after view: `name` tells the mesh, and what has
+    a map also says of what kind it is."""
+    for view, known in enumerate(made.visibilities):
+        kind = "" if known is None else f"/{made.kinds[view]}"
+        yield Example(
+            made.complete,
+            made.partials[view],
+            made.eyes[view],
+            category,
+            f"{name}/{view:02d}{kind}",
+            ordered=True,
+            visibility=known,
+        )
 
 
 def _view(

@@ -55,6 +55,8 @@ class PretrainConfig:
         scores are CD-L2.
       warmup_steps: steps in which the step size rises from zero.
       clip_norm: bound on the gradient's global norm; 0 for none.
+      average_decay: of the moving average of the backbone's variables, which is then
+        what is validated and kept; 0 for none.
       validate_every: samples between validations.
     """
 
@@ -66,6 +68,7 @@ class PretrainConfig:
     norm: ChamferNorm = "l1"
     warmup_steps: int = 200
     clip_norm: float = 1.0
+    average_decay: float = 0.0
     validate_every: int = 16_000
 
     def __post_init__(self):
@@ -77,6 +80,7 @@ class PretrainConfig:
             num_complete=(1, 2**20),
             warmup_steps=SAMPLES,
             clip_norm=(0, 1e6),
+            average_decay=(0, 1),
             validate_every=SAMPLES,
         )
 

@@ -29,7 +29,8 @@ def supervised_phase(
 ) -> Phase:
     """Eq. 10 over the stages that ``train_fn`` makes with BatchNorm's statistics of the
     batch, which it returns too; validated on those of ``stages_fn``, by CD-L2 in the
-    unit of the scores. ``names`` are the stages', coarse first."""
+    unit of the scores. What decides is the mean logarithm of the last stage's CD-L1,
+    which one bad example cannot carry. ``names`` are the stages', coarse first."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
     adam = optimiser(
         "adam",
@@ -59,25 +60,46 @@ def supervised_phase(
             variables["params"], updates
         )
         variables = {"params": params, "batch_stats": statistics}
-        return TrainState(state.step + 1, variables, opt_state), losses
+        average = _averaged(state, variables, training.average_decay)
+        return TrainState(state.step + 1, variables, opt_state, average), losses
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
         complete = jnp.asarray(batch.complete)
-        stages = stages_fn(variables, batch)
-        distances = [jax.vmap(chamfer)(stage, complete) for stage in stages]
-        return jnp.stack(distances, -1) * jnp.asarray(batch.scale)[:, None] ** 2
+        stages, scale = stages_fn(variables, batch), jnp.asarray(batch.scale)
+        squared = [jax.vmap(chamfer)(stage, complete) for stage in stages]
+        plain = jax.vmap(lambda s, c: chamfer(s, c, "l1"))(stages[-1], complete)
+        scores = [*(distance * scale**2 for distance in squared), plain * scale]
+        return jnp.stack([*scores[:-1], jnp.log(scores[-1])], -1)
 
     return Phase(
         phase.name,
         phase.num_samples,
         training.batch_size,
         training.num_complete,
-        TrainState(jnp.int32(0), variables, adam.init(variables["params"])),
+        TrainState(
+            jnp.int32(0),
+            variables,
+            adam.init(variables["params"]),
+            variables if training.average_decay else None,
+        ),
         step,
         validate,
         names,
-        names,
+        (*names, "log_cd_l1"),
+    )
+
+
+def _averaged(
+    state: TrainState, variables: Variables, decay: float
+) -> Variables | None:
+    """The moving average after a step. It forgets sooner at first, so that it soon is
+    one of trained variables."""
+    if state.average is None:
+        return None
+    kept = jnp.minimum(decay, (1.0 + state.step) / (10.0 + state.step))
+    return jax.tree.map(
+        lambda old, new: kept * old + (1.0 - kept) * new, state.average, variables
     )
 
 

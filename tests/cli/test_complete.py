@@ -1,5 +1,6 @@
 """The command: what it prints, and how it ends."""
 
+import dataclasses
 import functools
 import inspect
 import json
@@ -13,6 +14,7 @@ import plyfile
 import pytest
 
 from prism_jax.cli import complete
+from prism_jax.trust import Verdict
 from prism_jax.weights import available_weights
 from tests import launching
 from tests.fake_completer import FakeCompleter
@@ -54,6 +56,7 @@ def test_completes_a_scan(capsys):
     assert run("--input=scan.npy") == 0
     printed = capsys.readouterr()
     assert printed.out == (
+        "trust       unknown: these weights come without a calibration\n"
         "points      200 observed, 100 added\n"
         "adaptation  accepted\n"
         "written     prism_output: completed.ply, result.json, report.html\n"
@@ -74,6 +77,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         points = {"partial": 0, "completed": 0}
         losses = {"objective": [2.0, 1.0]}
         told = {"points": points, "adapt": given["adapt"], "accepted": False}
+        told |= {"verdict": None}
         return told | {"losses": losses}
 
     arguments = inspect.signature(complete.complete_file).parameters
@@ -116,9 +120,33 @@ def test_interrupted_it_ends_in_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == "prism-complete: interrupted\n"
 
 
+def test_says_how_far_to_trust():
+    verdict = {"trust": "fair", "expected_error": 0.01234, "reasons": []}
+    summary = {"points": {"partial": 1, "completed": 3}, "adapt": False}
+    summary |= {"verdict": verdict, "losses": {"objective": [2.0]}}
+    told = complete.outcome(summary, "out").splitlines()[0]
+    assert told == "trust       fair: expected error 0.0123, in the input's units"
+
+
+@pytest.mark.parametrize("trust", ["low", "fair"])
+def test_warns_of_low_trust_and_says_what_to_do(trust, monkeypatch, capsys):
+    verdict = Verdict(trust, 0.1, ("it strays: crop it",), {"strays": 0.2})
+    plain = FakeCompleter.complete
+
+    def judged(*given, **asked):
+        return dataclasses.replace(plain(*given, **asked), verdict=verdict)
+
+    monkeypatch.setattr(FakeCompleter, "complete", judged)
+    assert run("--input=scan.npy") == 0
+    warned = (
+        "low trust in this completion: it strays: crop it" in capsys.readouterr().err
+    )
+    assert warned == (trust == "low")
+
+
 def test_says_why_nothing_was_adapted():
     points = {"partial": 1, "completed": 3}
-    summary = {"points": points, "adapt": True, "accepted": False}
+    summary = {"points": points, "adapt": True, "accepted": False, "verdict": None}
     held = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
     assert "none, these weights take no step" in held
     refused = complete.outcome(summary | {"losses": {"objective": [1.0, 2.0]}}, "out")
@@ -295,6 +323,8 @@ def scene(folder):
 def test_a_scene_comes_back_as_its_objects(scene, capsys):
     assert run("--input=scene.npy", "--output_dir=out") == 0
     assert capsys.readouterr().out == (
+        "trust       These weights come without a calibration: nothing vouches for "
+        "a completion.\n"
         "objects     2; 90 points are of planes that were set aside, 0 of no object\n"
         "points      440 observed, 175 added\n"
         "written     out: completed.ply, result.json, report.html\n"

@@ -60,16 +60,16 @@ def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
 def test_a_place_where_nothing_can_be_built(name, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="file"):
-        build_if_missing(name, "validation", tmp_path / "file")
+        build_if_missing(name, "train", tmp_path / "file")
 
 
 @pytest.mark.parametrize("name", GENERATED)
 def test_what_another_version_built_is_refused(name, tmp_path):
-    folder = tmp_path / f"{name}-validation"
+    folder = tmp_path / f"{name}-train"
     folder.mkdir()
     write_manifest(folder, {"generator_version": 0, "files": {}})
     with pytest.raises(InputError, match=f"another version.*--dataset={name}"):
-        open_dataset(name, "validation", tmp_path)
+        open_dataset(name, "train", tmp_path)
 
 
 def test_recordings_have_one_split():
@@ -81,13 +81,13 @@ def test_recordings_have_one_split():
 
 
 def test_splits_that_can_be_scored():
-    assert scored_splits("shapes") == ("validation", "test", "unseen")
+    assert scored_splits("shapes") == ("validation", "test", "unseen", "novel")
     assert scored_splits("roboarm") == ("validation", "test")
     assert scored_splits("pcn") == ("val", "test")
     assert scored_splits("completion3d") == ("val",)
     assert scored_splits("mvp") == ("test",)
     assert scored_splits("packed") == ("validation",)
-    for name in ("recordings", "kitti"):
+    for name in ("recordings", "kitti", "open"):
         with pytest.raises(InputError, match=f"{name}: has no split with ground truth"):
             scored_splits(name)
 

@@ -6,12 +6,22 @@ import pytest
 
 from prism_jax import metrics
 from prism_jax.adaptation.config import AdaptConfig, PrismConfig
+from prism_jax.adaptation.objective import Losses
+from prism_jax.adaptation.test_time import Completion
+from prism_jax.completed import assemble
 from prism_jax.data.source import Example
 from prism_jax.evaluation.paired import paired_difference
-from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
-from prism_jax.evaluation.run import Predictions, evaluate, prism_completer
+from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol, observed
+from prism_jax.evaluation.run import (
+    Predictions,
+    evaluate,
+    prism_completer,
+    scored_clouds,
+)
 from prism_jax.evaluation.scoring import CLOUDS
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError
+from prism_jax.observation.observation import observe
 
 METRES = {"scale": 0.35, "shift": (2.0, -1.0, 4.0)}
 
@@ -80,6 +90,36 @@ def whole(boxes):
     """Five examples in one batch."""
     source = boxes(objects=4, views=2)
     return evaluate(mirrored, source, protocol(), limit=5, batch_size=5)
+
+
+def test_completed_is_what_a_user_gets(boxes):
+    """As `prism_jax.completed.assemble` makes it, in the frame of the scores."""
+    example = boxes(objects=1, **METRES)[0]
+    own = protocol()
+    read = np.asarray(observed(example, own).partial)
+    prediction = (read * np.float32([1, 1, -1]))[:40]
+    clouds = scored_clouds(example, read, Predictions(prediction, prediction), own)
+    seen = observe(example.partial.astype(np.float64), example.eye, margin=own.margin)
+    result = assemble(
+        example.partial,
+        seen,
+        seen.sampled(own.num_partial),
+        seen.camera,
+        Completion(prediction, prediction, False, (), np.ones(3), {})._replace(
+            losses=Losses(*np.ones((len(Losses._fields), 1)))
+        ),
+        density=1.0,
+        camera_given=True,
+        seconds={},
+    )
+    frame = Workspace.from_points(example.complete, 1.0)
+    expected = np.asarray(frame.to_unit(result.points.astype(np.float64)))
+    assert len(expected) > len(example.partial) + len(prediction) / 2
+    np.testing.assert_allclose(clouds["completed"], expected, atol=1e-5)
+    assert clouds["completed_unadapted"] is clouds["completed"]
+    np.testing.assert_allclose(
+        clouds["partial"], expected[: len(example.partial)], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("batch_size", [1, 2, 3, 20])

@@ -5,17 +5,12 @@ import pytest
 
 from prism_jax import metrics
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.evaluation.scoring import CLOUDS, EMD_POINTS, ExampleClouds, score
-from prism_jax.selection import keep_unmeasured
+from prism_jax.evaluation.scoring import CLOUDS, EMD_POINTS, score
 
 RNG = np.random.default_rng(5)
 COMPLETE = RNG.normal(size=(1500, 3)) * [1.0, 0.5, 0.2]
 MEASURED = COMPLETE[COMPLETE[:, 0] > 0]
 FEW = farthest_point_order(COMPLETE, EMD_POINTS)
-
-
-def example(network, unadapted=None) -> ExampleClouds:
-    return ExampleClouds(COMPLETE, FEW, MEASURED, MEASURED[:200], network, unadapted)
 
 
 def one_by_one(cloud) -> dict[str, float]:
@@ -29,20 +24,17 @@ def one_by_one(cloud) -> dict[str, float]:
     }
 
 
-def test_shared_searches_change_no_score():
+def test_every_score_is_that_of_the_metric():
     output = RNG.normal(size=(300, 3)) * [1.0, 0.5, 0.2]
     unadapted = output + RNG.normal(scale=0.02, size=output.shape)
     clouds = {
         "partial": MEASURED,
         "network": output,
+        "completed": np.concatenate([MEASURED, output[:100]]),
         "network_unadapted": unadapted,
+        "completed_unadapted": np.concatenate([MEASURED, unadapted[:100]]),
     }
-    for suffix, cloud in (("", output), ("_unadapted", unadapted)):
-        keep = keep_unmeasured(cloud, MEASURED, MEASURED[:200])
-        assert 0 < keep.sum() < len(keep)
-        clouds[f"completed{suffix}"] = np.concatenate([MEASURED, cloud[keep]])
-    scores = score(example(output, unadapted))
-    assert scores.keys() == clouds.keys()
+    scores = score(clouds, COMPLETE, FEW)
     assert tuple(scores) == CLOUDS
     for name, cloud in clouds.items():
         found = scores[name].named()
@@ -51,44 +43,34 @@ def test_shared_searches_change_no_score():
         assert found == pytest.approx(one_by_one(cloud), rel=1e-12), name
 
 
-def test_the_predictions_alone_have_the_same_scores():
+def test_only_those_that_there_are_are_scored():
     output = RNG.normal(size=(300, 3))
-    both = example(output, output + 0.01)
-    whole, alone = score(both), score(both, with_measured=False)
+    alone = score({"network": output, "network_unadapted": output + 0.01}, COMPLETE)
     assert list(alone) == ["network_unadapted", "network"]
-    for name, row in alone.items():
-        assert row == pytest.approx(whole[name], rel=1e-12)
-    same = example(output, output.copy())
-    scores = score(same, with_emd=False, with_measured=False)
-    assert list(scores) == ["network_unadapted", "network"]
+    assert alone["network"].emd is None
+    whole = score({"network": output, "partial": MEASURED}, COMPLETE)
+    assert list(whole) == ["partial", "network"]
+    assert whole["network"] == alone["network"]
 
 
-def test_equal_predictions_have_equal_scores():
+def test_one_cloud_under_two_names_is_scored_once(monkeypatch):
+    asked = []
+    plain = metrics.from_distances
+    monkeypatch.setattr(
+        metrics, "from_distances", lambda *both: asked.append(1) or plain(*both)
+    )
     output = RNG.normal(size=(300, 3))
-    scores = score(example(output, output.copy()), with_emd=False)
+    scores = score({"network": output, "network_unadapted": output}, COMPLETE, FEW)
     assert scores["network_unadapted"] == scores["network"]
-    assert scores["completed_unadapted"] == scores["completed"]
-
-
-def test_a_prediction_of_measured_points_adds_nothing():
-    scores = score(example(MEASURED[::3]), with_emd=False)
-    assert scores["completed"] == scores["partial"]
-
-
-def test_a_prediction_far_from_all_that_was_measured_is_added_whole():
-    away = MEASURED + [50.0, 0.0, 0.0]
-    together = np.concatenate([MEASURED, away])
-    completed = score(example(away), with_emd=False)["completed"]
-    assert np.isclose(completed.cd_l2, metrics.cd_l2(together, COMPLETE), rtol=1e-12)
-    assert completed.emd is None
+    assert len(asked) == 1
 
 
 def test_the_right_answer_is_the_best_there_is():
-    best = score(example(COMPLETE))["network"].named()
+    best = score({"network": COMPLETE}, COMPLETE, FEW)["network"].named()
     assert best.pop("f_score") == 1
     assert best == pytest.approx(dict.fromkeys(best, 0), abs=1e-12)
 
 
 def test_a_prediction_that_is_not_finite_is_refused():
     with pytest.raises(ValueError):
-        score(example(np.full((10, 3), np.nan)))
+        score({"network": np.full((10, 3), np.nan)}, COMPLETE)

@@ -4,6 +4,9 @@ from PIL import Image
 
 from experiments import contact_sheet
 from tests import launching
+from tests.simulation.objects.conftest import catalogue_dir, write_catalogue
+
+__all__ = ["catalogue_dir", "write_catalogue"]
 
 
 def run(*arguments) -> int:
@@ -22,12 +25,31 @@ def test_writes_one_row_a_category(tmp_path):
     assert output.read_bytes() == before
 
 
+def test_writes_rows_of_open_shapes(tmp_path):
+    output = tmp_path / "sheet.png"
+    few = ["--dataset=open", "--rows=3", "--seeds=2", "--size=32"]
+    assert run(f"--output={output}", *few) == 0
+    with Image.open(output) as sheet:
+        assert sheet.size == (2 * (2 * 32 + 4) - 4, 2 * (32 + 15))
+
+
 def test_writes_one_row_a_robot_cell(tmp_path):
     output = tmp_path / "sheet.png"
     one = ["--dataset=roboarm", "--split=train", "--sequences=1", "--size=40"]
     assert run(f"--output={output}", "--columns=1", *one) == 0
     with Image.open(output) as sheet:
         assert sheet.size == (4 * 40, 40 + 15)
+
+
+def test_writes_one_row_a_model_and_prints_its_maker(tmp_path, catalogue_dir, capsys):
+    output = tmp_path / "sheet.png"
+    place = [f"--output={output}", f"--catalogue_dir={catalogue_dir}", "--columns=1"]
+    assert run("--dataset=objects", "--models=2", "--size=40", *place) == 0
+    with Image.open(output) as sheet:
+        assert sheet.size == (2 * 40, 2 * (40 + 15))
+    printed = capsys.readouterr().out
+    assert "Fridge by Ann (Scopia), CC BY 3.0, turned and scaled" in printed
+    assert "Locked locker by Bob (BlendSwap-CC-BY)" in printed
 
 
 def test_what_cannot_be_written_ends_in_one_line(tmp_path, capsys):

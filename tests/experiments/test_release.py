@@ -2,11 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from experiments import release
+from experiments.trust import unfitted
+from prism_jax.io.errors import InputError
 from prism_jax.weights import (
     file_sha256,
+    load_calibration,
     load_pretrained,
     read_metadata,
     save_weights,
@@ -57,7 +61,7 @@ def test_scores_of_other_weights_are_refused(finished, tiny, tiny_variables, cap
     save_weights(path, tiny, tiny_variables, {"seed": 4})
     given = (f"--weights={path}", "--name=new", f"--scores={folder}/test.json")
     assert run(*given) == 2
-    fault = f"scores of {path}, not of {path} as it is"
+    fault = f"is of {path}, not of {path} as it is"
     assert fault in capsys.readouterr().err
     assert not (folder / "new.safetensors").exists()
     # Wherever the same file lies.
@@ -81,3 +85,29 @@ def test_an_unknown_setting_ships_nothing(finished, capsys):
     assert run(f"--weights={path}", "--name=new", "--set=model.size=3") != 0
     assert "no field 'size'" in capsys.readouterr().err
     assert not (folder / "new.safetensors").exists()
+
+
+def test_a_calibration_comes_with_them(finished, capsys):
+    """Only with weights that it is of."""
+    folder, path = finished
+    blank = unfitted(np.random.default_rng(0).normal(size=(40, 5)))
+    result = {"calibration": blank.to_dict(), "trust": {"all": {"views": 7}}}
+    result |= {"weights": "w", "weights_sha256": file_sha256(str(path))}
+    (folder / "trust.json").write_text(json.dumps(result))
+    given = (f"--weights={path}", "--name=new", f"--calibration={folder}/trust.json")
+    assert run(*given) == 0
+    new = str(folder / "new.safetensors")
+    assert load_calibration(new).to_dict() == result["calibration"]
+    assert read_metadata(new)["trust"] == result["trust"]
+    assert load_calibration(str(path)) is None
+    other = json.dumps({**result, "weights_sha256": "0"})
+    (folder / "trust.json").write_text(other)
+    assert run(*given) == 2
+    assert "make it for the weights that are released" in capsys.readouterr().err
+
+
+def test_a_damaged_calibration_is_one_line(finished, tiny, tiny_variables):
+    _, path = finished
+    save_weights(path, tiny, tiny_variables, {"calibration": {"low": 1}})
+    with pytest.raises(InputError, match="a calibration has"):
+        load_calibration(str(path))

@@ -71,16 +71,18 @@ def test_a_tilt_is_undone_by_the_table(view):
 
 
 def test_scores_are_those_of_the_partial_and_of_what_a_user_gets(view, completer):
-    scores = robustness.score(completer, view, adapt=False)
+    scores = robustness.score(view, robustness.completed(completer, view, False).points)
     assert scores["partial"]["prediction_to_truth"] < 0.01
     assert set(scores) == {"partial", "completed"}
     tilted = SHIFTS["tilt 36, on a table"](view, np.random.default_rng(0))
-    again = robustness.score(completer, tilted, adapt=False)
+    done = robustness.completed(completer, tilted, adapt=False)
+    again = robustness.score(tilted, done.points)
     assert np.isfinite(again["completed"]["cd_l2"])
 
 
 def test_the_table_has_a_row_for_each_shift(view, completer):
-    scores = [robustness.score(completer, view, adapt=False)]
+    done = robustness.completed(completer, view, adapt=False)
+    scores = [robustness.score(view, done.points)]
     rows = {"heading 0": robustness._summary(scores)}
     about = {"weights": "w", "commit": None, "data": "boxes", "views": 1}
     text = robustness.robustness_markdown({**about, "shifts": rows})
@@ -106,6 +108,8 @@ def test_views_are_of_the_validation_split(monkeypatch, view):
     asked = []
 
     class Few:
+        objects = np.arange(9) // 2
+
         def __len__(self):
             return 9
 
@@ -115,5 +119,19 @@ def test_views_are_of_the_validation_split(monkeypatch, view):
 
     monkeypatch.setattr(shifts, "open_dataset", lambda name, split: Few())
     monkeypatch.setattr(shifts, "with_partial", lambda row: dataclasses.replace(view))
-    assert len(shifts.validation_views("shapes", 3)) == 3
+    views = shifts.validation_views("shapes", 3)
     assert asked == [0, 4, 8]
+    assert [one.group for one in views] == [0, 2, 4]
+
+
+def test_any_shift_is_one_of_every_kind_and_the_same_again(view):
+    kinds = {}
+    for seed in range(40):
+        kind, shifted = shifts.any_shift(view, np.random.default_rng(seed))
+        _, again = shifts.any_shift(view, np.random.default_rng(seed))
+        np.testing.assert_array_equal(shifted.partial, again.partial)
+        assert not np.array_equal(shifted.complete, view.complete)
+        kinds.setdefault(kind, []).append(shifted)
+    assert set(kinds) == {"heading", "tilt", "points", "noise", "crop"}
+    assert all(one.table is not None for one in kinds["tilt"])
+    assert all(len(one.partial) < len(view.partial) for one in kinds["crop"])

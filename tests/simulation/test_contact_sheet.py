@@ -8,6 +8,7 @@ from prism_jax.simulation.contact_sheet import (
     Row,
     contact_sheet,
     draw,
+    open_row,
     shape_row,
 )
 
@@ -32,6 +33,13 @@ def test_the_view_has_z_up_and_the_light_from_above():
     rows = np.flatnonzero(colored(picture)[:, SIZE // 2])
     top, front = picture[rows[2], SIZE // 2], picture[rows[-3], SIZE // 2]
     assert top.sum() > 1.2 * front.sum()
+
+
+def test_winding_does_not_show():
+    box = trimesh.creation.box((1, 2, 1))
+    inverted = box.copy()
+    inverted.invert()
+    np.testing.assert_array_equal(draw(box, SIZE), draw(inverted, SIZE))
 
 
 def test_shadows_fall_on_the_floor_away_from_the_light():
@@ -64,13 +72,20 @@ def test_sheet_places_rows_side_by_side():
     assert sheet[:12, :20].min() < 128
 
 
-def test_a_row_holds_its_seeds_and_tells_unseen_categories_apart():
+def test_a_row_holds_its_seeds_and_tells_categories_never_trained_on_apart():
     row = shape_row("pipe_run", (3, 4), 16)
     assert row.label == "pipe run"
     assert len(row.pictures) == 2
     assert not np.array_equal(*row.pictures)
-    amber = shape_row("bench", (3,), 16).pictures[0].astype(int)
-    assert (amber[..., 0] - amber[..., 2]).max() > 40
+    for name in ("bench", "tank"):
+        amber = shape_row(name, (3,), 16).pictures[0].astype(int)
+        assert (amber[..., 0] - amber[..., 2]).max() > 40
+
+
+def test_a_row_of_open_shapes_has_one_of_each_seed():
+    row = open_row(range(3, 6), 16)
+    assert row.label == "3 to 5"
+    assert len({picture.tobytes() for picture in row.pictures}) == 3
 
 
 def test_pictures_of_several_sizes_are_refused():

@@ -160,6 +160,30 @@ def test_a_cavity_is_not_seen_and_the_outside_is():
     np.testing.assert_array_equal(seen, outer)
 
 
+def turned_over(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """With every other triangle wound the other way."""
+    faces = np.array(mesh.faces)
+    faces[::2] = faces[::2, ::-1]
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def test_winding_does_not_matter_where_both_sides_count():
+    mesh = hollow_box()
+    points, faces = trimesh.sample.sample_surface(mesh, 4000, seed=0)
+    points, outer = np.asarray(points), np.abs(points).max(axis=1) > 0.9
+    scene = Scene(turned_over(mesh))
+    normals = scene.normals[faces]
+    both = scene.seen_from_outside(points, normals, two_sided=True)
+    np.testing.assert_array_equal(both, outer)
+    assert 0.2 < scene.seen_from_outside(points, normals)[outer].mean() < 0.8
+
+
+def test_an_open_sheet_is_seen_whole():
+    sheet = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    points = sample_outside(Scene(sheet), 300, np.random.default_rng(0), True)
+    assert points.shape == (300, 3) and np.ptp(points[:, :2], axis=0).min() > 0.9
+
+
 def test_all_of_a_convex_body_is_seen_wherever_it_stands():
     for shift in (0.0, 1000.0):
         mesh = trimesh.creation.icosphere(3, radius=0.01)
@@ -219,10 +243,11 @@ def test_seen_agrees_with_plain_numpy(make):
     assert 5 < seen.sum() < 60
 
 
-def test_samples_are_uniform_on_what_is_seen():
+@pytest.mark.parametrize("two_sided", [False, True])
+def test_samples_are_uniform_on_what_is_seen(two_sided):
     """Faces of a hollow box get points by area, none inside: a chi-square test."""
-    scene = Scene(hollow_box())
-    points = sample_outside(scene, 12000, np.random.default_rng(4))
+    mesh = turned_over(hollow_box()) if two_sided else hollow_box()
+    points = sample_outside(Scene(mesh), 12000, np.random.default_rng(4), two_sided)
     assert points.shape == (12000, 3)
     largest = np.abs(points).argmax(axis=1)
     np.testing.assert_allclose(np.abs(points).max(axis=1), 1, atol=1e-12)
@@ -247,3 +272,4 @@ def test_a_surface_that_nobody_sees_is_refused():
     inverted.invert()
     with pytest.raises(ValueError, match="seen"):
         sample_outside(Scene(inverted), 100, np.random.default_rng(0))
+    assert len(sample_outside(Scene(inverted), 100, np.random.default_rng(0), True))

@@ -3,6 +3,7 @@ import pytest
 from manifold3d import Manifold
 
 from prism_jax.simulation.solids import (
+    as_mesh,
     assembled,
     box,
     corners,
@@ -10,6 +11,8 @@ from prism_jax.simulation.solids import (
     ring_of,
     rod,
     side_profile,
+    slab,
+    sweep,
     torus,
     tube,
 )
@@ -73,3 +76,41 @@ def test_corners_are_the_four_of_a_rectangle():
     assert {tuple(p) for p in corners(2.0, 1.0)} == {
         (x, y, 0.0) for x in (-2.0, 2.0) for y in (-1.0, 1.0)
     }
+
+
+def test_a_swept_circle_is_the_part_of_a_torus():
+    """Pappus: area times the way of its middle, in a circle of any plane."""
+    angle = np.linspace(0, 1.5 * np.pi, 300)
+    around = 2 * np.pi * np.arange(100) / 100
+    section = 0.2 * np.stack([np.cos(around), np.sin(around)], axis=1)
+    for x, y in ((0, 1), (1, 2), (2, 0)):
+        path = np.zeros((300, 3))
+        path[:, x], path[:, y] = np.cos(angle), np.sin(angle)
+        solid = sweep(path, section)
+        assert solid.volume() == pytest.approx(np.pi * 0.04 * 1.5 * np.pi, rel=2e-3)
+        assert solid.genus() == 0
+        assert as_mesh(solid).is_watertight
+
+
+def test_a_straight_sweep_is_a_prism_or_a_frustum_even_of_a_section_with_a_notch():
+    section = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], float)
+    path = np.linspace((0, 0, 0), (0, 0, 3), 4)
+    assert sweep(path, section).volume() == pytest.approx(9)
+    np.testing.assert_allclose(bounds(sweep(path, section)), [(0, 0, 0), (2, 2, 3)])
+    frustum = sweep(path[[0, -1]], section, np.array([1.0, 0.5]))
+    assert frustum.volume() == pytest.approx(3 / 3 * (3 + 1.5 + 0.75))
+
+
+def test_a_path_that_turns_back_is_refused():
+    path = np.array([(0.0, 0, 0), (0, 0, 1), (0, 0, 0)])
+    with pytest.raises(ValueError, match="turns straight back"):
+        sweep(path, np.array([(0.0, 0), (1, 0), (0, 1)]))
+
+
+def test_a_slab_is_what_lies_between_its_grids():
+    u, v = np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 2, 30), indexing="ij")
+    upper = np.stack([u, v, 1 + u * v**2], axis=-1)
+    solid = slab(upper, np.stack([u, v, 0 * u], axis=-1))
+    assert solid.volume() == pytest.approx(2 + 8 / 6, rel=2e-3)  # the integral
+    assert as_mesh(solid).is_watertight
+    np.testing.assert_allclose(bounds(solid), [(0, 0, 0), (1, 2, 5)])

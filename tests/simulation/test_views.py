@@ -2,6 +2,7 @@ import hashlib
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.visibility import SURFACE, look_up
@@ -136,10 +137,32 @@ def test_any_mesh_has_views_and_stays_as_it_is(shape):
     np.testing.assert_array_equal(mesh.vertices, before)
 
 
+def test_a_mesh_of_any_place_and_size_is_viewed_in_the_same_frame_and_left_alone():
+    mesh = trimesh.creation.box((1, 2, 4)).apply_translation((50, 60, 70))
+    before = mesh.vertices.copy()
+    partials, complete, *_ = views_of(mesh, np.random.default_rng(0), 2)
+    np.testing.assert_array_equal(mesh.vertices, before)
+    spans = np.ptp(complete, axis=0)
+    np.testing.assert_allclose(spans, (0.5, 1, 2), atol=0.01)
+    gaps, _ = KDTree(complete).query(partials.reshape(-1, 3))
+    assert gaps.max() < 0.06
+
+
 def test_example_uses_the_mesh_of_its_seed(shape):
     extents = make_shape("mug", 11).extents
     span = np.ptp(shape[1], axis=0)
     np.testing.assert_allclose(span / span.max(), extents / extents.max(), atol=0.01)
+
+
+def test_any_mesh_has_views_and_stays_as_it_was():
+    box = trimesh.creation.box((3.0, 2.0, 1.0))
+    box.apply_translation((10.0, 0.0, -4.0))
+    before = box.vertices.copy()
+    partials, complete, *_ = views_of(box, np.random.default_rng(0))
+    np.testing.assert_array_equal(box.vertices, before)
+    faces = np.array([1.0, 2 / 3, 1 / 3])
+    for cloud in (complete, partials[0]):
+        np.testing.assert_allclose(np.abs(cloud / faces).max(axis=1), 1, atol=0.01)
 
 
 def test_coordinates_are_rounded_to_the_nearest_step_and_overflow_is_refused():

@@ -153,11 +153,35 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     checkpoints.close()
     text = (tmp_path / "metrics.jsonl").read_text()
     written = [json.loads(line) for line in text.splitlines()]
-    scores = [line["validation"]["seeds"] for line in written if "validation" in line]
+    written = [line["validation"] for line in written if "validation" in line]
+    scores = [line["log_cd_l1"] for line in written]
     assert len(scores) == 2
     assert bitwise(best, expected[4 if scores[0] <= scores[1] else 8].variables)
     assert seeds.step_fn._cache_size() == compiled
     assert seeds.validate_fn._cache_size() == 1
+
+
+def test_the_average_is_what_is_kept(preset, backbone, batch):
+    """In closed form: it forgets sooner at first. Training is as without it."""
+    phase, settings = preset.pretrain.backbone[0], preset.pretrain
+    averaged = dataclasses.replace(settings, average_decay=0.25)
+    with_average = backbone_phase(backbone, preset.model.backbone, phase, averaged)
+    alone = backbone_phase(backbone, preset.model.backbone, phase, settings)
+    assert alone.start.average is None
+    state, plain, expected = with_average.start, alone.start, alone.start.variables
+    assert bitwise(state.kept, state.variables)
+    for step, kept in enumerate([0.1, 2 / 11, 0.25, 0.25]):
+        state, _ = with_average.step_fn(state, batch)
+        plain, _ = alone.step_fn(plain, batch)
+        assert bitwise(state.variables, plain.variables), step
+        expected = jax.tree.map(
+            lambda old, new, kept=kept: kept * old + (1 - kept) * new,
+            expected,
+            state.variables,
+        )
+    for a, b in zip(*map(jax.tree.leaves, (state.kept, expected)), strict=True):
+        assert a.dtype == b.dtype
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6)
 
 
 def test_validation_is_in_the_unit_of_the_scores(seeds, examples, framed):
@@ -165,12 +189,15 @@ def test_validation_is_in_the_unit_of_the_scores(seeds, examples, framed):
     framing = dataclasses.replace(FRAMING, num_complete=VALIDATION_COMPLETE)
     batch = framed(examples, range(BATCH), framing)
     scores = np.asarray(seeds.validate_fn(variables, batch))
-    assert scores.shape == (BATCH, 1)
-    assert (scores > 0).all()
+    assert scores.shape == (BATCH, 2)
+    squared, log_plain = scores.T
+    assert (squared > 0).all()
+    # By Jensen's inequality; CD-L2 is the sum of both directions, CD-L1 their mean.
+    assert (np.exp(log_plain) <= np.sqrt(squared)).all()
     doubled = batch._replace(scale=2 * batch.scale)
-    np.testing.assert_allclose(
-        seeds.validate_fn(variables, doubled), 4 * scores, rtol=1e-6
-    )
+    twice = np.asarray(seeds.validate_fn(variables, doubled))
+    np.testing.assert_allclose(twice[:, 0], 4 * squared, rtol=1e-6)
+    np.testing.assert_allclose(twice[:, 1], log_plain + np.log(2), atol=1e-6)
 
 
 def test_step_sizes_rise_and_then_follow_a_cosine():

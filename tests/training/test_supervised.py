@@ -40,7 +40,8 @@ def test_the_terms_are_eq_10_stage_by_stage(phase, batch):
     complete = jnp.asarray(batch.complete)
     each = jax.jit(jax.vmap(lambda s, c: stage_chamfers(s, c, "l1")))(stages, complete)
     np.testing.assert_allclose(losses, each.mean(0), rtol=1e-5)
-    assert phase.terms == phase.scores == ("stage_0", "stage_1")
+    assert phase.terms == ("stage_0", "stage_1")
+    assert phase.scores == ("stage_0", "stage_1", "log_cd_l1")
 
 
 def test_it_learns_and_only_parameters_change(phase, batch):
@@ -56,8 +57,9 @@ def test_the_score_is_in_the_unit_of_the_scores(phase, batch):
     scores = np.asarray(phase.validate_fn(phase.start.variables, batch))
     doubled = batch._replace(scale=2 * batch.scale)
     twice = np.asarray(phase.validate_fn(phase.start.variables, doubled))
-    assert scores.shape == (BATCH, 2)
-    np.testing.assert_allclose(twice, 4 * scores, rtol=1e-6)
+    assert scores.shape == (BATCH, 3)
+    np.testing.assert_allclose(twice[:, :2], 4 * scores[:, :2], rtol=1e-6)
+    np.testing.assert_allclose(twice[:, 2], scores[:, 2] + np.log(2), atol=1e-6)
 
 
 def test_a_seed_is_one_start(phase):

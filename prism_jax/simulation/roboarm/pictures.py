@@ -7,7 +7,13 @@ from jaxtyping import Float, Float64, UInt8
 
 from prism_jax.data.recordings import Frame
 from prism_jax.geometry.camera import Camera
-from prism_jax.simulation.contact_sheet import Row, draw_clouds, to_bytes
+from prism_jax.simulation.contact_sheet import (
+    GROUND_TRUTH,
+    OBSERVED,
+    Row,
+    draw_clouds,
+    to_bytes,
+)
 from prism_jax.simulation.raycast import Scene
 from prism_jax.simulation.roboarm.build import NUM_FRAMES, own_rng
 from prism_jax.simulation.roboarm.cell import look_at
@@ -29,7 +35,6 @@ COLORS = {
     "floor": (0.88, 0.88, 0.86),
     "box": (0.74, 0.63, 0.43),
 }
-OBSERVED, GROUND_TRUTH = (0.15, 0.39, 0.69), (0.95, 0.75, 0.5)
 _RAMP = np.array([(0.2, 0.1, 0.4), (0.1, 0.5, 0.9), (0.5, 0.9, 0.5), (0.9, 0.3, 0.1)])
 _TO_LIGHT = np.array([0.4, 0.3, 0.85]) / np.linalg.norm([0.4, 0.3, 0.85])
 

@@ -1,7 +1,7 @@
 """Builds splits of the procedural shapes.
 
-Shapes of different splits and seeds never share a seed of their own; the split `unseen`
-has the categories that no other split has.
+Shapes of different splits and seeds never share a seed of their own; the splits
+`unseen` and `novel` have categories that no other split has.
 """
 
 import dataclasses
@@ -9,19 +9,24 @@ import functools
 import os
 import pathlib
 from collections.abc import Iterator
-
-import numpy as np
+from typing import Any
 
 from prism_jax.data.datasets import SHAPES_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError, choose
-from prism_jax.simulation.kinds import KINDS, MIXTURE
-from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES
+from prism_jax.simulation.kinds import KINDS, has_maps
+from prism_jax.simulation.shapes import (
+    NOVEL_CATEGORIES,
+    TRAIN_CATEGORIES,
+    UNSEEN_CATEGORIES,
+)
 from prism_jax.simulation.shard_writer import build_shards
 from prism_jax.simulation.views import (
+    BOX,
     PARTIAL_POINTS,
     QUANTUM,
     SURFACE_POINTS,
+    examples,
     make_views,
 )
 
@@ -30,11 +35,12 @@ SPLITS = {
     "validation": (396, 1),
     "test": (396, 1),
     "unseen": (132, 1),
+    "novel": (132, 1),
 }
-"""Shapes of a split, and views of each, unless told otherwise."""
-
-_BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
-"""Of every shape: what is stored is exactly what was made."""
+"""Shapes of a split, and views of each, unless told otherwise. A new split comes last:
+`shape_seed` counts them."""
+FIRST_SPLITS = 4
+"""So many were there first. Their seeds stay what they were, whatever came later."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,26 +66,25 @@ class ShapesConfig:
 
     def __post_init__(self):
         choose("split", self.split, SPLITS)
-        choose("partial", self.partial, KINDS)
         own = dict(zip(("num_shapes", "num_views"), SPLITS[self.split], strict=True))
         for name, number in own.items():
             if getattr(self, name) == 0:
                 object.__setattr__(self, name, number)
-        for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
-            value, lowest = getattr(self, name), 0 if name == "seed" else 1
-            if not lowest <= value < 2**31:
-                fault = f"{value} is not within {lowest} to {2**31 - 1}"
-                raise InputError(name, fault, "choose another number")
+        check_settings(self)
 
     @property
     def categories(self) -> tuple[str, ...]:
         """Of the split's shapes."""
-        return UNSEEN_CATEGORIES if self.split == "unseen" else TRAIN_CATEGORIES
+        own = {"unseen": UNSEEN_CATEGORIES, "novel": NOVEL_CATEGORIES}
+        return own.get(self.split, TRAIN_CATEGORIES)
 
 
 def shape_seed(config: ShapesConfig, index: int) -> int:
     """Seed of a shape, distinct for every (seed of the set, split, index < 2**32)."""
-    block = config.seed * len(SPLITS) + list(SPLITS).index(config.split)
+    position = list(SPLITS).index(config.split)
+    if position >= FIRST_SPLITS:
+        return (position << 96) + (config.seed << 32) + index
+    block = config.seed * FIRST_SPLITS + position
     return (block << 32) + index
 
 
@@ -110,8 +115,8 @@ def build_shapes(
         functools.partial(_views, config),
         num_workers,
         progress,
-        _BOX,
-        maps=config.partial == "mixed" or config.partial in MIXTURE,
+        BOX,
+        maps=has_maps(config.partial),
     )
 
 
@@ -119,14 +124,15 @@ def _views(config: ShapesConfig, index: int) -> Iterator[Example]:
     category = config.categories[index % len(config.categories)]
     seed = shape_seed(config, index)
     made = make_views(category, seed, config.num_views, config.partial)
-    for view, kind in enumerate(made.kinds):
-        name = f"{index:06d}/{view:02d}"
-        yield Example(
-            made.complete,
-            made.partials[view],
-            made.eyes[view],
-            category,
-            f"{name}/{kind}" if config.partial == "mixed" else name,
-            ordered=True,
-            visibility=made.visibilities[view],
-        )
+    return examples(made, category, f"{index:06d}")
+
+
+def check_settings(config: Any) -> None:
+    """Raises InputError for a kind of partial that there is not, or a number of a
+    configuration of shapes that makes no sense."""
+    choose("partial", config.partial, KINDS)
+    for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
+        value, lowest = getattr(config, name), 0 if name == "seed" else 1
+        if not lowest <= value < 2**31:
+            fault = f"{value} is not within {lowest} to {2**31 - 1}"
+            raise InputError(name, fault, "choose another number")

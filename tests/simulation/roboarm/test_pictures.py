@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 
 from prism_jax.data.recordings import LABELS
+from prism_jax.simulation.contact_sheet import GROUND_TRUTH, OBSERVED, draw_clouds
 from prism_jax.simulation.roboarm.pictures import (
     COLORS,
-    GROUND_TRUTH,
-    OBSERVED,
-    draw_clouds,
     draw_depth,
     draw_scene,
     frame_row,

@@ -13,7 +13,12 @@ from prism_jax.data.datasets import DATASETS, folder_of, open_dataset
 from prism_jax.data.shards import FORMAT_VERSION, Shards
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
-from prism_jax.simulation.shapes import TRAIN_CATEGORIES, UNSEEN_CATEGORIES, build
+from prism_jax.simulation.shapes import (
+    NOVEL_CATEGORIES,
+    TRAIN_CATEGORIES,
+    UNSEEN_CATEGORIES,
+    build,
+)
 from prism_jax.simulation.shapes.build import (
     SPLITS,
     ShapesConfig,
@@ -96,7 +101,7 @@ def test_a_map_that_was_lost_is_made_again(tmp_path, digests):
         open_dataset("shapes", "test", tmp_path)
     build_shapes(config, tmp_path, 0, progress=False)
     assert digests(folder) == before
-    assert open_dataset("shapes", "test", tmp_path)[0].name == "000000/00"
+    assert open_dataset("shapes", "test", tmp_path)[0].name == "000000/00/occluded"
 
 
 def test_where_no_maps_are_kept_nothing_is_said(train):
@@ -214,10 +219,29 @@ def test_shape_seeds_of_splits_and_corpora_are_disjoint():
     assert len(set(seeds)) == len(seeds)
 
 
-def test_unseen_categories_are_in_no_other_split():
+def test_seeds_are_those_that_results_were_recorded_with():
+    """Splits added later change none of them."""
+    recorded = {
+        ("train", 0): 7,
+        ("validation", 0): 2**32 + 7,
+        ("test", 0): 2 * 2**32 + 7,
+        ("unseen", 0): 3 * 2**32 + 7,
+        ("train", 1): 4 * 2**32 + 7,
+        ("unseen", 5): 23 * 2**32 + 7,
+        ("novel", 0): 4 * 2**96 + 7,
+        ("novel", 5): 4 * 2**96 + 5 * 2**32 + 7,
+    }
+    for (split, seed), own in recorded.items():
+        assert shape_seed(ShapesConfig(split, seed=seed), 7) == own
+
+
+def test_unseen_and_novel_categories_are_in_no_other_split():
     assert ShapesConfig("unseen").categories == UNSEEN_CATEGORIES
+    assert ShapesConfig("novel").categories == NOVEL_CATEGORIES
+    assert not set(UNSEEN_CATEGORIES) & set(NOVEL_CATEGORIES)
     for split in ("train", "validation", "test"):
-        assert not set(ShapesConfig(split).categories) & set(UNSEEN_CATEGORIES)
+        apart = {*UNSEEN_CATEGORIES, *NOVEL_CATEGORIES}
+        assert not set(ShapesConfig(split).categories) & apart
 
 
 def test_sizes_are_the_splits_own_unless_given():

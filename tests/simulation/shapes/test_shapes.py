@@ -4,6 +4,7 @@ import pytest
 from prism_jax.data.datasets import SHAPES_VERSION
 from prism_jax.simulation.shapes import (
     CATEGORIES,
+    NOVEL_CATEGORIES,
     TRAIN_CATEGORIES,
     UNSEEN_CATEGORIES,
     category_rng,
@@ -41,6 +42,12 @@ AREA_AND_VOLUME = {
     "gantry": (8.761483, 0.229457),
     "gripper": (8.393856, 0.509880),
     "valve": (0.815131, 0.020034),
+    "ladder": (0.859276, 0.009099),
+    "fan": (2.350799, 0.015364),
+    "bicycle": (1.858277, 0.011738),
+    "forklift": (1.673339, 0.037592),
+    "pump": (0.853794, 0.022365),
+    "tank": (9.124685, 1.256880),
 }
 """Of the last seed's mesh, by `make_shape(category, SEEDS[-1])`."""
 
@@ -112,14 +119,18 @@ def test_furniture_and_cars_are_upright_and_centred_sideways(category):
     assert np.all(bounds[:, 0, 2] > -0.05)
 
 
-def test_training_and_unseen_categories_part_the_whole():
+def test_training_unseen_and_novel_categories_part_the_whole():
     assert len(TRAIN_CATEGORIES) == 18
     assert set(UNSEEN_CATEGORIES) == {
         *("bench", "bowl", "monitor"),
         *("gantry", "gripper", "valve"),
     }
-    assert len(set(CATEGORIES)) == 24
-    assert CATEGORIES == TRAIN_CATEGORIES + UNSEEN_CATEGORIES
+    assert set(NOVEL_CATEGORIES) == {
+        *("ladder", "fan", "bicycle"),
+        *("forklift", "pump", "tank"),
+    }
+    assert len(set(CATEGORIES)) == 30
+    assert CATEGORIES == TRAIN_CATEGORIES + UNSEEN_CATEGORIES + NOVEL_CATEGORIES
 
 
 def test_categories_have_independent_streams():

@@ -1,0 +1,345 @@
+"""Fits what gives completions a verdict, and measures it where it was not fitted.
+
+    python -m experiments.trust --weights=FILE --output=FILE.json
+
+Views of validation shapes and robot cells are turned, tilted, thinned, made noisy and
+cropped (`experiments.shifts.any_shift`), and completed as a user's scan is. The
+quadratic of `prism_jax.trust.Calibration` is fitted on half of the objects; the table
+is of the others. `experiments.release --calibration=FILE.json` ships it with weights.
+"""
+
+import json
+import pathlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from absl import flags
+from jaxtyping import Bool, Float, Int
+from scipy.stats import spearmanr
+from tqdm import tqdm
+
+from experiments.output import prepare_output
+from experiments.robustness import completed
+from experiments.shifts import any_shift, validation_views
+from experiments.weights import located
+from prism_jax import metrics
+from prism_jax.adaptation.config import PrismConfig
+from prism_jax.cli.launch import launch
+from prism_jax.completion import Completer
+from prism_jax.data.datasets import digest_of, open_dataset, validation_split
+from prism_jax.data.pipeline import Framing, frame_example
+from prism_jax.evaluation.tables import short
+from prism_jax.evidence import make_second_look
+from prism_jax.io.atomic import write_bytes
+from prism_jax.models.variables import Variables
+from prism_jax.simulation.build_dataset import build_if_missing
+from prism_jax.training.run import commit
+from prism_jax.trust import EVIDENCE, Calibration, logarithms, terms
+from prism_jax.weights import file_sha256, load_pretrained
+
+FLAGS = flags.FLAGS
+
+NUM_AXES = 16
+"""Along which the features of training views vary most."""
+
+PENALTIES = (0.1, 1.0, 10.0, 100.0, 1000.0)
+FOLDS = 5
+SETS = ("shapes", "roboarm")
+
+
+class Sample(NamedTuple):
+    """One completed view: of which set, object and shift; what was found, how large its
+    workspace is, and its true CD-L1, both in half the longest side of the truth.
+    Objects are numbered at random in each set: those with even numbers are fitted on.
+    """
+
+    data: str
+    group: int
+    shift: str
+    evidence: dict[str, float]
+    half_extent: float
+    error: float
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("weights", "small", "A name, or a file.")
+    flags.DEFINE_integer("limit", None, "Views of each set, evenly spaced.", 4)
+    flags.DEFINE_integer("draws", 3, "Shifts of each view.", lower_bound=1)
+    flags.DEFINE_integer("training", 1000, "Training views that say what is familiar.")
+    flags.DEFINE_string("data_dir", None, "Folder of the sets.")
+    flags.DEFINE_bool("adapt", True, "Adapt to each view.")
+    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+
+
+def main() -> None:
+    """Completes, fits, measures, writes and prints the table."""
+    prepare_output(FLAGS.output, ".json")
+    weights = located(FLAGS.weights)
+    config, variables = load_pretrained(weights)
+    blank = unfitted(training_features(config, variables, FLAGS.training))
+    completer = Completer(config, variables, calibration=blank)
+    samples = list(completed_views(completer))
+    kept = [sample for sample in samples if sample.group % 2 == 0]
+    rest = [sample for sample in samples if sample.group % 2 == 1]
+    calibration = fitted(blank, kept)
+    result = {
+        "commit": commit(),
+        "weights": FLAGS.weights,
+        "weights_sha256": file_sha256(weights),
+        "digests": {name: digest_of(name, validation_split(name)) for name in SETS},
+        "views": {"fitted": len(kept), "held_out": len(rest)},
+        "calibration": calibration.to_dict(),
+        "trust": measured(Calibration.from_dict(calibration.to_dict()), rest),
+    }
+    text = trust_markdown(result)
+    print(text)
+    if FLAGS.output is not None:
+        path = pathlib.Path(FLAGS.output)
+        write_bytes(path, json.dumps(result, indent=1).encode())
+        write_bytes(path.with_suffix(".md"), text.encode())
+
+
+def training_features(
+    config: PrismConfig, variables: Variables, count: int
+) -> Float[np.ndarray, "N G"]:
+    """Global features of views as a training sees them."""
+    model = config.model
+    build_if_missing("shapes", "train", FLAGS.data_dir)
+    source = open_dataset("shapes", "train", FLAGS.data_dir)
+    framing = Framing(model.backbone.num_points, 1, model.margin, model.heading)
+    look = jax.jit(make_second_look(model))
+    rows = np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)
+    features = []
+    for row in tqdm(rows, desc="features", mininterval=2.0):
+        rng = np.random.default_rng(row)
+        batch = frame_example(source[int(row)], framing, rng)
+        features.append(np.asarray(look(variables, batch.partial).features))
+    return np.array(features, np.float64)
+
+
+def unfitted(features: Float[np.ndarray, "N G"]) -> Calibration:
+    """One that knows what is familiar, and nothing of errors."""
+    mean = features.mean(axis=0)
+    off = features - mean
+    _, spread, axes = np.linalg.svd(off, full_matrices=False)
+    axes = axes[:NUM_AXES]
+    rest = off - (off @ axes.T) @ axes
+    spread = spread[: len(axes)] / np.sqrt(len(features))
+    least = 1e-6 * max(float(spread[0]), 1e-6)  # equal features have no spread at all
+    count = len(EVIDENCE)
+    return Calibration(
+        center=np.zeros(count),
+        scale=np.ones(count),
+        usual=np.zeros(count),
+        coefficients=np.zeros(terms(np.zeros(count)).shape),
+        bounds=np.array([-20.0, 20.0]),
+        fair=1.0,
+        low=1.0,
+        feature_mean=mean,
+        feature_axes=axes / np.maximum(spread, least)[:, None],
+        feature_rest=max(float(np.sqrt((rest**2).sum(axis=1).mean())), least),
+    )
+
+
+def completed_views(completer: Completer):
+    """The samples of both sets."""
+    for name in SETS:
+        build_if_missing(name, validation_split(name), FLAGS.data_dir)
+        views = validation_views(name, FLAGS.limit)
+        count = 1 + max(view.group for view in views)
+        group = np.random.default_rng(0).permutation(count)
+        with tqdm(total=len(views) * FLAGS.draws, desc=name, mininterval=2.0) as bar:
+            for number, view in enumerate(views):
+                for draw in range(FLAGS.draws):
+                    rng = np.random.default_rng([number, draw])
+                    shift, shifted = any_shift(view, rng)
+                    done = completed(completer, shifted, FLAGS.adapt)
+                    assert done.verdict is not None
+                    unit = 0.5 * view.size
+                    clouds = done.points / unit, shifted.complete / unit
+                    yield Sample(
+                        name,
+                        int(group[view.group]),
+                        shift,
+                        done.verdict.evidence,
+                        float(done.workspace.half_extent) / unit,
+                        float(metrics.cd_l1(*clouds)),
+                    )
+                    bar.update()
+
+
+def fitted(blank: Calibration, samples: list[Sample]) -> Calibration:
+    """The quadratic by least squares with the penalty that does best on objects that
+    are left out, and bounds of trust from what is said of those."""
+    found = np.array([logarithms(sample.evidence) for sample in samples])
+    log_error = np.log([sample.error / sample.half_extent for sample in samples])
+    center, scale = found.mean(axis=0), np.maximum(found.std(axis=0), 1e-6)
+    inputs = terms(np.clip((found - center) / scale, -4.0, 4.0))
+    sets = [sample.data for sample in samples]
+    weights = np.array([len(sets) / sets.count(name) for name in sets])
+    fold = np.array([sample.group // 2 for sample in samples]) % FOLDS
+    said = {
+        penalty: _left_out(inputs, log_error, weights, fold, penalty)
+        for penalty in PENALTIES
+    }
+
+    def miss(penalty: float) -> float:
+        return float((weights * (said[penalty] - log_error) ** 2).mean())
+
+    penalty = min(PENALTIES, key=miss)
+    predicted = said[penalty]
+    coefficients = _least_squares(inputs, log_error, weights, penalty)
+    # The mean of errors, and not that of their logarithms, is what is expected.
+    lift = float(np.log(np.mean(np.exp(log_error - predicted))))
+    coefficients[0] += lift
+    good = log_error <= np.median(log_error)
+    fair, low = _bounds_of_trust(log_error, predicted + lift)
+    usual = np.median(found[good], axis=0)
+    return Calibration(
+        center=center,
+        scale=scale,
+        usual=np.clip((usual - center) / scale, -4.0, 4.0),
+        coefficients=coefficients,
+        bounds=np.array([log_error.min(), log_error.max()]),
+        fair=fair,
+        low=low,
+        feature_mean=blank.feature_mean,
+        feature_axes=blank.feature_axes,
+        feature_rest=blank.feature_rest,
+    )
+
+
+def _least_squares(
+    inputs: Float[np.ndarray, "N T"],
+    wanted: Float[np.ndarray, " N"],
+    weights: Float[np.ndarray, " N"],
+    penalty: float,
+) -> Float[np.ndarray, " T"]:
+    punished = penalty * np.eye(inputs.shape[1])
+    punished[0, 0] = 0.0  # a constant is no complexity
+    weighted = inputs * weights[:, None]
+    return np.linalg.solve(weighted.T @ inputs + punished, weighted.T @ wanted)
+
+
+def _left_out(
+    inputs: Float[np.ndarray, "N T"],
+    wanted: Float[np.ndarray, " N"],
+    weights: Float[np.ndarray, " N"],
+    fold: Int[np.ndarray, " N"],
+    penalty: float,
+) -> Float[np.ndarray, " N"]:
+    """What is predicted of each fold by a fit to the others."""
+    predicted = np.empty(len(wanted))
+    for number in np.unique(fold):
+        others, own = fold != number, fold == number
+        fit = _least_squares(inputs[others], wanted[others], weights[others], penalty)
+        predicted[own] = inputs[own] @ fit
+    return predicted
+
+
+def _bounds_of_trust(
+    log_error: Float[np.ndarray, " N"], predicted: Float[np.ndarray, " N"]
+) -> tuple[float, float]:
+    """Expected errors from which trust is fair, and low.
+
+    No more than one in twenty of the better half is low, and nine in ten of the worst
+    tenth are; where both can be had, low is half-way between. High is at most half of
+    all.
+    """
+    worst, better = worst_tenth(log_error), log_error <= np.median(log_error)
+    least = np.quantile(predicted[better], 0.95)
+    low = 0.5 * (least + max(least, np.quantile(predicted[worst], 0.1)))
+    fair = min(np.median(predicted), low)
+    return float(np.exp(fair)), float(np.exp(low))
+
+
+def worst_tenth(error: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
+    """Those with the largest errors."""
+    return error >= np.quantile(error, 0.9)
+
+
+def measured(calibration: Calibration, samples: list[Sample]) -> dict[str, Any]:
+    """How far verdicts are right, over all samples, by set and by shift."""
+    parts = {"all": samples}
+    for name in SETS:
+        parts[name] = [sample for sample in samples if sample.data == name]
+    for shift in sorted({sample.shift for sample in samples}):
+        parts[shift] = [sample for sample in samples if sample.shift == shift]
+    return {name: _rightness(calibration, part) for name, part in parts.items() if part}
+
+
+def _rightness(calibration: Calibration, samples: list[Sample]) -> dict[str, Any]:
+    judged = [calibration.judge(s.evidence, s.half_extent) for s in samples]
+    expected = np.array([verdict.expected_error for verdict in judged])
+    trust = np.array([verdict.trust for verdict in judged])
+    error = np.array([sample.error for sample in samples])
+    better = error <= np.median(error)
+    return {
+        "views": len(samples),
+        "error": float(error.mean()),
+        "expected": float(expected.mean()),
+        "rank_correlation": _rank_correlation(expected, error),
+        "worst_tenth_low": float((trust[worst_tenth(error)] == "low").mean()),
+        "better_half_low": float((trust[better] == "low").mean()),
+        "low": float((trust == "low").mean()),
+        "high": float((trust == "high").mean()),
+        "error_of_low": _mean(error[trust == "low"]),
+        "error_of_high": _mean(error[trust == "high"]),
+    }
+
+
+def _rank_correlation(
+    first: Float[np.ndarray, " N"], second: Float[np.ndarray, " N"]
+) -> float | None:
+    if np.ptp(first) == 0 or np.ptp(second) == 0:
+        return None
+    return float(spearmanr(first, second).statistic)
+
+
+def _mean(values: Float[np.ndarray, " N"]) -> float | None:
+    return float(values.mean()) if len(values) else None
+
+
+def trust_markdown(result: Mapping[str, Any]) -> str:
+    """A row for all views, for each set and for each shift."""
+    views = result["views"]
+    lines = [
+        f"`{result['weights']}`, commit {short(result['commit'] or 'unknown')}, fitted "
+        f"on {views['fitted']:,} shifted validation views, measured on "
+        f"{views['held_out']:,} of other objects. Errors are CD-L1 x1e3. "
+        f"Unit of length: {metrics.UNIT}.\n",
+        "| views | number | error | expected | rank correlation | of the worst tenth "
+        "low | of the better half low | low | high | error of low | error of high |",
+        "| --- |" + " --- |" * 10,
+    ]
+    for name, row in result["trust"].items():
+        shares = (row[k] for k in ("worst_tenth_low", "better_half_low", "low", "high"))
+        ends = (row["error_of_low"], row["error_of_high"])
+        cells = [
+            name,
+            f"{row['views']:,}",
+            f"{1e3 * row['error']:.4g}",
+            f"{1e3 * row['expected']:.4g}",
+            _or_dash(row["rank_correlation"], ".2f"),
+            *(f"{share:.0%}" for share in shares),
+            *(_or_dash(end, ".4g", 1e3) for end in ends),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _or_dash(value: float | None, form: str, factor: float = 1.0) -> str:
+    return "-" if value is None else format(factor * value, form)
+
+
+def run() -> None:
+    """The entry point."""
+    define_flags()
+    launch("trust", main)
+
+
+if __name__ == "__main__":
+    run()

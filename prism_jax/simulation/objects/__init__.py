@@ -1,0 +1,1 @@
+"""Objects that people modelled, from packages that the user has installed."""
