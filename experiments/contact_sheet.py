@@ -1,10 +1,12 @@
-"""Draws a picture of procedural shapes, open ones, robot cells, or people's models.
+"""Draws a picture of shapes, of views of them, of robot cells, or of people's models.
 
 python -m experiments.contact_sheet --output=docs/shapes.png
 python -m experiments.contact_sheet --dataset=open --size=128 \
     --output=docs/open_shapes.png
 python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
 python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
+python -m experiments.contact_sheet --dataset=views --output=docs/views.png \
+    --category=chair --category=gearbox --category=conveyor
 """
 
 import io
@@ -16,6 +18,7 @@ from experiments.output import prepare_output
 from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
 from prism_jax.simulation.contact_sheet import Row, contact_sheet, open_row, shape_row
+from prism_jax.simulation.kinds import MIXTURE
 from prism_jax.simulation.objects.build import NUM_VIEWS
 from prism_jax.simulation.objects.catalogues import FOLDER
 from prism_jax.simulation.objects.pictures import credit, model_row
@@ -23,13 +26,14 @@ from prism_jax.simulation.objects.survey import survey
 from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
 from prism_jax.simulation.roboarm.pictures import cell_row
 from prism_jax.simulation.shapes import CATEGORIES
+from prism_jax.simulation.view_pictures import kind_row
 
 FLAGS = flags.FLAGS
 
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    known = ["shapes", "open", "roboarm", "objects"]
+    known = ["shapes", "open", "views", "roboarm", "objects"]
     flags.DEFINE_enum("dataset", "shapes", known, "What to draw.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
     flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells.")
@@ -49,11 +53,15 @@ def define_flags() -> None:
 
 def main():
     """One row a category, steel-blue ones for training; or rows of open shapes, seed
-    after seed; or one row a robot cell, or a model, whose makers are printed."""
+    after seed; or one row a kind of view, a robot cell, or a model, whose makers are
+    printed."""
     prepare_output(FLAGS.output, ".png")
     if FLAGS.dataset == "roboarm":
         cells = range(FLAGS.sequences)
         rows = [cell_row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]
+    elif FLAGS.dataset == "views":
+        shapes = FLAGS.category, FLAGS.seed, FLAGS.size
+        rows = [kind_row(kind, *shapes) for kind in MIXTURE]
     elif FLAGS.dataset == "objects":
         rows = model_rows()
     elif FLAGS.dataset == "open":

@@ -28,7 +28,7 @@ def define_flags() -> None:
 def main():
     """One example in metres, seen by a sensor at the origin, z up."""
     seed = shape_seed(ShapesConfig("validation"), FLAGS.index)
-    (partial,), complete, (viewpoint,) = make_views(FLAGS.category, seed)
+    (partial,), complete, (viewpoint,), *_ = make_views(FLAGS.category, seed)
     folder = pathlib.Path(FLAGS.output_dir)
     for name, cloud in {"sample": partial, "sample_complete": complete}.items():
         points = (cloud - viewpoint) * np.float32(HALF_EXTENT)

@@ -12,9 +12,11 @@ from absl import flags
 from jaxtyping import Float32
 from scipy.spatial.transform import Rotation
 
+from prism_jax.data.augmentation import Augmentation, augmented
 from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop, random_crop
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
+from prism_jax.geometry.visibility import Visibility, mirrored, to_unit, turned
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
 from prism_jax.observation.observation import Heading, observe, workspace_around
@@ -37,6 +39,7 @@ class Batch(NamedTuple):
       scale: what turns a distance here into one in the unit of the scores, half the
         longest side of the complete cloud.
       indices: what was computed beforehand for the partials, if anything was.
+      visibility: what each sensor knows, if the source says.
     """
 
     partial: Float32[np.ndarray, "*B N 3"]
@@ -44,17 +47,20 @@ class Batch(NamedTuple):
     eye: Float32[np.ndarray, "*B 3"]
     scale: Float32[np.ndarray, "*B"]
     indices: Any = None
+    visibility: Visibility | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Framing:
     """How examples become arrays of one size: points of the partial and of the
-    complete cloud, and the workspace's margin around the partial and its heading."""
+    complete cloud, the workspace's margin around the partial and its heading, and what
+    befalls the partial in training, if anything does."""
 
     num_partial: int
     num_complete: int
     margin: float
     heading: Heading = "given"
+    augmentation: Augmentation | None = None
 
 
 def frame_example(
@@ -64,8 +70,9 @@ def frame_example(
 
     With `rng`, for training: mirrored along x with probability one half, which makes
     an object of the same kind where left and right are x; turned about the vertical at
-    random where it may have any heading; and a partial that is None is cropped at
-    random. Without, it is cropped as the median test from the first fixed viewpoint.
+    random where it may have any heading; spoiled as the framing says; and a partial
+    that is None is cropped at random. Without, it is cropped as the median test from
+    the first fixed viewpoint. What the sensor knows goes the clouds' way.
 
     Where the network finds the heading itself, each example has any heading, and every
     other a tilt of up to `MAX_TILT`, before the rule has its way; without `rng` these
@@ -75,6 +82,8 @@ def frame_example(
     An example without a complete cloud raises InputError.
     """
     example = with_partial(example, rng)
+    if rng is not None and framing.augmentation is not None:
+        example = augmented(example, framing.augmentation, rng)
     assert example.partial is not None and example.complete is not None
     clouds = {
         "partial": example.partial,
@@ -84,11 +93,12 @@ def frame_example(
         "many": first_points(example.complete, framing.num_complete, example.ordered),
     }
     unit = Workspace.from_points(clouds["complete"], 1.0)
-    eye = example.eye
+    eye, known = example.eye, example.visibility
     pose = _pose(example, framing, rng)
     if pose is not None:
         clouds = {name: cloud @ pose for name, cloud in clouds.items()}
         eye = None if eye is None else eye @ pose
+        known = None if known is None else turned(known, pose)
     partial = clouds["partial"]
     workspace = workspace_around(partial, eye, framing.margin, heading=framing.heading)
     seen = observe(clouds["few"], eye, workspace)
@@ -97,6 +107,7 @@ def frame_example(
         np.asarray(workspace.to_unit(clouds["many"]), np.float32),
         np.asarray(seen.eye, np.float32),
         np.asarray(workspace.half_extent / unit.half_extent, np.float32),
+        visibility=None if known is None else _framed_map(known, workspace),
     )
     if rng is None:
         return batch
@@ -143,8 +154,8 @@ def training_batches(
     read ahead, 0 for threads of this one. `shard` is (this process, number of
     processes) where several train together: each then sees its own share.
     `indices`, a tree of arrays with a row for each item, come with the batches; they
-    must not change under mirroring and turning. A source that does not fill one batch,
-    and a missing package grain, raise InputError.
+    must not change under mirroring, turning and the framing's augmentation. A source
+    that does not fill one batch, and a missing package grain, raise InputError.
     """
     grain = require("grain", "train")
     number, count = shard
@@ -224,21 +235,32 @@ def _about_vertical(angle: float) -> Float32[np.ndarray, "3 3"]:
     return np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
 
 
+def _framed_map(known: Visibility, workspace: Workspace) -> Visibility:
+    """In the unit of the workspace, and in single precision."""
+    unit = to_unit(known, workspace)
+    camera = jax.tree.map(lambda array: np.asarray(array, np.float32), unit.camera)
+    return Visibility(camera, unit.state, np.asarray(unit.depth, np.float32))
+
+
 def _turned(batch: Batch, quarters: int) -> Batch:
     """By quarter turns about the middle of the unit workspace."""
     turn = np.rint(_about_vertical(quarters * 0.5 * np.pi))
+    known = batch.visibility
     return batch._replace(
         partial=batch.partial @ turn,
         complete=batch.complete @ turn,
         eye=batch.eye @ turn,
+        visibility=None if known is None else turned(known, turn),
     )
 
 
 def _mirrored(batch: Batch) -> Batch:
     """Along x, which in the unit workspace is a matter of signs."""
     sign = np.array([-1, 1, 1], np.float32)
+    known = batch.visibility
     return batch._replace(
         partial=batch.partial * sign,
         complete=batch.complete * sign,
         eye=batch.eye * sign,
+        visibility=None if known is None else mirrored(known),
     )

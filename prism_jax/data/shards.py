@@ -10,6 +10,11 @@ is sampled again. A shard is a set of files, of V views of C complete clouds:
                 .views.npy    int32 (V, 2)      row of the complete cloud; object
                 .names.json   [category, name, any_heading] of each view
 
+and, where sensors' maps were kept (`data.maps`),
+
+                .map.npy      uint16 (V, H, W)  state and depth of each pixel
+                .camera.npy   float32 (V, 18)   whose pixels these are
+
 Objects are counted from 0 in each shard, and none is in two. What is told of each view,
 or of each complete cloud, is a file of its own, so that a later version can add some.
 """
@@ -23,17 +28,20 @@ import numpy as np
 from jaxtyping import Float32, Int, UInt16
 
 from prism_jax.data.manifest import check_files, read_manifest
+from prism_jax.data.maps import decode
 from prism_jax.data.source import Example
 
 FORMAT_VERSION = 3
 """Raised with every change of the layout: folders of another one are refused."""
 ARRAYS = ("complete", "box", "partial", "eye", "views")
+MAPS = ("map", "camera")
+"""A folder has them for all of its views or for none."""
 NAMES = "names.json"
 """Written last: a shard is there once its names are."""
 
 
 def shard_file(folder: pathlib.Path, number: int, content: str) -> pathlib.Path:
-    """The path of one of `ARRAYS`, or of the names, of a shard."""
+    """The path of one of `ARRAYS` or `MAPS`, or of the names, of a shard."""
     suffix = content if content == NAMES else f"{content}.npy"
     return folder / f"shard-{number:05d}.{suffix}"
 
@@ -66,6 +74,7 @@ class Shards:
         check_files(self.root, manifest["files"], "delete it and build again")
         self.categories = tuple(manifest["categories"])
         self._mapped: dict[tuple[int, str], Any] = {}
+        self._has_maps = any(name.endswith(".map.npy") for name in manifest["files"])
         count = sum(name.endswith(NAMES) for name in manifest["files"])
         objects = [self._array(number, "views")[:, 1] for number in range(count)]
         self._starts = np.cumsum([0, *map(len, objects)])
@@ -83,6 +92,9 @@ class Shards:
         cloud = self._array(shard, "views")[view, 0]
         box, eye = self._array(shard, "box")[cloud], self._array(shard, "eye")[view]
         category, name, any_heading = self._names(shard)[view]
+        known = None
+        if self._has_maps:
+            known = decode(*(np.array(self._array(shard, n)[view]) for n in MAPS))
         return Example(
             restored(self._array(shard, "complete")[cloud], box),
             restored(self._array(shard, "partial")[view], box),
@@ -91,6 +103,7 @@ class Shards:
             name,
             ordered=True,
             any_heading=any_heading,
+            visibility=known,
         )
 
     def __getstate__(self) -> dict[str, Any]:

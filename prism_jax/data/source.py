@@ -5,6 +5,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32, Int
 
+from prism_jax.geometry.visibility import Visibility
+
 
 class Example(NamedTuple):
     """One object or scene: the clouds as their source has them, none resampled.
@@ -21,6 +23,8 @@ class Example(NamedTuple):
         a farthest-point sample.
       any_heading: whether training may turn it about the vertical, z, at random: a
         robot cell, yes; a chair whose front is along y, no.
+      visibility: what the sensor knows of every direction, surface or emptiness; None
+        where the source does not say.
     """
 
     complete: Float32[np.ndarray, "M 3"] | None
@@ -30,6 +34,7 @@ class Example(NamedTuple):
     name: str
     ordered: bool = False
     any_heading: bool = False
+    visibility: Visibility | None = None
 
 
 @runtime_checkable

@@ -3,12 +3,13 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.geometry.precision import exact_products
 
@@ -81,11 +82,29 @@ class Camera:
         Differentiable in the points and the camera. Where ``z <= MIN_DEPTH`` the point
         has no image: its pixel coordinates are finite but mean nothing.
         """
-        in_camera = jnp.asarray(self.to_camera(points))
-        z = in_camera[:, 2]
-        safe_z = jnp.where(z > MIN_DEPTH, z, 1.0)
-        homogeneous = in_camera @ self.intrinsics.T
-        return homogeneous[:, :2] / safe_z[:, None], z
+        return self._image_of(jnp.asarray(self.to_camera(points)))
+
+    @exact_products
+    def pixel_of(
+        self, points: Float[Array | np.ndarray, "N 3"]
+    ) -> tuple[Int[Array | np.ndarray, " N"], Float[Array | np.ndarray, " N"]]:
+        """The pixel that each point falls on, and its depth ``z``.
+
+        Pixels are numbered row by row. A point that has no image, behind the camera,
+        beside the image or not finite, gets ``height * width``, one past the last.
+        The depth is differentiable. NumPy arrays stay NumPy.
+        """
+        xp: Any = jnp if isinstance(points, jax.Array) else np
+        # Projected, they would turn the pose's gradient into NaN, dropped or not.
+        finite = xp.isfinite(points).all(axis=-1)
+        uv, z = self._image_of(self.to_camera(xp.where(finite[:, None], points, 0.0)))
+        xp = jnp if isinstance(uv, jax.Array) else np
+        cell = xp.floor(uv + 0.5)
+        inside = (cell >= 0) & (cell < xp.array([self.width, self.height]))
+        visible = finite & inside.all(axis=-1) & (z > MIN_DEPTH)
+        column, row = xp.where(visible[:, None], cell, 0).astype(int).T
+        pixel = xp.where(visible, row * self.width + column, self.height * self.width)
+        return pixel, z
 
     @exact_products
     def unproject(
@@ -119,6 +138,14 @@ class Camera:
         return dataclasses.replace(
             self, intrinsics=scaling @ self.intrinsics, height=height, width=width
         )
+
+    def _image_of(self, in_camera: Any) -> tuple[Any, Any]:
+        """Pixel coordinates and depth of points in the camera's frame."""
+        xp = jnp if isinstance(in_camera, jax.Array) else np
+        z = in_camera[:, 2]
+        safe_z = xp.where(z > MIN_DEPTH, z, 1.0)
+        homogeneous = in_camera @ self.intrinsics.T
+        return homogeneous[:, :2] / safe_z[:, None], z
 
     @classmethod
     @exact_products

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from prism_jax.geometry.camera import MIN_DEPTH, Camera
+from prism_jax.geometry.camera import Camera
 
 
 def render_depth(
@@ -20,15 +20,8 @@ def render_depth(
     falls and which point wins are constants, so moving sideways has no gradient
     except as it changes z.
     """
-    # Projected, they would turn the pose's gradient into NaN, dropped or not.
-    finite = jnp.isfinite(points).all(axis=-1)
-    uv, z = camera.project(jnp.where(finite[:, None], points, 0.0))
-    cell = jnp.floor(uv + 0.5)
-    inside = (cell >= 0) & (cell < jnp.array([camera.width, camera.height]))
-    visible = finite & inside.all(axis=-1) & (z > MIN_DEPTH)
-    column, row = jnp.where(visible[:, None], cell, 0).astype(int).T
+    pixel, z = camera.pixel_of(points)
     num_pixels = camera.height * camera.width
-    pixel = jnp.where(visible, row * camera.width + column, num_pixels)
     nearest = jnp.full(num_pixels, jnp.inf, z.dtype)
     # "drop", not "clip": a clipped index gives infinite gradients.
     nearest = nearest.at[pixel].min(z, mode="drop")

@@ -46,8 +46,10 @@ def pack(
     """Packs sources, by the names that tell them apart, one after the other.
 
     `digests` (`manifest.content_digest`), where given, tell that a folder was begun
-    with the same sources. An example without a partial or a complete cloud raises
-    InputError. The bytes do not depend on `num_workers` (`building.build`).
+    with the same sources. What sensors know is kept if the first example of any source
+    has it; where others do not, nothing is known. An example without a partial or a
+    complete cloud raises InputError. The bytes do not depend on `num_workers`
+    (`building.build`).
     """
     groups = [group for name in sources for group in _groups(name, sources, config)]
     content = {
@@ -60,7 +62,10 @@ def pack(
     }
     make_object = functools.partial(_examples, dict(sources), groups, config)
     shards = _shards([len(rows) for _, rows in groups])
-    return build_shards(folder, content, shards, make_object, num_workers, progress)
+    maps = any(source[0].visibility is not None for source in sources.values())
+    return build_shards(
+        folder, content, shards, make_object, num_workers, progress, maps=maps
+    )
 
 
 def _groups(

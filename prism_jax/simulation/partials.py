@@ -10,6 +10,7 @@ from jaxtyping import Float, Float64
 from prism_jax.data.crops import random_crop
 from prism_jax.io.depth import points_from_depth
 from prism_jax.simulation.raycast import Scene
+from prism_jax.simulation.readings import RAYS, pixel_grid
 from prism_jax.simulation.sensors import (
     L515Config,
     OusterConfig,
@@ -23,7 +24,6 @@ from prism_jax.simulation.sensors import (
 PARTIALS = ("self_occlusion", "crop", "l515", "ouster", "sparse")
 """Kinds of partial clouds that `make_partial` knows."""
 
-RAYS = 160 * 160
 MAX_RAYS = 16 * RAYS
 HALF_EXTENT = 0.6
 """Metres that the unit of length stands for where a sensor's own scale matters: an
@@ -168,11 +168,5 @@ def _in_metres(scene: Scene) -> Scene:
 
 def _grid(tangents: np.ndarray, rays: int) -> np.ndarray:
     """About `rays` directions (x, y, 1) at the pixel centres of the tangents' box."""
-    lower, upper = tangents.min(axis=0), tangents.max(axis=0)
-    pitch = np.sqrt(np.prod(upper - lower) / rays)
-    columns, rows = (
-        np.arange(low + pitch / 2, high, pitch)
-        for low, high in zip(lower, upper, strict=True)
-    )
-    x, y = np.meshgrid(columns, rows)
-    return np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+    pitch = np.sqrt(np.prod(np.ptp(tangents, axis=0)) / rays)
+    return pixel_grid(tangents, pitch).reshape(-1, 3)

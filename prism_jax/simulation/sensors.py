@@ -220,7 +220,7 @@ def l515_depth(
     columns, rows = np.arange(width)[:, None], np.arange(height)[:, None, None]
     rays = (rows * down + (columns * right + corner)).reshape(-1, 3)
     hits = scene.cast(-translation @ rotation, rays)
-    hits, ranges = _measure(scene, hits, (height, width), rng, config, glossy)
+    hits, ranges = measure(scene, hits, (height, width), rng, config, glossy)
     depth = ranges / np.linalg.norm(rays[hits.ray], axis=1)
     counts = np.zeros(height * width, np.uint16)
     faces = np.full(height * width, -1, np.int32)
@@ -245,7 +245,7 @@ def ouster_scan(
     directions = np.einsum("rj,ij->ri", _beam_directions(config), rotation)
     hits = scene.cast(position, directions)
     grid = (config.beams, config.columns)
-    hits, ranges = _measure(scene, hits, grid, rng, config, glossy, wraps=True)
+    hits, ranges = measure(scene, hits, grid, rng, config, glossy, wraps=True)
     ranges = np.rint(ranges / config.quantum) * config.quantum
     points = position + directions[hits.ray] * ranges[:, None]
     return Returns(points, hits.faces, ranges)
@@ -263,17 +263,23 @@ def _beam_directions(config: OusterConfig) -> np.ndarray:
     return directions
 
 
-def _measure(
+def measure(
     scene: Scene,
     hits: Hits,
     grid: tuple[int, int],
     rng: np.random.Generator,
     config: RangeConfig,
-    glossy: np.ndarray | None,
+    glossy: Bool[np.ndarray, " F"] | None = None,
     wraps: bool = False,
-) -> tuple[Hits, np.ndarray]:
-    """The hits that return something, and the ranges measured, not yet quantised."""
-    step = _step_to_neighbours(hits, grid, wraps)
+) -> tuple[Hits, Float64[np.ndarray, " R"]]:
+    """The hits that return something, and the ranges measured, not yet quantised.
+
+    Hits are of a `grid` of rays, row by row, whose columns close up where it `wraps`;
+    their distances are in metres. `glossy` tells which faces of the scene are.
+    """
+    step = np.zeros(len(hits.ray))
+    if config.mixed_share > 0:
+        step = _step_to_neighbours(hits, grid, wraps)
     mixed = np.abs(step) > config.edge_step
     mixed &= rng.random(len(step)) < config.mixed_share
     ranges = hits.distances + mixed * rng.random(len(step)) * step

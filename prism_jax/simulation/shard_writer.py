@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32, UInt16
 
-from prism_jax.data.shards import ARRAYS, FORMAT_VERSION, NAMES, shard_file
+from prism_jax.data.maps import encode
+from prism_jax.data.shards import ARRAYS, FORMAT_VERSION, MAPS, NAMES, shard_file
 from prism_jax.data.source import Example
+from prism_jax.geometry.visibility import nothing_known
 from prism_jax.io.atomic import write_bytes
 from prism_jax.simulation.building import build
 
@@ -31,24 +33,27 @@ def build_shards(
     num_workers: int | None = None,
     progress: bool = True,
     box: Box | None = None,
+    maps: bool = False,
 ) -> pathlib.Path:
     """Builds what is missing of a folder of shards, each with these objects.
 
     `make_object` is pickled for the workers. It gives the views of one object, with
     clouds in farthest-point order and all of one size; views in a row that have the
     same complete cloud share it. A coordinate is rounded to 1 / `STEPS` of the longest
-    side of cloud and views, or to the steps of `box` if it is given. All else is as
-    in `building.build`.
+    side of cloud and views, or to the steps of `box` if it is given. With `maps` what
+    the sensors know is kept too, in files of its own; a view that does not say knows
+    nothing. All else is as in `building.build`.
     """
     folder = pathlib.Path(folder)
+    arrays = (*ARRAYS, *MAPS) if maps else ARRAYS
     return build(
         folder,
         {"format_version": FORMAT_VERSION, **content},
         [len(shard) for shard in shards],
         lambda number: all(
-            shard_file(folder, number, name).exists() for name in (*ARRAYS, NAMES)
+            shard_file(folder, number, name).exists() for name in (*arrays, NAMES)
         ),
-        functools.partial(_write_shard, folder, shards, make_object, box),
+        functools.partial(_write_shard, folder, shards, make_object, box, arrays),
         "object",
         num_workers,
         progress,
@@ -60,9 +65,10 @@ def _write_shard(
     shards: Sequence[Sequence[int]],
     make_object: MakeObject,
     box: Box | None,
+    arrays: Sequence[str],
     number: int,
 ) -> None:
-    columns: dict[str, list[Any]] = {name: [] for name in ARRAYS}
+    columns: dict[str, list[Any]] = {name: [] for name in arrays}
     names = []
     for position, identity in enumerate(shards[number]):
         for views in _by_complete(make_object(identity)):
@@ -77,6 +83,10 @@ def _write_shard(
                 row = len(columns["box"]) - 1, position
                 columns["views"].append(np.array(row, np.int32))
                 names.append([view.category, view.name, view.any_heading])
+                if "map" in columns:
+                    known = encode(view.visibility or nothing_known())
+                    for name, row in zip(MAPS, known, strict=True):
+                        columns[name].append(row)
     for name, rows in columns.items():
         buffer = io.BytesIO()
         np.save(buffer, np.stack(rows), allow_pickle=False)

@@ -6,12 +6,17 @@ taken from the partial alone, later. Coordinates are multiples of `QUANTUM`, whi
 bits hold up to +-2, and float32 exactly.
 """
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 import trimesh
 from jaxtyping import Float, Float32
 
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.simulation.partials import make_partial
+from prism_jax.data.source import Example
+from prism_jax.geometry.visibility import Visibility
+from prism_jax.simulation.kinds import View, draw_kind, make_view
 from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.shapes import category_rng, make_shape
 
@@ -24,11 +29,16 @@ MIN_RETURNS = 16
 """A view of fewer points, of a slender shape or through dropouts, is drawn again."""
 MAX_DRAWS = 100
 
-Views = tuple[
-    Float32[np.ndarray, "V 2048 3"],
-    Float32[np.ndarray, "16384 3"],
-    Float32[np.ndarray, "V 3"],
-]
+
+class Views(NamedTuple):
+    """Partial clouds, the complete cloud, viewpoints, kinds as in `kinds.KINDS` without
+    "mixed", and what each sensor knows, if it is said."""
+
+    partials: Float32[np.ndarray, "V 2048 3"]
+    complete: Float32[np.ndarray, "16384 3"]
+    eyes: Float32[np.ndarray, "V 3"]
+    kinds: tuple[str, ...]
+    visibilities: tuple[Visibility | None, ...]
 
 
 def rounded(
@@ -56,9 +66,9 @@ def views_of(
     partial: str = "self_occlusion",
     two_sided: bool = False,
 ) -> Views:
-    """Partial clouds, the complete cloud, viewpoints.
+    """Views of a mesh.
 
-    `partial` is one of `partials.PARTIALS`. The complete cloud is of what can be seen
+    `partial` is one of `kinds.KINDS`. The complete cloud is of what can be seen
     from outside (`sample_outside`, also for `two_sided`). All clouds are in
     farthest-point order; a partial of fewer than 2,048 distinct points is repeated from
     its start. More views begin with the same ones. A crop is seen by no sensor: its
@@ -72,16 +82,41 @@ def views_of(
     complete = farthest_point_order((surface - center) / half, SURFACE_POINTS)
     scene = Scene(trimesh.Trimesh(vertices, mesh.faces, process=False))
     views = [_view(partial, scene, complete, rng) for _ in range(num_views)]
-    partials, eyes = (np.stack(column) for column in zip(*views, strict=True))
-    return partials, rounded(complete), eyes
+    return Views(
+        np.stack([rounded(view.points) for view in views]),
+        rounded(complete),
+        np.stack([view.eye.astype(np.float32) for view in views]),
+        tuple(view.kind for view in views),
+        tuple(view.visibility for view in views),
+    )
 
 
-def _view(kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generator):
+def examples(made: Views, category: str, name: str) -> Iterator[Example]:
+    """Views as a source has them, view after view: `name` tells the mesh, and what has
+    a map also says of what kind it is."""
+    for view, known in enumerate(made.visibilities):
+        kind = "" if known is None else f"/{made.kinds[view]}"
+        yield Example(
+            made.complete,
+            made.partials[view],
+            made.eyes[view],
+            category,
+            f"{name}/{view:02d}{kind}",
+            ordered=True,
+            visibility=known,
+        )
+
+
+def _view(
+    kind: str, scene: Scene, complete: np.ndarray, rng: np.random.Generator
+) -> View:
+    if kind == "mixed":
+        # Once, or kinds that are often drawn again would become rare.
+        kind = draw_kind(rng)
     for _ in range(MAX_DRAWS):
-        points, eye = make_partial(kind, scene, complete, rng, PARTIAL_POINTS)
-        if len(points) >= MIN_RETURNS:
-            ordered = farthest_point_order(points, PARTIAL_POINTS)
-            if kind == "crop":
-                eye = np.full(3, np.nan)
-            return rounded(ordered), eye.astype(np.float32)
+        view = make_view(kind, scene, complete, rng, PARTIAL_POINTS)
+        if len(view.points) >= MIN_RETURNS:
+            ordered = farthest_point_order(view.points, PARTIAL_POINTS)
+            eye = np.full(3, np.nan) if kind == "crop" else view.eye
+            return view._replace(points=ordered, eye=eye)
     raise ValueError(f"no {kind} view of {MIN_RETURNS} points in {MAX_DRAWS} draws")

@@ -29,10 +29,11 @@ def index_table(
     """Indices of every partial, 16 bits each, with a leading axis over the source.
 
     None if they would take more than `MAX_BYTES`, if 16 bits do not number a partial's
-    points, or if the source has no partials of its own but complete clouds to crop at
-    random.
+    points, or if partials change: cropped at random from complete clouds by a source
+    that has no others, or spoiled when they are read.
     """
-    if source[0].partial is None or config.num_points > 2**16:
+    changing = source[0].partial is None or framing.augmentation is not None
+    if changing or config.num_points > 2**16:
         return None
 
     @jax.jit

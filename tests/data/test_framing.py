@@ -2,14 +2,18 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from prism_jax.data.augmentation import Augmentation
 from prism_jax.data.pipeline import Framing, frame_example, stack
 from prism_jax.data.source import Example
+from prism_jax.geometry.visibility import SURFACE, look_up
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
+from prism_jax.simulation.views import make_views
 
 FRAMING = Framing(64, 128, 1.4)
 
@@ -199,3 +203,108 @@ def test_a_level_heading_is_found_whatever_the_pose(example):
             now = getattr(batch, name) * batch.scale
             spread = [np.linalg.norm(cloud - cloud[0], axis=1) for cloud in (was, now)]
             np.testing.assert_allclose(*spread, rtol=1e-3, atol=1e-4)
+
+
+@pytest.fixture(scope="module", params=["clear", "occluded+noisy", "rings"])
+def seen(request):
+    """An example that says what its sensor knows."""
+    made = make_views("gearbox", 5, 1, request.param)
+    return Example(
+        made.complete,
+        made.partials[0],
+        made.eyes[0],
+        "gearbox",
+        "0",
+        ordered=True,
+        any_heading=True,
+        visibility=made.visibilities[0],
+    )
+
+
+SPOILED = Augmentation(crop=0.7, thin=0.7, fewest=32, jitter=0.003)
+
+
+@pytest.mark.parametrize("heading", ["given", "level"])
+@pytest.mark.parametrize("augmentation", [None, SPOILED])
+def test_what_the_sensor_knows_goes_with_the_clouds(seen, heading, augmentation):
+    """Mirrored, turned, tilted, by quarters too, cropped and thinned: the points are
+    on the surface, hardly any of the object is where the map says it is free, all as
+    before; the camera stands at the eye, and its rotation is one."""
+    framing = Framing(256, 512, 1.4, heading, augmentation)
+    before = [look_up(seen.visibility, seen.partial[:256])]
+    before.append(look_up(seen.visibility, seen.complete[:512]))
+    signs = set()
+    for seed in range(24):
+        batch = frame_example(seen, framing, np.random.default_rng(seed))
+        known = batch.visibility
+        np.testing.assert_allclose(known.camera.position, batch.eye, atol=2e-4)
+        np.testing.assert_allclose(np.linalg.det(known.camera.rotation), 1, atol=1e-5)
+        signs.add(np.sign(np.linalg.det(_way(batch, seen))))
+        # In the example's unit, half the longest side of the complete cloud.
+        found = [look_up(known, cloud) for cloud in (batch.partial, batch.complete)]
+        (state, depth), (_, of_complete) = ((s, d * batch.scale) for s, d in found)
+        assert np.mean(of_complete < -0.15) < 0.04
+        if augmentation is None:
+            assert np.mean(state == SURFACE) > 0.99
+            assert np.quantile(depth, 0.01) > -1e-3
+            for (now, further), (was, depth) in zip(found, before, strict=True):
+                same = now == was
+                assert np.mean(same) > 0.99
+                scaled = (further * batch.scale)[same]
+                np.testing.assert_allclose(scaled, depth[same], atol=2e-3)
+        else:
+            # Noise carries some points into another pixel.
+            assert np.mean(state == SURFACE) > 0.8
+            assert np.median(np.abs(depth)) < 0.1
+    assert heading == "level" or signs == {-1.0, 1.0}
+
+
+def _way(batch, example):
+    """The matrix that led from the example's points to the batch's."""
+    given = example.complete[:512] - example.complete[:512].mean(axis=0)
+    found = batch.complete - batch.complete.mean(axis=0)
+    return np.linalg.lstsq(given, found, rcond=None)[0]
+
+
+def test_for_a_test_the_map_is_in_the_workspace_too(seen):
+    batch = frame_example(seen, FRAMING)
+    state, _ = look_up(batch.visibility, batch.partial)
+    assert np.mean(state == SURFACE) > 0.98
+    spoiled = dataclasses.replace(FRAMING, augmentation=SPOILED)
+    for one, two in zip(batch[:4], frame_example(seen, spoiled)[:4], strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_maps_are_stacked_and_looked_up_for_a_whole_batch(seen):
+    rng = np.random.default_rng(0)
+    rows = [frame_example(seen, FRAMING, rng) for _ in range(3)]
+    batch = stack(rows)
+    state, behind = jax.vmap(look_up)(batch.visibility, batch.partial)
+    for row, found, depth in zip(rows, state, behind, strict=True):
+        expected = look_up(row.visibility, row.partial)
+        assert np.mean(found == expected[0]) > 0.98
+        same = found == expected[0]
+        np.testing.assert_allclose(depth[same], expected[1][same], atol=1e-4)
+
+
+def test_without_a_map_there_is_none_and_the_rest_is_the_same(seen):
+    blind = seen._replace(visibility=None)
+    for seed in range(4):
+        one, two = (
+            frame_example(example, FRAMING, np.random.default_rng(seed))
+            for example in (seen, blind)
+        )
+        assert two.visibility is None
+        for a, b in zip(one[:4], two[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_a_spoiled_partial_decides_the_workspace(example):
+    """As it would at test time: cropped, it fills its own."""
+    spoiled = dataclasses.replace(FRAMING, augmentation=Augmentation(crop=1.0))
+    for seed in range(4):
+        batch = frame_example(example, spoiled, np.random.default_rng(seed))
+        assert np.abs(batch.partial).max() < 1 / 1.4 + 1e-6
+        plain = frame_example(example, FRAMING, np.random.default_rng(seed))
+        assert not np.array_equal(batch.partial, plain.partial)
+        assert batch.complete.shape == plain.complete.shape

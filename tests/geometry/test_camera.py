@@ -242,3 +242,22 @@ def test_framing_from_inside_the_cloud_is_capped():
     np.testing.assert_allclose(np.rad2deg(half_angle), 60.0, rtol=1e-4)
     one = Camera.framing(jnp.ones((1, 3)), jnp.zeros(3))
     assert np.isfinite(np.asarray(one.intrinsics)).all()
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_pixels_are_counted_row_by_row_and_one_past_the_last_is_none(xp):
+    camera = posed_camera()
+    points = RNG.uniform(-3, 3, (300, 3)).astype(np.float32)
+    points[:2] = [[np.nan] * 3, [np.inf, 0, 0]]
+    points[2] = camera.position
+    camera = jax.tree.map(xp.asarray, camera)
+    pixel, depth = camera.pixel_of(xp.asarray(points))
+    assert isinstance(pixel, jax.Array) == (xp is jnp)
+    uv, z = looped_projection(np.nan_to_num(points, posinf=0), camera)
+    column, row = np.floor(uv + 0.5).T
+    inside = (z > MIN_DEPTH) & (column >= 0) & (column < 16) & (row >= 0) & (row < 12)
+    inside[:3] = False
+    assert 20 < inside.sum() < 280
+    np.testing.assert_array_equal(pixel[~inside], 12 * 16)
+    np.testing.assert_array_equal(pixel[inside], (row * 16 + column)[inside])
+    np.testing.assert_allclose(depth[inside], z[inside], rtol=1e-5)

@@ -13,6 +13,7 @@ from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Example, Source
+from prism_jax.geometry.visibility import SURFACE, nothing_known
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.simulation import packing, shard_writer
@@ -114,6 +115,39 @@ class Seen(Balls):
         whole = super().__getitem__(moved)
         partial = whole.complete[10 * index :][:70]
         return whole._replace(partial=partial, name=f"{index}")
+
+
+class Mapped(Balls):
+    """Each with a map of one known pixel."""
+
+    def __getitem__(self, index):
+        known = nothing_known()
+        known.state[index, 3], known.depth[index, 3] = SURFACE, 2.5
+        return super().__getitem__(index)._replace(visibility=known)
+
+
+def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path):
+    """Packed with others, and packed again."""
+    pack({"balls": Balls(2), "maps": Mapped(3)}, tmp_path / "a", CONFIG, 0, False)
+    again = {"again": Shards(tmp_path / "a")}
+    pack(again, tmp_path / "b", CONFIG, 0, False)
+    for source in (Shards(tmp_path / "a"), Shards(tmp_path / "b")):
+        for index in range(5):
+            known = source[index].visibility
+            assert known is not None
+            expected = nothing_known()
+            if index >= 2:
+                expected = Mapped(3)[index - 2].visibility
+            np.testing.assert_array_equal(known.state, expected.state)
+            np.testing.assert_array_equal(known.depth, expected.depth)
+    pickled = pickle.loads(pickle.dumps(Shards(tmp_path / "b")))
+    np.testing.assert_array_equal(pickled[4].visibility.state, known.state)
+
+
+def test_sets_without_maps_are_stored_as_ever(folder):
+    """So that folders of users open, and digests stay."""
+    assert not list(folder.glob("*.map.npy")) and not list(folder.glob("*.camera.npy"))
+    assert all(example.visibility is None for example in Shards(folder))
 
 
 def test_views_of_an_object_share_its_complete_cloud(tmp_path):

@@ -1,11 +1,25 @@
+import hashlib
+
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import KDTree
 
+from prism_jax.geometry.visibility import SURFACE, look_up
 from prism_jax.simulation import views as examples
-from prism_jax.simulation.shapes import make_shape
+from prism_jax.simulation.kinds import MIXTURE
+from prism_jax.simulation.partials import PARTIALS
+from prism_jax.simulation.shapes import category_rng, make_shape
 from prism_jax.simulation.views import QUANTUM, make_views, rounded, views_of
+
+DIGESTS = {
+    "self_occlusion": ("09c9225232f6020f", "108d309cf279751e"),
+    "crop": ("ff352f580ca0af21", "ca179be9d3ecf8ed"),
+    "l515": ("f3c60a0ff936ea31", "0e17ba65cf4c3130"),
+    "ouster": ("956d707e5b8d74e2", "fbebece33aac498f"),
+    "sparse": ("862871da1e103970", "724f79922eb6e2f9"),
+}
+"""Of the arrays of two views of a mug and of a pipe run, before other kinds came."""
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +36,7 @@ def test_complete_cloud_fills_the_oracle_frame(shape):
 
 
 def test_partials_lie_on_the_complete_surface(shape):
-    partials, complete, _ = shape
+    partials, complete = shape[:2]
     assert partials.shape == (2, 2048, 3)
     for partial in partials:
         gaps, _ = KDTree(complete).query(partial)
@@ -30,7 +44,7 @@ def test_partials_lie_on_the_complete_surface(shape):
 
 
 def test_views_see_a_side_each_from_outside(shape):
-    partials, complete, eyes = shape
+    partials, complete, eyes = shape[:3]
     hidden = []
     for partial, eye in zip(partials, eyes, strict=True):
         gaps, _ = KDTree(partial).query(complete)
@@ -41,7 +55,7 @@ def test_views_see_a_side_each_from_outside(shape):
 
 
 def test_fewer_views_are_a_prefix(shape):
-    partials, complete, eyes = make_views("mug", 11)
+    partials, complete, eyes = make_views("mug", 11)[:3]
     np.testing.assert_array_equal(partials, shape[0][:1])
     np.testing.assert_array_equal(complete, shape[1])
     np.testing.assert_array_equal(eyes, shape[2][:1])
@@ -58,15 +72,15 @@ def test_clouds_are_in_farthest_point_order(shape):
 
 
 def test_a_view_of_too_few_points_is_drawn_again(shape, monkeypatch):
-    make, drawn = examples.make_partial, []
+    make, drawn = examples.make_view, []
 
     def meagre_at_first(*arguments):
-        points, eye = make(*arguments)
-        drawn.append(eye)
-        return (points[:15] if len(drawn) < 3 else points), eye
+        view = make(*arguments)
+        drawn.append(view.eye)
+        return view._replace(points=view.points[:15]) if len(drawn) < 3 else view
 
-    monkeypatch.setattr(examples, "make_partial", meagre_at_first)
-    _, _, eyes = make_views("mug", 11)
+    monkeypatch.setattr(examples, "make_view", meagre_at_first)
+    eyes = make_views("mug", 11).eyes
     np.testing.assert_array_equal(eyes[0], drawn[2].astype(np.float32))
     monkeypatch.setattr(examples, "MAX_DRAWS", 2)
     drawn.clear()
@@ -75,15 +89,58 @@ def test_a_view_of_too_few_points_is_drawn_again(shape, monkeypatch):
 
 
 def test_kinds_of_partials_differ_and_the_shape_does_not(shape):
-    partials, complete, _ = make_views("mug", 11, 1, "crop")
+    partials, complete = make_views("mug", 11, 1, "crop")[:2]
     np.testing.assert_array_equal(complete, shape[1])
     assert not np.array_equal(partials[0], shape[0][0])
+
+
+@pytest.mark.parametrize("kind", PARTIALS)
+def test_old_kinds_are_bit_for_bit_what_they_were(kind):
+    found = []
+    for category, seed in (("mug", 3), ("pipe_run", 2**40 + 7)):
+        made = make_views(category, seed, 2, kind)
+        data = b"".join(np.ascontiguousarray(array).tobytes() for array in made[:3])
+        found.append(hashlib.sha256(data).hexdigest()[:16])
+        assert made.kinds == (kind, kind)
+        assert made.visibilities == (None, None)
+    assert tuple(found) == DIGESTS[kind]
+
+
+def test_a_mixture_has_many_kinds_and_every_view_a_map():
+    """Which fits the points that are stored; and fewer views are a prefix."""
+    made = make_views("gearbox", 5, 12, "mixed")
+    assert len(set(made.kinds)) > 4 and set(made.kinds) <= set(MIXTURE)
+    for kind, partial, visibility in zip(
+        made.kinds, made.partials, made.visibilities, strict=True
+    ):
+        assert visibility is not None
+        state, behind = look_up(visibility, partial)
+        assert np.mean(state == SURFACE) > (0.95 if "stations" in kind else 0.995)
+        if "stations" not in kind:
+            # Points are rounded, which can move them into the next pixel.
+            assert np.quantile(behind[state == SURFACE], 0.01) > -QUANTUM
+    fewer = make_views("gearbox", 5, 3, "mixed")
+    np.testing.assert_array_equal(fewer.partials, made.partials[:3])
+    assert fewer.kinds == made.kinds[:3]
+    for one, other in zip(fewer.visibilities, made.visibilities, strict=False):
+        assert one is not None and other is not None
+        np.testing.assert_array_equal(one.state, other.state)
+        np.testing.assert_array_equal(one.depth, other.depth)
+
+
+def test_any_mesh_has_views_and_stays_as_it_is(shape):
+    mesh = make_shape("mug", 11)
+    before = mesh.vertices.copy()
+    made = views_of(mesh, category_rng("mug", 11, 1), 2)
+    for found, given in zip(made[:3], shape[:3], strict=True):
+        np.testing.assert_array_equal(found, given)
+    np.testing.assert_array_equal(mesh.vertices, before)
 
 
 def test_a_mesh_of_any_place_and_size_is_viewed_in_the_same_frame_and_left_alone():
     mesh = trimesh.creation.box((1, 2, 4)).apply_translation((50, 60, 70))
     before = mesh.vertices.copy()
-    partials, complete, _ = views_of(mesh, np.random.default_rng(0), 2)
+    partials, complete, *_ = views_of(mesh, np.random.default_rng(0), 2)
     np.testing.assert_array_equal(mesh.vertices, before)
     spans = np.ptp(complete, axis=0)
     np.testing.assert_allclose(spans, (0.5, 1, 2), atol=0.01)
@@ -101,7 +158,7 @@ def test_any_mesh_has_views_and_stays_as_it_was():
     box = trimesh.creation.box((3.0, 2.0, 1.0))
     box.apply_translation((10.0, 0.0, -4.0))
     before = box.vertices.copy()
-    partials, complete, _ = views_of(box, np.random.default_rng(0))
+    partials, complete, *_ = views_of(box, np.random.default_rng(0))
     np.testing.assert_array_equal(box.vertices, before)
     faces = np.array([1.0, 2 / 3, 1 / 3])
     for cloud in (complete, partials[0]):

@@ -1,10 +1,13 @@
 """What the encoder would look up, looked up once."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
 from experiments.assets import CELLS
+from prism_jax.data.augmentation import Augmentation
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.geometry.neighbors import knn
@@ -93,3 +96,8 @@ def test_nor_one_of_partials_that_are_cropped_anew_every_time(examples, config):
             return examples[index]._replace(partial=None, eye=None)
 
     assert index_table(Complete(), FRAMING, config) is None
+
+
+def test_nor_one_of_partials_that_are_spoiled_when_they_are_read(examples, config):
+    spoiled = dataclasses.replace(FRAMING, augmentation=Augmentation(crop=0.5))
+    assert index_table(examples, spoiled, config) is None

@@ -15,11 +15,11 @@ from prism_jax.data.datasets import OBJECTS_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError, choose
+from prism_jax.simulation.kinds import KINDS, has_maps
 from prism_jax.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE
 from prism_jax.simulation.objects.categories import CATEGORIES, category_of
 from prism_jax.simulation.objects.models import Model
 from prism_jax.simulation.objects.survey import ALIKE, Survey, survey
-from prism_jax.simulation.partials import PARTIALS
 from prism_jax.simulation.shard_writer import build_shards
 from prism_jax.simulation.views import (
     BOX,
@@ -27,6 +27,7 @@ from prism_jax.simulation.views import (
     QUANTUM,
     SURFACE_POINTS,
     Views,
+    examples,
     views_of,
 )
 
@@ -42,7 +43,7 @@ class ObjectsConfig:
     Attributes:
       split: one of `NUM_VIEWS`.
       num_views: partial clouds of each model; 0 for the split's own number.
-      partial: one of `partials.PARTIALS`.
+      partial: one of `kinds.KINDS`.
       seed: of the whole set.
     """
 
@@ -53,7 +54,7 @@ class ObjectsConfig:
 
     def __post_init__(self):
         choose("split", self.split, NUM_VIEWS)
-        choose("partial", self.partial, PARTIALS)
+        choose("partial", self.partial, KINDS)
         if self.num_views == 0:
             object.__setattr__(self, "num_views", NUM_VIEWS[self.split])
         for name, lowest in (("num_views", 1), ("seed", 0)):
@@ -118,6 +119,7 @@ def build_objects(
         num_workers,
         progress,
         BOX,
+        maps=has_maps(config.partial),
     )
 
 
@@ -132,7 +134,7 @@ def told_counts(found: Survey) -> str:
 
 
 def model_views(config: ObjectsConfig, model: Model) -> Views:
-    """Partial clouds, the complete cloud, viewpoints of a model (`views_of`).
+    """`views_of` a model.
 
     They follow from the seed, the model's identity and its mesh: what else there is in
     its catalogue, and in which order, changes nothing.
@@ -147,8 +149,5 @@ def _examples(
     config: ObjectsConfig, models: Sequence[Model], number: int
 ) -> Iterator[Example]:
     model = models[number]
-    partials, complete, eyes = model_views(config, model)
-    for view, (partial, eye) in enumerate(zip(partials, eyes, strict=True)):
-        name = f"{model.identity}/{view:02d}"
-        category = category_of(model.title)
-        yield Example(complete, partial, eye, category, name, ordered=True)
+    made = model_views(config, model)
+    yield from examples(made, category_of(model.title), model.identity)

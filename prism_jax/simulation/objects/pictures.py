@@ -23,7 +23,7 @@ def model_row(model: Model, seed: int, size: int) -> Row:
     """Two square pictures from one side: the mesh, and its first partial cloud in blue
     before the complete one in amber."""
     config = ObjectsConfig("test", num_views=1, seed=seed)
-    (partial,), complete, _ = model_views(config, model)
+    (partial,), complete, *_ = model_views(config, model)
     toward = np.asarray(TOWARD_VIEWER) / np.linalg.norm(TOWARD_VIEWER)
     cloud = jnp.asarray(complete)
     camera = Camera.framing(cloud, DISTANCE * toward, 1.1, size, size)

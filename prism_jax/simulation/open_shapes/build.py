@@ -9,15 +9,17 @@ from collections.abc import Iterator
 from prism_jax.data.datasets import DATASETS, OPEN_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.errors import choose
+from prism_jax.simulation.kinds import has_maps
 from prism_jax.simulation.open_shapes import CATEGORY, make_open_shape
 from prism_jax.simulation.shapes import category_rng
-from prism_jax.simulation.shapes.build import check_settings, examples
+from prism_jax.simulation.shapes.build import check_settings
 from prism_jax.simulation.shard_writer import build_shards
 from prism_jax.simulation.views import (
     BOX,
     PARTIAL_POINTS,
     QUANTUM,
     SURFACE_POINTS,
+    examples,
     views_of,
 )
 
@@ -30,7 +32,7 @@ class OpenConfig:
       split: the one that there is, "train".
       num_shapes: how many; every prefix of them is the same.
       num_views: partial clouds of each shape.
-      partial: one of `partials.PARTIALS`.
+      partial: one of `kinds.KINDS`.
       seed: of the whole set.
       shard_shapes: shapes in a shard.
     """
@@ -75,6 +77,7 @@ def build_open_shapes(
         num_workers,
         progress,
         BOX,
+        maps=has_maps(config.partial),
     )
 
 
@@ -82,4 +85,4 @@ def _views(config: OpenConfig, index: int) -> Iterator[Example]:
     seed = (config.seed << 32) + index
     mesh, rng = make_open_shape(seed), category_rng(CATEGORY, seed, 1)
     views = views_of(mesh, rng, config.num_views, config.partial)
-    return examples(views, CATEGORY, index)
+    return examples(views, CATEGORY, f"{index:06d}")

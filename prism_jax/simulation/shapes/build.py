@@ -14,7 +14,7 @@ from typing import Any
 from prism_jax.data.datasets import SHAPES_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError, choose
-from prism_jax.simulation.partials import PARTIALS
+from prism_jax.simulation.kinds import KINDS, has_maps
 from prism_jax.simulation.shapes import (
     NOVEL_CATEGORIES,
     TRAIN_CATEGORIES,
@@ -26,7 +26,7 @@ from prism_jax.simulation.views import (
     PARTIAL_POINTS,
     QUANTUM,
     SURFACE_POINTS,
-    Views,
+    examples,
     make_views,
 )
 
@@ -52,7 +52,7 @@ class ShapesConfig:
       num_shapes: shape i has category `i % len(categories)`, so that every prefix is
         balanced; 0 for the split's own number.
       num_views: partial clouds of each shape; 0 for the split's own number.
-      partial: one of `partials.PARTIALS`.
+      partial: one of `kinds.KINDS`.
       seed: of the whole set.
       shard_shapes: shapes in a shard.
     """
@@ -116,31 +116,23 @@ def build_shapes(
         num_workers,
         progress,
         BOX,
+        maps=has_maps(config.partial),
     )
 
 
 def _views(config: ShapesConfig, index: int) -> Iterator[Example]:
     category = config.categories[index % len(config.categories)]
-    views = make_views(
-        category, shape_seed(config, index), config.num_views, config.partial
-    )
-    return examples(views, category, index)
+    seed = shape_seed(config, index)
+    made = make_views(category, seed, config.num_views, config.partial)
+    return examples(made, category, f"{index:06d}")
 
 
 def check_settings(config: Any) -> None:
     """Raises InputError for a kind of partial that there is not, or a number of a
     configuration of shapes that makes no sense."""
-    choose("partial", config.partial, PARTIALS)
+    choose("partial", config.partial, KINDS)
     for name in ("num_shapes", "num_views", "shard_shapes", "seed"):
         value, lowest = getattr(config, name), 0 if name == "seed" else 1
         if not lowest <= value < 2**31:
             fault = f"{value} is not within {lowest} to {2**31 - 1}"
             raise InputError(name, fault, "choose another number")
-
-
-def examples(views: Views, category: str, index: int) -> Iterator[Example]:
-    """What `views.views_of` gives of one shape, view after view, named by its index."""
-    partials, complete, eyes = views
-    for view, (partial, eye) in enumerate(zip(partials, eyes, strict=True)):
-        name = f"{index:06d}/{view:02d}"
-        yield Example(complete, partial, eye, category, name, ordered=True)

@@ -36,7 +36,7 @@ def test_items_are_the_views_of_model_after_model(built, catalogue_dir):
     assert source.categories == CATEGORIES
     config = ObjectsConfig("train", 2)
     for number, (model, _) in enumerate(survey(["train"], catalogue_dir).models):
-        partials, complete, eyes = model_views(config, model)
+        partials, complete, eyes, *_ = model_views(config, model)
         for view in range(2):
             example = source[2 * number + view]
             np.testing.assert_array_equal(example.partial, partials[view])

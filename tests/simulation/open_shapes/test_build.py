@@ -27,7 +27,7 @@ def test_items_are_the_views_of_shape_after_shape(data_dir):
     source = open_dataset("open", "train", data_dir)
     assert source.categories == ("open",)
     assert source.objects.tolist() == [0, 0, 1, 1, 2, 2]
-    partials, complete, eyes = views_of(
+    partials, complete, eyes, *_ = views_of(
         make_open_shape(2), category_rng("open", 2, 1), 2
     )
     for view in range(2):

@@ -62,6 +62,52 @@ def test_a_crop_was_seen_from_nowhere(tmp_path):
     assert not np.array_equal(source[0].partial, source[1].partial)
 
 
+def test_a_mixture_keeps_what_the_sensors_knew_and_says_the_kinds(tmp_path, digests):
+    """In files of their own; whatever the number of workers, in the same bytes."""
+    config = ShapesConfig(
+        "test", num_shapes=2, num_views=3, partial="mixed", shard_shapes=1
+    )
+    folders = [
+        build_shapes(config, tmp_path / f"{workers}", workers, progress=False)
+        for workers in (0, 2)
+    ]
+    assert digests(folders[0]) == digests(folders[1])
+    source = open_dataset("shapes", "test", tmp_path / "0")
+    map_size = np.load(folders[0] / "shard-00000.map.npy", mmap_mode="r")
+    assert (map_size.shape, map_size.dtype) == ((3, 64, 64), np.uint16)
+    for shape in range(2):
+        made = make_views(
+            TRAIN_CATEGORIES[shape], shape_seed(config, shape), 3, "mixed"
+        )
+        for view in range(3):
+            example, given = source[3 * shape + view], made.visibilities[view]
+            assert example.name == f"{shape:06d}/{view:02d}/{made.kinds[view]}"
+            np.testing.assert_array_equal(example.partial, made.partials[view])
+            assert example.visibility is not None and given is not None
+            found = example.visibility
+            np.testing.assert_array_equal(found.state, given.state)
+            np.testing.assert_allclose(found.depth, given.depth, rtol=3e-4)
+            for name in ("rotation", "translation", "intrinsics"):
+                expected = getattr(given.camera, name)
+                np.testing.assert_array_equal(getattr(found.camera, name), expected)
+
+
+def test_a_map_that_was_lost_is_made_again(tmp_path, digests):
+    config = ShapesConfig("test", num_shapes=1, partial="occluded")
+    folder = build_shapes(config, tmp_path, 0, progress=False)
+    before = digests(folder)
+    (folder / "shard-00000.map.npy").unlink()
+    with pytest.raises(InputError, match=r"map.npy: is missing"):
+        open_dataset("shapes", "test", tmp_path)
+    build_shapes(config, tmp_path, 0, progress=False)
+    assert digests(folder) == before
+    assert open_dataset("shapes", "test", tmp_path)[0].name == "000000/00/occluded"
+
+
+def test_where_no_maps_are_kept_nothing_is_said(train):
+    assert train[0].visibility is None
+
+
 def test_no_two_items_are_alike(train):
     examples = [train[index] for index in range(len(train))]
     assert len({example.name for example in examples}) == 8

@@ -1,0 +1,92 @@
+"""What can befall a partial cloud when it is read, without anything being ray cast."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.data.source import Example
+from prism_jax.geometry.visibility import SURFACE, UNKNOWN, Visibility
+from prism_jax.io.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Augmentation:
+    """How much of it. Numbers that make no sense raise InputError.
+
+    Attributes:
+      crop: probability that a half space of any direction is cut off.
+      crop_shares: of the points, the least and the most that go with it.
+      thin: probability that only some of the points are left, a random choice.
+      fewest: how many at the least; how many there are is uniform in the logarithm.
+      jitter: the largest standard deviation of noise on every coordinate, in longest
+        sides of the partial; how large it is is uniform too.
+    """
+
+    crop: float = 0.0
+    crop_shares: tuple[float, float] = (0.1, 0.6)
+    thin: float = 0.0
+    fewest: int = 128
+    jitter: float = 0.0
+
+    def __post_init__(self):
+        shares = {"crop": self.crop, "thin": self.thin}
+        shares |= dict(zip(("least", "most"), self.crop_shares, strict=True))
+        for name, share in shares.items():
+            if not 0 <= share <= 1:
+                raise InputError(name, f"{share} is not a share", "choose 0 to 1")
+        if self.crop_shares[0] > self.crop_shares[1] or self.crop_shares[1] == 1:
+            raise InputError("crop_shares", "do not grow, or reach 1", "choose others")
+        if self.fewest < 1 or not 0 <= self.jitter < np.inf:
+            fault = f"fewest {self.fewest}, jitter {self.jitter}"
+            raise InputError("augmentation", fault, "choose 1 or more, 0 or more")
+
+
+def augmented(
+    example: Example, settings: Augmentation, rng: np.random.Generator
+) -> Example:
+    """The example with another partial, in the order of the one it has.
+
+    Of what the sensor knows, the surface that is cropped away is forgotten, as if no
+    more had been handed on; thinning and noise leave it as it is. The complete cloud
+    stays. An example without a partial raises ValueError.
+    """
+    partial, known = example.partial, example.visibility
+    if partial is None:
+        raise ValueError(f"{example.name} has no partial to change")
+    if rng.random() < settings.crop:
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        along = partial @ normal
+        bound = np.quantile(along, 1 - rng.uniform(*settings.crop_shares))
+        partial = partial[along <= bound]
+        known = None if known is None else _forgotten(known, normal, float(bound))
+    if rng.random() < settings.thin and len(partial) > settings.fewest:
+        span = np.log((settings.fewest, len(partial) + 1))
+        count = int(np.exp(rng.uniform(*span)))
+        chosen = np.sort(rng.choice(len(partial), count, replace=False))
+        partial = partial[chosen]
+    if settings.jitter > 0:
+        side = np.ptp(partial, axis=0).max()
+        deviation = rng.uniform(0.0, settings.jitter) * side
+        noise = deviation * rng.standard_normal(partial.shape)
+        partial = (partial + noise).astype(np.float32)
+    return example._replace(partial=partial, visibility=known)
+
+
+def _forgotten(
+    known: Visibility, normal: Float[np.ndarray, "3"], bound: float
+) -> Visibility:
+    """Without the surface that lies beyond a plane."""
+    camera = known.camera
+    direction = camera.rotation @ normal
+    # Of each pixel's ray of depth one, in the camera's frame.
+    slopes = np.linalg.inv(camera.intrinsics).T @ direction
+    columns, rows = np.arange(camera.width), np.arange(camera.height)[:, None]
+    slopes = columns * slopes[0] + rows * slopes[1] + slopes[2]
+    along = known.depth * slopes - camera.translation @ direction
+    beyond = (known.state == SURFACE) & (along > bound)
+    return known._replace(
+        state=np.where(beyond, np.uint8(UNKNOWN), known.state),
+        depth=np.where(beyond, np.float32(0), known.depth),
+    )
