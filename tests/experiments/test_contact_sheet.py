@@ -33,6 +33,16 @@ def test_writes_rows_of_open_shapes(tmp_path):
         assert sheet.size == (2 * (2 * 32 + 4) - 4, 2 * (32 + 15))
 
 
+def test_writes_one_row_a_kind_of_view(tmp_path):
+    output = tmp_path / "sheet.png"
+    few = ["--dataset=views", "--category=mug", "--size=32", "--columns=3"]
+    assert run(f"--output={output}", *few) == 0
+    with Image.open(output) as sheet:
+        # Twelve kinds, a cloud and a map of each.
+        assert sheet.size == (3 * (2 * 32 + 4) - 4, 4 * (32 + 15))
+        assert len(sheet.getcolors()) > 4
+
+
 def test_writes_one_row_a_robot_cell(tmp_path):
     output = tmp_path / "sheet.png"
     one = ["--dataset=roboarm", "--split=train", "--sequences=1", "--size=40"]

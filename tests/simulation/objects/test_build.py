@@ -126,8 +126,10 @@ def test_a_models_clouds_follow_from_itself_and_the_seed(
         model_views(ObjectsConfig("test", seed=seed), model)
         for seed, model in ((0, alone), (0, among), (1, alone))
     )
-    for array, same, differs in zip(first, again, reseeded, strict=True):
+    for array, same in zip(first, again, strict=True):
         np.testing.assert_array_equal(array, same)
+    # What kind of views they are does not hang on the seed.
+    for array, differs in zip(first[:3], reseeded[:3], strict=True):
         assert not np.array_equal(array, differs)
 
 
