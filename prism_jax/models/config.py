@@ -36,6 +36,8 @@ class BackboneConfig:
       use_norm: BatchNorm in the attentions and the up-sampling heads.
       offset_init: standard deviation of the kernels that make coordinate offsets; a
         small one starts training from the seeds and the partial themselves.
+      reads_visibility: every block reads, for each of its points, what the sensor knows
+        there (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
     """
 
     num_points: int = 2048
@@ -55,6 +57,7 @@ class BackboneConfig:
     up_factors: tuple[int, ...] = (1, 4, 8)
     use_norm: bool = True
     offset_init: float = 0.01
+    reads_visibility: bool = False
 
     def __post_init__(self):
         check_ranges(
