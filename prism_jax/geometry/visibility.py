@@ -30,6 +30,9 @@ MARGIN = 1.4
 CLOSED = 3.0
 """In spacings of the points: holes in a cloud that are no wider are closed."""
 
+Background = Literal["unknown", "empty"]
+"""What lies around a cloud in its sensor's view: nobody knows, or nothing was hit."""
+
 NUM_CLUES = 6
 """Of a point: the shares of the four states, how far behind, and how far aside."""
 
@@ -124,7 +127,7 @@ def nothing_known(size: int = MAP_SIZE) -> Visibility:
 def seen_by(
     points: Float[Array, "N 3"],
     eye: Vector,
-    background: Literal["unknown", "empty"] = "unknown",
+    background: Background = "unknown",
 ) -> Visibility:
     """What a cloud says by itself of the view of the sensor at `eye`.
 
@@ -147,6 +150,8 @@ def seen_by(
     spacing = jnp.median(jnp.linalg.norm(points - near, axis=1))
     focal = camera.intrinsics[0, 0]
     reach = 0.5 * CLOSED * spacing * focal / jnp.maximum(z.mean(), MIN_DEPTH)
+    # Within the margin, or the image's edge would be part of a hole.
+    reach = jnp.minimum(reach, MAP_SIZE / 8)
     apart, nearest = nearest_marked(hit)
     # Grown by the reach and shrunk again.
     surface = hit | (nearest_marked(apart > reach)[0] > reach)
@@ -167,7 +172,7 @@ def surface_alone(visibility: Visibility) -> Visibility:
 
 
 def nearest_marked(
-    marked: Bool[Array, "H W"],
+    marked: Bool[Array | np.ndarray, "H W"],
 ) -> tuple[Float[Array, "H W"], Int[Array, "H W"]]:
     """How far each pixel lies from the nearest marked one, in pixels, and which it is.
 
@@ -187,7 +192,7 @@ def nearest_marked(
 
 def clues(
     visibility: Visibility, points: Float[Array, "N 3"]
-) -> Float[Array, "N {NUM_CLUES}"]:
+) -> Float[Array, "N 6"]:
     """What the map says of points, as numbers that a network reads.
 
     In turn: how much of each of the four states is there; how far the point lies behind
@@ -197,10 +202,10 @@ def clues(
     is continuous, and differentiable almost everywhere. Beside the image, and for
     points that are not in front of the camera, all is unknown.
 
-    One map and one cloud in the unit workspace. A map without any surface puts all
-    points as far aside as can be.
+    One map and one cloud in the unit workspace. Without any surface, and beside the
+    image, a point is as many pixels aside as the image is high.
     """
-    camera, state, depth = visibility
+    camera, (state, depth) = visibility.camera, map(jnp.asarray, visibility[1:])
     shares = jax.nn.one_hot(state, 4)
     aside = jnp.minimum(nearest_marked(state == SURFACE)[0], camera.height)
     channels = [shares, depth[..., None] * (state != UNKNOWN)[..., None]]

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Literal
 
+from prism_jax.geometry.visibility import Background
 from prism_jax.models.ranges import check_ranges
 
 MAX_POINTS = 2**18
@@ -147,6 +148,8 @@ class ModelConfig:
       depth_pixels: side of the depth map that the depth stream reads.
       consistency_pixels: side of the maps that Eq. 3 and Eq. 4 compare: few points
         leave holes in a fine map, through which the far side of the shape shows.
+      background: what lies around a cloud that comes without a map, for a network that
+        reads visibility.
     """
 
     backbone: BackboneConfig = BackboneConfig()
@@ -155,6 +158,7 @@ class ModelConfig:
     heading: Literal["given", "level"] = "given"
     depth_pixels: int = 128
     consistency_pixels: int = 128
+    background: Background = "unknown"
 
     def __post_init__(self):
         pixels = (1, 2048)

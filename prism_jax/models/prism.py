@@ -100,7 +100,7 @@ def prepare_input(
     if not config.backbone.reads_visibility:
         visibility = None
     elif visibility is None:
-        visibility = seen_by(partial, camera.position)
+        visibility = seen_by(partial, camera.position, config.background)
     depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
     depth, mask = render_depth(partial, depth_view)
     center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
