@@ -58,7 +58,10 @@ def define_flags() -> None:
         "steps", None, "Adaptation steps, the weights' own if not given.", 0
     )
     flags.DEFINE_multi_string(
-        "set", [], "Changes to how they adapt, as path.to.field=value."
+        "set",
+        [],
+        "Changes to how they adapt or to what is known, as path.to.field=value: "
+        "model.background=empty.",
     )
 
 

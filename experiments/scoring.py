@@ -116,6 +116,7 @@ def make_protocol(config: PrismConfig, published: bool = False) -> Protocol:
         unit="own" if published else "complete",
         with_emd=not published,
         heading=config.model.heading,
+        background=config.model.background,
     )
 
 

@@ -17,6 +17,7 @@ from prism_jax.data.datasets import (
 from prism_jax.data.mixture import open_mixture, parse_mixture
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
+from prism_jax.models.backbone import init_backbone
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.simulation.build_dataset import build_if_missing
@@ -68,18 +69,35 @@ def join_processes() -> None:
 def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | None:
     """The variables of --weights and what is known of their training, if it is given.
 
-    Weights of a network that is not the preset's raise InputError.
+    Weights of a network that is not the preset's raise InputError; but one that reads
+    visibility goes on from one that does not, with the parts for it untrained.
     """
     if FLAGS.weights is None:
         return None
     config, variables = load_pretrained(located(FLAGS.weights))
+    wanted = preset.model
     # In which heading the network gets an object is no matter of its size.
-    if dataclasses.replace(config.model, heading=preset.model.heading) != preset.model:
+    model = dataclasses.replace(config.model, heading=wanted.heading)
+    if wanted.backbone.reads_visibility and not model.backbone.reads_visibility:
+        backbone = dataclasses.replace(model.backbone, reads_visibility=True)
+        model = dataclasses.replace(model, backbone=backbone)
+        fresh = init_backbone(jax.random.key(FLAGS.seed), backbone)
+        variables = overlaid(fresh, variables)
+    if model != wanted:
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
     known = ("preset", "seed", "commit", "data", "samples", "pretrained")
     metadata = read_metadata(located(FLAGS.weights))
     return variables, {key: metadata[key] for key in known if key in metadata}
+
+
+def overlaid(fresh: Variables, given: Variables) -> Variables:
+    """The given tree, with what only the fresh one has."""
+    both = {**fresh, **given}
+    for name in fresh.keys() & given.keys():
+        if isinstance(fresh[name], dict):
+            both[name] = overlaid(fresh[name], given[name])
+    return both
 
 
 def training_data(

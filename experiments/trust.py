@@ -116,7 +116,7 @@ def training_features(
     for row in tqdm(rows, desc="features", mininterval=2.0):
         rng = np.random.default_rng(row)
         batch = frame_example(source[int(row)], framing, rng)
-        features.append(np.asarray(look(variables, batch.partial).features))
+        features.append(np.asarray(look(variables, batch.partial, batch.eye).features))
     return np.array(features, np.float64)
 
 

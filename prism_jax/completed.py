@@ -12,6 +12,7 @@ from prism_jax.adaptation.test_time import Completion
 from prism_jax.evidence import SecondLook, evidence_of
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
+from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.observation import Observation, padded
 from prism_jax.observation.planes import Plane
@@ -33,8 +34,8 @@ class CompletedScan:
       observed: True for a measured point.
       prediction: the network's own output, all of it.
       left_away: how many predicted points are not among the added ones, and why:
-        "outside" the workspace, a "stray", "in_front" of what was measured, or "known"
-        (`prism_jax.selection`). One can be counted twice.
+        "outside" the workspace, a "stray", "in_front" of what was measured,
+        "looked_through" or "known" (`prism_jax.selection`). One can be counted twice.
       left_out: how many measured points lie outside the workspace: strays, far from
         all others, unless the workspace was given. They are not among the points.
       accepted: whether the adapted completion is the one returned
@@ -103,6 +104,7 @@ def assemble(
     completion: Completion,
     *,
     density: float,
+    background: Background,
     camera_given: bool,
     seconds: dict[str, float],
     look: SecondLook | None = None,
@@ -111,13 +113,16 @@ def assemble(
     """What a user gets of a completion in the unit workspace.
 
     ``seen`` is what `observe` made of the points, ``read`` what the network read of it
-    and ``view`` its camera. ``density`` is as `prism_jax.Completer.complete` has it.
-    The verdict needs a ``look`` and a ``calibration``.
+    and ``view`` its camera. ``density`` and ``background`` are as
+    `prism_jax.Completer.complete` has them. The verdict needs a ``look`` and a
+    ``calibration``.
     """
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
     prediction = np.asarray(completion.points, np.float64)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
-    new, selection = added_points(prediction, unit, read.partial, eye, density)
+    new, selection = added_points(
+        prediction, unit, read.partial, eye, density, background
+    )
     verdict = None
     if look is not None and calibration is not None:
         novelty = calibration.novelty(np.asarray(look.features))

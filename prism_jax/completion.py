@@ -1,9 +1,10 @@
 """Scans in the user's frame and units, completed."""
 
+import dataclasses
 import pathlib
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import jax
 import jax.export
@@ -17,9 +18,10 @@ from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
 from prism_jax.completed import CompletedScan, CompletedScene, assemble, in_one_scene
 from prism_jax.evidence import SecondLook, make_second_look
 from prism_jax.geometry.camera import Camera, Vector
+from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.scene import Scene, split_scene
@@ -74,6 +76,7 @@ class Completer:
         adapt: bool = True,
         up: str | Vector = "z",
         density: float = 1.0,
+        background: Background = "unknown",
     ) -> CompletedScan:
         """Completes one scan of one object.
 
@@ -88,26 +91,31 @@ class Completer:
         camera's), a vector, or "auto" (`prism_jax.observation.support.find_up`). Added
         points are ``density`` times as dense as the measured ones where the network's
         output is a surface, and never sparser than that; 0 leaves them as predicted.
+        A ``background`` that is "empty" says that the sensor would have seen whatever
+        else there is around these points: nothing is added there, and networks that
+        read visibility are told.
         Points of another shape, complex or not finite, fewer than 64 distinct ones, an
         extent of zero or above 10,000, a workspace without volume, and an ``up`` or a
         ``density`` that is none raise `prism_jax.io.InputError`.
         """
         points = _checked(points)
         _check_density(density)
+        choose("background", background, get_args(Background))
         if workspace is None:
             check_cloud(points, "points")
         else:
             _check_workspace(workspace)
         up, _ = _resolved(up, points, camera)
         task = self._task(points, camera, workspace, up)
-        completion, seconds = self._run(adapt, task.read.partial, task.view)
+        completion, seconds = self._run(adapt, background, task.read.partial, task.view)
         return assemble(
             *task,
             completion,
             density=density,
+            background=background,
             camera_given=camera is not None,
             seconds=seconds,
-            look=self._look_again(task),
+            look=self._look_again(task, background),
             calibration=self.calibration,
         )
 
@@ -118,6 +126,7 @@ class Completer:
         adapt: bool = True,
         up: str | Vector = "auto",
         density: float = 1.0,
+        background: Background = "unknown",
         scene: Scene | None = None,
     ) -> CompletedScene:
         """Completes every object of a scene, each in a workspace of its own.
@@ -129,6 +138,7 @@ class Completer:
         """
         points = _checked(points)
         _check_density(density)
+        choose("background", background, get_args(Background))
         check_cloud(points, "points")
         up, up_source = _resolved(up, points, camera)
         if scene is None:
@@ -140,15 +150,16 @@ class Completer:
         objects = []
         for start in range(0, len(tasks), SLOTS):
             batch = tasks[start : start + SLOTS]
-            completions, seconds = self._run_together(adapt, batch)
+            completions, seconds = self._run_together(adapt, background, batch)
             for task, completion in zip(batch, completions, strict=True):
                 done = assemble(
                     *task,
                     completion,
                     density=density,
+                    background=background,
                     camera_given=camera is not None,
                     seconds=seconds,
-                    look=self._look_again(task),
+                    look=self._look_again(task, background),
                     calibration=self.calibration,
                 )
                 objects.append(done)
@@ -184,18 +195,18 @@ class Completer:
         return _Task(points, seen, read, read.camera)
 
     def _run(
-        self, adapt: bool, partial: Any, view: Camera
+        self, adapt: bool, background: Background, partial: Any, view: Camera
     ) -> tuple[Completion, dict[str, float]]:
         start = time.perf_counter()
         arguments = (self.variables, partial, view)
-        call = self._compile_adapt(lambda adapt: adapt, adapt, arguments)
+        call = self._compile_adapt(lambda adapt: adapt, adapt, background, arguments)
         compiled = time.perf_counter()
         completion = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
         return completion, {"compile": compiled - start, "run": done - compiled}
 
     def _run_together(
-        self, adapt: bool, tasks: Sequence["_Task"]
+        self, adapt: bool, background: Background, tasks: Sequence["_Task"]
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
         start = time.perf_counter()
@@ -203,7 +214,7 @@ class Completer:
         inputs = [(task.read.partial, task.view) for task in filled]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
         arguments = (self.variables, *stacked, np.arange(SLOTS) < len(tasks))
-        call = self._compile_adapt(_in_slots, adapt, arguments)
+        call = self._compile_adapt(_in_slots, adapt, background, arguments)
         compiled = time.perf_counter()
         together = jax.device_get(call(*arguments))
         spent = time.perf_counter() - compiled
@@ -214,27 +225,38 @@ class Completer:
         seconds = {"compile": compiled - start, "run": spent / len(tasks)}
         return completions, seconds
 
-    def _look_again(self, task: "_Task") -> SecondLook | None:
+    def _look_again(self, task: "_Task", background: Background) -> SecondLook | None:
         """What a verdict needs beside the completion."""
         if self.calibration is None:
             return None
-        arguments = (self.variables, task.read.partial)
-        call = self._compile(
-            "look", make_second_look(self.config.model), arguments, self.config.model
-        )
+        eye = np.asarray(task.read.eye, np.float32)
+        arguments = (self.variables, task.read.partial, eye)
+        model = self._told(background).model
+        look = make_second_look(model)
+        call = self._compile(("look", background), look, arguments, model)
         return jax.device_get(call(*arguments))
 
     def _compile_adapt(
         self,
         make: Callable[[AdaptFn], Callable[..., Completion]],
         adapt: bool,
+        background: Background,
         arguments: tuple[Any, ...],
     ) -> Callable[..., Completion]:
         """What ``make`` makes of the adaptation function, compiled once."""
         steps = self.config.adapt.num_steps if adapt else 0
-        config = self.config.with_adapt(num_steps=steps)
+        config = self._told(background).with_adapt(num_steps=steps)
         fn = make(make_adapt(config))
-        return self._compile((len(arguments), adapt), fn, arguments, config)
+        key = len(arguments), adapt, config.model.background
+        return self._compile(key, fn, arguments, config)
+
+    def _told(self, background: Background) -> PrismConfig:
+        """The configuration for a background; others than a network that reads it need
+        not be compiled for each."""
+        model = self.config.model
+        if model.backbone.reads_visibility:
+            model = dataclasses.replace(model, background=background)
+        return dataclasses.replace(self.config, model=model)
 
     def _compile(
         self, key: Any, fn: Callable[..., Any], arguments: tuple[Any, ...], about: Any

@@ -4,28 +4,26 @@ import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
+from prism_jax.geometry.visibility import seen_by
 from prism_jax.models.backbone import decode, encode_points, partial_indices
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import refine
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import Observation
 from prism_jax.observation.visibility import looked_through
-from prism_jax.selection import Selection, usual_spacing
+from prism_jax.selection import ABOUT, Selection, usual_spacing
 
 SAMPLE = 1024
 """Measured points that are asked, evenly spaced rows of a larger cloud."""
 
 NEIGHBORS = 12
 """Of a measured point, that a plane is laid through."""
-
-ABOUT = 5.0
-"""In spacings of the network's input: nothing measured as near to a point's line of
-sight means that the sensor looked through it, or away from it."""
 
 
 class SecondLook(NamedTuple):
@@ -44,7 +42,7 @@ class SecondLook(NamedTuple):
     turned: Float[Array | np.ndarray, "P 3"]
 
 
-LookFn = Callable[[Variables, Array], SecondLook]
+LookFn = Callable[[Variables, Array, Array], SecondLook]
 
 _POSES = np.array(
     [np.eye(3), np.diag([-1, 1, 1]), [[0, -1, 0], [1, 0, 0], [0, 0, 1]]], np.float32
@@ -55,15 +53,22 @@ _posed = functools.partial(jnp.einsum, precision="highest")
 
 
 def make_second_look(model: ModelConfig) -> LookFn:
-    """The function of variables and a partial of ``num_points`` points in the unit
-    workspace. Pure; ``jit`` it."""
+    """The function of variables, a partial of ``num_points`` points in the unit
+    workspace, and the sensor's place there. Pure; ``jit`` it."""
 
-    def look(variables: Variables, partial: Float[Array, "N 3"]) -> SecondLook:
+    def look(
+        variables: Variables, partial: Float[Array, "N 3"], eye: Float[Array, "3"]
+    ) -> SecondLook:
         # One pass for all poses.
         clouds = _posed("nj,pij->pni", partial, _POSES)
+        known = None
+        if model.backbone.reads_visibility:
+            eyes = _posed("j,pij->pi", eye, _POSES)
+            see = functools.partial(seen_by, background=model.background)
+            known = jax.vmap(see)(clouds, eyes)
         indices = partial_indices(clouds, model.backbone)
         encoded = encode_points(variables, model.backbone, clouds, indices)
-        decoded = decode(variables, model.backbone, clouds, encoded)
+        decoded = decode(variables, model.backbone, clouds, encoded, None, known)
         points = refine(variables, decoded, model)
         back = _posed("pni,pij->pnj", points, _POSES)
         return SecondLook(encoded.global_feature[0], *back)

@@ -19,7 +19,7 @@ def summarize(result: Any, scan: io.Scan, source: str, **asked: Any) -> dict[str
 
     ``result`` is a `prism_jax.completed.CompletedScan` of ``scan``, which was read from
     ``source``; the others are what the user asked for: ``weights``, ``adapt``, ``up``,
-    ``density``, and the ``bounds`` of the workspace.
+    ``density``, ``background``, and the ``bounds`` of the workspace.
     """
     bounds = asked.pop("bounds")
     own = _of_object(result)

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
-from prism_jax.observation.visibility import in_front
+from prism_jax.geometry.visibility import Background
+from prism_jax.observation.visibility import in_front, looked_through
 
 STRAY = 0.3
 """A predicted point whose second neighbour is farther off, in the unit workspace, lies
@@ -16,6 +17,9 @@ TOLERANCE = 4.0
 """In spacings of the network's input: a point that much nearer to the sensor than all
 that was measured about its line of sight would have hidden it."""
 
+ABOUT = 5.0
+"""In spacings of the network's input: nothing measured as near to a point's line of
+sight means that the sensor looked through it, or away from it."""
 
 MAX_DENSE = 200_000
 """Points that `densify` makes at most."""
@@ -38,6 +42,8 @@ class Selection(NamedTuple):
       outside: it lies outside the workspace.
       stray: it lies alone (`STRAY`).
       in_front: it would have hidden what was measured behind it (`TOLERANCE`).
+      looked_through: the sensor saw nothing about its line of sight (`ABOUT`), and what
+        lies around the object is known to be empty.
       known: it says nothing new, so near is a measured point.
     """
 
@@ -45,6 +51,7 @@ class Selection(NamedTuple):
     outside: Bool[np.ndarray, " P"]
     stray: Bool[np.ndarray, " P"]
     in_front: Bool[np.ndarray, " P"]
+    looked_through: Bool[np.ndarray, " P"]
     known: Bool[np.ndarray, " P"]
 
 
@@ -54,6 +61,7 @@ def added_points(
     partial: Float[Array | np.ndarray, "M 3"],
     eye: Float[np.ndarray, "3"] | None,
     density: float = 1.0,
+    background: Background = "unknown",
 ) -> tuple[Float[np.ndarray, "Q 3"], Selection]:
     """What a user gets beside the measured points, and what became of the predicted.
 
@@ -61,7 +69,7 @@ def added_points(
     times as dense as the measured ones, where they are not so anyway; 0 leaves them as
     predicted. All in the unit workspace, and within it.
     """
-    selection = select(prediction, measured, partial, eye)
+    selection = select(prediction, measured, partial, eye, background)
     kept = prediction[selection.kept]
     predicted = surface_density(kept)
     if density == 0 or predicted == 0:
@@ -75,6 +83,7 @@ def select(
     measured: Float[np.ndarray, "N 3"],
     partial: Float[Array | np.ndarray, "M 3"],
     eye: Float[np.ndarray, "3"] | None,
+    background: Background = "unknown",
 ) -> Selection:
     """Which predicted points to add to the measured ones.
 
@@ -82,19 +91,21 @@ def select(
     what was measured from the sensor at `eye` (None if nobody knows where it stood).
     `partial` is what the network read. All in the unit workspace.
 
-    That a sensor seems to have looked through a point is no reason to leave it out:
-    where views are cropped, or cells are full of things, it did not see them for other
-    reasons.
+    That a sensor seems to have looked through a point is a reason to leave it out only
+    if the `background` is known to be empty: where views are cropped, or cells are full
+    of things, it did not see them for other reasons.
     """
     spacing = usual_spacing(np.asarray(partial))
     outside = np.asarray(~(np.abs(prediction) <= 1.0).all(axis=1))
     stray = _lonely(prediction, measured)
-    hides = np.zeros(len(prediction), bool)
+    hides = through = np.zeros(len(prediction), bool)
     if eye is not None:
         hides = in_front(prediction, measured, eye, spacing, TOLERANCE)
+        if background == "empty":
+            through = looked_through(prediction, measured, eye, ABOUT * spacing)
     known = ~keep_unmeasured(prediction, measured, partial)
-    kept = ~(outside | stray | hides | known)
-    return Selection(kept, outside, stray, hides, known)
+    kept = ~(outside | stray | hides | through | known)
+    return Selection(kept, outside, stray, hides, through, known)
 
 
 def keep_unmeasured(

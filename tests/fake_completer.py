@@ -23,7 +23,14 @@ class FakeCompleter:
         return cls()
 
     def complete(
-        self, points, camera=None, workspace=None, adapt=True, up="z", density=1.0
+        self,
+        points,
+        camera=None,
+        workspace=None,
+        adapt=True,
+        up="z",
+        density=1.0,
+        background="unknown",
     ):
         workspace = workspace or Workspace.from_points(points.astype(np.float64))
         prediction = 2 * workspace.center - points[::2]

@@ -114,7 +114,8 @@ def test_the_second_look_is_the_network_in_three_poses(
     partials, cameras = tiny_frames
     partial, camera = partials[0], jax.tree.map(lambda leaf: leaf[0], cameras)
     model = minimal.model
-    look = quick_jit(make_second_look(model))(minimal_fresh, partial)
+    eye = camera.position
+    look = quick_jit(make_second_look(model))(minimal_fresh, partial, eye)
 
     @quick_jit
     def complete(cloud):

@@ -65,6 +65,19 @@ def test_what_would_hide_the_measured_is_not_kept(wall):
     assert select(points, wall, wall, None).kept.all()
 
 
+def test_where_the_sensor_looked_through_counts_if_nothing_else_is_there(wall):
+    """The wall ends at 0.5; lines of sight diverge."""
+    far = grid(11, side=0.9, y=-0.2)
+    beside = np.abs(far[:, [0, 2]]).max(axis=1) > 0.5 * 4.2 / 3.8 + 0.3
+    within = np.abs(far[:, [0, 2]]).max(axis=1) <= 0.5
+    selection = select(far, wall, wall, EYE, "empty")
+    assert beside.sum() == 40 and selection.looked_through[beside].all()
+    assert not selection.looked_through[within].any()
+    np.testing.assert_array_equal(selection.kept, ~selection.looked_through)
+    for known in (select(far, wall, wall, EYE), select(far, wall, wall, None, "empty")):
+        assert not known.looked_through.any() and known.kept.all()
+
+
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_few_points(wall, count):
     selection = select(grid(2, y=-0.2)[:count], wall, wall, EYE)

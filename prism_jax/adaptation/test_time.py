@@ -11,6 +11,7 @@ from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.inner_loop import step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import Visibility
 from prism_jax.losses.weighting import loss_weights
 from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
@@ -41,7 +42,8 @@ class Completion(NamedTuple):
     encoders: Variables
 
 
-AdaptFn = Callable[[Variables, Array, Camera], Completion]
+AdaptFn = Callable[..., Completion]
+"""Of variables, partial, camera and, if it is known, visibility."""
 
 
 def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
@@ -50,12 +52,13 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
     The function takes variables (`prism_jax.load_pretrained`), a partial cloud of
     exactly ``config.model.backbone.num_points`` points (`prism_jax.geometry.resample`)
     and a camera, both in the unit workspace (`prism_jax.Workspace`), and returns a
-    `Completion`. It is pure: ``jit`` it, ``vmap`` it over partials and cameras (each
-    frame then has its own encoders), embed it. Only the two encoders move; everything
-    else, BatchNorm's statistics included, is read and never written. The completion is
-    differentiable in the variables, through the steps; no gradient reaches the cloud or
-    the camera. That of a frame whose adaptation was refused because it was not finite
-    is not finite either.
+    `Completion`. A network that reads visibility can be given that as well; otherwise
+    it has what the cloud says of it. The function is pure: ``jit`` it, ``vmap`` it over
+    partials and cameras (each frame then has its own encoders), embed it. Only the two
+    encoders move; everything else, BatchNorm's statistics included, is read and never
+    written. The completion is differentiable in the variables, through the steps; no
+    gradient reaches the cloud or the camera. That of a frame whose adaptation was
+    refused because it was not finite is not finite either.
 
     If a loss or a coordinate is not finite, or the objective after the last step is
     above that before the first, the completion of the network as it was is returned
@@ -65,11 +68,16 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
     settings = config.adapt
 
     def adapt(
-        variables: Variables, partial: Float[Array, "N 3"], camera: Camera
+        variables: Variables,
+        partial: Float[Array, "N 3"],
+        camera: Camera,
+        visibility: Visibility | None = None,
     ) -> Completion:
         _check(partial, config)
         key = jax.random.key(settings.seed)
-        inputs = prepare_input(partial, camera, key, config.model)
+        inputs = prepare_input(
+            partial, camera, key, config.model, visibility=visibility
+        )
         if settings.num_steps:
             inputs = hold_decoding(variables, inputs, config.model)
         encoders, rest = pop_encoders(variables)

@@ -44,6 +44,7 @@ _SETTINGS = (
     "weights",
     "adapt",
     "density",
+    "background",
     "output_dir",
 )
 """The flags that are arguments of `complete_file`."""
@@ -114,6 +115,12 @@ def define_flags() -> None:
         "network's output is a surface; 0 leaves them as predicted.",
         lower_bound=0.0,
     )
+    flags.DEFINE_enum(
+        "background",
+        "unknown",
+        ["unknown", "empty"],
+        "empty: nothing else was hit around the object, and so nothing is added there.",
+    )
     flags.DEFINE_string("output_dir", "prism_output", "Where the results are written.")
 
 
@@ -142,6 +149,7 @@ def complete_file(
     weights: str = "small",
     adapt: bool = True,
     density: float = 1.0,
+    background: str = "unknown",
     output_dir: str = "prism_output",
 ) -> dict[str, Any]:
     """Completes one scan and writes completed.ply, report.html and result.json.
@@ -177,7 +185,8 @@ def complete_file(
             taken_apart = bool(scene.planes) or len(scene.num_points) > 1
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     doing = "adapting to and completing" if adapt else "completing"
-    asked = {"adapt": adapt, "up": direction, "density": density}
+    asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
+    asked["background"] = background
     with timed(f"{doing} {count}", "complete", seconds):
         if taken_apart:
             result = completer.complete_scene(

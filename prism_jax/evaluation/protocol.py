@@ -13,6 +13,7 @@ from jaxtyping import Float32
 from prism_jax import metrics
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example
+from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.observation import (
     Heading,
@@ -50,6 +51,8 @@ class Protocol:
       with_measured: whether the partial itself is scored, and the predictions with the
         measured points kept; about half of the time.
       heading: which one the completer knows objects in; the partial decides on it.
+      background: whether what lies around a partial is known to be empty, and predicted
+        points there are left away.
     """
 
     num_partial: int
@@ -59,6 +62,7 @@ class Protocol:
     with_emd: bool = True
     with_measured: bool = True
     heading: Heading = "given"
+    background: Background = "unknown"
 
     def __post_init__(self):
         if self.normalisation not in NORMALISATIONS:

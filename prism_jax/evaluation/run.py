@@ -191,7 +191,11 @@ def scored_clouds(
         clouds[f"network{suffix}"] = from_workspace(network)
         if protocol.with_measured:
             new, _ = added_points(
-                network, measured, partial, eye if seen.sensor_known else None
+                network,
+                measured,
+                partial,
+                eye if seen.sensor_known else None,
+                background=protocol.background,
             )
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud

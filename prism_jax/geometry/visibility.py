@@ -4,15 +4,17 @@ A lost return says nothing. What is not known is never free.
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Float32, UInt8
+from jaxtyping import Array, Bool, Float, Float32, Int, UInt8
 
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.camera import MIN_DEPTH, Camera, Vector
+from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.precision import exact_products
+from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.workspace import Workspace
 
 UNKNOWN, SURFACE, NEARER, BACKGROUND = range(4)
@@ -21,6 +23,18 @@ hides all behind it; or the sensor looked past the object, to what lies beyond."
 
 MAP_SIZE = 64
 """Pixels of the side of the maps that are made and stored."""
+
+MARGIN = 1.4
+"""Of a map around what was measured of the object: it sees past the silhouette."""
+
+CLOSED = 3.0
+"""In spacings of the points: holes in a cloud that are no wider are closed."""
+
+Background = Literal["unknown", "empty"]
+"""What lies around a cloud in its sensor's view: nobody knows, or nothing was hit."""
+
+NUM_CLUES = 6
+"""Of a point: the shares of the four states, how far behind, and how far aside."""
 
 
 class Visibility(NamedTuple):
@@ -108,3 +122,117 @@ def nothing_known(size: int = MAP_SIZE) -> Visibility:
     )
     shape = size, size
     return Visibility(camera, np.zeros(shape, np.uint8), np.zeros(shape, np.float32))
+
+
+def seen_by(
+    points: Float[Array, "N 3"],
+    eye: Vector,
+    background: Background = "unknown",
+) -> Visibility:
+    """What a cloud says by itself of the view of the sensor at `eye`.
+
+    Where points fall is their surface, nearest depth first, and so are the holes
+    between them: what is no wider than `CLOSED` spacings, the median distance of the
+    points from their nearest neighbours, at their mean distance from the eye. All else
+    is `UNKNOWN`; or, if the `background` is "empty", `BACKGROUND` at twice the depth
+    of the farthest point, for whoever knows that nothing else was hit around the
+    object.
+
+    A square map of `MAP_SIZE`, filled by the points with `MARGIN`, in their frame and
+    unit. Points are finite and at least two. ``jit`` and ``vmap`` it; no gradient
+    passes.
+    """
+    points = jax.lax.stop_gradient(points)
+    camera = Camera.framing(points, eye, MARGIN, MAP_SIZE, MAP_SIZE)
+    depth, hit = render_depth(points, camera)
+    z = camera.to_camera(points)[:, 2]
+    near = points[knn(points, points, 2)[:, 1]]
+    spacing = jnp.median(jnp.linalg.norm(points - near, axis=1))
+    focal = camera.intrinsics[0, 0]
+    reach = 0.5 * CLOSED * spacing * focal / jnp.maximum(z.mean(), MIN_DEPTH)
+    # Within the margin, or the image's edge would be part of a hole.
+    reach = jnp.minimum(reach, MAP_SIZE / 8)
+    apart, nearest = nearest_marked(hit)
+    # Grown by the reach and shrunk again.
+    surface = hit | (nearest_marked(apart > reach)[0] > reach)
+    depth = jnp.where(surface, depth.ravel()[nearest], 0.0)
+    state = jnp.where(surface, SURFACE, UNKNOWN)
+    if background == "empty":
+        state = jnp.where(surface, SURFACE, BACKGROUND)
+        depth = jnp.where(surface, depth, 2.0 * z.max())
+    return Visibility(camera, state.astype(jnp.uint8), depth)
+
+
+def surface_alone(visibility: Visibility) -> Visibility:
+    """The same without what lies around the surface, as if only it had been kept."""
+    kept = visibility.state == SURFACE
+    return visibility._replace(
+        state=visibility.state * kept, depth=visibility.depth * kept
+    )
+
+
+def nearest_marked(
+    marked: Bool[Array | np.ndarray, "H W"],
+) -> tuple[Float[Array, "H W"], Int[Array, "H W"]]:
+    """How far each pixel lies from the nearest marked one, in pixels, and which it is.
+
+    Exact, in two passes. Where none is marked the distance is infinite.
+    """
+    height, width = marked.shape
+    rows, columns = jnp.arange(height), jnp.arange(width)
+    away = jnp.square(rows[:, None] - rows)[:, :, None]
+    away = jnp.where(marked, away.astype(float), jnp.inf)  # (to, from, column)
+    row, within = away.argmin(1), away.min(1)
+    aside = jnp.square(columns[:, None] - columns)
+    total = within[:, None, :] + aside  # (row, to, from)
+    column = total.argmin(2)
+    nearest = jnp.take_along_axis(row, column, 1) * width + column
+    return jnp.sqrt(total.min(2)), nearest
+
+
+def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "N 6"]:
+    """What the map says of points, as numbers that a network reads.
+
+    In turn: how much of each of the four states is there; how far the point lies behind
+    what was measured, negative in front, weighted by how much is known; and how far
+    aside of the measured surface, at the point's depth. Both lengths are bounded to
+    [-1, 1] and 1. Between the middles of four pixels everything is interpolated, so it
+    is continuous, and differentiable almost everywhere. Beside the image, and for
+    points that are not in front of the camera, all is unknown.
+
+    One map and one cloud in the unit workspace. Without any surface, and beside the
+    image, a point is as many pixels aside as the image is high.
+    """
+    camera, (state, depth) = visibility.camera, map(jnp.asarray, visibility[1:])
+    shares = jax.nn.one_hot(state, 4)
+    aside = jnp.minimum(nearest_marked(state == SURFACE)[0], camera.height)
+    channels = [shares, depth[..., None] * (state != UNKNOWN)[..., None]]
+    image = jnp.concatenate([*channels, aside[..., None]], axis=-1)
+    beyond = jnp.array([1.0, 0, 0, 0, 0, camera.height])
+    uv, z = camera.project(points)
+    read = _interpolated(image, uv, beyond)
+    read = jnp.where((z > MIN_DEPTH)[:, None], read, beyond)
+    known = 1.0 - read[:, UNKNOWN]
+    behind = jnp.clip(known * z - read[:, 4], -1.0, 1.0)
+    away = jnp.minimum(read[:, 5] * z / camera.intrinsics[0, 0], 1.0)
+    away = jnp.where(z > MIN_DEPTH, away, 1.0)
+    return jnp.concatenate([read[:, :4], behind[:, None], away[:, None]], axis=1)
+
+
+def _interpolated(
+    image: Float[Array, "H W C"],
+    uv: Float[Array, "N 2"],
+    beyond: Float[Array, " C"],
+) -> Float[Array, "N C"]:
+    """Bilinear between the middles of pixels; `beyond` is what lies around them."""
+    height, width, _ = image.shape
+    padded = jnp.pad(image - beyond, ((1, 1), (1, 1), (0, 0))) + beyond
+    # In the coordinates of the padded image; farther out it is the same.
+    u = jnp.clip(uv[:, 0] + 1.0, 0.0, width + 1.0)
+    v = jnp.clip(uv[:, 1] + 1.0, 0.0, height + 1.0)
+    left = jnp.clip(jnp.floor(u), 0, width).astype(int)
+    top = jnp.clip(jnp.floor(v), 0, height).astype(int)
+    right, down = (u - left)[:, None], (v - top)[:, None]
+    above = padded[top, left] * (1 - right) + padded[top, left + 1] * right
+    below = padded[top + 1, left] * (1 - right) + padded[top + 1, left + 1] * right
+    return above * (1 - down) + below * down

@@ -1,8 +1,12 @@
 """The completion backbone as functions: encode the partial, decode every stage."""
 
+from typing import Any
+
 import jax
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from prism_jax.geometry.visibility import Visibility, nothing_known
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.decoder import Decoded, Decoder, DecoderIndices
 from prism_jax.models.encoder import (
@@ -25,7 +29,8 @@ def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
         indices = partial_indices(partial, config)
         encoder = PointEncoder(config).init(keys[1], partial, indices)
         encoded = PointEncoder(config).apply(encoder, partial, indices)
-        decoder = Decoder(config).init(keys[2], partial, encoded)
+        known = nothing_of(partial) if config.reads_visibility else None
+        decoder = Decoder(config).init(keys[2], partial, encoded, visibility=known)
         return {
             collection: {
                 "point_encoder": encoder.get(collection, {}),
@@ -61,10 +66,21 @@ def decode(
     partial: Float[Array, "... N 3"],
     encoded: PointFeatures,
     indices: DecoderIndices | None = None,
+    visibility: Visibility | None = None,
 ) -> Decoded:
     """All stages, with BatchNorm statistics as they are."""
     own = part(variables, "decoder")
-    return apply(Decoder(config), own, partial, encoded, indices=indices)
+    given = {"indices": indices, "visibility": visibility}
+    return apply(Decoder(config), own, partial, encoded, **given)
+
+
+def nothing_of(partial: Float[Array, "*B N 3"]) -> Visibility:
+    """A map that knows nothing for each cloud."""
+    batch = partial.shape[:-2]
+    same: Any = jax.tree.map(
+        lambda leaf: np.broadcast_to(leaf, (*batch, *leaf.shape)), nothing_known()
+    )
+    return same
 
 
 def train_backbone(
@@ -73,6 +89,7 @@ def train_backbone(
     partial: Float[Array, "B N 3"],
     indices: EncoderIndices,
     num_blocks: int | None = None,
+    visibility: Visibility | None = None,
 ) -> tuple[Decoded, Variables]:
     """All stages with statistics of the batch, and the updated running statistics."""
     encoded, encoder = apply_training(
@@ -87,6 +104,7 @@ def train_backbone(
         partial,
         encoded,
         num_blocks=num_blocks,
+        visibility=visibility,
     )
     statistics = {
         **variables["batch_stats"],

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Literal
 
+from prism_jax.geometry.visibility import Background
 from prism_jax.models.ranges import check_ranges
 
 MAX_POINTS = 2**18
@@ -36,6 +37,8 @@ class BackboneConfig:
       use_norm: BatchNorm in the attentions and the up-sampling heads.
       offset_init: standard deviation of the kernels that make coordinate offsets; a
         small one starts training from the seeds and the partial themselves.
+      reads_visibility: every block reads, for each of its points, what the sensor knows
+        there (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
     """
 
     num_points: int = 2048
@@ -55,6 +58,7 @@ class BackboneConfig:
     up_factors: tuple[int, ...] = (1, 4, 8)
     use_norm: bool = True
     offset_init: float = 0.01
+    reads_visibility: bool = False
 
     def __post_init__(self):
         check_ranges(
@@ -144,6 +148,8 @@ class ModelConfig:
       depth_pixels: side of the depth map that the depth stream reads.
       consistency_pixels: side of the maps that Eq. 3 and Eq. 4 compare: few points
         leave holes in a fine map, through which the far side of the shape shows.
+      background: what lies around a cloud that comes without a map, for a network that
+        reads visibility.
     """
 
     backbone: BackboneConfig = BackboneConfig()
@@ -152,6 +158,7 @@ class ModelConfig:
     heading: Literal["given", "level"] = "given"
     depth_pixels: int = 128
     consistency_pixels: int = 128
+    background: Background = "unknown"
 
     def __post_init__(self):
         pixels = (1, 2048)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from prism_jax.geometry.visibility import Visibility, clues
 from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import PointFeatures
@@ -103,17 +104,27 @@ class UpsamplingBlock(nn.Module):
         inter: Pyramid,
         intra: Pyramid,
         train: bool = False,
+        visibility: Visibility | None = None,
     ) -> tuple[Float[Array, "... M 3"], Float[Array, "... N C"], Array]:
-        x = self._point_features(xyz, global_feature)
+        x = self._point_features(xyz, global_feature, visibility)
         transformer = self._transformer("inter")
         x = transformer(xyz, x, support.xyz, support.features, inter, train)
         x = self._transformer("intra")(xyz, x, xyz, x, intra, train)
         offsets, child_features = self._children(x, train)
         return repeat_in_place(xyz, self.times) + offsets, x, child_features
 
-    def _point_features(self, xyz: Array, global_feature: Array) -> Array:
+    def _point_features(
+        self, xyz: Array, global_feature: Array, visibility: Visibility | None
+    ) -> Array:
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
+        if self.config.reads_visibility:
+            if visibility is None:
+                raise ValueError("a decoder that reads visibility needs a map")
+            told = over_batch(lambda cloud, known: clues(known, cloud))
+            # Nothing at first, so that training can go on from weights without it.
+            reading = MLP((width // 2, width), nn.initializers.zeros, name="clues")
+            x = x + reading(told(xyz, visibility))
         whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
         return mlp(x, whole, global_feature[..., None, :])
@@ -145,7 +156,8 @@ class Decoder(nn.Module):
 
     ``num_blocks`` stops after so many up-sampling blocks, for training coarse stages
     first; the default is all. With the ``indices`` of another decoding, whose points
-    are near, the stages are a continuous function of what is encoded.
+    are near, the stages are a continuous function of what is encoded. ``visibility`` is
+    what the sensor knows, for configurations that read it.
     """
 
     config: BackboneConfig
@@ -158,6 +170,7 @@ class Decoder(nn.Module):
         train: bool = False,
         num_blocks: int | None = None,
         indices: DecoderIndices | None = None,
+        visibility: Visibility | None = None,
     ) -> Decoded:
         config = self.config
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
@@ -181,7 +194,7 @@ class Decoder(nn.Module):
             pyramids.append(pair)
             block = UpsamplingBlock(config, times, name=f"block_{i}")
             children, block_features, features = block(
-                xyz, encoded.global_feature, previous, *pair, train
+                xyz, encoded.global_feature, previous, *pair, train, visibility
             )
             previous, xyz = Cloud(xyz, block_features), children
             stages.append(xyz)

@@ -39,7 +39,8 @@ def init_auxiliary(
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
         inputs = prepare_input(cloud, Camera.fixed_view(), keys[0], config)
         encoded = encode_points(backbone, config.backbone, cloud, inputs.indices)
-        decoded = decode(backbone, config.backbone, cloud, encoded)
+        known = inputs.visibility
+        decoded = decode(backbone, config.backbone, cloud, encoded, visibility=known)
         points, features = decoded.stages[-1], decoded.features
         depth_encoder = DepthEncoder(sizes)
         depth = depth_encoder.init(keys[1], inputs.depth, inputs.depth_mask)

@@ -41,7 +41,7 @@ def over_batch(fn: Callable[..., Any]) -> Callable[..., Any]:
     The first argument is a cloud ``(..., N, 3)``; all share its leading axes.
     """
 
-    def mapped(cloud: Array, *others: Array) -> Any:
+    def mapped(cloud: Array, *others: Any) -> Any:
         batched = fn
         for _ in range(cloud.ndim - 2):
             batched = jax.vmap(batched)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.render import render_depth
+from prism_jax.geometry.visibility import Visibility, seen_by
 from prism_jax.losses.denoise import perturb, upsample_midpoints
 from prism_jax.models.auxiliary import (
     Denoiser,
@@ -42,6 +43,7 @@ class NetworkInput(NamedTuple):
       perturbed, perturbed_neighbors: A(P) of Eq. 6 and its neighbour graph.
       upsampled: U(P) of Eq. 6.
       decoding: samples and neighbours of the decoder, where they are held.
+      visibility: what the sensor knows, for networks that read it.
     """
 
     partial: Float[Array, "N 3"]
@@ -55,6 +57,7 @@ class NetworkInput(NamedTuple):
     perturbed_neighbors: Int[Array, "N k"]
     upsampled: Float[Array, "M 3"]
     decoding: DecoderIndices | None = None
+    visibility: Visibility | None = None
 
 
 class Prediction(NamedTuple):
@@ -84,13 +87,20 @@ def prepare_input(
     key: PRNGKeyArray,
     config: ModelConfig,
     indices: EncoderIndices | None = None,
+    visibility: Visibility | None = None,
 ) -> NetworkInput:
     """What the network reads of a partial cloud and its camera, in the unit workspace.
 
-    `indices` are the encoder's, if they are known already. No gradient reaches cloud
-    or camera.
+    `indices` are the encoder's, if they are known already. `visibility` is what the
+    sensor knows: a network that reads it takes what the cloud itself says of it
+    (`prism_jax.geometry.visibility.seen_by`) if it is None, and others never look. No
+    gradient reaches cloud or camera.
     """
     partial, camera = jax.lax.stop_gradient((partial, camera))
+    if not config.backbone.reads_visibility:
+        visibility = None
+    elif visibility is None:
+        visibility = seen_by(partial, camera.position, config.background)
     depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
     depth, mask = render_depth(partial, depth_view)
     center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
@@ -106,6 +116,7 @@ def prepare_input(
         perturbed,
         knn(perturbed, perturbed, config.auxiliary.denoise_neighbors),
         upsample_midpoints(partial),
+        visibility=visibility,
     )
 
 
@@ -119,7 +130,13 @@ def hold_decoding(
     gradient step lowers them.
     """
     encoded = encode(variables, inputs, config)
-    decoded = decode(variables, config.backbone, inputs.partial, encoded)
+    decoded = decode(
+        variables,
+        config.backbone,
+        inputs.partial,
+        encoded,
+        visibility=inputs.visibility,
+    )
     return inputs._replace(decoding=decoded.indices)
 
 
@@ -146,8 +163,8 @@ def decode_and_refine(
     config: ModelConfig,
 ) -> Prediction:
     """The stages and the refined points. A batch is one pass through the decoder."""
-    cloud, held = inputs.partial, inputs.decoding
-    decoded = decode(variables, config.backbone, cloud, encoded, held)
+    cloud, held, known = inputs.partial, inputs.decoding, inputs.visibility
+    decoded = decode(variables, config.backbone, cloud, encoded, held, known)
     points = refine(variables, decoded, config)
     return Prediction(points, decoded.stages, decoded.features, encoded)
 

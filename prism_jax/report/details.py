@@ -10,6 +10,7 @@ LEFT_AWAY = {
     "outside": "outside the workspace",
     "stray": "strays",
     "in_front": "in front of what was measured",
+    "looked_through": "where the sensor looked through",
     "known": "where points were measured",
 }
 """Why predicted points are not among the added ones."""

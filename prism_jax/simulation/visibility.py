@@ -7,12 +7,15 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.visibility import MAP_SIZE, SURFACE, UNKNOWN, Visibility
+from prism_jax.geometry.visibility import (
+    MAP_SIZE,
+    MARGIN,
+    SURFACE,
+    UNKNOWN,
+    Visibility,
+)
 from prism_jax.simulation.readings import Rays, Readings
 from prism_jax.simulation.sensors import camera_axes
-
-MARGIN = 1.4
-"""Of a map around what was measured of the object: it sees past the silhouette."""
 
 
 def framing_camera(

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from prism_jax.data.pipeline import Batch
+from prism_jax.geometry.visibility import Visibility
 from prism_jax.models.backbone import (
     decode,
     encode_points,
@@ -15,6 +16,7 @@ from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import EncoderIndices
 from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
+from prism_jax.training.inputs import visibility_of
 from prism_jax.training.phase import Phase
 from prism_jax.training.supervised import Stages, supervised_phase
 
@@ -29,11 +31,14 @@ def backbone_phase(
     blocks = len(model.up_factors) if phase.num_blocks is None else phase.num_blocks
     names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))
 
+    def known(batch: Batch) -> Visibility | None:
+        return visibility_of(batch) if model.reads_visibility else None
+
     def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
         partial = jnp.asarray(batch.partial)
         indices = _indices(batch, partial, model)
         decoded, statistics = train_backbone(
-            variables, model, partial, indices, phase.num_blocks
+            variables, model, partial, indices, phase.num_blocks, known(batch)
         )
         return decoded.stages, statistics
 
@@ -42,7 +47,8 @@ def backbone_phase(
         encoded = encode_points(
             variables, model, partial, partial_indices(partial, model)
         )
-        return decode(variables, model, partial, encoded).stages[: blocks + 1]
+        decoded = decode(variables, model, partial, encoded, visibility=known(batch))
+        return decoded.stages[: blocks + 1]
 
     return supervised_phase(variables, train, stages, names, phase, training)
 

@@ -90,6 +90,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "--weights=w",
         "--noadapt",
         "--density=0.5",
+        "--background=empty",
         "--objects=one",
     ]
     given += ["--max_points=1000"]
@@ -105,6 +106,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "weights": "w",
         "adapt": False,
         "density": 0.5,
+        "background": "empty",
         "objects": "one",
         "output_dir": "d",
     }

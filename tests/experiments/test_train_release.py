@@ -1,68 +1,23 @@
 """From nothing to weights by one script: its commands in order, and how it goes on.
 
-Python is a stand-in that notes each command and writes the file that it would.
+Python is a stand-in (`scripted`).
 """
 
+import functools
 import os
-import pathlib
-import subprocess
-import sys
 
 import pytest
 
 from tests import launching
 
-ROOT = pathlib.Path(__file__).parents[2]
-STAND_IN = """#!/bin/bash
-if [[ $1 == -c ]]; then
-    [[ $3 == shapes || $3 == roboarm ]] || exec {python} "$@"
-    echo "opened $3 $4" >> {folder}/commands.txt
-    printf 'validation\\ntest\\n'
-    exit
-fi
-echo "${{@:2}}" >> {folder}/commands.txt
-[[ $* == *"$FAILS"* ]] && exit 3
-[[ $* == *"$STOPS"* ]] && exit
-for flag in "$@"; do
-    place=${{flag#*=}}
-    case $flag in
-    --output=*) echo scores > "$place" ;;
-    --workdir=*)
-        mkdir -p "$place"
-        touch "$place"/{{config.json,weights.safetensors}} ;;
-    esac
-done
-"""
 SCORES = ["evaluate", "evaluate", "release"]
 WHOLE = ["opened", "pretrain", "meta_train", "meta_train", *SCORES, *SCORES]
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(scripted, tmp_path):
     """``run(*arguments)``: the exit status, what is told, and the commands."""
-    python = tmp_path / "bin" / "python"
-    python.parent.mkdir()
-    python.write_text(STAND_IN.format(python=sys.executable, folder=tmp_path))
-    python.chmod(0o755)
-
-    def run(*arguments, fails="(none)", stops="(none)"):
-        noted = tmp_path / "commands.txt"
-        noted.write_text("")
-        path = f"{python.parent}:{os.environ['PATH']}"
-        ended = subprocess.run(
-            ["experiments/train_release.sh", f"--workdir={tmp_path}/run", *arguments],
-            cwd=ROOT,
-            env=os.environ | {"PATH": path, "FAILS": fails, "STOPS": stops},
-            capture_output=True,
-            text=True,
-        )
-        commands = [
-            line.removeprefix("experiments.").split(" ")
-            for line in noted.read_text().splitlines()
-        ]
-        return ended.returncode, ended.stdout + ended.stderr, commands
-
-    return run
+    return functools.partial(scripted, "train_release.sh", f"--workdir={tmp_path}/run")
 
 
 def names(commands):

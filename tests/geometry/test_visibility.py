@@ -6,19 +6,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import (
     BACKGROUND,
+    MAP_SIZE,
     NEARER,
+    NUM_CLUES,
     SURFACE,
     UNKNOWN,
     Visibility,
+    clues,
     look_up,
     mirrored,
+    nearest_marked,
     nothing_known,
+    seen_by,
+    surface_alone,
     to_unit,
     turned,
 )
@@ -162,3 +169,142 @@ def test_turned_points_and_those_of_a_workspace_are_found_as_before(xp):
     state, behind = look_up(to_unit(view, workspace), unit)
     np.testing.assert_array_equal(state, STATES)
     np.testing.assert_allclose(behind, np.array(BEHIND) / 2.5, atol=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.002, 0.1, 1.0])
+def test_the_nearest_marked_pixel_is_scipys(share):
+    marked = np.random.default_rng(0).random((20, 31)) < share
+    apart, nearest = jax.jit(nearest_marked)(jnp.asarray(marked))
+    if share == 0:
+        assert np.isinf(apart).all()
+        return
+    expected = distance_transform_edt(~marked)
+    np.testing.assert_allclose(apart, expected, rtol=1e-6)
+    rows, columns = np.divmod(np.asarray(nearest), 31)
+    assert marked[rows, columns].all()
+    away = np.hypot(*(np.indices(marked.shape) - [rows, columns]))
+    np.testing.assert_allclose(away, expected, rtol=1e-6)
+
+
+def sphere(count, radius=1.0):
+    """Half of one around the origin, evenly: what a sensor far along x sees of it."""
+    turns = np.pi * (1 + 5**0.5) * np.arange(count)
+    x = 1 - (np.arange(count) + 0.5) / count
+    flat = np.sqrt(1 - x**2)
+    points = np.stack([x, flat * np.cos(turns), flat * np.sin(turns)], axis=1)
+    return jnp.asarray(radius * points, jnp.float32)
+
+
+FAR_EYE = np.array([20.0, 0, 0])
+
+
+def test_a_cloud_by_itself_tells_its_surface_and_no_more():
+    known = jax.jit(seen_by)(sphere(400), FAR_EYE)
+    inside = np.hypot(*(np.indices((MAP_SIZE, MAP_SIZE)) - 31.5)) * 1.4 / 32
+    state = np.asarray(known.state)
+    assert (state[inside < 0.95] == SURFACE).all()  # the holes are closed
+    assert (state[inside > 1.05] == UNKNOWN).all()
+    # Depth is that of the nearest point, which lies within a spacing of 0.1. There the
+    # sphere falls off by less than three quarters of that.
+    middle = inside < 0.6
+    expected = 20 - np.sqrt(1 - np.minimum(inside, 0.6) ** 2)
+    np.testing.assert_allclose(known.depth[middle], expected[middle], atol=0.08)
+    assert (np.asarray(known.depth)[state == UNKNOWN] == 0).all()
+
+
+def test_what_lies_around_can_be_known_to_be_empty():
+    known = seen_by(sphere(400), FAR_EYE)
+    empty = seen_by(sphere(400), FAR_EYE, "empty")
+    np.testing.assert_array_equal(
+        empty.state, np.where(known.state == SURFACE, SURFACE, BACKGROUND)
+    )
+    assert (np.asarray(empty.depth)[empty.state == BACKGROUND] >= 39.9).all()
+    again = surface_alone(empty)
+    np.testing.assert_array_equal(again.state, known.state)
+    np.testing.assert_allclose(again.depth, known.depth)
+
+
+def test_a_gap_wider_than_the_spacing_stays_open():
+    """A ring as wide as its hole."""
+    points = np.asarray(sphere(2000))
+    ring = jnp.asarray(points[np.hypot(points[:, 1], points[:, 2]) > 0.5])
+    state = np.asarray(seen_by(ring, FAR_EYE, "empty").state)
+    inside = np.hypot(*(np.indices(state.shape) - 31.5)) * 1.4 / 32
+    assert (state[inside < 0.4] == BACKGROUND).all()
+    assert (state[(inside > 0.6) & (inside < 0.9)] == SURFACE).all()
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_clouds_of_few_points_or_of_one_place(count):
+    for cloud in (
+        sphere(count),
+        jnp.zeros((count, 3)),
+        sphere(count) * jnp.array([1.0, 0, 0]),
+    ):
+        known = seen_by(cloud, FAR_EYE, "empty")
+        state = np.asarray(known.state)
+        assert 0 < (state == SURFACE).sum() < state.size
+        assert np.isfinite(known.depth).all()
+
+
+def test_mapped_maps_are_those_of_each():
+    clouds = jnp.stack([sphere(300), 0.5 * sphere(300)])
+    eyes = jnp.asarray([FAR_EYE, [5.0, 1, 1]], jnp.float32)
+    both = jax.jit(jax.vmap(seen_by))(clouds, eyes)
+    for row in range(2):
+        alone = seen_by(clouds[row], eyes[row])
+        assert (both.state[row] == alone.state).mean() > 0.999  # rounding at edges
+        np.testing.assert_allclose(both.camera.intrinsics[row], alone.camera.intrinsics)
+
+
+def test_clues_in_closed_form():
+    """At the middles of pixels; the map is as wide as one unit a pixel at depth one."""
+    middle = np.array(
+        [
+            (2.5, 2.5, 1.25),
+            (1.5, 1.5, 0.75),
+            (2.0, 0.0, 1.0),
+            (3.0, -3.0, 1.5),
+            (0.4, -0.4, -0.2),
+            (-1.0, 0.0, 0.0),
+        ]
+    )
+    found = np.asarray(clues(view_along_x(), jnp.asarray(middle, jnp.float32)))
+    shares = np.eye(4)[[SURFACE, SURFACE, NEARER, UNKNOWN, BACKGROUND, UNKNOWN]]
+    assert found.shape == (6, NUM_CLUES)
+    np.testing.assert_allclose(found[:, :4], shares, atol=1e-6)
+    np.testing.assert_allclose(found[:, 4], [0.5, -0.5, 1, 0, -1, 0], atol=1e-6)
+    # One and two pixels from the surface, but no more than one unit.
+    np.testing.assert_allclose(found[:, 5], [0, 0, 1, 1, 0.8, 1], atol=1e-6)
+
+
+def test_clues_are_continuous_and_have_their_derivative(x64):
+    known = jax.tree.map(np.asarray, seen_by(sphere(200), FAR_EYE, "empty"))
+    rng = np.random.default_rng(3)
+    # Far from the surface, or its depth would be bounded or doubled on the way.
+    start, step = rng.uniform(-1, 1, (2, 50, 3))
+    path = start + np.linspace(0, 1e-3, 200)[:, None, None] * step
+    read = jax.jit(jax.vmap(lambda points: clues(known, points)))
+    values = np.asarray(read(jnp.asarray(path)))
+    assert np.abs(np.diff(values, axis=0)).max() < 1e-2
+    weights = rng.normal(size=NUM_CLUES)
+
+    def total(points):
+        return (clues(known, points) * weights).sum()
+
+    points, ahead = jnp.asarray(start), 1e-6 * step
+    slope = (jax.grad(total)(points) * step).sum()
+    by_steps = (total(points + ahead) - total(points - ahead)) / 2e-6
+    np.testing.assert_allclose(slope, by_steps, rtol=1e-4, atol=1e-4)
+
+
+def test_points_without_an_image_have_clues_of_nothing():
+    points = jnp.asarray([(np.nan, 0, 0), (-5.0, 0, 0), (30.0, 500, 0), (0, 0, 0)])
+    known = view_along_x()
+    found = np.asarray(clues(known, points))[1:]
+    np.testing.assert_allclose(found, [[1, 0, 0, 0, 0, 1]] * 3)
+    blind = clues(nothing_known(8), jnp.asarray(POINTS))
+    np.testing.assert_allclose(blind[:, :5], [[1, 0, 0, 0, 0]] * 8)
+    depth = jnp.asarray(POINTS)[:, 2]
+    aside = jnp.where(depth > 0, jnp.minimum(8 * depth, 1), 1)
+    np.testing.assert_allclose(blind[:, 5], aside, rtol=1e-6)

@@ -14,7 +14,7 @@ from prism_jax.geometry.visibility import (
     look_up,
 )
 from prism_jax.simulation.readings import Readings
-from prism_jax.simulation.visibility import MARGIN, framing_camera, map_of, map_rays
+from prism_jax.simulation.visibility import framing_camera, map_of, map_rays
 
 
 def cloud(seed: int = 0) -> np.ndarray:

@@ -1,0 +1,93 @@
+"""What each part of a corpus does to completions under shift.
+
+    experiments/train_mixtures.sh --workdir=DIR
+    python -m experiments.mixtures --workdir=DIR --output=FILE.json
+
+Of every set of validation data one table: what a user gets after trainings that differ
+by one thing each, without adaptation. Changes are against the first.
+"""
+
+import json
+import pathlib
+from collections.abc import Mapping
+from typing import Any
+
+from absl import flags
+
+from experiments.comparison import Row, comparison, comparison_markdown
+from experiments.output import prepare_output
+from prism_jax.cli.launch import launch
+from prism_jax.io.atomic import write_bytes
+from prism_jax.io.errors import InputError
+from prism_jax.training.run import commit
+from prism_jax.weights import read_metadata, samples_seen
+
+FLAGS = flags.FLAGS
+
+MIXTURES = {
+    "today": "shapes, whole, in one pose",
+    "poses": "turned and tilted",
+    "occluded": "and occluded, truncated, sparse",
+    "open": "and open shapes",
+    "models": "occluded, and people's models",
+    "all": "all of it, and cells",
+}
+"""What `train_mixtures.sh` trains on, and what is said of it."""
+
+SETS = ("shapes-novel", "objects-validation", "roboarm-validation", "shapes-validation")
+"""What it scores on."""
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("workdir", None, "That of the trainings.", required=True)
+    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+
+
+def main() -> None:
+    """Reads the scores of the trainings that are there, and compares them."""
+    prepare_output(FLAGS.output, ".json")
+    workdir = pathlib.Path(FLAGS.workdir)
+    sets = {name: compared(workdir, name) for name in SETS}
+    result = {"commit": commit(), "sets": sets}
+    text = mixtures_markdown(result)
+    print(text)
+    if FLAGS.output is not None:
+        path = pathlib.Path(FLAGS.output)
+        write_bytes(path, json.dumps(result, indent=1).encode())
+        write_bytes(path.with_suffix(".md"), text.encode())
+
+
+def compared(workdir: pathlib.Path, name: str) -> dict[str, Any]:
+    """The mixtures side by side on one set."""
+    rows = {}
+    for mixture, words in MIXTURES.items():
+        path = workdir / mixture / f"{name}.json"
+        if not path.exists():
+            continue
+        found = json.loads(path.read_text())
+        seen = samples_seen(read_metadata(path.parent / "weights.safetensors"))
+        rows[words] = Row(found, "completed", samples=seen)
+    if MIXTURES["today"] not in rows:
+        remedy = "train it first (experiments/train_mixtures.sh)"
+        raise InputError(workdir / "today" / f"{name}.json", "is missing", remedy)
+    first = rows[MIXTURES["today"]]
+    about = ("data", "split", "digest", "normalisation", "steps")
+    known = {key: first.result[key] for key in about if key in first.result}
+    partial = {"the partial": Row(first.result, "partial")}
+    return comparison(rows | partial, MIXTURES["today"], **known)
+
+
+def mixtures_markdown(result: Mapping[str, Any]) -> str:
+    """The tables one after the other."""
+    return "\n".join(comparison_markdown(table) for table in result["sets"].values())
+
+
+def run() -> None:
+    """The entry point."""
+    define_flags()
+    launch("mixtures", main)
+
+
+if __name__ == "__main__":
+    run()

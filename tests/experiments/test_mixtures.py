@@ -1,0 +1,98 @@
+"""Six trainings by one script, and their scores side by side."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments import mixtures
+from prism_jax.evaluation.summary import ExampleScores, summarise
+from prism_jax.metrics import Scores
+from prism_jax.weights import save_weights
+from tests import launching
+
+
+def test_the_script_trains_and_scores_each(scripted, tmp_path):
+    place = f"--workdir={tmp_path}/run"
+    given = ["--samples=64", "--weights=small", "--seed=3"]
+    status, told, commands = scripted("train_mixtures.sh", place, *given)
+    assert status == 0, told
+    for name, *arguments in commands:
+        launching.parse(name, *arguments)
+    trainings = [command for command in commands if command[0] == "pretrain"]
+    scores = [command for command in commands if command[0] == "evaluate"]
+    assert len(trainings) == len(mixtures.MIXTURES)
+    assert len(scores) == len(mixtures.MIXTURES) * len(mixtures.SETS)
+    for name, training in zip(mixtures.MIXTURES, trainings, strict=True):
+        assert f"--workdir={tmp_path}/run/{name}" in training
+        samples = "--set=pretrain.backbone.1.num_samples=64"
+        assert {"--weights=small", "--seed=3", samples} <= set(training)
+    outputs = {flag for command in scores for flag in command if "--output" in flag}
+    expected = {
+        f"--output={tmp_path}/run/{name}/{scored}.json"
+        for name in mixtures.MIXTURES
+        for scored in mixtures.SETS
+    }
+    assert outputs == expected
+    built = [command for command in commands if command[0] == "make_data"]
+    assert {command[1] for command in built} == {
+        f"--dataset={name}" for name in ("shapes", "open", "objects", "cells")
+    }
+
+
+def test_what_is_done_is_not_done_again(scripted, tmp_path):
+    place = f"--workdir={tmp_path}/run"
+    status, _, commands = scripted("train_mixtures.sh", place, fails="--workdir")
+    assert status == 3 and [command[0] for command in commands] == ["pretrain"]
+    one = ["--only=today"]
+    status, _, commands = scripted("train_mixtures.sh", place, *one)
+    assert status == 0
+    assert [command[0] for command in commands] == ["pretrain"] + 4 * ["evaluate"]
+    assert scripted("train_mixtures.sh", place, *one)[2] == []
+    status, told, _ = scripted("train_mixtures.sh", place, "--only=nothing")
+    assert status == 2 and "train_mixtures: --only: nothing is none" in told
+    assert scripted("train_mixtures.sh", "--samples=1")[0] == 2
+
+
+@pytest.fixture
+def workdir(tmp_path, minimal, minimal_variables):
+    """Two of the trainings, of which the second halves every error."""
+    rng = np.random.default_rng(0)
+    errors = rng.uniform(1, 2, (12, 2))
+    for name, factor in (("today", 1.0), ("poses", 0.5)):
+        folder = tmp_path / name
+        folder.mkdir()
+        weights = folder / "weights.safetensors"
+        save_weights(weights, minimal.config, minimal_variables, {"samples": 640})
+        rows = [
+            ExampleScores(f"{i}", "mug", None, {"partial": four, "completed": one})
+            for i, (four, one) in enumerate(
+                (Scores(*[4 * a] * 7), Scores(*[factor * b] * 7)) for a, b in errors
+            )
+        ]
+        found = summarise(rows, ["mug"], np.arange(12))
+        found |= {"unit": "half a side", "data": "shapes", "split": "novel"}
+        for scored in mixtures.SETS:
+            (folder / f"{scored}.json").write_text(json.dumps(found))
+    return tmp_path
+
+
+def test_scores_side_by_side(workdir, tmp_path, capsys):
+    output = tmp_path / "mixtures.json"
+    arguments = [f"--workdir={workdir}", f"--output={output}"]
+    assert launching.run(mixtures, *arguments) == 0
+    result = json.loads(output.read_text())
+    assert list(result["sets"]) == list(mixtures.SETS)
+    rows = result["sets"]["shapes-novel"]["rows"]
+    assert list(rows) == [*list(mixtures.MIXTURES.values())[:2], "the partial"]
+    assert rows["turned and tilted"]["change"]["cd_l2"]["change"] == -0.5
+    assert rows["turned and tilted"]["samples"] == 640
+    text = output.with_suffix(".md").read_text()
+    assert text == mixtures.mixtures_markdown(result)
+    assert text in capsys.readouterr().out
+    assert text.count("-50.0 %") == len(mixtures.SETS)
+
+
+def test_without_the_first_there_is_nothing_to_compare_with(tmp_path, capsys):
+    assert launching.run(mixtures, f"--workdir={tmp_path}") == 2
+    assert "today/shapes-novel.json: is missing" in capsys.readouterr().err

@@ -1,0 +1,121 @@
+"""A decoder that reads what the sensor knows."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.training import overlaid
+from prism_jax.data.pipeline import Batch
+from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, seen_by
+from prism_jax.models.backbone import init_backbone
+from prism_jax.models.prism import predict, prepare_input
+from prism_jax.training.inputs import inputs_of, visibility_of
+
+
+@pytest.fixture(scope="module")
+def reading(minimal):
+    """The model of `minimal`, reading."""
+    backbone = dataclasses.replace(minimal.model.backbone, reads_visibility=True)
+    return dataclasses.replace(minimal.model, backbone=backbone)
+
+
+@pytest.fixture(scope="module")
+def untrained(reading, minimal_fresh):
+    """Variables of `minimal`, with the parts for it as they begin."""
+    fresh = init_backbone(jax.random.key(0), reading.backbone)
+    return overlaid(fresh, minimal_fresh)
+
+
+@pytest.fixture(scope="module")
+def trained(untrained):
+    """The same with numbers in them."""
+    rng = np.random.default_rng(0)
+    params = untrained["params"]
+    block = params["decoder"]["block_0"]
+    clues = jax.tree.map(
+        lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype),
+        block["clues"],
+    )
+    decoder = {**params["decoder"], "block_0": {**block, "clues": clues}}
+    return {**untrained, "params": {**params, "decoder": decoder}}
+
+
+@pytest.fixture(scope="module")
+def complete(reading, quick_jit):
+    def one(variables, partial, camera, known):
+        key = jax.random.key(0)
+        inputs = prepare_input(partial, camera, key, reading, visibility=known)
+        return predict(variables, inputs, reading).points
+
+    return quick_jit(one)
+
+
+@pytest.fixture(scope="module")
+def frame(tiny_frames):
+    return jax.tree.map(lambda leaf: leaf[0], tiny_frames)
+
+
+def test_it_goes_on_from_weights_that_do_not(
+    minimal, minimal_fresh, untrained, complete, frame, quick_jit
+):
+    """Untrained, it says what they say, whatever is known."""
+    own = minimal.model
+
+    @quick_jit
+    def blind(partial, camera):
+        inputs = prepare_input(partial, camera, jax.random.key(0), own)
+        assert inputs.visibility is None
+        return predict(minimal_fresh, inputs, own).points
+
+    partial, camera = frame
+    known = seen_by(partial, camera.position, "empty")
+    told = complete(untrained, partial, camera, known)
+    np.testing.assert_allclose(told, blind(partial, camera), atol=1e-5)
+
+
+def test_what_is_known_changes_what_is_said(trained, complete, frame):
+    """And without a map it has that of the cloud, of which the background is not."""
+    partial, camera = frame
+    found = [
+        complete(trained, partial, camera, known)
+        for known in (
+            None,
+            seen_by(partial, camera.position),
+            seen_by(partial, camera.position, "empty"),
+        )
+    ]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+    assert np.abs(found[0] - found[2]).max() > 1e-2
+
+
+def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_frames):
+    partials, cameras = tiny_frames
+    eyes = cameras.position
+    batch = Batch(np.asarray(partials), None, np.asarray(eyes), None)
+    known = jax.jit(visibility_of)(batch)
+    states = [set(np.unique(state)) for state in np.asarray(known.state)]
+    for row, found in enumerate(states):
+        around = UNKNOWN if row % 2 else BACKGROUND
+        assert found == {SURFACE, around}
+    # Maps that come with the batch are not made anew.
+    given = known._replace(depth=known.depth + 1)
+    again = jax.jit(visibility_of)(batch._replace(visibility=given))
+    seen = np.asarray(known.state) == SURFACE
+    np.testing.assert_allclose(again.depth[seen], known.depth[seen] + 1)
+    inputs = jax.jit(lambda batch, key: inputs_of(batch, key, reading))(
+        batch, jax.random.key(0)
+    )
+    np.testing.assert_array_equal(inputs.visibility.state, known.state)
+
+
+def test_a_decoder_that_reads_needs_a_map(reading, trained, frame):
+    from prism_jax.models.backbone import decode, encode_points, partial_indices
+
+    partial = frame[0]
+    indices = partial_indices(partial, reading.backbone)
+    encoded = encode_points(trained, reading.backbone, partial, indices)
+    with pytest.raises(ValueError, match="needs a map"):
+        decode(trained, reading.backbone, partial, encoded)
