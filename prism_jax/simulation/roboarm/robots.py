@@ -83,6 +83,27 @@ class Robot:
         """Where joint positions put each link: its frame in the robot's."""
         return self._frame_poses(positions)[:, self._link_frames]
 
+    def frame_pose(
+        self, name: str, positions: Float[np.ndarray, " J"]
+    ) -> Float64[np.ndarray, "4 4"]:
+        """Where joint positions put a link's frame, which may have no mesh."""
+        return self._frame_poses(positions[None])[0, self._frames.index(name)]
+
+    def chain_to(self, name: str) -> list[str]:
+        """A link with a mesh of each part that moves as one, from the root to the part
+        that a frame is on; the link with the largest surface."""
+        body, bodies = self._body[name], []
+        while body not in bodies:
+            bodies.insert(0, body)
+            body = self.parents[body]
+        areas = np.array([mesh.area for mesh in self.meshes])
+        chain = []
+        for body in bodies:
+            links = np.flatnonzero(self.bodies == body)
+            if len(links):
+                chain.append(self.link_names[links[np.argmax(areas[links])]])
+        return chain
+
     def mesh(self, positions: Float[np.ndarray, " J"]) -> trimesh.Trimesh:
         """All links in one pose: `faces_link` names each face's link."""
         placed = [
@@ -136,6 +157,7 @@ class Robot:
                 self.parents.append(carrier)
             else:
                 body[joint.child] = carrier
+        self._body = body
         numbers = [body[name] for name in self.link_names]
         self.bodies: Int[np.ndarray, " L"] = np.array(numbers)
 

@@ -1,0 +1,198 @@
+"""Frames of the varied cells: what a depth camera measures and knows, and the truth."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt8, UInt16
+
+from prism_jax.data.ordering import farthest_point_order
+from prism_jax.data.recordings import DEPTH_SCALE, LABELS
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import (
+    BACKGROUND,
+    NEARER,
+    SURFACE,
+    UNKNOWN,
+    Visibility,
+)
+from prism_jax.simulation.raycast import Scene, sample_outside
+from prism_jax.simulation.readings import Readings
+from prism_jax.simulation.roboarm.furnishings import together
+from prism_jax.simulation.roboarm.sequences import flying_pixels
+from prism_jax.simulation.roboarm.workcells import PARTS, Workcell, scene_of
+from prism_jax.simulation.sensors import L515Config, l515_depth
+from prism_jax.simulation.truncation import NO_CUT, random_cut
+from prism_jax.simulation.views import PARTIAL_POINTS, SURFACE_POINTS
+from prism_jax.simulation.visibility import framing_camera, map_of
+
+LABELS_OF = dict(
+    zip(
+        PARTS,
+        ("robot", "fixture", "clutter", "clutter", "clutter", "person"),
+        strict=True,
+    )
+)
+MIN_POINTS, MIN_SHARE = 400, 0.05
+"""A frame shows at least so many points of robot and fixtures, and so much of what the
+camera would see of them if nothing were in the way."""
+MARGIN, FLOOR_MARGIN = 0.1, 0.03
+"""Metres that the workspace is larger than robot and fixtures, and that it keeps off
+what they stand on."""
+RAYS_A_PIXEL = 5
+"""Of the depth image, for each pixel of a map: with more, one lost return among many
+would make it unknown."""
+
+
+class CellView(NamedTuple):
+    """A frame of a varied cell; metres, the cell's frame.
+
+    Attributes:
+      partial, complete: of robot and fixtures, in farthest-point order.
+      eye: where the camera stood.
+      visibility: what it knows.
+      cut: whether the partial cloud is cut off beside what the image's own edges do.
+      depth, labels, camera: the whole image; counts of `DEPTH_SCALE`, and `LABELS`.
+    """
+
+    partial: Float32[np.ndarray, "2048 3"]
+    complete: Float32[np.ndarray, "16384 3"]
+    eye: Float32[np.ndarray, "3"]
+    visibility: Visibility
+    cut: bool
+    depth: UInt16[np.ndarray, "H W"]
+    labels: UInt8[np.ndarray, "H W"]
+    camera: Camera
+
+
+def make_cell_view(
+    cell: Workcell,
+    number: int,
+    rng: np.random.Generator,
+    sensor: L515Config = L515Config(),
+    truncated_share: float = 0.2,
+    num_partial: int = PARTIAL_POINTS,
+    num_complete: int = SURFACE_POINTS,
+) -> CellView:
+    """Frame `number` of a cell; ValueError where next to nothing of it is seen."""
+    parts = cell.parts(number)
+    scene, sizes = scene_of(parts)
+    part_labels = np.array([LABELS[LABELS_OF[name]] for name in PARTS], np.uint8)
+    face_labels = np.repeat(part_labels, sizes)
+    shiny = _glossy_faces(cell, sizes)
+    counts, faces = l515_depth(scene, cell.camera, rng, sensor, shiny)
+    labels = np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
+    readings, rays = _readings(counts, labels, cell)
+    eye = np.asarray(cell.camera.position)
+
+    own = Scene(together([parts["robot"], parts["fixture"]]))
+    alone = np.count_nonzero(_few_hits(own, eye, rays))
+    wanted = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
+    few = wanted.reshape(-1)[:: len(rays) // _FEW]
+    seen = readings.surface.points
+    if len(seen) < MIN_POINTS or np.count_nonzero(few) < MIN_SHARE * alone:
+        raise ValueError(f"the camera sees {len(seen)} points of robot and fixtures")
+    is_cut = bool(rng.random() < truncated_share)
+    cut = random_cut(own, eye, seen, rng) if is_cut else NO_CUT
+    readings = cut.apply(readings, eye)
+    points = readings.surface.points
+    if len(points) < MIN_POINTS // 4:
+        raise ValueError(f"{len(points)} points are left of what the camera sees")
+    around = framing_camera(points, eye)
+    some = _thinned(readings, counts.shape, cell.camera, around)
+    return CellView(
+        farthest_point_order(points, num_partial).astype(np.float32),
+        _complete(parts, num_complete, rng).astype(np.float32),
+        eye.astype(np.float32),
+        map_of(around, [some, readings.surface]),
+        is_cut,
+        counts,
+        labels,
+        cell.camera,
+    )
+
+
+_FEW = 4000
+
+
+def _few_hits(
+    scene: Scene, eye: np.ndarray, rays: Float64[np.ndarray, "P 3"]
+) -> Bool[np.ndarray, " Q"]:
+    """Which of evenly spaced rays hit the scene."""
+    few = rays[:: len(rays) // _FEW]
+    hit = np.zeros(len(few), bool)
+    hit[scene.cast(eye, few).ray] = True
+    return hit
+
+
+def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
+    shiny = np.zeros(sum(sizes), bool)
+    links = cell.arm.robot.faces_link
+    shiny[: len(links)] = cell.glossy[links]
+    shiny[len(links) : sizes[0]] = cell.glossy[-2]
+    shiny[sizes[0] : sizes[0] + sizes[1]] = cell.glossy[-1]
+    return shiny
+
+
+def _readings(
+    counts: UInt16[np.ndarray, "H W"], labels: UInt8[np.ndarray, "H W"], cell: Workcell
+) -> tuple[Readings, Float64[np.ndarray, "P 3"]]:
+    """What each pixel knows, row by row, and its ray, one unit of depth long.
+
+    What is neither robot nor fixture hides what is behind it where the workspace, the
+    box of robot and fixtures, goes on there, and is background where it does not.
+    """
+    camera, eye = cell.camera, np.asarray(cell.camera.position)
+    rows, columns = np.indices(counts.shape)
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+    inverse = np.linalg.inv(camera.intrinsics)
+    rays = pixels @ inverse.T @ np.asarray(camera.rotation)
+    depth = (counts * DEPTH_SCALE).reshape(-1)
+    points = eye + np.where(depth > 0, depth, 1.0)[:, None] * rays
+    lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
+    within = np.all((points > lower) & (points < upper), axis=1)
+    lower[2] = cell.lower[2] + FLOOR_MARGIN
+    hides = _box_exit(eye, rays, lower, upper) > depth + FLOOR_MARGIN
+    state = np.where(hides, NEARER, BACKGROUND).astype(np.uint8)
+    wanted = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
+    flying = flying_pixels(depth.reshape(counts.shape)).reshape(-1)
+    state[wanted.reshape(-1)] = SURFACE
+    state[wanted.reshape(-1) & (flying | ~within)] = UNKNOWN
+    state[depth == 0] = UNKNOWN
+    return Readings(state, points, 0.0), rays
+
+
+def _box_exit(
+    eye: np.ndarray,
+    rays: Float64[np.ndarray, "P 3"],
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> Float64[np.ndarray, " P"]:
+    """Where each ray from an eye leaves a box, in its own lengths; 0 if it misses."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sides = (lower - eye) / rays, (upper - eye) / rays
+    entry = np.minimum(*sides).max(axis=1)
+    leave = np.maximum(*sides).min(axis=1)
+    return np.where(leave > np.maximum(entry, 0), leave, 0.0)
+
+
+def _thinned(
+    readings: Readings, shape: tuple[int, int], camera: Camera, around: Camera
+) -> Readings:
+    """Evenly spaced ones of an image's readings, about `RAYS_A_PIXEL` for each pixel of
+    a map, and of these no pixel beside a depth edge."""
+    ratio = camera.intrinsics[0, 0] / around.intrinsics[0, 0]
+    step = max(1, int(ratio / np.sqrt(RAYS_A_PIXEL)))
+    picks = np.arange(shape[0] * shape[1]).reshape(shape)[::step, ::step].reshape(-1)
+    return readings._replace(state=readings.state[picks], points=readings.points[picks])
+
+
+def _complete(
+    parts: dict, num_points: int, rng: np.random.Generator
+) -> Float64[np.ndarray, "M 3"]:
+    """Robot and fixtures as far as they are seen from outside, with tables, pedestals
+    and floor in the way but nothing else."""
+    names = ("robot", "fixture", "support", "room")
+    scene, sizes = scene_of({name: parts[name] for name in names})
+    wanted = np.arange(sum(sizes)) < sum(sizes[:2])
+    surface = sample_outside(scene, num_points, rng, two_sided=True, wanted=wanted)
+    return farthest_point_order(surface, num_points)
