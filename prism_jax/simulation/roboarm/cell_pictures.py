@@ -1,6 +1,5 @@
 """Pictures of the varied cells: is all whole, upright, and where it belongs?"""
 
-
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.io.depth import points_from_depth
 from prism_jax.simulation.contact_sheet import (

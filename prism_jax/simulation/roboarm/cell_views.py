@@ -32,6 +32,10 @@ LABELS_OF = dict(
         strict=True,
     )
 )
+OPEN_PARTS = ("robot", "fixture", "support", "room")
+"""What stands there when the truth is surveyed: no clutter, nobody."""
+FEW = 4000
+"""Rays by which shares of an image are estimated."""
 MIN_POINTS, MIN_SHARE = 400, 0.05
 """A frame shows at least so many points of robot and fixtures, and so much of what the
 camera would see of them if nothing were in the way."""
@@ -84,15 +88,16 @@ def make_cell_view(
     readings, rays = _readings(counts, labels, cell)
     eye = np.asarray(cell.camera.position)
 
-    own = Scene(together([parts["robot"], parts["fixture"]]))
-    alone = np.count_nonzero(_few_hits(own, eye, rays))
-    wanted = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
-    few = wanted.reshape(-1)[:: len(rays) // _FEW]
     seen = readings.surface.points
-    if len(seen) < MIN_POINTS or np.count_nonzero(few) < MIN_SHARE * alone:
+    open_parts = {name: parts[name] for name in OPEN_PARTS}
+    bare, sizes = scene_of(open_parts)
+    whole = _hit_share(bare, sum(sizes[:2]), eye, rays)
+    if len(seen) < max(MIN_POINTS, MIN_SHARE * whole * len(rays)):
         raise ValueError(f"the camera sees {len(seen)} points of robot and fixtures")
-    is_cut = bool(rng.random() < truncated_share)
-    cut = random_cut(own, eye, seen, rng) if is_cut else NO_CUT
+    is_cut, cut = bool(rng.random() < truncated_share), NO_CUT
+    if is_cut:
+        own = Scene(together([parts["robot"], parts["fixture"]]))
+        cut = random_cut(own, eye, seen, rng)
     readings = cut.apply(readings, eye)
     points = readings.surface.points
     if len(points) < MIN_POINTS // 4:
@@ -101,7 +106,7 @@ def make_cell_view(
     some = _thinned(readings, counts.shape, cell.camera, around)
     return CellView(
         farthest_point_order(points, num_partial).astype(np.float32),
-        _complete(parts, num_complete, rng).astype(np.float32),
+        _complete(bare, sum(sizes[:2]), num_complete, rng).astype(np.float32),
         eye.astype(np.float32),
         map_of(around, [some, readings.surface]),
         is_cut,
@@ -111,17 +116,12 @@ def make_cell_view(
     )
 
 
-_FEW = 4000
-
-
-def _few_hits(
-    scene: Scene, eye: np.ndarray, rays: Float64[np.ndarray, "P 3"]
-) -> Bool[np.ndarray, " Q"]:
-    """Which of evenly spaced rays hit the scene."""
-    few = rays[:: len(rays) // _FEW]
-    hit = np.zeros(len(few), bool)
-    hit[scene.cast(eye, few).ray] = True
-    return hit
+def _hit_share(
+    scene: Scene, wanted_faces: int, eye: np.ndarray, rays: Float64[np.ndarray, "P 3"]
+) -> float:
+    """Of the rays, estimated by a few, those that hit one of the first faces."""
+    few = rays[:: max(1, len(rays) // FEW)]
+    return float(np.count_nonzero(scene.cast(eye, few).faces < wanted_faces) / len(few))
 
 
 def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
@@ -179,7 +179,7 @@ def _thinned(
     readings: Readings, shape: tuple[int, int], camera: Camera, around: Camera
 ) -> Readings:
     """Evenly spaced ones of an image's readings, about `RAYS_A_PIXEL` for each pixel of
-    a map, and of these no pixel beside a depth edge."""
+    a map."""
     ratio = camera.intrinsics[0, 0] / around.intrinsics[0, 0]
     step = max(1, int(ratio / np.sqrt(RAYS_A_PIXEL)))
     picks = np.arange(shape[0] * shape[1]).reshape(shape)[::step, ::step].reshape(-1)
@@ -187,12 +187,10 @@ def _thinned(
 
 
 def _complete(
-    parts: dict, num_points: int, rng: np.random.Generator
+    scene: Scene, wanted_faces: int, num_points: int, rng: np.random.Generator
 ) -> Float64[np.ndarray, "M 3"]:
-    """Robot and fixtures as far as they are seen from outside, with tables, pedestals
-    and floor in the way but nothing else."""
-    names = ("robot", "fixture", "support", "room")
-    scene, sizes = scene_of({name: parts[name] for name in names})
-    wanted = np.arange(sum(sizes)) < sum(sizes[:2])
+    """Robot and fixtures, which are the first faces, as far as they are seen from
+    outside."""
+    wanted = np.arange(len(scene.areas)) < wanted_faces
     surface = sample_outside(scene, num_points, rng, two_sided=True, wanted=wanted)
     return farthest_point_order(surface, num_points)

@@ -95,7 +95,7 @@ def _still(height: float, num_frames: int) -> Float64[np.ndarray, "T 3"]:
 
 def _rail(reach: float, half: float, num_frames: int, rng: Rng) -> Mount:
     """A linear axis along x or y with the arm at some places on it."""
-    length = reach * rng.uniform(1.0, 2.2) + 3 * half
+    length = reach * rng.uniform(0.7, 1.7) + 3 * half
     width, height = 2.2 * half, reach * rng.uniform(0.08, 0.2)
     plate = 0.04 + 0.05 * half
     room = length / 2 - 1.3 * half

@@ -173,11 +173,13 @@ def _spindle(size: float, holds: bool, rng: Rng) -> list[Manifold]:
 
 
 class Anchor(NamedTuple):
-    """Where a hose is held: in the frame of a link, with the direction it passes."""
+    """Where a hose is held: in the frame of a link, with the direction it passes in and
+    the one that leads off the link there."""
 
     link: str
     point: Float64[np.ndarray, "3"]
     along: Float64[np.ndarray, "3"]
+    out: Float64[np.ndarray, "3"]
 
 
 class Hoses(NamedTuple):
@@ -200,11 +202,11 @@ class Hoses(NamedTuple):
         solids = []
         for anchors in self.strands:
             held = [_in_robot(anchor, robot, positions) for anchor in anchors]
-            path = [held[0][0][None]]
-            for (start, leave), (end, arrive) in itertools.pairwise(held):
-                path.append(_curve(start, leave, end, arrive, self.slack)[1:])
+            path = [held[0].point[None]]
+            for start, end in itertools.pairwise(held):
+                path.append(_curve(start, end, self.slack)[1:])
             solids.append(sweep(np.concatenate(path), outline))
-            for point, along in held[1:-1]:
+            for _, point, along, _ in held[1:-1]:
                 half = 2.5 * self.radius * along
                 solids.append(rod(point - half, point + half, 1.5 * self.radius))
         return to_mesh(solids)
@@ -234,8 +236,9 @@ def random_hoses(
     for index in longest:
         places.append(_beside(robot, chain[index], ends[index][:3], side, radius))
     turn = rng.uniform(0, 2 * np.pi)
-    rim = 0.4 * tool.size * np.array([np.cos(turn), np.sin(turn), 0.3])
-    places.append((Anchor(tool_frame, rim, np.array([0, 0, 1.0])), np.eye(3)[2]))
+    out, forward = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([0, 0, 1.0])
+    rim = tool.size * (0.4 * out + 0.12 * forward)
+    places.append((Anchor(tool_frame, rim, forward, out), np.cross(forward, out)))
     strands = []
     count = int(rng.choice([1, 2, 3], p=[0.5, 0.35, 0.15]))
     for number in range(count):
@@ -267,27 +270,29 @@ def _beside(
     near = np.abs(seen @ along) < max(0.25 * length, 2 * radius)
     near &= np.abs(seen @ across) < 0.35 * np.ptp(seen @ across)
     reach = (seen[near] if near.any() else seen) @ out
-    return Anchor(link, middle + (reach.max() + 1.2 * radius) * out, along), across
+    point = middle + (reach.max() + 1.2 * radius) * out
+    return Anchor(link, point, along, out), across
 
 
-def _in_robot(
-    anchor: Anchor, robot: Robot, positions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _in_robot(anchor: Anchor, robot: Robot, positions: np.ndarray) -> Anchor:
     pose = robot.frame_pose(anchor.link, positions)
-    return pose[:3, :3] @ anchor.point + pose[:3, 3], pose[:3, :3] @ anchor.along
+    turned = (pose[:3, :3] @ np.asarray(vector) for vector in anchor[1:])
+    point, along, out = turned
+    return Anchor(anchor.link, point + pose[:3, 3], along, out)
 
 
-def _curve(start, leave, end, arrive, slack: float) -> Float64[np.ndarray, "S 3"]:
-    """Cubic from one place and direction to another."""
-    pull = slack * np.linalg.norm(end - start)
+def _curve(start: Anchor, end: Anchor, slack: float) -> Float64[np.ndarray, "S 3"]:
+    """Cubic from one place to another, along their directions and a little off both."""
+    pull = slack * np.linalg.norm(end.point - start.point) / 3
     share = np.linspace(0, 1, HOSE_STEPS)[:, None]
     rest = 1 - share
-    handles = start + pull / 3 * leave, end - pull / 3 * arrive
+    leaves = start.point + pull * (start.along + 0.8 * start.out)
+    arrives = end.point - pull * (end.along - 0.8 * end.out)
     return (
-        rest**3 * start
-        + 3 * rest**2 * share * handles[0]
-        + 3 * rest * share**2 * handles[1]
-        + share**3 * end
+        rest**3 * start.point
+        + 3 * rest**2 * share * leaves
+        + 3 * rest * share**2 * arrives
+        + share**3 * end.point
     )
 
 

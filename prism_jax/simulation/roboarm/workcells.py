@@ -150,7 +150,9 @@ def make_workcell(
     if mount.top is not None:
         layout.add([_block(*mount.top)])
     tables = _tables(layout, mount, rng)
-    fixtures = _fixtures(layout, [*tables, *([mount.top] if mount.top else [])], rng)
+    tops = [mount.top] if mount.top is not None else tables
+    on_floor = mount.top is None and (mount.bases[0, 2] < 0.6 or not tables)
+    fixtures = _fixtures(layout, tops, on_floor, rng)
     support = [*mount.support]
     for lower, upper, height in tables:
         support += table(lower, upper, height)
@@ -291,8 +293,10 @@ def _block(lower: np.ndarray, upper: np.ndarray, height: float) -> Manifold:
     return box((*(lower + upper) / 2, height / 2), (*(upper - lower), height))
 
 
-def _fixtures(layout: _Layout, tops: list[_Top], rng: Rng) -> list[Manifold]:
-    """Up to six fixtures on tables, or on the floor within reach."""
+def _fixtures(
+    layout: _Layout, tops: list[_Top], on_floor: bool, rng: Rng
+) -> list[Manifold]:
+    """Up to six fixtures on tables, or some of them on the floor within reach."""
     placed: list[Manifold] = []
     wanted = int(rng.integers(0, 7))
     for _ in range(_TRIES):
@@ -301,7 +305,7 @@ def _fixtures(layout: _Layout, tops: list[_Top], rng: Rng) -> list[Manifold]:
         kind = FIXTURES[int(rng.integers(len(FIXTURES)))]
         size = np.clip(layout.reach * rng.uniform(0.1, 0.3), 0.06, 0.6)
         solid = fixture(kind, float(size), rng)
-        if tops and rng.random() < 0.85:
+        if tops and not (on_floor and rng.random() < 0.15):
             low, high, height = tops[int(rng.integers(len(tops)))]
             place = np.append(rng.uniform(low, high), height)
             solid = upright(solid, place, rng.uniform(0, np.pi))
