@@ -36,9 +36,9 @@ OPEN_PARTS = ("robot", "fixture", "support", "room")
 """What stands there when the truth is surveyed: no clutter, nobody."""
 FEW = 4000
 """Rays by which shares of an image are estimated."""
-MIN_POINTS, MIN_SHARE = 400, 0.05
-"""A frame shows at least so many points of robot and fixtures, and so much of what the
-camera would see of them if nothing were in the way."""
+MIN_POINTS, MIN_IMAGE, MIN_SHARE = 64, 0.003, 0.05
+"""A frame shows at least so many points of robot and fixtures, on so much of the image,
+and so much of what the camera would see of them if nothing were in the way."""
 MARGIN, FLOOR_MARGIN = 0.1, 0.03
 """Metres that the workspace is larger than robot and fixtures, and that it keeps off
 what they stand on."""
@@ -92,7 +92,7 @@ def make_cell_view(
     open_parts = {name: parts[name] for name in OPEN_PARTS}
     bare, sizes = scene_of(open_parts)
     whole = _hit_share(bare, sum(sizes[:2]), eye, rays)
-    if len(seen) < max(MIN_POINTS, MIN_SHARE * whole * len(rays)):
+    if len(seen) < max(MIN_POINTS, max(MIN_IMAGE, MIN_SHARE * whole) * len(rays)):
         raise ValueError(f"the camera sees {len(seen)} points of robot and fixtures")
     is_cut, cut = bool(rng.random() < truncated_share), NO_CUT
     if is_cut:
@@ -100,7 +100,7 @@ def make_cell_view(
         cut = random_cut(own, eye, seen, rng)
     readings = cut.apply(readings, eye)
     points = readings.surface.points
-    if len(points) < MIN_POINTS // 4:
+    if len(points) < MIN_POINTS:
         raise ValueError(f"{len(points)} points are left of what the camera sees")
     around = framing_camera(points, eye)
     some = _thinned(readings, counts.shape, cell.camera, around)

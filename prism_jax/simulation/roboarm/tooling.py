@@ -232,9 +232,10 @@ def random_hoses(
     lengths = np.array([np.linalg.norm(end[:3]) for end in ends])
     longest = np.sort(1 + np.argsort(lengths[1:-1])[-2:])
     side = rng.normal(size=3)
-    places = [_beside(robot, chain[0], (0, 0, 1), side, radius)]
-    for index in longest:
-        places.append(_beside(robot, chain[index], ends[index][:3], side, radius))
+    places = [
+        _beside(robot, chain[index], ends[index][:3], side, radius)
+        for index in (0, *longest)
+    ]
     turn = rng.uniform(0, 2 * np.pi)
     out, forward = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([0, 0, 1.0])
     rim = tool.size * (0.4 * out + 0.12 * forward)
@@ -253,19 +254,18 @@ def random_hoses(
 
 
 def _beside(
-    robot: Robot, link: str, end: Sequence[float] | np.ndarray, side, radius: float
+    robot: Robot, link: str, end: np.ndarray, side: np.ndarray, radius: float
 ) -> tuple[Anchor, np.ndarray]:
     """A place on a link's surface, half way to `end`, on a side; and the direction
     across it, along the surface."""
     mesh = robot.meshes[robot.link_names.index(link)]
-    along = np.asarray(end, float)
-    length = np.linalg.norm(along)
-    along = along / length if length > 0 else np.array([0, 0, 1.0])
+    length = np.linalg.norm(end)
+    along = end / length if length > 0.02 else np.array([0, 0, 1.0])
     out = side - (side @ along) * along
     out /= np.linalg.norm(out)
     across = np.cross(along, out)
     lower, upper = mesh.bounds
-    middle = 0.5 * np.asarray(end, float) if length > 0.02 else (lower + upper) / 2
+    middle = 0.5 * end if length > 0.02 else (lower + upper) / 2
     seen = np.asarray(mesh.vertices) - middle
     near = np.abs(seen @ along) < max(0.25 * length, 2 * radius)
     near &= np.abs(seen @ across) < 0.35 * np.ptp(seen @ across)

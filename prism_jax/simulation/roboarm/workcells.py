@@ -151,7 +151,8 @@ def make_workcell(
         layout.add([_block(*mount.top)])
     tables = _tables(layout, mount, rng)
     tops = [mount.top] if mount.top is not None else tables
-    on_floor = mount.top is None and (mount.bases[0, 2] < 0.6 or not tables)
+    high = float(mount.bases[0, 2]) > 0.6 and len(tables) > 0
+    on_floor = mount.top is None and not high
     fixtures = _fixtures(layout, tops, on_floor, rng)
     support = [*mount.support]
     for lower, upper, height in tables:
@@ -408,7 +409,7 @@ def _piece(where: np.ndarray, eye: np.ndarray, rng: Rng) -> list[Manifold]:
 
 def _near(solid: Manifold, eye: np.ndarray) -> bool:
     bounds = np.array(solid.bounding_box())
-    return not np.any(np.maximum(bounds[:3] - eye, eye - bounds[3:]) > 0.3)
+    return bool(np.all(np.maximum(bounds[:3] - eye, eye - bounds[3:]) < 0.3))
 
 
 def _room(target: np.ndarray, eye: np.ndarray, rng: Rng) -> trimesh.Trimesh:
