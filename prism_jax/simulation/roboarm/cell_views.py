@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8, UInt16
+from jaxtyping import Bool, Float32, Float64, Int, UInt8, UInt16
 
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
@@ -85,30 +85,34 @@ def make_cell_view(
     shiny = _glossy_faces(cell, sizes)
     counts, faces = l515_depth(scene, cell.camera, rng, sensor, shiny)
     labels = np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
-    readings, rays = _readings(counts, labels, cell)
+    rays, depth = _pixel_rays(cell.camera), (counts * DEPTH_SCALE).reshape(-1)
     eye = np.asarray(cell.camera.position)
+    measured = _measured(depth, labels, rays, cell)
 
-    seen = readings.surface.points
-    open_parts = {name: parts[name] for name in OPEN_PARTS}
-    bare, sizes = scene_of(open_parts)
+    bare, sizes = scene_of({name: parts[name] for name in OPEN_PARTS})
     whole = _hit_share(bare, sum(sizes[:2]), eye, rays)
-    if len(seen) < max(MIN_POINTS, max(MIN_IMAGE, MIN_SHARE * whole) * len(rays)):
-        raise ValueError(f"the camera sees {len(seen)} points of robot and fixtures")
+    least = max(MIN_POINTS, max(MIN_IMAGE, MIN_SHARE * whole) * len(rays))
+    if np.count_nonzero(measured) < least:
+        raise ValueError("the camera sees next to nothing of robot and fixtures")
+    points = eye + depth[measured, None] * rays[measured]
+    seen = Readings(np.full(len(points), SURFACE, np.uint8), points, 0.0)
     is_cut, cut = bool(rng.random() < truncated_share), NO_CUT
     if is_cut:
         own = Scene(together([parts["robot"], parts["fixture"]]))
-        cut = random_cut(own, eye, seen, rng)
-    readings = cut.apply(readings, eye)
-    points = readings.surface.points
-    if len(points) < MIN_POINTS:
-        raise ValueError(f"{len(points)} points are left of what the camera sees")
-    around = framing_camera(points, eye)
-    some = _thinned(readings, counts.shape, cell.camera, around)
+        cut = random_cut(own, eye, points, rng)
+    seen = cut.apply(seen, eye).surface
+    if len(seen.points) < MIN_POINTS:
+        raise ValueError("next to nothing is left of what the camera sees")
+    around = framing_camera(seen.points, eye)
+    few = _thinned(counts.shape, cell.camera, around)
+    known = _readings(
+        depth[few], measured[few], labels.reshape(-1)[few], rays[few], cell
+    )
     return CellView(
-        farthest_point_order(points, num_partial).astype(np.float32),
+        farthest_point_order(seen.points, num_partial).astype(np.float32),
         _complete(bare, sum(sizes[:2]), num_complete, rng).astype(np.float32),
         eye.astype(np.float32),
-        map_of(around, [some, readings.surface]),
+        map_of(around, [cut.apply(known, eye), seen]),
         is_cut,
         counts,
         labels,
@@ -133,32 +137,57 @@ def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
     return shiny
 
 
+def _pixel_rays(camera: Camera) -> Float64[np.ndarray, "P 3"]:
+    """The rays of all pixels, row by row, one unit of depth long."""
+    rotation = np.asarray(camera.rotation)
+    # Broadcast sums: a threaded product with a 3x3 matrix is far slower.
+    right, down, corner = np.linalg.inv(camera.intrinsics).T @ rotation
+    columns = np.arange(camera.width)[:, None]
+    rows = np.arange(camera.height)[:, None, None]
+    return (rows * down + (columns * right + corner)).reshape(-1, 3)
+
+
+def _measured(
+    depth: Float64[np.ndarray, " P"],
+    labels: UInt8[np.ndarray, "H W"],
+    rays: Float64[np.ndarray, "P 3"],
+    cell: Workcell,
+) -> Bool[np.ndarray, " P"]:
+    """Pixels that measured robot or fixtures within the workspace, without those that
+    lie between two surfaces."""
+    wanted = np.isin(labels, (LABELS["robot"], LABELS["fixture"])).reshape(-1)
+    measured = (
+        wanted & (depth > 0) & ~flying_pixels(depth.reshape(labels.shape)).ravel()
+    )
+    eye = np.asarray(cell.camera.position)
+    points = eye + depth[measured, None] * rays[measured]
+    lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
+    measured[measured] = np.all((points > lower) & (points < upper), axis=1)
+    return measured
+
+
 def _readings(
-    counts: UInt16[np.ndarray, "H W"], labels: UInt8[np.ndarray, "H W"], cell: Workcell
-) -> tuple[Readings, Float64[np.ndarray, "P 3"]]:
-    """What each pixel knows, row by row, and its ray, one unit of depth long.
+    depth: Float64[np.ndarray, " R"],
+    measured: Bool[np.ndarray, " R"],
+    labels: UInt8[np.ndarray, " R"],
+    rays: Float64[np.ndarray, "R 3"],
+    cell: Workcell,
+) -> Readings:
+    """What some pixels know.
 
     What is neither robot nor fixture hides what is behind it where the workspace, the
     box of robot and fixtures, goes on there, and is background where it does not.
     """
-    camera, eye = cell.camera, np.asarray(cell.camera.position)
-    rows, columns = np.indices(counts.shape)
-    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-    inverse = np.linalg.inv(camera.intrinsics)
-    rays = pixels @ inverse.T @ np.asarray(camera.rotation)
-    depth = (counts * DEPTH_SCALE).reshape(-1)
-    points = eye + np.where(depth > 0, depth, 1.0)[:, None] * rays
+    eye = np.asarray(cell.camera.position)
     lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
-    within = np.all((points > lower) & (points < upper), axis=1)
     lower[2] = cell.lower[2] + FLOOR_MARGIN
     hides = _box_exit(eye, rays, lower, upper) > depth + FLOOR_MARGIN
     state = np.where(hides, NEARER, BACKGROUND).astype(np.uint8)
-    wanted = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
-    flying = flying_pixels(depth.reshape(counts.shape)).reshape(-1)
-    state[wanted.reshape(-1)] = SURFACE
-    state[wanted.reshape(-1) & (flying | ~within)] = UNKNOWN
-    state[depth == 0] = UNKNOWN
-    return Readings(state, points, 0.0), rays
+    own = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
+    state[measured] = SURFACE
+    state[(own & ~measured) | (depth == 0)] = UNKNOWN
+    points = eye + np.where(depth > 0, depth, 1.0)[:, None] * rays
+    return Readings(state, points, 0.0)
 
 
 def _box_exit(
@@ -176,14 +205,13 @@ def _box_exit(
 
 
 def _thinned(
-    readings: Readings, shape: tuple[int, int], camera: Camera, around: Camera
-) -> Readings:
-    """Evenly spaced ones of an image's readings, about `RAYS_A_PIXEL` for each pixel of
-    a map."""
+    shape: tuple[int, int], camera: Camera, around: Camera
+) -> Int[np.ndarray, " R"]:
+    """Evenly spaced pixels of an image, about `RAYS_A_PIXEL` for each pixel of a map
+    that sees more closely."""
     ratio = camera.intrinsics[0, 0] / around.intrinsics[0, 0]
     step = max(1, int(ratio / np.sqrt(RAYS_A_PIXEL)))
-    picks = np.arange(shape[0] * shape[1]).reshape(shape)[::step, ::step].reshape(-1)
-    return readings._replace(state=readings.state[picks], points=readings.points[picks])
+    return np.arange(shape[0] * shape[1]).reshape(shape)[::step, ::step].reshape(-1)
 
 
 def _complete(
