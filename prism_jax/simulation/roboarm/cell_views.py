@@ -58,8 +58,8 @@ class CellView(NamedTuple):
       depth, labels, camera: the whole image; counts of `DEPTH_SCALE`, and `LABELS`.
     """
 
-    partial: Float32[np.ndarray, "2048 3"]
-    complete: Float32[np.ndarray, "16384 3"]
+    partial: Float32[np.ndarray, "N 3"]
+    complete: Float32[np.ndarray, "M 3"]
     eye: Float32[np.ndarray, "3"]
     visibility: Visibility
     cut: bool

@@ -5,9 +5,10 @@ import pytest
 
 from prism_jax.simulation.roboarm.clutter import are_hidden
 from prism_jax.simulation.roboarm.furnishings import to_mesh, together
+from prism_jax.simulation.roboarm.layouts import HIDDEN
 from prism_jax.simulation.roboarm.mounts import MOUNTS, random_mount
 from prism_jax.simulation.roboarm.people import HEIGHTS, random_person
-from prism_jax.simulation.roboarm.workcells import HIDDEN, PARTS, make_workcell
+from prism_jax.simulation.roboarm.workcells import PARTS, make_workcell
 
 
 @pytest.fixture(scope="module")
