@@ -4,6 +4,8 @@ python -m experiments.contact_sheet --output=docs/shapes.png
 python -m experiments.contact_sheet --dataset=open --size=128 \
     --output=docs/open_shapes.png
 python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
+python -m experiments.contact_sheet --dataset=cells --split=train --columns=2 \
+    --output=docs/new_cells.png
 python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
 python -m experiments.contact_sheet --dataset=views --output=docs/views.png \
     --category=chair --category=gearbox --category=conveyor
@@ -13,6 +15,7 @@ import io
 
 import numpy as np
 from absl import flags
+from tqdm import tqdm
 
 from experiments.output import prepare_output
 from prism_jax.cli.launch import launch
@@ -24,6 +27,7 @@ from prism_jax.simulation.objects.catalogues import FOLDER
 from prism_jax.simulation.objects.pictures import credit, model_row
 from prism_jax.simulation.objects.survey import survey
 from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
+from prism_jax.simulation.roboarm.cell_pictures import workcell_row
 from prism_jax.simulation.roboarm.pictures import cell_row
 from prism_jax.simulation.shapes import CATEGORIES
 from prism_jax.simulation.view_pictures import kind_row
@@ -33,7 +37,7 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    known = ["shapes", "open", "views", "roboarm", "objects"]
+    known = ["shapes", "open", "views", "roboarm", "cells", "objects"]
     flags.DEFINE_enum("dataset", "shapes", known, "What to draw.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
     flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells.")
@@ -56,9 +60,10 @@ def main():
     after seed; or one row a kind of view, a robot cell, or a model, whose makers are
     printed."""
     prepare_output(FLAGS.output, ".png")
-    if FLAGS.dataset == "roboarm":
-        cells = range(FLAGS.sequences)
-        rows = [cell_row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]
+    if FLAGS.dataset in ("roboarm", "cells"):
+        row = cell_row if FLAGS.dataset == "roboarm" else workcell_row
+        cells = tqdm(range(FLAGS.sequences), unit="cell")
+        rows = [row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]
     elif FLAGS.dataset == "views":
         shapes = FLAGS.category, FLAGS.seed, FLAGS.size
         rows = [kind_row(kind, *shapes) for kind in MIXTURE]

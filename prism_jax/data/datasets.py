@@ -24,6 +24,7 @@ from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
 
 SHAPES_VERSION, OPEN_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1, 1
+CELLS_VERSION = 1
 """Raised with every change of what is drawn, so that builds are never mixed."""
 
 
@@ -75,6 +76,12 @@ def _open_objects(root: pathlib.Path, split: str) -> Source:
     folder = folder_of("objects", split, root)
     remedy = _build_it("objects", split, root)
     return Shards(folder, remedy, generator_version=OBJECTS_VERSION)
+
+
+def _open_cells(root: pathlib.Path, split: str) -> Source:
+    folder = folder_of("cells", split, root)
+    remedy = _build_it("cells", split, root)
+    return Shards(folder, remedy, generator_version=CELLS_VERSION)
 
 
 def _open_packed(root: pathlib.Path, split: str) -> Source:
@@ -129,6 +136,16 @@ DATASETS: Mapping[str, DataSet] = {
         generated=True,
         licence="Blend Swap models of Debian's sweethome3d-furniture (CC0 1.0, "
         "CC BY 3.0), whose makers docs/data.md and the manifest name",
+    ),
+    "cells": DataSet(
+        _open_cells,
+        splits=("train", "validation"),
+        validation="validation",
+        scored=("validation",),
+        folder="cells-{split}",
+        generated=True,
+        licence="arms of example-robot-data as in roboarm; of rtb-data, KUKA arms by "
+        "ROS-Industrial (BSD, Apache-2.0); the rest procedural",
     ),
     "packed": DataSet(
         _open_packed,

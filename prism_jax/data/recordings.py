@@ -39,9 +39,10 @@ from prism_jax.io.ply import read_ply
 DEPTH_SCALE = 0.00025
 """Metres a count of the depth image: the L515's own unit."""
 
-LABELS = {"nothing": 0, "robot": 1, "clutter": 2, "fixture": 3}
+LABELS = {"nothing": 0, "robot": 1, "clutter": 2, "fixture": 3, "person": 4}
 """What a pixel sees: no return; the robot; what is neither asked for nor in the clouds
-(floor, table, fence, boxes); the fixtures, which are part of the clouds."""
+(floor, table, fence, boxes); the fixtures, which are part of the clouds; people, who
+are not."""
 
 MAX_METRES = 50.0
 """A coordinate beyond this is not in metres, or not of a cell."""

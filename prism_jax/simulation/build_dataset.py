@@ -69,6 +69,20 @@ def _roboarm(
     )
 
 
+def _cells(
+    split: str,
+    data_dir: _Place,
+    num_workers: int | None,
+    num_cells: int = 0,
+    num_frames: int = 2,
+    seed: int = 0,
+) -> pathlib.Path:
+    from prism_jax.simulation.roboarm.cells import CellsConfig, build_cells
+
+    config = CellsConfig(split, num_cells, num_frames, seed)
+    return build_cells(config, data_dir, num_workers)
+
+
 def _objects(
     split: str,
     data_dir: _Place,
@@ -101,6 +115,7 @@ BUILDERS: Mapping[str, Callable[..., pathlib.Path]] = {
     "shapes": _shapes,
     "open": _open,
     "roboarm": _roboarm,
+    "cells": _cells,
     "objects": _objects,
     "meshes": _meshes,
 }

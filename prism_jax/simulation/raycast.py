@@ -136,15 +136,21 @@ class Scene:
 
 
 def sample_outside(
-    scene: Scene, num_points: int, rng: np.random.Generator, two_sided: bool = False
+    scene: Scene,
+    num_points: int,
+    rng: np.random.Generator,
+    two_sided: bool = False,
+    wanted: Bool[np.ndarray, " F"] | None = None,
 ) -> Float64[np.ndarray, "num_points 3"]:
     """Points uniform on the area of the mesh that is seen from outside.
 
     Normals are taken to point outward, as in a watertight mesh, unless `two_sided`
-    (`Scene.seen_from_outside`). A surface of which less than `MIN_SEEN` is seen raises
+    (`Scene.seen_from_outside`). Of a mesh some of whose faces are `wanted`, the others
+    only stand in the way. A surface of which less than `MIN_SEEN` is seen raises
     ValueError.
     """
-    cumulative = np.cumsum(scene.areas)
+    areas = scene.areas if wanted is None else scene.areas * wanted
+    cumulative = np.cumsum(areas)
     kept, missing = [], num_points
     drawn, seen_of_drawn = 0, 0
     while missing > 0:

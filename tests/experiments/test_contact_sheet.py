@@ -51,6 +51,16 @@ def test_writes_one_row_a_robot_cell(tmp_path):
         assert sheet.size == (4 * 40, 40 + 15)
 
 
+def test_writes_one_row_a_varied_cell(tmp_path):
+    output = tmp_path / "sheet.png"
+    # The first arm comes with example-robot-data.
+    one = ["--dataset=cells", "--split=train", "--sequences=1", "--size=40"]
+    assert run(f"--output={output}", "--columns=1", *one) == 0
+    with Image.open(output) as sheet:
+        assert sheet.size == (3 * 40, 40 + 15)
+        assert len(sheet.getcolors()) > 8
+
+
 def test_writes_one_row_a_model_and_prints_its_maker(tmp_path, catalogue_dir, capsys):
     output = tmp_path / "sheet.png"
     place = [f"--output={output}", f"--catalogue_dir={catalogue_dir}", "--columns=1"]

@@ -144,7 +144,8 @@ def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, 
 def _arm_content(model: ArmModel) -> dict[str, Any]:
     """What tells an arm from others: the user's own also by its shape and joints."""
     content = dataclasses.asdict(model)
-    del content["family"], content["licence"]
+    for name in ("family", "licence", "package"):
+        del content[name]
     if model.family == OWN:
         robot = Robot(model)
         ends = robot.link_poses(np.stack([robot.lower, robot.upper]))

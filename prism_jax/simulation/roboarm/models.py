@@ -1,18 +1,18 @@
 """Which arms stand in which split's cells, and where their URDF files are.
 
-The files come with the PyPI package `example-robot-data` (the extra `robots`). An arm
-that belongs to a larger robot is taken off it at the link `root`.
+The files come with the PyPI packages `example-robot-data` and `rtb-data` (the extra
+`robots`). An arm that belongs to a larger robot is taken off it at the link `root`.
 """
 
 import dataclasses
-import importlib.metadata
 import os
 import pathlib
 import re
 
 from prism_jax.io.errors import InputError, choose
+from prism_jax.simulation.roboarm.packages import robots_folder
 
-PACKAGE = "example-robot-data"
+PACKAGE, INDUSTRIAL_PACKAGE = "example-robot-data", "rtb-data"
 OWN = "own"
 """The family of the user's arms."""
 
@@ -22,7 +22,8 @@ class ArmModel:
     """An arm: `family` is its maker's line; no family is in two splits.
 
     Attributes:
-      urdf: path of the file; a relative one lies in the package's folder of robots.
+      urdf: path of the file, URDF or xacro; a relative one lies in the package's folder
+        of robots.
       root: the first link of the arm, which is bolted down by the joint above it; what
         is not below it is left out. By default the whole robot.
       roll_pitch_yaw: how the root's frame is turned on the pedestal, in degrees.
@@ -30,7 +31,9 @@ class ArmModel:
         whose next link hangs lower.
       tool_link: a two-finger gripper is put on this link of an arm without a hand,
         pointing along the link's `tool_axis`.
-      licence: of its meshes, as `example-robot-data` gives it.
+      licence: of its meshes, as `example-robot-data` gives it, or those who wrote what
+        is in `rtb-data`.
+      package: whose folder of robots it is in.
     """
 
     name: str
@@ -42,6 +45,7 @@ class ArmModel:
     tool_link: str | None = None
     tool_axis: str = "z"
     licence: str = "its owner's"
+    package: str = PACKAGE
 
 
 ARMS = {
@@ -152,6 +156,48 @@ ARMS = {
 """The arms of each split; sequence i has arm `i % len`."""
 
 
+_KUKA = (
+    ("kr3r540", "kuka_kr3/urdf/kr3r540.xacro"),
+    ("kr5_arc", "kuka_kr5/urdf/kr5_arc.xacro"),
+    ("kr6r700sixx", "kuka_kr6/urdf/kr6r700sixx.xacro"),
+    ("kr6r900sixx", "kuka_kr6/urdf/kr6r900sixx.xacro"),
+    ("kr10r1100sixx", "kuka_kr10/urdf/kr10r1100sixx.xacro"),
+    ("kr16_2", "kuka_kr16/urdf/kr16_2.xacro"),
+    ("kr120r2500pro", "kuka_kr120/urdf/kr120r2500pro.xacro"),
+    ("kr150_2", "kuka_kr150/urdf/kr150_2.xacro"),
+    ("kr210l150", "kuka_kr210/urdf/kr210l150.urdf"),
+    ("lbr_iiwa_14_r820", "kuka_lbr_iiwa/urdf/lbr_iiwa_14_r820.xacro"),
+)
+_TROSSEN = ("px100", "rx150", "rx200", "vx300s", "wx250s")
+
+CELL_ARMS = {
+    "train": ARMS["train"]
+    + tuple(
+        ArmModel(
+            name,
+            "KUKA",
+            f"kuka_description/{file}",
+            tool_link="tool0",
+            licence="Apache-2.0" if name.startswith("lbr") else "BSD",
+            package=INDUSTRIAL_PACKAGE,
+        )
+        for name, file in _KUKA
+    ),
+    "validation": ARMS["validation"]
+    + tuple(
+        ArmModel(
+            name,
+            "Trossen",
+            f"trossen_descriptions/urdf/{name}.urdf.xacro",
+            licence="BSD-2-Clause",
+            package=INDUSTRIAL_PACKAGE,
+        )
+        for name in _TROSSEN
+    ),
+}
+"""The arms of the varied cells: those of the same split above, and industrial ones."""
+
+
 def arms_of(split: str) -> tuple[ArmModel, ...]:
     """The arms of a split; an unknown one raises InputError."""
     return ARMS[choose("split", split, ARMS)]
@@ -168,26 +214,7 @@ def urdf_path(model: ArmModel) -> pathlib.Path:
     """The file of an arm; InputError where it is not there."""
     path = pathlib.Path(model.urdf)
     if not path.is_absolute():
-        path = robots_folder() / path
+        path = robots_folder(model.package) / path
     if not path.is_file():
         raise InputError(path, "no such file", "name the URDF of another robot")
     return path
-
-
-def robots_folder() -> pathlib.Path:
-    """Where example-robot-data keeps its robots; InputError where it is not installed.
-
-    The place is asked of the installed package's own list of files.
-    """
-    remedy = 'install the extra: pip install "prism_jax[robots]"'
-    try:
-        files = importlib.metadata.files(PACKAGE) or []
-    except importlib.metadata.PackageNotFoundError:
-        raise InputError(PACKAGE, "is not installed", remedy) from None
-    for file in files:
-        if file.suffix == ".urdf" and "robots" in file.parts:
-            path = pathlib.Path(os.path.abspath(file.locate()))
-            folder = path.parents[len(file.parts) - 2 - file.parts.index("robots")]
-            if folder.is_dir():
-                return folder
-    raise InputError(PACKAGE, "has no robots", remedy)

@@ -1,8 +1,10 @@
 """Pictures of simulated frames to look at: is the robot whole, and in its cell?"""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
+import trimesh
 from jaxtyping import Float, Float64, UInt8
 
 from prism_jax.data.recordings import Frame
@@ -20,7 +22,6 @@ from prism_jax.simulation.roboarm.cell import look_at
 from prism_jax.simulation.roboarm.furnishings import together
 from prism_jax.simulation.roboarm.models import arms_of
 from prism_jax.simulation.roboarm.sequences import (
-    PARTS,
     RoboArmConfig,
     Sequence,
     make_frame,
@@ -34,6 +35,9 @@ COLORS = {
     "support": (0.58, 0.58, 0.6),
     "floor": (0.88, 0.88, 0.86),
     "box": (0.74, 0.63, 0.43),
+    "room": (0.88, 0.88, 0.86),
+    "clutter": (0.74, 0.63, 0.43),
+    "person": (0.55, 0.3, 0.62),
 }
 _RAMP = np.array([(0.2, 0.1, 0.4), (0.1, 0.5, 0.9), (0.5, 0.9, 0.5), (0.9, 0.3, 0.1)])
 _TO_LIGHT = np.array([0.4, 0.3, 0.85]) / np.linalg.norm([0.4, 0.3, 0.85])
@@ -53,7 +57,8 @@ def frame_row(sequence: Sequence, number: int, frame: Frame, size: int) -> Row:
     image as the camera has them (cut to a square), and the clouds from the side:
     the partial in blue before the complete one in amber."""
     camera = _square(sequence.cell.camera, size)
-    beside = _beside(sequence, size)
+    cell = sequence.cell
+    beside = beside_camera(cell.camera, cell.lower, cell.upper, size)
     depth = frame.depth.astype(float)
     cut = (depth.shape[1] - depth.shape[0]) // 2
     picks = np.linspace(0, depth.shape[0] - 1, size).astype(int)
@@ -71,9 +76,15 @@ def frame_row(sequence: Sequence, number: int, frame: Frame, size: int) -> Row:
 def draw_scene(
     sequence: Sequence, number: int, camera: Camera
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """A frame's meshes, shaded, with the shadows of one light; colours by part."""
-    parts = scene_parts(sequence, number)
-    palette = np.array([COLORS[part] for part in PARTS])
+    """A frame's meshes as `draw_parts` draws them."""
+    return draw_parts(scene_parts(sequence, number), camera)
+
+
+def draw_parts(
+    parts: Mapping[str, trimesh.Trimesh], camera: Camera
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Meshes, shaded, with the shadows of one light; `COLORS` by part."""
+    palette = np.array([COLORS[part] for part in parts])
     colors = np.repeat(palette, [len(mesh.faces) for mesh in parts.values()], axis=0)
     scene = Scene(together(list(parts.values())))
     rays = _rays(camera)
@@ -103,16 +114,20 @@ def draw_depth(depth: Float[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W 3"]:
     return to_bytes(np.where(seen[..., None], picture, 0.0))
 
 
-def _beside(sequence: Sequence, size: int) -> Camera:
-    """A view of the whole cell from about 60 degrees beside its camera."""
-    cell = sequence.cell
-    center = (cell.lower + cell.upper) / 2
-    radius = np.linalg.norm(cell.upper - center)
-    toward = np.asarray(cell.camera.position) - center
+def beside_camera(
+    camera: Camera,
+    lower: Float[np.ndarray, "3"],
+    upper: Float[np.ndarray, "3"],
+    size: int,
+) -> Camera:
+    """A square view of a whole workspace from about 60 degrees beside its camera."""
+    center = (lower + upper) / 2
+    radius = np.linalg.norm(upper - center)
+    toward = np.asarray(camera.position) - center
     azimuth = np.arctan2(toward[1], toward[0]) + 1.0
     direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.6])
     rotation, translation = look_at(center + 2.0 * radius * direction, center)
-    camera = _square(cell.camera, size)
+    camera = _square(camera, size)
     return dataclasses.replace(camera, rotation=rotation, translation=translation)
 
 

@@ -1,9 +1,9 @@
 """Arms read from URDF, and posed.
 
 The format is the XML robot description of ROS (https://wiki.ros.org/urdf/XML). Files
-are parsed, never executed: no xacro, no network, and no mesh is looked for outside of
-this machine's files. Lengths are metres, angles radians, and a robot's frame is that
-of its root link, x y z as the file has it.
+are parsed, never executed, also those in its macro language (`xacro`): no network, and
+no mesh is looked for outside of this machine's files. Lengths are metres, angles
+radians, and a robot's frame is that of its root link, x y z as the file has it.
 """
 
 import io
@@ -16,9 +16,10 @@ from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
 from prism_jax.simulation.roboarm.furnishings import to_mesh, together
 from prism_jax.simulation.roboarm.models import ArmModel, urdf_path
+from prism_jax.simulation.roboarm.packages import named_file
+from prism_jax.simulation.roboarm.xacro import plain_urdf, robot_xml
 from prism_jax.simulation.solids import box
 
 MESH_SUFFIXES = (".dae", ".obj", ".ply", ".stl")
@@ -82,6 +83,27 @@ class Robot:
         """Where joint positions put each link: its frame in the robot's."""
         return self._frame_poses(positions)[:, self._link_frames]
 
+    def frame_pose(
+        self, name: str, positions: Float[np.ndarray, " J"]
+    ) -> Float64[np.ndarray, "4 4"]:
+        """Where joint positions put a link's frame, which may have no mesh."""
+        return self._frame_poses(positions[None])[0, self._frames.index(name)]
+
+    def chain_to(self, name: str) -> list[str]:
+        """A link with a mesh of each part that moves as one, from the root to the part
+        that a frame is on; the link with the largest surface."""
+        body, bodies = self._body[name], []
+        while body not in bodies:
+            bodies.insert(0, body)
+            body = self.parents[body]
+        areas = np.array([mesh.area for mesh in self.meshes])
+        chain = []
+        for body in bodies:
+            links = np.flatnonzero(self.bodies == body)
+            if len(links):
+                chain.append(self.link_names[links[np.argmax(areas[links])]])
+        return chain
+
     def mesh(self, positions: Float[np.ndarray, " J"]) -> trimesh.Trimesh:
         """All links in one pose: `faces_link` names each face's link."""
         placed = [
@@ -135,6 +157,7 @@ class Robot:
                 self.parents.append(carrier)
             else:
                 body[joint.child] = carrier
+        self._body = body
         numbers = [body[name] for name in self.link_names]
         self.bodies: Int[np.ndarray, " L"] = np.array(numbers)
 
@@ -160,9 +183,7 @@ def _parse(path: pathlib.Path) -> Any:
             "is not installed",
             'install the extra: pip install "prism_jax[robots]"',
         ) from None
-    data = read_bytes(path)
-    if b"<!ENTITY" in data or b"<!DOCTYPE" in data:
-        raise InputError(path, "declares XML entities", "write the URDF without them")
+    data = plain_urdf(path) if path.suffix == ".xacro" else robot_xml(path)
     try:
         return yourdfpy.URDF.load(
             io.BytesIO(data), build_scene_graph=False, load_meshes=False
@@ -258,6 +279,9 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> trimesh.Trimesh:
     try:
         loaded = trimesh.load_mesh(file, skip_materials=True, process=False)
         mesh = trimesh.Trimesh(loaded.vertices, loaded.faces, process=False)
+        if loaded.units not in (None, "meters"):
+            metres = trimesh.units.unit_conversion(loaded.units, "meters")
+            mesh.vertices = mesh.vertices * metres
     except Exception as error:  # one parser for each format, each with its own errors
         fault = f"is not a readable mesh: {type(error).__name__}"
         raise InputError(file, fault, "export it again as STL") from None
@@ -269,24 +293,14 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> trimesh.Trimesh:
 
 
 def _mesh_file(name: str, urdf: pathlib.Path) -> pathlib.Path:
-    """Where a mesh's name leads: beside the URDF, or in the package that it names,
-    which is looked for in the folders above the URDF."""
-    scheme, found, rest = name.partition("://")
-    if found and scheme not in ("package", "file"):
-        raise InputError(
-            urdf, f"names a mesh by {scheme}://", "use package:// or a path"
-        )
-    places = [urdf.parent / (rest if found else name)]
-    if scheme == "package":
-        places = [folder / rest for folder in urdf.parents]
-        places += [folder / rest.partition("/")[2] for folder in urdf.parents]
-    for place in places:
-        if place.is_file():
-            if place.suffix.lower() not in MESH_SUFFIXES:
-                fault = f"is no mesh of {' '.join(MESH_SUFFIXES)}"
-                raise InputError(place, fault, "convert it to STL")
-            return place
-    raise InputError(urdf, f"names a mesh {name!r} that is not there", _REMEDY)
+    """The file of a mesh that a robot's file names."""
+    place = named_file(name, urdf)
+    if place is None:
+        raise InputError(urdf, f"names a mesh {name!r} that is not there", _REMEDY)
+    if place.suffix.lower() not in MESH_SUFFIXES:
+        fault = f"is no mesh of {' '.join(MESH_SUFFIXES)}"
+        raise InputError(place, fault, "convert it to STL")
+    return place
 
 
 def _gripper(axis: str) -> trimesh.Trimesh:

@@ -1,4 +1,7 @@
 import importlib.metadata
+import importlib.util
+import io
+import re
 import sys
 
 import numpy as np
@@ -7,11 +10,35 @@ import trimesh
 import yourdfpy
 
 from prism_jax.io.errors import InputError
-from prism_jax.simulation.roboarm.models import ARMS, ArmModel, arms_of, urdf_path
+from prism_jax.simulation.roboarm.models import (
+    ARMS,
+    CELL_ARMS,
+    INDUSTRIAL_PACKAGE,
+    ArmModel,
+    arms_of,
+    urdf_path,
+)
 from prism_jax.simulation.roboarm.robots import Robot
+from prism_jax.simulation.roboarm.xacro import plain_urdf
 from tests.simulation.roboarm import conftest as boxes
 
-ALL = [model for arms in ARMS.values() for model in arms]
+BY_SPLIT = {split: {*arms, *CELL_ARMS.get(split, ())} for split, arms in ARMS.items()}
+INDUSTRIAL = [
+    pytest.param(
+        model,
+        id=model.name,
+        marks=pytest.mark.skipif(
+            importlib.util.find_spec("rtbdata") is None,
+            reason="needs rtb-data: pip install '.[robots]'",
+        ),
+    )
+    for arms in CELL_ARMS.values()
+    for model in arms
+    if model.package == INDUSTRIAL_PACKAGE
+]
+OTHERS = [
+    pytest.param(model, id=model.name) for arms in ARMS.values() for model in arms
+]
 
 
 def variant(tmp_path, *changes, root=None):
@@ -110,6 +137,20 @@ def test_a_mesh_is_found_beside_the_file_and_by_its_package(tmp_path):
         np.testing.assert_allclose(robot.meshes[3].bounds[1], 0.2 + 0.15 * np.eye(3)[2])
 
 
+def test_a_mesh_in_inches_is_read_in_metres(tmp_path):
+    mesh = trimesh.creation.box((1.0, 2.0, 3.0))
+    text = trimesh.exchange.dae.export_collada(mesh).decode()
+    assert '<unit name="meter" meter="1"' in text or "<unit" not in text
+    unit = '<asset><unit name="inch" meter="0.0254"/>'
+    text = re.sub(r"<unit[^>]*/>", "", text).replace("<asset>", unit, 1)
+    (tmp_path / "box.dae").write_text(text)
+    change = '<box size="0.05 0.05 0.3"/>', '<mesh filename="box.dae"/>'
+    robot = Robot(variant(tmp_path, change))
+    np.testing.assert_allclose(
+        np.ptp(robot.meshes[3].vertices, axis=0), 0.0254 * np.array([1, 2, 3])
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -142,18 +183,22 @@ def test_a_root_or_file_that_is_not_there_is_named(tmp_path):
 
 
 def test_no_family_of_arms_is_in_two_splits():
-    families = [{model.family for model in arms} for arms in ARMS.values()]
+    families = [{model.family for model in arms} for arms in BY_SPLIT.values()]
     assert sum(map(len, families)) == len(set.union(*families))
-    assert len({model.urdf for model in ALL}) == len({m.name for m in ALL}) == len(ALL)
-    assert len(ARMS["test"]) >= 6
+    every = [model for arms in BY_SPLIT.values() for model in arms]
+    assert len({m.urdf for m in every}) == len({m.name for m in every}) == len(every)
+    test = [model.name for model in ARMS["test"]]
+    assert test == ["panda", "ur5", "jaco", "xarm7", "baxter", "z1", "ur10"]
 
 
-@pytest.mark.parametrize("model", ALL, ids=lambda model: model.name)
+@pytest.mark.parametrize("model", [*OTHERS, *INDUSTRIAL])
 def test_every_arm_moves_as_yourdfpy_says_and_hangs_together(model):
     robot = Robot(model)
     rng = np.random.default_rng(0)
     positions = rng.uniform(robot.lower, robot.upper, (2, len(robot.joints)))
-    oracle = yourdfpy.URDF.load(str(urdf_path(model)), load_meshes=False)
+    path = urdf_path(model)
+    file = io.BytesIO(plain_urdf(path)) if path.suffix == ".xacro" else str(path)
+    oracle = yourdfpy.URDF.load(file, load_meshes=False)
     oracle.update_cfg(dict(zip(robot.joints, positions[0].tolist(), strict=True)))
     poses = robot.link_poses(positions)
     links = list(robot.link_names)
@@ -163,12 +208,15 @@ def test_every_arm_moves_as_yourdfpy_says_and_hangs_together(model):
             np.linalg.inv(poses[0, 0]) @ pose, expected, atol=1e-9
         )
     probes = robot.probe_points(positions)
-    bodies = robot.bodies[robot.probe_links]
+    bodies, reach = (
+        robot.bodies[robot.probe_links],
+        np.linalg.norm(probes, axis=-1).max(),
+    )
     for body in set(robot.bodies.tolist()) - {min(robot.bodies)}:
         own, others = probes[:, bodies == body], probes[:, bodies < body]
         gaps = np.linalg.norm(own[:, :, None] - others[:, None], axis=-1)
-        assert gaps.min(axis=(1, 2)).max() < 0.1
-    assert 0.3 < np.linalg.norm(probes, axis=-1).max() < 1.8
+        assert gaps.min(axis=(1, 2)).max() < 0.1 * max(1, reach)
+    assert 0.25 < reach < 3.8
 
 
 def test_the_extra_is_named_where_it_is_not_installed(model, monkeypatch):
@@ -179,6 +227,8 @@ def test_the_extra_is_named_where_it_is_not_installed(model, monkeypatch):
         patch.setattr(importlib.metadata, "files", missing)
         with pytest.raises(InputError, match=r"not installed.*prism_jax\[robots\]"):
             urdf_path(ARMS["test"][0])
+        with pytest.raises(InputError, match=r"rtb-data: is not installed.*\[robots\]"):
+            urdf_path(CELL_ARMS["train"][-1])
         assert urdf_path(model).is_file()
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
     with pytest.raises(InputError, match=r"yourdfpy: is not installed.*\[robots\]"):

@@ -1,0 +1,205 @@
+"""Robots written with xacro, the macro language of ROS, as plain URDF.
+
+The part of http://wiki.ros.org/xacro that descriptions of arms are written in:
+properties, arguments with defaults, includes, conditions, macros without blocks, and
+``${}`` of numbers, strings, names, arithmetic and comparisons. Expressions are read,
+never executed, and nothing is read but the files that are included. All else raises
+InputError.
+"""
+
+import ast
+import math
+import operator
+import pathlib
+import re
+import shlex
+import xml.etree.ElementTree as ElementTree
+from typing import Any
+
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+from prism_jax.simulation.roboarm.packages import named_file
+
+_REMEDY = "write the robot out as plain URDF"
+_OPERATORS: dict[type, Any] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+_FUNCTIONS = {"radians": math.radians, "sin": math.sin, "cos": math.cos}
+_DEPTH = 40
+"""Of macros and includes within each other."""
+
+
+def plain_urdf(path: pathlib.Path) -> bytes:
+    """A xacro file's robot as URDF, all arguments at their defaults."""
+    return ElementTree.tostring(_Expansion(path).robot)
+
+
+def robot_xml(path: pathlib.Path) -> bytes:
+    """A file's bytes, which declare no XML entities."""
+    data = read_bytes(path)
+    if b"<!ENTITY" in data or b"<!DOCTYPE" in data:
+        raise InputError(path, "declares XML entities", "write the URDF without them")
+    return data
+
+
+class _Expansion:
+    """One robot as it is written out."""
+
+    def __init__(self, path: pathlib.Path):
+        self._path, self._depth = path, 0
+        self._arguments: dict[str, str] = {}
+        self._macros: dict[str, ElementTree.Element] = {}
+        source = self._parsed(path)
+        self.robot = ElementTree.Element("robot", source.attrib)
+        self.robot.extend(self._children(source, {"pi": math.pi}))
+
+    def _parsed(self, path: pathlib.Path) -> ElementTree.Element:
+        try:
+            return ElementTree.fromstring(robot_xml(path))
+        except ElementTree.ParseError as error:
+            raise InputError(path, f"is not XML ({error})", _REMEDY) from None
+
+    def _children(
+        self, element: ElementTree.Element, names: dict[str, Any]
+    ) -> list[ElementTree.Element]:
+        written = []
+        for child in element:
+            namespace, _, tag = str(child.tag).rpartition("}")
+            if namespace.endswith("/xacro"):
+                written += self._own(tag, child, names)
+                continue
+            if not isinstance(child.tag, str):  # a comment
+                continue
+            copy = ElementTree.Element(
+                child.tag, {k: self._text(v, names) for k, v in child.attrib.items()}
+            )
+            copy.text = child.text and self._text(child.text, names)
+            copy.extend(self._children(child, names))
+            written.append(copy)
+        return written
+
+    def _own(
+        self, tag: str, element: ElementTree.Element, names: dict[str, Any]
+    ) -> list[ElementTree.Element]:
+        """What an element of xacro's own comes to; definitions come to nothing."""
+        given = element.attrib
+        try:
+            if tag == "property":
+                names[given["name"]] = self._value(given["value"], names)
+            elif tag == "arg":
+                self._arguments.setdefault(given["name"], given["default"])
+            elif tag == "macro":
+                self._macros[given["name"]] = element
+            elif tag == "include":
+                return self._included(self._text(given["filename"], names), names)
+            elif tag in ("if", "unless"):
+                holds = self._value(given["value"], names)
+                if (holds in (True, "true", "True", 1)) == (tag == "if"):
+                    return self._children(element, names)
+            elif tag in self._macros:
+                return self._called(self._macros[tag], given, names)
+            else:
+                raise InputError(self._path, f"uses xacro:{tag}", _REMEDY)
+        except KeyError as error:
+            fault = f"has a xacro:{tag} without {error.args[0]}"
+            raise InputError(self._path, fault, _REMEDY) from None
+        return []
+
+    def _included(self, name: str, names: dict[str, Any]) -> list[ElementTree.Element]:
+        place = named_file(name, self._path)
+        if place is None:
+            fault = f"includes {name!r}, which is not there"
+            raise InputError(self._path, fault, _REMEDY)
+        outer, self._path = self._path, place
+        written = self._deeper(self._parsed(place), names)
+        self._path = outer
+        return written
+
+    def _called(
+        self,
+        macro: ElementTree.Element,
+        given: dict[str, str],
+        names: dict[str, Any],
+    ) -> list[ElementTree.Element]:
+        own = dict(names)
+        for parameter in shlex.split(macro.attrib.get("params", "")):
+            name, has_default, default = parameter.partition("=")
+            name = name.rstrip(":")
+            if name.startswith("*"):
+                raise InputError(self._path, "has a macro of blocks", _REMEDY)
+            value = given.get(name, default if has_default else None)
+            if value is None:
+                fault = f"calls {macro.attrib['name']} without {name}"
+                raise InputError(self._path, fault, _REMEDY)
+            own[name] = self._value(value, names)
+        return self._deeper(macro, own)
+
+    def _deeper(
+        self, element: ElementTree.Element, names: dict[str, Any]
+    ) -> list[ElementTree.Element]:
+        if self._depth == _DEPTH:
+            raise InputError(self._path, "has macros without end", _REMEDY)
+        self._depth += 1
+        written = self._children(element, names)
+        self._depth -= 1
+        return written
+
+    def _value(self, text: str, names: dict[str, Any]) -> Any:
+        """What a text stands for: an expression's own value if it is nothing else."""
+        whole = re.fullmatch(r"\$\{([^{}]*)\}", text.strip())
+        if whole:
+            return self._evaluated(whole[1], names)
+        return self._text(text, names)
+
+    def _text(self, text: str, names: dict[str, Any]) -> str:
+        def replaced(match: re.Match) -> str:
+            if match["expression"] is not None:
+                return str(self._evaluated(match["expression"], names))
+            command, _, name = match["command"].strip().partition(" ")
+            if command == "find":
+                return f"package://{name.strip()}"
+            if command == "arg" and name in self._arguments:
+                return self._arguments[name]
+            raise InputError(self._path, f"asks for {match[0]}", _REMEDY)
+
+        pattern = r"\$\{(?P<expression>[^{}]*)\}|\$\((?P<command>[^()]*)\)"
+        return re.sub(pattern, replaced, text)
+
+    def _evaluated(self, text: str, names: dict[str, Any]) -> Any:
+        try:
+            return _result(ast.parse(text.strip(), mode="eval").body, names)
+        except (SyntaxError, ValueError, TypeError, KeyError, ArithmeticError):
+            fault = f"has an expression {text!r} that says nothing"
+            raise InputError(self._path, fault, _REMEDY) from None
+
+
+def _result(node: ast.expr, names: dict[str, Any]) -> Any:
+    """The value of an expression; ValueError for what is not allowed in one."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float | str):
+        return node.value
+    if isinstance(node, ast.Name):
+        value = names[node.id]
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    if isinstance(node, ast.BinOp):
+        left, right = _result(node.left, names), _result(node.right, names)
+        if isinstance(left, str) or isinstance(right, str):
+            raise ValueError("arithmetic of text")
+        return _OPERATORS[type(node.op)](left, right)
+    if isinstance(node, ast.UnaryOp):
+        return _OPERATORS[type(node.op)](_result(node.operand, names))
+    if isinstance(node, ast.Compare) and len(node.ops) == 1:
+        left, right = _result(node.left, names), _result(node.comparators[0], names)
+        return _OPERATORS[type(node.ops[0])](left, right)
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        return _FUNCTIONS[node.func.id](*(_result(a, names) for a in node.args))
+    raise ValueError("not an expression of xacro")
