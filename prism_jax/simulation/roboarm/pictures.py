@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float, Float64, UInt8
+from jaxtyping import Float, UInt8
 
 from prism_jax.data.recordings import Frame
 from prism_jax.geometry.camera import Camera
