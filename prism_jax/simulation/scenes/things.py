@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from prism_jax.data.datasets import DATASETS
 from prism_jax.io.errors import InputError, choose
 from prism_jax.simulation.objects.catalogues import FOLDER
 from prism_jax.simulation.objects.categories import category_of
@@ -121,6 +120,3 @@ def _open_shape(count: int, rng: np.random.Generator) -> Thing:
 def _model(models: Sequence[Model], rng: np.random.Generator) -> Thing:
     model = models[rng.integers(len(models))]
     return Thing(model.load(), category_of(model.title), two_sided=True)
-
-
-assert all(DATASETS[name].generated for name in SOURCES)
