@@ -18,7 +18,7 @@ Rng = np.random.Generator
 SIZES = {"table": (0.06, 0.4), "floor": (0.25, 1.6)}
 """The longest side of a thing, by what it stands on."""
 
-GAPS = (0.02, 0.6)
+GAPS = (0.05, 0.8)
 """Between a thing and its neighbour, in its own size."""
 
 STEP = 0.02
