@@ -21,6 +21,10 @@ COARSE_CELLS = 16
 LINK = 3.0
 """Neighbours on a surface are at most so many spacings apart."""
 
+SPARSE = 2.5
+"""A point whose fourth neighbour is so many times as far off as those of the points
+around it are is on no surface: it flies between two, beside an edge."""
+
 COVERED = 0.5
 """What hovers with this share of it over or under another part belongs to that."""
 
@@ -70,8 +74,8 @@ def objects_of(
     cells, owner = thin(points, CELLS)
     if len(cells) > MAX_CELLS:
         cells, owner = thin(points, CELLS // 2)
-    reach = _reach(cells, eye)
-    part = components(cells, reach)
+    reach, sparse = _reach(cells, eye)
+    part = _hanging_together(cells, reach, sparse)
     height = np.full(len(cells), np.inf)
     if support is not None:
         # At zero where the support's noise or its spacing hides what touches it.
@@ -87,16 +91,35 @@ def objects_of(
 
 def _reach(
     cells: Float64[np.ndarray, "N 3"], eye: Float64[np.ndarray, "3"] | None
-) -> Float64[np.ndarray, " N"]:
-    """How far the neighbours of each point on its surface can be."""
-    count = min(5, len(cells))
-    apart = np.reshape(KDTree(cells).query(cells, k=count)[0], (len(cells), -1))[:, -1]
+) -> tuple[Float64[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
+    """How far the neighbours of each point on its surface can be, and which points are
+    `SPARSE`."""
+    found, near = KDTree(cells).query(cells, k=min(NEIGHBOURS, len(cells)))
+    near = np.reshape(near, (len(cells), -1))
+    apart = np.reshape(found, (len(cells), -1))[:, :5][:, -1]
     far = np.ones(len(cells))
     if eye is not None:
         far = np.maximum(np.linalg.norm(cells - eye, axis=1), 1e-300)
     usual = np.median(apart / far) * far
     # The fourth neighbour of a point in a square grid is one spacing away, or 1.4.
-    return LINK / np.sqrt(2) * np.clip(apart, usual, 3.0 * usual)
+    reach = LINK / np.sqrt(2) * np.clip(apart, usual, 3.0 * usual)
+    return reach, apart > SPARSE * np.median(apart[near], axis=1)
+
+
+def _hanging_together(
+    cells: Float64[np.ndarray, "N 3"],
+    reach: Float64[np.ndarray, " N"],
+    sparse: Bool[np.ndarray, " N"],
+) -> Int[np.ndarray, " N"]:
+    """Parts of points within reach of each other; sparse ones belong to what they are
+    nearest to, and join nothing."""
+    part = components(cells, np.where(sparse, 0.0, reach))
+    dense = np.flatnonzero(~sparse)
+    if len(dense):
+        apart, nearest = KDTree(cells[dense]).query(cells[sparse])
+        near = apart <= reach[sparse]
+        part[np.flatnonzero(sparse)[near]] = part[dense[nearest[near]]]
+    return np.unique(part, return_inverse=True)[1]
 
 
 def _split_at_creases(
