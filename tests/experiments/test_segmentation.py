@@ -22,12 +22,13 @@ def write_pcd(path, points, labels) -> str:
 
 
 def tabletop() -> tuple[np.ndarray, np.ndarray]:
-    """Two boxes' visible sides on a table 1 m below the sensor, which looks down."""
+    """Two pyramids on a table 1 m below the sensor, which looks down."""
     x, y = np.meshgrid(np.arange(-0.5, 0.5, 0.01), np.arange(-0.5, 0.5, 0.01))
     z, label = np.ones_like(x), np.ones(x.shape, int)
     for number, place in enumerate((-0.25, 0.25)):
-        on = (np.abs(x - place) < 0.12) & (np.abs(y) < 0.12)
-        z[on], label[on] = 0.8, 20 + number
+        height = 0.2 * (1 - np.maximum(np.abs(x - place), np.abs(y)) / 0.12)
+        on = height > 0.01
+        z[on], label[on] = 1 - height[on], 20 + number
     return np.stack([x, y, z], axis=-1).reshape(-1, 3), label.ravel()
 
 

@@ -58,11 +58,11 @@ def test_what_is_around_holds_all_and_hides_nothing(support):
         assert room.support == support and labels[0] == SUPPORT
         assert (LEFT_OVER in labels) == (support == "table")
         top = room.parts[0].mesh
-        assert top.bounds[1, 2] == pytest.approx(0, abs=1e-9)
+        assert top.bounds[1, 2] == pytest.approx(0, abs=1e-6)
         assert (top.bounds[0, :2] < (-0.15, -0.1)).all()
         assert (top.bounds[1, :2] > (0.65, 0.5)).all()
         for part in room.parts:
-            above = part.mesh.bounds[1, 2] > 1e-9
+            above = part.mesh.bounds[1, 2] > 1e-6
             assert not above or part.mesh.bounds[0, 1] >= 0.5
             walls += above
     assert 0 < walls < 12
