@@ -5,8 +5,8 @@ python -m experiments.contact_sheet --dataset=open --size=128 \
     --output=docs/open_shapes.png
 python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
 python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
-python -m experiments.contact_sheet --dataset=scenes --split=validation --size=144 \
-    --columns=4 --output=docs/scenes.png
+python -m experiments.contact_sheet --dataset=scenes --split=validation --size=200 \
+    --columns=4 --colors=256 --output=docs/scenes.png
 python -m experiments.contact_sheet --dataset=views --output=docs/views.png \
     --category=chair --category=gearbox --category=conveyor
 """

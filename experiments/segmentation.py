@@ -78,7 +78,7 @@ def main() -> None:
         "digest": digest_of(*PLACE, FLAGS.data_dir),
         "min_points": MIN_POINTS,
         "scenes": {name: measured(part) for name, part in parts_of(scenes)},
-        "scans": {one.name: measured([one]) for one in real},
+        "real": {one.name: measured([one]) for one in real},
         "by_scene": [told(one) for one in scenes],
     }
     text = segmentation_markdown(result)
@@ -187,7 +187,7 @@ def segmentation_markdown(result: Mapping[str, Any]) -> str:
         f"| scenes | number | things | {' | '.join(_COLUMNS)} |",
         f"| --- | --- | --- |{' --- |' * len(_COLUMNS)}",
     ]
-    named = [*result["scenes"].items(), *result["scans"].items()]
+    named = [*result["scenes"].items(), *result["real"].items()]
     for name, row in named:
         cells = [_cell(row[key], form) for key, form in _COLUMNS.values()]
         head = f"| {name} | {row['scenes']} | {row['things']} |"
