@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from prism_jax.observation.clusters import components, thin
+from prism_jax.observation.clusters import components, extent, thin
 from prism_jax.observation.planes import Plane
 
 CELLS = 256
@@ -21,9 +21,9 @@ COARSE_CELLS = 16
 LINK = 3.0
 """Neighbours on a surface are at most so many spacings apart."""
 
-SPARSE = 2.5
-"""A point whose fourth neighbour is so many times as far off as those of the points
-around it are is on no surface: it flies between two, beside an edge."""
+SPARSE = 2.0
+"""A point whose fourth neighbour is farther off than so many spacings is on no surface:
+it flies between two, beside an edge, or is a tail of the support's noise."""
 
 COVERED = 0.5
 """What hovers with this share of it over or under another part belongs to that."""
@@ -93,17 +93,19 @@ def _reach(
     cells: Float64[np.ndarray, "N 3"], eye: Float64[np.ndarray, "3"] | None
 ) -> tuple[Float64[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
     """How far the neighbours of each point on its surface can be, and which points are
-    `SPARSE`."""
-    found, near = KDTree(cells).query(cells, k=min(NEIGHBOURS, len(cells)))
-    near = np.reshape(near, (len(cells), -1))
-    apart = np.reshape(found, (len(cells), -1))[:, :5][:, -1]
+    `SPARSE`: none if the sensor, and so the spacing to expect, is not known."""
+    count = min(5, len(cells))
+    apart = np.reshape(KDTree(cells).query(cells, k=count)[0], (len(cells), -1))[:, -1]
     far = np.ones(len(cells))
     if eye is not None:
         far = np.maximum(np.linalg.norm(cells - eye, axis=1), 1e-300)
     usual = np.median(apart / far) * far
     # The fourth neighbour of a point in a square grid is one spacing away, or 1.4.
     reach = LINK / np.sqrt(2) * np.clip(apart, usual, 3.0 * usual)
-    return reach, apart > SPARSE * np.median(apart[near], axis=1)
+    if eye is None:
+        return reach, np.zeros(len(cells), bool)
+    # What is near the sensor was thinned to one point a cell.
+    return reach, apart > SPARSE * np.maximum(usual, extent(cells) / CELLS)
 
 
 def _hanging_together(

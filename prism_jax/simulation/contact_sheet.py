@@ -123,7 +123,7 @@ def draw_faces(
     """
     rows, columns = np.indices((camera.height, camera.width))
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-    rays = np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation
+    rays = np.asarray(np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation)
     hits = scene.cast(np.asarray(camera.position), rays)
     normals = scene.normals[hits.faces]
     away = np.sum(normals * rays[hits.ray], axis=1) > 0
