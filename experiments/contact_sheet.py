@@ -1,4 +1,4 @@
-"""Draws a picture of shapes, of views of them, of robot cells, or of people's models.
+"""Draws a picture of shapes, views of them, scenes, robot cells, or people's models.
 
 python -m experiments.contact_sheet --output=docs/shapes.png
 python -m experiments.contact_sheet --dataset=open --size=128 \
@@ -7,6 +7,8 @@ python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
 python -m experiments.contact_sheet --dataset=cells --split=train --columns=2 \
     --output=docs/new_cells.png
 python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
+python -m experiments.contact_sheet --dataset=scenes --split=validation --size=200 \
+    --columns=4 --colors=256 --output=docs/scenes.png
 python -m experiments.contact_sheet --dataset=views --output=docs/views.png \
     --category=chair --category=gearbox --category=conveyor
 """
@@ -29,6 +31,9 @@ from prism_jax.simulation.objects.survey import survey
 from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
 from prism_jax.simulation.roboarm.cell_pictures import workcell_row
 from prism_jax.simulation.roboarm.pictures import cell_row
+from prism_jax.simulation.scenes.build import ScenesConfig
+from prism_jax.simulation.scenes.pictures import scene_row
+from prism_jax.simulation.scenes.things import pools_of
 from prism_jax.simulation.shapes import CATEGORIES
 from prism_jax.simulation.view_pictures import kind_row
 
@@ -37,10 +42,11 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    known = ["shapes", "open", "views", "roboarm", "cells", "objects"]
+    known = ["shapes", "open", "views", "scenes", "roboarm", "cells", "objects"]
     flags.DEFINE_enum("dataset", "shapes", known, "What to draw.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
-    flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells.")
+    flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells or scenes.")
+    flags.DEFINE_integer("scenes", 20, "Scenes to draw.", 1)
     flags.DEFINE_integer("sequences", NUM_SEQUENCES, "Robot cells to draw.", 1)
     flags.DEFINE_integer("rows", 10, "Rows of open shapes.", 1)
     flags.DEFINE_integer("models", 40, "Models to draw, evenly spaced through all.", 1)
@@ -57,8 +63,8 @@ def define_flags() -> None:
 
 def main():
     """One row a category, steel-blue ones for training; or rows of open shapes, seed
-    after seed; or one row a kind of view, a robot cell, or a model, whose makers are
-    printed."""
+    after seed; or one row a kind of view, a scene, a robot cell, or a model, whose
+    makers are printed."""
     prepare_output(FLAGS.output, ".png")
     if FLAGS.dataset in ("roboarm", "cells"):
         row = cell_row if FLAGS.dataset == "roboarm" else workcell_row
@@ -67,6 +73,13 @@ def main():
     elif FLAGS.dataset == "views":
         shapes = FLAGS.category, FLAGS.seed, FLAGS.size
         rows = [kind_row(kind, *shapes) for kind in MIXTURE]
+    elif FLAGS.dataset == "scenes":
+        config, pools = (
+            ScenesConfig(FLAGS.split, seed=FLAGS.seed),
+            pools_of(FLAGS.split),
+        )
+        scenes = range(FLAGS.scenes)
+        rows = [scene_row(config, pools, i, FLAGS.size) for i in scenes]
     elif FLAGS.dataset == "objects":
         rows = model_rows()
     elif FLAGS.dataset == "open":

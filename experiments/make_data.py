@@ -21,17 +21,19 @@ def define_flags() -> None:
     flags.DEFINE_integer("num_workers", None, "By default one for every core.", 0)
     flags.DEFINE_integer("seed", None, "Of the whole set.")
     flags.DEFINE_integer("num_shapes", None, "shapes, open: how many.")
-    flags.DEFINE_integer(
-        "num_views", None, "shapes, open, objects: partial clouds of each."
-    )
+    flags.DEFINE_integer("num_views", None, "Of each shape or model: partial clouds.")
     flags.DEFINE_string(
-        "partial", None, "shapes, open, objects: kind of partial clouds."
+        "partial", None, "Of shapes and models: kind of partial clouds."
+    )
+    flags.DEFINE_integer("num_scenes", None, "scenes: how many.")
+    flags.DEFINE_list(
+        "sources", None, "scenes: of shapes, open, objects; commas between."
     )
     flags.DEFINE_integer("num_sequences", None, "roboarm: how many.")
     flags.DEFINE_integer("num_cells", None, "cells: how many.")
     flags.DEFINE_integer("num_frames", None, "roboarm, cells: frames of each one.")
     flags.DEFINE_multi_string("urdf", None, "roboarm: URDF files of your own robots.")
-    flags.DEFINE_string("catalogue_dir", None, "objects: by default Debian's folder.")
+    flags.DEFINE_string("catalogue_dir", None, "objects, scenes: by default Debian's.")
     flags.DEFINE_string("mesh_dir", None, "meshes: the folder that holds them.")
 
 

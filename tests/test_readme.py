@@ -16,6 +16,7 @@ from experiments.assets import CELLS
 from experiments.comparison import comparison_markdown
 from experiments.loss_gradients import agreement_markdown
 from experiments.real_scans import real_scans_markdown
+from experiments.segmentation import segmentation_markdown
 from experiments.verdicts import verdicts_markdown
 from prism_jax.evaluation.tables import markdown
 from prism_jax.weights import save_weights
@@ -111,6 +112,7 @@ def test_tables_are_those_of_their_results(path):
         "losses": agreement_markdown,
         "scans": real_scans_markdown,
         "rose": verdicts_markdown,
+        "by_scene": segmentation_markdown,
     }
     (text,) = [make(result) for kind, make in kinds.items() if kind in result] or [
         markdown(result)

@@ -18,13 +18,14 @@ from prism_jax.data.public.mvp import MVP
 from prism_jax.data.public.pcn import PCN
 from prism_jax.data.public.shapenet import ProjectedShapeNet, ShapeNet
 from prism_jax.data.recordings import RecordedCells
+from prism_jax.data.scenes import Scenes
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError, choose
 from prism_jax.io.files import default_cache_dir
 
 SHAPES_VERSION, OPEN_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1, 1
-CELLS_VERSION = 1
+CELLS_VERSION, SCENES_VERSION = 1, 1
 """Raised with every change of what is drawn, so that builds are never mixed."""
 
 
@@ -82,6 +83,12 @@ def _open_cells(root: pathlib.Path, split: str) -> Source:
     folder = folder_of("cells", split, root)
     remedy = _build_it("cells", split, root)
     return Shards(folder, remedy, generator_version=CELLS_VERSION)
+
+
+def _open_scenes(root: pathlib.Path, split: str) -> Source:
+    folder = folder_of("scenes", split, root)
+    remedy = _build_it("scenes", split, root)
+    return Scenes(folder, remedy, generator_version=SCENES_VERSION)
 
 
 def _open_packed(root: pathlib.Path, split: str) -> Source:
@@ -146,6 +153,15 @@ DATASETS: Mapping[str, DataSet] = {
         generated=True,
         licence="arms of example-robot-data as in roboarm; of rtb-data, KUKA arms by "
         "ROS-Industrial (BSD, Apache-2.0); the rest procedural",
+    ),
+    "scenes": DataSet(
+        _open_scenes,
+        splits=("train", "validation", "test"),
+        validation="validation",
+        scored=("validation", "test"),
+        folder="scenes-{split}",
+        generated=True,
+        licence=f"{_PROCEDURAL}, unless built with objects",
     ),
     "packed": DataSet(
         _open_packed,

@@ -41,8 +41,8 @@ NAMES = "names.json"
 
 
 def shard_file(folder: pathlib.Path, number: int, content: str) -> pathlib.Path:
-    """The path of one of `ARRAYS` or `MAPS`, or of the names, of a shard."""
-    suffix = content if content == NAMES else f"{content}.npy"
+    """The path of one of a shard's arrays, or of a JSON file, which has its suffix."""
+    suffix = content if content.endswith(".json") else f"{content}.npy"
     return folder / f"shard-{number:05d}.{suffix}"
 
 

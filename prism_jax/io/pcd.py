@@ -9,10 +9,11 @@ import dataclasses
 import io
 import os
 import struct
+from collections.abc import Sequence
 
 import lzf
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from prism_jax.io.arrays import stack_columns
 from prism_jax.io.files import (
@@ -52,10 +53,13 @@ class _Header:
     mode: str
     size: int
 
-    @property
-    def axes(self) -> list[int]:
-        """The indices of the fields x, y and z."""
-        return [[f.name for f in self.fields].index(axis) for axis in "xyz"]
+    def indices(self, names: Sequence[str]) -> list[int]:
+        """Where the fields of these names are; each must have one value a point."""
+        known = [field.name for field in self.fields]
+        for name in names:
+            if [f.count for f in self.fields if f.name == name] != [1]:
+                raise ValueError(f"its fields are {' '.join(known)}, not {name}")
+        return [known.index(name) for name in names]
 
 
 def read_pcd(
@@ -68,14 +72,35 @@ def read_pcd(
     file and one of more than `max_points` points raise an InputError; what the header
     claims is checked before memory is taken for it.
     """
+    header, columns = _read(path, "xyz", max_points)
+    chosen = [header.fields[index].dtype for index in header.indices("xyz")]
+    return stack_columns(columns, chosen)
+
+
+def read_pcd_field(
+    path: str | os.PathLike, name: str, max_points: int = MAX_POINTS
+) -> Num[np.ndarray, " N"]:
+    """One more field of every point, such as a label, in the order of `read_pcd`.
+
+    As stored; ASCII numbers are float64. A file without it, or with several values of
+    it for a point, raises InputError, as does what `read_pcd` refuses.
+    """
+    _, (column,) = _read(path, [name], max_points)
+    return column
+
+
+def _read(
+    path: str | os.PathLike, names: Sequence[str], max_points: int
+) -> tuple[_Header, list[np.ndarray]]:
+    """The header, and the columns of these fields."""
     data = read_bytes(path)
     try:
         header = _parse_header(data)
         check_count(header.num_points, max_points)
-        columns = _READERS[header.mode](data[header.size :], header)
+        indices = header.indices(names)
+        return header, _READERS[header.mode](data[header.size :], header, indices)
     except ValueError as error:
         raise unsound(path, "a sound PCD file", error, _REMEDY) from None
-    return stack_columns(columns, [header.fields[axis].dtype for axis in header.axes])
 
 
 def _parse_header(data: bytes) -> _Header:
@@ -132,32 +157,39 @@ def _num_points(entries: dict[str, list[str]]) -> int:
     return num_points
 
 
-def _read_ascii(body: bytes, header: _Header) -> list[np.ndarray]:
+def _read_ascii(
+    body: bytes, header: _Header, indices: Sequence[int]
+) -> list[np.ndarray]:
     if header.num_points > len(body):
         raise ValueError(_SHORT)
     first_columns = np.cumsum([0] + [field.count for field in header.fields])
     lines = (line for line in io.BytesIO(body) if not line.isspace())
-    columns = [int(first_columns[axis]) for axis in header.axes]
+    columns = [int(first_columns[index]) for index in indices]
     return list(parse_rows(lines, columns, header.num_points).T)
 
 
-def _read_binary(body: bytes, header: _Header) -> list[np.ndarray]:
+def _read_binary(
+    body: bytes, header: _Header, indices: Sequence[int]
+) -> list[np.ndarray]:
     offsets = np.cumsum([0] + [field.num_bytes for field in header.fields]).tolist()
     if header.num_points * offsets[-1] > len(body):
         raise ValueError(_SHORT)
+    names = [header.fields[index].name for index in indices]
     row = np.dtype(
         {
-            "names": list("xyz"),
-            "formats": [header.fields[axis].dtype for axis in header.axes],
-            "offsets": [offsets[axis] for axis in header.axes],
+            "names": names,
+            "formats": [header.fields[index].dtype for index in indices],
+            "offsets": [offsets[index] for index in indices],
             "itemsize": offsets[-1],
         }
     )
     rows = np.frombuffer(body, dtype=row, count=header.num_points)
-    return [rows[axis] for axis in "xyz"]
+    return [rows[name] for name in names]
 
 
-def _read_compressed(body: bytes, header: _Header) -> list[np.ndarray]:
+def _read_compressed(
+    body: bytes, header: _Header, indices: Sequence[int]
+) -> list[np.ndarray]:
     """The fields one after the other, each for all points, compressed together."""
     if len(body) < 8:
         raise ValueError(_SHORT)
@@ -174,8 +206,8 @@ def _read_compressed(body: bytes, header: _Header) -> list[np.ndarray]:
         raise ValueError("its compressed data is damaged")
     starts = np.cumsum([0, *num_bytes]).tolist()
     return [
-        np.frombuffer(plain, header.fields[axis].dtype, header.num_points, starts[axis])
-        for axis in header.axes
+        np.frombuffer(plain, header.fields[i].dtype, header.num_points, starts[i])
+        for i in indices
     ]
 
 

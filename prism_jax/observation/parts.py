@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from prism_jax.observation.clusters import components, thin
+from prism_jax.observation.clusters import components, extent, thin
 from prism_jax.observation.planes import Plane
 
 CELLS = 256
@@ -20,6 +20,10 @@ COARSE_CELLS = 16
 
 LINK = 3.0
 """Neighbours on a surface are at most so many spacings apart."""
+
+SPARSE = 2.0
+"""A point whose fourth neighbour is farther off than so many spacings is on no surface:
+it flies between two, beside an edge, or is a tail of the support's noise."""
 
 COVERED = 0.5
 """What hovers with this share of it over or under another part belongs to that."""
@@ -70,8 +74,8 @@ def objects_of(
     cells, owner = thin(points, CELLS)
     if len(cells) > MAX_CELLS:
         cells, owner = thin(points, CELLS // 2)
-    reach = _reach(cells, eye)
-    part = components(cells, reach)
+    reach, sparse = _reach(cells, eye)
+    part = _hanging_together(cells, reach, sparse)
     height = np.full(len(cells), np.inf)
     if support is not None:
         # At zero where the support's noise or its spacing hides what touches it.
@@ -87,8 +91,9 @@ def objects_of(
 
 def _reach(
     cells: Float64[np.ndarray, "N 3"], eye: Float64[np.ndarray, "3"] | None
-) -> Float64[np.ndarray, " N"]:
-    """How far the neighbours of each point on its surface can be."""
+) -> tuple[Float64[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
+    """How far the neighbours of each point on its surface can be, and which points are
+    `SPARSE`: none if the sensor, and so the spacing to expect, is not known."""
     count = min(5, len(cells))
     apart = np.reshape(KDTree(cells).query(cells, k=count)[0], (len(cells), -1))[:, -1]
     far = np.ones(len(cells))
@@ -96,7 +101,27 @@ def _reach(
         far = np.maximum(np.linalg.norm(cells - eye, axis=1), 1e-300)
     usual = np.median(apart / far) * far
     # The fourth neighbour of a point in a square grid is one spacing away, or 1.4.
-    return LINK / np.sqrt(2) * np.clip(apart, usual, 3.0 * usual)
+    reach = LINK / np.sqrt(2) * np.clip(apart, usual, 3.0 * usual)
+    if eye is None:
+        return reach, np.zeros(len(cells), bool)
+    # What is near the sensor was thinned to one point a cell.
+    return reach, apart > SPARSE * np.maximum(usual, extent(cells) / CELLS)
+
+
+def _hanging_together(
+    cells: Float64[np.ndarray, "N 3"],
+    reach: Float64[np.ndarray, " N"],
+    sparse: Bool[np.ndarray, " N"],
+) -> Int[np.ndarray, " N"]:
+    """Parts of points within reach of each other; sparse ones belong to what they are
+    nearest to, and join nothing."""
+    part = components(cells, np.where(sparse, 0.0, reach))
+    dense = np.flatnonzero(~sparse)
+    if len(dense):
+        apart, nearest = KDTree(cells[dense]).query(cells[sparse])
+        near = apart <= reach[sparse]
+        part[np.flatnonzero(sparse)[near]] = part[dense[nearest[near]]]
+    return np.unique(part, return_inverse=True)[1]
 
 
 def _split_at_creases(

@@ -3,11 +3,11 @@
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Float64
+from jaxtyping import Array, Bool, Float, Float64
 
 from prism_jax.geometry.camera import Vector
 from prism_jax.observation.clusters import components, spacing, thin
-from prism_jax.observation.planes import Plane, find_planes, outline
+from prism_jax.observation.planes import Outline, Plane, find_planes, outline
 
 RIM = 0.01
 """How far from a plane's border something is inside or outside, in its width."""
@@ -19,7 +19,14 @@ FLAT = 0.4
 """The share of that which lies on the support."""
 
 BELOW = 0.15
-"""As many points as this, for each above a support, may lie below it."""
+"""As many points as this, for each above a support, may lie below its inner part..."""
+
+INNER = 0.1
+"""...which is so far inside its border, in its width: a table's edge and legs are not.
+"""
+
+LARGE = 0.7
+"""A plane at least so long, in a support's width, is a wall or another floor."""
 
 FILLED = 0.5
 """The share of a support's outline that has points."""
@@ -72,13 +79,15 @@ def find_support(
 ) -> Plane | None:
     """The plane that objects stand on: a table, a floor; None if there is none.
 
-    Of the large planes it is the widest one that has objects on the sensor's side, and
+    Of the large planes it is the one that most stands on, on the sensor's side, with
     next to nothing on the other. An object stands on it if most of it projects inside
     the plane's border, if it is not higher than the plane is wide, and if it touches
-    the plane or hovers by no more than its own height (its foot may be hidden). Most of
-    the cloud must lie over the plane, and much of that on it. A face of an object is
-    no support: what is joined to it goes beyond its border or lies behind it. Neither
-    is a table with nothing on it, which could be a wall.
+    the plane or hovers by no more than its own height (its foot may be hidden); what
+    hovers counts for less. Most of the cloud must lie over the plane, and much of that
+    on it, other planes about as large left aside: a wall behind a table, the floor
+    below. A face of an object is no support: what is joined to it goes beyond its
+    border or lies behind it. Neither is a table with nothing on it, which could be a
+    wall.
 
     The normal points to the objects. `sensor` is the place the points were seen from.
     If it is unknown, None or not finite, the objects' side is taken to be that of z,
@@ -86,12 +95,21 @@ def find_support(
     objects would pass. The same points give the same plane. The unit does not matter.
     """
     cells, _ = thin(points)
-    best, widest = None, 0.0
-    for plane in find_planes(points):
+    planes = find_planes(points)
+    borders = [outline(cells, plane) for plane in planes]
+    best, most = None, 0.0
+    for plane, border in zip(planes, borders, strict=True):
         side = _objects_side(plane, sensor)
-        area = 0.0 if side is None else _supporting_area(cells, side)
-        if area > widest:
-            best, widest = side, area
+        if side is None or border is None:
+            continue
+        aside = np.zeros(len(cells), bool)
+        for other, its in zip(planes, borders, strict=True):
+            if its is not None and its.length >= LARGE * border.width:
+                aside |= np.abs(other.height(cells)) <= other.tolerance
+        aside &= np.abs(plane.height(cells)) > plane.tolerance
+        standing = _standing(cells, aside, side, border)
+        if standing > most:
+            best, most = side, standing
     return best
 
 
@@ -106,34 +124,37 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
     return plane if positive else plane.flipped()
 
 
-def _supporting_area(cells: Float64[np.ndarray, "N 3"], plane: Plane) -> float:
-    """The area of a plane that objects stand on; zero if it is none."""
+def _standing(
+    cells: Float64[np.ndarray, "N 3"],
+    aside: Bool[np.ndarray, " N"],
+    plane: Plane,
+    border: Outline,
+) -> float:
+    """How many cells stand on a plane, those set aside left out; zero if it is none
+    that objects stand on."""
     reach = REACH * spacing(cells)
-    border = outline(cells, plane)
-    if border is None:
-        return 0.0
     height, depth = plane.height(cells), border.depth(cells)
+    below = (depth > INNER * border.width) & (height < -2.0 * plane.tolerance)
+    height, depth = height[~aside], depth[~aside]
     rim = RIM * border.width
     over = depth > -rim
     on = np.abs(height) <= plane.tolerance
-    above = over & (height > plane.tolerance)
-    below = over & (height < -2.0 * plane.tolerance)
+    off = height > plane.tolerance
     large = (
         over.mean() >= WITHIN
         and border.count >= FLAT * (border.count + (over & ~on).sum())
         and border.filled >= FILLED
     )
-    if not large or below.sum() > BELOW * above.sum():
+    if not large or below.sum() > BELOW * (over & off).sum() or not off.any():
         return 0.0
 
-    off = height > plane.tolerance
-    group = components(cells[off], np.full(off.sum(), reach))
+    group = components(cells[~aside][off], np.full(off.sum(), reach))
     size = np.bincount(group)
     top, foot = np.zeros(len(size)), np.full(len(size), np.inf)
     np.maximum.at(top, group, height[off])
     np.minimum.at(foot, group, height[off])
-    touches = foot <= np.maximum(plane.tolerance + reach, 0.5 * top)
+    hovering = np.maximum(foot - plane.tolerance - reach, 0.0) / (0.5 * top)
     enclosed = np.bincount(group, depth[off] > rim) >= 0.7 * size
     proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance)
-    proper &= top <= border.width
-    return border.area if (proper & enclosed & touches).any() else 0.0
+    proper &= (top <= border.width) & enclosed
+    return float((size * np.maximum(1.0 - hovering, 0.0))[proper].sum())

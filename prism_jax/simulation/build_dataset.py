@@ -100,6 +100,23 @@ def _objects(
     return build_objects(config, data_dir, num_workers, catalogue_dir=place)
 
 
+def _scenes(
+    split: str,
+    data_dir: _Place,
+    num_workers: int | None,
+    num_scenes: int = 0,
+    sources: Sequence[str] = ("shapes", "open"),
+    seed: int = 0,
+    catalogue_dir: str | None = None,
+) -> pathlib.Path:
+    from prism_jax.simulation.objects.catalogues import FOLDER
+    from prism_jax.simulation.scenes.build import ScenesConfig, build_scenes
+
+    config = ScenesConfig(split, num_scenes, tuple(sources), seed)
+    place = catalogue_dir or FOLDER
+    return build_scenes(config, data_dir, num_workers, catalogue_dir=place)
+
+
 def _meshes(
     split: str, data_dir: _Place, num_workers: int | None, mesh_dir: str | None = None
 ) -> pathlib.Path:
@@ -117,6 +134,7 @@ BUILDERS: Mapping[str, Callable[..., pathlib.Path]] = {
     "roboarm": _roboarm,
     "cells": _cells,
     "objects": _objects,
+    "scenes": _scenes,
     "meshes": _meshes,
 }
 """By split, folder for all splits, number of workers, and settings of their own."""

@@ -26,6 +26,7 @@ STEEL, AMBER = (0.55, 0.66, 0.8), (0.95, 0.68, 0.34)
 OBSERVED, GROUND_TRUTH = (0.15, 0.39, 0.69), (0.95, 0.75, 0.5)
 TOWARD_VIEWER = (0.8, 1.0, 0.62)
 TOWARD_LIGHT = np.array([1.0, 0.1, 1.25]) / np.linalg.norm([1.0, 0.1, 1.25])
+TOWARD_SCENE_LIGHT = np.array([0.4, 0.3, 0.85]) / np.linalg.norm([0.4, 0.3, 0.85])
 SUPERSAMPLING = 2
 SKY_RAYS = 16
 SKY_REACH = 0.5
@@ -111,6 +112,31 @@ def draw_clouds(
             column = np.clip(columns + right, 0, camera.width - 1)
             picture[row, column] = shade[:, None] * colors
     return to_bytes(picture)
+
+
+def draw_faces(
+    scene: Scene, colors: Float[np.ndarray, "F 3"], camera: Camera
+) -> UInt8[np.ndarray, "H W 3"]:
+    """A scene as a camera sees it, shaded, with the shadows of one light: z is up.
+
+    Each face has a colour; white is where nothing is.
+    """
+    rows, columns = np.indices((camera.height, camera.width))
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+    rays = np.asarray(np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation)
+    hits = scene.cast(np.asarray(camera.position), rays)
+    normals = scene.normals[hits.faces]
+    away = np.sum(normals * rays[hits.ray], axis=1) > 0
+    normals[away] *= -1
+    lit = np.clip(normals @ TOWARD_SCENE_LIGHT, 0, None)
+    shaded = scene.cast(
+        hits.points + 1e-3 * normals, np.tile(TOWARD_SCENE_LIGHT, (len(normals), 1))
+    )
+    lit[shaded.ray] = 0
+    light = 0.35 + 0.25 * hits.cosines + 0.4 * lit
+    picture = np.ones((len(rays), 3))
+    picture[hits.ray] = colors[hits.faces] * light[:, None]
+    return to_bytes(picture.reshape(camera.height, camera.width, 3))
 
 
 def to_bytes(picture: np.ndarray) -> UInt8[np.ndarray, "H W 3"]:

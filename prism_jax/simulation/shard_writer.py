@@ -45,35 +45,52 @@ def build_shards(
     nothing. All else is as in `building.build`.
     """
     folder = pathlib.Path(folder)
-    arrays = (*ARRAYS, *MAPS) if maps else ARRAYS
     return build(
         folder,
         {"format_version": FORMAT_VERSION, **content},
         [len(shard) for shard in shards],
-        lambda number: all(
-            shard_file(folder, number, name).exists() for name in (*arrays, NAMES)
-        ),
-        functools.partial(_write_shard, folder, shards, make_object, box, arrays),
+        lambda number: is_written(folder, number, maps),
+        functools.partial(_build_shard, folder, shards, make_object, box, maps),
         "object",
         num_workers,
         progress,
     )
 
 
-def _write_shard(
+def is_written(folder: pathlib.Path, number: int, maps: bool = False) -> bool:
+    """Whether all files of a shard are there."""
+    contents = (*ARRAYS, *(MAPS if maps else ()), NAMES)
+    return all(shard_file(folder, number, content).exists() for content in contents)
+
+
+def _build_shard(
     folder: pathlib.Path,
     shards: Sequence[Sequence[int]],
     make_object: MakeObject,
     box: Box | None,
-    arrays: Sequence[str],
+    maps: bool,
     number: int,
 ) -> None:
-    columns: dict[str, list[Any]] = {name: [] for name in arrays}
+    objects = (make_object(identity) for identity in shards[number])
+    write_shard(folder, number, objects, box, maps)
+
+
+def write_shard(
+    folder: pathlib.Path,
+    number: int,
+    objects: Iterable[Iterable[Example]],
+    box: Box | None = None,
+    maps: bool = False,
+) -> None:
+    """Writes one shard of the views of these objects; as `build_shards` does."""
+    columns: dict[str, list[Any]] = {
+        name: [] for name in (*ARRAYS, *(MAPS if maps else ()))
+    }
     names = []
-    for position, identity in enumerate(shards[number]):
-        for views in _by_complete(make_object(identity)):
+    for position, examples in enumerate(objects):
+        for views in _by_complete(examples):
             clouds = [views[0].complete, *(view.partial for view in views)]
-            own = _box(np.concatenate(clouds)) if box is None else box
+            own = box_of(np.concatenate(clouds)) if box is None else box
             columns["complete"].append(quantised(clouds[0], own))
             columns["box"].append(own)
             for view in views:
@@ -83,15 +100,20 @@ def _write_shard(
                 row = len(columns["box"]) - 1, position
                 columns["views"].append(np.array(row, np.int32))
                 names.append([view.category, view.name, view.any_heading])
-                if "map" in columns:
+                if maps:
                     known = encode(view.visibility or nothing_known())
                     for name, row in zip(MAPS, known, strict=True):
                         columns[name].append(row)
     for name, rows in columns.items():
-        buffer = io.BytesIO()
-        np.save(buffer, np.stack(rows), allow_pickle=False)
-        write_bytes(shard_file(folder, number, name), buffer.getvalue())
+        write_array(folder, number, name, np.stack(rows))
     write_bytes(shard_file(folder, number, NAMES), json.dumps(names).encode())
+
+
+def write_array(folder: pathlib.Path, number: int, name: str, array: Any) -> None:
+    """Writes one array of a shard, whole or not at all."""
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    write_bytes(shard_file(folder, number, name), buffer.getvalue())
 
 
 def _by_complete(views: Iterable[Any]) -> list[list[Any]]:
@@ -105,7 +127,7 @@ def _by_complete(views: Iterable[Any]) -> list[list[Any]]:
     return groups
 
 
-def _box(points: Float[np.ndarray, "N 3"]) -> Box:
+def box_of(points: Float[np.ndarray, "N 3"]) -> Box:
     """The lowest corner, and the size of a step."""
     lower = points.min(0).astype(np.float32)
     side = (points - lower).max() * (1 + 1e-6) or 1.0

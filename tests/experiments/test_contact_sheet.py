@@ -43,6 +43,15 @@ def test_writes_one_row_a_kind_of_view(tmp_path):
         assert len(sheet.getcolors()) > 4
 
 
+def test_writes_one_row_a_scene(tmp_path):
+    output = tmp_path / "sheet.png"
+    two = ["--dataset=scenes", "--split=validation", "--scenes=2", "--size=40"]
+    assert run(f"--output={output}", *two) == 0
+    with Image.open(output) as sheet:
+        assert sheet.size == (2 * (2 * 40 + 5) - 5, 40 + 15)
+        assert len(sheet.getcolors()) > 10
+
+
 def test_writes_one_row_a_robot_cell(tmp_path):
     output = tmp_path / "sheet.png"
     one = ["--dataset=roboarm", "--split=train", "--sequences=1", "--size=40"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prism_jax.io import InputError
-from prism_jax.io.pcd import read_pcd
+from prism_jax.io.pcd import read_pcd, read_pcd_field
 
 POINTS = np.random.default_rng(0).normal(size=(6, 3)).astype(np.float32)
 ROW = np.dtype(
@@ -64,6 +64,15 @@ def test_fields_in_any_order_type_and_count(tmp_path, mode):
     read = read_pcd(pcd(tmp_path, mode))
     assert read.dtype == np.float32
     np.testing.assert_array_equal(read, POINTS)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_one_more_field_of_every_point(tmp_path, mode):
+    path = pcd(tmp_path, mode)
+    np.testing.assert_array_equal(read_pcd_field(path, "label"), np.full(6, 7))
+    for name in ("colour", "_"):
+        with pytest.raises(InputError, match=f"not {name}"):
+            read_pcd_field(path, name)
 
 
 @pytest.mark.parametrize("mode", MODES)

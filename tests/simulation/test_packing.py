@@ -193,19 +193,19 @@ def test_bytes_are_the_same_and_a_broken_build_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(packing, "SHARD_EXAMPLES", 2)
     one, other = tmp_path / "one", tmp_path / "other"
     pack({"balls": Balls()}, one, CONFIG, 0, False)
-    write_shard = shard_writer._write_shard
+    build_shard = shard_writer._build_shard
 
     def broken(*arguments):
         if arguments[-1] == 1:
             raise KeyboardInterrupt
-        write_shard(*arguments)
+        build_shard(*arguments)
 
-    monkeypatch.setattr(shard_writer, "_write_shard", broken)
+    monkeypatch.setattr(shard_writer, "_build_shard", broken)
     with pytest.raises(KeyboardInterrupt):
         pack({"balls": Balls()}, other, CONFIG, 0, False)
     with pytest.raises(InputError, match="broken off"):
         Shards(other)
-    monkeypatch.setattr(shard_writer, "_write_shard", write_shard)
+    monkeypatch.setattr(shard_writer, "_build_shard", build_shard)
     pack({"balls": Balls()}, other, CONFIG, 0, False)
     files = json.loads((one / MANIFEST).read_text())["files"]
     assert files == json.loads((other / MANIFEST).read_text())["files"]

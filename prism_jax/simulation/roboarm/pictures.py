@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import trimesh
-from jaxtyping import Float, Float64, UInt8
+from jaxtyping import Float, UInt8
 
 from prism_jax.data.recordings import Frame
 from prism_jax.geometry.camera import Camera
@@ -14,6 +14,7 @@ from prism_jax.simulation.contact_sheet import (
     OBSERVED,
     Row,
     draw_clouds,
+    draw_faces,
     to_bytes,
 )
 from prism_jax.simulation.raycast import Scene
@@ -40,7 +41,6 @@ COLORS = {
     "person": (0.55, 0.3, 0.62),
 }
 _RAMP = np.array([(0.2, 0.1, 0.4), (0.1, 0.5, 0.9), (0.5, 0.9, 0.5), (0.9, 0.3, 0.1)])
-_TO_LIGHT = np.array([0.4, 0.3, 0.85]) / np.linalg.norm([0.4, 0.3, 0.85])
 
 
 def cell_row(split: str, index: int, seed: int, size: int) -> Row:
@@ -86,21 +86,7 @@ def draw_parts(
     """Meshes, shaded, with the shadows of one light; `COLORS` by part."""
     palette = np.array([COLORS[part] for part in parts])
     colors = np.repeat(palette, [len(mesh.faces) for mesh in parts.values()], axis=0)
-    scene = Scene(together(list(parts.values())))
-    rays = _rays(camera)
-    hits = scene.cast(np.asarray(camera.position), rays)
-    normals = scene.normals[hits.faces]
-    away = np.sum(normals * rays[hits.ray], axis=1) > 0
-    normals[away] *= -1
-    lit = np.clip(normals @ _TO_LIGHT, 0, None)
-    shaded = scene.cast(
-        hits.points + 1e-3 * normals, np.tile(_TO_LIGHT, (len(normals), 1))
-    )
-    lit[shaded.ray] = 0
-    light = 0.35 + 0.25 * hits.cosines + 0.4 * lit
-    picture = np.ones((len(rays), 3))
-    picture[hits.ray] = colors[hits.faces] * light[:, None]
-    return to_bytes(picture.reshape(camera.height, camera.width, 3))
+    return draw_faces(Scene(together(list(parts.values()))), colors, camera)
 
 
 def draw_depth(depth: Float[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W 3"]:
@@ -137,9 +123,3 @@ def _square(camera: Camera, size: int) -> Camera:
     middle = (size - 1) / 2
     intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
     return dataclasses.replace(camera, intrinsics=intrinsics, height=size, width=size)
-
-
-def _rays(camera: Camera) -> Float64[np.ndarray, "P 3"]:
-    rows, columns = np.indices((camera.height, camera.width))
-    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-    return np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation

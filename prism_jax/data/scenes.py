@@ -1,0 +1,120 @@
+"""Scenes of several things, whose every measured point is labelled.
+
+The things of each scene are stored as the views of one object are (`data.shards`): a
+partial cloud, the complete one, and where the sensor stood, in the world's frame and in
+metres. Beside these each shard has, of S scenes of P points in all,
+
+    shard-00000.points.npy  uint16 (P, 3)   steps of the scene's box, scene after scene
+                .labels.npy int8 (P,)       the thing, from 0, `SUPPORT` or `LEFT_OVER`
+                .frames.npy float64 (S, 17) the box's lowest corner, the size of a step,
+                                            the sensor's position and rotation, and how
+                                            many points the scene has
+                .traits.json                [name, traits] of each scene
+"""
+
+import dataclasses
+import json
+import os
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int
+
+from prism_jax.data.shards import Shards, restored, shard_file
+
+TRAITS = "traits.json"
+SCENE_ARRAYS = ("points", "labels", "frames")
+"""What a shard of scenes has beside that of the things alone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LabelledScene:
+    """What one sensor measured of several things on a table or a floor.
+
+    Attributes:
+      points: all that was measured.
+      labels: for each point the number of its thing, from 0; `SUPPORT` on what things
+        stand on, walls, and the floor below a table; `LEFT_OVER` for points that fly
+        beside an edge, and a table's legs. As in `observation.scene.Scene`.
+      complete: of each thing, in farthest-point order.
+      categories: of each thing.
+      eye: where the sensor stood.
+      rotation: rows are the sensor's right, down and forward, as `Camera.rotation`.
+      name: unique within its set.
+      traits: what stands for the scene in tables: the sensor, the support, "wall".
+    """
+
+    points: Float32[np.ndarray, "N 3"]
+    labels: Int[np.ndarray, " N"]
+    complete: Float32[np.ndarray, "K M 3"]
+    categories: tuple[str, ...]
+    eye: Float64[np.ndarray, "3"]
+    rotation: Float64[np.ndarray, "3 3"]
+    name: str
+    traits: tuple[str, ...] = ()
+
+    def in_sensor_axes(self) -> "LabelledScene":
+        """The same in the sensor's own axes, x right, y down, z forward, with the
+        sensor at the origin: as a depth camera's clouds come."""
+        turn = self.rotation.T
+        return dataclasses.replace(
+            self,
+            points=((self.points - self.eye) @ turn).astype(np.float32),
+            complete=((self.complete - self.eye) @ turn).astype(np.float32),
+            eye=np.zeros(3),
+            rotation=np.eye(3),
+        )
+
+
+class Scenes(Shards):
+    """A folder of scenes: things one by one as a `Source`, or whole by `scene`.
+
+    As a source each item is one thing as it was measured among the others; all things
+    of a scene count as one object, since what holds for one of them does for another.
+    """
+
+    def __init__(self, root: str | os.PathLike, *arguments: Any, **expected: Any):
+        super().__init__(root, *arguments, **expected)
+        count = len(self._starts) - 1
+        frames = [self._array(shard, "frames") for shard in range(count)]
+        self._scene_starts = np.cumsum([0, *map(len, frames)])
+
+    @property
+    def num_scenes(self) -> int:
+        """How many there are."""
+        return int(self._scene_starts[-1])
+
+    def scene(self, index: int) -> LabelledScene:
+        """A scene by its number; IndexError for one that there is not."""
+        index = range(self.num_scenes)[index]
+        shard = int(np.searchsorted(self._scene_starts, index, "right")) - 1
+        row = int(index - self._scene_starts[shard])
+        frames = self._array(shard, "frames")
+        starts = np.cumsum([0, *frames[:, 16].astype(int)])
+        own = slice(starts[row], starts[row + 1])
+        views = self._array(shard, "views")
+        (things,) = np.nonzero(views[:, 1] == row)
+        names = self._names(shard)
+        boxes, clouds = self._array(shard, "box"), self._array(shard, "complete")
+        name, traits = self._traits(shard)[row]
+        return LabelledScene(
+            points=restored(
+                self._array(shard, "points")[own], frames[row, :4].astype(np.float32)
+            ),
+            labels=self._array(shard, "labels")[own].astype(int),
+            complete=np.stack(
+                [restored(clouds[cloud], boxes[cloud]) for cloud in views[things, 0]]
+            ),
+            categories=tuple(names[thing][0] for thing in things),
+            eye=np.array(frames[row, 4:7]),
+            rotation=np.array(frames[row, 7:16]).reshape(3, 3),
+            name=name,
+            traits=tuple(traits),
+        )
+
+    def _traits(self, shard: int) -> list[Any]:
+        key = shard, TRAITS
+        if key not in self._mapped:
+            path = shard_file(self.root, shard, TRAITS)
+            self._mapped[key] = json.loads(path.read_text())
+        return self._mapped[key]
