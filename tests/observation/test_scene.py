@@ -236,17 +236,6 @@ def test_strays_are_left_over(tabletop):
     assert min(overlaps(labels, scene.object[: len(points)])) > 0.85
 
 
-def test_points_that_fly_between_things_join_nothing(tabletop):
-    points, labels = tabletop
-    rng = np.random.default_rng(0)
-    first, second = (points[labels == label].mean(axis=0) for label in (1, 2))
-    flying = first + rng.uniform(0, 1, (40, 1)) * (second - first)
-    flying += rng.normal(scale=0.004, size=(40, 3))
-    scene = split_scene(np.concatenate([points, flying]), "z", EYE)
-    assert len(scene.num_points) == 4
-    assert min(overlaps(labels, scene.object[: len(points)])) > 0.8
-
-
 def test_a_table_is_the_support_though_the_wall_behind_is_larger():
     wall = box([0, 0.7, 0.2], [4, 0.02, 2.2])
     points, labels = seen([table([1.0, 0.9]), wall, *THINGS[1:]], shape=(240, 320))
