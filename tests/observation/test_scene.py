@@ -236,6 +236,16 @@ def test_strays_are_left_over(tabletop):
     assert min(overlaps(labels, scene.object[: len(points)])) > 0.85
 
 
+def test_a_table_is_the_support_though_the_wall_behind_is_larger():
+    wall = box([0, 0.7, 0.2], [4, 0.02, 2.2])
+    points, labels = seen([table([1.0, 0.9]), wall, *THINGS[1:]], shape=(240, 320))
+    scene = split_scene(points, find_up(points, EYE).vector, EYE)
+    assert scene.planes[0].normal @ [0, 0, 1] > 0.999
+    assert abs(scene.planes[0].offset) < 0.01
+    assert len(scene.num_points) == 4
+    assert min(overlaps(labels, scene.object, first=2)) > 0.8
+
+
 @pytest.mark.parametrize("thing", THINGS[1:])
 def test_one_thing_alone_is_one_object(thing):
     points, _ = seen([thing], shape=(300, 400))
