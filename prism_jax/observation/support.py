@@ -19,11 +19,7 @@ FLAT = 0.4
 """The share of that which lies on the support."""
 
 BELOW = 0.15
-"""As many points as this, for each above a support, may lie below its inner part..."""
-
-INNER = 0.1
-"""...which is so far inside its border, in its width: a table's edge and legs are not.
-"""
+"""As many points as this, for each above a support, may lie below it."""
 
 LARGE = 0.7
 """A plane at least so long, in a support's width, is a wall or another floor."""
@@ -134,9 +130,9 @@ def _standing(
     that objects stand on."""
     reach = REACH * spacing(cells)
     height, depth = plane.height(cells), border.depth(cells)
-    below = (depth > INNER * border.width) & (height < -2.0 * plane.tolerance)
-    height, depth = height[~aside], depth[~aside]
     rim = RIM * border.width
+    below = (depth > -rim) & (height < -2.0 * plane.tolerance)
+    height, depth = height[~aside], depth[~aside]
     over = depth > -rim
     on = np.abs(height) <= plane.tolerance
     off = height > plane.tolerance
