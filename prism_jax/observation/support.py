@@ -131,6 +131,7 @@ def _standing(
     reach = REACH * spacing(cells)
     height, depth = plane.height(cells), border.depth(cells)
     rim = RIM * border.width
+    above = (depth > -rim) & (height > plane.tolerance)
     below = (depth > -rim) & (height < -2.0 * plane.tolerance)
     height, depth = height[~aside], depth[~aside]
     over = depth > -rim
@@ -141,7 +142,7 @@ def _standing(
         and border.count >= FLAT * (border.count + (over & ~on).sum())
         and border.filled >= FILLED
     )
-    if not large or below.sum() > BELOW * (over & off).sum() or not off.any():
+    if not large or below.sum() > BELOW * above.sum() or not off.any():
         return 0.0
 
     group = components(cells[~aside][off], np.full(off.sum(), reach))
