@@ -44,7 +44,7 @@ BACKBONE = "CRA-PCN"
 def define_flags() -> None:
     """The flags of this launcher."""
     define_scoring_flags(split="test")
-    flags.DEFINE_string("weights", "small", "PRISM's, by name or by file.")
+    flags.DEFINE_string("weights", "small-canonical", "PRISM's, by name or by file.")
     flags.DEFINE_string(
         "backbone",
         "small-pretrained",

@@ -39,7 +39,9 @@ PRETRAINED, META = "pretrained", "meta-trained"
 def define_flags() -> None:
     """The flags of this launcher."""
     define_scoring_flags(split="test")
-    flags.DEFINE_string("weights", "small", "Meta-trained, by name or by file.")
+    flags.DEFINE_string(
+        "weights", "small-canonical", "Meta-trained, by name or by file."
+    )
     flags.DEFINE_string(
         "pretrained",
         "small-pretrained",

@@ -32,7 +32,7 @@ VARIANTS = {
     "align": "small-align",
     "align + normal": "small-align-normal",
     "align + denoise": "small-align-denoise",
-    "all": "small",
+    "all": "small-canonical",
 }
 """Weights meta-trained with some of the branches; ``none`` saw as many samples without
 the method."""

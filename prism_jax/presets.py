@@ -52,6 +52,7 @@ _SMALL = BackboneConfig(
     num_initial=256,
     up_factors=(1, 8),
     use_norm=False,
+    reads_visibility=True,
 )
 
 _SMALL_AUXILIARY = AuxiliaryConfig(
@@ -180,7 +181,7 @@ PRESETS = {
         num_shapes=64,
     ),
     "small": Preset(
-        ModelConfig(_SMALL, _SMALL_AUXILIARY, consistency_pixels=32),
+        ModelConfig(_SMALL, _SMALL_AUXILIARY, heading="level", consistency_pixels=32),
         _SMALL_ADAPT,
         PretrainConfig(
             _phases(200_000, 768_000), auxiliary_samples=20_000, average_decay=0.999

@@ -5,6 +5,7 @@ import pathlib
 
 import pytest
 
+from experiments.weights import located
 from prism_jax.data.datasets import parts_of
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io import InputError
@@ -45,9 +46,10 @@ def test_all_that_ship_have_one(name):
 
 
 def test_scores_under_older_names_are_converted():
-    """Of the weights that ship, beside what their file holds."""
-    old = read_metadata("small")["scores"]["shapes-test"]
-    new = released_scores("small")["shapes-test"]
+    """Of an older file, beside what it holds."""
+    path = located("small-canonical")
+    old = read_metadata(path)["scores"]["shapes-test"]
+    new = released_scores(path)["shapes-test"]
     pairs = {
         "partial": old["control"],
         "network": old,

@@ -16,7 +16,9 @@ from experiments.assets import CELLS
 from experiments.comparison import comparison_markdown
 from experiments.loss_gradients import agreement_markdown
 from experiments.real_scans import real_scans_markdown
+from experiments.robustness import robustness_markdown
 from experiments.segmentation import segmentation_markdown
+from experiments.trust import trust_markdown
 from experiments.verdicts import verdicts_markdown
 from prism_jax.evaluation.tables import markdown
 from prism_jax.weights import save_weights
@@ -111,6 +113,8 @@ def test_tables_are_those_of_their_results(path):
         "rows": comparison_markdown,
         "losses": agreement_markdown,
         "scans": real_scans_markdown,
+        "shifts": robustness_markdown,
+        "trust": trust_markdown,
         "rose": verdicts_markdown,
         "by_scene": segmentation_markdown,
     }

@@ -42,7 +42,7 @@ def run(module, output, *arguments):
 
 @pytest.mark.slow
 def test_table_one(tmp_path):
-    table, text = run(table_1, tmp_path / "1.json", "--backbone=small")
+    table, text = run(table_1, tmp_path / "1.json", "--backbone=small-canonical")
     rows = table["rows"]
     assert list(rows) == [
         *("partial", "training mean", "partial and its mirror image"),
@@ -54,12 +54,14 @@ def test_table_one(tmp_path):
     plain, adapted = rows["PRISM, not adapted"]["mean"], rows["PRISM"]["mean"]
     assert rows["CRA-PCN"]["mean"] == pytest.approx(plain)
     assert adapted["cd_l2"] != pytest.approx(plain["cd_l2"], rel=0.01)
-    _, variables = load_pretrained("small")
+    _, variables = load_pretrained(located("small-canonical"))
     assert rows["PRISM"]["parameters"] == table_1.count(variables)
     assert 0 < rows["CRA-PCN"]["parameters"] < rows["PRISM"]["parameters"]
     assert rows["training mean"]["parameters"] is None
     assert rows["training mean"]["samples"] is None
-    assert rows["PRISM"]["samples"] == samples_seen(read_metadata("small"))
+    assert rows["PRISM"]["samples"] == samples_seen(
+        read_metadata(located("small-canonical"))
+    )
     assert rows["PCN"]["samples"] == samples_seen(read_metadata(located("pcn")))
     assert "| training mean | " in text
     assert table["data"] == "recordings"
@@ -70,10 +72,10 @@ def test_table_two(tmp_path, monkeypatch):
         return fake(config, table_2.equally_weighted(variables))
 
     monkeypatch.setattr(table_2, "online_completer", online)
-    arguments = ("--pretrained=small", "--steps=1", "--steps=4")
+    arguments = ("--pretrained=small-canonical", "--steps=1", "--steps=4")
     table, _ = run(table_2, tmp_path / "2.json", *arguments)
     rows = table["rows"]
-    steps = load_pretrained("small")[0].adapt.num_steps
+    steps = load_pretrained(located("small-canonical"))[0].adapt.num_steps
     assert list(rows) == [
         *(f"pretrained, K = {k}" for k in (0, 1, 4)),
         *(f"meta-trained, K = {k}" for k in (0, 1, 4)),
@@ -87,7 +89,7 @@ def test_table_two(tmp_path, monkeypatch):
 
 
 def test_table_three(tmp_path):
-    arguments = [f"--weights={label}=small" for label in table_3.VARIANTS]
+    arguments = [f"--weights={label}=small-canonical" for label in table_3.VARIANTS]
     table, _ = run(table_3, tmp_path / "3.json", *arguments)
     rows = table["rows"]
     assert list(rows) == [
