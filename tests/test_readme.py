@@ -18,7 +18,7 @@ from experiments.loss_gradients import agreement_markdown
 from experiments.real_scans import real_scans_markdown
 from experiments.robustness import robustness_markdown
 from experiments.segmentation import segmentation_markdown
-from experiments.trust import trust_markdown
+from experiments.trust import trust_markdown, unfitted
 from experiments.verdicts import verdicts_markdown
 from prism_jax.evaluation.tables import markdown
 from prism_jax.weights import save_weights
@@ -44,7 +44,11 @@ np.save("metres.npy", metres)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, minimal, minimal_variables):
     folder = tmp_path_factory.mktemp("readme")
-    save_weights(folder / "weights.safetensors", minimal.config, minimal_variables, {})
+    width = minimal.model.backbone.global_features[-1]
+    blank = unfitted(np.random.default_rng(0).normal(size=(30, width)))
+    about = {"calibration": blank.to_dict()}
+    path = folder / "weights.safetensors"
+    save_weights(path, minimal.config, minimal_variables, about)
     scan = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], (300, 3))
     np.save(folder / "scan.npy", scan.astype(np.float32))
     return folder
@@ -67,7 +71,8 @@ def test_every_example_is_run_here():
 
 
 def test_a_plain_script(folder):
-    assert "run" in run(folder, EXAMPLES["README.md"][0])
+    trust, error = run(folder, EXAMPLES["README.md"][0]).split()
+    assert trust in ("high", "fair", "low") and float(error) > 0
     completed, scan = np.load(folder / "completed.npy"), np.load(folder / "scan.npy")
     np.testing.assert_array_equal(completed[: len(scan)], scan)
 
