@@ -15,7 +15,7 @@ from prism_jax.training import inputs as training_inputs
 from prism_jax.training import meta
 
 
-def prepare_input(partial, camera, key, config, indices=None):
+def prepare_input(partial, camera, key, config, indices=None, visibility=None):
     """Its perturbation is the noise alone."""
     frame = NetworkInput(*[partial.mean()] * len(NetworkInput._fields))
     noise = jax.random.normal(key, partial.shape)
