@@ -109,6 +109,7 @@ def test_completed_is_what_a_user_gets(boxes):
             losses=Losses(*np.ones((len(Losses._fields), 1)))
         ),
         density=1.0,
+        background="unknown",
         camera_given=True,
         seconds={},
     )
