@@ -8,6 +8,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
     MAP_SIZE,
+    MARGIN,
     NEARER,
     SURFACE,
     UNKNOWN,
