@@ -59,26 +59,32 @@ class Verdict(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """What turns evidence into a verdict: a quadratic in its logarithms.
+    """What turns evidence into a verdict: the sum of small decision trees over its
+    logarithms.
 
-    `experiments.trust` fits it on validation data that is shifted in every way. The
-    global features of training views say what is familiar: their mean, the axes along
-    which they vary most, in units of their spread, and the spread of what is left.
+    Each tree is complete: node n splits into 2 n + 1, where the logarithm that it looks
+    at is at most its threshold, and 2 n + 2. `experiments.trust` fits them on
+    validation data that is shifted in every way. The global features of training views
+    say what is familiar: their mean, the axes along which they vary most, in units of
+    their spread, and the spread of what is left.
 
     Attributes:
-      center, scale: of the logarithms, in the order of `EVIDENCE`.
-      usual: what they are where completions are good, centred and scaled.
-      coefficients: of 1, of each of them, and of their products (`terms`).
+      usual: the logarithms where completions are good, in the order of `EVIDENCE`.
+      base: the logarithm of the error that the trees' sum is added to.
+      looks_at: which piece of evidence each node of each tree looks at.
+      thresholds: of its logarithm.
+      leaves: what each leaf adds.
       bounds: the least and the largest logarithm of an error that was met.
       fair, low: expected errors, in half sides of the workspace, from which trust is
         fair, and low.
       feature_mean, feature_axes, feature_rest: what is familiar.
     """
 
-    center: Float[np.ndarray, " E"]
-    scale: Float[np.ndarray, " E"]
     usual: Float[np.ndarray, " E"]
-    coefficients: Float[np.ndarray, " T"]
+    base: float
+    looks_at: Float[np.ndarray, "T N"]
+    thresholds: Float[np.ndarray, "T N"]
+    leaves: Float[np.ndarray, "T L"]
     bounds: Float[np.ndarray, "2"]
     fair: float
     low: float
@@ -98,19 +104,24 @@ class Calibration:
             raise ValueError(f"a calibration is made of numbers: {error}") from None
         count = len(EVIDENCE)
         width = arrays["feature_mean"].shape
+        trees, nodes = (*arrays["looks_at"].shape, 0, 0)[:2]
         shapes = {
-            **dict.fromkeys(("center", "scale", "usual"), (count,)),
-            "coefficients": (1 + count + count * (count + 1) // 2,),
+            "usual": (count,),
+            "looks_at": (trees, 2 ** (nodes + 1).bit_length() // 2 - 1),
+            "thresholds": (trees, nodes),
+            "leaves": (trees, nodes + 1),
             "bounds": (2,),
             "feature_axes": (arrays["feature_axes"].shape[:1] + width),
-            **dict.fromkeys(("fair", "low", "feature_rest"), ()),
+            **dict.fromkeys(("base", "fair", "low", "feature_rest"), ()),
         }
         for name, array in arrays.items():
             if array.shape != shapes.get(name, (array.size,)):
                 raise ValueError(f"a calibration's {name} has the shape {array.shape}")
             if not np.isfinite(array).all():
                 raise ValueError(f"a calibration's {name} is not finite")
-        for name in ("scale", "fair", "low", "feature_rest"):
+        if not np.isin(arrays["looks_at"], np.arange(count)).all():
+            raise ValueError("a calibration's looks_at is beyond the evidence")
+        for name in ("fair", "low", "feature_rest"):
             if not (arrays[name] > 0).all():
                 raise ValueError(f"a calibration's {name} is not positive")
         plain: dict[str, Any] = {
@@ -136,16 +147,12 @@ class Calibration:
 
     def expected_error(self, evidence: Mapping[str, float]) -> float:
         """CD-L1 in half sides of the workspace."""
-        found = self.standardised(evidence)
+        found = logarithms(evidence)
         return float(np.exp(np.clip(self._log_error(found), *self.bounds)))
-
-    def standardised(self, evidence: Mapping[str, float]) -> Float[np.ndarray, " E"]:
-        """Logarithms of the evidence, centred and scaled, within four spreads."""
-        return np.clip((logarithms(evidence) - self.center) / self.scale, -4.0, 4.0)
 
     def judge(self, evidence: Mapping[str, float], half_extent: float) -> Verdict:
         """The verdict on an object whose workspace has this half side."""
-        found = self.standardised(evidence)
+        found = logarithms(evidence)
         log_error = self._log_error(found)
         error = self.expected_error(evidence)
         trust = "low" if error >= self.low else "fair" if error >= self.fair else "high"
@@ -163,19 +170,17 @@ class Calibration:
 
     def _log_error(self, found: Float[np.ndarray, " E"]) -> float:
         """Beyond what was met, too."""
-        return float(terms(found) @ self.coefficients)
+        trees, nodes = self.looks_at.shape
+        rows, node = np.arange(trees), np.zeros(trees, int)
+        while nodes and node[0] < nodes:
+            seen = found[self.looks_at[rows, node].astype(int)]
+            node = 2 * node + 1 + (seen > self.thresholds[rows, node])
+        return float(self.base + self.leaves[rows, node - nodes].sum())
 
 
 def logarithms(evidence: Mapping[str, float]) -> Float[np.ndarray, " E"]:
     """Of the evidence, in the order of `EVIDENCE`."""
     return np.log(np.array([evidence[name] for name in EVIDENCE]) + SMALLEST)
-
-
-def terms(found: Float[np.ndarray, "*N E"]) -> Float[np.ndarray, "*N T"]:
-    """1, each value, and each product of two."""
-    first, second = np.triu_indices(found.shape[-1])
-    one = np.ones((*found.shape[:-1], 1))
-    return np.concatenate([one, found, found[..., first] * found[..., second]], -1)
 
 
 def _short(value: Any) -> Any:
