@@ -193,7 +193,7 @@ def fitted(blank: Calibration, samples: list[Sample]) -> Calibration:
     good = log_error <= np.median(log_error)
     fair, low = _bounds_of_trust(log_error, said + lift)
     model = _boosted(found, log_error, weights)
-    looks_at, thresholds, leaves = _complete_trees(model)
+    looks_at, thresholds, leaves = complete_trees(model, DEPTH)
     return dataclasses.replace(
         blank,
         usual=np.median(found[good], axis=0),
@@ -226,13 +226,13 @@ def _boosted(
     return model.fit(found.astype(np.float32), wanted, sample_weight=weights)
 
 
-def _complete_trees(
-    model: Any,
+def complete_trees(
+    model: Any, depth: int
 ) -> tuple[
     Float[np.ndarray, "T N"], Float[np.ndarray, "T N"], Float[np.ndarray, "T L"]
 ]:
     """Its trees as `Calibration` has them: below an early leaf all is that leaf."""
-    inner = 2**DEPTH - 1
+    inner = 2**depth - 1
     looks_at, thresholds = np.zeros((2, len(model.estimators_), inner))
     leaves = np.zeros((len(model.estimators_), inner + 1))
     for row, (estimator,) in enumerate(model.estimators_):
@@ -254,12 +254,12 @@ def _bounds_of_trust(
     """Expected errors from which trust is fair, and low.
 
     Nine in ten of the worst tenth are low, if that leaves at most one in five of the
-    better half low: to be told so for nothing costs less than not to be told. Of
-    objects that are not left out it will be fewer. High is at most half of all.
+    better half low: to be told so for nothing costs less than not to be told. Where
+    fewer do, low is half-way between. High is at most half of all.
     """
     worst, better = worst_tenth(log_error), log_error <= np.median(log_error)
     least = np.quantile(predicted[better], 0.8)
-    low = max(least, np.quantile(predicted[worst], 0.1))
+    low = 0.5 * (least + max(least, np.quantile(predicted[worst], 0.1)))
     fair = min(np.median(predicted), low)
     return float(np.exp(fair)), float(np.exp(low))
 

@@ -84,10 +84,7 @@ def judging(completer, minimal, minimal_variables):
     width = minimal.model.backbone.global_features[-1]
     features = np.random.default_rng(0).normal(size=(30, width))
     blank = unfitted(features)
-    coefficients = np.append(np.log(0.1), blank.coefficients[1:])
-    calibration = dataclasses.replace(
-        blank, coefficients=coefficients, fair=0.01, low=0.05
-    )
+    calibration = dataclasses.replace(blank, base=np.log(0.1), fair=0.01, low=0.05)
     judging = Completer(minimal.config, minimal_variables, calibration=calibration)
     judging._compiled = completer._compiled
     return judging

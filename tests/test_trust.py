@@ -1,28 +1,40 @@
-"""Verdicts: a quadratic of evidence, what is familiar, and what is said."""
+"""Verdicts: trees over evidence, what is familiar, and what is said."""
 
-import dataclasses
 import json
 
 import numpy as np
 import pytest
+from sklearn.ensemble import GradientBoostingRegressor
 
-from prism_jax.trust import EVIDENCE, SMALLEST, Calibration, logarithms, terms
+from experiments.trust import complete_trees
+from prism_jax.trust import EVIDENCE, SMALLEST, Calibration, logarithms
 
 NAMES = list(EVIDENCE)
 COUNT = len(NAMES)
 USUAL = dict.fromkeys(NAMES, 0.05)
 
 
-def calibration(**changes):
-    """The error doubles with each spread of novelty; all else does not matter."""
-    coefficients = np.zeros(terms(np.zeros(COUNT)).size)
-    coefficients[0] = np.log(0.01)
-    coefficients[1 + NAMES.index("novelty")] = np.log(2.0)
+def stump(name, low, high, at=0.0):
+    """A tree of depth two that adds the one below so many spreads of the evidence, and
+    above it the other; its lower nodes look at nothing."""
+    threshold = logarithms(USUAL)[NAMES.index(name)] + at
+    return [NAMES.index(name), 0, 0], [threshold, 0, 0], [low, low, high, high]
+
+
+def calibration(*stumps, **changes):
+    """The error doubles above one spread of novelty and again above two; all else does
+    not matter."""
+    double = np.log(2.0)
+    stumps = stumps or [stump("novelty", 0, double, n - 0.5) for n in (1, 2)]
+    looks_at, thresholds, leaves = (
+        np.array(part, float) for part in zip(*stumps, strict=True)
+    )
     fields = {
-        "center": logarithms(USUAL),
-        "scale": np.ones(COUNT),
-        "usual": np.zeros(COUNT),
-        "coefficients": coefficients,
+        "usual": logarithms(USUAL),
+        "base": np.log(0.01),
+        "looks_at": looks_at,
+        "thresholds": thresholds,
+        "leaves": leaves,
         "bounds": np.log([0.001, 0.1]),
         "fair": 0.015,
         "low": 0.03,
@@ -39,7 +51,7 @@ def spreads(**off):
     return {**USUAL, **moved}
 
 
-def test_the_expected_error_is_the_quadratic_in_the_users_units():
+def test_the_expected_error_is_the_trees_sum_in_the_users_units():
     found = calibration()
     assert found.expected_error(USUAL) == pytest.approx(0.01)
     assert found.expected_error(spreads(novelty=1)) == pytest.approx(0.02)
@@ -48,16 +60,30 @@ def test_the_expected_error_is_the_quadratic_in_the_users_units():
     assert verdict.evidence == spreads(novelty=1)
 
 
-def test_terms_are_those_of_a_quadratic():
-    x = np.random.default_rng(0).normal(size=(5, 3))
-    a, b, c = x.T
-    expected = [np.ones(5), a, b, c, a * a, a * b, a * c, b * b, b * c, c * c]
-    np.testing.assert_allclose(terms(x), np.stack(expected, 1))
-    np.testing.assert_allclose(terms(x[0]), terms(x)[0])
+@pytest.mark.parametrize("depth", [1, 2, 3])
+def test_trees_say_what_scikit_learns_say(depth):
+    rng = np.random.default_rng(depth)
+    found = rng.normal(-3, 1, (300, COUNT)).astype(np.float32)
+    wanted = found[:, 2] * (found[:, 5] > -3) + np.abs(found[:, 0] + 3)
+    model = GradientBoostingRegressor(max_depth=depth, n_estimators=20, random_state=0)
+    model.fit(found, wanted)
+    looks_at, thresholds, leaves = complete_trees(model, depth)
+    trees = calibration(
+        base=float(model.init_.constant_.item()),
+        looks_at=looks_at,
+        thresholds=thresholds,
+        leaves=leaves,
+        bounds=np.array([-50.0, 50.0]),
+    )
+    trees = Calibration.from_dict(json.loads(json.dumps(trees.to_dict())))
+    for row, expected in zip(found, model.predict(found), strict=True):
+        evidence = dict(zip(NAMES, np.exp(row.astype(float)) - SMALLEST, strict=True))
+        said = np.log(trees.expected_error(evidence))
+        assert said == pytest.approx(expected, abs=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("off", "trust"), [(0.0, "high"), (0.5, "high"), (0.7, "fair"), (2.0, "low")]
+    ("off", "trust"), [(0.0, "high"), (0.4, "high"), (0.7, "fair"), (2.0, "low")]
 )
 def test_trust_falls_as_the_expected_error_grows(off, trust):
     verdict = calibration().judge(spreads(novelty=off), 1.0)
@@ -66,17 +92,19 @@ def test_trust_falls_as_the_expected_error_grows(off, trust):
 
 
 def test_nothing_beyond_what_was_met_is_expected():
-    found = calibration()
-    assert found.expected_error(spreads(novelty=50)) == pytest.approx(0.1)
-    assert found.expected_error(spreads(novelty=-4)) == pytest.approx(0.01 / 16, rel=1)
-    assert found.expected_error(spreads(novelty=-4)) >= 0.001
+    wide = [stump("novelty", -9, 9)]
+    found = calibration(*wide)
+    assert found.expected_error(spreads(novelty=1)) == pytest.approx(0.1)
+    assert found.expected_error(spreads(novelty=-1)) == pytest.approx(0.001)
 
 
 def test_the_reasons_are_what_makes_the_error_large_the_worst_first():
-    coefficients = calibration().coefficients.copy()
-    coefficients[1 + NAMES.index("strays")] = 1.0
-    coefficients[1 + NAMES.index("num_points")] = -1.5
-    found = calibration(coefficients=coefficients, low=0.011)
+    found = calibration(
+        stump("novelty", 0, 0.35, 0.4),
+        stump("strays", 0, 1.0, 0.5),
+        stump("num_points", 1.5, 0, -0.5),
+        low=0.011,
+    )
     low = found.judge(spreads(novelty=0.5, strays=1.0, num_points=-1.0), 1.0)
     assert low.trust == "low"
     assert [reason.split(":")[0][:10] for reason in low.reasons] == [
@@ -84,8 +112,7 @@ def test_the_reasons_are_what_makes_the_error_large_the_worst_first():
         f"{spreads(strays=1.0)['strays']:.0%} of the"[:10],
         "it looks u",
     ]
-    none = found.judge(spreads(novelty=0.05, strays=0.05), 1.0)
-    assert len(none.reasons) <= 1
+    assert found.judge(USUAL, 1.0).reasons == ()
 
 
 def test_every_reason_can_be_said():
@@ -107,7 +134,7 @@ def test_it_goes_through_json():
     found = calibration(fair=1 / 3, low=2 / 3)
     again = Calibration.from_dict(json.loads(json.dumps(found.to_dict())))
     assert again.fair == pytest.approx(1 / 3, rel=1e-5)
-    for evidence in (USUAL, spreads(novelty=1.5, strays=2)):
+    for evidence in (USUAL, spreads(novelty=1.7, strays=2)):
         expected = found.expected_error(evidence)
         assert again.expected_error(evidence) == pytest.approx(expected, rel=1e-4)
     assert again.novelty(np.ones(4)) == pytest.approx(found.novelty(np.ones(4)))
@@ -119,11 +146,16 @@ def test_it_goes_through_json():
         {"low": None},
         {"low": 0.0},
         {"low": [1.0]},
-        {"scale": [0.0] * COUNT},
-        {"center": [0.0]},
-        {"center": ["a"] * COUNT},
-        {"center": {"a": 1}},
-        {"coefficients": [1.0]},
+        {"usual": [0.0]},
+        {"usual": ["a"] * COUNT},
+        {"usual": {"a": 1}},
+        {"leaves": [1.0]},
+        {"leaves": [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]},
+        {"looks_at": [[0.0, COUNT, 0.0], [0.0, 0.0, 0.0]]},
+        {"looks_at": [[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]},
+        {"looks_at": [[0.0, 0.0], [0.0, 0.0]]},
+        {"looks_at": []},
+        {"looks_at": 1.0},
         {"feature_axes": [[1.0]]},
         {"feature_axes": [[1.0], [1.0, 2.0]]},
         {"bounds": [float("nan"), 1.0]},
@@ -144,9 +176,7 @@ def test_one_that_lacks_something_is_refused():
 
 
 def test_whatever_the_evidence_the_error_is_finite():
-    wild = dataclasses.replace(
-        calibration(), coefficients=np.full(terms(np.zeros(COUNT)).size, 1e3)
-    )
+    wild = calibration(leaves=np.full((2, 4), 1e3))
     for value in (0.0, 1e-12, 1e12):
         verdict = wild.judge(dict.fromkeys(NAMES, value), 1.0)
         assert 0 < verdict.expected_error <= 0.1 + 1e-12

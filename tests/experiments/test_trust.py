@@ -40,9 +40,12 @@ def calibration():
 
 
 def test_a_law_is_found(calibration):
-    for sample in samples(50, 1):
-        said = calibration.expected_error(sample.evidence) * sample.half_extent
-        assert said == pytest.approx(sample.error, rel=0.5)
+    off = [
+        np.log(calibration.expected_error(s.evidence) * s.half_extent / s.error)
+        for s in samples(200, 1)
+    ]
+    # Errors range over four thousand to one, in steps of the trees.
+    assert np.median(np.abs(off)) < 0.25 and np.quantile(np.abs(off), 0.95) < 0.6
 
 
 def test_it_is_right_about_others_by_its_own_account(calibration):
