@@ -66,7 +66,7 @@ def compared(workdir: pathlib.Path, name: str) -> dict[str, Any]:
         if not path.exists():
             continue
         found = json.loads(path.read_text())
-        seen = samples_seen(read_metadata(path.parent / "weights.safetensors"))
+        seen = samples_seen(read_metadata(str(path.parent / "weights.safetensors")))
         rows[words] = Row(found, "completed", samples=seen)
     if MIXTURES["today"] not in rows:
         remedy = "train it first (experiments/train_mixtures.sh)"

@@ -85,7 +85,7 @@ def test_scores_side_by_side(workdir, tmp_path, capsys):
     assert list(result["sets"]) == list(mixtures.SETS)
     rows = result["sets"]["shapes-novel"]["rows"]
     assert list(rows) == [*list(mixtures.MIXTURES.values())[:2], "the partial"]
-    assert rows["turned and tilted"]["change"]["cd_l2"]["change"] == -0.5
+    assert rows["turned and tilted"]["change"]["cd_l2"]["change"] == pytest.approx(-0.5)
     assert rows["turned and tilted"]["samples"] == 640
     text = output.with_suffix(".md").read_text()
     assert text == mixtures.mixtures_markdown(result)
