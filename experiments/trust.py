@@ -253,12 +253,12 @@ def _bounds_of_trust(
 ) -> tuple[float, float]:
     """Expected errors from which trust is fair, and low.
 
-    Nine in ten of the worst tenth are low, if that leaves at most one in five of the
+    Nine in ten of the worst tenth are low, if that leaves at most 15 in a hundred of the
     better half low: to be told so for nothing costs less than not to be told. Where
     fewer do, low is half-way between. High is at most half of all.
     """
     worst, better = worst_tenth(log_error), log_error <= np.median(log_error)
-    least = np.quantile(predicted[better], 0.8)
+    least = np.quantile(predicted[better], 0.85)
     low = 0.5 * (least + max(least, np.quantile(predicted[worst], 0.1)))
     fair = min(np.median(predicted), low)
     return float(np.exp(fair)), float(np.exp(low))
