@@ -253,7 +253,7 @@ def _bounds_of_trust(
 ) -> tuple[float, float]:
     """Expected errors from which trust is fair, and low.
 
-    Nine in ten of the worst tenth are low, if that leaves at most 15 in a hundred of the
+    Nine in ten of the worst tenth are low, if that leaves at most 15 % of the
     better half low: to be told so for nothing costs less than not to be told. Where
     fewer do, low is half-way between. High is at most half of all.
     """
