@@ -25,6 +25,7 @@ from prism_jax.io.errors import InputError, choose
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.scene import Scene, split_scene
+from prism_jax.observation.sensor import is_believable, likely_eye
 from prism_jax.observation.support import Up, find_up
 from prism_jax.observation.upright import upright
 from prism_jax.trace_cache import compile_cached
@@ -82,7 +83,7 @@ class Completer:
 
         Points are in any unit of length and any frame, the same for all arguments.
         ``camera`` says where the sensor stood. If it is None, that is the origin, or
-        obliquely above if the origin cannot be its place (`prism_jax.observation`). The
+        where it is likely if the origin cannot be its place (`observation.sensor`). The
         view is aimed at the points from there, so that its pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
         points outside are left out and counted. ``adapt=False`` leaves out test-time
@@ -190,7 +191,15 @@ class Completer:
         sensor = "origin" if camera is None else np.asarray(camera.position)
         model = self.config.model
         seen = observe(points, sensor, workspace, model.margin, up, model.heading)
-        check_cloud(points[seen.inside], "points inside the workspace")
+        inside = points[seen.inside]
+        check_cloud(inside, "points inside the workspace")
+        if camera is None:
+            likely = likely_eye(inside)
+            if not (seen.sensor_known and is_believable(inside, np.zeros(3), likely)):
+                seen = observe(
+                    points, likely, workspace, model.margin, up, model.heading
+                )
+                seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
         read = seen.sampled(model.backbone.num_points)
         return _Task(points, seen, read, read.camera)
 

@@ -70,8 +70,8 @@ def define_flags() -> None:
         None,
         "JSON of the camera that saw the scan. For a depth image: the .json of the "
         "same name if not given. For a cloud: one at the origin looking at it, or "
-        "obliquely above if the origin is far away, as a map's is, or among the "
-        "points.",
+        "where the points look seen from if the origin is far away, as a map's is, "
+        "among the points, or where it would not have seen them.",
     )
     flags.DEFINE_string(
         "workspace",
@@ -201,8 +201,9 @@ def complete_file(
         return _write_scene(folder, result, scan, source, about, seconds)
     if result.sensor == "unknown":
         say(
-            "the origin is too far away to be the sensor's place, or among the points; "
-            "it is taken to be obliquely above; give it with --camera"
+            "the origin cannot be the sensor's place: too far away, among the points, "
+            "or on their other side; it is taken to be where they look seen from; "
+            "give it with --camera"
         )
     if result.left_out:
         count = f"{result.left_out:,} of {len(scan.points):,} points"

@@ -18,7 +18,7 @@ LEFT_AWAY = {
 SENSOR = {
     "given": "given",
     "origin": "placed at the origin",
-    "unknown": "placed by the program: the origin is too far away, or among the points",
+    "unknown": "placed where the points look seen from: the origin cannot be its place",
 }
 """Where the view of the depths is from."""
 
