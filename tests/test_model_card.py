@@ -91,7 +91,7 @@ def test_scores_that_they_ship_with_are_shown(name, split):
     shown = (README.parent / "docs" / "results.md").read_text()
     text = markdown(released_scores(name)[split])
     lines = [line for line in text.splitlines() if "[" in line]
-    assert len(lines) == 5
+    assert len(lines) >= 5
     # The page may have more columns.
     assert not [line for line in lines if line.removesuffix(" |") not in shown]
 

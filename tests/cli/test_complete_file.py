@@ -142,7 +142,7 @@ def test_a_sensor_too_far_away_is_told(given, monkeypatch, capsys):
 
     monkeypatch.setattr(FakeCompleter, "complete", unknown)
     assert complete_file(**given)["sensor"] == "unknown"
-    assert "too far away to be the sensor's place" in capsys.readouterr().err
+    assert "the origin cannot be the sensor's place" in capsys.readouterr().err
     report = (pathlib.Path(given["output_dir"]) / "report.html").read_text()
     assert "the origin is too far away, or among the points" in report
 
