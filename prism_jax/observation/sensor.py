@@ -13,8 +13,7 @@ BEHIND = 0.25
 
 APART, HIDDEN = np.deg2rad(75.0), 0.08
 """A place that is so far from the likely direction, and from which so much more of the
-points would be hidden, is not believed. Of the true places of validation views of
-shapes that is one in a hundred."""
+points would be hidden, is not believed."""
 
 DISTANCE = 6.0
 """Of a likely place, in radii of the cloud."""
@@ -25,8 +24,8 @@ def likely_eye(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
     known.
 
     Of many directions it is the one in which the points cover most of an image, hide
-    each other least, and bulge towards the sensor. On validation views it is off by 24
-    degrees at the median. In the points' frame; NumPy, not differentiable.
+    each other least, and bulge towards the sensor. It is a guess, and can be far off. In
+    the points' frame; NumPy, not differentiable.
     """
     points = _some(points)
     center, radius = _ball(points)
