@@ -16,8 +16,8 @@ from absl import flags
 
 from experiments.comparison import Row, comparison, comparison_markdown
 from experiments.output import prepare_output
+from experiments.scoring import print_and_write
 from prism_jax.cli.launch import launch
-from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.training.run import commit
 from prism_jax.weights import read_metadata, samples_seen
@@ -50,12 +50,7 @@ def main() -> None:
     workdir = pathlib.Path(FLAGS.workdir)
     sets = {name: compared(workdir, name) for name in SETS}
     result = {"commit": commit(), "sets": sets}
-    text = mixtures_markdown(result)
-    print(text)
-    if FLAGS.output is not None:
-        path = pathlib.Path(FLAGS.output)
-        write_bytes(path, json.dumps(result, indent=1).encode())
-        write_bytes(path.with_suffix(".md"), text.encode())
+    print_and_write(result, mixtures_markdown(result))
 
 
 def compared(workdir: pathlib.Path, name: str) -> dict[str, Any]:

@@ -7,7 +7,6 @@ user's scan is, by `Completer`.
 """
 
 import concurrent.futures
-import json
 import os
 import pathlib
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from experiments.output import prepare_output
+from experiments.scoring import print_and_write
 from experiments.shifts import SHIFTS, View, validation_views
 from experiments.weights import located
 from prism_jax import io, metrics
@@ -29,7 +29,6 @@ from prism_jax.data.datasets import digest_of, validation_split
 from prism_jax.evaluation.tables import short
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import choose
 from prism_jax.observation.support import find_up
 from prism_jax.observation.upright import upright
@@ -81,12 +80,7 @@ def main() -> None:
                 bar.update()
             rows[name] = _summary([waiting.result() for waiting in scores])
     result = {"commit": commit(), "weights": FLAGS.weights, **about, "shifts": rows}
-    text = robustness_markdown(result)
-    print(text)
-    if FLAGS.output is not None:
-        path = pathlib.Path(FLAGS.output)
-        write_bytes(path, json.dumps(result, indent=1).encode())
-        write_bytes(path.with_suffix(".md"), text.encode())
+    print_and_write(result, robustness_markdown(result))
 
 
 def score(view: View, points: Float[np.ndarray, "N 3"]) -> dict[str, dict[str, float]]:

@@ -9,7 +9,6 @@ PCD of the same kind, with a field `label` that tells its things apart; what has
 points is what they stand on.
 """
 
-import json
 import pathlib
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -20,13 +19,13 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from experiments.output import prepare_output
+from experiments.scoring import print_and_write
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import digest_of, open_dataset
 from prism_jax.data.scenes import Scenes
 from prism_jax.evaluation.bootstrap import mean_intervals
 from prism_jax.evaluation.segmentation import MIN_POINTS, WELL, Agreement, agreement
 from prism_jax.evaluation.tables import short
-from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.io.pcd import read_pcd, read_pcd_field
 from prism_jax.observation.scene import SUPPORT, split_scene
@@ -81,12 +80,7 @@ def main() -> None:
         "real": {one.name: measured([one]) for one in real},
         "by_scene": [told(one) for one in scenes],
     }
-    text = segmentation_markdown(result)
-    print(text)
-    if FLAGS.output is not None:
-        path = pathlib.Path(FLAGS.output)
-        write_bytes(path, json.dumps(result, indent=1).encode())
-        write_bytes(path.with_suffix(".md"), text.encode())
+    print_and_write(result, segmentation_markdown(result))
 
 
 def scored(

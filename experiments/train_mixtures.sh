@@ -77,7 +77,7 @@ for name in "${names[@]}"; do
     fi
     for place in shapes/novel objects/validation roboarm/validation shapes/validation; do
         output=$run/${place/\//-}.json
-        [[ $output -nt $run/weights.safetensors ]] && continue
+        [[ -e $output && ! $run/weights.safetensors -nt $output ]] && continue
         echo "evaluate: $output"
         python -m experiments.evaluate --weights="$run/weights.safetensors" --steps=0 \
             --dataset="${place%/*}" --split="${place#*/}" --output="$output"

@@ -9,8 +9,6 @@ of the others. `experiments.release --calibration=FILE.json` ships it with weigh
 """
 
 import dataclasses
-import json
-import pathlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -23,6 +21,7 @@ from tqdm import tqdm
 
 from experiments.output import prepare_output
 from experiments.robustness import completed
+from experiments.scoring import print_and_write
 from experiments.shifts import any_shift, validation_views
 from experiments.weights import located
 from prism_jax import metrics
@@ -33,7 +32,6 @@ from prism_jax.data.datasets import digest_of, open_dataset, validation_split
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.evaluation.tables import short
 from prism_jax.evidence import make_second_look
-from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import require
 from prism_jax.models.variables import Variables
 from prism_jax.simulation.build_dataset import build_if_missing
@@ -98,12 +96,7 @@ def main() -> None:
         "calibration": calibration.to_dict(),
         "trust": measured(Calibration.from_dict(calibration.to_dict()), rest),
     }
-    text = trust_markdown(result)
-    print(text)
-    if FLAGS.output is not None:
-        path = pathlib.Path(FLAGS.output)
-        write_bytes(path, json.dumps(result, indent=1).encode())
-        write_bytes(path.with_suffix(".md"), text.encode())
+    print_and_write(result, trust_markdown(result))
 
 
 def training_features(

@@ -24,8 +24,8 @@ def likely_eye(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
     known.
 
     Of many directions it is the one in which the points cover most of an image, hide
-    each other least, and bulge towards the sensor. It is a guess, and can be far off. In
-    the points' frame; NumPy, not differentiable.
+    each other least, and bulge towards the sensor. It is a guess, and can be far off.
+    In the points' frame; NumPy, not differentiable.
     """
     points = _some(points)
     center, radius = _ball(points)
