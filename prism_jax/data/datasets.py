@@ -1,6 +1,7 @@
 """Every data set by the name that flags use, its splits, and how it is opened."""
 
 import dataclasses
+import functools
 import inspect
 import os
 import pathlib
@@ -54,16 +55,12 @@ class DataSet:
     licence: str = "as its publisher licenses it"
 
 
-def _open_shapes(root: pathlib.Path, split: str) -> Source:
-    folder = folder_of("shapes", split, root)
-    remedy = _build_it("shapes", split, root)
-    return Shards(folder, remedy, generator_version=SHAPES_VERSION)
-
-
-def _open_open(root: pathlib.Path, split: str) -> Source:
-    folder = folder_of("open", split, root)
-    remedy = _build_it("open", split, root)
-    return Shards(folder, remedy, generator_version=OPEN_VERSION)
+def _open_built(
+    name: str, version: int, root: pathlib.Path, split: str, kind: type[Shards] = Shards
+) -> Source:
+    """A split that was built in shards, by the version of what draws it."""
+    folder, remedy = folder_of(name, split, root), _build_it(name, split, root)
+    return kind(folder, remedy, generator_version=version)
 
 
 def _open_roboarm(root: pathlib.Path, split: str) -> Source:
@@ -71,24 +68,6 @@ def _open_roboarm(root: pathlib.Path, split: str) -> Source:
     remedy = _build_it("roboarm", split, root)
     read_manifest(folder, remedy, generator_version=ROBOARM_VERSION)
     return RecordedCells(folder)
-
-
-def _open_objects(root: pathlib.Path, split: str) -> Source:
-    folder = folder_of("objects", split, root)
-    remedy = _build_it("objects", split, root)
-    return Shards(folder, remedy, generator_version=OBJECTS_VERSION)
-
-
-def _open_cells(root: pathlib.Path, split: str) -> Source:
-    folder = folder_of("cells", split, root)
-    remedy = _build_it("cells", split, root)
-    return Shards(folder, remedy, generator_version=CELLS_VERSION)
-
-
-def _open_scenes(root: pathlib.Path, split: str) -> Source:
-    folder = folder_of("scenes", split, root)
-    remedy = _build_it("scenes", split, root)
-    return Scenes(folder, remedy, generator_version=SCENES_VERSION)
 
 
 def _open_packed(root: pathlib.Path, split: str) -> Source:
@@ -108,7 +87,7 @@ _PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
 
 DATASETS: Mapping[str, DataSet] = {
     "shapes": DataSet(
-        _open_shapes,
+        functools.partial(_open_built, "shapes", SHAPES_VERSION),
         splits=("train", "validation", "test", "unseen", "novel"),
         validation="validation",
         scored=("validation", "test", "unseen", "novel"),
@@ -117,7 +96,7 @@ DATASETS: Mapping[str, DataSet] = {
         licence=_PROCEDURAL,
     ),
     "open": DataSet(
-        _open_open,
+        functools.partial(_open_built, "open", OPEN_VERSION),
         splits=("train",),
         scored=(),
         folder="open-{split}",
@@ -135,7 +114,7 @@ DATASETS: Mapping[str, DataSet] = {
         "tiago_pro Apache-2.0, romeo BSD, talos Apache-2.0), the rest procedural",
     ),
     "objects": DataSet(
-        _open_objects,
+        functools.partial(_open_built, "objects", OBJECTS_VERSION),
         splits=("train", "validation", "test"),
         validation="validation",
         scored=("validation", "test"),
@@ -145,7 +124,7 @@ DATASETS: Mapping[str, DataSet] = {
         "CC BY 3.0), whose makers docs/data.md and the manifest name",
     ),
     "cells": DataSet(
-        _open_cells,
+        functools.partial(_open_built, "cells", CELLS_VERSION),
         splits=("train", "validation"),
         validation="validation",
         scored=("validation",),
@@ -155,7 +134,7 @@ DATASETS: Mapping[str, DataSet] = {
         "ROS-Industrial (BSD, Apache-2.0); the rest procedural",
     ),
     "scenes": DataSet(
-        _open_scenes,
+        functools.partial(_open_built, "scenes", SCENES_VERSION, kind=Scenes),
         splits=("train", "validation", "test"),
         validation="validation",
         scored=("validation", "test"),
