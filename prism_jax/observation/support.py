@@ -21,6 +21,9 @@ FLAT = 0.4
 BELOW = 0.15
 """As many points as this, for each above a support, may lie below it."""
 
+LARGE = 0.7
+"""A plane at least so long, in a support's width, is a wall or another floor."""
+
 FILLED = 0.5
 """The share of a support's outline that has points."""
 
@@ -77,7 +80,7 @@ def find_support(
     the plane's border, if it is not higher than the plane is wide, and if it touches
     the plane or hovers by no more than its own height (its foot may be hidden); what
     hovers counts for less. Most of the cloud must lie over the plane, and much of that
-    on it, other planes at least as large left aside: a wall behind a table, the floor
+    on it, other planes about as large left aside: a wall behind a table, the floor
     below. A face of an object is no support: what is joined to it goes beyond its
     border or lies behind it. Neither is a table with nothing on it, which could be a
     wall.
@@ -97,9 +100,7 @@ def find_support(
             continue
         aside = np.zeros(len(cells), bool)
         for other, its in zip(planes, borders, strict=True):
-            if its is None:
-                continue
-            if its.width >= border.width and its.length >= border.length:
+            if its is not None and its.length >= LARGE * border.width:
                 aside |= np.abs(other.height(cells)) <= other.tolerance
         aside &= np.abs(plane.height(cells)) > plane.tolerance
         standing = _standing(cells, aside, side, border)
