@@ -14,6 +14,8 @@
 #     --samples=N       of each training; 250,000 if not given
 #     --weights=NAME    that all go on from; small-pretrained if not given
 #     --only=NAME       one of the six, again for others; all if not given
+#     --num_shapes=N    to build of shapes, and of open shapes; 12,000 if not given
+#     --num_cells=N     to build; 4,000 if not given
 #
 # All others go to every training.
 set -eo pipefail
@@ -24,6 +26,7 @@ fail() {
 }
 
 workdir='' samples=250000 weights=small-pretrained only=() flags=()
+num_shapes=12000 num_cells=4000
 for flag in "$@"; do
     value=${flag#*=}
     case $flag in
@@ -31,6 +34,8 @@ for flag in "$@"; do
     --samples=*) samples=$value ;;
     --weights=*) weights=$value ;;
     --only=*) only+=("$value") ;;
+    --num_shapes=*) num_shapes=$value ;;
+    --num_cells=*) num_cells=$value ;;
     --?*=* | --tensorboard) flags+=("$flag") ;;
     *) fail "$flag: is no flag" "write --name=value for each" ;;
     esac
@@ -53,17 +58,31 @@ for name in "${only[@]}"; do
 done
 (( ${#only[@]} )) && names=("${only[@]}")
 
-# build SET FLAG...
+# build SET SPLIT FLAG...
 build() {
-    python -m experiments.make_data --dataset="$1" --split=train --output_dir="$data" \
-        "${@:2}"
+    python -m experiments.make_data --dataset="$1" --split="$2" --output_dir="$data" \
+        "${@:3}"
 }
 
 for name in "${names[@]}"; do
-    case $name in occluded | open | models | all) build shapes --partial=mixed ;; esac
-    case $name in open | all) build open --partial=mixed ;; esac
-    case $name in models | all) build objects --partial=mixed ;; esac
-    case $name in all) build cells ;; esac
+    case $name in occluded | open | models | all)
+        build shapes train --partial=mixed --num_shapes="$num_shapes"
+        build shapes validation --partial=mixed
+        ;;
+    esac
+    case $name in open | all)
+        build open train --partial=mixed --num_shapes="$num_shapes" ;;
+    esac
+    case $name in models | all)
+        build objects train --partial=mixed
+        build objects validation --partial=mixed
+        ;;
+    esac
+    case $name in all)
+        build cells train --num_cells="$num_cells"
+        build cells validation
+        ;;
+    esac
     run=$workdir/$name
     # Split on blanks.
     read -ra own <<<"${mixtures[$name]}"
