@@ -1,7 +1,5 @@
 """The completion backbone as functions: encode the partial, decode every stage."""
 
-from typing import Any
-
 import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -77,10 +75,9 @@ def decode(
 def nothing_of(partial: Float[Array, "*B N 3"]) -> Visibility:
     """A map that knows nothing for each cloud."""
     batch = partial.shape[:-2]
-    same: Any = jax.tree.map(
+    return jax.tree.map(
         lambda leaf: np.broadcast_to(leaf, (*batch, *leaf.shape)), nothing_known()
     )
-    return same
 
 
 def train_backbone(

@@ -10,7 +10,12 @@ import pytest
 from experiments.training import overlaid
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, seen_by
-from prism_jax.models.backbone import init_backbone
+from prism_jax.models.backbone import (
+    decode,
+    encode_points,
+    init_backbone,
+    partial_indices,
+)
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.training.inputs import inputs_of, visibility_of
 
@@ -112,8 +117,6 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_fra
 
 
 def test_a_decoder_that_reads_needs_a_map(reading, trained, frame):
-    from prism_jax.models.backbone import decode, encode_points, partial_indices
-
     partial = frame[0]
     indices = partial_indices(partial, reading.backbone)
     encoded = encode_points(trained, reading.backbone, partial, indices)
