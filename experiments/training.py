@@ -86,9 +86,14 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     if model != wanted:
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
+    return variables, known_of(FLAGS.weights)
+
+
+def known_of(weights: str) -> dict[str, Any]:
+    """What is known of the trainings that led to weights, by name or by file."""
     known = ("preset", "seed", "commit", "data", "samples", "pretrained")
-    metadata = read_metadata(located(FLAGS.weights))
-    return variables, {key: metadata[key] for key in known if key in metadata}
+    metadata = read_metadata(located(weights))
+    return {key: metadata[key] for key in known if key in metadata}
 
 
 def overlaid(fresh: Variables, given: Variables) -> Variables:

@@ -60,7 +60,7 @@ def supervised_phase(
             variables["params"], updates
         )
         variables = {"params": params, "batch_stats": statistics}
-        average = _averaged(state, variables, training.average_decay)
+        average = averaged(state, variables, training.average_decay)
         return TrainState(state.step + 1, variables, opt_state, average), losses
 
     @jax.jit
@@ -90,7 +90,7 @@ def supervised_phase(
     )
 
 
-def _averaged(
+def averaged(
     state: TrainState, variables: Variables, decay: float
 ) -> Variables | None:
     """The moving average after a step. It forgets sooner at first, so that it soon is
