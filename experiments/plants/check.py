@@ -22,7 +22,7 @@ from prism_jax.observation.observation import observe
 from prism_jax.observation.visibility import in_front
 from prism_jax.selection import TOLERANCE, usual_spacing
 
-LOOKS = 3
+LOOKS = 2
 """Virtual occlusions of each frame, the same for every network."""
 
 AT_ONCE = 8

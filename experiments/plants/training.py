@@ -205,19 +205,34 @@ def make_step(
         settings.clip_norm,
     )
 
-    def loss_fn(moved: Variables, fixed: Variables, batch: Batch, keys: Array):
+    weights = np.array(
+        [
+            0.5,
+            0.5 * settings.toward_weight,
+            settings.hidden_weight,
+            settings.auxiliary_weight,
+        ],
+        np.float32,
+    )
+    with_auxiliary = settings.auxiliary_weight > 0
+
+    def loss_fn(moved, fixed, batch: Batch, keys: Array, weights: Array):
         fn = jax.vmap(
-            lambda *frame: frame_losses(put(fixed, moved), *frame, config, settings)
+            lambda *frame: frame_losses(
+                put(fixed, moved), *frame, config, settings.num_label, with_auxiliary
+            )
         )
         arrays = map(jnp.asarray, (batch.partial, batch.eye, batch.complete))
         terms = fn(*arrays, keys).mean(0)
-        return terms[-1], terms
+        loss = weights @ terms
+        return loss, jnp.append(terms, loss)
 
+    # The weights are an argument: other weights need no other compilation.
     @jax.jit
-    def step(fixed: Variables, state: TrainState, batch: Batch, key: Array):
+    def step(fixed, state: TrainState, batch: Batch, key: Array, weights: Array):
         keys = jax.random.split(key, len(batch.partial))
         grads, terms = jax.grad(loss_fn, has_aux=True)(
-            state.variables, fixed, batch, keys
+            state.variables, fixed, batch, keys, weights
         )
         updates, opt_state = adam.update(grads, state.opt_state)
         moved: Any = optax.apply_updates(state.variables, updates)
@@ -225,7 +240,8 @@ def make_step(
         return TrainState(state.step + 1, moved, opt_state, average), terms
 
     moved = {name: variables["params"][name] for name in parts}
-    return step, TrainState(jnp.int32(0), moved, adam.init(moved), moved)
+    start = TrainState(jnp.int32(0), moved, adam.init(moved), moved)
+    return lambda *arguments: step(*arguments, weights), start
 
 
 def frame_losses(
@@ -235,32 +251,29 @@ def frame_losses(
     wanted: Float[Array, "M 3"],
     key: Array,
     config: PrismConfig,
-    settings: PlantConfig,
-) -> Float[Array, "5"]:
-    """The `TERMS` of one frame, all in the student's unit workspace.
+    num_label: int,
+    with_auxiliary: bool = True,
+) -> Float[Array, "4"]:
+    """The `TERMS` of one frame but their sum, in the student's unit workspace.
 
-    `wanted` is the pseudo-label and, behind it, what was hidden. ``cover`` and
-    ``toward`` are the two ways of Eq. 10 in CD-L1, over all stages: from the label to
-    the prediction, and back. ``hidden`` is the way from what was hidden to the
-    completion, ``auxiliary`` Eq. 13, and ``loss`` their weighted sum. Differentiable in
-    the variables.
+    `wanted` is the pseudo-label and, behind its `num_label` points, what was hidden.
+    ``cover`` and ``toward`` are the two ways of Eq. 10 in CD-L1, over all stages: from
+    the label to the prediction, and back. ``hidden`` is the way from what was hidden to
+    the completion, and ``auxiliary`` Eq. 13, or 0 without it. Differentiable in the
+    variables.
     """
     camera = observe(partial, eye, Workspace.unit()).camera
     inputs = prepare_input(partial, camera, key, config.model)
-    auxiliary, prediction = jnp.zeros(()), None
-    if settings.auxiliary_weight:
-        # What the objective of Eq. 13 learns to judge is judged here, too.
+    if with_auxiliary:
+        # Whatever else the objective of Eq. 13 judges by joins here.
         losses, prediction = test_time_objective(variables, inputs, config)
         auxiliary = losses.objective
     else:
         prediction = predict(variables, inputs, config.model)
-    label, hidden = jnp.split(wanted, [settings.num_label])
-    cover, toward = _both_ways(prediction, label)
+        auxiliary = jnp.zeros(())
+    label, hidden = jnp.split(wanted, [num_label])
     returned = _way(hidden, prediction.points)
-    loss = 0.5 * (cover + settings.toward_weight * toward)
-    loss += settings.hidden_weight * returned
-    loss += settings.auxiliary_weight * auxiliary
-    return jnp.stack([cover, toward, returned, auxiliary, loss])
+    return jnp.stack([*_both_ways(prediction, label), returned, auxiliary])
 
 
 def _both_ways(

@@ -1,0 +1,141 @@
+"""The label-free training, with a network that is quick to compile."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from experiments.plants.frames import Unlabelled, read_frames, student_batch
+from experiments.plants.training import (
+    MOVED,
+    TERMS,
+    PlantConfig,
+    _way,
+    adapt,
+    frame_losses,
+    make_step,
+    put,
+    told_nothing,
+)
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.losses.primary import primary_loss
+from prism_jax.models.prism import predict, prepare_input
+from prism_jax.observation.observation import observe
+from tests.trees import equal
+
+SETTINGS = PlantConfig(
+    batch_size=2, warmup_steps=0, learning_rate=1e-3, num_label=96, num_hidden=32
+)
+
+
+@pytest.fixture(scope="module")
+def config(minimal):
+    return told_nothing(minimal.config)
+
+
+@pytest.fixture(scope="module")
+def batch(boxes, config):
+    frames = read_frames(Unlabelled(boxes()), config)[:2]
+    rng = np.random.default_rng(0)
+    predictions = rng.uniform(-0.5, 0.5, (2, 64, 3))
+    return student_batch(frames, predictions, (96, 32), config, rng)
+
+
+@pytest.fixture(scope="module")
+def adapted(boxes, config, minimal_fresh):
+    def run(truth=np.nan, steps=2, minutes=None, seed=0):
+        source = Unlabelled(boxes(truth))
+        return adapt(config, minimal_fresh, source, SETTINGS, seed, steps, minutes)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def twice(adapted):
+    return adapted()
+
+
+def test_a_step_lowers_its_loss_and_moves_what_is_to_move(batch, config, minimal_fresh):
+    step, state = make_step(config, minimal_fresh, SETTINGS)
+    key = jax.random.key(0)
+    state, before = step(minimal_fresh, state, batch, key)
+    for _ in range(3):
+        state, after = step(minimal_fresh, state, batch, key)
+    assert after[-1] < before[-1]
+    weights = [0.5, 0.25, 1.0, 0.01]
+    np.testing.assert_allclose(before[-1], weights @ before[:-1], rtol=1e-5)
+    assert len(before) == len(TERMS)
+    assert set(state.variables) == set(MOVED["everything"])
+    assert not equal(state.variables["decoder"], state.kept["decoder"])
+
+
+@pytest.mark.parametrize("moves", ["encoders", "decoder"])
+def test_the_choice_of_parts_is_kept(moves, config, minimal_fresh):
+    settings = dataclasses.replace(SETTINGS, moves=moves)
+    _, state = make_step(config, minimal_fresh, settings)
+    assert set(state.variables) == set(MOVED[moves])
+    whole = put(minimal_fresh, jax.tree.map(jnp.zeros_like, state.variables))
+    for name in minimal_fresh["params"]:
+        same = equal(whole["params"][name], minimal_fresh["params"][name])
+        assert same == (name not in MOVED[moves])
+
+
+def test_the_terms_are_eq_10_and_what_was_hidden(batch, config, minimal_fresh):
+    """Both ways at half weight are Eq. 10 of the pseudo-label."""
+    partial, eye, wanted = (
+        jnp.asarray(each[0]) for each in (batch.partial, batch.eye, batch.complete)
+    )
+    key = jax.random.key(0)
+    cover, toward, hidden, auxiliary = jax.jit(
+        lambda *arrays: frame_losses(minimal_fresh, *arrays, config, 96, False)
+    )(partial, eye, wanted, key)
+    camera = observe(partial, eye, Workspace.unit()).camera
+    inputs = prepare_input(partial, camera, key, config.model)
+    prediction = predict(minimal_fresh, inputs, config.model)
+    stages = (*prediction.stages[:-1], prediction.points)
+    expected = primary_loss(stages, wanted[:96], "l1")
+    np.testing.assert_allclose(0.5 * (cover + toward), expected, rtol=1e-5)
+    gaps = np.linalg.norm(wanted[96:, None] - prediction.points[None], axis=-1)
+    np.testing.assert_allclose(hidden, gaps.min(1).mean(), rtol=1e-5)
+    assert auxiliary == 0
+
+
+def test_a_way_has_its_gradient_and_none_where_points_meet(x64):
+    rng = np.random.default_rng(0)
+    start, end = rng.uniform(-1, 1, (7, 3)), rng.uniform(-1, 1, (9, 3))
+    check_grads(_way, (start, end), 1, ("rev",), eps=1e-6)
+    slopes = jax.grad(_way)(start, start)
+    np.testing.assert_array_equal(slopes, 0.0)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_others(adapted, twice):
+    assert twice.steps == 2
+    assert equal(adapted().variables, twice.variables)
+    assert not equal(adapted(seed=1).variables, twice.variables)
+
+
+def test_no_truth_is_looked_at(adapted, twice):
+    """It is not a number in one, and zero in the other."""
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(twice.variables["params"]))
+    zero = adapted(truth=0.0)
+    assert equal(zero.variables, twice.variables)
+    np.testing.assert_array_equal(zero.after.hidden, twice.after.hidden)
+
+
+def test_no_minutes_leave_all_as_it_was(adapted, minimal_fresh, twice):
+    none = adapted(steps=None, minutes=0.0)
+    assert none.steps == 0
+    assert equal(none.variables, minimal_fresh)
+    np.testing.assert_array_equal(none.before.hidden, none.after.hidden)
+    np.testing.assert_array_equal(none.before.hidden, twice.before.hidden)
+    with pytest.raises(ValueError, match="how many"):
+        adapted(steps=None)
+
+
+def test_settings_that_make_no_sense_are_refused():
+    for change in ({"batch_size": 0}, {"moves": "heads"}, {"hidden_weight": -1.0}):
+        with pytest.raises(ValueError, match=next(iter(change))):
+            PlantConfig(**change)
