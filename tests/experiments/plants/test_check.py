@@ -24,7 +24,7 @@ BEFORE = evidence(np.linspace(0.1, 0.2, 12))
         (evidence(1.1 * BEFORE.hidden), False),
         (evidence(0.9 * BEFORE.hidden, contradicted=0.1), False),
         (evidence(0.9 * BEFORE.hidden, contradicted=0.005), True),
-        (evidence(BEFORE.hidden * ([0.5, 0.5, 1.4] * 4)), False),
+        (evidence(BEFORE.hidden * np.repeat([0.5, 1.4] * 3, 2)), False),
     ],
 )
 def test_better_is_nearer_to_what_was_hidden_and_no_fuller_of_errors(after, better):
@@ -56,11 +56,12 @@ def test_a_network_that_returns_what_it_gets_leaves_the_hidden_far(frames, minim
 
 
 def test_points_before_the_measured_surface_are_contradicted(frames, minimal):
-    """Of few sequences each frame is a group of its own."""
+    """By the sensor that was there, not by a second one. Of few sequences each frame is
+    a group of its own."""
 
     def nearer(variables, partials, eyes):
         return 0.6 * partials + 0.4 * eyes[:, None]
 
     found = gather(nearer, {}, frames[:4], minimal.config)
     assert set(found.group) == set(range(4))
-    assert (found.contradicted > 0.5).mean() > 0.6
+    assert (found.contradicted > 0.9).sum() >= 3

@@ -36,7 +36,7 @@ def test_what_lies_behind_is_hidden_from_either_side():
     cloud = np.concatenate([near, far])
     front = seen_from(cloud, np.array([0.0, -40.0, 0.25]))
     assert front[: len(near)].all()
-    lower, upper = far[:, 2] < 0.42, far[:, 2] > 0.58
+    lower, upper = far[:, 2] < 0.42, far[:, 2] > 0.65
     assert not front[len(near) :][lower & (np.abs(far[:, 0]) < 0.9)].any()
     assert front[len(near) :][upper].all()
     back = seen_from(cloud, np.array([0.0, 40.0, 0.25]))
