@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 from tqdm import tqdm
 
 from experiments.plants.occlusion import occluded
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.holdout import Subset
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.data.pipeline import Batch, Framing, frame_example, stack
+from prism_jax.data.pipeline import Batch, Framing, frame_example
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import Protocol, observed
 from prism_jax.io.errors import InputError
@@ -140,23 +141,27 @@ def other_sequences(
 
 
 def pseudo_label(
-    frame: Frame, prediction: Float[np.ndarray, "P 3"], count: int
+    frame: Frame, prediction: Float[np.ndarray, "P 3"], count: int, reach: float
 ) -> Float[np.ndarray, "M 3"]:
     """What was measured and what the teacher adds to it consistently.
 
-    `prediction` is the teacher's, in the unit of `frame.seen`, and what is kept of it
-    is what a user would get (`prism_jax.selection.select`). `count` points in
+    `prediction` is the teacher's, in the unit of `frame.seen`. Kept of it is what a
+    user would get (`prism_jax.selection.select`), but nothing farther than `reach` half
+    sides from all that was measured: a teacher learns to reach beyond what it sees,
+    and a student that it taught so would reach farther still. `count` points in
     farthest-point order, in the frame's own frame and unit.
     """
     seen = frame.seen
     prediction = np.asarray(prediction, np.float64)
+    measured = np.asarray(seen.workspace.to_unit(frame.measured))
     selection = select(
         prediction,
-        np.asarray(seen.workspace.to_unit(frame.measured)),
+        measured,
         np.asarray(seen.partial),
         None if frame.eye is None else np.asarray(seen.eye),
     )
-    added = np.asarray(seen.workspace.from_unit(prediction[selection.kept]))
+    near = KDTree(measured).query(prediction)[0] <= reach
+    added = np.asarray(seen.workspace.from_unit(prediction[selection.kept & near]))
     return farthest_point_order(np.concatenate([frame.measured, added]), count)
 
 
@@ -164,16 +169,20 @@ def student_view(
     frame: Frame,
     label: Float[np.ndarray, "M 3"],
     num_hidden: int,
+    whole: float,
     framing: Framing,
     rng: np.random.Generator,
 ) -> Batch:
     """What the student reads of a frame, and what it is to return.
 
-    A new virtual occlusion, framed, turned and mirrored as in every training
-    (`prism_jax.data.pipeline.frame_example`). ``complete`` is the label, and behind it
-    `num_hidden` points of what was hidden.
+    A new virtual occlusion, or with the probability `whole` the frame as it is, framed,
+    turned and mirrored as in every training (`prism_jax.data.pipeline.frame_example`).
+    ``complete`` is the label, and behind it `num_hidden` points of what was hidden, or
+    of all that was measured where nothing was.
     """
-    kept, hidden, eye = occluded(frame.measured, frame.eye, rng)
+    kept, hidden, eye = frame.measured, frame.measured, frame.eye
+    if rng.random() >= whole:
+        kept, hidden, eye = occluded(frame.measured, frame.eye, rng)
     wanted = np.concatenate([label, farthest_point_order(hidden, num_hidden)])
     example = Example(
         wanted.astype(np.float32),
@@ -185,25 +194,3 @@ def student_view(
         any_heading=frame.any_heading,
     )
     return frame_example(example, framing, rng)
-
-
-def student_batch(
-    frames: Sequence[Frame],
-    predictions: Float[np.ndarray, "B P 3"],
-    sizes: tuple[int, int],
-    config: PrismConfig,
-    rng: np.random.Generator,
-) -> Batch:
-    """`student_view` of several frames, whose teacher predicts this, with labels and
-    hidden points of these sizes."""
-    model = config.model
-    framing = Framing(
-        model.backbone.num_points, sum(sizes), model.margin, model.heading
-    )
-    rows = [
-        student_view(
-            frame, pseudo_label(frame, points, sizes[0]), *sizes[1:], framing, rng
-        )
-        for frame, points in zip(frames, predictions, strict=True)
-    ]
-    return stack(rows)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -13,10 +13,16 @@ from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from experiments.plants.check import Evidence, gather, make_predictor
-from experiments.plants.frames import held_out, read_frames, student_batch
+from experiments.plants.frames import (
+    Frame,
+    held_out,
+    pseudo_label,
+    read_frames,
+    student_view,
+)
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import test_time_objective
-from prism_jax.data.pipeline import Batch
+from prism_jax.data.pipeline import Batch, Framing, stack
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import side_by_side
 from prism_jax.geometry.neighbors import nearest
@@ -60,6 +66,9 @@ class PlantConfig:
         what is kept.
       num_label: points of a pseudo-label that the losses look at.
       num_hidden: points of what was hidden that they look at.
+      reach: how far from all that was measured the teacher may add points to a label,
+        in half sides of the workspace.
+      whole: the share of frames that the student reads without virtual occlusion.
       toward_weight: of the way from the prediction to the pseudo-label, against the
         way back.
       hidden_weight: of the way from what was hidden to the prediction.
@@ -74,8 +83,10 @@ class PlantConfig:
     average_decay: float = 0.98
     num_label: int = 2048
     num_hidden: int = 512
-    toward_weight: float = 0.5
-    hidden_weight: float = 1.0
+    reach: float = 0.15
+    whole: float = 0.25
+    toward_weight: float = 1.0
+    hidden_weight: float = 0.25
     auxiliary_weight: float = 0.01
 
     def __post_init__(self):
@@ -88,6 +99,8 @@ class PlantConfig:
             average_decay=(0, 1),
             num_label=(1, 2**20),
             num_hidden=(1, 2**20),
+            reach=(0, 1e3),
+            whole=(0, 1),
             toward_weight=(0, 1e6),
             hidden_weight=(0, 1e6),
             auxiliary_weight=(0, 1e6),
@@ -155,8 +168,7 @@ def adapt(
         teacher = put(variables, state.kept)
         labels = jax.device_get(predict_fn(teacher, *seen))
         rng = np.random.default_rng((seed, 1, done))
-        sizes = settings.num_label, settings.num_hidden
-        batch = student_batch(batch_frames, labels, sizes, config, rng)
+        batch = student_batch(batch_frames, labels, config, settings, rng)
         key = jax.random.fold_in(jax.random.key(seed), done)
         state, losses = step_fn(variables, state, batch, key)
         losses = dict(zip(TERMS, np.asarray(losses).tolist(), strict=True))
@@ -184,6 +196,25 @@ def told_nothing(config: PrismConfig) -> PrismConfig:
 def put(variables: Variables, moved: Variables) -> Variables:
     """The variables with other parameters of some parts."""
     return {**variables, "params": {**variables["params"], **moved}}
+
+
+def student_batch(
+    frames: Sequence[Frame],
+    predictions: Float[np.ndarray, "B P 3"],
+    config: PrismConfig,
+    settings: PlantConfig,
+    rng: np.random.Generator,
+) -> Batch:
+    """`student_view` of several frames, of whose wholes the teacher predicts this."""
+    model = config.model
+    count = settings.num_label + settings.num_hidden
+    framing = Framing(model.backbone.num_points, count, model.margin, model.heading)
+    rows = []
+    for frame, points in zip(frames, predictions, strict=True):
+        label = pseudo_label(frame, points, settings.num_label, settings.reach)
+        asked = settings.num_hidden, settings.whole
+        rows.append(student_view(frame, label, *asked, framing, rng))
+    return stack(rows)
 
 
 def make_step(

@@ -69,20 +69,26 @@ def test_a_label_is_what_was_measured_and_what_agrees_with_it(frames):
     eye = np.asarray(seen.eye)
     behind = np.asarray(seen.partial) - 0.5 * eye / np.linalg.norm(eye)
     before = 0.5 * (np.asarray(seen.partial) + eye)
-    label = pseudo_label(frame, np.concatenate([behind, before]), 900)
+    label = pseudo_label(frame, np.concatenate([behind, before]), 900, 9.0)
     assert label.shape == (900, 3)
     unit = np.asarray(seen.workspace.to_unit(label))
     assert KDTree(before).query(unit)[0].min() > 0.1
     assert (KDTree(behind).query(unit)[0] < 1e-6).sum() > 10
     assert KDTree(label).query(frame.measured)[0].max() < 0.2
+    label = pseudo_label(frame, behind, 900, 0.1)
+    unit = np.asarray(seen.workspace.to_unit(label))
+    measured = np.asarray(seen.workspace.to_unit(frame.measured))
+    assert KDTree(measured).query(unit)[0].max() <= 0.1
 
 
 def test_the_student_reads_what_is_left_and_is_asked_for_the_rest(frames, minimal):
     frame, model = frames[0], minimal.model
     framing = Framing(model.backbone.num_points, 128 + 32, model.margin, "given")
     label = frame.measured[:128]
-    batch = student_view(frame, label, 32, framing, np.random.default_rng(7))
-    kept, hidden, _ = occluded(frame.measured, frame.eye, np.random.default_rng(7))
+    batch = student_view(frame, label, 32, 0.0, framing, np.random.default_rng(7))
+    rng = np.random.default_rng(7)
+    rng.random()
+    kept, hidden, _ = occluded(frame.measured, frame.eye, rng)
     assert np.abs(batch.partial).max() <= 1.0
     assert batch.complete.shape == (160, 3)
     # Framed and mirrored, lengths keep their proportions.
@@ -91,6 +97,9 @@ def test_the_student_reads_what_is_left_and_is_asked_for_the_rest(frames, minima
     expected = KDTree(kept).query(hidden)[0]
     assert apart.max() <= size * (expected.max() + 0.4)
     assert apart.min() > 0
+    rng = np.random.default_rng(7)
+    batch = student_view(frame, label, 64, 1.0, framing, rng)
+    assert KDTree(batch.partial).query(batch.complete[128:])[0].min() < 1e-6
 
 
 def test_frames_without_measured_points_are_refused(boxes, minimal):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from experiments.plants.frames import Unlabelled, read_frames, student_batch
+from experiments.plants.frames import Unlabelled, read_frames
 from experiments.plants.training import (
     MOVED,
     TERMS,
@@ -18,6 +18,7 @@ from experiments.plants.training import (
     frame_losses,
     make_step,
     put,
+    student_batch,
     told_nothing,
 )
 from prism_jax.geometry.workspace import Workspace
@@ -41,7 +42,7 @@ def batch(boxes, config):
     frames = read_frames(Unlabelled(boxes()), config)[:2]
     rng = np.random.default_rng(0)
     predictions = rng.uniform(-0.5, 0.5, (2, 64, 3))
-    return student_batch(frames, predictions, (96, 32), config, rng)
+    return student_batch(frames, predictions, config, SETTINGS, rng)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def test_a_step_lowers_its_loss_and_moves_what_is_to_move(batch, config, minimal
     for _ in range(3):
         state, after = step(minimal_fresh, state, batch, key)
     assert after[-1] < before[-1]
-    weights = [0.5, 0.25, 1.0, 0.01]
+    weights = np.array([0.5, 0.5, 0.25, 0.01])
     np.testing.assert_allclose(before[-1], weights @ before[:-1], rtol=1e-5)
     assert len(before) == len(TERMS)
     assert set(state.variables) == set(MOVED["everything"])
