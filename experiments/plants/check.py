@@ -28,8 +28,9 @@ LOOKS = 2
 AT_ONCE = 8
 """Views that are completed together."""
 
-MORE = 0.01
-"""Of the predicted points: so many more may contradict what was measured."""
+MORE = 0.04
+"""Of the predicted points: so many more may contradict what was measured. On validation
+cells a network that came nearer to the truth had 2 % more, one that sprayed 9 %."""
 
 FEWEST_GROUPS = 5
 """Sequences that an interval over sequences takes; else it is over frames."""

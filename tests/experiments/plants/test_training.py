@@ -1,6 +1,7 @@
 """The label-free training, with a network that is quick to compile."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,11 +9,13 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from experiments.plants import training
 from experiments.plants.frames import Unlabelled, read_frames
 from experiments.plants.training import (
     MOVED,
     TERMS,
     PlantConfig,
+    _orders,
     _way,
     adapt,
     frame_losses,
@@ -25,10 +28,15 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.primary import primary_loss
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.observation.observation import observe
-from tests.trees import equal
+from tests.trees import bitwise, equal
 
 SETTINGS = PlantConfig(
-    batch_size=2, warmup_steps=0, learning_rate=1e-3, num_label=96, num_hidden=32
+    batch_size=2,
+    warmup_steps=0,
+    learning_rate=1e-3,
+    num_label=96,
+    num_hidden=32,
+    auxiliary_weight=0.0,
 )
 
 
@@ -66,7 +74,7 @@ def test_a_step_lowers_its_loss_and_moves_what_is_to_move(batch, config, minimal
     for _ in range(3):
         state, after = step(minimal_fresh, state, batch, key)
     assert after[-1] < before[-1]
-    weights = np.array([0.5, 0.5, 0.25, 0.01])
+    weights = np.array([0.5, 0.5, 0.25, 0.0])
     np.testing.assert_allclose(before[-1], weights @ before[:-1], rtol=1e-5)
     assert len(before) == len(TERMS)
     assert set(state.variables) == set(MOVED["everything"])
@@ -107,23 +115,46 @@ def test_the_terms_are_eq_10_and_what_was_hidden(batch, config, minimal_fresh):
 def test_a_way_has_its_gradient_and_none_where_points_meet(x64):
     rng = np.random.default_rng(0)
     start, end = rng.uniform(-1, 1, (7, 3)), rng.uniform(-1, 1, (9, 3))
+    start, end = jnp.asarray(start), jnp.asarray(end)
     check_grads(_way, (start, end), 1, ("rev",), eps=1e-6)
     slopes = jax.grad(_way)(start, start)
     np.testing.assert_array_equal(slopes, 0.0)
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_others(adapted, twice):
-    assert twice.steps == 2
-    assert equal(adapted().variables, twice.variables)
-    assert not equal(adapted(seed=1).variables, twice.variables)
+def test_what_eq_13_judges_joins(batch, config, minimal_fresh, monkeypatch):
+    """The objective's prediction is the one that is trained, and its value a term."""
+
+    def objective(variables, inputs, config):
+        prediction = predict(variables, inputs, config.model)
+        moved = prediction._replace(points=prediction.points + 9.0)
+        return SimpleNamespace(objective=jnp.float32(3.0)), moved
+
+    monkeypatch.setattr(training, "test_time_objective", objective)
+    arrays = (batch.partial[0], batch.eye[0], batch.complete[0])
+    arrays = (*map(jnp.asarray, arrays), jax.random.key(0))
+    terms = jax.jit(lambda *each: frame_losses(minimal_fresh, *each, config, 96))
+    _, _, hidden, auxiliary = terms(*arrays)
+    assert auxiliary == 3.0 and hidden > 9.0
 
 
-def test_no_truth_is_looked_at(adapted, twice):
+def test_no_truth_is_looked_at_and_the_bytes_are_the_same(adapted, twice):
     """It is not a number in one, and zero in the other."""
+    assert twice.steps == 2
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(twice.variables["params"]))
     zero = adapted(truth=0.0)
-    assert equal(zero.variables, twice.variables)
+    assert bitwise(zero.variables, twice.variables)
     np.testing.assert_array_equal(zero.after.hidden, twice.after.hidden)
+
+
+def test_every_frame_comes_once_before_any_comes_again():
+    rows = [next(orders) for orders in [_orders(7, 3, 0)] for _ in range(7)]
+    again = [next(orders) for orders in [_orders(7, 3, 0)] for _ in range(7)]
+    np.testing.assert_array_equal(rows, again)
+    assert np.bincount(np.concatenate(rows)).tolist() == [3] * 7
+    assert sorted(np.concatenate(rows)[:7]) == list(range(7))
+    assert not np.array_equal(next(_orders(7, 7, 1)), next(_orders(7, 7, 0)))
+    # A batch may be larger than all there is.
+    assert len(next(_orders(2, 5, 0))) == 5
 
 
 def test_no_minutes_leave_all_as_it_was(adapted, minimal_fresh, twice):
