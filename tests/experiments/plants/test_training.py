@@ -98,12 +98,16 @@ def test_the_terms_are_eq_10_and_what_was_hidden(batch, config, minimal_fresh):
         jnp.asarray(each[0]) for each in (batch.partial, batch.eye, batch.complete)
     )
     key = jax.random.key(0)
-    cover, toward, hidden, auxiliary = jax.jit(
-        lambda *arrays: frame_losses(minimal_fresh, *arrays, config, 96, False)
-    )(partial, eye, wanted, key)
-    camera = observe(partial, eye, Workspace.unit()).camera
-    inputs = prepare_input(partial, camera, key, config.model)
-    prediction = predict(minimal_fresh, inputs, config.model)
+
+    @jax.jit
+    def both(partial, eye, wanted):
+        arrays = (partial, eye, wanted, key)
+        terms = frame_losses(minimal_fresh, *arrays, config, 96, False)
+        camera = observe(partial, eye, Workspace.unit()).camera
+        inputs = prepare_input(partial, camera, key, config.model)
+        return terms, predict(minimal_fresh, inputs, config.model)
+
+    (cover, toward, hidden, auxiliary), prediction = both(partial, eye, wanted)
     stages = (*prediction.stages[:-1], prediction.points)
     expected = primary_loss(stages, wanted[:96], "l1")
     np.testing.assert_allclose(0.5 * (cover + toward), expected, rtol=1e-5)
@@ -115,9 +119,12 @@ def test_the_terms_are_eq_10_and_what_was_hidden(batch, config, minimal_fresh):
 def test_a_way_has_its_gradient_and_none_where_points_meet(x64):
     rng = np.random.default_rng(0)
     start, end = rng.uniform(-1, 1, (7, 3)), rng.uniform(-1, 1, (9, 3))
-    start, end = jnp.asarray(start), jnp.asarray(end)
-    check_grads(_way, (start, end), 1, ("rev",), eps=1e-6)
-    slopes = jax.grad(_way)(start, start)
+
+    def way(*clouds):
+        return _way(*map(jnp.asarray, clouds))
+
+    check_grads(way, (start, end), 1, ("rev",), eps=1e-6)
+    slopes = jax.grad(way)(start, start)
     np.testing.assert_array_equal(slopes, 0.0)
 
 
