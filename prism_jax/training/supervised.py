@@ -90,9 +90,7 @@ def supervised_phase(
     )
 
 
-def averaged(
-    state: TrainState, variables: Variables, decay: float
-) -> Variables | None:
+def averaged(state: TrainState, variables: Variables, decay: float) -> Variables | None:
     """The moving average after a step. It forgets sooner at first, so that it soon is
     one of trained variables."""
     if state.average is None:
