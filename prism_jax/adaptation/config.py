@@ -22,6 +22,7 @@ class AdaptConfig:
       clip_norm: bound on the global norm of the gradient of a step; 0 for none. One
         frame's can be ten times another's.
       depth_weight: of the depth consistency; 1 as in Eq. 13.
+      auxiliary_weight: of the weighted losses of Eq. 11; 1 as in Eq. 13.
       visibility_weight: of what the completion has where the sensor saw emptiness
         (`prism_jax.losses.visibility`); not in the paper.
       keep_weight: of what the unadapted completion had right and the adapted one leaves
@@ -48,6 +49,7 @@ class AdaptConfig:
     step_size: float = 1e-3
     clip_norm: float = 0.0
     depth_weight: float = 1.0
+    auxiliary_weight: float = 1.0
     visibility_weight: float = 0.0
     keep_weight: float = 0.0
     balance: bool = False
@@ -69,6 +71,7 @@ class AdaptConfig:
             step_size=(-1e6, 1e6),
             clip_norm=weight,
             depth_weight=weight,
+            auxiliary_weight=weight,
             visibility_weight=weight,
             keep_weight=weight,
             lambda_smooth=weight,

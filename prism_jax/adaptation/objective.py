@@ -117,28 +117,41 @@ def test_time_objective(
     softmax(eta*). Where inputs are held with norms (`hold`), every term is divided by
     that of its own gradient instead. Differentiable in the encoders' parameters.
     """
-    losses, prediction = _terms(variables, inputs, config)
+    terms, prediction = _terms(variables, inputs, config)
     settings, weighting = config.adapt, variables["weighting"]
-    scales, consistency = weighting["scales"], losses.depth_consistency
+    scales, consistency = weighting["scales"], terms.consistency
     norms = inputs.norms
     if norms is not None:
         # As a scale of zero does, a norm of zero leaves a term undivided.
         norms = jnp.where(norms > 0, norms, 1.0)
         consistency, scales = consistency / norms[0], norms[1 : 1 + len(BRANCHES)]
-    weighted = weighted_auxiliary(weighting["logits"], losses.auxiliary, scales)
-    objective = settings.depth_weight * consistency + weighted
-    if losses.visibility is not None:
-        scale = 1.0 if norms is None else norms[-1]
-        beside = settings.visibility_weight * losses.visibility
-        beside += settings.keep_weight * losses.keep
-        objective += beside / scale
-    return losses._replace(objective=objective), prediction
+    weighted = weighted_auxiliary(weighting["logits"], terms.auxiliary, scales)
+    objective = settings.depth_weight * consistency
+    if settings.auxiliary_weight == 1:
+        objective += weighted
+    elif settings.auxiliary_weight:
+        objective += settings.auxiliary_weight * weighted
+    if terms.visibility is not None:
+        beside = settings.visibility_weight * terms.visibility
+        beside += settings.keep_weight * terms.keep
+        objective += beside if norms is None else beside / norms[-1]
+    extra = (terms.visibility, terms.keep)
+    return Losses(objective, terms.consistency, *terms.auxiliary, *extra), prediction
+
+
+class _Terms(NamedTuple):
+    """Those of `Losses`, with the auxiliary ones as an array."""
+
+    consistency: Float[Array, ""]
+    auxiliary: Float[Array, " K"]
+    visibility: Float[Array, ""] | None = None
+    keep: Float[Array, ""] | None = None
 
 
 def _terms(
     variables: Variables, inputs: NetworkInput, config: PrismConfig
-) -> tuple[Losses, Prediction]:
-    """The terms, with an objective of zero, and the prediction."""
+) -> tuple[_Terms, Prediction]:
+    """The terms of a prediction, and the prediction."""
     prediction = predict(variables, inputs, config.model)
     depth_features = read_depth(variables, inputs, config.model)
     seen = branches(variables, inputs, prediction, depth_features, config.model)
@@ -147,14 +160,13 @@ def _terms(
     consistency = depth_error(
         points, inputs.reference, inputs.reference_mask, inputs.view
     )
-    losses = Losses(jnp.zeros(()), consistency, *auxiliary)
     if not _looks(config.adapt):
-        return losses, prediction
+        return _Terms(consistency, auxiliary), prediction
     keep = jnp.zeros(())
     if inputs.kept is not None:
         keep = keep_loss(points, inputs.kept, inputs.kept_mask)
     visibility = visibility_loss(points, _known(inputs, config), _tolerance(inputs))
-    return losses._replace(visibility=visibility, keep=keep), prediction
+    return _Terms(consistency, auxiliary, visibility, keep), prediction
 
 
 def hold(
@@ -187,9 +199,9 @@ def _gradient_norms(
     start, unravel = ravel_pytree(encoders)
 
     def values(flat: Float[Array, " P"]) -> Float[Array, " T"]:
-        losses, _ = _terms(put_encoders(unravel(flat), rest), inputs, config)
-        found = (getattr(losses, name) for name in BALANCED)
-        return jnp.stack([jnp.zeros(()) if v is None else v for v in found])
+        terms, _ = _terms(put_encoders(unravel(flat), rest), inputs, config)
+        seen = jnp.zeros(()) if terms.visibility is None else terms.visibility
+        return jnp.stack([terms.consistency, *terms.auxiliary, seen])
 
     # One backward pass after the other needs no more memory than a step.
     _, backward = jax.vjp(values, start)

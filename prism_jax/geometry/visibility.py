@@ -146,8 +146,9 @@ def seen_by(
     camera = Camera.framing(points, eye, MARGIN, MAP_SIZE, MAP_SIZE)
     depth, hit = render_depth(points, camera)
     z = camera.to_camera(points)[:, 2]
+    spacing = spacing_of(points)
     focal = camera.intrinsics[0, 0]
-    reach = 0.5 * CLOSED * spacing_of(points) * focal / jnp.maximum(z.mean(), MIN_DEPTH)
+    reach = 0.5 * CLOSED * spacing * focal / jnp.maximum(z.mean(), MIN_DEPTH)
     # Within the margin, or the image's edge would be part of a hole.
     reach = jnp.minimum(reach, MAP_SIZE / 8)
     apart, nearest = nearest_marked(hit)
