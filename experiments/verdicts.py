@@ -19,7 +19,7 @@ from experiments.scoring import (
     print_and_write,
 )
 from experiments.weights import located
-from prism_jax.adaptation.objective import Losses
+from prism_jax.adaptation.objective import COMMON, Losses
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch
 from prism_jax.data.pipeline import with_partial
@@ -60,7 +60,8 @@ def main() -> None:
         verdicts, losses = verdict(*side_by_side(seen))
         of_batch = min(FLAGS.batch_size, count - start)
         accepted += np.asarray(verdicts)[:of_batch].tolist()
-        after_minus_before = np.stack([term[:, -1] - term[:, 0] for term in losses], 1)
+        terms = [getattr(losses, name) for name in COMMON]
+        after_minus_before = np.stack([term[:, -1] - term[:, 0] for term in terms], 1)
         rose += (after_minus_before > 0)[:of_batch].tolist()
     of_accepted = np.array(rose)[np.array(accepted)]
     result = {
@@ -68,7 +69,7 @@ def main() -> None:
         "weights": FLAGS.weights,
         "num_examples": count,
         "accepted": float(np.mean(accepted)),
-        "rose": dict(zip(Losses._fields, of_accepted.mean(0).tolist(), strict=True)),
+        "rose": dict(zip(COMMON, of_accepted.mean(0).tolist(), strict=True)),
     }
     print_and_write(result, verdicts_markdown(result))
 

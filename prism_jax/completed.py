@@ -143,7 +143,7 @@ def assemble(
         accepted=bool(completion.accepted),
         losses={
             name: np.asarray(values, np.float64).tolist()
-            for name, values in completion.losses._asdict().items()
+            for name, values in completion.losses.named().items()
         },
         weights=np.asarray(completion.weights),
         workspace=seen.workspace,

@@ -22,6 +22,15 @@ class AdaptConfig:
       clip_norm: bound on the global norm of the gradient of a step; 0 for none. One
         frame's can be ten times another's.
       depth_weight: of the depth consistency; 1 as in Eq. 13.
+      auxiliary_weight: of the weighted losses of Eq. 11; 1 as in Eq. 13.
+      visibility_weight: of what the completion has where the sensor saw emptiness
+        (`prism_jax.losses.visibility`); not in the paper.
+      keep_weight: of what the unadapted completion had right and the adapted one leaves
+        uncovered; not in the paper.
+      balance: whether every term of Eq. 13 is divided by the norm of its gradient in
+        the encoders before the first step, in the place of its scale from training: the
+        weights then say how far each moves them, whatever its unit. What is kept has
+        the norm of what is seen, since its own is zero there.
       lambda_smooth: of the normals' smoothness in Eq. 5.
       normal_neighbors: neighbourhood of the PCA normals.
       normal_stride: Eq. 5 is the mean over every so many-th point. The children of a
@@ -40,6 +49,10 @@ class AdaptConfig:
     step_size: float = 1e-3
     clip_norm: float = 0.0
     depth_weight: float = 1.0
+    auxiliary_weight: float = 1.0
+    visibility_weight: float = 0.0
+    keep_weight: float = 0.0
+    balance: bool = False
     lambda_smooth: float = 0.1
     normal_neighbors: int = 16
     normal_stride: int = 1
@@ -58,6 +71,9 @@ class AdaptConfig:
             step_size=(-1e6, 1e6),
             clip_norm=weight,
             depth_weight=weight,
+            auxiliary_weight=weight,
+            visibility_weight=weight,
+            keep_weight=weight,
             lambda_smooth=weight,
             normal_neighbors=(2, 64),
             normal_stride=(1, 2**16),
@@ -97,8 +113,9 @@ class MetaConfig:
         after adaptation: a weight grows if that makes the adapted completion better.
       branches: the losses of Eq. 11 that count; the others get no weight, in training
         and ever after.
-      rehearse_depth: whether the inner loop descends the depth consistency too, and so
-        exactly what test time does (Eq. 13 in the place of Eq. 11).
+      rehearse_depth: whether the inner loop descends the depth consistency too, and
+        whatever else of one completion test time descends, and so exactly what test
+        time does (Eq. 13 in the place of Eq. 11).
       learn_steps: whether a step size is learned for each module of the encoders
         (Meta-SGD, Li et al., 2017).
       learn_auxiliary: whether the auxiliary modules learn too, from the primary loss

@@ -13,11 +13,11 @@ from jaxtyping import Array, Float
 
 from prism_jax.adaptation.config import AdaptConfig, MetaConfig, PrismConfig
 from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
-from prism_jax.adaptation.objective import Losses, test_time_objective
+from prism_jax.adaptation.objective import Losses, hold, test_time_objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import update_scale, weighted_auxiliary
-from prism_jax.models.prism import decode_and_refine, encode, hold_decoding, refine
+from prism_jax.models.prism import decode_and_refine, encode, refine
 from prism_jax.models.variables import (
     ENCODERS,
     Variables,
@@ -152,9 +152,8 @@ def meta_gradients(
     and each cloud's decoding is held through its episode, as at test time.
     """
     if meta.num_steps:
-        inputs = jax.vmap(lambda one: hold_decoding(variables, one, config.model))(
-            inputs
-        )
+        inner = _descended(config, meta)
+        inputs = jax.vmap(lambda one: hold(variables, one, inner))(inputs)
     learned = learned_part(variables, meta)
     functions = network_functions(config, meta)
     gradient = jax.grad(meta_loss, has_aux=True)
@@ -163,8 +162,7 @@ def meta_gradients(
 
 def network_functions(config: PrismConfig, meta: MetaConfig) -> Functions:
     """The functions that Eq. 12 is composed of, of PRISM's network."""
-    model = config.model
-    inner = config if meta.rehearse_depth else config.with_adapt(depth_weight=0.0)
+    model, inner = config.model, _descended(config, meta)
 
     def refiner_loss(variables: Variables, after: Any, inputs: Any, complete: Array):
         points = refine(variables, after, model)
@@ -179,6 +177,13 @@ def network_functions(config: PrismConfig, meta: MetaConfig) -> Functions:
         lambda stages, complete: primary_loss(stages, complete, meta.norm),
         refiner_loss,
     )
+
+
+def _descended(config: PrismConfig, meta: MetaConfig) -> PrismConfig:
+    """The configuration whose objective the inner loop descends: Eq. 13 or Eq. 11."""
+    if meta.rehearse_depth:
+        return config
+    return config.with_adapt(depth_weight=0.0, visibility_weight=0.0, keep_weight=0.0)
 
 
 def learned_part(variables: Variables, meta: MetaConfig) -> Variables:

@@ -9,11 +9,11 @@ from jaxtyping import Array, Bool, Float
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.inner_loop import step_sizes, unroll
-from prism_jax.adaptation.objective import Losses, test_time_objective
+from prism_jax.adaptation.objective import Losses, hold, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.losses.weighting import loss_weights
-from prism_jax.models.prism import hold_decoding, prepare_input
+from prism_jax.models.prism import prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
 
@@ -79,7 +79,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             partial, camera, key, config.model, visibility=visibility
         )
         if settings.num_steps:
-            inputs = hold_decoding(variables, inputs, config.model)
+            inputs = hold(variables, inputs, config)
         encoders, rest = pop_encoders(variables)
 
         # Compiled, so that it is traced once for the steps and for what follows them.
@@ -122,7 +122,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
 
 
 def _improved(losses: Losses) -> Bool[Array, ""]:
-    finite = jnp.isfinite(jnp.stack(losses)).all()
+    finite = jnp.isfinite(jnp.stack(jax.tree.leaves(losses))).all()
     return finite & (losses.objective[-1] <= losses.objective[0])
 
 

@@ -107,7 +107,7 @@ def frame_example(
         np.asarray(workspace.to_unit(clouds["many"]), np.float32),
         np.asarray(seen.eye, np.float32),
         np.asarray(workspace.half_extent / unit.half_extent, np.float32),
-        visibility=None if known is None else _framed_map(known, workspace),
+        visibility=None if known is None else framed_map(known, workspace),
     )
     if rng is None:
         return batch
@@ -235,7 +235,7 @@ def _about_vertical(angle: float) -> Float32[np.ndarray, "3 3"]:
     return np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
 
 
-def _framed_map(known: Visibility, workspace: Workspace) -> Visibility:
+def framed_map(known: Visibility, workspace: Workspace) -> Visibility:
     """In the unit of the workspace, and in single precision."""
     unit = to_unit(known, workspace)
     camera = jax.tree.map(lambda array: np.asarray(array, np.float32), unit.camera)

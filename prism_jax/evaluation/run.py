@@ -21,17 +21,21 @@ from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import (
     UNITS,
     Protocol,
+    Told,
     into_scored,
+    map_of,
     observed,
     side_by_side,
+    told,
     workspace_for,
 )
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
+from prism_jax.geometry.visibility import BACKGROUND, look_up
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
-from prism_jax.observation.observation import observe
-from prism_jax.selection import added_points
+from prism_jax.observation.observation import Observation, observe
+from prism_jax.selection import added_points, select
 
 
 class Predictions(NamedTuple):
@@ -49,29 +53,36 @@ class Predictions(NamedTuple):
     accepted: Bool[Array | np.ndarray, " B"] | None = None
 
 
-CompleteFn = Callable[
-    [Float[np.ndarray, "B N 3"], Float[np.ndarray, "B 3"]], Predictions
-]
-"""What is scored: a function of partial clouds and the sensors' positions, both in the
-unit workspace. It may be jitted."""
+CompleteFn = Callable[..., Predictions]
+"""What is scored: a function of partial clouds (B, N, 3) and the sensors' positions
+(B, 3), both in the unit workspace, and, if the protocol says so, of what else is told
+of them (`Told`). It may be jitted."""
 
 
 def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     """PRISM with its test-time adaptation, jitted; compiled for each batch size.
 
-    With ``num_steps=0`` it returns ``network`` alone.
+    With ``num_steps=0`` it returns ``network`` alone. It takes the maps of what it is
+    told; without, it has what the clouds say.
     """
     adapt = make_adapt(config)
 
-    def one(variables: Variables, partial: Array, eye: Array):
+    def one(variables: Variables, partial: Array, eye: Array, known: Any):
         camera = observe(partial, eye, Workspace.unit()).camera
-        done = adapt(variables, partial, camera)
+        done = adapt(variables, partial, camera, known)
         if config.adapt.num_steps == 0:
             return done.points, None, None
         return done.points, done.before, done.accepted
 
-    batched = jax.jit(jax.vmap(one, (None, 0, 0)))
-    return lambda partials, eyes: Predictions(*batched(variables, partials, eyes))
+    batched = jax.jit(jax.vmap(one, (None, 0, 0, 0)))
+
+    def complete(
+        partials: np.ndarray, eyes: np.ndarray, told: Told | None = None
+    ) -> Predictions:
+        known = None if told is None else told.visibility
+        return Predictions(*batched(variables, partials, eyes, known))
+
+    return complete
 
 
 def network_completer(module: nn.Module, variables: Variables) -> CompleteFn:
@@ -146,7 +157,11 @@ def _complete(
         examples = [with_partial(source[int(row)]) for row in rows]
         seen = [observed(example, protocol) for example in examples]
         partials, eyes = side_by_side(seen)
-        predictions = jax.device_get(complete_fn(partials, eyes))
+        beside: list[Told] = []
+        if protocol.told:
+            each = [told(example, protocol) for example in examples]
+            beside = [jax.tree.map(lambda *rows: np.stack(rows), *each)]
+        predictions = jax.device_get(complete_fn(partials, eyes, *beside))
         yield [
             _Item(examples[i], partials[i], _one(predictions, i))
             for i in range(min(batch_size, count - start))
@@ -177,7 +192,7 @@ def scored_clouds(
         workspace_for(example, protocol),
     )
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
-    clouds = {}
+    clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:
         clouds["partial"] = from_own(example.partial)
     outputs = {"": predictions.network, "_unadapted": predictions.network_unadapted}
@@ -188,7 +203,10 @@ def scored_clouds(
             clouds |= {f"{k}{suffix}": v for k, v in clouds.items() if k != "partial"}
             continue
         network = np.asarray(output, np.float64)
-        clouds[f"network{suffix}"] = from_workspace(network)
+        cloud = network
+        if protocol.removes:
+            cloud = network[believable(network, example, seen, partial, protocol)]
+        clouds[f"network{suffix}"] = from_workspace(cloud)
         if protocol.with_measured:
             new, _ = added_points(
                 network,
@@ -200,6 +218,35 @@ def scored_clouds(
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud
     return clouds
+
+
+def believable(
+    prediction: Float[np.ndarray, "P 3"],
+    example: Example,
+    seen: Observation,
+    partial: Float[np.ndarray, "N 3"],
+    protocol: Protocol,
+) -> Bool[np.ndarray, " P"]:
+    """Which predicted points the view allows (`Protocol.removes`); all, if none is.
+
+    `seen` is all that was measured of the example, and `partial` what was read of it.
+    """
+    known = map_of(example, workspace_for(example, protocol))
+    selection = select(
+        prediction,
+        np.asarray(seen.partial),
+        partial,
+        np.asarray(seen.eye) if seen.sensor_known else None,
+        protocol.background if known is None else "empty",
+    )
+    if known is not None:
+        state, _ = look_up(known, prediction.astype(np.float32))
+        emptiness = np.asarray(state) == BACKGROUND
+        selection = selection._replace(
+            looked_through=selection.looked_through & emptiness
+        )
+    allowed = selection.believable
+    return allowed if allowed.any() else np.ones(len(prediction), bool)
 
 
 def _score(item: _Item, protocol: Protocol) -> ExampleScores:

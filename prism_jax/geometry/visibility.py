@@ -146,8 +146,7 @@ def seen_by(
     camera = Camera.framing(points, eye, MARGIN, MAP_SIZE, MAP_SIZE)
     depth, hit = render_depth(points, camera)
     z = camera.to_camera(points)[:, 2]
-    near = points[knn(points, points, 2)[:, 1]]
-    spacing = jnp.median(jnp.linalg.norm(points - near, axis=1))
+    spacing = spacing_of(points)
     focal = camera.intrinsics[0, 0]
     reach = 0.5 * CLOSED * spacing * focal / jnp.maximum(z.mean(), MIN_DEPTH)
     # Within the margin, or the image's edge would be part of a hole.
@@ -161,6 +160,13 @@ def seen_by(
         state = jnp.where(surface, SURFACE, BACKGROUND)
         depth = jnp.where(surface, depth, 2.0 * z.max())
     return Visibility(camera, state.astype(jnp.uint8), depth)
+
+
+def spacing_of(points: Float[Array, "N 3"]) -> Float[Array, ""]:
+    """Median distance of the points from their nearest neighbours: at least two points,
+    in their unit."""
+    near = points[knn(points, points, 2)[:, 1]]
+    return jnp.median(jnp.linalg.norm(points - near, axis=1))
 
 
 def surface_alone(visibility: Visibility) -> Visibility:
@@ -205,7 +211,7 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
     """
     camera, (state, depth) = visibility.camera, map(jnp.asarray, visibility[1:])
     shares = jax.nn.one_hot(state, 4)
-    aside = jnp.minimum(nearest_marked(state == SURFACE)[0], camera.height)
+    aside = _pixels_aside(visibility)
     channels = [shares, depth[..., None] * (state != UNKNOWN)[..., None]]
     image = jnp.concatenate([*channels, aside[..., None]], axis=-1)
     beyond = jnp.array([1.0, 0, 0, 0, 0, camera.height])
@@ -217,6 +223,33 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
     away = jnp.minimum(read[:, 5] * z / camera.intrinsics[0, 0], 1.0)
     away = jnp.where(z > MIN_DEPTH, away, 1.0)
     return jnp.concatenate([read[:, :4], behind[:, None], away[:, None]], axis=1)
+
+
+def beside(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, " N"]:
+    """How far each point lies beside the outline of the measured surface, at its depth.
+
+    The last of the `clues`, from the border of the outermost pixels and without a
+    bound: 0 inside, and outside about the distance to the lines of sight that hit the
+    surface, in the unit of the points. Bilinear, so that its gradient leads back to the
+    surface. Without any surface, and beside the image, a point is as many pixels aside
+    as the image is high; one that is not in front of the camera is not aside.
+
+    One map and one cloud in one frame and unit. Continuous in the points, and
+    differentiable almost everywhere.
+    """
+    camera = visibility.camera
+    uv, z = camera.project(points)
+    beyond = jnp.array([camera.height], float)
+    read = _interpolated(_pixels_aside(visibility)[..., None], uv, beyond)[:, 0]
+    # Half a pixel from the middle of the last one that was hit, the surface ends.
+    pixels = jnp.maximum(read - 0.5, 0.0)
+    return pixels * jnp.where(z > MIN_DEPTH, z, 0.0) / camera.intrinsics[0, 0]
+
+
+def _pixels_aside(visibility: Visibility) -> Float[Array, "H W"]:
+    """How many pixels each is away from the measured surface, at most the height."""
+    surface = jnp.asarray(visibility.state) == SURFACE
+    return jnp.minimum(nearest_marked(surface)[0], visibility.camera.height)
 
 
 def _interpolated(

@@ -43,7 +43,10 @@ class NetworkInput(NamedTuple):
       perturbed, perturbed_neighbors: A(P) of Eq. 6 and its neighbour graph.
       upsampled: U(P) of Eq. 6.
       decoding: samples and neighbours of the decoder, where they are held.
-      visibility: what the sensor knows, for networks that read it.
+      visibility: what the sensor knows, for networks that read it, and for losses.
+      kept, kept_mask: the completion before adaptation, where the adapted one has to
+        cover it, and which of its points count.
+      norms: by which the terms of the objective are divided, where they are balanced.
     """
 
     partial: Float[Array, "N 3"]
@@ -58,6 +61,9 @@ class NetworkInput(NamedTuple):
     upsampled: Float[Array, "M 3"]
     decoding: DecoderIndices | None = None
     visibility: Visibility | None = None
+    kept: Float[Array, "K 3"] | None = None
+    kept_mask: Bool[Array, " K"] | None = None
+    norms: Float[Array, " T"] | None = None
 
 
 class Prediction(NamedTuple):
@@ -97,9 +103,7 @@ def prepare_input(
     gradient reaches cloud or camera.
     """
     partial, camera = jax.lax.stop_gradient((partial, camera))
-    if not config.backbone.reads_visibility:
-        visibility = None
-    elif visibility is None:
+    if visibility is None and config.backbone.reads_visibility:
         visibility = seen_by(partial, camera.position, config.background)
     depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
     depth, mask = render_depth(partial, depth_view)

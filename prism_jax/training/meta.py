@@ -17,7 +17,7 @@ from prism_jax.adaptation.meta import (
     meta_gradients,
     put_learned,
 )
-from prism_jax.adaptation.objective import Losses
+from prism_jax.adaptation.objective import COMMON
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.workspace import Workspace
@@ -34,7 +34,7 @@ from prism_jax.training.phase import Phase, TrainState, steps_of
 
 TERMS = (
     "zero_step",
-    *Losses._fields,
+    *COMMON,
     "refined",
     *(f"weight_{name}" for name in BRANCHES),
     "weight_entropy",
@@ -200,7 +200,8 @@ def _averaged(
 def _measured(terms: MetaTerms, variables: Variables) -> Float[Array, " L"]:
     """In the order of `TERMS`."""
     weights = loss_weights(variables["weighting"]["logits"])
-    losses = (terms.zero_step, *terms.losses, terms.refined)
+    seen = (getattr(terms.losses, name) for name in COMMON)
+    losses = (terms.zero_step, *seen, terms.refined)
     return jnp.stack([*losses, *weights, entropy(weights), terms.adapted])
 
 
