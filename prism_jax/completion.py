@@ -194,7 +194,7 @@ class Completer:
         inside = points[seen.inside]
         check_cloud(inside, "points inside the workspace")
         if camera is None:
-            likely = likely_eye(inside)
+            likely = likely_eye(inside, seen.workspace.up)
             if not (seen.sensor_known and is_believable(inside, np.zeros(3), likely)):
                 seen = observe(
                     points, likely, workspace, model.margin, up, model.heading

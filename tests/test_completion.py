@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from experiments.trust import unfitted
 from prism_jax.completion import CompletedScan, Completer, _checked
@@ -247,7 +248,8 @@ def test_an_origin_too_far_away_is_no_sensor(completer, near):
     for result, offset in zip(results, (FAR, 3 * FAR), strict=True):
         assert result.sensor == "unknown"
         position = result.camera.position
-        np.testing.assert_allclose(position, likely_eye(scan() + offset), atol=1e-2)
+        likely = likely_eye(scan() + offset, np.array([0, 0, 1.0]))
+        np.testing.assert_allclose(position, likely, atol=1e-2)
         prediction = result.prediction - offset
         np.testing.assert_allclose(prediction, results[0].prediction - FAR, atol=1e-8)
     close = completer.complete(scan() - 90 * half * EYE / np.linalg.norm(EYE))
@@ -261,10 +263,29 @@ def test_an_origin_among_the_points_is_no_sensor(completer):
     middle = (points.min(0) + points.max(0)) / 2
     result = completer.complete(points - middle)
     assert result.sensor == "unknown"
-    likely = likely_eye(points - middle)
+    likely = likely_eye(points - middle, np.array([0, 0, 1.0]))
     np.testing.assert_allclose(result.camera.position, likely, atol=1e-5)
     given = completer.complete(points - middle, camera_at(np.zeros(3)))
     assert given.sensor == "given"
+
+
+def test_an_unknown_sensor_turns_with_the_scan(completer):
+    """The same completion, turned about the vertical, and seen from the same side."""
+    points = scan() - (scan().min(0) + scan().max(0)) / 2
+    results = []
+    for degrees in (0, 45, 180):
+        turn = Rotation.from_euler("z", degrees, degrees=True)
+        result = completer.complete(turn.apply(points))
+        assert result.sensor == "unknown"
+        results.append(
+            [
+                turn.inv().apply(cloud)
+                for cloud in (result.camera.position[None], result.prediction)
+            ]
+        )
+    for eye, prediction in results[1:]:
+        np.testing.assert_allclose(eye, results[0][0], atol=1e-5)
+        np.testing.assert_allclose(prediction, results[0][1], atol=1e-3)
 
 
 def test_points_outside_the_workspace_are_left_out(completer, near):

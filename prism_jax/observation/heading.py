@@ -11,7 +11,7 @@ NUM_ANGLES = 90
 """Over a quarter turn: one degree each."""
 
 NUM_BINS = 64
-"""Over the footprint's diagonal."""
+"""Over twice the footprint's radius about its mean."""
 
 MAX_POINTS = 1024
 """Of a larger cloud, evenly spaced rows decide."""
@@ -67,19 +67,23 @@ def footprint_angle(
     xp = jnp if isinstance(points, jax.Array) else np
     angles = xp.arange(NUM_ANGLES) * (0.5 * np.pi / NUM_ANGLES)
     cosine, sine = xp.cos(angles)[:, None], xp.sin(angles)[:, None]
-    flat = points[:, :2] - points[:, :2].min(axis=0)
-    diagonal = xp.sqrt((flat.max(axis=0) ** 2).sum())
-    scale = NUM_BINS / xp.where(diagonal > 0, diagonal, 1.0)
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    radius = xp.sqrt((flat**2).sum(axis=1).max())
+    scale = 0.5 * NUM_BINS / xp.where(radius > 0, radius, 1.0)
     x, y = scale * flat[:, 0], scale * flat[:, 1]
     disorder = _entropy(cosine * x + sine * y, xp) + _entropy(cosine * y - sine * x, xp)
     return angles[disorder.argmin()].astype(points.dtype)
 
 
 def _entropy(coordinates: Any, xp: Any) -> Any:
-    """Of a histogram of each row, in bins one wide between which points are shared."""
+    """Of a histogram of each row, in bins one wide between which points are shared.
+
+    The bins are laid about the middle of each row: a mirrored row has the same entropy.
+    """
     rows, count = coordinates.shape
-    bins = NUM_BINS + 2
-    above = coordinates - coordinates.min(axis=1, keepdims=True)
+    bins = NUM_BINS + 3
+    ends = coordinates.min(axis=1), coordinates.max(axis=1)
+    above = coordinates - 0.5 * sum(ends)[:, None] + (NUM_BINS // 2 + 1)
     lower = xp.floor(above)
     share = above - lower
     first = lower.astype(int) + bins * xp.arange(rows)[:, None]

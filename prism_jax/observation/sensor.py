@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from prism_jax.geometry.workspace import Workspace
+
 NUM_DIRECTIONS = 128
 MAX_POINTS = 1024
 CELLS = 32
@@ -19,17 +21,18 @@ DISTANCE = 6.0
 """Of a likely place, in radii of the cloud."""
 
 
-def likely_eye(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
+def likely_eye(
+    points: Float[np.ndarray, "N 3"], up: Float[np.ndarray, "3"] | None = None
+) -> Float[np.ndarray, "3"]:
     """The place of a sensor that may have measured an object of which nothing else is
-    known.
+    known but, perhaps, which way is `up`, a unit vector.
 
     Of many directions it is the one in which the points cover most of an image, hide
-    each other least, and bulge towards the sensor. It is a guess, and can be far off.
-    In the points' frame; NumPy, not differentiable.
+    each other least, and bulge towards the sensor; the farther below the object, the
+    less likely it is. It is a guess, and can be far off. It turns and moves with the
+    points, up to rounding. In the points' frame; NumPy, not differentiable.
     """
-    points = _some(points)
-    center, radius = _ball(points)
-    unit = (points - center) / radius
+    unit, frame = _in_own_axes(_some(points))
     directions = _directions()
     scores = []
     for direction in directions:
@@ -42,8 +45,11 @@ def likely_eye(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
         bulge = -((along - along.mean()) * aside).mean() / spread
         scores.append((covered, hidden, bulge))
     covered, hidden, bulge = np.array(scores).T
-    best = np.argmax(covered / covered.max() - hidden + bulge)
-    return center + DISTANCE * radius * directions[best]
+    likely = covered / covered.max() - hidden + bulge
+    if up is not None:
+        likely += np.minimum(directions @ (frame.rotation @ up), 0.0)
+    best = np.argmax(likely)
+    return frame.from_unit(DISTANCE * directions[best])
 
 
 def is_believable(
@@ -53,8 +59,8 @@ def is_believable(
 ) -> bool:
     """Whether a sensor at `eye` may have measured an object, of which `likely` is the
     `likely_eye`."""
-    center, _ = _ball(points)
-    one, other = eye - center, likely - center
+    _, frame = _in_own_axes(_some(points))
+    one, other = frame.to_unit(np.stack([eye, likely]))
     size = np.linalg.norm(one) * np.linalg.norm(other)
     if one @ other > np.cos(APART) * size:
         return True
@@ -68,13 +74,12 @@ def hidden_share(
 
     All of them, if the eye is among them.
     """
-    points = _some(points)
-    center, radius = _ball(points)
-    toward = (np.asarray(eye, np.float64) - center) / radius
+    unit, frame = _in_own_axes(_some(points))
+    toward = frame.to_unit(np.asarray(eye, np.float64))
     distance = float(np.linalg.norm(toward))
     if distance <= 1.0:
         return 1.0
-    across, along = _seen_along((points - center) / radius, toward / distance)
+    across, along = _seen_along(unit, toward / distance)
     # As wide as the ball is from there.
     across = across / (distance - along)[:, None] * np.sqrt(distance**2 - 1.0)
     nearest, cell = _nearest(across, along)
@@ -86,10 +91,25 @@ def _some(points: np.ndarray) -> Float[np.ndarray, "M 3"]:
     return np.asarray(points[::every], np.float64)
 
 
-def _ball(points: np.ndarray) -> tuple[Float[np.ndarray, "3"], float]:
-    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    radius = float(np.linalg.norm(points - center, axis=1).max())
-    return center, max(radius, np.finfo(np.float64).tiny)
+def _in_own_axes(
+    points: Float[np.ndarray, "M 3"],
+) -> tuple[Float[np.ndarray, "M 3"], Workspace]:
+    """The points in the unit ball about the middle of their box, along axes that turn
+    with them, and the way there.
+
+    Their principal axes, the first two in the direction of positive skewness.
+    """
+    mean = points.mean(axis=0)
+    around = points - mean
+    axes = np.linalg.eigh(around.T @ around)[1].T
+    skewness = ((around @ axes.T) ** 3).sum(axis=0)
+    axes = np.where(skewness < 0, -1.0, 1.0)[:, None] * axes
+    axes[2] = np.cross(axes[0], axes[1])
+    along = around @ axes.T
+    middle = 0.5 * (along.min(axis=0) + along.max(axis=0))
+    radius = float(np.linalg.norm(along - middle, axis=1).max()) or 1.0
+    frame = Workspace(mean + middle @ axes, np.array(radius), axes)
+    return (along - middle) / radius, frame
 
 
 def _directions() -> Float[np.ndarray, "D 3"]:

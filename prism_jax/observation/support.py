@@ -24,6 +24,13 @@ BELOW = 0.15
 LARGE = 0.7
 """A plane at least so long, in a support's width, is a wall or another floor."""
 
+BEYOND = 0.2
+"""In the shorter one's length: so far, at one end, one of two planes that cross goes on
+where the other is over, unless they are faces of one thing."""
+
+PARALLEL = 30.0
+"""In degrees: planes that cross at less than this have no line in common."""
+
 FILLED = 0.5
 """The share of a support's outline that has points."""
 
@@ -81,9 +88,10 @@ def find_support(
     the plane or hovers by no more than its own height (its foot may be hidden); what
     hovers counts for less. Most of the cloud must lie over the plane, and much of that
     on it, other planes about as large left aside: a wall behind a table, the floor
-    below. A face of an object is no support: what is joined to it goes beyond its
-    border or lies behind it. Neither is a table with nothing on it, which could be a
-    wall.
+    below. Other faces of the same object are not: they begin and end where the plane
+    does (`_is_elsewhere`). A face of an object is no support: what is joined to it goes
+    beyond its border or lies behind it. Neither is a table with nothing on it, which
+    could be a wall.
 
     The normal points to the objects. `sensor` is the place the points were seen from.
     If it is unknown, None or not finite, the objects' side is taken to be that of z,
@@ -100,13 +108,35 @@ def find_support(
             continue
         aside = np.zeros(len(cells), bool)
         for other, its in zip(planes, borders, strict=True):
-            if its is not None and its.length >= LARGE * border.width:
+            if its is None or its.length < LARGE * border.width:
+                continue
+            if _is_elsewhere(other, plane, border, cells):
                 aside |= np.abs(other.height(cells)) <= other.tolerance
         aside &= np.abs(plane.height(cells)) > plane.tolerance
         standing = _standing(cells, aside, side, border)
         if standing > most:
             best, most = side, standing
     return best
+
+
+def _is_elsewhere(
+    other: Plane, plane: Plane, border: Outline, cells: Float64[np.ndarray, "N 3"]
+) -> bool:
+    """Whether another plane is a wall, or another floor, and no face of the same thing.
+
+    The side and the back of a shelf begin and end together along the line that they
+    share; one of a table and a wall goes on beyond the other by `BEYOND`. A parallel
+    plane is another floor if most of it lies outside the `border` of this one.
+    """
+    its = cells[np.abs(other.height(cells)) <= other.tolerance]
+    line = np.cross(plane.normal, other.normal)
+    sine = np.linalg.norm(line)
+    if sine <= np.sin(np.deg2rad(PARALLEL)):
+        return bool((border.depth(its) < -RIM * border.width).mean() > 0.5)
+    on = cells[np.abs(plane.height(cells)) <= plane.tolerance]
+    ends = np.array([np.percentile(part @ line, [1, 99]) for part in (on, its)])
+    shorter = np.ptp(ends, axis=1).min()
+    return bool(np.abs(ends[0] - ends[1]).max() >= BEYOND * shorter)
 
 
 def _objects_side(plane: Plane, sensor: Any) -> Plane | None:

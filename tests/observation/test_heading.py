@@ -46,6 +46,14 @@ def test_any_heading_comes_out_as_one(view, degrees):
     np.testing.assert_allclose(rotation @ turn, np.eye(3), atol=0.02)
 
 
+@pytest.mark.parametrize("degrees", range(1, 360, 22))
+def test_what_has_no_sides_turns_by_whole_degrees_all_the_same(degrees):
+    points = np.random.default_rng(0).normal(size=(800, 3))
+    turn = about_vertical(degrees)
+    there = level(points @ turn.T, turn @ EYE) @ turn
+    np.testing.assert_allclose(there, level(points, EYE), atol=1e-12)
+
+
 @pytest.mark.parametrize("degrees", range(0, 360, 60))
 def test_without_a_sensor_the_longer_side_lies_along_y(view, degrees):
     turn = about_vertical(degrees)

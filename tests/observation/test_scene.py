@@ -227,6 +227,18 @@ def test_a_wall_is_set_aside():
     assert min(overlaps(labels, scene.object, first=2)) > 0.85
 
 
+def test_a_shelf_is_one_thing_though_it_has_a_back_and_sides():
+    """A side is no support of what stands between it and the other."""
+    panels = [
+        box([0, 0.25, 0.4], [0.4, 0.02, 0.8]),
+        *(box([x, 0, 0.4], [0.02, 0.5, 0.8]) for x in (-0.19, 0.19)),
+        *(box([0, 0, z], [0.36, 0.5, 0.02]) for z in (0.01, 0.79)),
+    ]
+    points, _ = seen(panels)
+    scene = split_scene(points, "z", EYE)
+    assert (scene.planes, len(scene.num_points)) == ((), 1)
+
+
 def test_strays_are_left_over(tabletop):
     points, labels = tabletop
     strays = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 3)) + [0, 0, 0.9]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from prism_jax.observation.sensor import hidden_share, is_believable, likely_eye
 
@@ -43,6 +44,29 @@ def test_neither_place_nor_unit_matters():
     points = shell(directions(1)[0])
     here, there = likely_eye(points), likely_eye(1e3 * points + FAR)
     np.testing.assert_allclose(there, 1e3 * here + FAR, atol=1e-2)
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_it_turns_with_the_points(row):
+    turn = Rotation.from_rotvec(
+        [[0, 0, np.pi / 4], [0, 0, 3], [1, 2, 3], [-2, 0, 1]][row]
+    )
+    points, up = shell(directions(8)[row]), np.array([0, 0, 1.0])
+    turned, turned_up = turn.apply(points) + [3, 2, 1], turn.apply(up)
+    here, there = likely_eye(points, up), likely_eye(turned, turned_up)
+    np.testing.assert_allclose(there, turn.apply(here) + [3, 2, 1], atol=1e-6)
+    # From where the middle of a shell's box would hide some of it.
+    aside = 2 * directions(8)[-1 - row]
+    share = hidden_share(points, aside)
+    assert hidden_share(turned, turn.apply(aside) + [3, 2, 1]) == share
+
+
+def test_it_is_seldom_below():
+    """A flat thing looks the same from above and from below."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(1000, 3)) * [1, 1, 0.01]
+    for up in (np.array([0, 0, 1.0]), np.array([0, 0, -1.0])):
+        assert (likely_eye(points, up) - points.mean(axis=0)) @ up > 3
 
 
 def test_what_lies_behind_is_hidden():
