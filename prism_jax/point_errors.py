@@ -27,7 +27,6 @@ CLUES = (
     "all_measured",
     "beside",  # distance of its line of sight from what was measured
     "behind",  # how far behind what was measured it lies, negative in front
-    "distance",  # from the sensor
     "height",  # above the workspace's centre
     "centre",  # distance from the workspace's centre
     "outside",  # of the box of what was measured, negative inside
@@ -35,7 +34,6 @@ CLUES = (
     "shortest_side",
     "num_points",  # that were measured
     "spacing",  # of what the network read
-    "sensor_known",  # 0 if its place was worked out from the points
 )
 """What the error of a predicted point is told from, without the truth. Lengths are in
 half sides of the workspace."""
@@ -87,11 +85,12 @@ def clues_of(
     eye = np.asarray(seen.eye, np.float64)
     lower, upper = distinct.min(axis=0), distinct.max(axis=0)
     sides = np.sort(upper - lower)
+    longest = sides[2] or 1.0
     near = KDTree(prediction).query(points, k=min(NEIGHBORS, len(prediction)))[1]
     near = prediction[np.reshape(near, (len(points), -1))]
     normals, thickness = _planes(near)
     ray = points - eye
-    distance = np.maximum(np.linalg.norm(ray, axis=1), np.finfo(np.float64).tiny)
+    length = np.maximum(np.linalg.norm(ray, axis=1), np.finfo(np.float64).tiny)
     beside, behind = beside_and_behind(points, distinct, eye)
     mirrored, turned = (_away(points, np.asarray(c)) for c in look[2:])
     known = _away(points, distinct)
@@ -101,7 +100,7 @@ def clues_of(
         "predicted_2": np.linalg.norm(near[:, :3][:, -1] - points, axis=1),
         "predicted_8": np.linalg.norm(near[:, :9][:, -1] - points, axis=1),
         "thickness": thickness,
-        "slant": np.abs(np.einsum("pi,pi->p", normals, ray)) / distance,
+        "slant": np.abs(np.einsum("pi,pi->p", normals, ray)) / length,
         "mirrored": mirrored,
         "turned": turned,
         "all_mirrored": mirrored.mean(),
@@ -109,15 +108,13 @@ def clues_of(
         "all_measured": known.mean(),
         "beside": beside,
         "behind": behind,
-        "distance": distance,
         "height": points[:, 2],
         "centre": np.linalg.norm(points, axis=1),
         "outside": np.maximum(lower - points, points - upper).max(axis=1),
-        "middle_side": sides[1] / sides[2],
-        "shortest_side": sides[0] / sides[2],
+        "middle_side": sides[1] / longest,
+        "shortest_side": sides[0] / longest,
         "num_points": len(distinct),
         "spacing": min(usual_spacing(partial), 1.0),
-        "sensor_known": float(seen.sensor_known),
     }
     columns = [np.broadcast_to(found[name], len(points)) for name in CLUES]
     # As float32, in which they are fitted: a threshold means the same there and here.
@@ -141,12 +138,14 @@ def spread(
     apart, rows = np.reshape(apart, (-1, count)), np.reshape(rows, (-1, count))
     # Relative to the nearest, so that no unit of length and no copy is special.
     nearest = apart[:, :1]
-    weights = np.where(nearest > 0, nearest / np.maximum(apart, nearest), apart == 0)
+    weights = np.where(apart > nearest, nearest / np.where(apart > 0, apart, 1.0), 1.0)
     return (weights * sigma[rows]).sum(axis=1) / weights.sum(axis=1)
 
 
 def _away(
-    points: Float[np.ndarray, "Q 3"], cloud: Float[Array | np.ndarray, "N 3"], k: int = 1
+    points: Float[np.ndarray, "Q 3"],
+    cloud: Float[Array | np.ndarray, "N 3"],
+    k: int = 1,
 ) -> Float[np.ndarray, " Q"]:
     """Distance from the k-th nearest point of a cloud, or the farthest there is."""
     found = KDTree(cloud).query(points, k=[min(k, len(cloud))])[0]

@@ -70,7 +70,7 @@ class Trees:
             if not np.isfinite(array).all():
                 raise ValueError(f"{cls.WHAT}'s {name} is not finite")
         if not np.isin(arrays["looks_at"], np.arange(len(cls.NAMES))).all():
-            raise ValueError(f"{cls.WHAT}'s looks_at is beyond the evidence")
+            raise ValueError(f"{cls.WHAT}'s looks_at is beyond what there is")
         plain: dict[str, Any] = {
             name: float(array) if array.ndim == 0 else array
             for name, array in arrays.items()

@@ -166,6 +166,7 @@ def _row(
             ("Workspace", details.workspace(entry)),
             ("Adaptation", details.adaptation(entry, summary["adapt"])),
             ("Not added", details.left_away(entry)),
+            ("Expected error of a point", details.sigma(entry)),
             ("Evidence", details.evidence(entry)),
         ],
     }
