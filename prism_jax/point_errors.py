@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
-from prism_jax.evidence import SecondLook
+from prism_jax.evidence import SecondLook, asked, roughness
 from prism_jax.observation.observation import Observation
 from prism_jax.observation.visibility import beside_and_behind
 from prism_jax.selection import usual_spacing
@@ -34,6 +34,8 @@ CLUES = (
     "shortest_side",
     "num_points",  # that were measured
     "spacing",  # of what the network read
+    "roughness",  # of what was measured
+    "unexplained",  # mean distance of measured points from the nearest predicted one
 )
 """What the error of a predicted point is told from, without the truth. Lengths are in
 half sides of the workspace."""
@@ -81,6 +83,7 @@ def clues_of(
         return np.zeros((0, len(CLUES)))
     measured = np.asarray(seen.partial, np.float64)[np.asarray(seen.inside)]
     distinct = np.unique(measured, axis=0)
+    some = asked(distinct)
     partial = np.unique(np.asarray(read.partial, np.float64), axis=0)
     eye = np.asarray(seen.eye, np.float64)
     lower, upper = distinct.min(axis=0), distinct.max(axis=0)
@@ -115,6 +118,8 @@ def clues_of(
         "shortest_side": sides[0] / longest,
         "num_points": len(distinct),
         "spacing": min(usual_spacing(partial), 1.0),
+        "roughness": roughness(distinct, some),
+        "unexplained": _away(some, prediction).mean(),
     }
     columns = [np.broadcast_to(found[name], len(points)) for name in CLUES]
     # As float32, in which they are fitted: a threshold means the same there and here.

@@ -45,6 +45,18 @@ def test_distances_are_those_of_all_pairs():
     assert (found["measured_8"] > found["measured"]).all()
 
 
+def test_what_is_said_of_the_whole_scan():
+    points = square(500)
+    noisy = points + np.random.default_rng(2).normal(0, 0.02, points.shape)
+    clean, rough = (clues(cloud, cloud - [0, 0, 0.3]) for cloud in (points, noisy))
+    assert clean["roughness"].max() < 1e-6 and 0.01 < rough["roughness"][0] < 0.02
+    assert clean["unexplained"][0] == pytest.approx(0.3, rel=0.05)
+    assert np.ptp(clean["unexplained"]) == 0 and clean["num_points"][0] == 500
+    thin = clues(points * [1, 0.5, 1], points)
+    assert thin["middle_side"][0] == pytest.approx(0.5, rel=0.02)
+    assert thin["shortest_side"][0] == 0
+
+
 def test_what_the_sensor_says():
     """A point behind the square, one in front, and one beside it."""
     points = np.stack(np.meshgrid(*[np.linspace(-1, 1, 41)] * 2), -1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""What fits points' errors, on samples whose errors are known functions of the clues."""
+"""What fits points' errors, on errors that are known functions of the clues."""
 
 import json
 
@@ -86,7 +86,7 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
 
     def views(name, limit, split):
         made = []
-        for number in range(4):
+        for number in range(10):
             rng = np.random.default_rng(number)
             box = rng.uniform(-1, 1, (1000, 3))
             box /= np.abs(box).max(axis=1, keepdims=True)
@@ -111,13 +111,13 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
     assert launching.run(point_errors, *given) == 0
     result = json.loads(output.read_text())
     assert result["weights_sha256"] == file_sha256(str(weights))
-    assert sum(result["views"].values()) == 16 == len(noted)
+    assert sum(result["views"].values()) == len([one for one in noted if len(one.kept)])
     PointErrors.from_dict(result["point_errors"])
     assert "| novel, fitted without | " in output.with_suffix(".md").read_text()
     first, view = noted[0], views("", 0, "")[0]
     assert first.clues.shape == (len(first.kept), COUNT)
     # Of one view in two sets, turned by nothing, the same is said.
-    again = noted[4]
+    again = noted[10]
     np.testing.assert_array_equal(first.kept, again.kept)
     np.testing.assert_array_equal(first.clues, again.clues)
     half = first.unit * 0.5 * view.size
