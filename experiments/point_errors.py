@@ -63,6 +63,12 @@ LEAST = 1e-4
 """Half sides of the workspace: an error of less is taken for as much, before its
 logarithm is taken."""
 
+PATCH = 9
+"""Points of the truth, the nearest one included, that a plane is laid through."""
+
+FLAT = 0.15
+"""Of a patch: how far its points lie off the plane, in how far they reach along it."""
+
 BEST = 6
 """How many clues the table names, those that alone order points best."""
 
@@ -74,7 +80,7 @@ class Sample(NamedTuple):
       unit: half a side of its workspace, in half the longest side of the truth.
       kept: the network's points that were added, in the unit workspace.
       clues: theirs.
-      errors: their true distances from the truth's nearest point, there.
+      errors: their true distances from the surface, there.
       added: some of all the points that a user gets beside the measured ones.
       added_errors: theirs.
     """
@@ -137,7 +143,7 @@ def completed_views(completer: Completer, listener: Listener) -> Iterator[Sample
             shift, shifted = any_shift(view, rng)
             done = completed(completer, shifted, adapt=False)
             unit = np.asarray(done.workspace.to_unit(done.points[~done.observed]))
-            truth = KDTree(np.asarray(done.workspace.to_unit(shifted.complete)))
+            truth = np.asarray(done.workspace.to_unit(shifted.complete))
             # The network's own come first.
             kept = unit[: len(listener.asked)]
             added = _some(unit, FLAGS.points, rng)
@@ -148,10 +154,34 @@ def completed_views(completer: Completer, listener: Listener) -> Iterator[Sample
                 float(done.workspace.half_extent) / (0.5 * view.size),
                 kept,
                 listener.asked,
-                np.asarray(truth.query(kept)[0]),
+                from_surface(kept, truth),
                 added,
-                np.asarray(truth.query(added)[0]),
+                from_surface(added, truth),
             )
+
+
+def from_surface(
+    points: Float[np.ndarray, "P 3"], truth: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, " P"]:
+    """Distances from the surface that the truth is a sample of.
+
+    The nearest point of the sample is about half its spacing away even from the surface
+    itself. So where that point's neighbourhood is flat, and reaches to where the plane
+    through it is nearest, it is the distance from this plane; elsewhere, at edges, rims
+    and thin rods, from the point.
+    """
+    tree = KDTree(truth)
+    apart, row = tree.query(points)
+    reach, patch = tree.query(truth[row], k=range(1, min(PATCH, len(truth)) + 1))
+    offsets = truth[patch] - truth[patch].mean(axis=1, keepdims=True)
+    squares = np.einsum("nki,nkj->nij", offsets, offsets)
+    values, vectors = np.linalg.eigh(squares)
+    to_plane = points - truth[patch].mean(axis=1)
+    across = np.abs(np.einsum("ni,ni->n", to_plane, vectors[:, :, 0]))
+    along = np.sqrt(np.maximum(apart**2 - across**2, 0.0))
+    flat = values[:, 0] <= FLAT**2 * values[:, 1]
+    near = flat & (along <= np.median(reach, axis=1)) & (across <= apart)
+    return np.where(near, across, apart)
 
 
 def fitted_and_measured(samples: Sequence[Sample], count: int) -> dict[str, Any]:

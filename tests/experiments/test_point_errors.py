@@ -7,7 +7,12 @@ import pytest
 from scipy.spatial import KDTree
 
 from experiments import point_errors
-from experiments.point_errors import SETS, Sample, fitted_and_measured
+from experiments.point_errors import (
+    SETS,
+    Sample,
+    fitted_and_measured,
+    from_surface,
+)
 from experiments.shifts import View
 from prism_jax.point_errors import CLUES, PointErrors
 from prism_jax.weights import file_sha256, save_weights
@@ -48,7 +53,7 @@ def test_a_law_is_found_and_the_mean_is_what_is_expected():
     assert everything["expected"] == pytest.approx(everything["error"], rel=0.1)
     # Errors are exponential about the law: so many are below their mean and twice it.
     assert everything["below_one"] == pytest.approx(1 - np.exp(-1), abs=0.06)
-    assert everything["below_two"] == pytest.approx(1 - np.exp(-2), abs=0.05)
+    assert everything["below_two"] == pytest.approx(1 - np.exp(-2), abs=0.08)
     tenths = [row["error"] for row in result["deciles"]]
     assert tenths[-1] > 4 * tenths[0]
     assert max(result["alone"], key=lambda name: abs(result["alone"][name])) == "turned"
@@ -124,5 +129,35 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
     spans = np.ptp(view.partial, axis=0)
     middle = 0.5 * (view.partial.min(axis=0) + view.partial.max(axis=0))
     assert half == pytest.approx(0.5 * minimal.model.margin * spans.max())
-    true = KDTree(view.complete).query(first.kept * half + middle)[0] / half
+    true = from_surface(first.kept * half + middle, view.complete) / half
     np.testing.assert_allclose(first.errors, true, atol=1e-9)
+
+
+def ball(count, seed=0):
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def test_the_surface_is_nearer_than_its_sample():
+    """Of a ball: where the sample's nearest point alone would be off by ten times."""
+    truth, away = ball(8000), np.repeat([0.0, 0.005, -0.02, 0.3], 200)
+    found = from_surface(ball(800, seed=1) * (1 + away)[:, None], truth)
+    off = np.abs(found - np.abs(away)).reshape(4, 200)
+    nearest = KDTree(truth).query(ball(800, seed=1)[:200])[0]
+    assert np.median(off[:3]) < 0.1 * nearest.mean()
+    assert off[3].max() < 0.01 and (found >= 0).all()
+
+
+def test_beyond_a_rim_the_plane_is_not_asked():
+    square = np.random.default_rng(0).uniform(-1, 1, (3000, 3)) * [1, 1, 0]
+    points = np.array([[1.5, 0, 0], [0, 0, 0.1], [0, 0, 0], [-1.3, 0.2, 0.4]])
+    found = from_surface(points, square)
+    np.testing.assert_allclose(found, [0.5, 0.1, 0, 0.5], atol=0.02)
+    assert found[1] == pytest.approx(0.1, abs=1e-12)
+
+
+def test_a_truth_of_few_points():
+    few = ball(3)
+    apart = KDTree(few).query(ball(20, seed=1))[0]
+    assert (from_surface(ball(20, seed=1), few) <= apart).all()
+    assert from_surface(few, np.ones((1, 3)) * few[0])[0] == 0
