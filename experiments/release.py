@@ -1,7 +1,9 @@
 """Puts a run's weights into the package, with their measured scores in the metadata.
 
 python -m experiments.release --weights=FILE --scores=EVALUATION.json \
-    --calibration=TRUST.json --name=small
+    --calibration=TRUST.json --point_errors=POINT_ERRORS.json --name=small
+
+Scores, notes, calibration and point errors that are not given stay as they are.
 """
 
 import json
@@ -31,6 +33,7 @@ def define_flags() -> None:
     flags.DEFINE_string("weights", None, "File of a finished run.", required=True)
     flags.DEFINE_multi_string("scores", [], "JSON files of experiments.evaluate.")
     flags.DEFINE_string("calibration", None, "JSON file of experiments.trust.")
+    flags.DEFINE_string("point_errors", None, "JSON file of experiments.point_errors.")
     flags.DEFINE_string("name", None, "Name to ship under.", required=True)
     flags.DEFINE_string("output_dir", str(ASSETS), "Where it goes.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
@@ -43,10 +46,13 @@ def main():
     config = changed(config, FLAGS.set)
     about = {k: v for k, v in read_metadata(FLAGS.weights).items() if k != "config"}
     results = [_scores(path) for path in FLAGS.scores]
-    about["scores"] = {f"{found['data']}-{found['split']}": found for found in results}
-    about["notes"] = FLAGS.note
+    scores = {f"{found['data']}-{found['split']}": found for found in results}
+    about["scores"] = scores or about.get("scores", {})
+    about["notes"] = FLAGS.note or about.get("notes", [])
     if FLAGS.calibration is not None:
-        about |= _calibration(FLAGS.calibration)
+        about |= _of(FLAGS.calibration, "calibration", "trust")
+    if FLAGS.point_errors is not None:
+        about |= _of(FLAGS.point_errors, "point_errors", "sigma")
     path = make_output_dir(pathlib.Path(FLAGS.output_dir)) / f"{FLAGS.name}{SUFFIX}"
     save_weights(path, config, variables, about)
     print(f"written {path}, {path.stat().st_size / 1e6:.1f} MB")
@@ -59,10 +65,10 @@ def _scores(path: str) -> dict[str, Any]:
     return {**result, "weights": FLAGS.name}
 
 
-def _calibration(path: str) -> dict[str, Any]:
-    """What gives their completions a verdict, and how far that is right."""
+def _of(path: str, *names: str) -> dict[str, Any]:
+    """What a fit on these weights' completions gives them, and how far it is right."""
     result = _result(path)
-    return {name: result[name] for name in ("calibration", "trust")}
+    return {name: result[name] for name in names}
 
 
 def _result(path: str) -> dict[str, Any]:

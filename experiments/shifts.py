@@ -41,9 +41,12 @@ class View:
     group: int = 0
 
 
-def validation_views(dataset: str, limit: int | None = None) -> list[View]:
-    """Those of a data set's validation split, or so many of them, evenly spaced."""
-    source = open_dataset(dataset, validation_split(dataset))
+def validation_views(
+    dataset: str, limit: int | None = None, split: str | None = None
+) -> list[View]:
+    """Those of a data set's validation split, unless another is named, or so many of
+    them, evenly spaced."""
+    source = open_dataset(dataset, split or validation_split(dataset))
     count = min(len(source), limit or len(source))
     views = []
     for row in np.linspace(0, len(source) - 1, count).astype(int):

@@ -16,9 +16,15 @@ import jax
 import numpy as np
 from absl import flags
 from jaxtyping import Bool, Float
-from scipy.stats import spearmanr
 from tqdm import tqdm
 
+from experiments.boosting import (
+    boosted,
+    complete_trees,
+    cross_predicted,
+    numbered,
+    rank_correlation,
+)
 from experiments.output import prepare_output
 from experiments.robustness import completed
 from experiments.scoring import print_and_write
@@ -32,7 +38,6 @@ from prism_jax.data.datasets import digest_of, open_dataset, validation_split
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.evaluation.tables import short
 from prism_jax.evidence import make_second_look
-from prism_jax.io.errors import require
 from prism_jax.models.variables import Variables
 from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
@@ -44,10 +49,15 @@ FLAGS = flags.FLAGS
 NUM_AXES = 16
 """Along which the features of training views vary most."""
 
-NUM_TREES, DEPTH, RATE = 150, 3, 0.03
-"""Of the trees; a step size as small as that wants many."""
+DEPTH = 3
+TREES = {
+    "n_estimators": 150,
+    "max_depth": DEPTH,
+    "learning_rate": 0.03,
+    "min_samples_leaf": 8,
+}
+"""A step size as small as that wants many."""
 
-FOLDS = 5
 SETS = ("shapes", "roboarm")
 
 
@@ -147,7 +157,7 @@ def completed_views(completer: Completer):
         build_if_missing(name, validation_split(name), FLAGS.data_dir)
         views = validation_views(name, FLAGS.limit)
         count = 1 + max(view.group for view in views)
-        group = np.random.default_rng(0).permutation(count)
+        group = numbered(count)
         with tqdm(total=len(views) * FLAGS.draws, desc=name, mininterval=2.0) as bar:
             for number, view in enumerate(views):
                 for draw in range(FLAGS.draws):
@@ -175,17 +185,13 @@ def fitted(blank: Calibration, samples: list[Sample]) -> Calibration:
     log_error = np.log([sample.error / sample.half_extent for sample in samples])
     sets = [sample.data for sample in samples]
     weights = np.array([len(sets) / sets.count(name) for name in sets])
-    fold = np.array([sample.group // 2 for sample in samples]) % FOLDS
-    said = np.empty(len(samples))
-    for number in np.unique(fold):
-        others, own = fold != number, fold == number
-        model = _boosted(found[others], log_error[others], weights[others])
-        said[own] = model.predict(found[own])
+    group = np.array([sample.group for sample in samples])
+    said = cross_predicted(found, log_error, weights, group, **TREES)
     # The mean of errors, and not that of their logarithms, is what is expected.
     lift = float(np.log(np.mean(np.exp(log_error)) / np.mean(np.exp(said))))
     good = log_error <= np.median(log_error)
     fair, low = _bounds_of_trust(log_error, said + lift)
-    model = _boosted(found, log_error, weights)
+    model = boosted(found, log_error, weights, **TREES)
     looks_at, thresholds, leaves = complete_trees(model, DEPTH)
     return dataclasses.replace(
         blank,
@@ -198,46 +204,6 @@ def fitted(blank: Calibration, samples: list[Sample]) -> Calibration:
         fair=fair,
         low=low,
     )
-
-
-def _boosted(
-    found: Float[np.ndarray, "N E"],
-    wanted: Float[np.ndarray, " N"],
-    weights: Float[np.ndarray, " N"],
-) -> Any:
-    """Gradient boosting (Friedman 2001) by scikit-learn; the same every time."""
-    ensemble = require("sklearn.ensemble", "train")
-    model = ensemble.GradientBoostingRegressor(
-        n_estimators=NUM_TREES,
-        max_depth=DEPTH,
-        learning_rate=RATE,
-        subsample=0.5,
-        min_samples_leaf=8,
-        random_state=0,
-    )
-    return model.fit(found, wanted, sample_weight=weights)
-
-
-def complete_trees(
-    model: Any, depth: int
-) -> tuple[
-    Float[np.ndarray, "T N"], Float[np.ndarray, "T N"], Float[np.ndarray, "T L"]
-]:
-    """Its trees as `Calibration` has them: below an early leaf all is that leaf."""
-    inner = 2**depth - 1
-    looks_at, thresholds = np.zeros((2, len(model.estimators_), inner))
-    leaves = np.zeros((len(model.estimators_), inner + 1))
-    for row, (estimator,) in enumerate(model.estimators_):
-        tree, at = estimator.tree_, np.zeros(2 * inner + 1, int)
-        for node in range(inner):
-            here = at[node]
-            is_leaf = tree.children_left[here] < 0
-            looks_at[row, node] = 0 if is_leaf else tree.feature[here]
-            thresholds[row, node] = 0 if is_leaf else tree.threshold[here]
-            at[2 * node + 1] = here if is_leaf else tree.children_left[here]
-            at[2 * node + 2] = here if is_leaf else tree.children_right[here]
-        leaves[row] = model.learning_rate * tree.value[at[inner:], 0, 0]
-    return looks_at, thresholds, leaves
 
 
 def _bounds_of_trust(
@@ -281,7 +247,7 @@ def _rightness(calibration: Calibration, samples: list[Sample]) -> dict[str, Any
         "views": len(samples),
         "error": float(error.mean()),
         "expected": float(expected.mean()),
-        "rank_correlation": _rank_correlation(expected, error),
+        "rank_correlation": rank_correlation(expected, error),
         "worst_tenth_low": float((trust[worst_tenth(error)] == "low").mean()),
         "better_half_low": float((trust[better] == "low").mean()),
         "low": float((trust == "low").mean()),
@@ -289,14 +255,6 @@ def _rightness(calibration: Calibration, samples: list[Sample]) -> dict[str, Any
         "error_of_low": _mean(error[trust == "low"]),
         "error_of_high": _mean(error[trust == "high"]),
     }
-
-
-def _rank_correlation(
-    first: Float[np.ndarray, " N"], second: Float[np.ndarray, " N"]
-) -> float | None:
-    if np.ptp(first) == 0 or np.ptp(second) == 0:
-        return None
-    return float(spearmanr(first, second).statistic)
 
 
 def _mean(values: Float[np.ndarray, " N"]) -> float | None:

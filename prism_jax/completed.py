@@ -16,6 +16,7 @@ from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.observation import Observation, padded
 from prism_jax.observation.planes import Plane
+from prism_jax.point_errors import PointErrors, clues_of, spread
 from prism_jax.selection import added_points
 from prism_jax.trust import Calibration, Verdict
 
@@ -49,6 +50,9 @@ class CompletedScan:
       depth_completed, mask_completed: the completed ones.
       seconds: spent on compiling and on running.
       verdict: how far it can be trusted; None for weights without a calibration.
+      sigma: how far each point is expected to lie from the true surface, on average
+        (`prism_jax.point_errors`): 0 for measured points, which are as the sensor gave
+        them, its noise included. None for weights that cannot tell.
     """
 
     points: Float[np.ndarray, "M 3"]
@@ -68,6 +72,7 @@ class CompletedScan:
     mask_completed: Bool[np.ndarray, "H W"]
     seconds: dict[str, float]
     verdict: Verdict | None = None
+    sigma: Float[np.ndarray, " M"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +90,7 @@ class CompletedScene:
       planes: the support, if there is one, and then the walls.
       up: the direction that was taken to point upwards, of unit length.
       up_source: what says so: "given", or as `prism_jax.observation.support.Up` has it.
+      sigma: as `CompletedScan` has it.
     """
 
     points: Float[np.ndarray, "M 3"]
@@ -94,6 +100,7 @@ class CompletedScene:
     planes: tuple[Plane, ...]
     up: Float[np.ndarray, "3"]
     up_source: str
+    sigma: Float[np.ndarray, " M"] | None = None
 
 
 def assemble(
@@ -109,13 +116,14 @@ def assemble(
     seconds: dict[str, float],
     look: SecondLook | None = None,
     calibration: Calibration | None = None,
+    point_errors: PointErrors | None = None,
 ) -> CompletedScan:
     """What a user gets of a completion in the unit workspace.
 
     ``seen`` is what `observe` made of the points, ``read`` what the network read of it
     and ``view`` its camera. ``density`` and ``background`` are as
     `prism_jax.Completer.complete` has them. The verdict needs a ``look`` and a
-    ``calibration``.
+    ``calibration``, every point's sigma a ``look`` and ``point_errors``.
     """
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
     prediction = np.asarray(completion.points, np.float64)
@@ -128,6 +136,13 @@ def assemble(
         novelty = calibration.novelty(np.asarray(look.features))
         evidence = evidence_of(seen, read, prediction, selection, look, novelty)
         verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
+    sigma = None
+    if look is not None and point_errors is not None:
+        kept = prediction[selection.kept]
+        clues = clues_of(kept, seen, read, prediction, look)
+        expected = spread(new, kept, point_errors.sigma(clues))
+        none = np.zeros(len(measured))
+        sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])
     return CompletedScan(
@@ -151,6 +166,7 @@ def assemble(
         sensor=_told(camera_given, seen),
         seconds=seconds,
         verdict=verdict,
+        sigma=sigma,
         **_depth_maps(unit, new, view, seen.workspace),
     )
 
@@ -167,6 +183,9 @@ def in_one_scene(
     added = [one.points[~one.observed] for one in objects]
     numbers = [np.full(len(cloud), i) for i, cloud in enumerate(added)]
     together = np.concatenate([points, *added])
+    sigmas = [None if o.sigma is None else o.sigma[~o.observed] for o in objects]
+    told = [sigma for sigma in sigmas if sigma is not None]
+    sigma = np.concatenate([np.zeros(len(points)), *told])
     return CompletedScene(
         points=together,
         observed=np.arange(len(together)) < len(points),
@@ -175,6 +194,7 @@ def in_one_scene(
         planes=tuple(planes),
         up=up,
         up_source=up_source,
+        sigma=sigma if len(told) == len(objects) else None,
     )
 
 

@@ -28,9 +28,10 @@ from prism_jax.observation.scene import Scene, split_scene
 from prism_jax.observation.sensor import is_believable, likely_eye
 from prism_jax.observation.support import Up, find_up
 from prism_jax.observation.upright import upright
+from prism_jax.point_errors import PointErrors
 from prism_jax.trace_cache import compile_cached
 from prism_jax.trust import Calibration
-from prism_jax.weights import load_calibration, load_pretrained
+from prism_jax.weights import load_calibration, load_point_errors, load_pretrained
 
 SLOTS = 8
 """Objects that one compiled call completes, at most."""
@@ -45,7 +46,8 @@ class Completer:
 
     The function of one configuration is compiled at its first use and kept. Its trace
     is kept in ``trace_dir``, if one is given, for the next process. With a
-    ``calibration`` every completion has a verdict.
+    ``calibration`` every completion has a verdict, with ``point_errors`` every point
+    its sigma.
     """
 
     def __init__(
@@ -54,10 +56,12 @@ class Completer:
         variables: Variables,
         trace_dir: pathlib.Path | None = None,
         calibration: Calibration | None = None,
+        point_errors: PointErrors | None = None,
     ):
         self.config = config
         self.variables = variables
         self.calibration = calibration
+        self.point_errors = point_errors
         self._trace_dir = trace_dir
         self._compiled = {}
 
@@ -66,8 +70,9 @@ class Completer:
         cls, name_or_path: str = "small", trace_dir: pathlib.Path | None = None
     ) -> "Completer":
         """A completer with released weights, by name or by file."""
-        calibration = load_calibration(name_or_path)
-        return cls(*load_pretrained(name_or_path), trace_dir, calibration)
+        config, variables = load_pretrained(name_or_path)
+        judges = load_calibration(name_or_path), load_point_errors(name_or_path)
+        return cls(config, variables, trace_dir, *judges)
 
     def complete(
         self,
@@ -118,6 +123,7 @@ class Completer:
             seconds=seconds,
             look=self._look_again(task, background),
             calibration=self.calibration,
+            point_errors=self.point_errors,
         )
 
     def complete_scene(
@@ -162,6 +168,7 @@ class Completer:
                     seconds=seconds,
                     look=self._look_again(task, background),
                     calibration=self.calibration,
+                    point_errors=self.point_errors,
                 )
                 objects.append(done)
         turn = upright(up)
@@ -235,8 +242,8 @@ class Completer:
         return completions, seconds
 
     def _look_again(self, task: "_Task", background: Background) -> SecondLook | None:
-        """What a verdict needs beside the completion."""
-        if self.calibration is None:
+        """What a verdict and points' errors need beside the completion."""
+        if self.calibration is None and self.point_errors is None:
             return None
         eye = np.asarray(task.read.eye, np.float32)
         arguments = (self.variables, task.read.partial, eye)

@@ -94,7 +94,7 @@ def evidence_of(
     measured = np.asarray(seen.partial, np.float64)[np.asarray(seen.inside)]
     distinct = np.unique(measured, axis=0)
     partial = np.asarray(read.partial, np.float64)
-    some = distinct[:: -(-len(distinct) // SAMPLE)]
+    some = asked(distinct)
     eye = np.asarray(seen.eye, np.float64)
     spacing = usual_spacing(partial)
     away = KDTree(distinct).query(prediction)[0]
@@ -102,7 +102,7 @@ def evidence_of(
     return {
         "num_points": float(len(distinct)),
         "spacing": float(min(spacing, 1.0)),
-        "roughness": _roughness(distinct, some),
+        "roughness": roughness(distinct, some),
         "strays": float((selection.stray | selection.outside).mean()),
         "in_front": float(selection.in_front.mean()),
         "looked_through": float(through.mean()),
@@ -114,8 +114,14 @@ def evidence_of(
     }
 
 
-def _roughness(cloud: np.ndarray, some: np.ndarray) -> float:
-    """Usual distance of measured points from the planes through their neighbours."""
+def asked(cloud: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
+    """`SAMPLE` of a larger cloud, or fewer; evenly spaced rows."""
+    return cloud[:: -(-len(cloud) // SAMPLE)]
+
+
+def roughness(cloud: Float[np.ndarray, "N 3"], some: Float[np.ndarray, "M 3"]) -> float:
+    """Usual distance of some of a cloud's points from the planes through their
+    neighbours. Of too few neighbours it is 0."""
     if len(cloud) <= NEIGHBORS:
         return 0.0
     near = cloud[np.asarray(KDTree(cloud).query(some, k=NEIGHBORS)[1])]

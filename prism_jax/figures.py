@@ -113,6 +113,27 @@ def clouds_figure(
     )
 
 
+def color_by(figure: go.Figure, title: str, most: float) -> None:
+    """Adds the colours of numbers from 0 to `most`, larger ones alike, for traces whose
+    markers have numbers for colours. The bar beside the clouds is not shown yet."""
+    bar = {
+        "title": {"text": title},
+        "thickness": 14,
+        "len": 0.7,
+        "x": 1.0,
+        "xanchor": "right",
+    }
+    figure.update_layout(
+        coloraxis={
+            "colorscale": "Viridis",
+            "cmin": 0.0,
+            "cmax": most,
+            "showscale": False,
+            "colorbar": bar,
+        }
+    )
+
+
 def depth_figure(
     titles: tuple[str, str],
     depths: Sequence[Float[np.ndarray, "H W"]],

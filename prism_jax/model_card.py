@@ -108,6 +108,16 @@ def _trust(about: Mapping[str, Any]) -> Iterator[str]:
             f"the worst tenth have low trust, {held_out['better_half_low']:.0%} of the "
             "better half."
         )
+    if "point_errors" not in about:
+        yield "No errors of single points: they come without what tells them."
+    elif "sigma" in about:
+        held_out = about["sigma"]["all"]
+        yield (
+            f"Points' sigmas, on {held_out['views']:,} shifted validation views: the "
+            "rank correlation with the true errors is "
+            f"{held_out['rank_correlation']:.2f}; {held_out['below_one']:.0%} of the "
+            f"errors are below one, {held_out['below_two']:.0%} below two."
+        )
 
 
 def _worst(result: Mapping[str, Any]) -> str:

@@ -76,6 +76,7 @@ def _of_object(result: Any) -> dict[str, Any]:
     verdict = result.verdict
     return {
         "verdict": None if verdict is None else verdict._asdict(),
+        "sigma": _of_added(result),
         "accepted": bool(result.accepted),
         "points": {name: len(cloud) for name, cloud in clouds(result).items()},
         "left_away": dict(result.left_away),
@@ -88,6 +89,16 @@ def _of_object(result: Any) -> dict[str, Any]:
         "losses": dict(result.losses),
         "loss_weights": dict(zip(BRANCHES, result.weights, strict=True)),
     }
+
+
+def _of_added(result: Any) -> dict[str, float] | None:
+    """What the sigmas of the added points are like, in input units; None if there is
+    no such point, or weights that cannot tell."""
+    if result.sigma is None or result.observed.all():
+        return None
+    sigma = result.sigma[~result.observed]
+    least, median, most = np.quantile(sigma, [0.05, 0.5, 0.95])
+    return {"mean": sigma.mean(), "median": median, "q05": least, "q95": most}
 
 
 def clouds(result: Any) -> dict[str, Float[np.ndarray, "_ 3"]]:

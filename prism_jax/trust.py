@@ -2,10 +2,12 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from prism_jax.trees import Trees
 
 EVIDENCE = {
     "num_points": "few points were measured ({:,.0f}): come closer, or scan longer",
@@ -58,34 +60,25 @@ class Verdict(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Calibration:
-    """What turns evidence into a verdict: the sum of small decision trees over its
-    logarithms.
+class Calibration(Trees):
+    """What turns evidence into a verdict: trees over its logarithms, whose sum is the
+    logarithm of the error.
 
-    Each tree is complete: node n splits into 2 n + 1, where the logarithm that it looks
-    at is at most its threshold, and 2 n + 2. `experiments.trust` fits them on
-    validation data that is shifted in every way. The global features of training views
-    say what is familiar: their mean, the axes along which they vary most, in units of
-    their spread, and the spread of what is left.
+    `experiments.trust` fits them on validation data that is shifted in every way. The
+    global features of training views say what is familiar: their mean, the axes along
+    which they vary most, in units of their spread, and the spread of what is left.
 
     Attributes:
       usual: the logarithms where completions are good, in the order of `EVIDENCE`.
-      base: the logarithm of the error that the trees' sum is added to.
-      looks_at: which piece of evidence each node of each tree looks at.
-      thresholds: of its logarithm.
-      leaves: what each leaf adds.
-      bounds: the least and the largest logarithm of an error that was met.
       fair, low: expected errors, in half sides of the workspace, from which trust is
         fair, and low.
       feature_mean, feature_axes, feature_rest: what is familiar.
     """
 
+    WHAT: ClassVar[str] = "a calibration"
+    NAMES: ClassVar[tuple[str, ...]] = tuple(EVIDENCE)
+
     usual: Float[np.ndarray, " E"]
-    base: float
-    looks_at: Float[np.ndarray, "T N"]
-    thresholds: Float[np.ndarray, "T N"]
-    leaves: Float[np.ndarray, "T L"]
-    bounds: Float[np.ndarray, "2"]
     fair: float
     low: float
     feature_mean: Float[np.ndarray, " G"]
@@ -93,47 +86,24 @@ class Calibration:
     feature_rest: float
 
     @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> "Calibration":
+    def from_dict(cls, fields: Mapping[str, Any]) -> Any:
         """From what `to_dict` gave; anything else raises ValueError."""
-        names = [field.name for field in dataclasses.fields(cls)]
-        if not isinstance(fields, Mapping) or set(fields) != set(names):
-            raise ValueError(f"a calibration has {', '.join(names)}")
-        try:
-            arrays = {name: np.asarray(fields[name], np.float64) for name in names}
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"a calibration is made of numbers: {error}") from None
-        count = len(EVIDENCE)
-        width = arrays["feature_mean"].shape
-        trees, nodes = (*arrays["looks_at"].shape, 0, 0)[:2]
-        shapes = {
-            "usual": (count,),
-            "looks_at": (trees, 2 ** (nodes + 1).bit_length() // 2 - 1),
-            "thresholds": (trees, nodes),
-            "leaves": (trees, nodes + 1),
-            "bounds": (2,),
-            "feature_axes": (arrays["feature_axes"].shape[:1] + width),
-            **dict.fromkeys(("base", "fair", "low", "feature_rest"), ()),
-        }
-        for name, array in arrays.items():
-            if array.shape != shapes.get(name, (array.size,)):
-                raise ValueError(f"a calibration's {name} has the shape {array.shape}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"a calibration's {name} is not finite")
-        if not np.isin(arrays["looks_at"], np.arange(count)).all():
-            raise ValueError("a calibration's looks_at is beyond the evidence")
+        found = super().from_dict(fields)
         for name in ("fair", "low", "feature_rest"):
-            if not (arrays[name] > 0).all():
+            if not getattr(found, name) > 0:
                 raise ValueError(f"a calibration's {name} is not positive")
-        plain: dict[str, Any] = {
-            name: float(array) if array.ndim == 0 else array
-            for name, array in arrays.items()
-        }
-        return cls(**plain)
+        return found
 
-    def to_dict(self) -> dict[str, Any]:
-        """Lists and numbers, six digits of each."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {name: _short(value) for name, value in fields.items()}
+    @classmethod
+    def _other_shapes(
+        cls, arrays: Mapping[str, np.ndarray]
+    ) -> dict[str, tuple[int, ...]]:
+        width = arrays["feature_mean"].shape
+        return {
+            "usual": (len(EVIDENCE),),
+            "feature_axes": (arrays["feature_axes"].shape[:1] + width),
+            **dict.fromkeys(("fair", "low", "feature_rest"), ()),
+        }
 
     def novelty(self, features: Float[np.ndarray, " G"]) -> float:
         """How far features are from those of the training: 1 is usual there."""
@@ -147,20 +117,20 @@ class Calibration:
 
     def expected_error(self, evidence: Mapping[str, float]) -> float:
         """CD-L1 in half sides of the workspace."""
-        found = logarithms(evidence)
-        return float(np.exp(np.clip(self._log_error(found), *self.bounds)))
+        log_error = self.sums(logarithms(evidence))
+        return float(np.exp(np.clip(log_error, *self.bounds)))
 
     def judge(self, evidence: Mapping[str, float], half_extent: float) -> Verdict:
         """The verdict on an object whose workspace has this half side."""
         found = logarithms(evidence)
-        log_error = self._log_error(found)
+        log_error = self.sums(found)
         error = self.expected_error(evidence)
         trust = "low" if error >= self.low else "fair" if error >= self.fair else "high"
         reasons: list[str] = []
         if trust != "high":
             # What the error would be less if one piece of evidence were as usual.
             usual = np.where(np.eye(len(found), dtype=bool), self.usual, found)
-            blame = log_error - np.array([self._log_error(row) for row in usual])
+            blame = log_error - self.sums(usual)
             worst = [i for i in np.argsort(-blame, kind="stable") if blame[i] > REASON]
             told = list(EVIDENCE.items())
             reasons = [
@@ -168,21 +138,7 @@ class Calibration:
             ]
         return Verdict(trust, error * half_extent, tuple(reasons), dict(evidence))
 
-    def _log_error(self, found: Float[np.ndarray, " E"]) -> float:
-        """Beyond what was met, too."""
-        trees, nodes = self.looks_at.shape
-        rows, node = np.arange(trees), np.zeros(trees, int)
-        while nodes and node[0] < nodes:
-            seen = found[self.looks_at[rows, node].astype(int)]
-            node = 2 * node + 1 + (seen > self.thresholds[rows, node])
-        return float(self.base + self.leaves[rows, node - nodes].sum())
-
 
 def logarithms(evidence: Mapping[str, float]) -> Float[np.ndarray, " E"]:
     """Of the evidence, in the order of `EVIDENCE`."""
     return np.log(np.array([evidence[name] for name in EVIDENCE]) + SMALLEST)
-
-
-def _short(value: Any) -> Any:
-    digits = np.vectorize(lambda number: float(f"{number:.6g}"))
-    return digits(np.asarray(value, np.float64)).tolist()

@@ -25,6 +25,8 @@ from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables, unlearned_steps
+from prism_jax.point_errors import PointErrors
+from prism_jax.trees import Trees
 from prism_jax.trust import Calibration
 
 SUFFIX = ".safetensors"
@@ -65,9 +67,19 @@ def load_calibration(name_or_path: str) -> Calibration | None:
 
     One that is damaged raises InputError.
     """
-    fields = read_metadata(name_or_path).get("calibration")
+    return _load_trees(name_or_path, "calibration", Calibration)
+
+
+def load_point_errors(name_or_path: str) -> PointErrors | None:
+    """What gives points predicted by these weights their sigma; None and InputError as
+    for `load_calibration`."""
+    return _load_trees(name_or_path, "point_errors", PointErrors)
+
+
+def _load_trees(name_or_path: str, key: str, kind: type[Trees]) -> Any:
+    fields = read_metadata(name_or_path).get(key)
     try:
-        return None if fields is None else Calibration.from_dict(fields)
+        return None if fields is None else kind.from_dict(fields)
     except ValueError as error:
         raise InputError(name_or_path, str(error), _remedy()) from None
 

@@ -1,9 +1,12 @@
 """Scenes in any frame and unit, completed object by object."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from prism_jax import completion
+from prism_jax.completed import in_one_scene
 from prism_jax.completion import Completer
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
@@ -72,6 +75,26 @@ def test_each_object_is_completed_as_if_it_were_alone(
         added = done.points[~done.observed & (done.object == i)]
         assert np.array_equal(added, one.points[~one.observed])
         assert np.abs(one.workspace.to_unit(added)).max() <= 1
+
+
+def test_errors_of_points_come_with_their_objects(done, scene):
+    """And with all of them, or not at all."""
+    assert done.sigma is None
+    points, number = scene
+    objects = [
+        dataclasses.replace(one, sigma=np.where(one.observed, 0.0, 0.5 + i))
+        for i, one in enumerate(done.objects)
+    ]
+
+    def sigma(objects):
+        put = in_one_scene(points, number, objects, (), np.array([0, 0, 1.0]), "z")
+        return put.sigma
+
+    told = sigma(objects)
+    expected = np.where(done.observed, 0.0, 0.5 + done.object)
+    np.testing.assert_array_equal(told, expected)
+    assert sigma([*objects[:2], done.objects[2]]) is None
+    assert not sigma([]).any() and len(sigma([])) == len(points)
 
 
 def test_more_objects_than_slots(completer, scene, taken_apart, camera, monkeypatch):

@@ -17,6 +17,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.observation.sensor import likely_eye
+from prism_jax.point_errors import CLUES, PointErrors
 from prism_jax.selection import keep_unmeasured
 from prism_jax.trust import EVIDENCE
 from prism_jax.weights import save_weights
@@ -107,6 +108,52 @@ def test_a_verdict_is_the_same_in_any_unit_and_place(judging):
     assert there.verdict.expected_error == pytest.approx(1e-3 * here.expected_error)
     for name, value in here.evidence.items():
         assert there.verdict.evidence[name] == pytest.approx(value, rel=1e-3, abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def telling(judging):
+    """One that expects a hundredth of the half side near the measured points, and a
+    tenth elsewhere."""
+    point_errors = PointErrors(
+        base=np.log(0.01),
+        looks_at=np.full((1, 1), float(CLUES.index("measured"))),
+        thresholds=np.full((1, 1), 0.2),
+        leaves=np.array([[0.0, np.log(10.0)]]),
+        bounds=np.array([-9.0, 0.0]),
+    )
+    telling = Completer(judging.config, judging.variables, point_errors=point_errors)
+    telling._compiled = judging._compiled
+    return telling
+
+
+def test_every_added_point_has_its_error_in_the_users_unit(near, judging, telling):
+    assert near.sigma is None and judging.complete(scan()).sigma is None
+    result = telling.complete(scan(), camera_at(EYE))
+    np.testing.assert_array_equal(result.points, near.points)
+    assert result.verdict is None and result.sigma.shape == result.observed.shape
+    assert (result.sigma[result.observed] == 0).all()
+    told = result.sigma[~result.observed] / result.workspace.half_extent
+    plain = telling.complete(scan(), camera_at(EYE), density=0.0)
+    sigma = plain.sigma[~plain.observed] / plain.workspace.half_extent
+    added, measured = plain.points[~plain.observed], plain.points[plain.observed]
+    apart = np.linalg.norm(added[:, None] - measured, axis=-1).min(axis=1)
+    far = apart / plain.workspace.half_extent > 0.2
+    assert 0 < far.mean() < 1
+    np.testing.assert_allclose(sigma, np.where(far, 0.1, 0.01), rtol=1e-6)
+    # Those between them have what these have, or something between.
+    np.testing.assert_allclose(told[: len(added)], sigma, rtol=1e-6)
+    assert (told > 0.01 - 1e-9).all() and (told < 0.1 + 1e-9).all()
+
+
+def test_errors_are_the_same_in_any_unit_and_place(telling):
+    here = telling.complete(scan(), camera_at(EYE), density=0.0)
+    away = 1e-3 * (scan() + FAR)
+    there = telling.complete(away, camera_at(1e-3 * (EYE + FAR)), density=0.0)
+    assert len(there.sigma) == len(here.sigma)
+    differ = ~np.isclose(1e3 * there.sigma, here.sigma, rtol=1e-3)
+    assert differ.mean() < 0.01  # on the other side of the threshold
+    again = telling.complete(scan(), camera_at(EYE), density=0.0)
+    assert again.sigma.tobytes() == here.sigma.tobytes()
 
 
 @pytest.mark.parametrize("density", [-1.0, np.nan, np.inf])

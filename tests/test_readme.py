@@ -15,6 +15,7 @@ from experiments import results, rooms
 from experiments.assets import CELLS
 from experiments.comparison import comparison_markdown
 from experiments.loss_gradients import agreement_markdown
+from experiments.point_errors import point_errors_markdown
 from experiments.real_scans import real_scans_markdown
 from experiments.robustness import robustness_markdown
 from experiments.segmentation import segmentation_markdown
@@ -120,6 +121,7 @@ def test_tables_are_those_of_their_results(path):
         "scans": real_scans_markdown,
         "shifts": robustness_markdown,
         "trust": trust_markdown,
+        "sigma": point_errors_markdown,
         "rose": verdicts_markdown,
         "by_scene": segmentation_markdown,
     }

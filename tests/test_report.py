@@ -51,9 +51,12 @@ class Outline(html.parser.HTMLParser):
             self.text += data
 
 
-def report(adapt=True, ground_truth=None, points=POINTS, verdict=None, **changes):
+def report(
+    adapt=True, ground_truth=None, points=POINTS, verdict=None, sigma=None, **changes
+):
     result = FakeCompleter().complete(points, adapt=adapt)
-    result = dataclasses.replace(result, verdict=verdict)
+    sigma = None if sigma is None else np.where(result.observed, 0.0, sigma)
+    result = dataclasses.replace(result, verdict=verdict, sigma=sigma)
     scan = Scan(points, None, num_not_finite=7, num_outside=11)
     summary = summarize(result, scan, "scan.ply", **(ASKED | {"adapt": adapt}))
     summary["seconds"] = dict(result.seconds)
@@ -208,7 +211,30 @@ def test_strays_do_not_make_an_object_small():
     np.testing.assert_array_equal(nothing, [measured.min(0), measured.max(0)])
 
 
-def scene_report(verdicts, stray=None, name="<scan>.ply"):
+def test_added_points_can_be_coloured_by_their_errors():
+    """Up to the bulk of them; the measured ones are grey."""
+    page, summary = report(sigma=np.linspace(0.1, 0.3, 450), ground_truth=POINTS[:9])
+    assert page.count('data-colors="error"') == 1
+    assert '"cmax":0.29' in page.replace(" ", "")
+    figure = page.split("Plotly.newPlot")[1]
+    numbers = re.findall(r'"error":\[([^\]]*)\]', figure)
+    assert [len(found.split(",")) for found in numbers] == [150]
+    assert (
+        0.2 < float(numbers[0].split(",")[0]) < float(numbers[0].split(",")[-1]) <= 0.3
+    )
+    told = summary["sigma"]
+    assert 0.2 < told["q05"] < told["median"] < told["q95"] < 0.3
+    said = f"{told['median']:.4g} at the median of the added points"
+    assert said in Outline(page).text
+
+
+def test_without_errors_there_is_nothing_to_colour_by():
+    page, summary = report()
+    assert 'data-colors="' not in page and summary["sigma"] is None
+    assert "not told" in Outline(page).text
+
+
+def scene_report(verdicts, stray=None, name="<scan>.ply", error=None):
     """Of objects in a row on a plane, one for each verdict."""
     points = np.random.default_rng(0).uniform(1, 2, (100 * len(verdicts) + 50, 3))
     points[:, 0] += 10 * (np.arange(len(points)) // 100)
@@ -217,10 +243,15 @@ def scene_report(verdicts, stray=None, name="<scan>.ply"):
     taken_apart = completer.split_scene(points)
     scene = completer.complete_scene(points, scene=taken_apart, adapt=True)
     objects = [
-        dataclasses.replace(one, verdict=verdict)
+        dataclasses.replace(
+            one,
+            verdict=verdict,
+            sigma=None if error is None else np.where(one.observed, 0.0, error),
+        )
         for one, verdict in zip(scene.objects, verdicts, strict=True)
     ]
-    scene = dataclasses.replace(scene, objects=tuple(objects))
+    sigma = None if error is None else np.where(scene.observed, 0.0, error)
+    scene = dataclasses.replace(scene, objects=tuple(objects), sigma=sigma)
     if stray is not None:
         scene.points[-1] = scene.objects[-1].points[-1] = stray
     asked = ASKED | {"adapt": True}
@@ -279,3 +310,13 @@ def test_every_object_of_a_scene_can_be_shown_alone():
 def test_a_stray_does_not_make_a_scene_small():
     near = boxes_of(scene_report([HIGH, LOW]))[0]
     assert boxes_of(scene_report([HIGH, LOW], stray=1e3))[0] == near
+
+
+def test_a_scene_can_be_coloured_by_trust_and_by_errors():
+    plain_page, page = scene_report([HIGH, LOW]), scene_report([HIGH, LOW], error=0.25)
+    modes = [re.findall(r'data-colors="(\w+)"', one) for one in (plain_page, page)]
+    assert modes == [["trust"], ["trust", "error"]]
+    figure = page.split("Plotly.newPlot")[1]
+    numbers = re.findall(r'"error":\[([^\]]*)\]', figure)
+    assert [set(found.split(",")) for found in numbers] == [{"0.25"}] * 2
+    assert "0.25 at the median of the added points" in Outline(page).text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.ensemble import GradientBoostingRegressor
 
-from experiments.trust import complete_trees
+from experiments.boosting import complete_trees
 from prism_jax.trust import EVIDENCE, SMALLEST, Calibration, logarithms
 
 NAMES = list(EVIDENCE)

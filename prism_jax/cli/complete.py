@@ -218,7 +218,7 @@ def complete_file(
     summary["seconds"] = seconds
     with timed(f"writing to {folder}", "write", seconds):
         report = render_report(result, plain(summary), truth)
-        cloud = io.ply_bytes(result.points, ~result.observed)
+        cloud = io.ply_bytes(result.points, ~result.observed, sigma=result.sigma)
         _write(folder, cloud, report, plain(summary))
     return plain(summary)
 
@@ -371,7 +371,8 @@ def _write_scene(
     summary = {**summarize_scene(result, scan, source, **about), "seconds": seconds}
     with timed(f"writing to {folder}", "write", seconds):
         report = render_scene_report(result, plain(summary))
-        cloud = io.ply_bytes(result.points, ~result.observed, result.object)
+        about_points = ~result.observed, result.object, result.sigma
+        cloud = io.ply_bytes(result.points, *about_points)
         _write(folder, cloud, report, plain(summary))
     return plain(summary)
 

@@ -22,6 +22,8 @@ OBSERVED, COMPLETED = 0, 1
 
 OBJECTS = "object -1: support or wall, -2: none, else the object's number"
 
+SIGMA = "sigma: expected distance from the true surface, 0 for observed points"
+
 COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34)}
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -94,18 +96,22 @@ def ply_bytes(
     points: Float[np.ndarray, "M 3"],
     labels: Bool[np.ndarray, " M"] | None = None,
     objects: Int[np.ndarray, " M"] | None = None,
+    sigma: Float[np.ndarray, " M"] | None = None,
 ) -> bytes:
     """A file of points, which `read_ply` reads back bit for bit.
 
     With `labels`, True for completed points, each has a `label` (0 observed,
-    1 completed) and a colour; with `objects` too, the number of an `object`. Binary
-    little-endian, x y z in the type of `points` (float32 or float64).
+    1 completed) and a colour; with `objects` too, the number of an `object`; with
+    `sigma`, a float32 of that name. Binary little-endian, x y z in the type of `points`
+    (float32 or float64).
     """
     scalar = "double" if points.dtype == np.float64 else "float"
     marks = () if labels is None else ("label", "red", "green", "blue")
     kinds = {**dict.fromkeys(_AXES, scalar), **dict.fromkeys(marks, "uchar")}
     if objects is not None:
         kinds["object"] = "int"
+    if sigma is not None:
+        kinds["sigma"] = "float"
     fields = [(name, f"<{_TYPES[kind]}") for name, kind in kinds.items()]
     vertices = np.empty(len(points), fields)
     for axis, column in zip(_AXES, points.T, strict=True):
@@ -117,11 +123,14 @@ def ply_bytes(
             vertices[name] = shades[vertices["label"]]
     if objects is not None:
         vertices["object"] = objects
+    if sigma is not None:
+        vertices["sigma"] = sigma
     header = [
         "ply",
         "format binary_little_endian 1.0",
         *(["comment label 0: observed, 1: completed"] if marks else []),
         *([f"comment {OBJECTS}"] if objects is not None else []),
+        *([f"comment {SIGMA}"] if sigma is not None else []),
         f"element vertex {len(points)}",
         *(f"property {kind} {name}" for name, kind in kinds.items()),
         "end_header\n",

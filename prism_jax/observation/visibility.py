@@ -1,4 +1,4 @@
-"""What would have hidden a measured surface, and where nothing was measured."""
+"""What lies before, behind and beside a measured surface, as its sensor saw it."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -60,6 +60,26 @@ def looked_through(
         return np.ones(len(points), bool)
     sight, distance = _rays(measured, eye)
     return KDTree(sight).query(_rays(points, eye)[0])[0] > reach / np.median(distance)
+
+
+def beside_and_behind(
+    points: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    eye: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
+    """How far each point's line of sight passes what a sensor at `eye` measured, and
+    how far behind that the point lies, negative in front.
+
+    The first is the distance from the silhouette for points beside it, and no more than
+    the points' spacing for others: between the directions of the point and of the
+    measured one nearest to it, at the latter's distance. All in one frame and unit of
+    length; at least one was measured. NumPy, not differentiable.
+    """
+    measured = measured[:: -(-len(measured) // MAX_MEASURED)]
+    sight, distance = _rays(measured, eye)
+    wanted, away = _rays(points, eye)
+    apart, row = KDTree(sight).query(wanted)
+    return apart * distance[row], away - distance[row]
 
 
 def _rays(

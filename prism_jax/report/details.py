@@ -66,6 +66,18 @@ def workspace(entry: Mapping[str, Any]) -> str:
     return f"cube about ({center}), half extent {number(cube['half_extent'])}"
 
 
+def sigma(entry: Mapping[str, Any]) -> str:
+    """How far single added points are expected to be off."""
+    told = entry.get("sigma")
+    if told is None:
+        return "not told: no point was added, or these weights cannot tell"
+    low, middle, high = (number(told[name]) for name in ("q05", "median", "q95"))
+    return (
+        f"{middle} at the median of the added points, from {low} to {high} for nine in "
+        "ten, in the input's units"
+    )
+
+
 def evidence(entry: Mapping[str, Any]) -> str:
     """The numbers that the verdict rests on."""
     if entry["verdict"] is None:
@@ -92,6 +104,7 @@ def of_scan(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Adaptation", adaptation(summary, summary["adapt"])),
         ("Network output", f"{points['network']:,} points"),
         ("Not added", left_away(summary)),
+        ("Expected error of a point", sigma(summary)),
         ("Evidence", evidence(summary)),
     ]
     if summary["ground_truth"]:

@@ -18,6 +18,7 @@ from prism_jax.figures import (
     depth_figure,
     losses_figure,
 )
+from prism_jax.report.colors import by_error, tell_errors
 from prism_jax.report.details import of_scan
 from prism_jax.report.page import chart_html, clouds_html, render
 from prism_jax.report.verdict import verdict_of_scan
@@ -66,9 +67,18 @@ def render_report(
         up,
         shown_bounds(measured, added, result.workspace),
     )
-    toggled = ("", "observed", "completed", "")
-    for trace, cloud in zip(clouds.data, toggled, strict=False):
-        trace.meta = {"cloud": cloud}
+    modes = tell_errors(clouds, result.sigma)
+    seen_by, predicted_by = (
+        by_error(result.sigma, which) for which in (result.observed, ~result.observed)
+    )
+    about = (
+        ("", OBSERVED_COLOR, seen_by),
+        ("observed", OBSERVED_COLOR, seen_by),
+        ("completed", COMPLETED_COLOR, predicted_by),
+        ("", GROUND_TRUTH_COLOR, {"error": GROUND_TRUTH_COLOR}),
+    )
+    for trace, (cloud, color, by) in zip(clouds.data, about, strict=False):
+        trace.meta = {"cloud": cloud, "color": {"": color, **by}}
     depth = depth_figure(
         ("Partial scan", "Completion"),
         [np.asarray(result.depth_observed), np.asarray(result.depth_completed)],
@@ -80,6 +90,7 @@ def render_report(
         verdict=verdict_of_scan(summary, float(np.ptp(measured, axis=0).max())),
         counts=_counts(summary),
         toggles=toggles,
+        modes=modes,
         clouds=clouds_html(clouds),
         objects=None,
         max_shown=f"{MAX_SHOWN_POINTS:,}",

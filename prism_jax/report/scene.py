@@ -26,6 +26,7 @@ from prism_jax.figures import (
 from prism_jax.geometry.camera import Camera
 from prism_jax.observation.scene import LEFT_OVER, SUPPORT
 from prism_jax.report import details
+from prism_jax.report.colors import by_error, tell_errors
 from prism_jax.report.page import clouds_html, render
 from prism_jax.report.verdict import TRUST, TRUST_COLORS, trust_of, verdict_of_scene
 from prism_jax.report.view import BULK, shown_bounds, viewing_direction
@@ -79,6 +80,7 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
             ("support", SUPPORT_COLOR),
             ("left over", LEFT_OVER_COLOR),
         ],
+        modes=["trust", *tell_errors(figure, scene.sigma)],
         clouds=clouds_html(figure),
         trusts=[trust for trust in TRUST if trust in map(trust_of, entries)],
         objects=[_row(number, entry, summary) for number, entry in enumerate(entries)],
@@ -98,7 +100,8 @@ def _clouds(
     for number, color in ((SUPPORT, SUPPORT_COLOR), (LEFT_OVER, LEFT_OVER_COLOR)):
         points = scene.points[scene.object == number]
         clouds.append(Cloud(names[number], points, color))
-        meta.append({"cloud": names[number], "object": None, "color": [color, color]})
+        colors = {"": color, "trust": color, "error": color}
+        meta.append({"cloud": names[number], "object": None, "color": colors})
     for number, (one, entry) in enumerate(zip(scene.objects, entries, strict=True)):
         trust = TRUST_COLORS[trust_of(entry)]
         for name, which, color in (
@@ -107,7 +110,9 @@ def _clouds(
         ):
             points = subsample(one.points[which], _share(scene))
             clouds.append(Cloud(f"object {number}, {name}", points, color))
-            meta.append({"cloud": name, "object": number, "color": [color, trust]})
+            by = by_error(one.sigma, which, _share(scene))
+            colors = {"": color, "trust": trust, **by}
+            meta.append({"cloud": name, "object": number, "color": colors})
     return clouds, meta
 
 
@@ -166,6 +171,7 @@ def _row(
             ("Workspace", details.workspace(entry)),
             ("Adaptation", details.adaptation(entry, summary["adapt"])),
             ("Not added", details.left_away(entry)),
+            ("Expected error of a point", details.sigma(entry)),
             ("Evidence", details.evidence(entry)),
         ],
     }

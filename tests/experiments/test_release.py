@@ -8,9 +8,11 @@ import pytest
 from experiments import release
 from experiments.trust import unfitted
 from prism_jax.io.errors import InputError
+from prism_jax.point_errors import PointErrors
 from prism_jax.weights import (
     file_sha256,
     load_calibration,
+    load_point_errors,
     load_pretrained,
     read_metadata,
     save_weights,
@@ -104,6 +106,35 @@ def test_a_calibration_comes_with_them(finished, capsys):
     (folder / "trust.json").write_text(other)
     assert run(*given) == 2
     assert "make it for the weights that are released" in capsys.readouterr().err
+
+
+def test_what_is_given_later_comes_beside_what_was_there(finished, tiny_variables):
+    """Scores, notes and calibration stay, and so do the arrays."""
+    folder, path = finished
+    given = ("--note=a trial", f"--scores={folder}/test.json")
+    assert run(f"--weights={path}", "--name=new", *given) == 0
+    new = str(folder / "new.safetensors")
+    before = read_metadata(new)
+    nodes, bounds = np.zeros((1, 1)), np.array([-9.0, 0.0])
+    found = PointErrors(-3.0, nodes, nodes, np.zeros((1, 2)), bounds).to_dict()
+    result = {"point_errors": found, "sigma": {"all": {"views": 7}}, "weights": "new"}
+    result |= {"weights_sha256": file_sha256(new)}
+    (folder / "point_errors.json").write_text(json.dumps(result))
+    more = f"--point_errors={folder}/point_errors.json"
+    assert run(f"--weights={new}", "--name=new", more) == 0
+    after = read_metadata(new)
+    assert after.pop("point_errors") == found == load_point_errors(new).to_dict()
+    assert after.pop("sigma") == {"all": {"views": 7}}
+    assert after == before
+    assert sha256(load_pretrained(new)[1]) == sha256(tiny_variables)
+    assert load_point_errors(str(path)) is None
+
+
+def test_damaged_point_errors_are_one_line(finished, tiny, tiny_variables):
+    _, path = finished
+    save_weights(path, tiny, tiny_variables, {"point_errors": {"base": 1}})
+    with pytest.raises(InputError, match="an estimate of points' errors has"):
+        load_point_errors(str(path))
 
 
 def test_a_damaged_calibration_is_one_line(finished, tiny, tiny_variables):

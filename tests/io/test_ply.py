@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from prism_jax.io import InputError
-from prism_jax.io.ply import COLORS, read_ply, write_ply
+from prism_jax.io.ply import COLORS, ply_bytes, read_ply, write_ply
 
 POINTS = np.random.default_rng(0).normal(size=(100, 3)).astype(np.float32)
 XYZ = "property float x\nproperty float y\nproperty float z\n"
@@ -195,3 +195,22 @@ def test_points_alone_come_back_bit_for_bit(tmp_path, dtype):
     assert back.dtype == dtype
     np.testing.assert_array_equal(back, points)
     np.testing.assert_array_equal(trimesh.load(path).vertices, points)
+
+
+@pytest.mark.parametrize("scalar", [np.float32, np.float64])
+def test_sigma_is_a_property_that_plyfile_reads(tmp_path, scalar):
+    sigma = np.where(np.arange(100) < 60, 0.0, np.linspace(0, 1e-3, 100))
+    labels, points = np.arange(100) >= 60, POINTS.astype(scalar)
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply_bytes(points, labels, np.arange(100) - 2, sigma))
+    read = plyfile.PlyData.read(path)
+    assert any("sigma: expected distance" in line for line in read.comments)
+    vertex = read["vertex"]
+    np.testing.assert_array_equal(vertex["sigma"], sigma.astype(np.float32))
+    np.testing.assert_array_equal(vertex["object"], np.arange(100) - 2)
+    np.testing.assert_array_equal(vertex["label"], labels)
+    assert read_ply(path).tobytes() == points.tobytes()
+
+
+def test_without_sigmas_there_is_no_such_property():
+    assert b"sigma" not in ply_bytes(POINTS, np.zeros(100, bool))

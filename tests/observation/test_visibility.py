@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from prism_jax.observation.visibility import MAX_MEASURED, in_front
+from prism_jax.observation.visibility import MAX_MEASURED, beside_and_behind, in_front
 
 EYE = np.array([0.0, 0.0, 5.0])
 
@@ -63,4 +63,22 @@ def test_of_a_large_cloud_evenly_spaced_rows_are_asked(plane):
     points = np.random.default_rng(0).uniform(-1, 1, (100, 3))
     np.testing.assert_array_equal(
         in_front(points, large, EYE, 0.05, 4.0), in_front(points, plane, EYE, 0.05, 4.0)
+    )
+
+
+def test_how_far_beside_and_behind(plane):
+    """Of the plane's edge at x = 1, and of its middle."""
+    points = np.array([[0.0, 0, -1.5], [0, 0, 2.0], [2.0, 0, 0], [0, 0, 5.0]])
+    beside, behind = beside_and_behind(points, plane, EYE)
+    np.testing.assert_allclose(behind[:2], [1.5, -2.0], atol=1e-9)
+    assert (beside[:2] < 1e-9).all()
+    apart = np.arctan2(2, 5) - np.arctan2(1, 5)
+    assert beside[2] == pytest.approx(2 * np.sin(apart / 2) * np.hypot(1, 5))
+    assert np.isfinite(beside).all() and np.isfinite(behind).all()
+    shift = np.array([4e5, 5e6, 100.0])
+    there = beside_and_behind(
+        1e3 * points + shift, 1e3 * plane + shift, 1e3 * EYE + shift
+    )
+    np.testing.assert_allclose(
+        np.array(there)[:, :3] / 1e3, [beside[:3], behind[:3]], atol=1e-6
     )

@@ -1,7 +1,7 @@
 const clouds = document.getElementById("clouds");
 const toggles = [...document.querySelectorAll("[data-cloud]")];
 const choices = [...document.querySelectorAll("[data-object]")];
-const byTrust = document.getElementById("by-trust");
+const modes = [...document.querySelectorAll("[data-colors]")];
 const pressed = (button) => button.getAttribute("aria-pressed") === "true";
 const press = (button, on) => button.setAttribute("aria-pressed", on);
 
@@ -22,16 +22,27 @@ function show(layout = {}) {
   const seen = (about) => !hidden.includes(about.cloud)
     && (alone === null || about.object === alone);
   const style = { visible: traces.map(seen) };
-  if (byTrust) {
-    const color = Number(pressed(byTrust)), size = Number(alone !== null);
-    document.body.classList.toggle("by-trust", pressed(byTrust));
-    style["marker.color"] = traces.map((about) => about.color[color]);
-    style["marker.size"] = traces.map((about) => about.size[size]);
+  if (modes.length) {
+    const mode = modes.find(pressed), own = mode ? mode.dataset.colors : "";
+    document.body.className = mode ? `by-${own}` : "";
+    const colors = traces.map((about) => (about.color ? about.color[own] : undefined));
+    style["marker.color"] = colors;
+    style["marker.coloraxis"] = colors.map((c) => (Array.isArray(c) ? "coloraxis" : null));
+    layout = { ...layout, "coloraxis.showscale": own === "error" };
   }
+  const size = Number(alone !== null);
+  if (choices.length) style["marker.size"] = traces.map((about) => about.size[size]);
   Plotly.update(clouds, style, layout);
 }
-for (const button of byTrust ? [...toggles, byTrust] : toggles) {
-  button.addEventListener("click", () => { press(button, !pressed(button)); show(); });
+for (const button of [...toggles, ...modes]) {
+  button.addEventListener("click", () => {
+    // One way to colour at a time.
+    for (const other of modes) {
+      if (modes.includes(button) && other !== button) press(other, false);
+    }
+    press(button, !pressed(button));
+    show();
+  });
 }
 function choose(button) {
   for (const other of choices) press(other, other === button);

@@ -1,0 +1,95 @@
+"""Sums of small decision trees, fitted elsewhere and read by NumPy alone."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclasses.dataclass(frozen=True)
+class Trees:
+    """A number from numbers: what each of several decision trees adds to a base.
+
+    Each tree is complete: node n splits into 2 n + 1, where the number that it looks at
+    is at most its threshold, and 2 n + 2. What is made of such a sum adds its fields.
+
+    Attributes:
+      base: what the trees' sum is added to.
+      looks_at: which number each node of each tree looks at.
+      thresholds: of that number.
+      leaves: what each leaf adds.
+      bounds: the least and the largest sum that was met where they were fitted.
+    """
+
+    WHAT: ClassVar[str] = "a sum of trees"
+    """What errors call it."""
+
+    NAMES: ClassVar[tuple[str, ...]] = ()
+    """Of the numbers that nodes look at, in their order."""
+
+    base: float
+    looks_at: Float[np.ndarray, "T N"]
+    thresholds: Float[np.ndarray, "T N"]
+    leaves: Float[np.ndarray, "T L"]
+    bounds: Float[np.ndarray, "2"]
+
+    def sums(self, rows: Float[np.ndarray, "*R E"]) -> Float[np.ndarray, "*R"]:
+        """Of each row of numbers, which may lie beyond what was met. A row's sum is the
+        same to the last bit whatever the others are."""
+        (trees, nodes), columns = self.looks_at.shape, self.looks_at.astype(int)
+        tree, node = np.arange(trees), np.zeros((*rows.shape[:-1], trees), int)
+        for _ in range((nodes + 1).bit_length() - 1):
+            seen = np.take_along_axis(rows, columns[tree, node], axis=-1)
+            node = 2 * node + 1 + (seen > self.thresholds[tree, node])
+        return np.asarray(self.base + self.leaves[tree, node - nodes].sum(axis=-1))
+
+    @classmethod
+    def from_dict(cls, fields: Mapping[str, Any]) -> Any:
+        """From what `to_dict` gave; anything else raises ValueError."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        if not isinstance(fields, Mapping) or set(fields) != set(names):
+            raise ValueError(f"{cls.WHAT} has {', '.join(names)}")
+        try:
+            arrays = {name: np.asarray(fields[name], np.float64) for name in names}
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{cls.WHAT} is made of numbers: {error}") from None
+        trees, nodes = (*arrays["looks_at"].shape, 0, 0)[:2]
+        shapes = {
+            "base": (),
+            "looks_at": (trees, 2 ** (nodes + 1).bit_length() // 2 - 1),
+            "thresholds": (trees, nodes),
+            "leaves": (trees, nodes + 1),
+            "bounds": (2,),
+            **cls._other_shapes(arrays),
+        }
+        for name, array in arrays.items():
+            if array.shape != shapes.get(name, (array.size,)):
+                raise ValueError(f"{cls.WHAT}'s {name} has the shape {array.shape}")
+            if not np.isfinite(array).all():
+                raise ValueError(f"{cls.WHAT}'s {name} is not finite")
+        if not np.isin(arrays["looks_at"], np.arange(len(cls.NAMES))).all():
+            raise ValueError(f"{cls.WHAT}'s looks_at is beyond what there is")
+        plain: dict[str, Any] = {
+            name: float(array) if array.ndim == 0 else array
+            for name, array in arrays.items()
+        }
+        return cls(**plain)
+
+    @classmethod
+    def _other_shapes(
+        cls, arrays: Mapping[str, np.ndarray]
+    ) -> dict[str, tuple[int, ...]]:
+        """Of the fields that a subclass adds; rows of any length need not be named."""
+        return {}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lists and numbers, six digits of each."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return {name: _short(value) for name, value in fields.items()}
+
+
+def _short(value: Any) -> Any:
+    digits = np.vectorize(lambda number: float(f"{number:.6g}"))
+    return digits(np.asarray(value, np.float64)).tolist()
