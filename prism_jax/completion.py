@@ -1,5 +1,6 @@
 """Scans in the user's frame and units, completed."""
 
+import copy
 import dataclasses
 import pathlib
 import time
@@ -22,7 +23,7 @@ from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError, choose
-from prism_jax.models.variables import Variables
+from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.scene import Scene, split_scene
 from prism_jax.observation.sensor import is_believable, likely_eye
@@ -107,8 +108,8 @@ class Completer:
         else:
             _check_workspace(workspace)
         up, _ = _resolved(up, points, camera)
-        task = self._task(points, camera, workspace, up)
-        completion, seconds = self._run(adapt, background, task.read.partial, task.view)
+        task = self.task(points, camera, workspace, up)
+        completion, seconds = self.run(adapt, background, task.read.partial, task.view)
         return assemble(
             *task,
             completion,
@@ -145,7 +146,7 @@ class Completer:
         if scene is None:
             scene = split_scene(points, up, _seen_from(points, camera))
         tasks = [
-            self._task(points[scene.object == number], camera, None, up)
+            self.task(points[scene.object == number], camera, None, up)
             for number in range(len(scene.num_points))
         ]
         objects = []
@@ -181,13 +182,17 @@ class Completer:
         up, _ = _resolved(up, points, camera)
         return split_scene(points, up, _seen_from(points, camera))
 
-    def _task(
+    def task(
         self,
         points: Float[np.ndarray, "N 3"],
-        camera: Camera | None,
-        workspace: Workspace | None,
-        up: str | Vector,
-    ) -> "_Task":
+        camera: Camera | None = None,
+        workspace: Workspace | None = None,
+        up: str | Vector = "z",
+    ) -> "Task":
+        """What the network reads of one object's finite points, and the way back.
+
+        The first step of `complete`, whose arguments these are; ``up`` is never "auto".
+        """
         sensor = "origin" if camera is None else np.asarray(camera.position)
         model = self.config.model
         seen = observe(points, sensor, workspace, model.margin, up, model.heading)
@@ -201,11 +206,13 @@ class Completer:
                 )
                 seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
         read = seen.sampled(model.backbone.num_points)
-        return _Task(points, seen, read, read.camera)
+        return Task(points, seen, read, read.camera)
 
-    def _run(
+    def run(
         self, adapt: bool, background: Background, partial: Any, view: Camera
     ) -> tuple[Completion, dict[str, float]]:
+        """The network's completion of what a task reads, and the seconds it took to
+        compile and to run: the second step of `complete`."""
         start = time.perf_counter()
         arguments = (self.variables, partial, view)
         call = self._compile_adapt(lambda adapt: adapt, adapt, background, arguments)
@@ -214,8 +221,18 @@ class Completer:
         done = time.perf_counter()
         return completion, {"compile": compiled - start, "run": done - compiled}
 
+    def with_encoders(self, encoders: Variables) -> "Completer":
+        """The same with encoders that were adapted to a frame (`Completion.encoders`).
+
+        What is compiled is shared.
+        """
+        _, rest = pop_encoders(self.variables)
+        other = copy.copy(self)
+        other.variables = put_encoders(encoders, rest)
+        return other
+
     def _run_together(
-        self, adapt: bool, background: Background, tasks: Sequence["_Task"]
+        self, adapt: bool, background: Background, tasks: Sequence["Task"]
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
         start = time.perf_counter()
@@ -234,7 +251,7 @@ class Completer:
         seconds = {"compile": compiled - start, "run": spent / len(tasks)}
         return completions, seconds
 
-    def _look_again(self, task: "_Task", background: Background) -> SecondLook | None:
+    def _look_again(self, task: "Task", background: Background) -> SecondLook | None:
         """What a verdict needs beside the completion."""
         if self.calibration is None:
             return None
@@ -280,7 +297,7 @@ class Completer:
         return self._compiled[key]
 
 
-class _Task(NamedTuple):
+class Task(NamedTuple):
     """One object's points, what was made of them, and what the network reads."""
 
     points: Float[np.ndarray, "N 3"]

@@ -54,7 +54,8 @@ class Db3File(MessageFile):
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
-        self.opened(MAGIC, "a ROS 2 bag in SQLite").close()
+        with self.opened(MAGIC, "a ROS 2 bag in SQLite"):
+            pass
         place = urllib.parse.quote(str(self.path.absolute()))
         # Iterating goes on in the thread that reads ahead.
         database = sqlite3.connect(
@@ -68,9 +69,7 @@ class Db3File(MessageFile):
         finally:
             database.close()
 
-    def _topics(
-        self, database: sqlite3.Connection
-    ) -> dict[int, tuple[str, str, str]]:
+    def _topics(self, database: sqlite3.Connection) -> dict[int, tuple[str, str, str]]:
         asked = "SELECT id, name, type, serialization_format FROM topics"
         try:
             return {number: tuple(rest) for number, *rest in database.execute(asked)}

@@ -46,7 +46,6 @@ class CloudFolder(Stream):
             fault = f"holds {len(clouds)} clouds and {len(images)} images"
             raise InputError(path, fault, "put them into folders of their own")
         self._paths = sorted(clouds or images, key=natural)
-        self.camera_frame = bool(images)
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -59,7 +58,7 @@ class CloudFolder(Stream):
                 self.remark("damaged", f"{path.name} is left out: {error}")
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:
-        if self.camera_frame:
+        if path.suffix.lower() == ".png":
             own = path.with_suffix(".json")
             common = path.with_name("camera.json")
             return _depth_frame(path, own if own.exists() else common, time)

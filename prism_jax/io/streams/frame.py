@@ -64,11 +64,12 @@ class Stream(abc.ABC):
     Attributes:
       path: of the recording.
       topic: which of the recording's sensors it is, where it names them.
-      camera_frame: whether the points are in a camera's own axes (x right, y down).
+      camera: one that was given for all frames, or None. For depth images it takes the
+        place of what the recording says of theirs.
     """
 
     topic: str | None = None
-    camera_frame = False
+    camera: Camera | None = None
 
     def __init__(self, path: str | os.PathLike, tell: Tell | None = None):
         self.path = os.fspath(path)
@@ -87,6 +88,8 @@ class Stream(abc.ABC):
         before: Frame | None = None
         for number, frame in enumerate(self._frames()):
             self._look_at(number, frame, before)
+            if self.camera is not None and frame.depth is None:
+                frame = dataclasses.replace(frame, camera=self.camera)
             yield frame
             before = dataclasses.replace(frame, points=_NONE, depth=None)
 

@@ -1,6 +1,7 @@
 """Files of messages by topic: what every container of ROS messages gives."""
 
 import abc
+import contextlib
 import os
 import pathlib
 from collections.abc import Collection, Iterator
@@ -47,18 +48,20 @@ class MessageFile(abc.ABC):
         A file that is cut raises `CutError` after the last whole one.
         """
 
-    def opened(self, magic: bytes, kind: str) -> BinaryIO:
+    @contextlib.contextmanager
+    def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:
         """The file, after its first bytes; InputError if these are not the `magic`."""
-        try:
-            file = open(self.path, "rb")
-        except OSError as error:
-            fault = f"cannot be read ({error.strerror})"
-            raise InputError(self.path, fault, "check the path") from None
-        if file.read(len(magic)) != magic:
-            file.close()
-            fault = f"is not {kind}"
-            raise InputError(self.path, fault, "check how it was recorded or copied")
-        return file
+        with contextlib.ExitStack() as stack:
+            try:
+                file = stack.enter_context(open(self.path, "rb"))
+                start = file.read(len(magic))
+            except OSError as error:
+                fault = f"cannot be read ({error.strerror})"
+                raise InputError(self.path, fault, "check the path") from None
+            if start != magic:
+                remedy = "check how it was recorded or copied"
+                raise InputError(self.path, f"is not {kind}", remedy)
+            yield file
 
 
 def full_name(kind: str) -> str:

@@ -2,8 +2,9 @@
 
 import os
 import pathlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
+from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.bag import BagFile
 from prism_jax.io.streams.db3 import Db3File
@@ -29,38 +30,40 @@ SUFFIXES = (*MESSAGES, *OUSTER)
 
 
 def open_stream(
-    path: str | os.PathLike, topic: str | None = None, tell: Tell | None = None
+    path: str | os.PathLike,
+    topic: str | None = None,
+    camera: Camera | None = None,
+    tell: Tell | None = None,
 ) -> Stream:
     """The frames of a recording.
 
     A `.bag` of ROS 1, a `.db3` or `.mcap` of ROS 2, a ROS 2 bag's folder of them, an
     Ouster's `.pcap` or `.osf`, a folder of clouds or depth images, or one of recordings
     (`prism_jax.data.recordings`). If several topics have frames, ``topic`` chooses; an
-    InputError lists them. ``tell`` gets a line for each kind of oddity; by default they
-    go to stderr. What cannot be read at all, and a missing package, raise InputError.
+    InputError lists them. A ``camera`` takes the place of the CameraInfo of depth
+    images, with its pose, and says of clouds where their sensor stood. ``tell`` gets a
+    line for each kind of oddity; by default they go to stderr. What cannot be read at
+    all, and a missing package, raise InputError.
     """
     place = pathlib.Path(path)
     suffix = place.suffix.lower()
     try:
-        if place.is_dir():
-            parts = [p for p in place.iterdir() if p.suffix.lower() in MESSAGES]
-            if parts:
-                return RosStream(path, _message_files(parts), topic, tell)
-            kind = RecordedFrames if is_recordings(place) else CloudFolder
-            return kind(path, topic, tell)
+        files = [p for p in place.iterdir() if p.suffix.lower() in MESSAGES]
+    except NotADirectoryError:
+        files = [place] if suffix in MESSAGES else []
     except OSError as error:
         fault = f"cannot be read ({error.strerror})"
-        raise InputError(path, fault, "check its permissions") from None
-    if not place.exists():
-        raise InputError(path, "no such file or folder", "check the path")
-    if suffix in MESSAGES:
-        return RosStream(path, _message_files([place]), topic, tell)
-    if suffix in OUSTER:
-        return OusterStream(path, topic, tell)
-    remedy = f"name a folder or a file of {' '.join(SUFFIXES)}"
-    raise InputError(path, f"has the suffix {suffix!r}, no recording's", remedy)
-
-
-def _message_files(paths: Sequence[pathlib.Path]) -> list[MessageFile]:
-    """In the order in which a recording was split."""
-    return [MESSAGES[p.suffix.lower()](p) for p in sorted(paths, key=natural)]
+        raise InputError(path, fault, "check the path") from None
+    if files:
+        parts = [MESSAGES[p.suffix.lower()](p) for p in sorted(files, key=natural)]
+        return RosStream(path, parts, topic, camera, tell)
+    if place.is_dir():
+        kind = RecordedFrames if is_recordings(place) else CloudFolder
+    elif suffix in OUSTER:
+        kind = OusterStream
+    else:
+        remedy = f"name a folder or a file of {' '.join(SUFFIXES)}"
+        raise InputError(path, f"has the suffix {suffix!r}, no recording's", remedy)
+    stream = kind(path, topic, tell)
+    stream.camera = camera
+    return stream

@@ -42,9 +42,11 @@ class RosStream(Stream):
         path: str | os.PathLike,
         files: Sequence[MessageFile],
         topic: str | None = None,
+        camera: Camera | None = None,
         tell: Tell | None = None,
     ):
         super().__init__(path, tell)
+        self.camera = camera
         self._files = files
         self._topics: dict[str, Topic] = {}
         for file in files:
@@ -52,14 +54,16 @@ class RosStream(Stream):
                 before = self._topics[name].count if name in self._topics else 0
                 self._topics[name] = found._replace(count=before + found.count)
         self.topic = self._chosen(topic)
-        self.camera_frame = self._topics[self.topic].kind == IMAGE
-        self._info = self._info_topic() if self.camera_frame else None
+        self._is_depth = self._topics[self.topic].kind == IMAGE
+        self._info = None
+        if self._is_depth and camera is None:
+            self._info = self._info_topic()
 
     def __len__(self) -> int:
         return self._topics[self.topic].count
 
     def _frames(self) -> Iterator[Frame]:
-        camera = None
+        camera = self.camera
         if self._info is not None:
             camera = self._first_camera()
         wanted = {self.topic, self._info} - {None}
@@ -67,21 +71,17 @@ class RosStream(Stream):
             try:
                 content = self._read(message)
                 if message.topic == self._info:
-                    camera = _camera(content)
-                elif camera is None:
+                    camera = self._pinhole(content)
+                elif not self._is_depth:
                     yield _cloud(content, _time(content, message))
-                else:
-                    if any(camera.distortion):
-                        line = f"{self._info} has a distortion, which is not undone"
-                        self.remark("distortion", line)
+                elif camera is not None:
                     depth = _depth(content)
-                    pinhole = camera.pinhole
-                    if depth.shape != (pinhole.height, pinhole.width):
+                    if depth.shape != (camera.height, camera.width):
                         raise ValueError(
                             f"it has {depth.shape[1]}x{depth.shape[0]} pixels and its "
-                            f"CameraInfo {pinhole.width}x{pinhole.height}"
+                            f"camera {camera.width}x{camera.height}"
                         )
-                    yield Frame.of_depth(depth, pinhole, _time(content, message))
+                    yield Frame.of_depth(depth, camera, _time(content, message))
             except ValueError as error:
                 if isinstance(error, InputError):
                     raise
@@ -143,7 +143,7 @@ class RosStream(Stream):
                 for message in file.messages(images) if images else ():
                     if message.topic in images:
                         images = images - {message.topic}
-                        if self._is_depth(message):
+                        if self._holds_depth(message):
                             depths.add(message.topic)
                     if not images:
                         break
@@ -155,7 +155,7 @@ class RosStream(Stream):
             if found.kind == CLOUD or name in depths
         ]
 
-    def _is_depth(self, message: Message) -> bool:
+    def _holds_depth(self, message: Message) -> bool:
         try:
             return self._read(message).encoding in DEPTH
         except ValueError:
@@ -171,14 +171,28 @@ class RosStream(Stream):
         if len(infos) == 1:
             return infos[0]
         fault = f"has depth images on {topic} but no CameraInfo on {beside}"
-        raise InputError(self.path, fault, f"record {beside} too")
+        remedy = f"record {beside} too, or give the camera with --camera"
+        raise InputError(self.path, fault, remedy)
 
-    def _first_camera(self) -> "_Camera":
+    def _pinhole(self, content: Any) -> Camera:
+        """The pinhole of a CameraInfo; ValueError if it is none."""
+        matrix = np.asarray(content.k if hasattr(content, "k") else content.K)
+        distortion = content.d if hasattr(content, "d") else content.D
+        entries: dict[str, Any] = {"width": content.width, "height": content.height}
+        for name, place in (("fx", 0), ("cx", 2), ("fy", 4), ("cy", 5)):
+            entries[name] = float(matrix[place])
+        camera = camera_from_dict(entries)
+        if np.any(distortion):
+            line = f"{self._info} has a distortion, which is not undone"
+            self.remark("distortion", line)
+        return camera
+
+    def _first_camera(self) -> Camera:
         for file in self._files:
             try:
                 for message in file.messages({str(self._info)}):
                     try:
-                        return _camera(self._read(message))
+                        return self._pinhole(self._read(message))
                     except ValueError:
                         continue
             except CutError:
@@ -205,28 +219,10 @@ class _Both:
         self.deserialize_cdr = ros2.deserialize_cdr
 
 
-class _Camera:
-    """A pinhole, and what it leaves out."""
-
-    def __init__(self, pinhole: Camera, distortion: Any):
-        self.pinhole = pinhole
-        self.distortion = distortion
-
-
 def _time(content: Any, message: Message) -> int:
     """The header's stamp; where nobody filled it in, when it was recorded."""
     stamp = content.header.stamp
     return stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
-
-
-def _camera(content: Any) -> _Camera:
-    """The pinhole of a CameraInfo; ValueError if it is none."""
-    matrix = np.asarray(content.k if hasattr(content, "k") else content.K)
-    distortion = content.d if hasattr(content, "d") else content.D
-    entries = {"width": int(content.width), "height": int(content.height)}
-    for name, place in (("fx", 0), ("cx", 2), ("fy", 4), ("cy", 5)):
-        entries[name] = float(matrix[place])
-    return _Camera(camera_from_dict(entries), distortion)
 
 
 def _depth(content: Any) -> Float[np.ndarray, "H W"]:
