@@ -1,7 +1,9 @@
 """ROS 2 bags in SQLite: .db3 files of rosbag2's own storage."""
 
 import contextlib
+import os
 import sqlite3
+import struct
 import urllib.parse
 from collections.abc import Collection, Iterator
 
@@ -23,18 +25,10 @@ class Db3File(MessageFile):
     def topics(self) -> dict[str, Topic]:
         with self._connected() as database:
             rows = self._topics(database)
-            counts = dict.fromkeys(rows, 0)
-            try:
-                counted = "SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"
-                counts.update(database.execute(counted).fetchall())
-            except sqlite3.DatabaseError:
-                with contextlib.suppress(sqlite3.DatabaseError):
-                    for (number,) in database.execute("SELECT topic_id FROM messages"):
-                        counts[number] = counts.get(number, 0) + 1
         return {
-            name: Topic(full_name(kind), encoding, counts[number])
-            for number, (name, kind, encoding) in rows.items()
-            if counts[number]
+            name: Topic(full_name(kind), encoding, count)
+            for name, kind, encoding in rows.values()
+            if (count := self._count(name))
         }
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
@@ -51,6 +45,32 @@ class Db3File(MessageFile):
                         yield Message(names[number], time, data)
             except sqlite3.DatabaseError as error:
                 raise CutError(f"it is damaged ({error})") from None
+
+    def _count(self, topic: str) -> int:
+        """How many messages there are of a topic; of a file that is cut, whole ones."""
+        counted = "SELECT COUNT(*) FROM messages WHERE topic_id IN "
+        named = "(SELECT id FROM topics WHERE name = ?)"
+        count = 0
+        try:
+            if self._is_whole():
+                with self._connected() as database:
+                    return database.execute(counted + named, [topic]).fetchone()[0]
+            for _ in self.messages({topic}):
+                count += 1
+        except (CutError, sqlite3.DatabaseError):
+            pass  # which iterating over the messages tells
+        return count
+
+    def _is_whole(self) -> bool:
+        """Whether the file is as long as its header says."""
+        with open(self.path, "rb") as file:
+            header = file.read(32)
+            size = os.fstat(file.fileno()).st_size
+        if len(header) < 32:
+            return False
+        (page,) = struct.unpack_from(">H", header, 16)
+        (count,) = struct.unpack_from(">I", header, 28)
+        return size >= count * (65536 if page == 1 else page)
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:

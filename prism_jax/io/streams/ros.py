@@ -46,6 +46,7 @@ class RosStream(Stream):
         tell: Tell | None = None,
     ):
         super().__init__(path, tell)
+        _types()
         self.camera = camera
         self._files = files
         self._topics: dict[str, Topic] = {}
@@ -272,7 +273,7 @@ def _cloud(content: Any, time: int) -> Frame:
     for place, axis in enumerate("xyz"):
         points[:, place] = rows[axis]
     finite = np.isfinite(points).all(axis=1)
-    kept = finite & points.any(axis=1)
+    kept = finite & (points != 0).any(axis=1)
     return Frame(
         points=points[kept],
         timestamp=time,

@@ -2,7 +2,7 @@
 
 import os
 import pathlib
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,6 +24,7 @@ class Labelled(NamedTuple):
     observed: Bool[np.ndarray, " M"]
 
 
+@runtime_checkable
 class Sink(Protocol):
     """Takes frames one after the other."""
 
