@@ -1,13 +1,13 @@
 """ROS 2 bags in SQLite: .db3 files of rosbag2's own storage."""
 
 import contextlib
-import os
 import sqlite3
 import struct
 import urllib.parse
 from collections.abc import Collection, Iterator
 
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
 from prism_jax.io.streams.messages import (
     CutError,
     Message,
@@ -52,7 +52,7 @@ class Db3File(MessageFile):
         named = "(SELECT id FROM topics WHERE name = ?)"
         count = 0
         try:
-            if self._is_whole():
+            if not self._missing():
                 with self._connected() as database:
                     return database.execute(counted + named, [topic]).fetchone()[0]
             for _ in self.messages({topic}):
@@ -61,26 +61,37 @@ class Db3File(MessageFile):
             pass  # which iterating over the messages tells
         return count
 
-    def _is_whole(self) -> bool:
-        """Whether the file is as long as its header says."""
-        with open(self.path, "rb") as file:
-            header = file.read(32)
-            size = os.fstat(file.fileno()).st_size
-        if len(header) < 32:
-            return False
-        (page,) = struct.unpack_from(">H", header, 16)
-        (count,) = struct.unpack_from(">I", header, 28)
-        return size >= count * (65536 if page == 1 else page)
+    def _missing(self) -> int:
+        """How many bytes the file is shorter than its header says."""
+        size = self.path.stat().st_size
+        page, count = self._pages()
+        return max(page * count - size, 0)
+
+    def _pages(self) -> tuple[int, int]:
+        """The size of a page, and how many the header claims."""
+        with self.opened(MAGIC, "a ROS 2 bag in SQLite") as file:
+            rest = file.read(16)
+        if len(rest) < 16:
+            remedy = "check how it was recorded or copied"
+            raise InputError(self.path, "is not a ROS 2 bag in SQLite", remedy)
+        (page,) = struct.unpack_from(">H", rest)
+        (count,) = struct.unpack_from(">I", rest, 12)
+        return 65536 if page == 1 else max(page, 512), count
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
-        with self.opened(MAGIC, "a ROS 2 bag in SQLite"):
-            pass
-        place = urllib.parse.quote(str(self.path.absolute()))
-        # Iterating goes on in the thread that reads ahead.
-        database = sqlite3.connect(
-            f"file:{place}?mode=ro", uri=True, check_same_thread=False
-        )
+        if self._missing():
+            # SQLite would take what is missing of the last page for zeros.
+            database = sqlite3.connect(":memory:", check_same_thread=False)
+            page, _ = self._pages()
+            data = read_bytes(self.path)
+            database.deserialize(data[: len(data) // page * page])
+        else:
+            place = urllib.parse.quote(str(self.path.absolute()))
+            # Iterating goes on in the thread that reads ahead.
+            database = sqlite3.connect(
+                f"file:{place}?mode=ro", uri=True, check_same_thread=False
+            )
         try:
             database.execute("PRAGMA trusted_schema=OFF")
             # Or SQLite would open no file that is shorter than it says.
