@@ -212,7 +212,7 @@ def run_stream(
             waiting.popleft().result()
     finally:
         frames.stop()
-        writer.shutdown(cancel_futures=True)
+        writer.shutdown()
         report.dropped = frames.dropped
         report.duration = time.perf_counter() - start
         for sink in sinks:
