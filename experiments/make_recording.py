@@ -5,6 +5,7 @@ the folder `recording` with the ground truth, and says how to complete it.
 """
 
 import dataclasses
+import pathlib
 
 import numpy as np
 from absl import flags
@@ -44,6 +45,10 @@ def main() -> None:
     if FLAGS.arm not in arms:
         remedy = f"use one of {', '.join(arms)}"
         raise InputError("--arm", f"no such arm {FLAGS.arm!r}", remedy)
+    path = FLAGS.output
+    if not path.endswith(".mcap"):
+        raise InputError(path, "is no .mcap file", "name one that ends in .mcap")
+    make_output_dir(pathlib.Path(path).parent)
     config = dataclasses.replace(
         RoboArmConfig(),
         width=FLAGS.width,
@@ -55,11 +60,12 @@ def main() -> None:
     sequence = make_sequence(arms[FLAGS.arm], FLAGS.num_frames, config, rng)
     numbers = tqdm(range(FLAGS.num_frames), delay=2.0, unit="frame", disable=None)
     frames = (make_frame(sequence, n, config, rng) for n in numbers)
-    path = FLAGS.output
-    if not path.endswith(".mcap"):
-        raise InputError(path, "is no .mcap file", "name one that ends in .mcap")
-    make_output_dir(path.rpartition("/")[0] or ".")
-    beside = record(path, frames, FLAGS.rate)
+    try:
+        beside = record(path, frames, FLAGS.rate)
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("--seed", str(error), "choose another seed") from None
     bounds = np.concatenate([sequence.cell.lower, sequence.cell.upper])
     box = ",".join(f"{value:.2f}" for value in bounds)
     print(f"written     {path}, and the ground truth in {beside}")

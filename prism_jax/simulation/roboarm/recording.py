@@ -2,7 +2,7 @@
 
 import os
 import pathlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -26,31 +26,40 @@ JOINTS_TOPIC = "/joint_states"
 def record(
     path: str | os.PathLike, frames: Iterable[Frame], rate: float = 10.0
 ) -> pathlib.Path:
-    """Writes frames as a camera's driver and a robot's record them.
+    """Writes frames as a camera's driver and a robot's record them (`write_mcap`).
 
-    The MCAP file has depth images in millimetres, as 16UC1, in the camera's own axes;
-    their CameraInfo; and the joints' positions, ``rate`` times a second. What a user
-    would not have lies beside it, in a folder of its name: the same frames in the
-    layout of `prism_jax.data.recordings`, with the ground truth and the camera's pose
-    in the cell. Returns that folder.
+    What a user would not have lies beside the file, in a folder of its name: the same
+    frames in the layout of `prism_jax.data.recordings`, with the ground truth and the
+    camera's pose in the cell. Returns that folder.
     """
-    path = pathlib.Path(path)
-    beside = path.with_suffix("")
+    beside = pathlib.Path(path).with_suffix("")
+
+    def kept() -> Iterator[Frame]:
+        for number, frame in enumerate(frames):
+            write_frame(beside / "000", number, frame)
+            yield frame
+
+    write_mcap(path, kept(), rate)
+    return beside
+
+
+def write_mcap(
+    path: str | os.PathLike, frames: Iterable[Frame], rate: float = 10.0
+) -> None:
+    """Writes what sensors measure of frames as an MCAP file of ROS 2, whole or not.
+
+    It has depth images in millimetres, as 16UC1, in the camera's own axes; their
+    CameraInfo; and the joints' positions, ``rate`` times a second.
+    """
     output = McapOutput(path)
     for number, frame in enumerate(frames):
         time = START + round(number * 1e9 / rate)
         counts = np.rint(frame.depth * (1e3 * DEPTH_SCALE)).astype(np.uint16)
-        depth = depth_message(counts, time)
-        output.write(
-            INFO_TOPIC,
-            "sensor_msgs/msg/CameraInfo",
-            time,
-            camera_message(frame.camera, time),
-        )
-        output.write(DEPTH_TOPIC, "sensor_msgs/msg/Image", time, depth)
+        camera = camera_message(frame.camera, time)
+        output.write(INFO_TOPIC, "sensor_msgs/msg/CameraInfo", time, camera)
+        image = depth_message(counts, time)
+        output.write(DEPTH_TOPIC, "sensor_msgs/msg/Image", time, image)
         if frame.joints is not None:
             joints = joints_message(frame.joints["positions"], time)
             output.write(JOINTS_TOPIC, "sensor_msgs/msg/JointState", time, joints)
-        write_frame(beside / "000", number, frame)
     output.close()
-    return beside
