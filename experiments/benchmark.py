@@ -1,4 +1,4 @@
-"""Times against named peers: operations, adaptation, training, start-up, memory, stream.
+"""Times and memory against named peers, suite by suite.
 
 python -m experiments.benchmark --suite=SUITE [--of=NAME] --output=FILE.json
 """

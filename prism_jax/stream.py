@@ -6,7 +6,7 @@ import threading
 import time
 from array import array
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Literal
 
@@ -23,6 +23,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.scan import Bounds, crop, in_own_axes
 from prism_jax.io.streams.frame import Frame, Stream
 from prism_jax.io.streams.sinks import Labelled, Sink
+from prism_jax.observation.observation import compile_sampling
 from prism_jax.observation.support import find_up
 
 Adapt = Literal["off", "first", "every"]
@@ -123,6 +124,15 @@ class FrameCompleter:
             },
         )
 
+    def warm_up(self, frame: Frame) -> CompletedFrame:
+        """The frame completed, and all compiled for others of at most as many points.
+
+        Nothing is compiled then while frames are completed, unless one is larger.
+        """
+        num_points = self._completer.config.model.backbone.num_points
+        compile_sampling(num_points, len(frame.points))
+        return self.complete(frame)
+
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
         if self.up is None:
             depth = frame.depth is not None and frame.camera is not None
@@ -199,7 +209,7 @@ def run_stream(
             frames.begin(first)
         for number, frame, read, given in frames:
             report.dropped = frames.dropped
-            done = _completed(number, frame, stream, completer, report)
+            done = _completed(number, frame, stream, completer.complete, report)
             if done is None:
                 continue
             times = {"read": read, **done.seconds}
@@ -227,7 +237,7 @@ def _first_usable(
     report: StreamReport,
 ) -> tuple[int, Frame] | None:
     for number, frame in numbered:
-        if _completed(number, frame, stream, completer, report) is not None:
+        if _completed(number, frame, stream, completer.warm_up, report) is not None:
             return number, frame
     return None
 
@@ -236,11 +246,11 @@ def _completed(
     number: int,
     frame: Frame,
     stream: Stream,
-    completer: FrameCompleter,
+    complete: Callable[[Frame], CompletedFrame],
     report: StreamReport,
 ) -> CompletedFrame | None:
     try:
-        return completer.complete(frame)
+        return complete(frame)
     except InputError as error:
         report.unusable += 1
         stream.remark("unusable", f"frame {number} is left out: {error}")

@@ -12,6 +12,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.io.scan import parse_bounds
 from prism_jax.io.streams import Frame, Stream
+from prism_jax.observation import observation
 from prism_jax.stream import (
     LONGEST_GAP,
     CompletedFrame,
@@ -66,6 +67,9 @@ class Instant(FrameCompleter):
 
     def __init__(self, seconds=0.0):
         self.seconds = seconds
+
+    def warm_up(self, frame):
+        return self.complete(frame)
 
     def complete(self, frame):
         if len(frame.points) == 0:
@@ -143,6 +147,18 @@ def test_adapting_to_the_first_frame_or_to_each(completer):
     assert later.shape != plain.shape or not np.array_equal(later, plain)
     repeated = first.complete(Frame(other, 0)).points
     np.testing.assert_array_equal(repeated, later)
+
+
+def test_nothing_is_compiled_once_it_is_warm(completer):
+    """Clouds of fewer points than the network reads, of as many and of more."""
+    stream = FrameCompleter(completer)
+    points = np.concatenate([shell(0) for _ in range(8)])
+    stream.warm_up(Frame(points, 0))
+    sampling = (observation._resample, observation._farthest, observation._framing)
+    before = [compiled._cache_size() for compiled in sampling]
+    for count in (64, 65, 100, 127, 128, 129, 500, 1000, 1025, 2400):
+        stream.complete(Frame(points[:count], 0))
+    assert [compiled._cache_size() for compiled in sampling] == before
 
 
 def test_all_frames_come_in_order_and_are_timed():
@@ -229,7 +245,7 @@ def test_a_fault_of_the_source_is_the_callers_and_ends_all():
 def test_a_fault_of_a_sink_is_the_callers_and_ends_all(pace):
     class Full(Kept):
         def write(self, frame):
-            if frame.number == 2:
+            if frame.number >= 2:
                 raise InputError("out", "cannot be written", "free some space")
             super().write(frame)
 
