@@ -16,7 +16,8 @@ from prism_jax.io.scan import Bounds
 from prism_jax.io.streams import Frame, Stream, open_stream
 from prism_jax.io.streams.sinks import Labelled, open_sink
 from prism_jax.simulation.roboarm.recording import write_mcap
-from prism_jax.stream import FrameCompleter, run_stream
+from prism_jax.streams.completer import FrameCompleter
+from prism_jax.streams.run import run_stream
 
 RATE = 10.0
 RECORDED = 50

@@ -22,6 +22,7 @@ from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.streams import open_stream
 from prism_jax.io.streams.sinks import Sink, open_sink
+from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.upright import parse_up
 from prism_jax.result import plain
 
@@ -71,6 +72,13 @@ def define_flags() -> None:
         ["unknown", "empty"],
         "empty: nothing else was hit around the object, and so nothing is added there.",
     )
+    flags.DEFINE_float(
+        "accumulate",
+        None,
+        "Side of voxels in metres, some spacings of the points: what was measured in "
+        "earlier frames and is hidden now is kept. For sensors that stand still.",
+        lower_bound=1e-4,
+    )
     flags.DEFINE_enum(
         "pace",
         "max",
@@ -101,6 +109,7 @@ def main(words: Sequence[str]) -> None:
         up=FLAGS.up,
         density=FLAGS.density,
         background=FLAGS.background,
+        accumulate=FLAGS.accumulate,
         pace=FLAGS.pace,
         view=FLAGS.view,
         output=FLAGS.output,
@@ -119,6 +128,7 @@ def stream_file(
     up: str | None = None,
     density: float = 0.0,
     background: str = "unknown",
+    accumulate: float | None = None,
     pace: str = "max",
     view: bool = False,
     output: str = "prism_stream",
@@ -143,7 +153,8 @@ def stream_file(
     sinks: list[Sink] = [open_sink(place), *([viewer] if viewer else [])]
     # Imported this late, so that a wrong recording is refused in a moment.
     from prism_jax.cli.complete import load_completer
-    from prism_jax.stream import FrameCompleter, StreamReport, run_stream
+    from prism_jax.streams.completer import FrameCompleter
+    from prism_jax.streams.run import StreamReport, run_stream
 
     completer: Any = FrameCompleter(
         load_completer(weights),
@@ -152,6 +163,7 @@ def stream_file(
         up=direction,
         density=density,
         background=background,  # pyright: ignore
+        accumulator=None if accumulate is None else Accumulator(accumulate),
     )
     report = StreamReport()
     interrupted = True
@@ -171,6 +183,7 @@ def stream_file(
             "up": up,
             "density": density,
             "background": background,
+            "accumulate": accumulate,
             "pace": pace,
         }
         frames = {

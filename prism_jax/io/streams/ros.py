@@ -61,7 +61,7 @@ class RosStream(Stream):
             self._info = self._info_topic()
 
     def __len__(self) -> int:
-        return self._topics[self.topic].count
+        return self._topics[str(self.topic)].count
 
     def _frames(self) -> Iterator[Frame]:
         camera = self.camera

@@ -1,4 +1,4 @@
-"""Frames of a sensor completed one after the other, at its rate."""
+"""A whole stream: read ahead, completed and written behind, at its pace or at ours."""
 
 import dataclasses
 import itertools
@@ -11,22 +11,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from prism_jax.completed import join
-from prism_jax.completion import Completer
-from prism_jax.geometry.camera import Vector
-from prism_jax.geometry.visibility import Background
-from prism_jax.geometry.workspace import Workspace
-from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
-from prism_jax.io.scan import Bounds, crop, in_own_axes
 from prism_jax.io.streams.frame import Frame, Stream
 from prism_jax.io.streams.sinks import Labelled, Sink
-from prism_jax.observation.observation import compile_sampling
-from prism_jax.observation.support import find_up
+from prism_jax.streams.completer import CompletedFrame, FrameCompleter
 
-Adapt = Literal["off", "first", "every"]
 Pace = Literal["max", "sensor"]
 
 STAGES = ("read", "observe", "network", "assemble", "write", "age")
@@ -41,108 +31,6 @@ WRITE_BEHIND = 4
 
 LONGEST_GAP = 10_000_000_000
 """Nanoseconds: a longer gap between two frames is not waited for."""
-
-
-@dataclasses.dataclass(frozen=True)
-class CompletedFrame:
-    """A completed frame, in the frame and unit of its measured points.
-
-    Attributes:
-      points: the measured points inside the workspace, exactly as they were, and then
-        the predicted points where nothing was measured.
-      observed: True for a measured point.
-      workspace: the cube that was completed.
-      timestamp: the measurement's, in nanoseconds.
-      seconds: spent on "observe", "network" and "assemble".
-    """
-
-    points: Float[np.ndarray, "M 3"]
-    observed: Bool[np.ndarray, " M"]
-    workspace: Workspace
-    timestamp: int
-    seconds: dict[str, float]
-
-
-class FrameCompleter:
-    """Completes frames as `Completer.complete` completes scans, and nothing else.
-
-    There is no verdict, no depth map and, unless ``density`` asks for it, no
-    resampling; the points are the same, bit for bit. ``bounds`` crop each frame first.
-    ``adapt`` "off" takes the network as it is, "every" adapts it to each frame, and
-    "first" to the first, whose encoders are then kept. ``up`` and the rest are as for
-    `Completer.complete`. Without an ``up`` it is -y for a depth image in its camera's
-    axes and else z; "auto" looks for it in the first frame and keeps it.
-    """
-
-    def __init__(
-        self,
-        completer: Completer,
-        *,
-        bounds: Bounds | None = None,
-        adapt: Adapt = "off",
-        up: str | Vector | None = None,
-        density: float = 0.0,
-        background: Background = "unknown",
-    ):
-        self.bounds = bounds
-        self.adapt: Adapt = adapt
-        self.up = up
-        self.density = density
-        self.background: Background = background
-        self._completer = completer
-        self._adapted = False
-
-    def complete(self, frame: Frame) -> CompletedFrame:
-        """The frame completed. One that has too little raises InputError."""
-        start = time.perf_counter()
-        points = frame.points
-        if len(points):
-            points = crop(points, self.bounds, "the frame")
-        check_cloud(points, "the frame")
-        task = self._completer.task(points, frame.camera, None, self._up(frame, points))
-        observed = time.perf_counter()
-        steps = self.adapt == "every" or (self.adapt == "first" and not self._adapted)
-        completion, seconds = self._completer.run(
-            steps, self.background, task.read.partial, task.view
-        )
-        if self.adapt == "first" and not self._adapted:
-            self._completer = self._completer.with_encoders(completion.encoders)
-            self._adapted = True
-        ran = time.perf_counter()
-        joined = join(
-            points, task.seen, task.read, completion, self.density, self.background
-        )
-        return CompletedFrame(
-            points=joined.points,
-            observed=joined.observed,
-            workspace=task.seen.workspace,
-            timestamp=frame.timestamp,
-            seconds={
-                "observe": observed - start,
-                "network": ran - observed - seconds["compile"],
-                "assemble": time.perf_counter() - ran,
-            },
-        )
-
-    def warm_up(self, frame: Frame) -> CompletedFrame:
-        """The frame completed, and all compiled for others of at most as many points.
-
-        Nothing is compiled then while frames are completed, unless one is larger.
-        """
-        num_points = self._completer.config.model.backbone.num_points
-        compile_sampling(num_points, len(frame.points))
-        return self.complete(frame)
-
-    def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
-        if self.up is None:
-            depth = frame.depth is not None and frame.camera is not None
-            return "-y" if depth and in_own_axes(frame.camera) else "z"
-        if isinstance(self.up, str) and self.up == "auto":
-            camera = frame.camera
-            place = np.zeros(3) if camera is None else np.asarray(camera.position)
-            rotation = None if camera is None else camera.rotation
-            self.up = find_up(points, place, rotation).vector
-        return self.up
 
 
 @dataclasses.dataclass
