@@ -99,6 +99,7 @@ def main(words: Sequence[str]) -> None:
     if len(words) != 1:
         fault = f"takes one recording, not {len(words)}"
         raise io.InputError(NAME, fault, f"write {NAME} RECORDING --output=PLACE")
+    signal.signal(signal.SIGTERM, _end)
     summary = stream_file(
         words[0],
         topic=FLAGS.topic,
@@ -169,7 +170,6 @@ def stream_file(
     interrupted = True
     say(f"{len(stream)} frames; the first run on a machine also compiles")
     try:
-        signal.signal(signal.SIGTERM, _end)
         with _progress(len(stream)) as progress:
             run_stream(stream, completer, [*sinks, progress], pace, report)  # pyright: ignore
         interrupted = False
