@@ -150,8 +150,8 @@ def stream_file(
     if pathlib.Path(source).resolve() == place.resolve():
         raise io.InputError(output, "is the recording itself", "name another output")
     stream = open_stream(source, topic, view_from, say)
-    viewer = _open_view() if view else None
-    sinks: list[Sink] = [open_sink(place), *([viewer] if viewer else [])]
+    io.make_output_dir(place.parent if beside else place)
+    viewers: list[Sink] = [_open_view()] if view else []
     # Imported this late, so that a wrong recording is refused in a moment.
     from prism_jax.cli.complete import load_completer
     from prism_jax.streams.completer import FrameCompleter
@@ -166,6 +166,7 @@ def stream_file(
         background=background,  # pyright: ignore
         accumulator=None if accumulate is None else Accumulator(accumulate),
     )
+    sinks = [open_sink(place), *viewers]
     report = StreamReport()
     interrupted = True
     say(f"{len(stream)} frames; the first run on a machine also compiles")

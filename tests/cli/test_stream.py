@@ -110,6 +110,13 @@ def test_faults_are_one_line(scans, arguments, fault, capsys, tmp_path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
+def test_weights_that_are_none_leave_no_file(scans, capsys, tmp_path):
+    out = f"--output={tmp_path / 'out.mcap'}"
+    assert run(command, str(scans / "scans"), out, "--weights=nobody") == 2
+    assert "nobody" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_view_without_rerun_is_a_hint(scans, capsys, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "rerun", None)
     output = f"--output={tmp_path / 'out'}"
