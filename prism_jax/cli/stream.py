@@ -12,7 +12,7 @@ import pathlib
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from absl import flags
@@ -20,7 +20,9 @@ from absl import flags
 from prism_jax import io
 from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
-from prism_jax.io.streams import open_stream
+from prism_jax.io.errors import require
+from prism_jax.io.streams import Stream, open_stream
+from prism_jax.io.streams.packed import EXTRA
 from prism_jax.io.streams.sinks import Sink, open_sink
 from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.upright import parse_up
@@ -141,6 +143,17 @@ def stream_file(
     right raises an InputError, and all that can be known to be wrong does so before the
     weights are loaded.
     """
+    asked = {
+        "camera": camera,
+        "workspace": workspace,
+        "weights": weights,
+        "adapt": adapt,
+        "up": up,
+        "density": density,
+        "background": background,
+        "accumulate": accumulate,
+        "pace": pace,
+    }
     bounds = None if workspace is None else io.parse_bounds(workspace)
     direction = None if up is None else parse_up(up)
     view_from = None if camera is None else io.read_camera(camera)
@@ -151,6 +164,8 @@ def stream_file(
         raise io.InputError(output, "is the recording itself", "name another output")
     stream = open_stream(source, topic, view_from, say)
     io.make_output_dir(place.parent if beside else place)
+    if beside:
+        require("mcap.writer", EXTRA)
     viewers: list[Sink] = [_open_view()] if view else []
     # Imported this late, so that a wrong recording is refused in a moment.
     from prism_jax.cli.complete import load_completer
@@ -168,45 +183,40 @@ def stream_file(
     )
     sinks = [open_sink(place), *viewers]
     report = StreamReport()
-    interrupted = True
+    whole = False
     say(f"{len(stream)} frames; the first run on a machine also compiles")
     try:
         with _progress(len(stream)) as progress:
             run_stream(stream, completer, [*sinks, progress], pace, report)  # pyright: ignore
-        interrupted = False
+        whole = True
     finally:
-        asked = {
-            "topic": stream.topic,
-            "camera": camera,
-            "workspace": workspace,
-            "weights": weights,
-            "adapt": adapt,
-            "up": up,
-            "density": density,
-            "background": background,
-            "accumulate": accumulate,
-            "pace": pace,
-        }
-        frames = {
-            "in_recording": len(stream),
-            "completed": report.completed,
-            "dropped": report.dropped,
-            "unusable": report.unusable,
-        }
-        rate = report.completed / report.duration if report.duration else 0.0
-        summary = {
-            "source": source,
-            **asked,
-            "interrupted": interrupted,
-            "frames": frames,
-            "remarks": dict(stream.remarks),
-            "frames_a_second": rate,
-            "milliseconds": report.latency(),
-            "seconds": {"warm_up": report.warm_up, "stream": report.duration},
-        }
+        summary = _summary(source, asked, stream, report) | {"whole": whole}
         text = json.dumps(plain(summary), indent=2, allow_nan=False)
         write_bytes(report_path, f"{text}\n".encode())
     return plain(summary)
+
+
+def _summary(
+    source: str, asked: Mapping[str, Any], stream: Stream, report: Any
+) -> dict[str, Any]:
+    """What `stream.json` says of a stream, whole or broken off."""
+    frames = {
+        "in_recording": len(stream),
+        "completed": report.completed,
+        "dropped": report.dropped,
+        "unusable": report.unusable,
+    }
+    rate = report.completed / report.duration if report.duration else 0.0
+    return {
+        "source": source,
+        "topic": stream.topic,
+        **asked,
+        "frames": frames,
+        "remarks": dict(stream.remarks),
+        "frames_a_second": rate,
+        "milliseconds": report.latency(),
+        "seconds": {"warm_up": report.warm_up, "stream": report.duration},
+    }
 
 
 def outcome(summary: dict[str, Any], output: str) -> str:

@@ -60,7 +60,7 @@ def test_a_folder_of_files(scans, weights, tmp_path, capsys):
         "dropped": 0,
         "unusable": 1,
     }
-    assert summary["remarks"] == {"unusable": 1} and not summary["interrupted"]
+    assert summary["remarks"] == {"unusable": 1} and summary["whole"]
     assert set(summary["milliseconds"]["age"]) == {"p50", "p95", "p99", "max"}
     # As prism-complete has them.
     done = tmp_path / "done"
@@ -156,5 +156,5 @@ def test_a_stream_that_is_ended_leaves_whole_files(ending, scans, weights, tmp_p
     assert started.returncode == 130
     assert told.splitlines()[-1] == "prism-stream: interrupted"
     summary = json.loads((out / "stream.json").read_text())
-    assert summary["interrupted"]
+    assert not summary["whole"]
     assert summary["frames"]["completed"] == len(done)
