@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
+from prism_jax.io.errors import InputError
 
 Tell = Callable[[str], None]
 """Takes one line for the user."""
@@ -54,6 +55,21 @@ class Frame:
         depth = np.where(mask, depth, 0.0).astype(depth.dtype)
         return cls(points, timestamp, camera, depth, odd, depth.shape)
 
+    def seen_by(self, camera: Camera) -> "Frame":
+        """The same measurement by a camera that is known better.
+
+        A depth image gives points anew; one of another size raises InputError.
+        """
+        if self.depth is None:
+            return dataclasses.replace(self, camera=camera)
+        height, width = self.depth.shape
+        if (height, width) != (camera.height, camera.width):
+            fault = (
+                f"has {camera.width}x{camera.height} pixels, images {width}x{height}"
+            )
+            raise InputError("--camera", fault, "give the camera of these images")
+        return Frame.of_depth(self.depth, camera, self.timestamp)
+
 
 class Stream(abc.ABC):
     """Frames of one sensor from a recording, in the order in which they were recorded.
@@ -88,8 +104,8 @@ class Stream(abc.ABC):
         before: Frame | None = None
         for number, frame in enumerate(self._frames()):
             self._look_at(number, frame, before)
-            if self.camera is not None and frame.depth is None:
-                frame = dataclasses.replace(frame, camera=self.camera)
+            if self.camera is not None and frame.camera is not self.camera:
+                frame = frame.seen_by(self.camera)
             yield frame
             before = dataclasses.replace(frame, points=_NONE, depth=None)
 
