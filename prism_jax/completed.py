@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.evidence import SecondLook, evidence_of
@@ -117,7 +117,7 @@ def assemble(
     `prism_jax.Completer.complete` has them. The verdict needs a ``look`` and a
     ``calibration``.
     """
-    joined = join(points, seen, read, completion, density, background)
+    joined = join(points, seen, read, completion.points, density, background)
     prediction, selection = joined.prediction, joined.selection
     verdict = None
     if look is not None and calibration is not None:
@@ -171,14 +171,17 @@ def join(
     points: Float[np.ndarray, "N 3"],
     seen: Observation,
     read: Observation,
-    completion: Completion,
+    predicted: Float[Array | np.ndarray, "P 3"],
     density: float,
     background: Background,
 ) -> Joined:
-    """The measured points as they were, and behind them those that are new; arguments
-    as in `assemble`."""
+    """The measured points as they were, and behind them those that are new.
+
+    ``predicted`` are the network's, in the unit workspace; the rest is as in
+    `assemble`.
+    """
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
-    prediction = np.asarray(completion.points, np.float64)
+    prediction = np.asarray(predicted, np.float64)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     new, selection = added_points(
         prediction, unit, read.partial, eye, density, background

@@ -89,15 +89,18 @@ class FrameCompleter:
         task = self._completer.task(points, frame.camera, None, self._up(frame, points))
         observed = time.perf_counter()
         steps = self.adapt == "every" or (self.adapt == "first" and not self._adapted)
-        completion, seconds = self._completer.run(
-            steps, self.background, task.read.partial, task.view
-        )
-        if self.adapt == "first" and not self._adapted:
-            self._completer = self._completer.with_encoders(completion.encoders)
-            self._adapted = True
+        reads = self.background, task.read.partial, task.view
+        if steps:
+            completion, seconds = self._completer.run(True, *reads)
+            predicted = completion.points
+            if self.adapt == "first":
+                self._completer = self._completer.with_encoders(completion.encoders)
+                self._adapted = True
+        else:
+            predicted, seconds = self._completer.predict(*reads)
         ran = time.perf_counter()
         joined = join(
-            points, task.seen, task.read, completion, self.density, self.background
+            points, task.seen, task.read, predicted, self.density, self.background
         )
         return CompletedFrame(
             points=joined.points,
