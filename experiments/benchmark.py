@@ -1,4 +1,4 @@
-"""Times against named peers: operations, adaptation, training, start-up; memory.
+"""Times and memory against named peers, suite by suite.
 
 python -m experiments.benchmark --suite=SUITE [--of=NAME] --output=FILE.json
 """
@@ -18,7 +18,7 @@ from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 
 FLAGS = flags.FLAGS
-SUITES = ("ops", "adapt", "evaluation", "training", "startup", "memory")
+SUITES = ("ops", "adapt", "evaluation", "training", "startup", "memory", "stream")
 HEADER = (
     "| what | ours | peer | its | ratio | target | holds | compile s | MiB |\n"
     "| --- | --- | --- | --- | --- | --- | --- | --- | --- |"
@@ -31,8 +31,8 @@ def define_flags() -> None:
     flags.DEFINE_string(
         "of",
         None,
-        "Preset (training, memory) or weights (adapt, evaluation); small if not given, "
-        "paper for memory.",
+        "Preset (training, memory) or weights (adapt, evaluation, stream); small if "
+        "not given, paper for memory.",
     )
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 

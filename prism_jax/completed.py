@@ -2,11 +2,11 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.evidence import SecondLook, evidence_of
@@ -17,7 +17,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.observation import Observation, padded
 from prism_jax.observation.planes import Plane
 from prism_jax.point_errors import PointErrors, clues_of, spread
-from prism_jax.selection import added_points
+from prism_jax.selection import Selection, added_points
 from prism_jax.trust import Calibration, Verdict
 
 DEPTH_PIXELS = 128
@@ -125,12 +125,8 @@ def assemble(
     `prism_jax.Completer.complete` has them. The verdict needs a ``look`` and a
     ``calibration``, every point's sigma a ``look`` and ``point_errors``.
     """
-    measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
-    prediction = np.asarray(completion.points, np.float64)
-    eye = np.asarray(seen.eye) if seen.sensor_known else None
-    new, selection = added_points(
-        prediction, unit, read.partial, eye, density, background
-    )
+    joined = join(points, seen, read, completion.points, density, background)
+    prediction, selection = joined.prediction, joined.selection
     verdict = None
     if look is not None and calibration is not None:
         novelty = calibration.novelty(np.asarray(look.features))
@@ -140,16 +136,15 @@ def assemble(
     if look is not None and point_errors is not None:
         kept = prediction[selection.kept]
         clues = clues_of(kept, seen, read, prediction, look)
-        expected = spread(new, kept, point_errors.sigma(clues))
-        none = np.zeros(len(measured))
+        expected = spread(joined.new, kept, point_errors.sigma(clues))
+        none = np.zeros(int(joined.observed.sum()))
         sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
-    added = seen.workspace.from_unit(new).astype(points.dtype)
-    together = np.concatenate([measured, added])
+    unit = np.asarray(seen.partial)[seen.inside]
     return CompletedScan(
-        points=together,
-        observed=np.arange(len(together)) < len(measured),
+        points=joined.points,
+        observed=joined.observed,
         prediction=np.asarray(seen.workspace.from_unit(prediction)),
-        left_out=len(points) - len(measured),
+        left_out=len(points) - int(joined.observed.sum()),
         left_away={
             reason: int(which.sum())
             for reason, which in selection._asdict().items()
@@ -167,8 +162,50 @@ def assemble(
         seconds=seconds,
         verdict=verdict,
         sigma=sigma,
-        **_depth_maps(unit, new, view, seen.workspace),
+        **_depth_maps(unit, joined.new, view, seen.workspace),
     )
+
+
+class Joined(NamedTuple):
+    """Measured and predicted points together.
+
+    Attributes:
+      points, observed: as `CompletedScan` has them, in the user's frame and unit.
+      prediction: the network's own output, in the unit workspace.
+      new: what of it, and between it, is among the points, in the unit workspace.
+      selection: what became of each point of the prediction.
+    """
+
+    points: Float[np.ndarray, "M 3"]
+    observed: Bool[np.ndarray, " M"]
+    prediction: Float[np.ndarray, "P 3"]
+    new: Float[np.ndarray, "Q 3"]
+    selection: Selection
+
+
+def join(
+    points: Float[np.ndarray, "N 3"],
+    seen: Observation,
+    read: Observation,
+    predicted: Float[Array | np.ndarray, "P 3"],
+    density: float,
+    background: Background,
+) -> Joined:
+    """The measured points as they were, and behind them those that are new.
+
+    ``predicted`` are the network's, in the unit workspace; the rest is as in
+    `assemble`.
+    """
+    measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
+    prediction = np.asarray(predicted, np.float64)
+    eye = np.asarray(seen.eye) if seen.sensor_known else None
+    new, selection = added_points(
+        prediction, unit, read.partial, eye, density, background
+    )
+    added = seen.workspace.from_unit(new).astype(points.dtype)
+    together = np.concatenate([measured, added])
+    observed = np.arange(len(together)) < len(measured)
+    return Joined(together, observed, prediction, new, selection)
 
 
 def in_one_scene(

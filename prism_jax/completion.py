@@ -1,5 +1,6 @@
 """Scans in the user's frame and units, completed."""
 
+import copy
 import dataclasses
 import pathlib
 import time
@@ -22,7 +23,7 @@ from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError, choose
-from prism_jax.models.variables import Variables
+from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.scene import Scene, split_scene
 from prism_jax.observation.sensor import is_believable, likely_eye
@@ -112,8 +113,8 @@ class Completer:
         else:
             _check_workspace(workspace)
         up, _ = _resolved(up, points, camera)
-        task = self._task(points, camera, workspace, up)
-        completion, seconds = self._run(adapt, background, task.read.partial, task.view)
+        task = self.task(points, camera, workspace, up)
+        completion, seconds = self.run(adapt, background, task.read.partial, task.view)
         return assemble(
             *task,
             completion,
@@ -151,7 +152,7 @@ class Completer:
         if scene is None:
             scene = split_scene(points, up, _seen_from(points, camera))
         tasks = [
-            self._task(points[scene.object == number], camera, None, up)
+            self.task(points[scene.object == number], camera, None, up)
             for number in range(len(scene.num_points))
         ]
         objects = []
@@ -188,13 +189,17 @@ class Completer:
         up, _ = _resolved(up, points, camera)
         return split_scene(points, up, _seen_from(points, camera))
 
-    def _task(
+    def task(
         self,
         points: Float[np.ndarray, "N 3"],
-        camera: Camera | None,
-        workspace: Workspace | None,
-        up: str | Vector,
-    ) -> "_Task":
+        camera: Camera | None = None,
+        workspace: Workspace | None = None,
+        up: str | Vector = "z",
+    ) -> "Task":
+        """What the network reads of one object's finite points, and the way back.
+
+        The first step of `complete`, whose arguments these are; ``up`` is never "auto".
+        """
         sensor = "origin" if camera is None else np.asarray(camera.position)
         model = self.config.model
         seen = observe(points, sensor, workspace, model.margin, up, model.heading)
@@ -208,21 +213,46 @@ class Completer:
                 )
                 seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
         read = seen.sampled(model.backbone.num_points)
-        return _Task(points, seen, read, read.camera)
+        return Task(points, seen, read, read.camera)
 
-    def _run(
+    def run(
         self, adapt: bool, background: Background, partial: Any, view: Camera
     ) -> tuple[Completion, dict[str, float]]:
+        """The network's completion of what a task reads, and the seconds it took to
+        compile and to run: the second step of `complete`."""
         start = time.perf_counter()
         arguments = (self.variables, partial, view)
-        call = self._compile_adapt(lambda adapt: adapt, adapt, background, arguments)
+        call = self._compile_adapt(_as_it_is, adapt, background, arguments)
         compiled = time.perf_counter()
         completion = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
         return completion, {"compile": compiled - start, "run": done - compiled}
 
+    def predict(
+        self, background: Background, partial: Any, view: Camera
+    ) -> tuple[Any, dict[str, float]]:
+        """The points of `run` without adaptation, and its seconds, for who needs no
+        losses: a third of the time goes to them."""
+        start = time.perf_counter()
+        arguments = (self.variables, partial, view)
+        call = self._compile_adapt(_points_alone, False, background, arguments)
+        compiled = time.perf_counter()
+        points = jax.block_until_ready(call(*arguments))
+        done = time.perf_counter()
+        return points, {"compile": compiled - start, "run": done - compiled}
+
+    def with_encoders(self, encoders: Variables) -> "Completer":
+        """The same with encoders that were adapted to a frame (`Completion.encoders`).
+
+        What is compiled is shared.
+        """
+        _, rest = pop_encoders(self.variables)
+        other = copy.copy(self)
+        other.variables = put_encoders(encoders, rest)
+        return other
+
     def _run_together(
-        self, adapt: bool, background: Background, tasks: Sequence["_Task"]
+        self, adapt: bool, background: Background, tasks: Sequence["Task"]
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
         start = time.perf_counter()
@@ -241,7 +271,7 @@ class Completer:
         seconds = {"compile": compiled - start, "run": spent / len(tasks)}
         return completions, seconds
 
-    def _look_again(self, task: "_Task", background: Background) -> SecondLook | None:
+    def _look_again(self, task: "Task", background: Background) -> SecondLook | None:
         """What a verdict and points' errors need beside the completion."""
         if self.calibration is None and self.point_errors is None:
             return None
@@ -254,17 +284,18 @@ class Completer:
 
     def _compile_adapt(
         self,
-        make: Callable[[AdaptFn], Callable[..., Completion]],
+        make: Callable[[AdaptFn], Callable[..., Any]],
         adapt: bool,
         background: Background,
         arguments: tuple[Any, ...],
-    ) -> Callable[..., Completion]:
+    ) -> Callable[..., Any]:
         """What ``make`` makes of the adaptation function, compiled once."""
         steps = self.config.adapt.num_steps if adapt else 0
         config = self._told(background).with_adapt(num_steps=steps)
         fn = make(make_adapt(config))
-        key = len(arguments), adapt, config.model.background
-        return self._compile(key, fn, arguments, config)
+        key = make, adapt, config.model.background
+        # A kept trace is told by what it is about, not by the function itself.
+        return self._compile(key, fn, arguments, (make.__name__, config))
 
     def _told(self, background: Background) -> PrismConfig:
         """The configuration for a background; others than a network that reads it need
@@ -287,13 +318,22 @@ class Completer:
         return self._compiled[key]
 
 
-class _Task(NamedTuple):
+class Task(NamedTuple):
     """One object's points, what was made of them, and what the network reads."""
 
     points: Float[np.ndarray, "N 3"]
     seen: Observation
     read: Observation
     view: Camera
+
+
+def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
+    return adapt
+
+
+def _points_alone(adapt: AdaptFn) -> Callable[..., Any]:
+    """Without what nothing but losses needs, which the compiler leaves out."""
+    return lambda *arguments: adapt(*arguments).points
 
 
 def _in_slots(adapt: AdaptFn) -> Callable[..., Completion]:

@@ -76,8 +76,8 @@ def added_points(
     """
     selection = select(prediction, measured, partial, eye, background)
     kept = prediction[selection.kept]
-    predicted = surface_density(kept)
-    if density == 0 or predicted == 0:
+    predicted = surface_density(kept) if density else 0.0
+    if predicted == 0:
         return kept, selection
     dense = densify(kept, density * surface_density(measured) / predicted)
     return dense[(np.abs(dense) <= 1.0).all(axis=1)], selection

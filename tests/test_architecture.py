@@ -15,6 +15,7 @@ LAYERS = (
     "prism_jax.cli",
     "prism_jax.model_card",
     "prism_jax.evaluation",
+    "prism_jax.streams",
     "prism_jax.completion prism_jax.export",
     "prism_jax.weights",
     "prism_jax.trace_cache",

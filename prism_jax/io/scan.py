@@ -68,7 +68,7 @@ def read_scan(
         if not mask.any():
             raise InputError(path, "has no pixel with a return", "check the sensor")
         points = points_from_depth(depth, mask, camera)
-        in_camera_frame = _turned_degrees(camera) < CAMERA_FRAME_DEGREES
+        in_camera_frame = in_own_axes(camera)
         num_read = len(points)
     else:
         camera = read_camera(camera_path) if camera_path else None
@@ -115,10 +115,12 @@ def parse_bounds(text: str) -> Bounds:
     return Bounds(values[:3], values[3:])
 
 
-def _turned_degrees(camera: Camera) -> float:
-    """The angle between a camera's axes and those of the points' frame."""
+def in_own_axes(camera: Camera) -> bool:
+    """Whether points are in the camera's own axes, turned by less than
+    `CAMERA_FRAME_DEGREES`."""
     cosine = (np.trace(np.asarray(camera.rotation)) - 1.0) / 2.0
-    return math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
+    degrees = math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
+    return degrees < CAMERA_FRAME_DEGREES
 
 
 def _camera_beside(path: str | os.PathLike) -> pathlib.Path:

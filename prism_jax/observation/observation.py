@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.camera import Camera, Vector
-from prism_jax.geometry.sampling import resample
+from prism_jax.geometry.sampling import farthest_point_sample, resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.heading import level_heading
 from prism_jax.observation.strays import find_strays
@@ -29,6 +29,7 @@ within the workspace is an object's own, whose coordinates were centred."""
 
 _framing = jax.jit(Camera.framing)
 _resample = jax.jit(resample, static_argnums=1)
+_farthest = jax.jit(farthest_point_sample, static_argnums=1)
 
 
 @functools.partial(
@@ -75,10 +76,15 @@ class Observation:
         Fewer are repeated; see `prism_jax.geometry.resample`. In float32. Not traced:
         how many are inside must be known. Clouds of any size need few compilations.
         """
-        points = np.asarray(self.partial)[np.asarray(self.inside)]
-        if len(points) > num_points:
-            points = padded(points)
-        chosen = _resample(points.astype(np.float32), num_points)
+        points = np.asarray(self.partial)[np.asarray(self.inside)].astype(np.float32)
+        count = len(points)
+        points = padded(points, num_points)
+        if count >= num_points:
+            chosen = _resample(points, num_points)
+        else:
+            # All of them come before the copies.
+            order = np.asarray(_farthest(points, num_points))[:count]
+            chosen = jnp.asarray(points[np.resize(order, num_points)])
         inside = np.ones(num_points, bool)
         return dataclasses.replace(self, partial=chosen, inside=inside)
 
@@ -175,13 +181,29 @@ def workspace_around(
     return Workspace.from_points(points, margin, turn, where)
 
 
-def padded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
-    """The cloud with copies of its first point, up to a power of two.
+def compile_sampling(num_points: int, most: int) -> None:
+    """Compiles `Observation.sampled` for clouds of up to `most` points.
+
+    A quarter of a second for each power of two, for who cannot wait in between.
+    """
+    size = len(padded(np.zeros((num_points, 3), np.float32), num_points))
+    jax.block_until_ready(_farthest(np.zeros((size, 3), np.float32), num_points))
+    while True:
+        jax.block_until_ready(_resample(np.zeros((size, 3), np.float32), num_points))
+        if size >= most:
+            return
+        size *= 2
+
+
+def padded(
+    points: Float[np.ndarray, "N 3"], least: int = 1
+) -> Float[np.ndarray, "M 3"]:
+    """The cloud with copies of its first point, up to a power of two not under `least`.
 
     Clouds of any size then need few compilations. Neither farthest-point sampling nor a
     depth map sees the copies.
     """
-    count = 1 << (len(points) - 1).bit_length()
+    count = 1 << (max(len(points), least) - 1).bit_length()
     copies = np.broadcast_to(points[0], (count - len(points), 3))
     return np.concatenate([points, copies])
 

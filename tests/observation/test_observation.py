@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.observation.observation import FAR_ORIGIN, UNKNOWN_EYE, observe, padded
@@ -227,3 +228,14 @@ def test_a_camera_goes_to_the_workspace_and_back():
     back = seen.camera_to_user(seen.workspace.camera_to_unit(camera))
     np.testing.assert_allclose(back.rotation, camera.rotation, atol=1e-6)
     np.testing.assert_allclose(back.position, EYE, atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 5, 63, 64, 65, 100, 128, 129])
+def test_any_number_of_points_is_sampled_as_by_itself(count):
+    """Copies that fill up a fixed shape change nothing, other points' twins neither."""
+    points = np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32)
+    points[count // 2 :] = points[: count - count // 2]
+    seen = observe(points, np.full(3, 9.0), Workspace(np.zeros(3), 8.0))
+    read = seen.sampled(64)
+    wanted = resample(jnp.asarray(seen.partial, np.float32), 64)
+    np.testing.assert_array_equal(np.asarray(read.partial), np.asarray(wanted))

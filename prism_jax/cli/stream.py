@@ -1,0 +1,278 @@
+"""prism-stream: recorded frames in, completed frames out, at the sensor's rate.
+
+    prism-stream recording.mcap --output=completed.mcap
+    prism-stream scans/ --workspace=-1,-1,0,1,1,2 --pace=sensor --output=completed
+
+If the recording cannot be used, it ends with status 2 and one line on stderr. Ctrl-C
+ends it with what was done so far written whole, and status 130.
+"""
+
+import json
+import pathlib
+import signal
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from absl import flags
+
+from prism_jax import io
+from prism_jax.cli.launch import launch
+from prism_jax.io.atomic import write_bytes
+from prism_jax.io.errors import require
+from prism_jax.io.streams import Stream, open_stream
+from prism_jax.io.streams.packed import EXTRA
+from prism_jax.io.streams.sinks import Sink, open_sink
+from prism_jax.observation.accumulation import Accumulator
+from prism_jax.observation.upright import parse_up
+from prism_jax.result import plain
+
+FLAGS = flags.FLAGS
+NAME = "prism-stream"
+REPORT = "stream.json"
+
+
+def define_flags() -> None:
+    """The flags."""
+    flags.DEFINE_string(
+        "topic", None, "Which of the recording's topics or sensors, if it has several."
+    )
+    flags.DEFINE_string(
+        "camera",
+        None,
+        "JSON of the camera's pinhole and pose. For depth images it takes the place of "
+        "their CameraInfo, for clouds it says where the sensor stood.",
+    )
+    flags.DEFINE_string(
+        "workspace", None, "Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres."
+    )
+    flags.DEFINE_string("weights", "small", "Name of released weights, or a file.")
+    flags.DEFINE_enum(
+        "adapt",
+        "off",
+        ["off", "first", "every"],
+        "off: the network as it is. first: adapted to the first frame. every: to each.",
+    )
+    flags.DEFINE_string(
+        "up",
+        None,
+        "Direction that points upwards: x, y, z, -x, -y, -z, x,y,z, or auto, which "
+        "looks for it in the first frame. If not given, -y for depth images in their "
+        "camera's own axes, and z for others.",
+    )
+    flags.DEFINE_float(
+        "density",
+        0.0,
+        "Added points are so many times as dense as the measured ones; 0 leaves "
+        "them as predicted, which is quickest.",
+        lower_bound=0.0,
+    )
+    flags.DEFINE_enum(
+        "background",
+        "unknown",
+        ["unknown", "empty"],
+        "empty: nothing else was hit around the object, and so nothing is added there.",
+    )
+    flags.DEFINE_float(
+        "accumulate",
+        None,
+        "Side of voxels in metres, some spacings of the points: what was measured in "
+        "earlier frames and is hidden now is kept. For sensors that stand still.",
+        lower_bound=1e-4,
+    )
+    flags.DEFINE_enum(
+        "pace",
+        "max",
+        ["max", "sensor"],
+        "max: as fast as it goes. sensor: as recorded, and frames that come too late "
+        "are dropped.",
+    )
+    flags.DEFINE_bool("view", False, "Show frames as they are completed (rerun).")
+    flags.DEFINE_string(
+        "output",
+        "prism_stream",
+        "Where completed frames go: a file that ends in .mcap, else a folder of PLYs.",
+    )
+
+
+def main(words: Sequence[str]) -> None:
+    """Does what the flags ask for."""
+    if len(words) != 1:
+        fault = f"takes one recording, not {len(words)}"
+        raise io.InputError(NAME, fault, f"write {NAME} RECORDING --output=PLACE")
+    signal.signal(signal.SIGTERM, _end)
+    summary = stream_file(
+        words[0],
+        topic=FLAGS.topic,
+        camera=FLAGS.camera,
+        workspace=FLAGS.workspace,
+        weights=FLAGS.weights,
+        adapt=FLAGS.adapt,
+        up=FLAGS.up,
+        density=FLAGS.density,
+        background=FLAGS.background,
+        accumulate=FLAGS.accumulate,
+        pace=FLAGS.pace,
+        view=FLAGS.view,
+        output=FLAGS.output,
+    )
+    print(outcome(summary, FLAGS.output))
+
+
+def stream_file(
+    source: str,
+    *,
+    topic: str | None = None,
+    camera: str | None = None,
+    workspace: str | None = None,
+    weights: str = "small",
+    adapt: str = "off",
+    up: str | None = None,
+    density: float = 0.0,
+    background: str = "unknown",
+    accumulate: float | None = None,
+    pace: str = "max",
+    view: bool = False,
+    output: str = "prism_stream",
+) -> dict[str, Any]:
+    """Completes a recording; the arguments are the flags of the command.
+
+    Returns the content of `stream.json`, which is written last, beside an MCAP file or
+    into the folder, also when the stream is broken off. Everything the user can put
+    right raises an InputError, and all that can be known to be wrong does so before the
+    weights are loaded.
+    """
+    asked = {
+        "camera": camera,
+        "workspace": workspace,
+        "weights": weights,
+        "adapt": adapt,
+        "up": up,
+        "density": density,
+        "background": background,
+        "accumulate": accumulate,
+        "pace": pace,
+    }
+    bounds = None if workspace is None else io.parse_bounds(workspace)
+    direction = None if up is None else parse_up(up)
+    view_from = None if camera is None else io.read_camera(camera)
+    place = pathlib.Path(output)
+    beside = place.suffix.lower() == ".mcap"
+    report_path = place.with_name(REPORT) if beside else place / REPORT
+    if pathlib.Path(source).resolve() == place.resolve():
+        raise io.InputError(output, "is the recording itself", "name another output")
+    stream = open_stream(source, topic, view_from, say)
+    io.make_output_dir(place.parent if beside else place)
+    if beside:
+        require("mcap.writer", EXTRA)
+    viewers: list[Sink] = [_open_view()] if view else []
+    # Imported this late, so that a wrong recording is refused in a moment.
+    from prism_jax.cli.complete import load_completer
+    from prism_jax.streams.completer import FrameCompleter
+    from prism_jax.streams.run import StreamReport, run_stream
+
+    completer: Any = FrameCompleter(
+        load_completer(weights),
+        bounds=bounds,
+        adapt=adapt,  # pyright: ignore
+        up=direction,
+        density=density,
+        background=background,  # pyright: ignore
+        accumulator=None if accumulate is None else Accumulator(accumulate),
+    )
+    sinks = [open_sink(place), *viewers]
+    report = StreamReport()
+    whole = False
+    say(f"{len(stream)} frames; the first run on a machine also compiles")
+    try:
+        with _progress(len(stream)) as progress:
+            run_stream(stream, completer, [*sinks, progress], pace, report)  # pyright: ignore
+        whole = True
+    finally:
+        summary = _summary(source, asked, stream, report) | {"whole": whole}
+        text = json.dumps(plain(summary), indent=2, allow_nan=False)
+        write_bytes(report_path, f"{text}\n".encode())
+    return plain(summary)
+
+
+def _summary(
+    source: str, asked: Mapping[str, Any], stream: Stream, report: Any
+) -> dict[str, Any]:
+    """What `stream.json` says of a stream, whole or broken off."""
+    frames = {
+        "in_recording": len(stream),
+        "completed": report.completed,
+        "dropped": report.dropped,
+        "unusable": report.unusable,
+    }
+    rate = report.completed / report.duration if report.duration else 0.0
+    return {
+        "source": source,
+        "topic": stream.topic,
+        **asked,
+        "frames": frames,
+        "remarks": dict(stream.remarks),
+        "frames_a_second": rate,
+        "milliseconds": report.latency(),
+        "seconds": {"warm_up": report.warm_up, "stream": report.duration},
+    }
+
+
+def outcome(summary: dict[str, Any], output: str) -> str:
+    """What was done, in a few lines."""
+    frames = summary["frames"]
+    counts = ", ".join(f"{frames[k]} {k}" for k in ("completed", "dropped", "unusable"))
+    lines = [f"frames      {counts}, {summary['frames_a_second']:.1f} a second"]
+    for stage, ms in summary["milliseconds"].items():
+        times = ", ".join(f"{name} {value:.1f}" for name, value in ms.items())
+        lines.append(f"{stage:<11} {times} ms")
+    return "\n".join([*lines, f"written     {output} and {REPORT}"])
+
+
+def say(text: str) -> None:
+    """One line to the user, on stderr."""
+    print(f"{NAME}: {text}", file=sys.stderr, flush=True)
+
+
+def _open_view() -> Sink:
+    from prism_jax.io.streams.view import RerunView
+
+    return RerunView()
+
+
+def _end(*_: Any) -> None:
+    """What a signal to end does: as Ctrl-C, so that all files are whole."""
+    raise KeyboardInterrupt
+
+
+class _progress:
+    """A bar on stderr that counts frames as they are written."""
+
+    def __init__(self, total: int):
+        from tqdm import tqdm
+
+        self._bar = tqdm(total=total, unit="frame", delay=2.0, disable=None)
+        self._start = time.perf_counter()
+
+    def write(self, frame: Any) -> None:
+        self._bar.update()
+
+    def close(self) -> None:
+        self._bar.close()
+
+    def __enter__(self) -> "_progress":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+
+def run() -> None:
+    """The entry point of `prism-stream`."""
+    define_flags()
+    launch(NAME, main, takes_words=True)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,144 @@
+"""ROS 1 bags of format 2.0: http://wiki.ros.org/Bags/Format/2.0."""
+
+import os
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from typing import BinaryIO
+
+from prism_jax.io.streams.messages import (
+    CutError,
+    Message,
+    MessageFile,
+    Topic,
+    full_name,
+)
+from prism_jax.io.streams.packed import unpack
+
+MAGIC = b"#ROSBAG V2.0\n"
+_MESSAGE, _INDEX, _CHUNK, _CONNECTION = 0x02, 0x04, 0x05, 0x07
+_HEADER_LIMIT = 2**20
+_Fields = dict[bytes, bytes]
+
+
+class BagFile(MessageFile):
+    """Messages of a bag, packed by bz2, LZ4 or not at all.
+
+    The index at its end is not needed, so a bag that was never closed can be read.
+    """
+
+    def topics(self) -> dict[str, Topic]:
+        counts: Counter[str] = Counter()
+        kinds: dict[str, str] = {}
+        try:
+            for number, fields, _ in self._messages(kinds):
+                counts[fields.get(number, "")] += 1
+        except CutError:
+            pass  # which iterating over the messages tells
+        return {
+            name: Topic(kinds[name], "ros1", count)
+            for name, count in counts.items()
+            if name in kinds
+        }
+
+    def messages(self, wanted: Collection[str]) -> Iterator[Message]:
+        for number, names, (time, data) in self._messages({}):
+            if number not in names:
+                raise CutError("it has a message of no connection")
+            if names[number] in wanted:
+                seconds, nanoseconds = struct.unpack("<II", time)
+                stamp = seconds * 1_000_000_000 + nanoseconds
+                yield Message(names[number], stamp, bytes(data))
+
+    def _messages(
+        self, kinds: dict[str, str]
+    ) -> Iterator[tuple[int, dict[int, str], tuple[bytes, memoryview]]]:
+        """The number of each message's connection, the topics of those known so far,
+        and the message's time and data. Fills in the types of topics."""
+        names: dict[int, str] = {}
+        for fields, data in self._records():
+            try:
+                code = fields[b"op"][0]
+                if code == _CONNECTION:
+                    (number,) = struct.unpack("<I", fields[b"conn"])
+                    names[number] = fields[b"topic"].decode()
+                    about = _fields(data)
+                    kinds[names[number]] = full_name(about[b"type"].decode())
+                elif code == _MESSAGE:
+                    (number,) = struct.unpack("<I", fields[b"conn"])
+                    yield number, names, (fields[b"time"], data)
+            except (KeyError, IndexError, UnicodeDecodeError, struct.error):
+                raise CutError("it is damaged") from None
+
+    def _records(self) -> Iterator[tuple[_Fields, memoryview]]:
+        """Every record, those in chunks like the others."""
+        with self.opened(MAGIC, "a ROS 1 bag of format 2.0") as file:
+            size = os.fstat(file.fileno()).st_size
+            while file.tell() < size:
+                fields, length = _head(file, size)
+                whole = file.tell() + length <= size
+                code = fields.get(b"op", b"\0")[0]
+                if code == _CHUNK:
+                    data = memoryview(file.read(length))
+                    yield from _in_chunk(fields, data)
+                elif whole and code in (_MESSAGE, _CONNECTION):
+                    yield fields, memoryview(file.read(length))
+                else:
+                    file.seek(length, os.SEEK_CUR)
+                if not whole:
+                    raise CutError("it ends within a record")
+
+
+def _head(file: BinaryIO, size: int) -> tuple[_Fields, int]:
+    """A record's fields and the length of its data."""
+    (length,) = _numbers(file.read(4))
+    if length > min(_HEADER_LIMIT, size):
+        raise CutError("it is damaged")
+    header = file.read(length)
+    if len(header) < length:
+        raise CutError("it ends within a record")
+    fields = _fields(memoryview(header))
+    return fields, _numbers(file.read(4))[0]
+
+
+def _numbers(data: bytes) -> tuple[int]:
+    if len(data) < 4:
+        raise CutError("it ends within a record")
+    return struct.unpack("<I", data)
+
+
+def _in_chunk(
+    fields: _Fields, data: memoryview
+) -> Iterator[tuple[_Fields, memoryview]]:
+    """The whole records of a chunk, itself whole or not."""
+    try:
+        (size,) = struct.unpack("<I", fields[b"size"])
+        records = memoryview(unpack(data, fields[b"compression"].decode(), size))
+    except (KeyError, struct.error, ValueError) as error:
+        raise CutError(f"it is damaged ({error})") from None
+    start = 0
+    while start + 4 <= len(records):
+        (header,) = struct.unpack_from("<I", records, start)
+        middle = start + 4 + header
+        if middle + 4 > len(records):
+            return
+        (length,) = struct.unpack_from("<I", records, middle)
+        end = middle + 4 + length
+        if end > len(records):
+            return
+        yield _fields(records[start + 4 : middle]), records[middle + 4 : end]
+        start = end
+
+
+def _fields(header: memoryview) -> _Fields:
+    """A header's fields by name."""
+    fields, start = {}, 0
+    while start + 4 <= len(header):
+        (length,) = struct.unpack_from("<I", header, start)
+        entry = bytes(header[start + 4 : start + 4 + length])
+        name, equals, value = entry.partition(b"=")
+        if len(entry) < length or not equals:
+            raise CutError("it is damaged")
+        fields[name] = value
+        start += 4 + length
+    return fields

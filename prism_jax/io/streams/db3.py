@@ -1,0 +1,109 @@
+"""ROS 2 bags in SQLite: .db3 files of rosbag2's own storage."""
+
+import contextlib
+import sqlite3
+import struct
+import urllib.parse
+from collections.abc import Collection, Iterator
+
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+from prism_jax.io.streams.messages import (
+    CutError,
+    Message,
+    MessageFile,
+    Topic,
+    full_name,
+)
+
+MAGIC = b"SQLite format 3\0"
+
+
+class Db3File(MessageFile):
+    """Messages of a .db3 file, in the order in which they were written."""
+
+    def topics(self) -> dict[str, Topic]:
+        with self._connected() as database:
+            rows = self._topics(database)
+        return {
+            name: Topic(full_name(kind), encoding, count)
+            for name, kind, encoding in rows.values()
+            if (count := self._count(name))
+        }
+
+    def messages(self, wanted: Collection[str]) -> Iterator[Message]:
+        with self._connected() as database:
+            names = {
+                number: name
+                for number, (name, *_) in self._topics(database).items()
+                if name in wanted
+            }
+            everything = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
+            try:
+                for number, time, data in database.execute(everything):
+                    if number in names:
+                        yield Message(names[number], time, data)
+            except sqlite3.DatabaseError as error:
+                raise CutError(f"it is damaged ({error})") from None
+
+    def _count(self, topic: str) -> int:
+        """How many messages there are of a topic; of a file that is cut, whole ones."""
+        counted = "SELECT COUNT(*) FROM messages WHERE topic_id IN "
+        named = "(SELECT id FROM topics WHERE name = ?)"
+        count = 0
+        try:
+            if not self._missing():
+                with self._connected() as database:
+                    return database.execute(counted + named, [topic]).fetchone()[0]
+            for _ in self.messages({topic}):
+                count += 1
+        except (CutError, sqlite3.DatabaseError):
+            pass  # which iterating over the messages tells
+        return count
+
+    def _missing(self) -> int:
+        """How many bytes the file is shorter than its header says."""
+        size = self.path.stat().st_size
+        page, count = self._pages()
+        return max(page * count - size, 0)
+
+    def _pages(self) -> tuple[int, int]:
+        """The size of a page, and how many the header claims."""
+        with self.opened(MAGIC, "a ROS 2 bag in SQLite") as file:
+            rest = file.read(16)
+        if len(rest) < 16:
+            remedy = "check how it was recorded or copied"
+            raise InputError(self.path, "is not a ROS 2 bag in SQLite", remedy)
+        (page,) = struct.unpack_from(">H", rest)
+        (count,) = struct.unpack_from(">I", rest, 12)
+        return 65536 if page == 1 else max(page, 512), count
+
+    @contextlib.contextmanager
+    def _connected(self) -> Iterator[sqlite3.Connection]:
+        if self._missing():
+            # SQLite would take what is missing of the last page for zeros.
+            database = sqlite3.connect(":memory:", check_same_thread=False)
+            page, _ = self._pages()
+            data = read_bytes(self.path)
+            database.deserialize(data[: len(data) // page * page])
+        else:
+            place = urllib.parse.quote(str(self.path.absolute()))
+            # Iterating goes on in the thread that reads ahead.
+            database = sqlite3.connect(
+                f"file:{place}?mode=ro", uri=True, check_same_thread=False
+            )
+        try:
+            database.execute("PRAGMA trusted_schema=OFF")
+            # Or SQLite would open no file that is shorter than it says.
+            database.execute("PRAGMA writable_schema=ON")
+            yield database
+        finally:
+            database.close()
+
+    def _topics(self, database: sqlite3.Connection) -> dict[int, tuple[str, str, str]]:
+        asked = "SELECT id, name, type, serialization_format FROM topics"
+        try:
+            return {number: tuple(rest) for number, *rest in database.execute(asked)}
+        except sqlite3.DatabaseError as error:
+            fault = f"is not a ROS 2 bag ({error})"
+            raise InputError(self.path, fault, "check how it was recorded") from None

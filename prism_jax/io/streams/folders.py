@@ -1,0 +1,139 @@
+"""Folders of clouds, of depth images, and of the recordings' layout."""
+
+import os
+import pathlib
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from prism_jax.io.clouds import READERS, read_points_counted
+from prism_jax.io.depth import read_camera, read_depth
+from prism_jax.io.errors import InputError
+from prism_jax.io.streams.frame import Frame, Stream, Tell
+
+PERIOD = 100_000_000
+"""Nanoseconds between files that say nothing of their time: 10 frames a second."""
+
+_DEPTH, _PARTIAL, _CAMERA = ".depth.png", ".partial.ply", ".camera.json"
+TOPICS = {"depth": _DEPTH, "partial": _PARTIAL}
+"""What a frame of the recordings' layout holds of its sensor, and in which file."""
+
+
+class CloudFolder(Stream):
+    """The clouds of a folder, or its depth images, by the numbers in their names.
+
+    Clouds are what `prism_jax.io.read_points` reads. A depth image is a 16-bit PNG; its
+    camera is the JSON of the same name or `camera.json`. A file that cannot be read is
+    left out and remarked. Frames count as 10 a second.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike,
+        topic: str | None = None,
+        tell: Tell | None = None,
+    ):
+        super().__init__(path, tell)
+        _check_no_topic(path, topic)
+        files = [p for p in pathlib.Path(path).iterdir() if not p.name.startswith(".")]
+        clouds = [p for p in files if p.suffix.lower() in READERS]
+        images = [p for p in files if p.suffix.lower() == ".png"]
+        if not clouds and not images:
+            remedy = f"it takes files of {' '.join(READERS)} .png, and ROS 2 bags"
+            raise InputError(path, "is a folder without frames", remedy)
+        if clouds and images:
+            fault = f"holds {len(clouds)} clouds and {len(images)} images"
+            raise InputError(path, fault, "put them into folders of their own")
+        self._paths = sorted(clouds or images, key=natural)
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def _frames(self) -> Iterator[Frame]:
+        for number, path in enumerate(self._paths):
+            try:
+                yield self._read(path, number * PERIOD)
+            except InputError as error:
+                self.remark("damaged", f"{path.name} is left out: {error}")
+
+    def _read(self, path: pathlib.Path, time: int) -> Frame:
+        if path.suffix.lower() == ".png":
+            own = path.with_suffix(".json")
+            common = path.with_name("camera.json")
+            return _depth_frame(path, own if own.exists() else common, time)
+        points, count = read_points_counted(path)
+        return Frame(points, time, num_not_finite=count - len(points))
+
+
+class RecordedFrames(Stream):
+    """Frames in the layout of `prism_jax.data.recordings`, sequence after sequence.
+
+    The topic "depth" is the depth images, in the world frame that their cameras' poses
+    refer to, "partial" the partial clouds, in that frame too. Frames count as 10 a
+    second.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike,
+        topic: str | None = None,
+        tell: Tell | None = None,
+    ):
+        super().__init__(path, tell)
+        if topic not in TOPICS:
+            fault = f"has {len(TOPICS)} topics of clouds and depth images"
+            if topic is not None:
+                fault = f"has no clouds and no depth images on {topic}"
+            remedy = f"choose with --topic one of {', '.join(TOPICS)}"
+            raise InputError(path, fault, remedy)
+        self.topic = topic
+        root = pathlib.Path(path)
+        found = root.glob(f"*{TOPICS[topic]}") if _holds(root) else None
+        found = found or root.glob(f"*/*{TOPICS[topic]}")
+        self._paths = sorted(found, key=lambda p: natural(p.relative_to(root)))
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def _frames(self) -> Iterator[Frame]:
+        suffix = TOPICS[str(self.topic)]
+        for number, path in enumerate(self._paths):
+            camera = path.with_name(path.name.removesuffix(suffix) + _CAMERA)
+            time = number * PERIOD
+            try:
+                if suffix == _DEPTH:
+                    yield _depth_frame(path, camera, time)
+                else:
+                    points, count = read_points_counted(path)
+                    odd = count - len(points)
+                    view = read_camera(camera)
+                    yield Frame(points, time, view, num_not_finite=odd)
+            except InputError as error:
+                self.remark("damaged", f"{path.name} is left out: {error}")
+
+
+def is_recordings(path: pathlib.Path) -> bool:
+    """Whether a folder has the recordings' layout, or is one of its sequences."""
+    return _holds(path) or any(path.glob(f"*/*{_CAMERA}"))
+
+
+def natural(path: pathlib.Path) -> list[tuple[int, str]]:
+    """Sorts 9.ply before 10.ply."""
+    parts = re.findall(r"\d+|\D+", str(path))
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+
+def _holds(path: pathlib.Path) -> bool:
+    return any(path.glob(f"*{_DEPTH}"))
+
+
+def _depth_frame(path: pathlib.Path, camera: pathlib.Path, time: int) -> Frame:
+    depth, mask, view = read_depth(path, camera)
+    return Frame.of_depth(np.where(mask, depth, 0.0), view, time)
+
+
+def _check_no_topic(path: str | os.PathLike, topic: str | None) -> None:
+    if topic is not None:
+        fault = f"has no topics, and so none that is {topic}"
+        raise InputError(path, fault, "leave --topic out")

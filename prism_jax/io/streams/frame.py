@@ -1,0 +1,142 @@
+"""What every format of recorded streams gives: frames with their times, and remarks."""
+
+import abc
+import dataclasses
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.depth import points_from_depth
+from prism_jax.io.errors import InputError
+
+Tell = Callable[[str], None]
+"""Takes one line for the user."""
+
+_LATE = 1_000_000
+"""Nanoseconds: clocks that step back by less are not told."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """One measurement of a sensor, in metres.
+
+    Attributes:
+      points: the finite ones, in the sensor's frame, or in the world's where the format
+        knows the sensor's pose. There may be none.
+      timestamp: in nanoseconds, of whatever clock the recording has.
+      camera: the pinhole of a depth image, or None. Its pose refers to the frame of
+        the points.
+      depth: a depth image along the camera's z, 0 where there was no return, or None.
+      num_not_finite: points that were left out because they are not finite.
+      size: rows and columns of an image or of an organised cloud; None for any other.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    timestamp: int
+    camera: Camera | None = None
+    depth: Float[np.ndarray, "H W"] | None = None
+    num_not_finite: int = 0
+    size: tuple[int, int] | None = None
+
+    @classmethod
+    def of_depth(
+        cls, depth: Float[np.ndarray, "H W"], camera: Camera, timestamp: int
+    ) -> "Frame":
+        """The frame of a depth image in metres. What is not above 0 is no return."""
+        with np.errstate(invalid="ignore"):
+            mask = np.isfinite(depth) & (depth > 0)
+        points = points_from_depth(depth, mask, camera)
+        odd = int(np.isnan(depth).sum())
+        depth = np.where(mask, depth, 0.0).astype(depth.dtype)
+        return cls(points, timestamp, camera, depth, odd, depth.shape)
+
+    def seen_by(self, camera: Camera) -> "Frame":
+        """The same measurement by a camera that is known better.
+
+        A depth image gives points anew; one of another size raises InputError.
+        """
+        if self.depth is None:
+            return dataclasses.replace(self, camera=camera)
+        height, width = self.depth.shape
+        if (height, width) != (camera.height, camera.width):
+            fault = (
+                f"has {camera.width}x{camera.height} pixels, images {width}x{height}"
+            )
+            raise InputError("--camera", fault, "give the camera of these images")
+        return Frame.of_depth(self.depth, camera, self.timestamp)
+
+
+class Stream(abc.ABC):
+    """Frames of one sensor from a recording, in the order in which they were recorded.
+
+    It can be iterated over again, and from any thread. ``remarks`` counts what was odd;
+    of each kind the first case is told in one line.
+
+    Attributes:
+      path: of the recording.
+      topic: which of the recording's sensors it is, where it names them.
+      camera: one that was given for all frames, or None. For depth images it takes the
+        place of what the recording says of theirs.
+    """
+
+    topic: str | None = None
+    camera: Camera | None = None
+
+    def __init__(self, path: str | os.PathLike, tell: Tell | None = None):
+        self.path = os.fspath(path)
+        self.remarks: Counter[str] = Counter()
+        self._tell = tell or _to_stderr
+
+    @abc.abstractmethod
+    def __len__(self) -> int:
+        """How many frames the recording says that it has; some may be unusable."""
+
+    @abc.abstractmethod
+    def _frames(self) -> Iterator[Frame]:
+        """Every frame as it was recorded."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        before: Frame | None = None
+        for number, frame in enumerate(self._frames()):
+            self._look_at(number, frame, before)
+            if self.camera is not None and frame.camera is not self.camera:
+                frame = frame.seen_by(self.camera)
+            yield frame
+            before = dataclasses.replace(frame, points=_NONE, depth=None)
+
+    def remark(self, kind: str, line: str) -> None:
+        """Counts something odd, and tells the first of its kind."""
+        self.remarks[kind] += 1
+        if self.remarks[kind] == 1:
+            self._tell(f"{self.path}: {line}")
+
+    def _look_at(self, number: int, frame: Frame, before: Frame | None) -> None:
+        if len(frame.points) == 0:
+            if frame.num_not_finite:
+                count = f"{frame.num_not_finite:,}"
+                line = f"frame {number}: none of its {count} points is finite"
+                self.remark("not_finite", line)
+            else:
+                self.remark("empty", f"frame {number} is empty")
+        if before is None:
+            return
+        behind = before.timestamp - frame.timestamp
+        if behind > _LATE:
+            line = f"frame {number} is {behind / 1e9:.3f} s older than the one before"
+            self.remark("backward", f"{line}; it is taken as it comes")
+        if frame.size != before.size and None not in (frame.size, before.size):
+            one, other = ("x".join(map(str, f.size or ())) for f in (frame, before))
+            line = f"frame {number} has {one} rows and columns, the one before {other}"
+            self.remark("size", f"{line}; both are taken")
+
+
+_NONE = np.zeros((0, 3), np.float32)
+
+
+def _to_stderr(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

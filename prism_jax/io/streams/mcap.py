@@ -1,0 +1,168 @@
+"""MCAP files, as ROS 2 records them: https://mcap.dev/spec."""
+
+import os
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+
+from prism_jax.io.streams.messages import (
+    CutError,
+    Message,
+    MessageFile,
+    Topic,
+    full_name,
+)
+from prism_jax.io.streams.packed import unpack
+
+MAGIC = b"\x89MCAP0\r\n"
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+_STATISTICS, _DATA_END = 0x0B, 0x0F
+_HEAD = struct.Struct("<BQ")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+_FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
+
+
+class McapFile(MessageFile):
+    """Messages of an MCAP file, chunked or not, packed by zstd, LZ4 or not at all."""
+
+    def topics(self) -> dict[str, Topic]:
+        known = _Channels()
+        counts = self._counts_at_the_end(known)
+        if counts is None:
+            counts = Counter()
+            try:
+                for code, content in self._records():
+                    known.learn(code, content)
+                    if code == _MESSAGE:
+                        counts[_MESSAGE_HEAD.unpack_from(content)[0]] += 1
+            except CutError:
+                pass  # which iterating over the messages tells
+        found: dict[str, Topic] = {}
+        for channel, count in counts.items():
+            name, kind, encoding = known.channels[channel]
+            before = found[name].count if name in found else 0
+            found[name] = Topic(kind, encoding, before + count)
+        return found
+
+    def messages(self, wanted: Collection[str]) -> Iterator[Message]:
+        known = _Channels()
+        for code, content in self._records():
+            known.learn(code, content)
+            if code == _MESSAGE:
+                channel, _, time, _ = _MESSAGE_HEAD.unpack_from(content)
+                if channel not in known.channels:
+                    raise CutError("it has a message of no channel")
+                topic = known.channels[channel][0]
+                if topic in wanted:
+                    yield Message(topic, time, bytes(content[_MESSAGE_HEAD.size :]))
+
+    def _records(self) -> Iterator[tuple[int, memoryview]]:
+        """Records up to the end of the data, those in chunks like the others."""
+        with self.opened(MAGIC, "an MCAP file") as file:
+            size = os.fstat(file.fileno()).st_size
+            while True:
+                head = file.read(_HEAD.size)
+                if len(head) < _HEAD.size:
+                    raise CutError("it ends without an end mark")
+                code, length = _HEAD.unpack(head)
+                if code == _DATA_END:
+                    return
+                whole = file.tell() + length <= size
+                if not whole and code != _CHUNK:
+                    raise CutError("it ends within a record")
+                content = memoryview(file.read(min(length, size)))
+                try:
+                    if code == _CHUNK:
+                        yield from _in_buffer(_unpacked(content), whole)
+                    else:
+                        yield code, content
+                except (struct.error, UnicodeDecodeError) as error:
+                    raise CutError(f"it is damaged ({error})") from None
+                except ValueError as error:
+                    raise CutError(str(error)) from None
+                if not whole:
+                    raise CutError("it ends within a chunk")
+
+    def _counts_at_the_end(self, known: "_Channels") -> dict[int, int] | None:
+        """Messages of each channel by the file's own statistics, if there are any."""
+        with self.opened(MAGIC, "an MCAP file") as file:
+            size = os.fstat(file.fileno()).st_size
+            if size < len(MAGIC) + _FOOTER_BYTES:
+                return None
+            file.seek(size - _FOOTER_BYTES)
+            footer = file.read()
+            code, length = _HEAD.unpack_from(footer)
+            if footer[-len(MAGIC) :] != MAGIC or (code, length) != (_FOOTER, 20):
+                return None
+            (start,) = struct.unpack_from("<Q", footer, _HEAD.size)
+            if not 0 < start < size:
+                return None
+            file.seek(start)
+            summary = memoryview(file.read(size - _FOOTER_BYTES - start))
+        counts = None
+        try:
+            for code, content in _in_buffer(summary, True):
+                known.learn(code, content)
+                if code == _STATISTICS:
+                    # After seven other counts and times.
+                    (length,) = struct.unpack_from("<I", content, 42)
+                    pairs = struct.iter_unpack("<HQ", content[46 : 46 + length])
+                    counts = dict(pairs)
+        except (struct.error, ValueError):
+            return None
+        if counts is None or not counts.keys() <= known.channels.keys():
+            return None
+        return {channel: count for channel, count in counts.items() if count}
+
+
+class _Channels:
+    """What the records that were read say of the channels: topic, type, encoding."""
+
+    def __init__(self):
+        self.channels: dict[int, tuple[str, str, str]] = {}
+        self._schemas: dict[int, str] = {}
+
+    def learn(self, code: int, content: memoryview) -> None:
+        if code == _SCHEMA:
+            (number,) = struct.unpack_from("<H", content)
+            self._schemas[number] = _text(content, 2)[0]
+        elif code == _CHANNEL:
+            number, schema = struct.unpack_from("<HH", content)
+            topic, end = _text(content, 4)
+            encoding, _ = _text(content, end)
+            kind = full_name(self._schemas.get(schema, ""))
+            self.channels[number] = topic, kind, encoding
+
+
+def _in_buffer(data: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
+    """The records of a chunk; of one that is not whole, those that are."""
+    start = 0
+    while start < len(data):
+        if start + _HEAD.size <= len(data):
+            code, length = _HEAD.unpack_from(data, start)
+            end = start + _HEAD.size + length
+            if end <= len(data):
+                yield code, data[start + _HEAD.size : end]
+                start = end
+                continue
+        if whole:
+            raise ValueError("a chunk ends within a record")
+        return
+
+
+def _unpacked(content: memoryview) -> memoryview:
+    """The records of a chunk, or the first of them where it is cut."""
+    if len(content) < 40:
+        return memoryview(b"")
+    (size,) = struct.unpack_from("<Q", content, 16)
+    compression, end = _text(content, 28)
+    return memoryview(unpack(content[end + 8 :], compression, size))
+
+
+def _text(content: memoryview, start: int) -> tuple[str, int]:
+    """A string and where it ends."""
+    (length,) = struct.unpack_from("<I", content, start)
+    end = start + 4 + length
+    if end > len(content):
+        raise ValueError("a string is longer than its record")
+    return bytes(content[start + 4 : end]).decode(), end

@@ -1,0 +1,183 @@
+"""Writes MCAP files of ROS 2 messages, whole or not at all."""
+
+import io
+import os
+import pathlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError, require
+from prism_jax.io.streams.packed import EXTRA
+
+_STAMP, _HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
+_FLOATS = {"f4": 7, "f8": 8}
+_UINT8 = 2
+Maker = Callable[..., Any]
+"""Of a message: takes the makers of all types, by name, and gives one."""
+
+
+class McapOutput:
+    """An MCAP file that is being written. Each message is on the disk at once.
+
+    Until `close` its name ends in `.part.mcap`: what a killed program leaves there can
+    be read up to the last whole message, and what was there under the file's own name
+    is still whole.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        writer = require("mcap.writer", EXTRA)
+        types = require("rosbags.typesys", EXTRA)
+        self._store = types.get_typestore(types.Stores.ROS2_HUMBLE)
+        self.path = pathlib.Path(path)
+        self.part = self.path.with_suffix(".part.mcap")
+        try:
+            self._file = io.BufferedWriter(io.FileIO(self.part, "w"))
+        except OSError as error:
+            self._fail(error)
+        # A chunk for each message, so that none waits for the next.
+        self._writer = writer.Writer(self._file, chunk_size=1)
+        self._writer.start("ros2", "prism_jax")
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+
+    def write(self, topic: str, kind: str, time: int, make: Maker) -> None:
+        """Adds what `make` makes of the types as a message of that type."""
+        if kind not in self._schemas:
+            text, _ = self._store.generate_msgdef(kind, ros_version=2)
+            schema = self._writer.register_schema(kind, "ros2msg", text.encode())
+            self._schemas[kind] = schema
+        if topic not in self._channels:
+            schema = self._schemas[kind]
+            channel = self._writer.register_channel(topic, "cdr", schema)
+            self._channels[topic] = channel
+        message = make(self._store.types)
+        data = bytes(self._store.serialize_cdr(message, kind))
+        # The log's clock cannot be before its zero.
+        time = max(time, 0)
+        try:
+            self._writer.add_message(self._channels[topic], time, data, time)
+            self._file.flush()
+        except OSError as error:
+            self._fail(error)
+
+    def close(self) -> None:
+        """Ends the file and gives it its name."""
+        if self._file.closed:
+            return
+        try:
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            os.replace(self.part, self.path)
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        fault = f"cannot be written ({error.strerror})"
+        remedy = "name another place, or free some space"
+        raise InputError(self.path, fault, remedy) from None
+
+
+def header(types: Any, time: int, frame_id: str) -> Any:
+    """A message's header, of a time in nanoseconds."""
+    seconds, nanoseconds = divmod(max(time, 0), 1_000_000_000)
+    return types[_HEADER](types[_STAMP](seconds, nanoseconds), frame_id)
+
+
+def cloud_message(
+    points: Float[np.ndarray, "N 3"],
+    time: int,
+    frame_id: str = "sensor",
+    labels: Bool[np.ndarray, " N"] | None = None,
+) -> Maker:
+    """A PointCloud2 in the points' own precision, with a `label` of each if given."""
+    scalar = "f8" if points.dtype == np.float64 else "f4"
+    size = np.dtype(scalar).itemsize
+    fields = [(axis, place * size, _FLOATS[scalar]) for place, axis in enumerate("xyz")]
+    if labels is not None:
+        fields.append(("label", 3 * size, _UINT8))
+    step = 3 * size if labels is None else 4 * size
+    rows = np.zeros((len(points), step), np.uint8)
+    positions = np.ascontiguousarray(points, f"<{scalar}")
+    rows[:, : 3 * size] = positions.view(np.uint8).reshape(len(points), 3 * size)
+    if labels is not None:
+        rows[:, 3 * size] = labels
+
+    def make(types: Any) -> Any:
+        field = types["sensor_msgs/msg/PointField"]
+        return types["sensor_msgs/msg/PointCloud2"](
+            header=header(types, time, frame_id),
+            height=1,
+            width=len(points),
+            fields=[field(name, offset, kind, 1) for name, offset, kind in fields],
+            is_bigendian=False,
+            point_step=step,
+            row_step=step * len(points),
+            data=rows.ravel(),
+            is_dense=True,
+        )
+
+    return make
+
+
+def depth_message(counts: np.ndarray, time: int, frame_id: str = "camera") -> Maker:
+    """An Image of depth: 16UC1 in millimetres, or 32FC1 in metres."""
+    encoding = "16UC1" if counts.dtype == np.uint16 else "32FC1"
+    height, width = counts.shape
+    rows = np.ascontiguousarray(counts).view(np.uint8).reshape(height, -1)
+
+    def make(types: Any) -> Any:
+        return types["sensor_msgs/msg/Image"](
+            header=header(types, time, frame_id),
+            height=height,
+            width=width,
+            encoding=encoding,
+            is_bigendian=0,
+            step=rows.shape[1],
+            data=rows.ravel(),
+        )
+
+    return make
+
+
+def camera_message(camera: Camera, time: int, frame_id: str = "camera") -> Maker:
+    """A CameraInfo without distortion."""
+    matrix = np.asarray(camera.intrinsics, np.float64)
+
+    def make(types: Any) -> Any:
+        region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        return types["sensor_msgs/msg/CameraInfo"](
+            header=header(types, time, frame_id),
+            height=camera.height,
+            width=camera.width,
+            distortion_model="plumb_bob",
+            d=np.zeros(5),
+            k=matrix.ravel(),
+            r=np.eye(3).ravel(),
+            p=np.hstack([matrix, np.zeros((3, 1))]).ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=region,
+        )
+
+    return make
+
+
+def joints_message(positions: dict[str, float], time: int) -> Maker:
+    """A JointState of positions alone, in radians or metres, by joint."""
+
+    def make(types: Any) -> Any:
+        return types["sensor_msgs/msg/JointState"](
+            header=header(types, time, ""),
+            name=list(positions),
+            position=np.array(list(positions.values()), np.float64),
+            velocity=np.zeros(0),
+            effort=np.zeros(0),
+        )
+
+    return make

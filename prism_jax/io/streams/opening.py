@@ -1,0 +1,69 @@
+"""Which format a recording has, by its name."""
+
+import os
+import pathlib
+from collections.abc import Callable
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError
+from prism_jax.io.streams.bag import BagFile
+from prism_jax.io.streams.db3 import Db3File
+from prism_jax.io.streams.folders import (
+    CloudFolder,
+    RecordedFrames,
+    is_recordings,
+    natural,
+)
+from prism_jax.io.streams.frame import Stream, Tell
+from prism_jax.io.streams.mcap import McapFile
+from prism_jax.io.streams.messages import MessageFile
+from prism_jax.io.streams.ouster import OusterStream
+from prism_jax.io.streams.ros import RosStream
+
+MESSAGES: dict[str, Callable[[pathlib.Path], MessageFile]] = {
+    ".bag": BagFile,
+    ".db3": Db3File,
+    ".mcap": McapFile,
+}
+OUSTER = (".pcap", ".osf")
+SUFFIXES = (*MESSAGES, *OUSTER)
+
+
+def open_stream(
+    path: str | os.PathLike,
+    topic: str | None = None,
+    camera: Camera | None = None,
+    tell: Tell | None = None,
+) -> Stream:
+    """The frames of a recording.
+
+    A `.bag` of ROS 1, a `.db3` or `.mcap` of ROS 2, a ROS 2 bag's folder of them, an
+    Ouster's `.pcap` or `.osf`, a folder of clouds or depth images, or one of recordings
+    (`prism_jax.data.recordings`). If several topics have frames, ``topic`` chooses; an
+    InputError lists them. A ``camera`` takes the place of the CameraInfo of depth
+    images, with its pose, and says of clouds where their sensor stood. ``tell`` gets a
+    line for each kind of oddity; by default they go to stderr. What cannot be read at
+    all, and a missing package, raise InputError.
+    """
+    place = pathlib.Path(path)
+    suffix = place.suffix.lower()
+    try:
+        files = [p for p in place.iterdir() if p.suffix.lower() in MESSAGES]
+    except NotADirectoryError:
+        files = [place] if suffix in MESSAGES else []
+    except OSError as error:
+        fault = f"cannot be read ({error.strerror})"
+        raise InputError(path, fault, "check the path") from None
+    if files:
+        parts = [MESSAGES[p.suffix.lower()](p) for p in sorted(files, key=natural)]
+        return RosStream(path, parts, topic, camera, tell)
+    if place.is_dir():
+        kind = RecordedFrames if is_recordings(place) else CloudFolder
+    elif suffix in OUSTER:
+        kind = OusterStream
+    else:
+        remedy = f"name a folder or a file of {' '.join(SUFFIXES)}"
+        raise InputError(path, f"has the suffix {suffix!r}, no recording's", remedy)
+    stream = kind(path, topic, tell)
+    stream.camera = camera
+    return stream

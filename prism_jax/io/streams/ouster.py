@@ -1,0 +1,78 @@
+"""Ouster's recordings of its LiDARs: PCAP with its metadata beside it, and OSF."""
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from prism_jax.io.errors import InputError, require
+from prism_jax.io.streams.frame import Frame, Stream, Tell
+
+EXTRA = "ouster"
+
+
+class OusterStream(Stream):
+    """Sweeps of an Ouster as clouds in the sensor's frame, x forward and z up.
+
+    A PCAP needs the sensor's metadata, a JSON of the same name beside it. Of several
+    sensors the topic chooses one, by its serial number. First returns are taken. A
+    sweep that lacks packets is taken as it is, and remarked.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike,
+        topic: str | None = None,
+        tell: Tell | None = None,
+    ):
+        super().__init__(path, tell)
+        self._sdk = require("ouster.sdk", EXTRA)
+        self._core = require("ouster.sdk.core", EXTRA)
+        source = self._open()
+        names = [str(info.sn) for info in source.sensor_info]
+        if topic is None and len(names) > 1:
+            remedy = f"choose with --topic one of {', '.join(names)}"
+            raise InputError(path, f"has {len(names)} sensors", remedy)
+        if topic is not None and topic not in names:
+            remedy = f"choose with --topic one of {', '.join(names)}"
+            raise InputError(path, f"has no sensor {topic}", remedy)
+        self._place = 0 if topic is None else names.index(topic)
+        self.topic = names[self._place]
+        self._count = len(source)
+        source.close()
+
+    def __len__(self) -> int:
+        return self._count
+
+    def _frames(self) -> Iterator[Frame]:
+        source = self._open()
+        try:
+            to_xyz = self._core.XYZLut(source.sensor_info[self._place])
+            for number, sweeps in enumerate(source):
+                sweep = sweeps[self._place]
+                if sweep is None:
+                    continue
+                if not sweep.complete():
+                    seen = np.count_nonzero(np.asarray(sweep.status) & 1)
+                    line = f"sweep {number} lacks {sweep.w - seen} of {sweep.w} columns"
+                    self.remark("incomplete", f"{line}; what is there is taken")
+                hit = np.asarray(sweep.field("RANGE")) > 0
+                yield Frame(
+                    points=to_xyz(sweep)[hit].astype(np.float32),
+                    timestamp=int(sweep.get_first_valid_packet_timestamp()),
+                    size=hit.shape,
+                )
+        finally:
+            source.close()
+
+    def _open(self) -> Any:
+        try:
+            return self._sdk.open_source(self.path, index=True)
+        except Exception as error:  # the SDK raises errors of many kinds
+            fault = str(error).rpartition("more details:")[2].strip()
+            raise InputError(
+                self.path,
+                f"is not an Ouster's recording that can be read ({fault})",
+                "put the sensor's metadata beside it as a .json of the same name",
+            ) from None

@@ -1,0 +1,37 @@
+"""Chunks of recordings, unpacked; of those that are cut, what is there."""
+
+import bz2
+import io
+
+from prism_jax.io.errors import require
+from prism_jax.io.files import MAX_FILE_BYTES
+
+EXTRA = "stream"
+
+
+def unpack(data: bytes | memoryview, compression: str, size: int) -> bytes:
+    """At most ``size`` bytes of packed ones; fewer where these end early.
+
+    ``compression`` is "none" or "", "bz2", "lz4" (in frames) or "zstd". Another one, a
+    size above `MAX_FILE_BYTES` and damaged data raise ValueError.
+    """
+    if size > MAX_FILE_BYTES:
+        raise ValueError(f"a chunk claims {size:,} bytes")
+    if compression in ("", "none"):
+        return bytes(data[:size])
+    if compression == "zstd":
+        zstandard = require("zstandard", EXTRA)
+        try:
+            reader = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data))
+            return reader.read(size)
+        except zstandard.ZstdError as error:
+            raise ValueError(str(error)) from None
+    try:
+        if compression == "lz4":
+            unpacker = require("lz4.frame", EXTRA).LZ4FrameDecompressor()
+            return unpacker.decompress(bytes(data), max_length=size)
+        if compression == "bz2":
+            return bz2.BZ2Decompressor().decompress(bytes(data), max_length=size)
+    except (OSError, EOFError, RuntimeError) as error:
+        raise ValueError(str(error)) from None
+    raise ValueError(f"a chunk is packed by {compression!r}")

@@ -1,0 +1,289 @@
+"""Frames from ROS messages: PointCloud2, or depth Images with their CameraInfo."""
+
+import functools
+import os
+import posixpath
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.depth import camera_from_dict
+from prism_jax.io.errors import InputError, require
+from prism_jax.io.files import MAX_POINTS
+from prism_jax.io.streams.frame import Frame, Stream, Tell
+from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
+from prism_jax.io.streams.packed import EXTRA
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+IMAGE = "sensor_msgs/msg/Image"
+INFO = "sensor_msgs/msg/CameraInfo"
+
+DEPTH = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
+"""Encodings of depth images: the type of a pixel, and metres a count (REP 118)."""
+
+_SCALARS = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1))
+"""PointField's numbers of types."""
+
+
+class RosStream(Stream):
+    """The frames of one topic in one recording, which may be split into several files.
+
+    A cloud's points at the very origin are left out: drivers write lost returns so. Of
+    a depth image the CameraInfo beside it (`camera_info` in the same namespace, or the
+    only one) gives the pinhole; distortion is not undone. A message that cannot be
+    read is left out and remarked.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike,
+        files: Sequence[MessageFile],
+        topic: str | None = None,
+        camera: Camera | None = None,
+        tell: Tell | None = None,
+    ):
+        super().__init__(path, tell)
+        _types()
+        self.camera = camera
+        self._files = files
+        self._topics: dict[str, Topic] = {}
+        for file in files:
+            for name, found in file.topics().items():
+                before = self._topics[name].count if name in self._topics else 0
+                self._topics[name] = found._replace(count=before + found.count)
+        self.topic = self._chosen(topic)
+        self._is_depth = self._topics[self.topic].kind == IMAGE
+        self._info = None
+        if self._is_depth and camera is None:
+            self._info = self._info_topic()
+
+    def __len__(self) -> int:
+        return self._topics[str(self.topic)].count
+
+    def _frames(self) -> Iterator[Frame]:
+        camera = self.camera
+        if self._info is not None:
+            camera = self._first_camera()
+        wanted = {self.topic, self._info} - {None}
+        for message in self._messages(wanted):
+            try:
+                content = self._read(message)
+                if message.topic == self._info:
+                    camera = self._pinhole(content)
+                elif not self._is_depth:
+                    yield _cloud(content, _time(content, message))
+                elif camera is not None:
+                    depth = _depth(content)
+                    if depth.shape != (camera.height, camera.width):
+                        raise ValueError(
+                            f"it has {depth.shape[1]}x{depth.shape[0]} pixels and its "
+                            f"camera {camera.width}x{camera.height}"
+                        )
+                    yield Frame.of_depth(depth, camera, _time(content, message))
+            except ValueError as error:
+                if isinstance(error, InputError):
+                    raise
+                line = f"a message of {message.topic} is left out: {error}"
+                self.remark("damaged", line)
+
+    def _messages(self, wanted: set[str | None]) -> Iterator[Message]:
+        """Those of all files. One that is cut ends early, with a remark."""
+        for file in self._files:
+            count = 0
+            try:
+                for message in file.messages({name for name in wanted if name}):
+                    count += message.topic == self.topic
+                    yield message
+            except CutError as error:
+                line = f"{file.path.name} is cut or damaged: {error}"
+                self.remark("cut", f"{line}; the {count} whole messages are taken")
+
+    def _read(self, message: Message) -> Any:
+        """A message's content. Whatever is wrong with it raises ValueError."""
+        kind, encoding, _ = self._topics[message.topic]
+        store = _types()
+        try:
+            if encoding == "ros1":
+                return store.deserialize_ros1(message.data, kind)
+            return store.deserialize_cdr(message.data, kind)
+        except Exception as error:  # rosbags lets pass whatever it stumbles over
+            raise ValueError(f"it is no {kind} ({type(error).__name__})") from None
+
+    def _chosen(self, topic: str | None) -> str:
+        """The topic that frames are taken from."""
+        fitting = self._fitting(topic)
+        if topic is not None:
+            if topic in fitting:
+                return topic
+            fault = f"has no clouds and no depth images on {topic}"
+        elif len(fitting) == 1:
+            return fitting[0]
+        else:
+            fault = f"has {len(fitting)} topics of clouds and depth images"
+        if fitting:
+            remedy = f"choose with --topic one of {', '.join(fitting)}"
+            raise InputError(self.path, fault, remedy)
+        fault = "has neither PointCloud2 nor depth Image messages"
+        held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
+        remedy = f"record one; it holds {held or 'nothing'}"
+        raise InputError(self.path, fault, remedy)
+
+    def _fitting(self, topic: str | None) -> list[str]:
+        """Topics of the right kind. Of Images the first message tells."""
+        encodings = ("cdr", "ros1")
+        topics = {n: t for n, t in self._topics.items() if t.encoding in encodings}
+        images = {name for name, found in topics.items() if found.kind == IMAGE}
+        if topic is not None:
+            images &= {topic}
+        depths: set[str] = set()
+        for file in self._files:
+            try:
+                for message in file.messages(images) if images else ():
+                    if message.topic in images:
+                        images = images - {message.topic}
+                        if self._holds_depth(message):
+                            depths.add(message.topic)
+                    if not images:
+                        break
+            except CutError:
+                continue
+        return [
+            name
+            for name, found in topics.items()
+            if found.kind == CLOUD or name in depths
+        ]
+
+    def _holds_depth(self, message: Message) -> bool:
+        try:
+            return self._read(message).encoding in DEPTH
+        except ValueError:
+            return False
+
+    def _info_topic(self) -> str:
+        """The topic of the camera's intrinsics."""
+        topic = str(self.topic)
+        infos = [name for name, found in self._topics.items() if found.kind == INFO]
+        beside = posixpath.join(posixpath.dirname(topic), "camera_info")
+        if beside in infos:
+            return beside
+        if len(infos) == 1:
+            return infos[0]
+        fault = f"has depth images on {topic} but no CameraInfo on {beside}"
+        remedy = f"record {beside} too, or give the camera with --camera"
+        raise InputError(self.path, fault, remedy)
+
+    def _pinhole(self, content: Any) -> Camera:
+        """The pinhole of a CameraInfo; ValueError if it is none."""
+        matrix = np.asarray(content.k if hasattr(content, "k") else content.K)
+        distortion = content.d if hasattr(content, "d") else content.D
+        entries: dict[str, Any] = {"width": content.width, "height": content.height}
+        for name, place in (("fx", 0), ("cx", 2), ("fy", 4), ("cy", 5)):
+            entries[name] = float(matrix[place])
+        camera = camera_from_dict(entries)
+        if np.any(distortion):
+            line = f"{self._info} has a distortion, which is not undone"
+            self.remark("distortion", line)
+        return camera
+
+    def _first_camera(self) -> Camera:
+        for file in self._files:
+            try:
+                for message in file.messages({str(self._info)}):
+                    try:
+                        return self._pinhole(self._read(message))
+                    except ValueError:
+                        continue
+            except CutError:
+                continue
+        fault = f"has no CameraInfo on {self._info} that could be read"
+        raise InputError(self.path, fault, "record it again")
+
+
+@functools.cache
+def _types() -> Any:
+    """What reads messages of the standard types, which all releases share."""
+    types = require("rosbags.typesys", EXTRA)
+    return _Both(
+        types.get_typestore(types.Stores.ROS1_NOETIC),
+        types.get_typestore(types.Stores.ROS2_HUMBLE),
+    )
+
+
+class _Both:
+    """Readers of both encodings: CameraInfo's fields have other names in ROS 1."""
+
+    def __init__(self, ros1: Any, ros2: Any):
+        self.deserialize_ros1 = ros1.deserialize_ros1
+        self.deserialize_cdr = ros2.deserialize_cdr
+
+
+def _time(content: Any, message: Message) -> int:
+    """The header's stamp; where nobody filled it in, when it was recorded."""
+    stamp = content.header.stamp
+    return stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
+
+
+def _depth(content: Any) -> Float[np.ndarray, "H W"]:
+    """Depth in metres of an Image; ValueError if it is not as it says."""
+    if content.encoding not in DEPTH:
+        raise ValueError(f"it is an image of {content.encoding}")
+    kind, scale = DEPTH[content.encoding]
+    kind = np.dtype((">" if content.is_bigendian else "<") + kind)
+    height, width, step = content.height, content.width, content.step
+    _check_size(height * width, step * height, len(content.data))
+    if step < width * kind.itemsize:
+        raise ValueError("its rows are shorter than it says")
+    rows = np.asarray(content.data, np.uint8)[: step * height].reshape(height, step)
+    counts = np.ascontiguousarray(rows[:, : width * kind.itemsize]).view(kind)
+    return counts * scale if kind.kind == "u" else counts.astype(np.float32)
+
+
+def _cloud(content: Any, time: int) -> Frame:
+    """The frame of a PointCloud2; ValueError if it is not as it says."""
+    fields = {field.name: field for field in content.fields}
+    if not fields.keys() >= set("xyz"):
+        raise ValueError(f"its points have {', '.join(fields) or 'nothing'}, not x y z")
+    height, width = content.height, content.width
+    step, row = content.point_step, content.row_step
+    _check_size(height * width, row * height, len(content.data))
+    order = ">" if content.is_bigendian else "<"
+    kinds = [_SCALARS.get(fields[axis].datatype, "") for axis in "xyz"]
+    ends = [
+        fields[axis].offset + np.dtype(kind).itemsize
+        for axis, kind in zip("xyz", kinds, strict=True)
+        if kind in ("f4", "f8")
+    ]
+    if len(ends) < 3 or max(ends) > step or row < step * width:
+        raise ValueError("its points are not laid out as it says")
+    layout = np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": [order + kind for kind in kinds],
+            "offsets": [fields[axis].offset for axis in "xyz"],
+            "itemsize": step,
+        }
+    )
+    data = np.asarray(content.data, np.uint8)[: row * height].reshape(height, row)
+    rows = np.ascontiguousarray(data[:, : step * width]).view(layout).ravel()
+    single = all(kind == "f4" for kind in kinds)
+    points = np.empty((len(rows), 3), np.float32 if single else np.float64)
+    for place, axis in enumerate("xyz"):
+        points[:, place] = rows[axis]
+    finite = np.isfinite(points).all(axis=1)
+    kept = finite & (points != 0).any(axis=1)
+    return Frame(
+        points=points[kept],
+        timestamp=time,
+        num_not_finite=int((~finite).sum()),
+        size=(height, width) if height > 1 else None,
+    )
+
+
+def _check_size(count: int, claimed: int, held: int) -> None:
+    if count > MAX_POINTS:
+        raise ValueError(f"it claims {count:,} points, more than {MAX_POINTS:,}")
+    if held < claimed:
+        raise ValueError(f"it claims {claimed:,} bytes and holds {held:,}")

@@ -1,0 +1,71 @@
+"""Where completed frames go: a folder of PLY files, or an MCAP file."""
+
+import os
+import pathlib
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.ply import ply_bytes
+from prism_jax.io.streams.mcap_output import McapOutput, cloud_message
+
+TOPIC = "/completed"
+"""Of the clouds in an MCAP file."""
+
+
+class Labelled(NamedTuple):
+    """A completed frame as it is written: `observed` is False for predicted points."""
+
+    number: int
+    timestamp: int
+    points: Float[np.ndarray, "M 3"]
+    observed: Bool[np.ndarray, " M"]
+
+
+@runtime_checkable
+class Sink(Protocol):
+    """Takes frames one after the other."""
+
+    def write(self, frame: Labelled) -> None:
+        """Keeps or shows a frame."""
+
+    def close(self) -> None:
+        """Ends what was written. Called once, also where the stream was broken off."""
+
+
+class PlyFolder:
+    """A PLY file for each frame, named by its number in the recording, each whole."""
+
+    def __init__(self, path: str | os.PathLike):
+        self.path = make_output_dir(path)
+
+    def write(self, frame: Labelled) -> None:
+        name = f"{frame.number:06d}.ply"
+        write_bytes(self.path / name, ply_bytes(frame.points, ~frame.observed))
+
+    def close(self) -> None:
+        pass
+
+
+class McapSink:
+    """PointCloud2 messages on `TOPIC`, with a `label`: 0 observed, 1 completed."""
+
+    def __init__(self, path: str | os.PathLike):
+        make_output_dir(pathlib.Path(path).parent)
+        self._output = McapOutput(path)
+
+    def write(self, frame: Labelled) -> None:
+        cloud = cloud_message(frame.points, frame.timestamp, labels=~frame.observed)
+        kind = "sensor_msgs/msg/PointCloud2"
+        self._output.write(TOPIC, kind, frame.timestamp, cloud)
+
+    def close(self) -> None:
+        self._output.close()
+
+
+def open_sink(path: str | os.PathLike) -> Sink:
+    """An MCAP file where the name ends in .mcap, else a folder of PLY files."""
+    is_mcap = pathlib.Path(path).suffix.lower() == ".mcap"
+    return McapSink(path) if is_mcap else PlyFolder(path)

@@ -1,0 +1,1 @@
+"""Frames of a sensor completed one after the other, at its rate."""

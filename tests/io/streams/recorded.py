@@ -1,0 +1,162 @@
+"""Recordings written by rosbags, which we did not write: bags, .db3 and MCAP."""
+
+import numpy as np
+import pytest
+
+rosbag1 = pytest.importorskip("rosbags.rosbag1")
+rosbag2 = pytest.importorskip("rosbags.rosbag2")
+typesys = pytest.importorskip("rosbags.typesys")
+
+ROS1 = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+ROS2 = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+CLOUD, IMAGE, INFO, TEXT = (
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CameraInfo",
+    "std_msgs/msg/String",
+)
+SECOND = 1_000_000_000
+
+
+def _header(store, time):
+    stamp = store.types["builtin_interfaces/msg/Time"](time // SECOND, time % SECOND)
+    seq = {"seq": 0} if store is ROS1 else {}
+    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="lidar", **seq)
+
+
+def cloud(points, time, store=ROS2, height=1, big=False, gap=4, tail=0):
+    """A PointCloud2 with an intensity before x, y, z and padding behind them."""
+    scalar = (">" if big else "<") + ("f8" if points.dtype == np.float64 else "f4")
+    size = np.dtype(scalar).itemsize
+    step = gap + 3 * size + tail
+    rows = np.full((len(points), step), 7, np.uint8)
+    ordered = np.ascontiguousarray(points.astype(scalar))
+    rows[:, gap : gap + 3 * size] = ordered.view(np.uint8).reshape(
+        len(points), 3 * size
+    )
+    kind = 8 if size == 8 else 7
+    field = store.types["sensor_msgs/msg/PointField"]
+    fields = [field("intensity", 0, 7, 1)] + [
+        field(axis, gap + i * size, kind, 1) for i, axis in enumerate("xyz")
+    ]
+    return store.types[CLOUD](
+        header=_header(store, time),
+        height=height,
+        width=len(points) // height,
+        fields=fields,
+        is_bigendian=big,
+        point_step=step,
+        row_step=step * (len(points) // height),
+        data=rows.ravel(),
+        is_dense=False,
+    )
+
+
+def image(pixels, time, store=ROS2, encoding="16UC1", padding=0):
+    rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
+    rows = np.pad(rows, ((0, 0), (0, padding)))
+    return store.types[IMAGE](
+        header=_header(store, time),
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=rows.shape[1],
+        data=rows.ravel(),
+    )
+
+
+def info(width, height, focal, time=0, store=ROS2, distortion=0.0):
+    k = np.array([focal, 0, (width - 1) / 2, 0, focal, (height - 1) / 2, 0, 0, 1.0])
+    values = {
+        "d": np.full(5, distortion),
+        "k": k,
+        "r": np.eye(3).ravel(),
+        "p": np.zeros(12),
+    }
+    if store is ROS1:
+        values = {name.upper(): value for name, value in values.items()}
+    region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    return store.types[INFO](
+        header=_header(store, time),
+        height=height,
+        width=width,
+        distortion_model="plumb_bob",
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+        **values,
+    )
+
+
+def write_bag(path, messages, packed=None):
+    """A ROS 1 bag of ``(topic, type, log time, message)``; `packed` is "bz2", "lz4"."""
+    writer = rosbag1.Writer(path)
+    if packed:
+        writer.set_compression(rosbag1.Writer.CompressionFormat[packed.upper()])
+    with writer:
+        known = {}
+        for topic, kind, time, message in messages:
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=ROS1)
+            data = ROS1.serialize_ros1(message, kind)
+            writer.write(known[topic], time, bytes(data))
+    return path
+
+
+def write_bag2(path, messages, plugin="SQLITE3"):
+    """A ROS 2 bag's folder; gives the file in it."""
+    storage = rosbag2.StoragePlugin[plugin]
+    writer = rosbag2.Writer(path, version=8, storage_plugin=storage)
+    with writer:
+        known = {}
+        for topic, kind, time, message in messages:
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=ROS2)
+            data = ROS2.serialize_cdr(message, kind)
+            writer.write(known[topic], time, bytes(data))
+    (file,) = [p for p in path.iterdir() if p.suffix in (".db3", ".mcap")]
+    return file
+
+
+def write_mcap(path, messages, packed="ZSTD", chunk=4096, log_only=False):
+    """An MCAP file by the `mcap` package."""
+    mcap = pytest.importorskip("mcap.writer")
+    with open(path, "wb") as file:
+        writer = mcap.Writer(
+            file,
+            chunk_size=chunk,
+            compression=mcap.CompressionType[packed],
+            use_chunking=chunk > 0,
+        )
+        writer.start()
+        channels = {}
+        for topic, kind, time, message in messages:
+            if topic not in channels:
+                text, _ = ROS2.generate_msgdef(kind, ros_version=2)
+                schema = writer.register_schema(kind, "ros2msg", text.encode())
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            data = bytes(ROS2.serialize_cdr(message, kind))
+            writer.add_message(channels[topic], time, data, time)
+        writer.finish()
+    return path
+
+
+WRITERS = {
+    "bag": lambda folder, m: write_bag(folder / "r.bag", m),
+    "bag-bz2": lambda folder, m: write_bag(folder / "r.bag", m, "bz2"),
+    "bag-lz4": lambda folder, m: write_bag(folder / "r.bag", m, "lz4"),
+    "db3": lambda folder, m: write_bag2(folder / "r", m),
+    "db3-folder": lambda folder, m: write_bag2(folder / "r", m).parent,
+    "rosbags-mcap": lambda folder, m: write_bag2(folder / "r", m, "MCAP"),
+    "mcap-zstd": lambda folder, m: write_mcap(folder / "r.mcap", m),
+    "mcap-lz4": lambda folder, m: write_mcap(folder / "r.mcap", m, "LZ4"),
+    "mcap-plain": lambda folder, m: write_mcap(folder / "r.mcap", m, "NONE"),
+    "mcap-unchunked": lambda folder, m: write_mcap(folder / "r.mcap", m, "NONE", 0),
+}
+"""Each takes a folder and messages, and gives the path to open."""
+
+
+def store_of(writer):
+    """The types of the messages that a writer takes."""
+    return ROS1 if writer.startswith("bag") else ROS2

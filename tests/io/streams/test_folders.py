@@ -1,0 +1,123 @@
+"""Folders of clouds, of depth images, and of recordings."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from prism_jax.assets import asset
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.io.clouds import read_points
+from prism_jax.io.depth import camera_to_dict, points_from_depth, read_depth
+from prism_jax.io.errors import InputError
+from prism_jax.io.ply import write_ply
+from prism_jax.io.scan import read_scan
+from prism_jax.io.streams import open_stream
+
+POINTS = np.random.default_rng(0).normal(size=(100, 3)).astype(np.float32)
+
+
+def test_clouds_by_the_numbers_in_their_names(tmp_path):
+    for number in (10, 9, 100):
+        write_ply(tmp_path / f"scan{number}.ply", POINTS + number)
+    np.save(tmp_path / "scan11.npy", POINTS + 11)
+    (tmp_path / "notes.md").write_text("no cloud")
+    stream = open_stream(tmp_path)
+    assert len(stream) == 4
+    frames = list(stream)
+    for frame, number in zip(frames, (9, 10, 11, 100), strict=True):
+        np.testing.assert_array_equal(frame.points, POINTS + number)
+    assert [frame.timestamp for frame in frames] == [0, 10**8, 2 * 10**8, 3 * 10**8]
+
+
+def test_a_cut_file_is_left_out_with_a_line(tmp_path):
+    for number in range(3):
+        write_ply(tmp_path / f"{number}.ply", POINTS)
+    path = tmp_path / "1.ply"
+    path.write_bytes(path.read_bytes()[:-10])
+    spoilt = POINTS.copy()
+    spoilt[:5] = np.nan
+    write_ply(tmp_path / "3.ply", spoilt)
+    lines = []
+    stream = open_stream(tmp_path, tell=lines.append)
+    assert [f.num_not_finite for f in stream] == [0, 0, 5]
+    (line,) = lines
+    assert "1.ply is left out" in line and stream.remarks == {"damaged": 1}
+
+
+def test_depth_images_are_those_of_a_scan(tmp_path):
+    source = asset("roboarm") / "000-panda" / "000000"
+    image, about = (
+        source.with_name(f"000000.{n}") for n in ("depth.png", "camera.json")
+    )
+    for number in range(2):
+        shutil.copy(image, tmp_path / f"{number}.png")
+    shutil.copy(about, tmp_path / "camera.json")
+    frames = list(open_stream(tmp_path))
+    scan = read_scan(image, about)
+    for frame in frames:
+        np.testing.assert_array_equal(frame.points, scan.points)
+        assert camera_to_dict(frame.camera) == camera_to_dict(scan.camera)
+    depth, mask, _ = read_depth(image, about)
+    np.testing.assert_array_equal(frames[0].depth, np.where(mask, depth, 0))
+    # Its own camera goes first.
+    other = json.loads(about.read_text()) | {"depth_scale": 0.001}
+    (tmp_path / "1.json").write_text(json.dumps(other))
+    first, second = open_stream(tmp_path)
+    np.testing.assert_allclose(second.depth, 4 * first.depth)
+
+
+def test_a_camera_that_is_given_goes_first(tmp_path):
+    root = asset("roboarm")
+    (frame,) = open_stream(root, "depth")
+    own = dataclasses.replace(frame.camera, rotation=np.eye(3), translation=np.zeros(3))
+    (moved,) = open_stream(root, "depth", own)
+    wanted = points_from_depth(frame.depth, frame.depth > 0, own)
+    np.testing.assert_array_equal(moved.points, wanted)
+    (cloud,) = open_stream(root, "partial", own)
+    assert cloud.camera is own
+    with pytest.raises(InputError, match="--camera: has 8x8 pixels, images 640x480"):
+        list(open_stream(root, "depth", own.resized(8, 8)))
+
+
+def test_recordings_have_two_topics():
+    root = asset("roboarm")
+    with pytest.raises(InputError, match="choose with --topic one of depth, partial"):
+        open_stream(root)
+    cells = RecordedCells(root)
+    (partial,) = open_stream(root, "partial")
+    np.testing.assert_array_equal(partial.points, cells[0].partial)
+    (depth,) = open_stream(root, "depth")
+    frame = cells.read(0)
+    np.testing.assert_array_equal(
+        np.rint(depth.depth / 0.00025).astype(np.uint16), frame.depth
+    )
+    assert camera_to_dict(depth.camera) == camera_to_dict(partial.camera)
+    # One of its sequences is a recording, too.
+    (again,) = open_stream(root / "000-panda", "depth")
+    np.testing.assert_array_equal(again.points, depth.points)
+
+
+def test_what_cannot_be_a_stream_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="is a folder without frames"):
+        open_stream(tmp_path)
+    with pytest.raises(InputError, match="No such file"):
+        open_stream(tmp_path / "no.bag")
+    write_ply(tmp_path / "scan.ply", POINTS)
+    with pytest.raises(InputError, match=r"suffix '.ply', no recording's"):
+        open_stream(tmp_path / "scan.ply")
+    with pytest.raises(InputError, match="leave --topic out"):
+        open_stream(tmp_path, "/points")
+    Image.fromarray(np.ones((4, 4), np.uint16)).save(tmp_path / "depth.png")
+    with pytest.raises(InputError, match="holds 1 clouds and 1 images"):
+        open_stream(tmp_path)
+
+
+def test_a_cloud_is_what_read_points_gives(tmp_path):
+    np.savetxt(tmp_path / "a.xyz", POINTS)
+    (frame,) = open_stream(tmp_path)
+    np.testing.assert_array_equal(frame.points, read_points(tmp_path / "a.xyz"))
+    assert frame.points.dtype == np.float64

@@ -1,0 +1,53 @@
+"""Ouster's captures, where its SDK is installed; else the hint."""
+
+import importlib.util
+import shutil
+
+import numpy as np
+import pytest
+
+from prism_jax.io.errors import InputError
+from prism_jax.io.streams import open_stream
+
+NAME = "ouster/OS-0-128-U1_v2.3.0_1024x10"
+INSTALLED = importlib.util.find_spec("ouster") is not None
+with_sdk = pytest.mark.skipif(not INSTALLED, reason="ouster-sdk is not installed")
+
+
+@pytest.mark.skipif(INSTALLED, reason="ouster-sdk is installed")
+def test_without_the_sdk_there_is_a_hint(tmp_path):
+    path = tmp_path / "a.pcap"
+    path.write_bytes(b"anything")
+    with pytest.raises(InputError, match=r'pip install "prism_jax\[ouster\]"'):
+        open_stream(path)
+
+
+@with_sdk
+def test_a_capture_with_its_metadata(real):
+    stream = open_stream(real(f"{NAME}.pcap"))
+    assert len(stream) == 1 and stream.topic == "122150000150"
+    for _ in range(2):
+        (frame,) = stream
+        assert frame.points.shape == (97_299, 3) and frame.size == (128, 1024)
+        assert frame.timestamp == 1_650_408_693_797_044_000
+        # A sweep around the sensor, the nearest return beyond its own housing.
+        away = np.linalg.norm(frame.points, axis=1)
+        assert away.min() > 0.2 and 100 < away.max() < 200
+    assert not stream.remarks
+
+
+@with_sdk
+def test_a_cut_capture_and_one_without_metadata(real, tmp_path):
+    data = real(f"{NAME}.pcap").read_bytes()
+    (tmp_path / "cut.pcap").write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match="put the sensor's metadata beside it"):
+        open_stream(tmp_path / "cut.pcap")
+    shutil.copy(real(f"{NAME}.json"), tmp_path / "cut.json")
+    lines = []
+    stream = open_stream(tmp_path / "cut.pcap", tell=lines.append)
+    (frame,) = stream
+    assert 40_000 < len(frame.points) < 60_000
+    (line,) = lines
+    assert "sweep 0 lacks 528 of 1024 columns" in line
+    with pytest.raises(InputError, match="has no sensor 7"):
+        open_stream(tmp_path / "cut.pcap", "7")

@@ -1,0 +1,92 @@
+"""What is written is what others read."""
+
+import numpy as np
+import pytest
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.clouds import read_points
+from prism_jax.io.errors import InputError
+from prism_jax.io.streams import open_stream
+from prism_jax.io.streams.mcap_output import (
+    McapOutput,
+    camera_message,
+    depth_message,
+    joints_message,
+)
+from prism_jax.io.streams.sinks import TOPIC, Labelled, open_sink
+
+highlevel = pytest.importorskip("rosbags.highlevel")
+reader = pytest.importorskip("mcap.reader")
+
+POINTS = np.random.default_rng(0).normal(size=(50, 3))
+OBSERVED = np.arange(50) < 20
+
+
+@pytest.mark.parametrize("scalar", [np.float32, np.float64])
+def test_clouds_with_labels(scalar, tmp_path):
+    path = tmp_path / "new" / "out.mcap"
+    sink = open_sink(path)
+    points = POINTS.astype(scalar)
+    for number in range(3):
+        time = 7_000_000_000 + number
+        sink.write(Labelled(number, time, points + number, OBSERVED))
+    assert not path.exists()
+    # What a killed program leaves is read up to the last frame.
+    left = path.with_name("out.part.mcap")
+    assert len(list(open_stream(left, tell=lambda _: None))) == 3
+    sink.close()
+    sink.close()
+    assert not left.exists()
+    stream = open_stream(path)
+    assert stream.topic == TOPIC and len(stream) == 3
+    for number, frame in enumerate(stream):
+        np.testing.assert_array_equal(frame.points, points + number)
+        assert frame.points.dtype == scalar
+        assert frame.timestamp == 7_000_000_000 + number
+    with highlevel.AnyReader([path]) as bag:
+        (connection,) = bag.connections
+        for _, time, data in bag.messages():
+            message = bag.deserialize(data, connection.msgtype)
+            rows = message.data.reshape(50, message.point_step)
+            (label,) = [f for f in message.fields if f.name == "label"]
+            np.testing.assert_array_equal(rows[:, label.offset], ~OBSERVED)
+            assert time == 7_000_000_000 + message.header.stamp.nanosec
+    with open(path, "rb") as file:
+        summary = reader.make_reader(file, validate_crcs=True).get_summary()
+    assert summary.statistics.message_count == 3
+
+
+def test_a_file_a_frame(tmp_path):
+    sink = open_sink(tmp_path / "out")
+    sink.write(Labelled(12, 0, POINTS, OBSERVED))
+    sink.close()
+    (path,) = (tmp_path / "out").iterdir()
+    assert path.name == "000012.ply"
+    np.testing.assert_array_equal(read_points(path), POINTS)
+
+
+def test_depth_camera_and_joints(tmp_path):
+    camera = Camera.look_at((0, 0, 1), (0, 0, 0), height=4, width=6)
+    counts = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    output = McapOutput(tmp_path / "out.mcap")
+    output.write("/d/image", "sensor_msgs/msg/Image", 5, depth_message(counts, 5))
+    about = camera_message(camera, 5)
+    output.write("/d/camera_info", "sensor_msgs/msg/CameraInfo", 5, about)
+    joints = joints_message({"elbow": 0.5, "wrist": -1.0}, 5)
+    output.write("/joint_states", "sensor_msgs/msg/JointState", 5, joints)
+    output.close()
+    (frame,) = open_stream(tmp_path / "out.mcap")
+    np.testing.assert_allclose(frame.depth, 0.001 * counts)
+    np.testing.assert_allclose(frame.camera.intrinsics, camera.intrinsics)
+    with highlevel.AnyReader([tmp_path / "out.mcap"]) as bag:
+        found = [c for c in bag.connections if c.topic == "/joint_states"]
+        ((connection, _, data),) = bag.messages(found)
+        message = bag.deserialize(data, connection.msgtype)
+    assert message.name == ["elbow", "wrist"]
+    assert message.position.tolist() == [0.5, -1.0]
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "out.part.mcap").mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        McapOutput(tmp_path / "out.mcap")

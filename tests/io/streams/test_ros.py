@@ -1,0 +1,274 @@
+"""Bags, .db3 and MCAP files that other packages wrote."""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.depth import points_from_depth
+from prism_jax.io.errors import InputError
+from prism_jax.io.streams import open_stream, ros
+from tests.io.streams.recorded import (
+    CLOUD,
+    IMAGE,
+    INFO,
+    ROS1,
+    ROS2,
+    SECOND,
+    TEXT,
+    WRITERS,
+    cloud,
+    image,
+    info,
+    store_of,
+    write_mcap,
+)
+
+RNG = np.random.default_rng(0)
+CLOUDS = [RNG.normal(size=(n, 3)).astype(np.float32) for n in (200, 150, 300, 180)]
+START = 1_700_000_000 * SECOND
+
+
+def clouds(store, topic="/points", stamped=True):
+    """Four clouds a tenth of a second apart, and some words between them."""
+    found = []
+    for number, points in enumerate(CLOUDS):
+        time = START + number * SECOND // 10
+        message = cloud(points, time if stamped else 0, store)
+        found.append((topic, CLOUD, time + 5, message))
+        words = store.types[TEXT](data="no cloud")
+        found.append(("/chatter", TEXT, time + 6, words))
+    return found
+
+
+def lines_of(stream):
+    """The frames, and what was told."""
+    lines = []
+    stream._tell = lines.append
+    return list(stream), lines
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_clouds_are_read_as_they_were_written(writer, tmp_path):
+    path = WRITERS[writer](tmp_path, clouds(store_of(writer)))
+    stream = open_stream(path)
+    assert len(stream) == 4 and stream.topic == "/points"
+    for _ in range(2):
+        frames, lines = lines_of(stream)
+        assert not lines
+        for number, (frame, points) in enumerate(zip(frames, CLOUDS, strict=True)):
+            np.testing.assert_array_equal(frame.points, points)
+            assert frame.points.dtype == np.float32
+            assert frame.timestamp == START + number * SECOND // 10
+            assert frame.camera is None and frame.depth is None
+
+
+@pytest.mark.parametrize("writer", ["bag", "bag-lz4", "db3", "mcap-zstd", "mcap-plain"])
+@pytest.mark.parametrize("share", [0.6, 0.8, 0.95])
+def test_a_cut_file_gives_every_whole_message_and_one_line(writer, share, tmp_path):
+    many = [m for _ in range(10) for m in clouds(store_of(writer))]
+    path = WRITERS[writer](tmp_path, many)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    stream = open_stream(path)
+    frames, lines = lines_of(stream)
+    assert len(frames) == len(stream)
+    least = 0 if writer.startswith(("bag", "db3")) else int(40 * share) - 4
+    assert least <= len(frames) <= 40
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.points, CLOUDS[number % 4])
+    assert sum("is cut or damaged" in line for line in lines) == 1
+    assert stream.remarks["cut"] == 1
+
+
+def test_a_cut_plain_chunk_gives_its_whole_messages(tmp_path):
+    """All 40 are in one chunk, of which a half is there."""
+    many = [m for _ in range(10) for m in clouds(ROS2)]
+    path = write_mcap(tmp_path / "r.mcap", many, "NONE", 10**9)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    frames, _ = lines_of(open_stream(path))
+    assert 18 <= len(frames) <= 21
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".db3", ".mcap"])
+@pytest.mark.parametrize("content", [b"", b"not a recording at all" * 9])
+def test_what_is_no_recording_is_one_line(suffix, content, tmp_path):
+    path = tmp_path / f"r{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="is not a"):
+        open_stream(path)
+
+
+def test_any_byte_may_be_wrong(tmp_path):
+    """Whatever is damaged, there is no other error, and no frame of other points."""
+    path = write_mcap(tmp_path / "r.mcap", clouds(ROS2), "NONE")
+    bag = WRITERS["bag"](tmp_path, clouds(ROS1))
+    rng = np.random.default_rng(1)
+    for place in (path, bag):
+        data = bytearray(place.read_bytes())
+        for _ in range(60):
+            spoilt = bytearray(data)
+            spoilt[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+            place.write_bytes(spoilt)
+            try:
+                frames, _ = lines_of(open_stream(place))
+            except InputError:
+                continue
+            assert len(frames) <= 4
+
+
+@pytest.mark.parametrize("scalar", [np.float32, np.float64])
+@pytest.mark.parametrize("big", [False, True])
+def test_layouts_of_clouds(scalar, big, tmp_path):
+    points = RNG.normal(size=(12, 3)).astype(scalar)
+    message = cloud(points, START, height=3, big=big, gap=8, tail=5)
+    path = write_mcap(tmp_path / "r.mcap", [("/p", CLOUD, 1, message)])
+    (frame,) = open_stream(path)
+    np.testing.assert_array_equal(frame.points, points)
+    assert frame.points.dtype == scalar and frame.size == (3, 4)
+
+
+def test_odd_frames_are_told_and_counted(tmp_path):
+    points = CLOUDS[0].copy()
+    some, none = points.copy(), np.full_like(points, np.nan)
+    some[:7] = np.nan
+    some[7:10] = 0.0
+    wide, tall = cloud(points, START, height=2), cloud(points, START, height=4)
+    short = cloud(points, START)
+    short.data = short.data[:-9]
+    nameless = cloud(points, START)
+    nameless.fields = nameless.fields[:2]
+    given = [
+        cloud(some, START + SECOND),
+        cloud(none, START + 2 * SECOND),
+        cloud(points[:0], START + 3 * SECOND),
+        short,
+        nameless,
+        wide,
+        tall,
+    ]
+    messages = [("/p", CLOUD, n, message) for n, message in enumerate(given)]
+    stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
+    frames, lines = lines_of(stream)
+    assert [len(frame.points) for frame in frames] == [190, 0, 0, 200, 200]
+    assert [frame.num_not_finite for frame in frames] == [7, 200, 0, 0, 0]
+    kinds = {"not_finite": 1, "empty": 1, "damaged": 2, "backward": 1, "size": 1}
+    assert stream.remarks == kinds
+    told = " | ".join(lines)
+    assert len(lines) == 5
+    for words in (
+        "frame 1: none of its 200 points is finite",
+        "frame 2 is empty",
+        "a message of /p is left out: it claims",
+        "frame 3 is 3.000 s older than the one before",
+        "frame 4 has 4x50 rows and columns, the one before 2x100",
+    ):
+        assert words in told
+
+
+def test_without_a_stamp_the_log_tells_the_time(tmp_path):
+    path = write_mcap(tmp_path / "r.mcap", clouds(ROS2, stamped=False))
+    assert [f.timestamp - START for f in open_stream(path)][:2] == [5, SECOND // 10 + 5]
+
+
+@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+def test_depth_images_with_their_camera(writer, encoding, tmp_path):
+    store = store_of(writer)
+    metres = np.round(RNG.uniform(0.5, 2.0, (6, 8)), 3)
+    metres[0, :3] = 0.0
+    pixels = np.rint(1000 * metres).astype(np.uint16)
+    if encoding == "32FC1":
+        pixels = metres.astype(np.float32)
+        pixels[0, 0] = np.nan
+    messages = [
+        ("/cam/depth", IMAGE, 1, image(pixels, START, store, encoding, padding=4)),
+        ("/cam/camera_info", INFO, 2, info(8, 6, 10.0, store=store)),
+        ("/cam/rgb", IMAGE, 3, image(np.zeros((6, 24), np.uint8), 0, store, "rgb8")),
+        ("/rgb/camera_info", INFO, 4, info(640, 480, 500.0, store=store)),
+    ]
+    stream = open_stream(WRITERS[writer](tmp_path, messages))
+    assert stream.topic == "/cam/depth" and len(stream) == 1
+    (frame,), lines = lines_of(stream)
+    assert not lines and frame.timestamp == START and frame.size == (6, 8)
+    np.testing.assert_allclose(frame.depth, metres, atol=1e-6)
+    mask = metres > 0
+    wanted = points_from_depth(frame.depth, mask, frame.camera)
+    np.testing.assert_array_equal(frame.points, wanted)
+    assert frame.camera.intrinsics[0, 0] == 10.0 and frame.camera.width == 8
+
+
+def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
+    pixels = np.full((4, 4), 1000, np.uint16)
+    path = write_mcap(
+        tmp_path / "r.mcap", [("/cam/depth", IMAGE, 1, image(pixels, START))]
+    )
+    with pytest.raises(InputError) as error:
+        open_stream(path)
+    assert "no CameraInfo on /cam/camera_info; record /cam/camera_info too" in str(
+        error.value
+    )
+    given = Camera.look_at((0, 0, 3.0), (0, 0, 0), height=4, width=4)
+    (frame,) = open_stream(path, camera=given)
+    # One metre in front of a camera that looks down from three.
+    np.testing.assert_allclose(frame.points[:, 2], 2.0, atol=1e-6)
+
+
+def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
+    messages = [
+        ("/camera_info", INFO, 0, info(4, 4, 5.0, distortion=0.1)),
+        ("/depth", IMAGE, 1, image(np.full((4, 4), 900, np.uint16), START)),
+        ("/depth", IMAGE, 2, image(np.full((4, 6), 900, np.uint16), START)),
+        ("/camera_info", INFO, 3, info(6, 4, 5.0, distortion=0.1)),
+        ("/depth", IMAGE, 4, image(np.full((4, 6), 900, np.uint16), START)),
+    ]
+    stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
+    frames, lines = lines_of(stream)
+    assert [frame.size for frame in frames] == [(4, 4), (4, 6)]
+    told = " | ".join(lines)
+    assert "it has 6x4 pixels and its camera 4x4" in told
+    assert "frame 1 has 4x6 rows and columns" in told
+    assert "/camera_info has a distortion, which is not undone" in told
+
+
+def test_several_topics_are_listed(tmp_path):
+    both = clouds(ROS2, "/front") + clouds(ROS2, "/rear")[:2]
+    path = write_mcap(tmp_path / "r.mcap", both)
+    with pytest.raises(InputError) as error:
+        open_stream(path)
+    assert str(error.value).endswith("choose with --topic one of /front, /rear")
+    assert len(open_stream(path, "/front")) == 4
+    assert len(open_stream(path, "/rear")) == 1
+    with pytest.raises(InputError, match="no clouds and no depth images on /side"):
+        open_stream(path, "/side")
+
+
+def test_a_file_without_frames_says_what_it_holds(tmp_path):
+    messages = [m for m in clouds(ROS2) if m[0] == "/chatter"]
+    path = write_mcap(tmp_path / "r.mcap", messages)
+    with pytest.raises(InputError, match=r"it holds /chatter \(std_msgs/msg/String\)"):
+        open_stream(path)
+
+
+def test_a_split_recording_is_one(tmp_path):
+    for number in (10, 9):
+        points = CLOUDS[number % 4]
+        message = ("/p", CLOUD, number, cloud(points, START + number * SECOND))
+        write_mcap(tmp_path / f"r_{number}.mcap", [message])
+    frames, lines = lines_of(open_stream(tmp_path))
+    assert [len(f.points) for f in frames] == [len(CLOUDS[1]), len(CLOUDS[2])]
+    assert not lines
+
+
+def test_a_missing_package_is_one_line(tmp_path, monkeypatch):
+    path = write_mcap(tmp_path / "r.mcap", clouds(ROS2))
+    ros._types.cache_clear()
+    for name in [n for n in sys.modules if n.startswith("rosbags")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "path", [])
+    importlib.invalidate_caches()
+    with pytest.raises(InputError, match=r'pip install "prism_jax\[stream\]"'):
+        open_stream(path)

@@ -1,0 +1,116 @@
+"""Frames are completed as scans are."""
+
+import numpy as np
+import pytest
+
+from prism_jax.completion import Completer
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.scan import parse_bounds
+from prism_jax.io.streams import Frame
+from prism_jax.observation import observation
+from prism_jax.observation.accumulation import Accumulator
+from prism_jax.streams.completer import FrameCompleter
+
+RNG = np.random.default_rng(0)
+
+
+def shell(number, scalar=np.float32):
+    """What is seen from the origin of a box in front of it."""
+    points = RNG.uniform([3, -1, -0.5], [4, 1, 0.5], (300 + 40 * number, 3))
+    points[::2, 0] = 3.0
+    return points.astype(scalar)
+
+
+@pytest.fixture(scope="module")
+def completer(minimal, minimal_variables):
+    return Completer(minimal.config, minimal_variables)
+
+
+@pytest.mark.parametrize("scalar", [np.float32, np.float64])
+def test_a_frame_is_what_a_scan_is_bit_for_bit(completer, scalar):
+    camera = Camera.look_at((0, 0, 1.0), (3.5, 0, 0))
+    stream = FrameCompleter(completer)
+    for number, view in enumerate((None, camera)):
+        points = shell(number, scalar)
+        done = stream.complete(Frame(points, 7, view))
+        whole = completer.complete(points, view, adapt=False, density=0.0)
+        np.testing.assert_array_equal(done.points, whole.points)
+        np.testing.assert_array_equal(done.observed, whole.observed)
+        assert done.points.dtype == scalar and done.timestamp == 7
+        assert done.workspace.half_extent == whole.workspace.half_extent
+        assert set(done.seconds) == {"observe", "network", "assemble"}
+
+
+def test_density_bounds_and_up_are_a_scans_too(completer):
+    points = np.concatenate([shell(0), shell(1) + np.float32([0, 5, 0])])
+    stream = FrameCompleter(
+        completer, bounds=parse_bounds("2,-2,-1,5,2,1"), up="-y", density=2.0
+    )
+    done = stream.complete(Frame(points, 0))
+    inside = points[points[:, 1] < 2]
+    whole = completer.complete(inside, adapt=False, density=2.0, up="-y")
+    np.testing.assert_array_equal(done.points, whole.points)
+
+
+def test_depth_images_are_upright_as_their_camera(completer):
+    camera = Camera(np.eye(3), np.zeros(3), np.diag([5.0, 5.0, 1.0]), 20, 20)
+    depth = RNG.uniform(1, 1.5, (20, 20))
+    frame = Frame.of_depth(depth, camera, 0)
+    done = FrameCompleter(completer).complete(frame)
+    whole = completer.complete(frame.points, camera, adapt=False, up="-y", density=0.0)
+    np.testing.assert_array_equal(done.points, whole.points)
+
+
+def test_up_is_looked_for_once(completer):
+    stream = FrameCompleter(completer, up="auto")
+    stream.complete(Frame(shell(0), 0))
+    np.testing.assert_allclose(stream.up, [0, 0, 1], atol=1e-6)
+
+
+def test_what_is_hidden_now_is_kept_and_not_predicted_again(completer):
+    """A half of the box is hidden from the fifth frame on."""
+    points = shell(3)
+    visible = points[:, 1] < 0
+    stream = FrameCompleter(completer, accumulator=Accumulator(0.1))
+    plain = FrameCompleter(completer)
+    for _ in range(4):
+        done = stream.complete(Frame(points, 0))
+        assert done.remembered == 0
+        whole = plain.complete(Frame(points, 0))
+        np.testing.assert_array_equal(done.points, whole.points)
+    done = stream.complete(Frame(points[visible], 0))
+    measured = done.points[done.observed]
+    np.testing.assert_array_equal(measured[: visible.sum()], points[visible])
+    kept = measured[visible.sum() :]
+    assert len(kept) == done.remembered > 50
+    assert {*map(tuple, kept)} <= {*map(tuple, points[~visible])}
+
+
+def test_adapting_to_the_first_frame_or_to_each(completer):
+    points, other = shell(0), shell(1)
+    each = FrameCompleter(completer, adapt="every")
+    first = FrameCompleter(completer, adapt="first")
+    never = FrameCompleter(completer)
+    adapted = completer.complete(points, adapt=True, density=0.0).points
+    for stream in (each, first):
+        np.testing.assert_array_equal(stream.complete(Frame(points, 0)).points, adapted)
+    again = each.complete(Frame(other, 0)).points
+    np.testing.assert_array_equal(again, completer.complete(other, density=0.0).points)
+    # Its encoders are the first frame's from now on, and take no step.
+    later = first.complete(Frame(other, 0)).points
+    plain = never.complete(Frame(other, 0)).points
+    assert later.shape != plain.shape or not np.array_equal(later, plain)
+    repeated = first.complete(Frame(other, 0)).points
+    np.testing.assert_array_equal(repeated, later)
+
+
+def test_nothing_is_compiled_once_it_is_warm(completer):
+    """Clouds of fewer points than the network reads, of as many and of more."""
+    stream = FrameCompleter(completer)
+    points = np.concatenate([shell(0) for _ in range(8)])
+    stream.warm_up(Frame(points, 0))
+    sampling = (observation._resample, observation._farthest, observation._framing)
+    before = [compiled._cache_size() for compiled in sampling]
+    for count in (64, 65, 100, 127, 128, 129, 500, 1000, 1025, 2400):
+        stream.complete(Frame(points[:count], 0))
+    assert [compiled._cache_size() for compiled in sampling] == before
