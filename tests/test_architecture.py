@@ -32,6 +32,7 @@ LAYERS = (
     "prism_jax.metrics",
     "prism_jax.data",
     "prism_jax.observation",
+    "prism_jax.robots",
     "prism_jax.io",
     "prism_jax.geometry",
     "prism_jax.assets",
@@ -53,6 +54,7 @@ ONLY = {
         "prism_jax.io",
         "prism_jax.geometry",
     },
+    "prism_jax.robots": {"prism_jax.robots", "prism_jax.io", "prism_jax.geometry"},
     "prism_jax.metrics": {"prism_jax.metrics"},
     "prism_jax.losses": {"prism_jax.losses", "prism_jax.geometry"},
     "prism_jax.adaptation": {
