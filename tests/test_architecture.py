@@ -18,6 +18,7 @@ LAYERS = (
     "prism_jax.completion prism_jax.export",
     "prism_jax.weights",
     "prism_jax.trace_cache",
+    "prism_jax.envelope",
     "prism_jax.report prism_jax.result",
     "prism_jax.figures",
     "prism_jax.completed",

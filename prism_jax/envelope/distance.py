@@ -80,6 +80,10 @@ class Surfaces:
     def __len__(self) -> int:
         return sum(map(len, self.points.values()))
 
+    def reach(self, margin: float) -> float:
+        """The widest margin around any point."""
+        return max((margin * scale for _, scale, _ in self._trees), default=0.0)
+
     def distance(
         self, points: Float[np.ndarray, "N 3"], margin: float = 0.0
     ) -> tuple[Float64[np.ndarray, " N"], Int8[np.ndarray, " N"]]:

@@ -89,14 +89,15 @@ def on_triangles(
 ) -> Float64[np.ndarray, "N 3"]:
     """Points on triangles: none of these is farther than `spacing` from one of them.
 
-    Each triangle gets a lattice that fine; of points in one cube of half that side, one
-    is kept. The same triangles give the same points.
+    Each triangle gets a lattice of half the spacing; of points in one cube of 0.4 of
+    it, one is kept. The same triangles give the same points.
     """
     corners = np.asarray(vertices, np.float64)[np.asarray(faces, int)]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    # With the cube's diagonal, 0.87 of its side, twice: within the spacing.
-    parts = np.maximum(np.ceil(sides.max(axis=1, initial=0) / (0.1 * spacing)), 1)
-    parts = np.maximum(np.ceil(parts / 5), 1).astype(int)
+    # A point is within side / sqrt(3) of a corner of its part, and that within the
+    # cube's diagonal of what is kept: 0.29 and 0.70 of the spacing.
+    parts = np.ceil(sides.max(axis=1) / (0.5 * spacing)).astype(int)
+    parts = np.maximum(parts, 1)
     found = []
     for count in np.unique(parts):
         first, second = np.indices((count + 1, count + 1)).reshape(2, -1)
@@ -107,8 +108,9 @@ def on_triangles(
     if not found:
         return np.zeros((0, 3))
     points = np.concatenate(found)
-    cubes = np.floor((points - points.min(axis=0)) / (0.5 * spacing)).astype(int)
-    _, rows = np.unique(cubes, axis=0, return_index=True)
+    cubes = np.floor((points - points.min(axis=0)) / (0.4 * spacing)).astype(int)
+    number = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))
+    _, rows = np.unique(number, return_index=True)
     return points[np.sort(rows)]
 
 
