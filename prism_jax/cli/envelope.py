@@ -73,7 +73,7 @@ def define_flags() -> None:
     flags.DEFINE_string(
         "camera",
         None,
-        "JSON of the camera. Of a depth image the .json of the same name, if not given.",
+        "JSON of the camera; of a depth image by default the .json of the same name.",
     )
     flags.DEFINE_string(
         "depth",
