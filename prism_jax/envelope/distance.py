@@ -18,7 +18,7 @@ KINDS = STATES[:3]
 """Whose surfaces: what was measured, the robot's, and what is predicted."""
 
 NEIGHBORS = 16
-"""Nearest voxels that are asked for the box that is nearest."""
+"""Nearest middles of voxels among which the nearest box is looked for first."""
 
 STEPS = 2
 """Scales are rounded to so many a doubling."""
@@ -31,7 +31,7 @@ class Distances(NamedTuple):
 
     Attributes:
       not_free: to the nearest voxel that is not known to be free; 0 in one, and outside
-        of the grid, where nothing is known. Never above the true distance.
+        of the grid, where nothing is known.
       surface: to the nearest surface inflated by its margin; negative inside. Infinite
         where there is no surface.
       kind: the number of whose surface that is, in `KINDS`; -1 for none.
@@ -51,8 +51,8 @@ class Surfaces:
 
     def __init__(
         self,
-        points: Mapping[str, Float[np.ndarray, "N 3"]],
-        scales: Mapping[str, Float[np.ndarray, " N"]] | None = None,
+        points: Mapping[str, Float[np.ndarray, "_ 3"]],
+        scales: Mapping[str, Float[np.ndarray, " _"]] | None = None,
     ):
         """`points` by their kind, of `KINDS`; a kind may be left out or empty.
 
@@ -158,13 +158,21 @@ class Envelope:
         asked = points[free]
         neighbors = min(NEIGHBORS, shell.n)
         apart, rows = shell.query(asked, k=[*range(1, neighbors + 1)])
-        gaps = np.abs(shell.data[rows] - asked[:, None]) - 0.5 * self.grid.voxel
-        boxes = np.linalg.norm(np.maximum(gaps, 0.0), axis=2).min(axis=1)
-        # Boxes that were not asked for are farther away than this.
-        rest = apart[:, -1] - self.grid.half_diagonal
-        bound = np.inf if neighbors == shell.n else np.maximum(rest, 0.0)
-        away[free] = np.minimum(boxes, bound)
+        boxes = self._to_boxes(asked[:, None], shell.data[rows]).min(axis=1)
+        # Boxes that were not asked for can be nearer if the last one's middle is not
+        # farther away than this.
+        enough = boxes + self.grid.half_diagonal
+        if neighbors < shell.n:
+            for row in np.nonzero(apart[:, -1] < enough)[0]:
+                near = shell.query_ball_point(asked[row], enough[row])
+                boxes[row] = self._to_boxes(asked[row], shell.data[near]).min()
+        away[free] = boxes
         return away
+
+    def _to_boxes(self, points: np.ndarray, middles: np.ndarray) -> np.ndarray:
+        """Distances from voxels by their middles, their last axis."""
+        gaps = np.abs(middles - points) - 0.5 * self.grid.voxel
+        return np.linalg.norm(np.maximum(gaps, 0.0), axis=-1)
 
     @functools.cached_property
     def taken(self) -> Bool[np.ndarray, "X Y Z"]:
@@ -190,8 +198,8 @@ class Envelope:
 
 
 def _rounded(
-    scales: Float[np.ndarray, " N"], points: np.ndarray, kind: str
-) -> Float64[np.ndarray, " N"]:
+    scales: Float[np.ndarray, " _"], points: np.ndarray, kind: str
+) -> Float64[np.ndarray, " _"]:
     """Scales rounded down, so that a margin is never wider than it was calibrated."""
     scales = np.asarray(scales, np.float64)
     if scales.shape != (len(points),):

@@ -171,9 +171,9 @@ def carve(
     """The voxels that are free: every ray that was measured through them went on.
 
     A voxel is free if it is wholly in the image, if on a `share` of the pixels that it
-    covers something was measured, and if all of that lies more than `margin` behind the
-    voxel's farthest corner. Where nothing was measured nothing is free. Grid and view
-    are in one frame and unit; NumPy, not differentiable.
+    covers, and of those around them, something was measured, and if all of that lies
+    more than `margin` behind the voxel's farthest corner. Where nothing was measured
+    nothing is free. Grid and view are in one frame and unit; NumPy, not differentiable.
     """
     known = np.asarray(view.state) != UNKNOWN
     if not known.any():
@@ -188,6 +188,9 @@ def carve(
         np.stack([rows.ravel()[which], columns.ravel()[which]], axis=1).astype(int)
         for rows, columns in ((top, left), (bottom, right))
     )
+    # An edge can pass between two pixels' rays.
+    first = np.maximum(first - 1, 0)
+    last = np.minimum(last + 1, np.array(known.shape) - 1)
     depth = np.where(known, np.asarray(view.depth, np.float64), np.inf)
     wanted = np.maximum(carving.share * np.prod(last - first + 1, axis=1), 1)
     seen = _count(known, first, last) >= wanted
