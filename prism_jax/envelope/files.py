@@ -63,15 +63,14 @@ def npz_bytes(
     surface; and of a query its points, their distances, and whose surface is near.
     """
     grid = envelope.grid
-    found = envelope.query(grid.centers())
     arrays: dict[str, Any] = {
         "notice": np.array(NOTICE),
         "state": envelope.state,
         "states": np.array(STATES),
         "lower": grid.lower,
         "voxel": np.float64(grid.voxel),
-        "not_free": found.not_free.reshape(grid.shape).astype(np.float32),
-        "surface": found.surface.reshape(grid.shape).astype(np.float32),
+        "not_free": envelope.not_free_field.astype(np.float32),
+        "surface": envelope.surface_field.astype(np.float32),
         "margin": np.float64(envelope.margin),
         "envelope": envelope.taken,
         **envelope.surfaces.points,

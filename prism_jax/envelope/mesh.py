@@ -52,12 +52,11 @@ def envelope_mesh(envelope: Envelope) -> Mesh:
     two diagonals of a voxel, and by less than two voxels beyond the grid.
     """
     grid = envelope.grid
-    away, _ = envelope.surfaces.distance(grid.centers(), envelope.margin)
     # Between middles a distance is interpolated too high, by half a diagonal at most,
     # and corners are kept from the ends of edges, which are a diagonal long at most.
-    level = away - (1 + 2 * NEAREST) * grid.half_diagonal
+    level = envelope.surface_field - (1 + 2 * NEAREST) * grid.half_diagonal
     outside = 0.5 * grid.voxel
-    level = np.minimum(level, 1e6 * grid.voxel).reshape(grid.shape)
+    level = np.minimum(level, 1e6 * grid.voxel)
     # Free voxels next to others stay, or these would lose their corners.
     inner = binary_erosion(envelope.state == FREE, _TOUCHING, border_value=1)
     level = np.where(inner, np.maximum(level, outside), level)

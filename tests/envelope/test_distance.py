@@ -43,6 +43,14 @@ def test_at_voxels_middles_it_is_the_distance_transform_less_half_a_voxel():
     np.testing.assert_allclose(tall.query(middle).not_free, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("shape", [(12, 10, 11), (1, 1, 1), (3, 1, 20)])
+@pytest.mark.parametrize("taken", [0.0, 0.01, 0.5, 1.0])
+def test_the_field_is_the_query_at_every_middle(shape, taken):
+    one = envelope(scattered(shape, taken))
+    found = one.query(one.grid.centers()).not_free.reshape(shape)
+    np.testing.assert_allclose(one.not_free_field, found, atol=1e-12)
+
+
 def test_anywhere_it_is_the_distance_to_the_nearest_box():
     state = scattered(taken=0.01)
     one = envelope(state, lower=(5.0, -3.0, 2.0))
