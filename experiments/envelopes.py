@@ -143,7 +143,7 @@ def main() -> None:
 
 
 def scored(
-    completer: Completer, cell: Cell, robot: str, tested: bool, completed: str = "all"
+    completer: Completer, cell: Cell, robot: str, tested: bool, completed: str = "rest"
 ) -> Scored:
     """A cell completed without adaptation, and measured against its truth."""
     method = Method(robot=robot, completed=completed)  # type: ignore[arg-type]

@@ -11,7 +11,8 @@ from tests import launching
 ROOT = pathlib.Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "BUILD_NOTES.md", *sorted(ROOT.glob("docs/*.md"))]
 COMMAND = re.compile(
-    r"(?:python -m experiments\.(\w+)|prism-complete)((?:\s+--[^\s`]+)*)"
+    r"(?:python -m experiments\.(\w+)|prism-(complete|envelope)(?: [\w./]+)*)"
+    r"((?:\s+--[^\s`]+)*)"
 )
 PLACEHOLDERS = {"$split": "train", "SUITE": "ops", "--network=NAME": "--network=pcn"}
 WITHOUT_FLAGS = {"results", "rooms"}
@@ -22,8 +23,8 @@ def commands() -> list[tuple[str, str]]:
     found = set()
     for page in PAGES:
         text = page.read_text().replace("\\\n", " ").replace("-->", "")
-        for launcher, rest in COMMAND.findall(text):
-            found.add((launcher or "complete", " ".join(rest.rstrip(";").split())))
+        for launcher, installed, rest in COMMAND.findall(text):
+            found.add((launcher or installed, " ".join(rest.rstrip(";").split())))
     # Which stand for several.
     return sorted(c for c in found if "..." not in c[1] and "|" not in c[1])
 
@@ -34,7 +35,7 @@ COMMANDS = commands()
 def test_they_are_found():
     assert len(COMMANDS) > 35
     named = {launcher for launcher, _ in COMMANDS}
-    assert {"complete", "evaluate", "make_data", "pretrain", "meta_train"} <= named
+    assert {"complete", "envelope", "evaluate", "make_data", "pretrain"} <= named
 
 
 @pytest.mark.parametrize(("launcher", "rest"), COMMANDS)

@@ -40,7 +40,7 @@ class Method:
     objects: Literal["one", "auto"] = "one"
     robot: Literal["known", "unknown"] = "unknown"
     robot_margin: float = MARGIN
-    completed: Literal["all", "rest"] = "all"
+    completed: Literal["all", "rest"] = "rest"
 
     def setup(self, weights: str, sensor: str) -> Setup:
         """What a calibration of this method is for."""

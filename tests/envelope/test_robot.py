@@ -97,4 +97,4 @@ def test_joints_that_are_none_are_refused(tmp_path, content, told):
 
 def test_a_joint_without_a_position_is_named(urdf):
     with pytest.raises(InputError, match="give all of yaw, shoulder, elbow"):
-        robot_surface(Linkage(urdf), {"yaw": 0, "shoulder": 0}, np.eye(4))
+        robot_surface(Linkage(urdf), {"yaw": 0.0, "shoulder": 0.0}, np.eye(4))
