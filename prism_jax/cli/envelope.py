@@ -115,8 +115,14 @@ def define_flags() -> None:
         "objects",
         _METHOD["objects"],
         ["one", "auto"],
-        "one: all points are objects. auto: supports and walls are set aside, and no "
-        "margin is laid around them.",
+        "one: all points are objects. auto: supports and walls are set aside.",
+    )
+    flags.DEFINE_enum(
+        "around",
+        _METHOD["around"],
+        ["everything", "objects"],
+        "What of the measured a margin is laid around; objects are the scan without "
+        "what was set aside.",
     )
     flags.DEFINE_enum(
         "background", _METHOD["background"], ["unknown", "empty"], "As prism-complete."
@@ -214,7 +220,8 @@ def envelope_of(source: str) -> dict[str, Any]:
         completer = load_completer(FLAGS.weights)
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     with _timed(f"completing {count}", "complete", seconds):
-        seen = see(completer, scan.points, scan.camera, method, scan.up, surface)
+        known = surface, scan.everything
+        seen = see(completer, scan.points, scan.camera, method, scan.up, *known)
     if seen.fault:
         say(f"nothing is predicted: {seen.fault}", NAME)
     with _timed("carving", "envelope", seconds):
@@ -310,7 +317,7 @@ def _envelope(
         bounds = io.parse_bounds(FLAGS.workspace)
         grid = Grid.over(bounds.lower, bounds.upper, FLAGS.voxel)
     else:
-        held = np.concatenate([scan.points, *surfaces.points.values()])
+        held = np.concatenate([scan.points, seen.predicted, seen.robot])
         reach = surfaces.reach(margin) + AROUND * FLAGS.voxel
         grid = Grid.over(held.min(0) - reach, held.max(0) + reach, FLAGS.voxel)
     free = np.zeros(grid.shape, bool)
@@ -329,6 +336,7 @@ def _method() -> Method:
         density=FLAGS.density,
         background=FLAGS.background,
         objects=FLAGS.objects,
+        around=FLAGS.around,
         robot="unknown" if FLAGS.urdf is None else "known",
         robot_margin=FLAGS.robot_margin,
     )

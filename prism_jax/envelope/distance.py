@@ -20,6 +20,9 @@ KINDS = STATES[:3]
 NEIGHBORS = 16
 """Nearest middles of voxels among which the nearest box is looked for first."""
 
+LEAF = 32
+"""Points of a leaf of a search tree."""
+
 STEPS = 2
 """Scales are rounded to so many a doubling."""
 
@@ -69,20 +72,27 @@ class Surfaces:
                 raise InputError(f"{kind} surface", fault, "drop them")
             self.points[kind] = cloud
         scales = scales or {}
-        self._trees: list[tuple[int, float, KDTree]] = []
-        for number, kind in enumerate(KINDS):
-            cloud = self.points[kind]
-            rounded = _rounded(scales.get(kind, np.ones(len(cloud))), cloud, kind)
-            for scale in np.unique(rounded):
-                tree = KDTree(cloud[rounded == scale])
-                self._trees.append((number, float(scale), tree))
+        whose = np.repeat(np.arange(len(KINDS)), [len(self.points[k]) for k in KINDS])
+        together = np.concatenate([self.points[kind] for kind in KINDS])
+        rounded = np.concatenate(
+            [
+                _rounded(scales.get(kind, np.ones(len(cloud))), cloud, kind)
+                for kind, cloud in self.points.items()
+            ]
+        )
+        self._trees: list[tuple[float, KDTree, np.ndarray]] = []
+        for scale in np.unique(rounded):
+            rows = rounded == scale
+            # Boxes that are not shrunk to their points are quicker for points far away.
+            tree = KDTree(together[rows], leafsize=LEAF, compact_nodes=False)
+            self._trees.append((float(scale), tree, whose[rows].astype(np.int8)))
 
     def __len__(self) -> int:
         return sum(map(len, self.points.values()))
 
     def reach(self, margin: float) -> float:
         """The widest margin around any point."""
-        return max((margin * scale for _, scale, _ in self._trees), default=0.0)
+        return max((margin * scale for scale, _, _ in self._trees), default=0.0)
 
     def distance(
         self, points: Float[np.ndarray, "N 3"], margin: float = 0.0
@@ -93,16 +103,17 @@ class Surfaces:
         """
         least = np.full(len(points), np.inf)
         whose = np.full(len(points), -1, np.int8)
-        for number, scale, tree in self._trees:
-            away = tree.query(points, workers=-1)[0] - margin * scale
+        for scale, tree, kinds in self._trees:
+            away, row = tree.query(points, workers=-1)
+            away = away - margin * scale
             nearer = away < least
-            least[nearer], whose[nearer] = away[nearer], number
+            least[nearer], whose[nearer] = away[nearer], kinds[row[nearer]]
         return least, whose
 
     def needed(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
         """The margin at which the inflated surfaces reach each point."""
         least = np.full(len(points), np.inf)
-        for _, scale, tree in self._trees:
+        for scale, tree, _ in self._trees:
             least = np.minimum(least, tree.query(points, workers=-1)[0] / scale)
         return least
 

@@ -4,10 +4,11 @@ import numpy as np
 import tqdm
 from jaxtyping import Float
 
-from prism_jax.data.recordings import RecordedCells
+from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells
 from prism_jax.envelope.calibration import Calibration, cell_score
 from prism_jax.envelope.robot import joints_from_dict, robot_surface
 from prism_jax.envelope.surfaces import FLOOR, Method, Seen, see, sensor_name
+from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
 from prism_jax.robots.urdf import Linkage
 
@@ -42,7 +43,10 @@ def calibrate_on(
         if robot is not None:
             joints = joints_from_dict(frame.joints or {}, f"{sequence}/{name}.joints")
             surface = robot_surface(robot, *joints)
-        seen = see(completer, frame.partial, frame.camera, method, "z", surface)
+        metres = frame.depth * DEPTH_SCALE
+        others = points_from_depth(metres, frame.depth > 0, frame.camera)
+        known = surface, others
+        seen = see(completer, frame.partial, frame.camera, method, "z", *known)
         before = scores.get(sequence, np.zeros(2))
         scores[sequence] = np.maximum(before, frame_scores(frame.complete, seen))
     if len(sensors) > 1:

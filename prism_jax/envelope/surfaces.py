@@ -6,7 +6,7 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 
 from prism_jax.envelope.calibration import Setup
 from prism_jax.envelope.distance import Surfaces
@@ -14,9 +14,13 @@ from prism_jax.envelope.robot import MARGIN, of_robot
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
+from prism_jax.observation.scene import SUPPORT
 
 FLOOR = 0.05
 """Metres: no scale of a margin is smaller, and what is not predicted has this one."""
+
+THIN = 0.02
+"""Metres: of what was measured beside a scan, a cube this wide keeps one point."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +31,9 @@ class Method:
       adapt: whether the network adapts to the scan.
       density, background: as `prism_jax.Completer.complete` has them.
       objects: "one" for all points as one object, "auto" for a scene whose supports and
-        walls are set aside; these are voxels, but no margin is laid around them.
+        walls are set aside.
+      around: what of the measured a margin is laid around: "everything", or "objects"
+        alone, without what was set aside or is beside the scan in its depth image.
       robot: whether the robot is known.
       robot_margin: how near to its surface measured points are its own.
       completed: what is completed where the robot is known: "all" measured points, or
@@ -38,6 +44,7 @@ class Method:
     density: float = 1.0
     background: Literal["unknown", "empty"] = "unknown"
     objects: Literal["one", "auto"] = "one"
+    around: Literal["everything", "objects"] = "everything"
     robot: Literal["known", "unknown"] = "unknown"
     robot_margin: float = MARGIN
     completed: Literal["all", "rest"] = "rest"
@@ -52,12 +59,11 @@ class Seen:
     """What is known of one scan, in its frame and unit.
 
     Attributes:
-      measured: points of objects, without a known robot's.
+      measured: points that a margin is laid around, without a known robot's.
       predicted: points that are added to them; none within a known robot's margin.
       robot: points on its surface; none where it is not known.
       sigma: the error that is expected of each predicted point; None where the weights
         tell none.
-      set_aside: measured points of planes that objects stand on, and of walls.
       fault: why nothing could be completed; empty if something was.
     """
 
@@ -65,7 +71,6 @@ class Seen:
     predicted: Float64[np.ndarray, "P 3"]
     robot: Float64[np.ndarray, "R 3"]
     sigma: Float64[np.ndarray, " P"] | None
-    set_aside: Float64[np.ndarray, "S 3"]
     fault: str = ""
 
     def surfaces(self, floor: float | None = None) -> Surfaces:
@@ -95,47 +100,73 @@ def see(
     method: Method,
     up: str | Vector = "z",
     robot: Float[np.ndarray, "R 3"] | None = None,
+    others: Float[np.ndarray, "S 3"] | None = None,
 ) -> Seen:
     """Completes a scan, with the robot cut out of what is measured and put back.
 
-    `completer` is a `prism_jax.Completer`; points, camera and the points of the robot's
-    surface are in one frame. Where too little is left to be completed nothing is
-    predicted, and `Seen.fault` says so. A robot where the method knows none, and none
-    where it does, raise InputError.
+    `completer` is a `prism_jax.Completer`; points, camera, the points of the robot's
+    surface and `others`, all that was measured beside the scan, are in one frame. Where
+    too little is left to be completed nothing is predicted, and `Seen.fault` says so. A
+    robot where the method knows none, and none where it does, raise InputError.
     """
     if (robot is not None) != (method.robot == "known"):
         told = "is missing" if robot is None else "is given, and none was calibrated"
         raise InputError("the robot", told, "give --urdf and --joints, or neither")
     points = np.asarray(points, np.float64)
     robot = np.zeros((0, 3)) if robot is None else np.asarray(robot, np.float64)
-    rest = points[~of_robot(points, robot, method.robot_margin)]
-    asked = rest if method.completed == "rest" else points
-    nothing, aside = np.zeros((0, 3)), np.zeros((0, 3))
+    others = np.zeros((0, 3)) if others is None else thinned(others)
+    own = of_robot(points, robot, method.robot_margin)
+    asked = points[~own] if method.completed == "rest" else points
+    objects, predicted, sigma, fault = points[~own], np.zeros((0, 3)), np.zeros(0), ""
     try:
         check_cloud(asked, "the scan")
     except InputError as error:
-        return Seen(rest, nothing, robot, np.zeros(0), aside, str(error))
+        fault = str(error)
+    else:
+        done, aside = _completed(completer, asked, camera, method, up)
+        predicted = np.asarray(done.points[~done.observed], np.float64)
+        apart = ~of_robot(predicted, robot, method.robot_margin)
+        predicted, sigma = predicted[apart], getattr(done, "sigma", None)
+        if sigma is not None:
+            sigma = np.asarray(sigma, np.float64)[~done.observed][apart]
+        set_aside = own.copy()
+        set_aside[slice(None) if len(asked) == len(points) else ~own] |= aside
+        objects = points[~set_aside]
+        others = np.concatenate([others, points[set_aside & ~own]])
+    if method.around == "everything":
+        others = others[~of_robot(others, robot, method.robot_margin)]
+        objects = np.concatenate([objects, others])
+    return Seen(objects, predicted, robot, sigma, fault)
+
+
+def thinned(points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, "M 3"]:
+    """The first point in each cube of side `THIN`, in their order."""
+    points = np.asarray(points, np.float64)
+    cubes = np.floor(points / THIN).astype(int)
+    return points[np.sort(np.unique(cubes, axis=0, return_index=True)[1])]
+
+
+def _completed(
+    completer: Any,
+    points: Float64[np.ndarray, "N 3"],
+    camera: Camera | None,
+    method: Method,
+    up: str | Vector,
+) -> tuple[Any, Bool[np.ndarray, " N"]]:
+    """What the completer makes of points, and which of them lie on planes that were set
+    aside."""
     settings = {
         "adapt": method.adapt,
         "up": up,
         "density": method.density,
         "background": method.background,
     }
-    if method.objects == "auto":
-        scene = completer.split_scene(asked, camera, up)
-        done = completer.complete_scene(asked, camera, scene=scene, **settings)
-        aside = asked[scene.object == -1]
-        aside = aside[~of_robot(aside, robot, method.robot_margin)]
-        rest = asked[scene.object != -1]
-        rest = rest[~of_robot(rest, robot, method.robot_margin)]
-    else:
-        done = completer.complete(asked, camera, **settings)
-    predicted = np.asarray(done.points[~done.observed], np.float64)
-    apart = ~of_robot(predicted, robot, method.robot_margin)
-    sigma = getattr(done, "sigma", None)
-    if sigma is not None:
-        sigma = np.asarray(sigma, np.float64)[~done.observed][apart]
-    return Seen(rest, predicted[apart], robot, sigma, aside)
+    if method.objects == "one":
+        done = completer.complete(points, camera, **settings)
+        return done, np.zeros(len(points), bool)
+    scene = completer.split_scene(points, camera, up)
+    done = completer.complete_scene(points, camera, scene=scene, **settings)
+    return done, scene.object == SUPPORT
 
 
 def sensor_name(camera: Camera | None) -> str | None:

@@ -90,7 +90,9 @@ def test_all_files_are_written_and_agree(asked, tmp_path, capsys):
         assert (arrays["not_free"][state != 4] == 0).all()
         assert (arrays["not_free"][state == 4] > 0).all()
         measured = read_ply(FRAME.with_name("000000.partial.ply"))
-        np.testing.assert_array_equal(arrays["measured"], measured)
+        count = len(measured)
+        np.testing.assert_array_equal(arrays["measured"][:count], measured)
+        assert len(arrays["measured"]) > count
         assert arrays["query_surface"].shape == (2,)
         envelope_volume = arrays["envelope"].sum() * voxel**3
     assert told["volumes"]["envelope"] == pytest.approx(envelope_volume)

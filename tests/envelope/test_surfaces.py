@@ -3,7 +3,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prism_jax.envelope.surfaces import FLOOR, Method, see, sensor_name
+from prism_jax.envelope.surfaces import (
+    FLOOR,
+    THIN,
+    Method,
+    see,
+    sensor_name,
+    thinned,
+)
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 from tests.fake_completer import FakeCompleter
@@ -33,7 +40,7 @@ def test_what_is_measured_stays_and_what_is_added_is_predicted():
     seen = see(FakeCompleter(), POINTS, None, Method())
     np.testing.assert_array_equal(seen.measured, POINTS)
     assert len(seen.predicted) == 150 and seen.fault == ""
-    assert len(seen.robot) == len(seen.set_aside) == 0
+    assert len(seen.robot) == 0
     assert len(seen.surfaces()) == 450
 
 
@@ -73,12 +80,44 @@ def test_a_robot_that_the_method_does_not_know_is_refused():
         see(FakeCompleter(), POINTS, None, Method(robot="known"))
 
 
-def test_supports_are_set_aside_and_have_no_margin():
+def test_supports_and_what_is_beside_the_scan_have_a_margin_or_none():
     points = POINTS.copy()
     points[::3, 2] *= -1
-    seen = see(FakeCompleter(), points, None, Method(objects="auto"))
-    assert len(seen.set_aside) == 100 and (seen.set_aside[:, 2] < 0).all()
+    others = np.array([[9.0, 9, 9], [9.001, 9, 9], [8, 8, 8]])
+    method = Method(objects="auto", around="objects")
+    seen = see(FakeCompleter(), points, None, method, others=others)
     assert len(seen.measured) == 200 and (seen.measured[:, 2] > 0).all()
+    method = Method(objects="auto")
+    all_of_it = see(FakeCompleter(), points, None, method, others=others)
+    np.testing.assert_array_equal(all_of_it.measured[:200], seen.measured)
+    # Of two neighbours one is kept.
+    np.testing.assert_array_equal(all_of_it.measured[200:202], others[[0, 2]])
+    np.testing.assert_array_equal(all_of_it.measured[202:], points[::3])
+
+
+@pytest.mark.parametrize("completed", ["all", "rest"])
+def test_a_robots_points_are_never_measured(completed):
+    points = POINTS.copy()
+    points[::3, 2] *= -1
+    robot = points[:120]
+    method = Method(
+        objects="auto", robot="known", robot_margin=0.001, completed=completed
+    )
+    seen = see(FakeCompleter(), points, None, method, robot=robot, others=robot)
+    expected = {tuple(point) for point in points[120:]}
+    assert {tuple(point) for point in seen.measured} == expected
+
+
+def test_thinning_keeps_the_first_point_of_each_cube():
+    rng = np.random.default_rng(3)
+    points = 1e5 + rng.uniform(0, 0.3, (2000, 3))
+    kept = thinned(points)
+    cubes = [tuple(cube) for cube in np.floor(points / THIN).astype(int)]
+    first = {}
+    for cube, point in zip(cubes, points, strict=True):
+        first.setdefault(cube, tuple(point))
+    assert [tuple(point) for point in kept] == list(first.values())
+    assert thinned(points[:0]).shape == (0, 3)
 
 
 def test_scales_are_the_expected_errors_above_a_floor():
