@@ -424,12 +424,10 @@ def pays(result: Mapping[str, Any]) -> str:
         if row["calibrated_on"] == "calibration" and row["alpha"] == 0.1
     }
     q, alone = rows["completed"], rows["measured"]
-    numbers = (
-        f"q is {q:.2f} m with the robot known, and {alone:.2f} m without completion"
-    )
+    numbers = f"{q:.2f} m with completion and {alone:.2f} m without"
     if q > PAYS:
-        return f"Completion does not pay there: {numbers}."
-    return f"{numbers[0].upper()}{numbers[1:]}."
+        return f"Completion does not pay there: with the robot known, q is {numbers}."
+    return f"With the robot known, q is {numbers}."
 
 
 def _row_markdown(row: Mapping[str, Any]) -> str:

@@ -14,6 +14,9 @@ from prism_jax.envelope.files import NAMES
 from prism_jax.io.ply import read_ply
 from tests import launching
 from tests.fake_completer import FakeCompleter
+from tests.simulation.roboarm.conftest import urdf
+
+__all__ = ["urdf"]
 
 FRAME = asset("roboarm") / "000-panda" / "000000"
 SUFFIXES = ("partial.ply", "depth.png", "camera.json", "complete.ply", "joints.json")
@@ -160,3 +163,32 @@ def test_a_cloud_without_its_sensors_place_frees_nothing(asked, tmp_path, capsys
     assert told["volumes"]["free"] > 0
     assert launching.run(envelope, cloud, *flags) == 2
     assert "--sensor: is missing" in capsys.readouterr().err
+
+
+def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
+    asked, calibration, recordings, urdf, tmp_path, capsys
+):
+    base = np.eye(4)
+    base[:3, 3] = 0.5, 0.5, 1.0
+    joints = {"positions": {"yaw": 0.2, "shoulder": 0.4, "elbow": 0.3}}
+    text = json.dumps(joints | {"base": base.tolist()})
+    known = tmp_path / "recordings"
+    shutil.copytree(recordings, known)
+    for path in known.glob("*/*.joints.json"):
+        path.write_text(text)
+    own = tmp_path / "own.json"
+    words = f"--urdf={urdf}", f"--output={own}"
+    assert launching.run(envelope, "calibrate", str(known), *words) == 0
+    (tmp_path / "joints.json").write_text(text)
+    robot = words[0], f"--joints={tmp_path / 'joints.json'}"
+    assert launching.run(envelope, *asked, *robot) == 2
+    told = f"{calibration}: is for robot unknown, not known"
+    assert told in capsys.readouterr().err
+    assert launching.run(envelope, *asked, words[0]) == 2
+    assert "without --joints" in capsys.readouterr().err
+    assert launching.run(envelope, *asked, *robot, f"--calibration={own}") == 0
+    out = json.loads((tmp_path / "out" / "envelope.json").read_text())
+    assert out["points"]["robot"] > 100 and out["volumes"]["robot"] > 0
+    words = "calibrate", str(recordings), f"--urdf={urdf}"
+    assert launching.run(envelope, *words, f"--output={tmp_path / 'no.json'}") == 2
+    assert "has no position of the joint 'yaw'" in capsys.readouterr().err
