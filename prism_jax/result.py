@@ -61,7 +61,7 @@ def summarize_scene(
 def _about(scan: io.Scan, source: str) -> dict[str, Any]:
     """What a result says of the software and its input."""
     return {
-        "prism_jax": _version(),
+        "prism_jax": software(),
         "input": {
             "file": source,
             "points_read": len(scan.points) + scan.num_outside + scan.num_not_finite,
@@ -169,7 +169,8 @@ def plain(value: Any) -> Any:
     return value
 
 
-def _version() -> str | None:
+def software() -> str | None:
+    """The installed version of prism_jax; None where it is not installed."""
     try:
         return importlib.metadata.version("prism_jax")
     except importlib.metadata.PackageNotFoundError:

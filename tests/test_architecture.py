@@ -19,6 +19,7 @@ LAYERS = (
     "prism_jax.completion prism_jax.export",
     "prism_jax.weights",
     "prism_jax.trace_cache",
+    "prism_jax.envelope",
     "prism_jax.report prism_jax.result",
     "prism_jax.figures",
     "prism_jax.completed",
@@ -35,6 +36,7 @@ LAYERS = (
     "prism_jax.metrics",
     "prism_jax.data",
     "prism_jax.observation",
+    "prism_jax.robots",
     "prism_jax.io",
     "prism_jax.geometry",
     "prism_jax.assets",
@@ -56,6 +58,7 @@ ONLY = {
         "prism_jax.io",
         "prism_jax.geometry",
     },
+    "prism_jax.robots": {"prism_jax.robots", "prism_jax.io", "prism_jax.geometry"},
     "prism_jax.metrics": {"prism_jax.metrics"},
     "prism_jax.losses": {"prism_jax.losses", "prism_jax.geometry"},
     "prism_jax.adaptation": {

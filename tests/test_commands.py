@@ -11,7 +11,7 @@ from tests import launching
 ROOT = pathlib.Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "BUILD_NOTES.md", *sorted(ROOT.glob("docs/*.md"))]
 COMMAND = re.compile(
-    r"(?:python -m experiments\.(\w+)|prism-(complete|stream)(?:\s+[a-z]\S*)?)"
+    r"(?:python -m experiments\.(\w+)|prism-(complete|stream|envelope)(?: [\w./]+)*)"
     r"((?:\s+--[^\s`]+)*)"
 )
 PLACEHOLDERS = {"$split": "train", "SUITE": "ops", "--network=NAME": "--network=pcn"}
@@ -35,7 +35,7 @@ COMMANDS = commands()
 def test_they_are_found():
     assert len(COMMANDS) > 35
     named = {launcher for launcher, _ in COMMANDS}
-    assert {"complete", "evaluate", "make_data", "pretrain", "meta_train"} <= named
+    assert {"complete", "envelope", "evaluate", "make_data", "pretrain"} <= named
 
 
 @pytest.mark.parametrize(("launcher", "rest"), COMMANDS)

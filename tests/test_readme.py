@@ -30,7 +30,7 @@ EXAMPLES = {
     name: re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
     for name, page in PAGES.items()
 }
-FILES = (".json", ".jsonl", ".html", ".ply")
+FILES = (".json", ".jsonl", ".html", ".npz", ".ply", ".stl")
 LONGEST = {"README.md": 150, "BUILD_NOTES.md": 250}
 GIVEN = """
 import numpy as np

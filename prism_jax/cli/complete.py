@@ -330,17 +330,19 @@ def outcome(summary: dict[str, Any], output_dir: str) -> str:
 
 
 @contextlib.contextmanager
-def timed(text: str, name: str, seconds: dict[str, float]) -> Iterator[None]:
+def timed(
+    text: str, name: str, seconds: dict[str, float], command: str = NAME
+) -> Iterator[None]:
     """Puts the time it took into `seconds`; says on stderr what takes long."""
     start = time.perf_counter()
-    timer = threading.Timer(PATIENCE, lambda: say(f"{text} ..."))
+    timer = threading.Timer(PATIENCE, lambda: say(f"{text} ...", command))
     timer.daemon = True
     timer.start()
     try:
         yield
         seconds[name] = time.perf_counter() - start
         if seconds[name] > PATIENCE:
-            say(f"... done in {seconds[name]:.1f} s")
+            say(f"... done in {seconds[name]:.1f} s", command)
     finally:
         timer.cancel()
 
@@ -352,9 +354,9 @@ def warn_of_low_trust(what: str, verdict: Any) -> None:
         say(f"low trust in {what}: {why}")
 
 
-def say(text: str) -> None:
+def say(text: str, command: str = NAME) -> None:
     """One line to the user, on stderr."""
-    print(f"{NAME}: {text}", file=sys.stderr, flush=True)
+    print(f"{command}: {text}", file=sys.stderr, flush=True)
 
 
 def _write_scene(

@@ -7,6 +7,7 @@ import io
 import itertools
 import os
 import struct
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,8 @@ _TYPES = {
     )
     for name in names.split()
 }
+_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"}
+_NAMES |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 _AXES = ("x", "y", "z")
 _MAX_HEADER_BYTES = 2**18
 _SHORT = "it is shorter than its header says"
@@ -105,32 +108,44 @@ def ply_bytes(
     `sigma`, a float32 of that name. Binary little-endian, x y z in the type of `points`
     (float32 or float64).
     """
-    scalar = "double" if points.dtype == np.float64 else "float"
-    marks = () if labels is None else ("label", "red", "green", "blue")
-    kinds = {**dict.fromkeys(_AXES, scalar), **dict.fromkeys(marks, "uchar")}
+    columns = {}
+    comments = []
+    if labels is not None:
+        palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
+        label = labels.astype(np.uint8)
+        columns["label"] = label
+        columns |= zip(("red", "green", "blue"), palette[label].T, strict=True)
+        comments.append("label 0: observed, 1: completed")
     if objects is not None:
-        kinds["object"] = "int"
+        columns["object"] = objects.astype(np.int32)
+        comments.append(OBJECTS)
     if sigma is not None:
-        kinds["sigma"] = "float"
+        columns["sigma"] = sigma.astype(np.float32)
+        comments.append(SIGMA)
+    return vertices_bytes(points, columns, comments)
+
+
+def vertices_bytes(
+    points: Float[np.ndarray, "M 3"],
+    columns: Mapping[str, np.ndarray] | None = None,
+    comments: Sequence[str] = (),
+) -> bytes:
+    """A file of points with further properties: a column of numbers each, by name.
+
+    Binary little-endian; x y z in the type of `points` (float32 or float64), columns in
+    theirs. Comments are lines of the header.
+    """
+    scalar = np.float64 if points.dtype == np.float64 else np.float32
+    table = dict(zip(_AXES, points.astype(scalar).T, strict=True)) | (columns or {})
+    kinds = {name: _NAMES[column.dtype.str[1:]] for name, column in table.items()}
     fields = [(name, f"<{_TYPES[kind]}") for name, kind in kinds.items()]
     vertices = np.empty(len(points), fields)
-    for axis, column in zip(_AXES, points.T, strict=True):
-        vertices[axis] = column
-    if labels is not None:
-        vertices["label"] = labels
-        palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
-        for name, shades in zip(marks[1:], palette.T, strict=True):
-            vertices[name] = shades[vertices["label"]]
-    if objects is not None:
-        vertices["object"] = objects
-    if sigma is not None:
-        vertices["sigma"] = sigma
+    for name, column in table.items():
+        vertices[name] = column
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        *(["comment label 0: observed, 1: completed"] if marks else []),
-        *([f"comment {OBJECTS}"] if objects is not None else []),
-        *([f"comment {SIGMA}"] if sigma is not None else []),
+        *(f"comment {comment}" for comment in comments),
         f"element vertex {len(points)}",
         *(f"property {kind} {name}" for name, kind in kinds.items()),
         "end_header\n",

@@ -13,10 +13,10 @@ from prism_jax.report.verdict import TRUST_COLORS
 _BUTTONS = [["orbitRotation", "pan3d", "resetCameraDefault3d", "toImage"]]
 
 
-def render(**content: Any) -> str:
+def render(template: str = "page.html", **content: Any) -> str:
     """The page as HTML with its styles and scripts inlined, about 5 MB and the clouds.
 
-    ``content`` is what `assets/report/page.html` names.
+    ``content`` is what the template, a file of `assets/report`, names.
     """
     environment = jinja2.Environment(
         autoescape=True,
@@ -24,7 +24,7 @@ def render(**content: Any) -> str:
         loader=jinja2.FileSystemLoader(asset("report")),
     )
     environment.filters["number"] = number
-    page = environment.get_template("page.html")
+    page = environment.get_template(template)
     return page.render(plotly=get_plotlyjs(), trust_colors=TRUST_COLORS, **content)
 
 

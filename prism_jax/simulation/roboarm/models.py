@@ -10,7 +10,7 @@ import pathlib
 import re
 
 from prism_jax.io.errors import InputError, choose
-from prism_jax.simulation.roboarm.packages import robots_folder
+from prism_jax.robots.packages import robots_folder
 
 PACKAGE, INDUSTRIAL_PACKAGE = "example-robot-data", "rtb-data"
 OWN = "own"

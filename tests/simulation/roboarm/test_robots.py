@@ -10,6 +10,7 @@ import trimesh
 import yourdfpy
 
 from prism_jax.io.errors import InputError
+from prism_jax.robots.xacro import plain_urdf
 from prism_jax.simulation.roboarm.models import (
     ARMS,
     CELL_ARMS,
@@ -19,7 +20,6 @@ from prism_jax.simulation.roboarm.models import (
     urdf_path,
 )
 from prism_jax.simulation.roboarm.robots import Robot
-from prism_jax.simulation.roboarm.xacro import plain_urdf
 from tests.simulation.roboarm import conftest as boxes
 
 BY_SPLIT = {split: {*arms, *CELL_ARMS.get(split, ())} for split, arms in ARMS.items()}

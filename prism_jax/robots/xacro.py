@@ -18,7 +18,7 @@ from typing import Any
 
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
-from prism_jax.simulation.roboarm.packages import named_file
+from prism_jax.robots.packages import named_file
 
 _REMEDY = "write the robot out as plain URDF"
 _OPERATORS: dict[type, Any] = {

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from prism_jax.io.errors import InputError
+from prism_jax.robots.xacro import plain_urdf
 from prism_jax.simulation.roboarm.models import ArmModel
 from prism_jax.simulation.roboarm.robots import Robot
-from prism_jax.simulation.roboarm.xacro import plain_urdf
 from tests.simulation.roboarm import conftest as boxes
 
 HEAD = '<?xml version="1.0"?><robot name="r" xmlns:xacro="http://wiki.ros.org/xacro">'

@@ -1,0 +1,248 @@
+"""A margin whose coverage was measured: split conformal prediction over cells.
+
+The score of a cell is the largest distance of a point of its true surface from what is
+measured, predicted or the robot's. The margin q is the ceil((n + 1)(1 - alpha))-th
+smallest of n scores. Of another cell that is drawn like these, the inflated surfaces
+hold all of the true surface with a probability of at least 1 - alpha, over cells and
+calibrations (Vovk, Gammerman & Shafer 2005, "Algorithmic Learning in a Random World";
+Papadopoulos et al. 2002, "Inductive confidence machines for regression"). Frames of one
+cell resemble each other and count once. Of other cells than these nothing is promised.
+"""
+
+import dataclasses
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from prism_jax.envelope import NOTICE
+from prism_jax.envelope.distance import Surfaces
+from prism_jax.io import atomic
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+
+FORMAT = "prism_jax envelope calibration, version 1"
+_AGAIN = "calibrate again: prism-envelope calibrate RECORDINGS --output=FILE"
+_ROUNDING = 1e-9
+
+
+def cell_score(truth: Float[np.ndarray, "N 3"], surfaces: Surfaces) -> float:
+    """The smallest margin at which inflated surfaces hold every point of the truth.
+
+    In the points' unit, or in scales where the surfaces have some. Infinite without any
+    surface; an empty truth raises InputError.
+    """
+    if len(truth) == 0:
+        raise InputError("truth", "has no points", "give the true surface of the cell")
+    return float(surfaces.needed(np.asarray(truth, np.float64)).max())
+
+
+def cells_needed(alpha: float) -> int:
+    """The least number of cells that a margin can be told from."""
+    return math.ceil((1.0 - check_alpha(alpha)) / alpha - _ROUNDING)
+
+
+def conformal_margin(scores: Sequence[float], alpha: float) -> float:
+    """The ceil((n + 1)(1 - alpha))-th smallest of n scores.
+
+    Fewer scores than `cells_needed`, and scores of which that one is not finite, raise
+    InputError.
+    """
+    needed = cells_needed(alpha)
+    if len(scores) < needed:
+        fault = f"holds {len(scores)} cells, too few for alpha {alpha:g}"
+        remedy = f"calibrate on {needed} or more, or ask for a larger alpha"
+        raise InputError("calibration", fault, remedy)
+    rank = math.ceil((len(scores) + 1) * (1.0 - alpha) - _ROUNDING)
+    margin = float(np.sort(np.asarray(scores, np.float64))[max(rank, 1) - 1])
+    if not math.isfinite(margin):
+        fault = f"has no finite margin for alpha {alpha:g}: of too many cells no "
+        fault += "surface was measured"
+        raise InputError("calibration", fault, "leave them out, or move the sensor")
+    return margin
+
+
+def check_alpha(alpha: float) -> float:
+    """`alpha` if it is a share between 0 and 1, without them; else InputError."""
+    if not 0.0 < alpha < 1.0:
+        fault = f"cannot be {alpha:g}"
+        raise InputError("alpha", fault, "give the share of cells to miss, as 0.1")
+    return alpha
+
+
+def coverage_interval(
+    covered: int, total: int, confidence: float = 0.95
+) -> tuple[float, float]:
+    """The interval of a share of which `covered` of `total` were counted, after Clopper
+    & Pearson (1934): exact, and so never too narrow."""
+    interval = stats.binomtest(covered, total).proportion_ci(confidence, "exact")
+    return float(interval.low), float(interval.high)
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """What a margin holds for: anything else needs a calibration of its own.
+
+    Attributes:
+      weights: sha256 of the file of weights.
+      sensor: what the sensor is called.
+      settings: how scans are completed, as JSON has it.
+    """
+
+    weights: str
+    sensor: str
+    settings: Mapping[str, Any]
+
+    def differences(self, other: "Setup") -> list[str]:
+        """What is not the same, in words; the other's first."""
+        told = []
+        if self.weights != other.weights:
+            told.append(f"weights {other.weights[:12]}, not {self.weights[:12]}")
+        if self.sensor != other.sensor:
+            told.append(f"sensor {other.sensor!r}, not {self.sensor!r}")
+        for name in sorted({*self.settings, *other.settings}):
+            mine, theirs = self.settings.get(name), other.settings.get(name)
+            if mine != theirs:
+                told.append(f"{name} {theirs}, not {mine}")
+        return told
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """Scores of cells, and what they were made with.
+
+    Attributes:
+      setup: what runs.
+      alpha: the share of cells that may be missed, unless another is asked for.
+      cells: names of the cells.
+      scores: of each cell, in the unit of its clouds.
+      scaled_scores: of each cell in scales of the points' predicted errors; None where
+        these weights predict none.
+      floor: the least of such scales, and that of what is not predicted.
+    """
+
+    setup: Setup
+    alpha: float
+    cells: tuple[str, ...]
+    scores: tuple[float, ...]
+    scaled_scores: tuple[float, ...] | None = None
+    floor: float | None = None
+
+    def __post_init__(self):
+        if len(set(self.cells)) != len(self.cells):
+            raise InputError("calibration", "names a cell twice", _AGAIN)
+        for scores in (self.scores, self.scaled_scores or self.scores):
+            if len(scores) != len(self.cells):
+                raise InputError("calibration", "lacks a score of a cell", _AGAIN)
+            if not all(score >= 0 for score in scores):
+                raise InputError("calibration", "has a score below zero", _AGAIN)
+        self.margin()
+
+    def margin(self, alpha: float | None = None, scaled: bool = False) -> float:
+        """The q for `alpha`, by default the calibration's own.
+
+        With `scaled` it is in scales. One that there are too few cells for, and a
+        scaled one of a calibration without, raise InputError.
+        """
+        if scaled and self.scaled_scores is None:
+            fault = "has no scores in scales of a predicted error"
+            raise InputError("calibration", fault, "leave out --scaled")
+        scores = self.scaled_scores if scaled else self.scores
+        return conformal_margin(scores or (), self.alpha if alpha is None else alpha)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the file has it."""
+        scaled = None
+        if self.scaled_scores is not None:
+            scaled = {
+                "floor": self.floor,
+                "q": self.margin(scaled=True),
+                "scores": list(self.scaled_scores),
+            }
+        return {
+            "format": FORMAT,
+            "notice": NOTICE,
+            "weights_sha256": self.setup.weights,
+            "sensor": self.setup.sensor,
+            "settings": dict(self.setup.settings),
+            "n": len(self.cells),
+            "alpha": self.alpha,
+            "q": self.margin(),
+            "cells": list(self.cells),
+            "scores": [_number(score) for score in self.scores],
+            "scaled": scaled,
+        }
+
+    def write(self, path: str | os.PathLike) -> None:
+        """Writes the file, whole or not at all."""
+        text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
+        atomic.write_bytes(path, (text + "\n").encode())
+
+
+def read_calibration(path: str | os.PathLike, runs: Setup | None = None) -> Calibration:
+    """The calibration of a file.
+
+    A file that is none, one whose numbers contradict each other, and one of another
+    setup than what `runs` raise InputError.
+    """
+    try:
+        content = json.loads(read_bytes(path))
+        if type(content) is not dict or content.get("format") != FORMAT:
+            raise ValueError(f"its format is not {FORMAT!r}")
+        calibration = _from_dict(content)
+    except (KeyError, TypeError, ValueError, RecursionError, OverflowError) as error:
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        if isinstance(error, InputError):
+            raise InputError(
+                path, f"is no sound calibration: {reason}", _AGAIN
+            ) from None
+        raise InputError(path, f"is no calibration: {reason}", _AGAIN) from None
+    if runs is not None:
+        check_setup(calibration, runs, path)
+    return calibration
+
+
+def check_setup(
+    calibration: Calibration, runs: Setup, path: str | os.PathLike = "calibration"
+) -> None:
+    """Raises InputError about `path` if it was calibrated for anything else."""
+    found = runs.differences(calibration.setup)
+    if found:
+        raise InputError(path, f"is for {'; '.join(found)}", _AGAIN)
+
+
+def _from_dict(content: Mapping[str, Any]) -> Calibration:
+    scaled = content["scaled"]
+    setup = Setup(
+        str(content["weights_sha256"]),
+        str(content["sensor"]),
+        dict(content["settings"]),
+    )
+    calibration = Calibration(
+        setup=setup,
+        alpha=float(content["alpha"]),
+        cells=tuple(map(str, content["cells"])),
+        scores=tuple(map(_score, content["scores"])),
+        scaled_scores=None if scaled is None else tuple(map(_score, scaled["scores"])),
+        floor=None if scaled is None else float(scaled["floor"]),
+    )
+    if content["n"] != len(calibration.cells):
+        raise ValueError(f"it says n = {content['n']}")
+    told = float(content["q"])
+    if not math.isclose(told, calibration.margin(), rel_tol=1e-9):
+        raise ValueError(f"q is {calibration.margin():g} by its scores, not {told:g}")
+    return calibration
+
+
+def _number(score: float) -> float | None:
+    """A score as strict JSON has it: one of a cell without any surface is null."""
+    return score if math.isfinite(score) else None
+
+
+def _score(value: Any) -> float:
+    return math.inf if value is None else float(value)

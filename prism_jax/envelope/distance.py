@@ -1,0 +1,252 @@
+"""How far points are from what may be taken, by two measures that are always told
+together: from voxels that are not known to be free, and from surfaces with a margin."""
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int8, UInt8
+from scipy.ndimage import binary_dilation
+from scipy.spatial import KDTree
+
+from prism_jax.envelope.voxels import FREE, STATES, Grid
+from prism_jax.io.errors import InputError
+
+KINDS = STATES[:3]
+"""Whose surfaces: what was measured, the robot's, and what is predicted."""
+
+NEIGHBORS = 16
+"""Nearest middles of voxels among which the nearest box is looked for first."""
+
+LEAF = 32
+"""Points of a leaf of a search tree."""
+
+STEPS = 2
+"""Scales are rounded to so many a doubling."""
+
+_TOUCHING = np.ones((3, 3, 3), bool)
+
+
+class Distances(NamedTuple):
+    """Of each point, in the unit of the grid.
+
+    Attributes:
+      not_free: to the nearest voxel that is not known to be free; 0 in one, and outside
+        of the grid, where nothing is known.
+      surface: to the nearest surface inflated by its margin; negative inside. Infinite
+        where there is no surface.
+      kind: the number of whose surface that is, in `KINDS`; -1 for none.
+    """
+
+    not_free: Float64[np.ndarray, " N"]
+    surface: Float64[np.ndarray, " N"]
+    kind: Int8[np.ndarray, " N"]
+
+
+class Surfaces:
+    """Points on surfaces of each kind, each with a scale for its margin.
+
+    A margin is `margin` times the scale, and scales are 1 unless told otherwise. Scales
+    are rounded down to `STEPS` a doubling, so that one search tree does for each.
+    """
+
+    def __init__(
+        self,
+        points: Mapping[str, Float[np.ndarray, "_ 3"]],
+        scales: Mapping[str, Float[np.ndarray, " _"]] | None = None,
+    ):
+        """`points` by their kind, of `KINDS`; a kind may be left out or empty.
+
+        `scales` by the same names, one above zero a point. Other names, points that are
+        not finite and scales that are none raise InputError.
+        """
+        self.points = {kind: np.zeros((0, 3)) for kind in KINDS}
+        for kind, cloud in points.items():
+            if kind not in KINDS:
+                raise InputError(kind, "is no kind of surface", f"use {KINDS}")
+            cloud = np.asarray(cloud, np.float64).reshape(-1, 3)
+            if not np.isfinite(cloud).all():
+                fault = "has points that are not finite"
+                raise InputError(f"{kind} surface", fault, "drop them")
+            self.points[kind] = cloud
+        scales = scales or {}
+        whose = np.repeat(np.arange(len(KINDS)), [len(self.points[k]) for k in KINDS])
+        together = np.concatenate([self.points[kind] for kind in KINDS])
+        rounded = np.concatenate(
+            [
+                _rounded(scales.get(kind, np.ones(len(cloud))), cloud, kind)
+                for kind, cloud in self.points.items()
+            ]
+        )
+        self._trees: list[tuple[float, KDTree, np.ndarray]] = []
+        for scale in np.unique(rounded):
+            rows = rounded == scale
+            # Boxes that are not shrunk to their points are quicker for points far away.
+            tree = KDTree(together[rows], leafsize=LEAF, compact_nodes=False)
+            self._trees.append((float(scale), tree, whose[rows].astype(np.int8)))
+
+    def __len__(self) -> int:
+        return sum(map(len, self.points.values()))
+
+    def reach(self, margin: float) -> float:
+        """The widest margin around any point."""
+        return max((margin * scale for scale, _, _ in self._trees), default=0.0)
+
+    def distance(
+        self, points: Float[np.ndarray, "N 3"], margin: float = 0.0
+    ) -> tuple[Float64[np.ndarray, " N"], Int8[np.ndarray, " N"]]:
+        """The distance to the nearest surface less its margin, and its kind's number.
+
+        Infinite and -1 where there is no surface.
+        """
+        least = np.full(len(points), np.inf)
+        whose = np.full(len(points), -1, np.int8)
+        for scale, tree, kinds in self._trees:
+            away, row = tree.query(points, workers=-1)
+            away = away - margin * scale
+            nearer = away < least
+            least[nearer], whose[nearer] = away[nearer], kinds[row[nearer]]
+        return least, whose
+
+    def needed(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
+        """The margin at which the inflated surfaces reach each point."""
+        least = np.full(len(points), np.inf)
+        for scale, tree, _ in self._trees:
+            least = np.minimum(least, tree.query(points, workers=-1)[0] / scale)
+        return least
+
+
+@dataclasses.dataclass(frozen=True)
+class Envelope:
+    """What may be taken of a workspace.
+
+    Attributes:
+      grid: the voxels, in the user's frame and unit.
+      state: of each, one of `voxels.STATES` by number.
+      surfaces: of objects and the robot: what the margin inflates. Planes that objects
+        stand on are voxels, but none of these.
+      margin: what they are inflated by, times their scales: the q of a calibration.
+    """
+
+    grid: Grid
+    state: UInt8[np.ndarray, "X Y Z"]
+    surfaces: Surfaces
+    margin: float
+
+    @functools.cached_property
+    def _shell(self) -> KDTree | None:
+        """Middles of the voxels that are not free and have a free neighbour, as has
+        whatever is nearest to a free one; the grid's outside among them."""
+        taken = np.pad(self.state != FREE, 1, constant_values=True)
+        shell = taken & binary_dilation(~taken, _TOUCHING)
+        steps = np.argwhere(shell) - 1
+        middles = self.grid.lower + self.grid.voxel * (steps + 0.5)
+        return KDTree(middles) if len(middles) else None
+
+    def query(self, points: Float[np.ndarray, "N 3"]) -> Distances:
+        """Both distances of points in the grid's frame; of any number of them.
+
+        Points that are not finite raise InputError.
+        """
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        if not np.isfinite(points).all():
+            raise InputError("points", "are not all finite", "drop those that are not")
+        surface, kind = self.surfaces.distance(points, self.margin)
+        return Distances(self.to_not_free(points), surface, kind)
+
+    def to_not_free(
+        self, points: Float[np.ndarray, "N 3"]
+    ) -> Float64[np.ndarray, " N"]:
+        """`Distances.not_free`."""
+        index = self.grid.index_of(points)
+        away = np.zeros(len(points))
+        free = np.nonzero((index >= 0) & (self.state.ravel()[index] == FREE))[0]
+        shell = self._shell
+        if len(free) == 0 or shell is None:
+            return away
+        asked = points[free]
+        neighbors = min(NEIGHBORS, shell.n)
+        apart, rows = shell.query(asked, k=[*range(1, neighbors + 1)])
+        boxes = self._to_boxes(asked[:, None], shell.data[rows]).min(axis=1)
+        # Boxes that were not asked for can be nearer if the last one's middle is not
+        # farther away than this.
+        enough = boxes + self.grid.half_diagonal
+        if neighbors < shell.n:
+            for row in np.nonzero(apart[:, -1] < enough)[0]:
+                near = shell.query_ball_point(asked[row], enough[row])
+                boxes[row] = self._to_boxes(asked[row], shell.data[near]).min()
+        away[free] = boxes
+        return away
+
+    def _to_boxes(self, points: np.ndarray, middles: np.ndarray) -> np.ndarray:
+        """Distances from voxels by their middles, their last axis."""
+        gaps = np.abs(middles - points) - 0.5 * self.grid.voxel
+        return np.linalg.norm(np.maximum(gaps, 0.0), axis=-1)
+
+    @functools.cached_property
+    def surface_field(self) -> Float64[np.ndarray, "X Y Z"]:
+        """`Distances.surface` of every voxel's middle."""
+        away, _ = self.surfaces.distance(self.grid.centers(), self.margin)
+        return away.reshape(self.grid.shape)
+
+    @functools.cached_property
+    def not_free_field(self) -> Float64[np.ndarray, "X Y Z"]:
+        """`Distances.not_free` of every voxel's middle."""
+        return self.grid.voxel * box_distances(self.state != FREE)
+
+    @functools.cached_property
+    def taken(self) -> Bool[np.ndarray, "X Y Z"]:
+        """The voxels of the envelope: not known to be free, and reached by a surface's
+        margin, if only with a corner."""
+        reached = self.surface_field <= self.grid.half_diagonal
+        return reached & (self.state != FREE)
+
+    def volumes(self) -> dict[str, float]:
+        """Of the voxels in each state, of all that are not free, and of the envelope,
+        in cubic units."""
+        cube = self.grid.voxel**3
+        counts = np.bincount(self.state.ravel(), minlength=len(STATES))
+        volumes = {
+            name: float(n * cube) for name, n in zip(STATES, counts, strict=True)
+        }
+        volumes["not_free"] = float((counts.sum() - counts[FREE]) * cube)
+        volumes["envelope"] = float(self.taken.sum() * cube)
+        return volumes
+
+
+def box_distances(taken: Bool[np.ndarray, "X Y Z"]) -> Float64[np.ndarray, "X Y Z"]:
+    """How far the middle of each voxel is from the nearest one that is taken, as a box,
+    in voxels; all beyond the border are taken.
+
+    Exact, one axis after the other: a box is as far as its nearest faces are along each
+    (Felzenszwalb & Huttenlocher 2012, "Distance transforms of sampled functions").
+    """
+    squares = np.pad(np.where(taken, 0.0, np.inf), 1)
+    # From the border no voxel is farther than this.
+    farthest = min(squares.shape) // 2 + 1
+    for axis in range(3):
+        before = np.moveaxis(squares, axis, 0)
+        least = before.copy()
+        for offset in range(1, min(farthest, len(before) - 1) + 1):
+            cost = (offset - 0.5) ** 2
+            np.minimum(least[offset:], before[:-offset] + cost, out=least[offset:])
+            np.minimum(least[:-offset], before[offset:] + cost, out=least[:-offset])
+        squares = np.moveaxis(least, 0, axis)
+    return np.sqrt(squares[1:-1, 1:-1, 1:-1])
+
+
+def _rounded(
+    scales: Float[np.ndarray, " _"], points: np.ndarray, kind: str
+) -> Float64[np.ndarray, " _"]:
+    """Scales rounded down, so that a margin is never wider than it was calibrated."""
+    scales = np.asarray(scales, np.float64)
+    if scales.shape != (len(points),):
+        fault = f"has {scales.size} scales for {len(points)} points"
+        raise InputError(f"{kind} surface", fault, "give one a point")
+    if not (np.isfinite(scales) & (scales > 0)).all():
+        fault = "has scales that are not above zero"
+        raise InputError(f"{kind} surface", fault, "give a predicted error of each")
+    # 1 stays 1, whatever the logarithm makes of it.
+    return 2.0 ** (np.floor(STEPS * np.log2(scales) + 1e-9) / STEPS)

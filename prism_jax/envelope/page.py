@@ -1,0 +1,108 @@
+"""The page that shows an envelope."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.envelope.distance import KINDS, Envelope
+from prism_jax.envelope.voxels import STATES, UNSEEN
+from prism_jax.figures import MAX_SHOWN_POINTS, Cloud, Panel, clouds_figure
+from prism_jax.geometry.camera import Camera
+from prism_jax.io import ply
+from prism_jax.report.details import number
+from prism_jax.report.page import clouds_html, render
+from prism_jax.report.view import viewing_direction
+
+COLORS = {
+    "measured": ply.COLORS[ply.OBSERVED],
+    "robot": (120, 94, 160),
+    "predicted": ply.COLORS[ply.COMPLETED],
+    "unseen": (178, 186, 196),
+    "free": (255, 255, 255),
+}
+"""Red, green, blue of each state."""
+
+
+def envelope_page(
+    envelope: Envelope,
+    summary: Mapping[str, Any],
+    camera: Camera | None,
+    up: Float[np.ndarray, "3"],
+) -> str:
+    """HTML that needs no network, about 5 MB: surfaces beside the envelope's voxels.
+
+    ``summary`` is the content of envelope.json, so that the two never disagree.
+    """
+    css = {name: "rgb({}, {}, {})".format(*rgb) for name, rgb in COLORS.items()}
+    surfaces = [Cloud(k, envelope.surfaces.points[k], css[k]) for k in KINDS]
+    state, taken = envelope.state.ravel(), envelope.taken.ravel()
+    voxels = []
+    for value, name in enumerate(STATES[: UNSEEN + 1]):
+        shown = np.nonzero((state == value) & (taken | (value < UNSEEN)))[0]
+        voxels.append(Cloud(name, envelope.grid.middles(shown), css[name]))
+    panels = [
+        Panel("Surfaces", [cloud for cloud in surfaces if len(cloud.points)]),
+        Panel(
+            "Envelope: voxels not known to be free",
+            [cloud for cloud in voxels if len(cloud.points)],
+        ),
+    ]
+    toward = np.array([0.7, 0.5, 0.5])
+    if camera is not None:
+        toward = viewing_direction(camera, up)
+    bounds = np.stack([envelope.grid.lower, envelope.grid.upper])
+    figure = clouds_figure(panels, toward, up, bounds)
+    names = [cloud.name for panel in panels for cloud in panel.clouds]
+    for trace, name in zip(figure.data, names, strict=True):
+        trace.meta = {"cloud": name}
+    ssm = summary["separation"]
+    return render(
+        "envelope.html",
+        summary=summary,
+        promise=promise(summary),
+        toggles=[(name, css[name]) for name in STATES[: UNSEEN + 1]],
+        clouds=clouds_html(figure),
+        max_shown=f"{MAX_SHOWN_POINTS:,}",
+        volumes=[(k.replace("_", " "), number(v)) for k, v in _volumes(summary)],
+        separations=None if ssm is None else ssm["distances"],
+        details=_details(summary),
+    )
+
+
+def promise(summary: Mapping[str, Any]) -> str:
+    """What the margin is, and what it was measured on."""
+    told, alpha = summary["calibration"], summary["alpha"]
+    unit = "times each point's expected error" if summary["scaled"] else "in its units"
+    return (
+        f"Surfaces are inflated by q = {number(summary['q'])}, {unit}, which was "
+        f"chosen on {told['n']} cells: of another cell like these it holds all of the "
+        f"true surface with a probability of at least {100 * (1 - alpha):.3g} %. Of "
+        "cells unlike these it promises nothing."
+    )
+
+
+def _volumes(summary: Mapping[str, Any]) -> list[tuple[str, float]]:
+    return list(summary["volumes"].items())
+
+
+def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    grid, told = summary["grid"], summary["calibration"]
+    lower = ", ".join(f"{value:.6g}" for value in grid["lower"])
+    rows = [
+        ("Input", summary["input"]["file"]),
+        ("Weights", summary["weights"]),
+        ("Sensor", summary["sensor"]),
+        ("Calibration", f"{told['file']}, {told['n']} cells"),
+        ("Grid", f"{grid['shape']} voxels of {number(grid['voxel'])} from ({lower})"),
+        ("Points", ", ".join(f"{n:,} {k}" for k, n in summary["points"].items())),
+        ("Seconds", ", ".join(f"{k} {v:.2f}" for k, v in summary["seconds"].items())),
+        ("Software", f"prism_jax {summary['prism_jax']}"),
+    ]
+    if summary["not_completed"]:
+        rows.insert(1, ("Not completed", summary["not_completed"]))
+    if summary["query"]:
+        asked = summary["query"]
+        rows.append(("Query", ", ".join(f"{k} {v}" for k, v in asked.items())))
+    return rows

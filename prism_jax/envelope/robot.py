@@ -1,0 +1,144 @@
+"""A robot that is known: its surface by URDF and joint positions, cut out of a scan."""
+
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int
+from scipy.spatial import KDTree
+
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+from prism_jax.robots.urdf import Linkage
+
+SPACING = 0.02
+"""Metres between points on a robot's surface, about."""
+
+MARGIN = 0.03
+"""Metres: measured points this near to the robot's surface are the robot's."""
+
+_LAYOUT = 'write {"positions": {JOINT: radians or metres}} and, if it is not the frame'
+_LAYOUT += '\'s own origin, "base": a 4x4 pose of the robot'
+
+
+def read_joints(
+    path: str | os.PathLike,
+) -> tuple[dict[str, float], Float64[np.ndarray, "4 4"]]:
+    """Joint positions by name and the base's pose in the scan's frame, from JSON.
+
+    The file is that of the recordings: `positions` are needed; `base` is a 4x4 matrix,
+    the identity unless given; all else is left alone.
+    """
+    try:
+        content = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, "is not JSON", _LAYOUT) from None
+    if type(content) is not dict:
+        raise InputError(path, "is not a JSON object", _LAYOUT)
+    return joints_from_dict(content, path)
+
+
+def joints_from_dict(
+    content: Mapping[str, Any], path: str | os.PathLike = "joints"
+) -> tuple[dict[str, float], Float64[np.ndarray, "4 4"]]:
+    """The same of what such a file holds; InputError about `path`."""
+    positions = content.get("positions")
+    if type(positions) is not dict or not all(map(_is_number, positions.values())):
+        raise InputError(path, "has no positions of joints", _LAYOUT)
+    base = np.eye(4)
+    if "base" in content:
+        try:
+            base = np.array(content["base"], np.float64)
+        except (TypeError, ValueError):
+            base = np.zeros(0)
+        if base.shape != (4, 4) or not _is_pose(base):
+            raise InputError(path, "has a base that is no 4x4 pose", _LAYOUT)
+    return {name: float(value) for name, value in positions.items()}, base
+
+
+def robot_surface(
+    robot: Linkage,
+    positions: Mapping[str, float],
+    base: Float[np.ndarray, "4 4"],
+    spacing: float = SPACING,
+) -> Float64[np.ndarray, "R 3"]:
+    """Points on a robot's surface in the scan's frame, evenly spaced (`on_triangles`).
+
+    A joint of the robot without a position raises InputError; other positions are left
+    alone.
+    """
+    missing = [name for name in robot.joints if name not in positions]
+    if missing:
+        fault = f"has no position of the joint {missing[0]!r}"
+        remedy = f"give all of {', '.join(robot.joints)}"
+        raise InputError("joints", fault, remedy)
+    given = np.array([positions[name] for name in robot.joints])
+    vertices, faces = robot.triangles(given)
+    placed = vertices @ base[:3, :3].T + base[:3, 3]
+    return on_triangles(placed, faces, spacing)
+
+
+def on_triangles(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    spacing: float = SPACING,
+) -> Float64[np.ndarray, "N 3"]:
+    """Points on triangles: none of these is farther than `spacing` from one of them.
+
+    Each triangle gets a lattice of half the spacing; of points in one cube of 0.4 of
+    it, one is kept. The same triangles give the same points.
+    """
+    corners = np.asarray(vertices, np.float64)[np.asarray(faces, int)]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    # A point is within side / sqrt(3) of a corner of its part, and that within the
+    # cube's diagonal of what is kept: 0.29 and 0.70 of the spacing.
+    parts = np.ceil(sides.max(axis=1) / (0.5 * spacing)).astype(int)
+    parts = np.maximum(parts, 1)
+    found = []
+    for count in np.unique(parts):
+        first, second = np.indices((count + 1, count + 1)).reshape(2, -1)
+        kept = first + second <= count
+        shares = np.stack([first, second, count - first - second], axis=1)[kept]
+        placed = np.einsum("kc,fcj->fkj", shares / count, corners[parts == count])
+        found.append(placed.reshape(-1, 3))
+    if not found:
+        return np.zeros((0, 3))
+    points = np.concatenate(found)
+    cubes = np.floor((points - points.min(axis=0)) / (0.4 * spacing)).astype(int)
+    number = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))
+    _, rows = np.unique(number, return_index=True)
+    return points[np.sort(rows)]
+
+
+def of_robot(
+    points: Float[np.ndarray, "N 3"],
+    surface: Float[np.ndarray, "R 3"],
+    margin: float = MARGIN,
+) -> Bool[np.ndarray, " N"]:
+    """Which points lie within `margin` of a robot's surface: its own, in a scan.
+
+    None of an empty surface. What the robot touches goes with it, for so far.
+    """
+    if len(surface) == 0 or len(points) == 0:
+        return np.zeros(len(points), bool)
+    return KDTree(surface).query(points, distance_upper_bound=margin)[0] < margin
+
+
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and abs(value) < 1e6
+
+
+def _is_pose(base: np.ndarray) -> bool:
+    turn = base[:3, :3]
+    return bool(
+        np.isfinite(base).all()
+        and np.abs(base).max() < 1e9
+        and np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+        and np.linalg.det(turn) > 0
+        and np.allclose(base[3], [0, 0, 0, 1])
+    )

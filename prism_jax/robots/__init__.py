@@ -1,0 +1,1 @@
+"""Robots as their files describe them: links, joints, meshes, poses."""

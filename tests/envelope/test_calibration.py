@@ -1,0 +1,155 @@
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.distance import directed_hausdorff
+
+from prism_jax.envelope.calibration import (
+    Calibration,
+    Setup,
+    cell_score,
+    cells_needed,
+    conformal_margin,
+    coverage_interval,
+    read_calibration,
+)
+from prism_jax.envelope.distance import Surfaces
+from prism_jax.io.errors import InputError
+
+RNG = np.random.default_rng(0)
+SETUP = Setup("a" * 64, "camera 640x480", {"adapt": False, "density": 1.0})
+
+
+def calibration(n=20, alpha=0.1, **more):
+    scores = tuple(RNG.uniform(0.1, 0.5, n).tolist())
+    return Calibration(
+        SETUP, alpha, tuple(f"{i:03d}" for i in range(n)), scores, **more
+    )
+
+
+def test_a_score_is_the_directed_hausdorff_distance():
+    truth, cloud = RNG.random((80, 3)), RNG.random((50, 3))
+    halves = Surfaces({"measured": cloud[:20], "predicted": cloud[20:]})
+    expected = directed_hausdorff(truth, cloud)[0]
+    assert cell_score(truth, halves) == pytest.approx(expected, rel=1e-12)
+    assert cell_score(truth, Surfaces({})) == np.inf
+    with pytest.raises(InputError, match="no points"):
+        cell_score(np.zeros((0, 3)), halves)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "needed"), [(0.1, 9), (0.05, 19), (0.01, 99), (0.2, 4), (0.5, 1)]
+)
+def test_fewer_cells_than_can_tell_are_refused_with_how_many_can(alpha, needed):
+    assert cells_needed(alpha) == needed
+    assert conformal_margin([1.0] * needed, alpha) == 1.0
+    with pytest.raises(InputError, match=f"{needed - 1} cells.*on {needed} or more"):
+        conformal_margin([1.0] * (needed - 1), alpha)
+
+
+def test_the_margin_is_numpys_quantile_of_that_rank():
+    for n, alpha in ((9, 0.1), (10, 0.1), (19, 0.05), (99, 0.1), (100, 0.05)):
+        scores = RNG.random(n)
+        level = min((1 - alpha) * (n + 1) / n, 1.0)
+        expected = np.quantile(scores, level - 1e-12, method="inverted_cdf")
+        assert conformal_margin(list(scores), alpha) == expected
+
+
+def test_coverage_is_what_was_promised():
+    """Of exchangeable cells, on average over calibrations; exact without ties."""
+    n, alpha, trials = 19, 0.1, 4000
+    drawn = RNG.standard_exponential((trials, n + 1))
+    held = [row[-1] <= conformal_margin(list(row[:-1]), alpha) for row in drawn]
+    exact = np.ceil((n + 1) * (1 - alpha)) / (n + 1)
+    low, high = stats.binomtest(sum(held), trials).proportion_ci(0.999)
+    assert low < exact < high
+
+
+def test_a_margin_beyond_what_was_measured_is_refused():
+    assert conformal_margin([0.1] * 18 + [np.inf], 0.1) == 0.1
+    with pytest.raises(InputError, match="no finite margin"):
+        conformal_margin([0.1] * 8 + [np.inf], 0.1)
+    for alpha in (0.0, 1.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="alpha"):
+            conformal_margin([0.1] * 50, alpha)
+
+
+@pytest.mark.parametrize(("covered", "total"), [(0, 10), (10, 10), (93, 100), (1, 3)])
+def test_intervals_are_the_beta_distributions(covered, total):
+    low, high = coverage_interval(covered, total)
+    tail = 0.025
+    expected_low = stats.beta.ppf(tail, covered, total - covered + 1) if covered else 0
+    expected_high = 1.0
+    if covered < total:
+        expected_high = stats.beta.ppf(1 - tail, covered + 1, total - covered)
+    assert (low, high) == pytest.approx((expected_low, expected_high), abs=1e-9)
+
+
+def test_a_file_is_read_back_and_checked_against_what_runs(tmp_path):
+    path = tmp_path / "cal.json"
+    one = calibration(scaled_scores=tuple(np.ones(20)), floor=0.05)
+    one.write(path)
+    assert read_calibration(path, SETUP) == one
+    content = json.loads(path.read_text())
+    assert content["n"] == 20 and content["weights_sha256"] == "a" * 64
+    assert "People are never predicted" in content["notice"]
+    for changed, told in (
+        (
+            Setup("b" * 64, SETUP.sensor, SETUP.settings),
+            "weights aaaaaaaaaaaa, not bbbb",
+        ),
+        (Setup("a" * 64, "camera 9x9", SETUP.settings), "sensor 'camera 640x480'"),
+        (Setup("a" * 64, SETUP.sensor, {"adapt": True, "density": 1.0}), "adapt False"),
+        (Setup("a" * 64, SETUP.sensor, {"adapt": False}), "density 1.0, not None"),
+    ):
+        with pytest.raises(InputError, match=told) as refused:
+            read_calibration(path, changed)
+        assert str(path) in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"format": "another"},
+        {"q": 0.01},
+        {"n": 19},
+        {"scores": [0.1] * 19},
+        {"scores": [-0.1] * 20},
+        {"scores": "many"},
+        {"scores": [None] * 20},
+        {"alpha": 0.001},
+        {"alpha": "x"},
+        {"cells": ["same"] * 20},
+        {"settings": 3},
+        {"scaled": {"floor": 0.1}},
+    ],
+)
+def test_files_that_contradict_themselves_are_refused(tmp_path, change):
+    path = tmp_path / "cal.json"
+    path.write_text(json.dumps(calibration().to_dict() | change))
+    with pytest.raises(InputError, match="calibrate again"):
+        read_calibration(path)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", "{", "null", '{"format": 1}'])
+def test_files_that_are_no_calibration_are_refused(tmp_path, text):
+    path = tmp_path / "cal.json"
+    path.write_text(text)
+    with pytest.raises(InputError):
+        read_calibration(path)
+
+
+def test_a_cell_without_any_surface_is_null_in_the_file(tmp_path):
+    path = tmp_path / "cal.json"
+    names = tuple(map(str, range(30)))
+    one = Calibration(SETUP, 0.1, names, (0.2,) * 29 + (float("inf"),))
+    one.write(path)
+    assert json.loads(path.read_text())["scores"][-1] is None
+    assert read_calibration(path).scores[-1] == np.inf
+
+
+def test_scaled_margins_need_scaled_scores():
+    with pytest.raises(InputError, match="--scaled"):
+        calibration().margin(scaled=True)
+    assert calibration(scaled_scores=(2.0,) * 20).margin(scaled=True) == 2.0

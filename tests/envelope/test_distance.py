@@ -1,0 +1,169 @@
+import time
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial.distance import cdist
+
+from prism_jax.envelope.distance import KINDS, Envelope, Surfaces
+from prism_jax.envelope.voxels import FREE, UNSEEN, Grid
+from prism_jax.io.errors import InputError
+
+RNG = np.random.default_rng(0)
+
+
+def envelope(state, lower=(0.0, 0.0, 0.0), voxel=0.1, points=None, margin=0.0):
+    state = np.asarray(state, np.uint8)
+    lower = np.asarray(lower, float)
+    grid = Grid.over(lower, lower + voxel * np.array(state.shape), voxel)
+    assert grid.shape == state.shape
+    return Envelope(grid, state, Surfaces(points or {}), margin)
+
+
+def scattered(shape=(12, 10, 11), taken=0.03):
+    return np.where(RNG.random(shape) < taken, UNSEEN, FREE)
+
+
+def test_at_voxels_middles_it_is_the_distance_transform_less_half_a_voxel():
+    """Scipy's transform measures to middles; along an axis a face is half a voxel
+    nearer, and never by more than half a diagonal."""
+    state = scattered()
+    one = envelope(state)
+    found = one.query(one.grid.centers()).not_free.reshape(state.shape)
+    outside = np.pad(state == FREE, 1)
+    middles = 0.1 * distance_transform_edt(outside)[1:-1, 1:-1, 1:-1]
+    assert (found[state != FREE] == 0).all()
+    assert (found <= middles + 1e-12).all()
+    assert (found >= middles - one.grid.half_diagonal - 1e-12).all()
+    slab = np.full((20, 3, 3), FREE)
+    slab[0] = UNSEEN
+    tall = envelope(np.repeat(np.repeat(slab, 15, 1), 15, 2))
+    middle = np.array([[0.1 * k + 0.05, 2.25, 2.25] for k in range(1, 10)])
+    expected = 0.1 * np.arange(1, 10) - 0.1 + 0.05
+    np.testing.assert_allclose(tall.query(middle).not_free, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(12, 10, 11), (1, 1, 1), (3, 1, 20)])
+@pytest.mark.parametrize("taken", [0.0, 0.01, 0.5, 1.0])
+def test_the_field_is_the_query_at_every_middle(shape, taken):
+    one = envelope(scattered(shape, taken))
+    found = one.query(one.grid.centers()).not_free.reshape(shape)
+    np.testing.assert_allclose(one.not_free_field, found, atol=1e-12)
+
+
+def test_anywhere_it_is_the_distance_to_the_nearest_box():
+    state = scattered(taken=0.01)
+    one = envelope(state, lower=(5.0, -3.0, 2.0))
+    points = RNG.uniform(one.grid.lower, one.grid.upper, (300, 3))
+    padded = np.pad(state != FREE, 1, constant_values=True)
+    corners = one.grid.lower + 0.1 * (np.argwhere(padded) - 1)
+    nearest = np.full(len(points), np.inf)
+    for corner in corners:
+        gap = np.maximum(np.maximum(corner - points, points - corner - 0.1), 0)
+        nearest = np.minimum(nearest, np.linalg.norm(gap, axis=1))
+    found = one.query(points).not_free
+    np.testing.assert_allclose(found, nearest, atol=1e-12)
+
+
+def test_outside_of_the_grid_nothing_is_known_to_be_free():
+    one = envelope(np.full((4, 4, 4), FREE))
+    found = one.query(np.array([[-0.1, 0.2, 0.2], [9, 9, 9.0], [0.2, 0.2, 0.2]]))
+    assert found.not_free[:2].tolist() == [0, 0]
+    assert found.not_free[2] == pytest.approx(0.2)
+
+
+def test_where_everything_is_unseen_the_distance_is_zero():
+    one = envelope(np.full((4, 4, 4), UNSEEN))
+    found = one.query(RNG.uniform(0, 0.4, (20, 3)))
+    assert (found.not_free == 0).all()
+    assert np.isinf(found.surface).all() and (found.kind == -1).all()
+    volumes = one.volumes()
+    assert volumes["not_free"] == pytest.approx(0.4**3)
+    assert volumes["envelope"] == volumes["free"] == 0
+
+
+def test_no_points_are_asked_and_one_is():
+    one = envelope(scattered())
+    assert one.query(np.zeros((0, 3))).not_free.shape == (0,)
+    assert one.query(np.full((1, 3), 0.3)).surface.shape == (1,)
+    with pytest.raises(InputError, match="not all finite"):
+        one.query(np.array([[0, 0, np.nan]]))
+
+
+def test_surfaces_of_each_kind_are_told_apart():
+    clouds = {kind: RNG.uniform(0, 1, (40, 3)) for kind in KINDS}
+    points = RNG.uniform(-1, 2, (200, 3))
+    found, kind = Surfaces(clouds).distance(points, 0.25)
+    apart = np.stack([cdist(points, clouds[name]).min(axis=1) for name in KINDS])
+    np.testing.assert_allclose(found, apart.min(axis=0) - 0.25)
+    np.testing.assert_array_equal(kind, apart.argmin(axis=0))
+    assert (found < 0).any()
+
+
+def test_scaled_margins_are_balls_of_their_own_size():
+    cloud = RNG.uniform(0, 1, (30, 3))
+    scales = 2.0 ** RNG.integers(-4, 1, 30)
+    one = Surfaces({"predicted": cloud}, {"predicted": scales})
+    points = RNG.uniform(-1, 2, (200, 3))
+    apart = cdist(points, cloud)
+    margin = 0.7
+    expected = (apart - margin * scales).min(axis=1)
+    np.testing.assert_allclose(one.distance(points, margin)[0], expected)
+    needed = one.needed(points)
+    np.testing.assert_allclose(needed, (apart / scales).min(axis=1))
+    assert one.reach(margin) == margin * scales.max()
+    np.testing.assert_array_equal(needed <= margin, expected <= 1e-12)
+
+
+def test_scales_between_steps_are_rounded_down():
+    one = Surfaces({"predicted": np.zeros((1, 3))}, {"predicted": np.array([0.9])})
+    needed = one.needed(np.array([[1.0, 0, 0]]))[0]
+    assert 1 / 0.9 <= needed <= np.sqrt(2) / 0.9
+
+
+@pytest.mark.parametrize(
+    ("points", "scales", "told"),
+    [
+        ({"people": np.zeros((1, 3))}, None, "no kind"),
+        ({"robot": np.full((1, 3), np.nan)}, None, "not finite"),
+        ({"robot": np.zeros((2, 3))}, {"robot": np.ones(1)}, "1 scales for 2"),
+        ({"robot": np.zeros((1, 3))}, {"robot": np.zeros(1)}, "above zero"),
+        ({"robot": np.zeros((1, 3))}, {"robot": np.full(1, np.nan)}, "above zero"),
+    ],
+)
+def test_surfaces_that_are_none_are_refused(points, scales, told):
+    with pytest.raises(InputError, match=told):
+        Surfaces(points, scales)
+
+
+@pytest.mark.parametrize("origin", [np.zeros(3), np.array([4e5, -5e6, 100.0])])
+def test_the_volume_around_a_point_is_a_balls(origin):
+    margin, voxel = 0.5, 0.05
+    state = np.full((30, 30, 30), UNSEEN)
+    at = origin + 0.75
+    one = envelope(state, origin, voxel, {"measured": at[None]}, margin)
+    inner, outer = (
+        4 / 3 * np.pi * (margin + more) ** 3
+        for more in (0.0, 2 * one.grid.half_diagonal)
+    )
+    assert inner < one.volumes()["envelope"] < outer
+    # What is free is none of it, however near.
+    state = state.copy()
+    state[:15] = FREE
+    half = envelope(state, origin, voxel, {"measured": at[None]}, margin)
+    assert half.taken.sum() == one.taken[15:].sum()
+
+
+def test_a_query_in_a_cell_of_three_metres_is_quick():
+    state = np.full((75, 75, 75), FREE)
+    state[RNG.random(state.shape) < 0.1] = UNSEEN
+    clouds = {kind: RNG.uniform(0, 3, (10_000, 3)) for kind in KINDS}
+    one = envelope(state, voxel=0.04, points=clouds, margin=0.3)
+    points = RNG.uniform(0, 3, (1000, 3))
+    one.query(points)
+    spent = []
+    for _ in range(5):
+        start = time.process_time()
+        one.query(points)
+        spent.append(time.process_time() - start)
+    assert min(spent) < 0.05
