@@ -9,6 +9,7 @@ import shutil
 import time
 
 import numpy as np
+import plyfile
 import pytest
 
 from prism_jax import io
@@ -193,3 +194,27 @@ def test_a_short_step_and_a_failed_one_are_quiet(capsys):
         raise ValueError("x")
     assert capsys.readouterr().err == ""
     assert set(seconds) == {"load"}
+
+
+def test_errors_of_points_are_in_the_files_or_honestly_absent(given, monkeypatch):
+    """A property and a summary in the input's units; none, and null."""
+    assert complete_file(**given)["sigma"] is None
+    path = pathlib.Path(given["output_dir"]) / "completed.ply"
+    assert b"sigma" not in path.read_bytes()
+    plain = FakeCompleter.complete
+
+    def complete(self, *arguments, **asked):
+        done = plain(self, *arguments, **asked)
+        sigma = np.where(done.observed, 0.0, np.linspace(1, 2, len(done.points)))
+        return dataclasses.replace(done, sigma=sigma)
+
+    monkeypatch.setattr(FakeCompleter, "complete", complete)
+    told = complete_file(**given)["sigma"]
+    vertex = plyfile.PlyData.read(path)["vertex"]
+    expected = np.linspace(1, 2, 450)[300:]
+    assert not vertex["sigma"][:300].any()
+    np.testing.assert_allclose(vertex["sigma"][300:], expected, rtol=1e-6)
+    assert told["mean"] == pytest.approx(expected.mean())
+    assert told["median"] == pytest.approx(np.median(expected))
+    assert told["q05"] == pytest.approx(np.quantile(expected, 0.05))
+    assert told["q95"] == pytest.approx(np.quantile(expected, 0.95))
