@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
@@ -49,7 +50,7 @@ class Losses(NamedTuple):
     visibility: Float[Array, "*steps"] | None = None
     keep: Float[Array, "*steps"] | None = None
 
-    def named(self) -> dict[str, Float[Array, "*steps"]]:
+    def named(self) -> dict[str, Float[Array | np.ndarray, "*steps"]]:
         """All that there are, by name."""
         return {k: v for k, v in self._asdict().items() if v is not None}
 
