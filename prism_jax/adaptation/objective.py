@@ -27,9 +27,10 @@ from prism_jax.models.prism import (
 )
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
-TOLERANCE = 4.0
-"""In spacings of the network's input: a predicted point that much nearer than what was
-measured would have hidden it. What a user gets is filtered by as much."""
+TOLERANCE = 2.0
+"""In spacings of the network's input: a predicted point that much nearer than all that
+was measured about its pixel would have hidden it. Chosen on `novel`
+(docs/experiments.md)."""
 
 BALANCED = ("depth_consistency", *BRANCHES, "visibility")
 """The terms that have a norm of their own (`AdaptConfig.balance`)."""

@@ -33,6 +33,9 @@ CLOSED = 3.0
 Background = Literal["unknown", "empty"]
 """What lies around a cloud in its sensor's view: nobody knows, or nothing was hit."""
 
+ABOUT = 2
+"""In pixels: what is measured so near to a pixel may as well be measured there."""
+
 NUM_CLUES = 6
 """Of a point: the shares of the four states, how far behind, and how far aside."""
 
@@ -223,6 +226,24 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
     away = jnp.minimum(read[:, 5] * z / camera.intrinsics[0, 0], 1.0)
     away = jnp.where(z > MIN_DEPTH, away, 1.0)
     return jnp.concatenate([read[:, :4], behind[:, None], away[:, None]], axis=1)
+
+
+def free_depth(visibility: Visibility) -> Float[Array, "H W"]:
+    """How far each pixel of one map is free for sure: to the nearest of all depths that
+    were measured within `ABOUT` of it, rows and columns alike.
+
+    Between its points a cloud's map has depths of neighbours, and at an edge a pixel
+    sees one side of two. 0 where nothing was measured. In the unit of the map, without
+    a gradient.
+    """
+    known = jnp.asarray(visibility.state) != UNKNOWN
+    depth = jax.lax.stop_gradient(jnp.asarray(visibility.depth))
+    window = (2 * ABOUT + 1, 2 * ABOUT + 1)
+    measured = jnp.where(known, depth, jnp.inf)
+    nearest = jax.lax.reduce_window(
+        measured, jnp.inf, jax.lax.min, window, (1, 1), "SAME"
+    )
+    return jnp.where(known, nearest, 0.0)
 
 
 def beside(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, " N"]:

@@ -9,7 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.neighbors import nearest
-from prism_jax.geometry.visibility import BACKGROUND, Visibility, beside, look_up
+from prism_jax.geometry.visibility import (
+    BACKGROUND,
+    Visibility,
+    beside,
+    free_depth,
+    look_up,
+)
 
 
 def visibility_loss(
@@ -28,20 +34,21 @@ def contradiction(
 ) -> Float[Array, " N"]:
     """Squared way of each point out of the space that the sensor saw to be free.
 
-    A point in front of what was measured at its pixel, an object's surface or something
+    A point in front of all that was measured about its pixel
+    (`prism_jax.geometry.visibility.free_depth`), an object's surface or something
     nearer, would have hidden it: its way is along the optical axis, to `tolerance` in
-    front of the measured depth. One before the background lies outside the object's
-    outline: its way is the shorter one, aside to the outline
-    (`prism_jax.geometry.visibility.beside`) or back to the background. Nothing is held
-    against a point where nothing was measured, behind what was, beside the image,
-    behind the camera, or not finite.
+    front of that. One before the background lies outside the object's outline: its way
+    is the shorter one, aside to the outline (`prism_jax.geometry.visibility.beside`) or
+    back to what was measured. Nothing is held against a point where nothing was
+    measured, behind what was, beside the image, behind the camera, or not finite.
 
     One map and one cloud in one frame; `tolerance` is in their unit, the result in its
     square. Differentiable in the points but at the borders of pixels, where the
     measured depth jumps. No gradient reaches the map.
     """
     visibility = jax.lax.stop_gradient(visibility)
-    state, behind = look_up(visibility, points)
+    free = visibility._replace(depth=free_depth(visibility))
+    state, behind = look_up(free, points)
     # Behind is 0 where nothing is known, so nothing is known to be in front.
     way = jnp.maximum(-behind - tolerance, 0.0)
     before = state == BACKGROUND
