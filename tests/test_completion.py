@@ -316,8 +316,11 @@ def test_an_origin_among_the_points_is_no_sensor(completer):
     assert given.sensor == "given"
 
 
-def test_an_unknown_sensor_turns_with_the_scan(completer):
+def test_an_unknown_sensor_turns_with_the_scan(minimal, minimal_variables):
     """The same completion, turned about the vertical, and seen from the same side."""
+    model = dataclasses.replace(minimal.config.model, heading="level")
+    config = dataclasses.replace(minimal.config, model=model)
+    completer = Completer(config, minimal_variables)
     points = scan() - (scan().min(0) + scan().max(0)) / 2
     results = []
     for degrees in (0, 45, 180):

@@ -15,6 +15,7 @@ from experiments import results, rooms
 from experiments.assets import CELLS
 from experiments.comparison import comparison_markdown
 from experiments.loss_gradients import agreement_markdown
+from experiments.mixtures import mixtures_markdown
 from experiments.point_errors import point_errors_markdown
 from experiments.real_scans import real_scans_markdown
 from experiments.robustness import robustness_markdown
@@ -124,6 +125,7 @@ def test_tables_are_those_of_their_results(path):
         "sigma": point_errors_markdown,
         "rose": verdicts_markdown,
         "by_scene": segmentation_markdown,
+        "sets": mixtures_markdown,
     }
     (text,) = [make(result) for kind, make in kinds.items() if kind in result] or [
         markdown(result)

@@ -77,7 +77,9 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     batched = jax.jit(jax.vmap(one, (None, 0, 0, 0)))
 
     def complete(
-        partials: np.ndarray, eyes: np.ndarray, told: Told | None = None
+        partials: np.ndarray | Array,
+        eyes: np.ndarray | Array,
+        told: Told | None = None,
     ) -> Predictions:
         known = None if told is None else told.visibility
         return Predictions(*batched(variables, partials, eyes, known))

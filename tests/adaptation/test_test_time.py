@@ -262,7 +262,7 @@ def test_an_objective_that_rose_is_refused(
     config = minimal.config.with_adapt(num_steps=1, step_size=-1e-3)
     completion = quick_jit(make_adapt(config))(minimal_variables, *frames[1])
     objective = np.asarray(completion.losses.objective)
-    assert np.isfinite(np.stack(completion.losses)).all()
+    assert np.isfinite(np.stack(list(completion.losses.named().values()))).all()
     assert objective[-1] > 1.01 * objective[0]
     assert refused(completion, minimal_variables)
     assert np.isfinite(completion.points).all()
@@ -279,7 +279,7 @@ def test_degenerate_frames_stay_finite(adapt, minimal_fresh, frames, kind):
         camera = dataclasses.replace(camera, translation=-camera.translation)
     completion = adapt(minimal_fresh, partial, camera)
     assert np.isfinite(completion.points).all()
-    assert np.isfinite(np.stack(completion.losses)).all()
+    assert np.isfinite(np.stack(list(completion.losses.named().values()))).all()
     leaves = jax.tree.leaves(completion.encoders)
     assert all(np.isfinite(leaf).all() for leaf in leaves)
     if kind == "out of view":
