@@ -102,7 +102,7 @@ def test_every_frame_gets_better_by_its_own_objective(adapted):
 
 def test_losses_of_every_step_and_after_the_last(adapted):
     for completion in adapted:
-        for term in completion.losses:
+        for term in completion.losses.named().values():
             assert term.shape == (NUM_STEPS + 1,)
             assert np.isfinite(term).all()
     np.testing.assert_allclose(adapted[0].weights, [1 / 3, 1 / 3, 1 / 3], rtol=1e-6)
@@ -131,7 +131,9 @@ def test_both_encoders_move_and_nothing_else_does(
         losses, prediction = decoded_by(completion.encoders, *frame)
         # Two programs: XLA fuses, and so rounds, each in its own way.
         np.testing.assert_allclose(prediction.points, completion.points, atol=1e-5)
-        for a, b in zip(losses, completion.losses, strict=True):
+        named = completion.losses.named()
+        assert losses.named().keys() == named.keys()
+        for a, b in zip(losses.named().values(), named.values(), strict=True):
             np.testing.assert_allclose(a, b[-1], rtol=1e-5)
 
 
@@ -193,7 +195,7 @@ def test_mapped_over_frames_it_is_the_loop(
         assert one.accepted == alone.accepted
         np.testing.assert_allclose(one.points, alone.points, atol=5e-5)
         np.testing.assert_allclose(one.before, alone.before, atol=5e-6)
-        for name in one.losses._fields:
+        for name in one.losses.named():
             a, b = getattr(one.losses, name), getattr(alone.losses, name)
             rtol = 1e-3 if name == "normal" else 1e-5
             np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-5)
@@ -211,7 +213,7 @@ def test_without_steps_nothing_is_adapted(unadapted, minimal_fresh, frames, adap
     assert not completion.accepted
     assert bitwise(completion.points, completion.before)
     assert bitwise(completion.encoders, pop_encoders(minimal_fresh)[0])
-    assert all(term.shape == (1,) for term in completion.losses)
+    assert all(term.shape == (1,) for term in completion.losses.named().values())
     np.testing.assert_allclose(completion.points, adapted[0].before, atol=1e-5)
     first = adapted[0].losses.objective[0]
     np.testing.assert_allclose(completion.losses.objective[0], first, rtol=1e-5)
