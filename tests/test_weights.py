@@ -97,6 +97,19 @@ def test_a_file_written_before_the_model_left_the_settings_of_adaptation(tiny):
     assert config_from_dict(before) == config
 
 
+def test_a_file_written_before_adaptation_knew_of_emptiness(tiny):
+    """It adapts as it did."""
+    fields = json.loads(json.dumps(dataclasses.asdict(tiny)))
+    for name in ("auxiliary_weight", "visibility_weight", "keep_weight", "balance"):
+        del fields["adapt"][name]
+    assert config_from_dict(fields) == tiny
+    known = read_metadata("small")["config"]["adapt"]
+    assert "visibility_weight" not in known
+    adapt = load_pretrained("small")[0].adapt
+    assert (adapt.auxiliary_weight, adapt.visibility_weight) == (1, 0)
+    assert (adapt.keep_weight, adapt.balance) == (0, False)
+
+
 def test_names_of_what_ships():
     names = available_weights()
     assert names == ["small", "small-robocell"]

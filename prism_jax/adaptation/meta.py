@@ -183,7 +183,9 @@ def _descended(config: PrismConfig, meta: MetaConfig) -> PrismConfig:
     """The configuration whose objective the inner loop descends: Eq. 13 or Eq. 11."""
     if meta.rehearse_depth:
         return config
-    return config.with_adapt(depth_weight=0.0, visibility_weight=0.0, keep_weight=0.0)
+    return config.with_adapt(
+        depth_weight=0.0, auxiliary_weight=1.0, visibility_weight=0.0, keep_weight=0.0
+    )
 
 
 def learned_part(variables: Variables, meta: MetaConfig) -> Variables:

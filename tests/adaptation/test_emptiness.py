@@ -9,10 +9,13 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from prism_jax import completion  # noqa: F401  (registers what is serialised)
+from prism_jax.adaptation.config import MetaConfig
+from prism_jax.adaptation.meta import meta_gradients
 from prism_jax.adaptation.objective import COMMON, TOLERANCE, Losses, hold
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.geometry.visibility import seen_by, spacing_of
+from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.visibility import contradiction, keep_loss, visibility_loss
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.models.variables import pop_encoders, put_encoders
@@ -174,3 +177,34 @@ def test_losses_can_be_exported_with_and_without_them():
     few, many = again.call(jnp.float32(2))
     assert isinstance(few, Losses) and few.keep is None
     assert many.keep == many.visibility == few.align == 2
+
+
+@pytest.mark.slow
+def test_an_episode_rehearses_what_test_time_does(
+    config, frame, known, minimal_fresh, quick_jit
+):
+    """Emptiness, what is kept and the balance among it."""
+    settings = config.with_adapt(num_steps=1, step_size=1e-3, balance=True)
+    meta = MetaConfig(
+        beta_0=0.0, lambda_aux=0.0, weight_rule="meta", rehearse_depth=True
+    )
+    partial, camera = frame
+    complete = jnp.concatenate([partial, -partial])
+
+    @quick_jit
+    def both(variables):
+        key, model = jax.random.key(settings.adapt.seed), settings.model
+        inputs = prepare_input(partial, camera, key, model, visibility=known)
+        batch = jax.tree.map(lambda leaf: leaf[None], (inputs, complete))
+        _, terms = meta_gradients(variables, *batch, settings, meta)
+        done = make_adapt(settings)(variables, partial, camera, known)
+        whole = put_encoders(done.encoders, pop_encoders(variables)[1])
+        stages = predict(whole, hold(variables, inputs, settings), model).stages
+        before = predict(variables, inputs, model).stages
+        losses = (primary_loss(s, complete, meta.norm) for s in (stages, before))
+        return done.accepted, terms.adapted, *losses
+
+    accepted, rehearsed, adapted, before = both(minimal_fresh)
+    assert accepted
+    np.testing.assert_allclose(rehearsed, adapted, rtol=1e-5)
+    assert abs(adapted - before) > 1e-4 * before
