@@ -54,7 +54,7 @@ def define_flags() -> None:
     flags.DEFINE_string("up", "z", "Axis of the real scans that points upwards.")
     flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
     flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
-    flags.DEFINE_bool("adapt", True, "Adapt to each view.")
+    flags.DEFINE_bool("adapt", False, "Adapt to each view.")
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 
 

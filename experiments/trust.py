@@ -82,7 +82,7 @@ def define_flags() -> None:
     flags.DEFINE_integer("draws", 3, "Shifts of each view.", lower_bound=1)
     flags.DEFINE_integer("training", 1000, "Training views that say what is familiar.")
     flags.DEFINE_string("data_dir", None, "Folder of the sets.")
-    flags.DEFINE_bool("adapt", True, "Adapt to each view.")
+    flags.DEFINE_bool("adapt", False, "Adapt to each view.")
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 
 

@@ -80,7 +80,7 @@ class Completer:
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
         workspace: Workspace | None = None,
-        adapt: bool = True,
+        adapt: bool = False,
         up: str | Vector = "z",
         density: float = 1.0,
         background: Background = "unknown",
@@ -92,12 +92,13 @@ class Completer:
         where it is likely if the origin cannot be its place (`observation.sensor`). The
         view is aimed at the points from there, so that its pixels are spent on them.
         ``workspace`` is the cube to complete, taken from the points if it is None;
-        points outside are left out and counted. ``adapt=False`` leaves out test-time
-        adaptation. ``up`` is the direction in the user's frame that points upwards, for
-        the weights know upright objects: an axis (x, y, z, -x, -y or -z; -y for a
-        camera's), a vector, or "auto" (`prism_jax.observation.support.find_up`). Added
-        points are ``density`` times as dense as the measured ones where the network's
-        output is a surface, and never sparser than that; 0 leaves them as predicted.
+        points outside are left out and counted. ``adapt`` asks for test-time
+        adaptation, which gains nothing that can be counted on. ``up`` is the direction
+        in the user's frame that points upwards, for the weights know upright objects:
+        an axis (x, y, z, -x, -y or -z; -y for a camera's), a vector, or "auto"
+        (`prism_jax.observation.support.find_up`). Added points are ``density`` times as
+        dense as the measured ones where the network's output is a surface, and never
+        sparser than that; 0 leaves them as predicted.
         A ``background`` that is "empty" says that the sensor would have seen whatever
         else there is around these points: nothing is added there, and networks that
         read visibility are told.
@@ -131,7 +132,7 @@ class Completer:
         self,
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
-        adapt: bool = True,
+        adapt: bool = False,
         up: str | Vector = "auto",
         density: float = 1.0,
         background: Background = "unknown",

@@ -27,7 +27,7 @@ class FakeCompleter:
         points,
         camera=None,
         workspace=None,
-        adapt=True,
+        adapt=False,
         up="z",
         density=1.0,
         background="unknown",

@@ -41,9 +41,16 @@ def camera_at(eye):
     return Camera(np.eye(3), -np.asarray(eye, np.float64), intrinsics, 128, 128)
 
 
+class Adapting(Completer):
+    """It adapts unless it is told not to: what holds with steps does so without."""
+
+    def complete(self, *given, adapt=True, **asked):
+        return super().complete(*given, adapt=adapt, **asked)
+
+
 @pytest.fixture(scope="module")
 def completer(minimal, minimal_variables):
-    return Completer(minimal.config, minimal_variables)
+    return Adapting(minimal.config, minimal_variables)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +94,7 @@ def judging(completer, minimal, minimal_variables):
     features = np.random.default_rng(0).normal(size=(30, width))
     blank = unfitted(features)
     calibration = dataclasses.replace(blank, base=np.log(0.1), fair=0.01, low=0.05)
-    judging = Completer(minimal.config, minimal_variables, calibration=calibration)
+    judging = Adapting(minimal.config, minimal_variables, calibration=calibration)
     judging._compiled = completer._compiled
     return judging
 
@@ -379,8 +386,9 @@ def test_losses_before_each_step_and_after_the_last(near, minimal):
     assert near.weights.sum() == pytest.approx(1)
 
 
-def test_without_adaptation(completer, near):
-    result = completer.complete(scan(), camera_at(EYE), adapt=False)
+def test_nothing_adapts_unless_it_is_asked_to(minimal, minimal_variables, near):
+    completer = Completer(minimal.config, minimal_variables)
+    result = completer.complete(scan(), camera_at(EYE))
     assert result.accepted is False
     assert all(len(values) == 1 for values in result.losses.values())
     first = {name: values[:1] for name, values in near.losses.items()}

@@ -136,7 +136,7 @@ def test_trust_differs_in_lightness_too():
         (True, {"accepted": True}, "accepted: the objective went from 1 to 0.5 in 3"),
         (True, {"accepted": True}, "does not say that the completion is better"),
         (True, {"accepted": False}, "not accepted: the objective went from 1 to 0.5"),
-        (False, {}, "without test-time adaptation, as asked"),
+        (False, {}, "without test-time adaptation, which nobody asked for"),
         (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
         (False, {"losses": {}}, "without test-time adaptation"),
         (True, {"losses": {"objective": [1.0]}}, "these weights take no step"),

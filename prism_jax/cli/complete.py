@@ -107,7 +107,12 @@ def define_flags() -> None:
         "small",
         f"Name of released weights, or a file of them; {LIST} prints what ships.",
     )
-    flags.DEFINE_bool("adapt", True, "Adapt the network to the scan first.")
+    flags.DEFINE_bool(
+        "adapt",
+        False,
+        "Adapt the network to the scan first, as the paper does. It takes longer and "
+        "gains nothing that can be counted on.",
+    )
     flags.DEFINE_float(
         "density",
         1.0,
@@ -147,7 +152,7 @@ def complete_file(
     up: str | None = None,
     objects: str = "auto",
     weights: str = "small",
-    adapt: bool = True,
+    adapt: bool = False,
     density: float = 1.0,
     background: str = "unknown",
     output_dir: str = "prism_output",

@@ -39,7 +39,7 @@ def adaptation(entry: Mapping[str, Any], asked: bool) -> str:
     """What became of the adaptation to one object."""
     objective = entry["losses"].get("objective") or [None]
     if len(objective) == 1:
-        why = "these weights take no step" if asked else "as asked"
+        why = "these weights take no step" if asked else "which nobody asked for"
         return f"without test-time adaptation, {why}"
     first, last = number(objective[0]), number(objective[-1])
     steps = f"{len(objective) - 1} step{'s' if len(objective) != 2 else ''}"

@@ -58,7 +58,7 @@ def test_completes_a_scan(capsys):
     assert printed.out == (
         "trust       unknown: these weights come without a calibration\n"
         "points      200 observed, 100 added\n"
-        "adaptation  accepted\n"
+        "adaptation  not asked for\n"
         "written     prism_output: completed.ply, result.json, report.html\n"
     )
     assert printed.err == ""
@@ -88,7 +88,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "--workspace=-1,-1,-1,1,1,1",
         "--up=-y",
         "--weights=w",
-        "--noadapt",
+        "--adapt",
         "--density=0.5",
         "--background=empty",
         "--objects=one",
@@ -104,13 +104,14 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "max_points": 1000,
         "up": "-y",
         "weights": "w",
-        "adapt": False,
+        "adapt": True,
         "density": 0.5,
         "background": "empty",
         "objects": "one",
         "output_dir": "d",
     }
     assert asked == [expected, defaults]
+    assert not defaults["adapt"]
 
 
 def test_interrupted_it_ends_in_one_line(monkeypatch, capsys):

@@ -72,7 +72,7 @@ def test_measured_points_come_back_bit_for_bit(given):
 
 
 def test_result_holds_what_the_completer_said(given):
-    complete_file(**given)
+    complete_file(**given, adapt=True)
     _, written = outputs(given)
     assert written["accepted"] is True
     assert written["weights"] == "small"
@@ -129,7 +129,7 @@ def test_failure_to_write_one_file_leaves_all_of_the_last(given, monkeypatch, nt
     before = files()
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(io.InputError, match="No space left"):
-        complete_file(**given | dict(adapt=False))
+        complete_file(**given | dict(adapt=True))
     assert files() == before
 
 

@@ -124,7 +124,7 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
     monkeypatch.setattr(trust, "open_dataset", lambda *place: Boxes())
     monkeypatch.setattr(trust, "validation_views", views)
     output = tmp_path / "trust.json"
-    given = (f"--weights={weights}", "--draws=1", "--noadapt", f"--output={output}")
+    given = (f"--weights={weights}", "--draws=1", f"--output={output}")
     assert launching.run(trust, *given) == 0
     result = json.loads(output.read_text())
     assert result["weights_sha256"] == file_sha256(str(weights))
