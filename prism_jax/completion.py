@@ -221,26 +221,31 @@ class Completer:
     ) -> tuple[Completion, dict[str, float]]:
         """The network's completion of what a task reads, and the seconds it took to
         compile and to run: the second step of `complete`."""
-        start = time.perf_counter()
-        arguments = (self.variables, partial, view)
-        call = self._compile_adapt(_as_it_is, adapt, background, arguments)
-        compiled = time.perf_counter()
-        completion = jax.block_until_ready(call(*arguments))
-        done = time.perf_counter()
-        return completion, {"compile": compiled - start, "run": done - compiled}
+        return self._timed(_as_it_is, adapt, background, partial, view)
 
     def predict(
         self, background: Background, partial: Any, view: Camera
     ) -> tuple[Any, dict[str, float]]:
         """The points of `run` without adaptation, and its seconds, for who needs no
         losses: a third of the time goes to them."""
+        return self._timed(_points_alone, False, background, partial, view)
+
+    def _timed(
+        self,
+        make: Callable[[AdaptFn], Callable[..., Any]],
+        adapt: bool,
+        background: Background,
+        partial: Any,
+        view: Camera,
+    ) -> tuple[Any, dict[str, float]]:
+        """What ``make`` makes of the adaptation function, called, and its seconds."""
         start = time.perf_counter()
         arguments = (self.variables, partial, view)
-        call = self._compile_adapt(_points_alone, False, background, arguments)
+        call = self._compile_adapt(make, adapt, background, arguments)
         compiled = time.perf_counter()
-        points = jax.block_until_ready(call(*arguments))
+        found = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
-        return points, {"compile": compiled - start, "run": done - compiled}
+        return found, {"compile": compiled - start, "run": done - compiled}
 
     def with_encoders(self, encoders: Variables) -> "Completer":
         """The same with encoders that were adapted to a frame (`Completion.encoders`).

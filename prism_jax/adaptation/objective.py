@@ -129,9 +129,7 @@ def test_time_objective(
         consistency, scales = consistency / norms[0], norms[1 : 1 + len(BRANCHES)]
     weighted = weighted_auxiliary(weighting["logits"], terms.auxiliary, scales)
     objective = settings.depth_weight * consistency
-    if settings.auxiliary_weight == 1:
-        objective += weighted
-    elif settings.auxiliary_weight:
+    if settings.auxiliary_weight:
         objective += settings.auxiliary_weight * weighted
     if terms.visibility is not None:
         beside = settings.visibility_weight * terms.visibility
