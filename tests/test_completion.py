@@ -128,7 +128,7 @@ def telling(judging):
         leaves=np.array([[0.0, np.log(10.0)]]),
         bounds=np.array([-9.0, 0.0]),
     )
-    telling = Completer(judging.config, judging.variables, point_errors=point_errors)
+    telling = Adapting(judging.config, judging.variables, point_errors=point_errors)
     telling._compiled = judging._compiled
     return telling
 
