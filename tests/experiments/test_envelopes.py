@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from experiments import envelopes
+from experiments.envelope_tables import markdown
 from experiments.envelopes import METHODS, SAMPLE, SPACING, Hull, Scored
 
 RNG = np.random.default_rng(0)
@@ -69,11 +70,11 @@ def test_rows_hold_margins_coverage_and_volumes():
 
 
 def test_the_page_says_whether_completion_pays():
-    text = envelopes.markdown(result(0.1, 0.29))
+    text = markdown(result(0.1, 0.29))
     assert "q is 0.28 m with completion and 0.28 m without" in text
     assert "does not pay" not in text
     assert "| 0.100% | 0.200% | 9.0% | 4.0, at most 4.0 for 1,000 points" in text
-    assert "Completion does not pay there: " in envelopes.markdown(result(0.3, 0.6))
+    assert "Completion does not pay there: " in markdown(result(0.3, 0.6))
 
 
 @pytest.mark.parametrize("shift", [0.0, 1000.0])
