@@ -43,6 +43,13 @@ def define_training_flags() -> None:
         None,
         "Several sets instead, by how often each is seen, as shapes:1,packed:2.",
     )
+    flags.DEFINE_float(
+        "whole",
+        None,
+        "Of a mixture: share of views that show the whole object, in sets with both.",
+        0.0,
+        1.0,
+    )
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_integer("num_workers", 0, "Processes that read ahead; 0 for threads.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
@@ -129,7 +136,7 @@ def training_data(
     if FLAGS.mixture is None:
         train, validation = open_training(*weights, data_dir)
     else:
-        train, validation = open_mixture(weights, data_dir)
+        train, validation = open_mixture(weights, data_dir, whole=FLAGS.whole)
     data = Data(
         train,
         validation,
@@ -159,7 +166,8 @@ def about_training(preset: Preset, data: Data) -> dict[str, Any]:
         "validation_examples": len(data.validation),
     }
     if FLAGS.mixture is not None:
-        return {"mixture": weights, "digests": digests, **sizes}
+        about = {"mixture": weights, "digests": digests, **sizes}
+        return about if FLAGS.whole is None else {**about, "whole": FLAGS.whole}
     (name,) = weights
     return {"dataset": name, "digests": digests[name], **sizes}
 

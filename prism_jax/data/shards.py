@@ -25,7 +25,7 @@ import pathlib
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int, UInt16
+from jaxtyping import Bool, Float32, Int, UInt16
 
 from prism_jax.data.manifest import check_files, read_manifest
 from prism_jax.data.maps import decode
@@ -38,6 +38,8 @@ MAPS = ("map", "camera")
 """A folder has them for all of its views or for none."""
 NAMES = "names.json"
 """Written last: a shard is there once its names are."""
+WHOLE = {"clear", "rings", "noisy", "stations"}
+"""Traits, as names end in, of views that nothing hides or cuts in part."""
 
 
 def shard_file(folder: pathlib.Path, number: int, content: str) -> pathlib.Path:
@@ -105,6 +107,18 @@ class Shards:
             any_heading=any_heading,
             visibility=known,
         )
+
+    @property
+    def whole(self) -> Bool[np.ndarray, " N"]:
+        """Which views show an object from one side with nothing in the way, by the
+        kinds that their names end in; none where names tell no kind."""
+        names = [
+            name
+            for shard in range(len(self._starts) - 1)
+            for _, name, _ in self._names(shard)
+        ]
+        kinds = [set(name.rsplit("/", 1)[-1].split("+")) for name in names]
+        return np.array([kind <= WHOLE for kind in kinds], bool)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_mapped": {}}

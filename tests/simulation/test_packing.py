@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.assets import CELLS
+from prism_jax.data import mixture
 from prism_jax.data.datasets import open_dataset, open_training, parts_of
 from prism_jax.data.manifest import MANIFEST
 from prism_jax.data.pipeline import Framing, frame_example
@@ -262,3 +263,34 @@ def test_a_shard_that_lost_a_file_is_packed_again(tmp_path):
         Shards(tmp_path)
     pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+class OfKinds(Balls):
+    """Views whose names end in their kinds."""
+
+    kinds = ("clear", "occluded", "noisy+stations", "truncated+noisy", "rail")
+
+    def __getitem__(self, index):
+        example = super().__getitem__(index)
+        return example._replace(name=f"{index}/00/{self.kinds[index]}")
+
+
+def test_whole_views_are_told_by_their_names_and_drawn_as_often_as_asked(tmp_path):
+    expected = [True, False, True, False, False]
+    source = OfKinds()
+    pack({"kinds": source}, tmp_path / "packed-train", CONFIG, 0, False)
+    shards = Shards(tmp_path / "packed-train")
+    assert shards.whole.tolist() == expected
+    (whole, often), (others, seldom) = mixture.parts_of(shards, 0.75)
+    assert [example.name[-5:] for example in _all(whole)] == ["clear", "tions"]
+    assert (len(others), often, seldom) == (3, 0.75, 0.25)
+    assert [len(part) for part, _ in mixture.parts_of(shards, 1.0)] == [2]
+    assert mixture.parts_of(shards, None) == [(shards, 1.0)]
+
+
+def test_a_set_whose_names_tell_no_kind_stays_as_it_is(folder):
+    assert mixture.parts_of(Shards(folder), 0.5)[0][1] == 1.0
+
+
+def _all(source):
+    return [source[index] for index in range(len(source))]
