@@ -116,17 +116,8 @@ class Completer:
         up, _ = _resolved(up, points, camera)
         task = self.task(points, camera, workspace, up)
         completion, seconds = self.run(adapt, background, task.read.partial, task.view)
-        return assemble(
-            *task,
-            completion,
-            density=density,
-            background=background,
-            camera_given=camera is not None,
-            seconds=seconds,
-            look=self._look_again(task, background),
-            calibration=self.calibration,
-            point_errors=self.point_errors,
-        )
+        given = camera is not None
+        return self._assemble(task, completion, seconds, density, background, given)
 
     def complete_scene(
         self,
@@ -160,19 +151,11 @@ class Completer:
         for start in range(0, len(tasks), SLOTS):
             batch = tasks[start : start + SLOTS]
             completions, seconds = self._run_together(adapt, background, batch)
-            for task, completion in zip(batch, completions, strict=True):
-                done = assemble(
-                    *task,
-                    completion,
-                    density=density,
-                    background=background,
-                    camera_given=camera is not None,
-                    seconds=seconds,
-                    look=self._look_again(task, background),
-                    calibration=self.calibration,
-                    point_errors=self.point_errors,
+            for task, done in zip(batch, completions, strict=True):
+                given = camera is not None
+                objects.append(
+                    self._assemble(task, done, seconds, density, background, given)
                 )
-                objects.append(done)
         turn = upright(up)
         vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
         return in_one_scene(
@@ -276,6 +259,28 @@ class Completer:
         ]
         seconds = {"compile": compiled - start, "run": spent / len(tasks)}
         return completions, seconds
+
+    def _assemble(
+        self,
+        task: "Task",
+        completion: Completion,
+        seconds: dict[str, float],
+        density: float,
+        background: Background,
+        camera_given: bool,
+    ) -> CompletedScan:
+        """The completed scan, with all that these weights can say of it."""
+        return assemble(
+            *task,
+            completion,
+            density=density,
+            background=background,
+            camera_given=camera_given,
+            seconds=seconds,
+            look=self._look_again(task, background),
+            calibration=self.calibration,
+            point_errors=self.point_errors,
+        )
 
     def _look_again(self, task: "Task", background: Background) -> SecondLook | None:
         """What a verdict and points' errors need beside the completion."""

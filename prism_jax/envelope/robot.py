@@ -1,6 +1,5 @@
 """A robot that is known: its surface by URDF and joint positions, cut out of a scan."""
 
-import json
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -10,7 +9,7 @@ from jaxtyping import Bool, Float, Float64, Int
 from scipy.spatial import KDTree
 
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import read_json
 from prism_jax.robots.urdf import Linkage
 
 SPACING = 0.02
@@ -31,15 +30,7 @@ def read_joints(
     The file is that of the recordings: `positions` are needed; `base` is a 4x4 matrix,
     the identity unless given; all else is left alone.
     """
-    try:
-        content = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(path, "is not JSON", _LAYOUT) from None
-    if type(content) is not dict:
-        raise InputError(path, "is not a JSON object", _LAYOUT)
-    return joints_from_dict(content, path)
+    return joints_from_dict(read_json(path, _LAYOUT), path)
 
 
 def joints_from_dict(

@@ -5,7 +5,6 @@ someone answers for, and the sum is itemised with what each term is. The margin 
 envelope is no part of it: that inflates objects, and is told apart.
 """
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 
 from prism_jax.envelope import NOTICE
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import read_json
 
 
 class Term(NamedTuple):
@@ -84,13 +83,8 @@ def read_terms(path: str | os.PathLike) -> dict[str, dict[str, float]]:
     Every term of it must be there, a finite number from 0 on, and no other; else
     InputError, as for a file without any formula.
     """
-    try:
-        content = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(path, "is not JSON", _LAYOUT) from None
-    if type(content) is not dict or not content:
+    content = read_json(path, _LAYOUT)
+    if not content:
         raise InputError(path, "holds no terms", _LAYOUT)
     return {name: _checked(path, name, terms) for name, terms in content.items()}
 

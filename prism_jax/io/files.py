@@ -1,6 +1,7 @@
 """Bytes of a user's file within limits; the folder of what can be made again."""
 
 import functools
+import json
 import os
 import pathlib
 import stat
@@ -8,6 +9,7 @@ import sys
 import tempfile
 import zipfile
 import zlib
+from typing import Any
 
 from prism_jax.io.errors import InputError
 
@@ -70,6 +72,19 @@ def read_bytes(path: str | os.PathLike) -> bytes:
     if not data:
         raise InputError(path, "is empty", "write the file again at its source")
     return data
+
+
+def read_json(path: str | os.PathLike, remedy: str) -> dict[str, Any]:
+    """The JSON object that a file holds; InputError, with the remedy, where it holds
+    anything else, and as for `read_bytes`."""
+    data = read_bytes(path)
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError):
+        raise InputError(path, "is not JSON", remedy) from None
+    if type(content) is not dict:
+        raise InputError(path, "is not a JSON object", remedy)
+    return content
 
 
 def read_member(path: str | os.PathLike, name: str, max_bytes: int) -> bytes:

@@ -216,7 +216,7 @@ WALL = np.full((HEIGHT, WIDTH), 6000, np.uint16)
         ),
         (lambda r: (r / "one/000000.labels.png").write_bytes(b"PNG"), "is not a PNG"),
         (lambda r: (r / "one/000000.joints.json").write_text("[1]"), "not a JSON obj"),
-        (lambda r: (r / "one/000000.joints.json").write_text("{"), "not a JSON object"),
+        (lambda r: (r / "one/000000.joints.json").write_text("{"), "is not JSON"),
         (lambda r: (r / "one/000000.partial.ply").write_bytes(b"ply"), "partial.ply"),
         (lambda r: (r / "one/000000.complete.ply").write_bytes(b"x"), "complete.ply"),
     ],

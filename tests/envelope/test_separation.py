@@ -48,7 +48,7 @@ def test_no_term_has_a_default(tmp_path, formula):
     ("content", "told"),
     [
         ("{", "not JSON"),
-        ([], "no terms"),
+        ([], "not a JSON object"),
         ({}, "no terms"),
         ({"iso_9999": {}}, "no formula"),
         ({"iso_13855": 3}, "no terms of"),
