@@ -1,6 +1,6 @@
 """What is known of released weights, as a page to read."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -51,6 +51,29 @@ def model_card(name_or_path: str) -> str:
     lines += [f"\n{line}" for line in _trust(about)]
     lines += [f"\n{note}" for note in about.get("notes", [])]
     return "\n".join(lines) + "\n"
+
+
+def weights_table(names: Sequence[str]) -> str:
+    """A few lines on each of some weights: what they saw, and, on each split, how far
+    from the truth the scan is and what a user gets of it, without adaptation."""
+    rows = [("weights", "samples", "scored on", "the scan", "completed", "worst at")]
+    for name in names:
+        told = (name, f"{samples_seen(read_metadata(name)):,}")
+        for split, result in released_scores(name).items():
+            clouds = result["clouds"]
+            done = clouds.get("completed_unadapted", clouds["completed"])
+            errors = (clouds["partial"]["mean"]["cd_l2"], done["mean"]["cd_l2"])
+            scan, completed = (f"{1e4 * error:.4g}" for error in errors)
+            rows.append((*told, split, scan, completed, _worst_of(done)[0]))
+            told = ("", "")
+        if told[0]:
+            rows.append((*told, "nothing", "", "", ""))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    ]
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def released_scores(name_or_path: str) -> dict[str, dict[str, Any]]:
@@ -122,7 +145,13 @@ def _trust(about: Mapping[str, Any]) -> Iterator[str]:
 
 def _worst(result: Mapping[str, Any]) -> str:
     """The categories whose completed clouds are farthest off."""
-    kinds = result["clouds"]["completed"]["per_category"]
-    worst = sorted(kinds, key=lambda kind: kinds[kind]["cd_l2"], reverse=True)
+    cloud = result["clouds"]["completed"]
+    kinds, worst = cloud["per_category"], _worst_of(cloud)
     told = (f"{kind} ({1e4 * kinds[kind]['cd_l2']:.4g})" for kind in worst[:WORST])
     return f"Worst at, CD-L2 x1e4 of completed: {', '.join(told)}."
+
+
+def _worst_of(cloud: Mapping[str, Any]) -> list[str]:
+    """Categories by their CD-L2, the highest first."""
+    kinds = cloud["per_category"]
+    return sorted(kinds, key=lambda kind: kinds[kind]["cd_l2"], reverse=True)

@@ -9,7 +9,7 @@ from experiments.weights import located
 from prism_jax.data.datasets import parts_of
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io import InputError
-from prism_jax.model_card import model_card, released_scores
+from prism_jax.model_card import model_card, released_scores, weights_table
 from prism_jax.simulation.roboarm.models import arms_of
 from prism_jax.weights import available_weights, read_metadata, save_weights
 
@@ -43,6 +43,26 @@ def test_all_that_ship_have_one(name):
         kinds = completed["per_category"]
         worst = max(kinds, key=lambda kind: kinds[kind]["cd_l2"])
         assert f"Worst at, CD-L2 x1e4 of completed: {worst} (" in card
+
+
+def test_the_table_has_what_users_get_of_each_split(
+    tmp_path, minimal, minimal_variables
+):
+    path = README.parent / "docs" / "tables" / "unseen.json"
+    result = json.loads(path.read_text())
+    paths = [str(tmp_path / f"{name}.safetensors") for name in ("scored", "blank")]
+    abouts = {"samples": 1200, "scores": {"shapes-unseen": result}}, {}
+    for path, about in zip(paths, abouts, strict=True):
+        save_weights(path, minimal.config, minimal_variables, about)
+    head, scored, blank = weights_table(paths).splitlines()
+    assert head.split()[:2] == ["weights", "samples"]
+    got = result["clouds"]["completed_unadapted"]
+    errors = (result["clouds"]["partial"], got)
+    told = [f"{1e4 * cloud['mean']['cd_l2']:.4g}" for cloud in errors]
+    kinds = got["per_category"]
+    worst = max(kinds, key=lambda kind: kinds[kind]["cd_l2"])
+    assert scored.split()[1:] == ["1,200", "shapes-unseen", *told, worst]
+    assert blank.split()[1:] == ["0", "nothing"]
 
 
 def test_scores_under_older_names_are_converted():

@@ -107,6 +107,7 @@ def define_flags() -> None:
         "small",
         f"Name of released weights, or a file of them; {LIST} prints what ships.",
     )
+    flags.DEFINE_bool("card", False, "Print all that is known of --weights, and end.")
     flags.DEFINE_bool(
         "adapt",
         False,
@@ -132,7 +133,13 @@ def define_flags() -> None:
 def main(inputs: Sequence[str] = ()) -> None:
     """Does what the flags ask for, with scans and folders of scans beside --input."""
     if FLAGS.weights == LIST:
-        print(weight_cards())
+        print(weights_that_ship())
+        return
+    if FLAGS.card:
+        # It imports data sets and scores, which a completion does not wait for.
+        from prism_jax.model_card import model_card
+
+        print(model_card(FLAGS.weights), end="")
         return
     settings = {name: getattr(FLAGS, name) for name in _SETTINGS}
     if inputs:
@@ -296,13 +303,16 @@ def load_completer(weights: str) -> Any:
     return Completer.from_pretrained(weights, io.default_cache_dir() / "traced")
 
 
-def weight_cards() -> str:
-    """A card of each of the weights that ship."""
-    # This imports data sets and scores, which a completion does not wait for.
-    from prism_jax.model_card import model_card
+def weights_that_ship() -> str:
+    """A table of them, and how to read more."""
+    from prism_jax.model_card import weights_table
     from prism_jax.weights import available_weights
 
-    return "\n".join(model_card(name) for name in available_weights())
+    return (
+        f"{weights_table(available_weights())}\n\n"
+        "CD-L2 x1e4, half the longest side of the true shape being 1; less is better. "
+        f"{NAME} --weights=NAME --card tells all of one set: data, licences, scores."
+    )
 
 
 def outcome(summary: dict[str, Any], output_dir: str) -> str:

@@ -14,6 +14,7 @@ import plyfile
 import pytest
 
 from prism_jax.cli import complete
+from prism_jax.model_card import model_card
 from prism_jax.trust import Verdict
 from prism_jax.weights import available_weights
 from tests import launching
@@ -168,10 +169,16 @@ def test_without_input_it_completes_the_sample(monkeypatch, folder):
 
 def test_lists_the_weights_that_ship(capsys):
     assert run("--weights=list") == 0
-    printed = capsys.readouterr().out
-    assert [line for line in printed.splitlines() if line.startswith("# ")] == [
-        f"# {name}" for name in available_weights()
-    ]
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 20
+    names = [line.split()[0] for line in lines[1:] if line and line[0] != " "]
+    assert names[: len(available_weights())] == list(available_weights())
+    assert not os.path.exists("prism_output")
+
+
+def test_tells_all_of_one_set_of_weights(capsys):
+    assert run("--weights=small", "--card") == 0
+    assert capsys.readouterr().out == model_card("small")
     assert not os.path.exists("prism_output")
 
 
