@@ -77,22 +77,29 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     """The variables of --weights and what is known of their training, if it is given.
 
     Weights of a network that is not the preset's raise InputError; but one that reads
-    visibility goes on from one that does not, with the parts for it untrained.
+    visibility, or has more up-sampling blocks, goes on from one that does not, with
+    the parts for it untrained.
     """
     if FLAGS.weights is None:
         return None
     config, variables = load_pretrained(located(FLAGS.weights))
-    wanted = preset.model
+    wanted, given = preset.model, config.model.backbone
+    blocks = len(given.up_factors)
+    less = dataclasses.replace(
+        wanted.backbone,
+        reads_visibility=wanted.backbone.reads_visibility and given.reads_visibility,
+        up_factors=wanted.backbone.up_factors[:blocks],
+        level_rates=wanted.backbone.level_rates[:blocks],
+    )
     # In which heading the network gets an object is no matter of its size.
-    model = dataclasses.replace(config.model, heading=wanted.heading)
-    if wanted.backbone.reads_visibility and not model.backbone.reads_visibility:
-        backbone = dataclasses.replace(model.backbone, reads_visibility=True)
-        model = dataclasses.replace(model, backbone=backbone)
-        fresh = init_backbone(jax.random.key(FLAGS.seed), backbone)
-        variables = overlaid(fresh, variables)
-    if model != wanted:
+    if config.model != dataclasses.replace(
+        wanted, backbone=less, heading=config.model.heading
+    ):
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
+    if given != wanted.backbone:
+        fresh = init_backbone(jax.random.key(FLAGS.seed), wanted.backbone)
+        variables = overlaid(fresh, variables)
     return variables, known_of(FLAGS.weights)
 
 

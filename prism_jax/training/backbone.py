@@ -6,6 +6,7 @@ from jaxtyping import Array
 
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.visibility import Visibility
+from prism_jax.io.errors import InputError
 from prism_jax.models.backbone import (
     decode,
     encode_points,
@@ -29,7 +30,11 @@ def backbone_phase(
 ) -> Phase:
     """Encoder and decoder on the stages that the phase trains."""
     blocks = len(model.up_factors) if phase.num_blocks is None else phase.num_blocks
-    names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))
+    trained = slice(phase.first_block + 1 if phase.first_block else 0, blocks + 1)
+    names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))[trained]
+    if not names:
+        fault = f"trains no block: {phase.first_block} of {blocks} stay as they are"
+        raise InputError(phase.name, fault, "add a block, or lower its first_block")
 
     def known(batch: Batch) -> Visibility | None:
         return visibility_of(batch) if model.reads_visibility else None
@@ -37,10 +42,19 @@ def backbone_phase(
     def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
         partial = jnp.asarray(batch.partial)
         indices = _indices(batch, partial, model)
+        frozen = jax.lax.stop_gradient(variables["params"])
+        params = _from_block(phase.first_block, variables["params"], frozen)
         decoded, statistics = train_backbone(
-            variables, model, partial, indices, phase.num_blocks, known(batch)
+            {**variables, "params": params},
+            model,
+            partial,
+            indices,
+            phase.num_blocks,
+            known(batch),
         )
-        return decoded.stages, statistics
+        before = variables["batch_stats"]
+        statistics = _from_block(phase.first_block, statistics, before)
+        return decoded.stages[trained], statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial = jnp.asarray(batch.partial)
@@ -48,7 +62,7 @@ def backbone_phase(
             variables, model, partial, partial_indices(partial, model)
         )
         decoded = decode(variables, model, partial, encoded, visibility=known(batch))
-        return decoded.stages[: blocks + 1]
+        return decoded.stages[trained]
 
     return supervised_phase(variables, train, stages, names, phase, training)
 
@@ -58,3 +72,15 @@ def _indices(batch: Batch, partial: Array, model: BackboneConfig) -> EncoderIndi
     if batch.indices is None:
         return partial_indices(partial, model)
     return jax.tree.map(lambda rows: jnp.asarray(rows, jnp.int32), batch.indices)
+
+
+def _from_block(first: int, learned: Variables, kept: Variables) -> Variables:
+    """The first tree from an up-sampling block on, the second before it."""
+    if not first:
+        return learned
+    new = {f"block_{i}" for i in range(first, len(kept["decoder"]))}
+    decoder = {
+        name: (learned if name in new else kept)["decoder"][name]
+        for name in kept["decoder"]
+    }
+    return {**kept, "decoder": decoder}

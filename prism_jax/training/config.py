@@ -22,6 +22,8 @@ class PhaseConfig:
         all.
       learning_rate: Adam's step size after the warm-up; it falls along a cosine.
       final_rate: where the cosine ends, as a share of learning_rate.
+      first_block: up-sampling blocks before it stay as they are, and so do encoder and
+        seeds: a last stage is trained alone. 0 for none.
     """
 
     name: str
@@ -29,6 +31,7 @@ class PhaseConfig:
     num_blocks: int | None
     learning_rate: float = 1e-3
     final_rate: float = 0.01
+    first_block: int = 0
 
     def __post_init__(self):
         check_ranges(
@@ -37,6 +40,7 @@ class PhaseConfig:
             num_blocks=(0, 8),
             learning_rate=RATE,
             final_rate=(0, 1),
+            first_block=(0, 8),
         )
 
 

@@ -111,6 +111,22 @@ def test_without_weights_it_starts_afresh(run, tmp_path, capsys):
     assert read_metadata(str(tmp_path / "weights.safetensors"))["pretrained"] is None
 
 
+def test_a_network_with_one_more_block_goes_on_from_one_without(
+    run, weights, variables, tmp_path
+):
+    more = ("up_factors=(2,4)", "level_rates=((1,),(1,))")
+    changes = [f"--set=model.backbone.{change}" for change in more]
+    place = f"--workdir={tmp_path}", "--max_steps=1"
+    status, (start,) = run(*place, f"--weights={weights}", *changes)
+    assert status == 0
+    for kind in ("params", "batch_stats"):
+        new = start[kind]["decoder"]
+        assert new.keys() - variables[kind]["decoder"].keys() == {"block_1"}
+        old = {**start[kind], "decoder": {**new}}
+        del old["decoder"]["block_1"]
+        assert jax.tree.all(jax.tree.map(np.array_equal, old, variables[kind]))
+
+
 def test_weights_of_another_network_are_refused(run, weights, tmp_path, capsys):
     change = "--set=model.backbone.num_initial=64"
     status, starts = run(f"--workdir={tmp_path}/run", f"--weights={weights}", change)

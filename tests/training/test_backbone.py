@@ -11,6 +11,8 @@ import pytest
 
 from prism_jax.data.holdout import Subset
 from prism_jax.data.pipeline import Framing, training_batches
+from prism_jax.io.errors import InputError
+from prism_jax.models.backbone import init_backbone
 from prism_jax.training import parallel
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.checkpoints import Checkpoints
@@ -117,6 +119,32 @@ def test_the_whole_decoder_trains(stages, indexed):
     for kind in ("params", "batch_stats"):
         for name, tree in before[kind]["decoder"].items():
             assert not bitwise(tree, after[kind]["decoder"][name]), name
+
+
+def test_a_last_block_is_trained_alone(preset, batch):
+    """On a network that was trained without it."""
+    two = dataclasses.replace(
+        preset.model.backbone, up_factors=(2, 2), level_rates=((1,), (1,))
+    )
+    variables = init_backbone(jax.random.key(0), two)
+    last = dataclasses.replace(preset.pretrain.backbone[1], first_block=1)
+    phase = backbone_phase(variables, two, last, preset.pretrain)
+    assert phase.terms == ("stage_2",)
+    state = phase.start
+    for _ in range(2):
+        state, losses = phase.step_fn(state, batch)
+    assert losses.shape == (1,)
+    for kind in ("params", "batch_stats"):
+        before, after = variables[kind], state.variables[kind]
+        assert bitwise(before["point_encoder"], after["point_encoder"])
+        for name, own in before["decoder"].items():
+            same = bitwise(own, after["decoder"][name])
+            assert same == (name != "block_1"), name
+    scores = phase.validate_fn(state.kept, batch)
+    assert scores.shape == (BATCH, 2)
+    with pytest.raises(InputError, match="trains no block: 2 of 2 stay"):
+        all_kept = dataclasses.replace(last, first_block=2)
+        backbone_phase(variables, two, all_kept, preset.pretrain)
 
 
 def test_indices_that_come_with_a_batch_are_those_that_are_used(stages, indexed):
