@@ -33,6 +33,7 @@ def clouds_html(figure: go.Figure) -> str:
     figure.update_layout(
         height=None,
         showlegend=False,
+        modebar={"orientation": "v"},  # Beside the titles, not over them.
         margin={"t": 26 if figure.layout.annotations else 0, "b": 0},
     )
     return _html(figure, "clouds", modeBarButtons=_BUTTONS)
