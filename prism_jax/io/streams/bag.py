@@ -31,8 +31,8 @@ class BagFile(MessageFile):
         counts: Counter[str] = Counter()
         kinds: dict[str, str] = {}
         try:
-            for number, fields, _ in self._messages(kinds):
-                counts[fields.get(number, "")] += 1
+            for number, names, _, _ in self._messages(kinds):
+                counts[names.get(number, "")] += 1
         except CutError:
             pass  # which iterating over the messages tells
         return {
@@ -42,17 +42,15 @@ class BagFile(MessageFile):
         }
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        for number, names, (time, data) in self._messages({}):
+        for number, names, time, data in self._messages({}):
             if number not in names:
                 raise CutError("it has a message of no connection")
             if names[number] in wanted:
-                seconds, nanoseconds = struct.unpack("<II", time)
-                stamp = seconds * 1_000_000_000 + nanoseconds
-                yield Message(names[number], stamp, bytes(data))
+                yield Message(names[number], time, bytes(data))
 
     def _messages(
         self, kinds: dict[str, str]
-    ) -> Iterator[tuple[int, dict[int, str], tuple[bytes, memoryview]]]:
+    ) -> Iterator[tuple[int, dict[int, str], int, memoryview]]:
         """The number of each message's connection, the topics of those known so far,
         and the message's time and data. Fills in the types of topics."""
         names: dict[int, str] = {}
@@ -66,9 +64,13 @@ class BagFile(MessageFile):
                     kinds[names[number]] = full_name(about[b"type"].decode())
                 elif code == _MESSAGE:
                     (number,) = struct.unpack("<I", fields[b"conn"])
-                    yield number, names, (fields[b"time"], data)
+                    seconds, nanoseconds = struct.unpack("<II", fields[b"time"])
+                else:
+                    continue
             except (KeyError, IndexError, UnicodeDecodeError, struct.error):
                 raise CutError("it is damaged") from None
+            if code == _MESSAGE:
+                yield number, names, seconds * 1_000_000_000 + nanoseconds, data
 
     def _records(self) -> Iterator[tuple[_Fields, memoryview]]:
         """Every record, those in chunks like the others."""
@@ -79,7 +81,7 @@ class BagFile(MessageFile):
                 whole = file.tell() + length <= size
                 code = fields.get(b"op", b"\0")[0]
                 if code == _CHUNK:
-                    data = memoryview(file.read(length))
+                    data = memoryview(file.read(min(length, size)))
                     yield from _in_chunk(fields, data)
                 elif whole and code in (_MESSAGE, _CONNECTION):
                     yield fields, memoryview(file.read(length))

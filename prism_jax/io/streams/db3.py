@@ -41,8 +41,11 @@ class Db3File(MessageFile):
             everything = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
             try:
                 for number, time, data in database.execute(everything):
-                    if number in names:
-                        yield Message(names[number], time, data)
+                    if number not in names:
+                        continue
+                    if type(time) is not int or type(data) is not bytes:
+                        raise CutError("it has a message without time or data")
+                    yield Message(names[number], time, data)
             except sqlite3.DatabaseError as error:
                 raise CutError(f"it is damaged ({error})") from None
 
@@ -103,7 +106,10 @@ class Db3File(MessageFile):
     def _topics(self, database: sqlite3.Connection) -> dict[int, tuple[str, str, str]]:
         asked = "SELECT id, name, type, serialization_format FROM topics"
         try:
-            return {number: tuple(rest) for number, *rest in database.execute(asked)}
+            rows = {number: tuple(rest) for number, *rest in database.execute(asked)}
+            if not all(type(text) is str for row in rows.values() for text in row):
+                raise sqlite3.DatabaseError("a topic without name, type or encoding")
+            return rows
         except sqlite3.DatabaseError as error:
             fault = f"is not a ROS 2 bag ({error})"
             raise InputError(self.path, fault, "check how it was recorded") from None

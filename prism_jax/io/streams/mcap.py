@@ -1,5 +1,6 @@
 """MCAP files, as ROS 2 records them: https://mcap.dev/spec."""
 
+import contextlib
 import os
 import struct
 from collections import Counter
@@ -19,6 +20,8 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
 _STATISTICS, _DATA_END = 0x0B, 0x0F
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
+_MOST_A_BYTE = 100
+"""Messages: packing does not get further, so statistics that say more are wrong."""
 _FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
 
 
@@ -30,13 +33,9 @@ class McapFile(MessageFile):
         counts = self._counts_at_the_end(known)
         if counts is None:
             counts = Counter()
-            try:
-                for code, content in self._records():
-                    known.learn(code, content)
-                    if code == _MESSAGE:
-                        counts[_MESSAGE_HEAD.unpack_from(content)[0]] += 1
-            except CutError:
-                pass  # which iterating over the messages tells
+            # Iterating over the messages tells of what is cut.
+            with contextlib.suppress(CutError):
+                counts.update(channel for channel, _, _ in self._messages(known))
         found: dict[str, Topic] = {}
         for channel, count in counts.items():
             name, kind, encoding = known.channels[channel]
@@ -46,15 +45,24 @@ class McapFile(MessageFile):
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
         known = _Channels()
+        for channel, time, data in self._messages(known):
+            topic = known.channels[channel][0]
+            if topic in wanted:
+                yield Message(topic, time, bytes(data))
+
+    def _messages(self, known: "_Channels") -> Iterator[tuple[int, int, memoryview]]:
+        """The channel, time and data of each message. Fills in what is known."""
         for code, content in self._records():
-            known.learn(code, content)
-            if code == _MESSAGE:
+            try:
+                known.learn(code, content)
+                if code != _MESSAGE:
+                    continue
                 channel, _, time, _ = _MESSAGE_HEAD.unpack_from(content)
-                if channel not in known.channels:
-                    raise CutError("it has a message of no channel")
-                topic = known.channels[channel][0]
-                if topic in wanted:
-                    yield Message(topic, time, bytes(content[_MESSAGE_HEAD.size :]))
+            except (struct.error, ValueError) as error:
+                raise CutError(f"it is damaged ({error})") from None
+            if channel not in known.channels:
+                raise CutError("it has a message of no channel")
+            yield channel, time, content[_MESSAGE_HEAD.size :]
 
     def _records(self) -> Iterator[tuple[int, memoryview]]:
         """Records up to the end of the data, those in chunks like the others."""
@@ -111,6 +119,8 @@ class McapFile(MessageFile):
         except (struct.error, ValueError):
             return None
         if counts is None or not counts.keys() <= known.channels.keys():
+            return None
+        if sum(counts.values()) > _MOST_A_BYTE * size:
             return None
         return {channel: count for channel, count in counts.items() if count}
 
