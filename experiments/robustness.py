@@ -3,10 +3,12 @@
     python -m experiments.robustness --weights=small --output=FILE.json
 
 Every view of a validation split is shifted (`experiments.shifts`) and completed as a
-user's scan is, by `Completer`.
+user's scan is, by `Completer`. Each shift is written as soon as it is done. Those that
+the file has of the same weights and views, and that --shift does not ask for, stay.
 """
 
 import concurrent.futures
+import json
 import os
 import pathlib
 from collections.abc import Mapping
@@ -18,7 +20,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from experiments.output import prepare_output
-from experiments.scoring import print_and_write
+from experiments.scoring import write_result
 from experiments.shifts import SHIFTS, View, validation_views
 from experiments.weights import located
 from prism_jax import io, metrics
@@ -33,6 +35,7 @@ from prism_jax.io.errors import choose
 from prism_jax.observation.support import find_up
 from prism_jax.observation.upright import upright
 from prism_jax.training.run import commit
+from prism_jax.weights import sha256
 
 FLAGS = flags.FLAGS
 
@@ -65,7 +68,13 @@ def main() -> None:
         choose("shift", name, SHIFTS)
     completer = Completer.from_pretrained(located(FLAGS.weights))
     views, about = _views()
-    rows = {}
+    about |= {
+        "weights": FLAGS.weights,
+        "variables_sha256": sha256(completer.variables),
+        "adapt": FLAGS.adapt,
+    }
+    rows, made_at = _rows_before(about), commit()
+    result = {**about, "shifts": rows}
     # While one view is completed, those before are scored.
     with (
         tqdm(total=len(FLAGS.shift) * len(views), mininterval=2.0) as bar,
@@ -78,9 +87,21 @@ def main() -> None:
                 done = completed(completer, shifted, FLAGS.adapt)
                 scores.append(pool.submit(score, shifted, done.points))
                 bar.update()
-            rows[name] = _summary([waiting.result() for waiting in scores])
-    result = {"commit": commit(), "weights": FLAGS.weights, **about, "shifts": rows}
-    print_and_write(result, robustness_markdown(result))
+            row = _summary([waiting.result() for waiting in scores])
+            rows[name] = {"views": len(views), "commit": made_at, **row}
+            result["shifts"] = {name: rows[name] for name in SHIFTS if name in rows}
+            write_result(result, robustness_markdown(result))
+    print(robustness_markdown(result))
+
+
+def _rows_before(about: Mapping[str, Any]) -> dict[str, Any]:
+    """What --output has of these weights and views."""
+    path = pathlib.Path(FLAGS.output or "")
+    if not path.is_file():
+        return {}
+    before = json.loads(path.read_text())
+    same = all(before.get(name) == value for name, value in about.items())
+    return before["shifts"] if same else {}
 
 
 def score(view: View, points: Float[np.ndarray, "N 3"]) -> dict[str, dict[str, float]]:
@@ -105,17 +126,17 @@ def completed(completer: Completer, view: View, adapt: bool) -> CompletedScan:
 
 def robustness_markdown(result: Mapping[str, Any]) -> str:
     """A row for each shift."""
+    commits = {row["commit"] or "unknown": None for row in result["shifts"].values()}
     lines = [
-        f"`{result['weights']}`, commit {short(result['commit'] or 'unknown')}, "
-        f"{result['views']} views of {result['data']}. "
-        f"Unit of length: {metrics.UNIT}.\n",
-        f"| shift | the partial's CD-L2 x1e4 | {' | '.join(COLUMNS)} |",
-        f"| --- | --- |{' --- |' * len(COLUMNS)}",
+        f"`{result['weights']}`, commit {', '.join(map(short, commits))}, "
+        f"views of {result['data']}. Unit of length: {metrics.UNIT}.\n",
+        f"| shift | views | the partial's CD-L2 x1e4 | {' | '.join(COLUMNS)} |",
+        f"| --- | --- | --- |{' --- |' * len(COLUMNS)}",
     ]
     for name, row in result["shifts"].items():
         cells = [f"{row['completed'][column]:.4g}" for column in COLUMNS]
         partial = f"{row['partial']['CD-L2 x1e4']:.4g}"
-        lines.append(f"| {name} | {partial} | {' | '.join(cells)} |")
+        lines.append(f"| {name} | {row['views']} | {partial} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -133,11 +154,11 @@ def _views() -> tuple[list[View], dict[str, Any]]:
         size = float(np.ptp(truth, axis=0).max())
         clouds = [np.asarray(turn.to_unit(scan)) for scan in scans]
         views = [View(cloud, truth, None, size) for cloud in clouds]
-        return views, {"data": ", ".join(names), "views": len(views)}
+        return views, {"data": ", ".join(names)}
     split = validation_split(FLAGS.dataset)
     views = validation_views(FLAGS.dataset, FLAGS.limit)
-    about = {"data": f"{FLAGS.dataset}, {split}", "views": len(views)}
-    return views, {**about, "digest": digest_of(FLAGS.dataset, split)}
+    digest = digest_of(FLAGS.dataset, split)
+    return views, {"data": f"{FLAGS.dataset}, {split}", "digest": digest}
 
 
 def _summary(scores: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:

@@ -138,6 +138,11 @@ def print_and_write(result: Mapping[str, Any], table: str | None = None) -> None
     """Prints the table; with --output, writes the result and the table beside it."""
     table = comparison_markdown(result) if table is None else table
     print(table)
+    write_result(result, table)
+
+
+def write_result(result: Mapping[str, Any], table: str) -> None:
+    """With --output, writes the result and the table beside it."""
     if FLAGS.output is not None:
         path = pathlib.Path(FLAGS.output)
         write_bytes(path, json.dumps(result, indent=1).encode())

@@ -1,6 +1,8 @@
 """Shifted views, and what is measured on them, on boxes and a network of few points."""
 
 import dataclasses
+import json
+import types
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from experiments import filters, headings, robustness, shifts
 from experiments.shifts import SHIFTS, View
 from prism_jax.completion import Completer
 from prism_jax.observation.support import find_up
+from tests import launching
 
 RNG = np.random.default_rng(0)
 
@@ -83,11 +86,39 @@ def test_scores_are_those_of_the_partial_and_of_what_a_user_gets(view, completer
 def test_the_table_has_a_row_for_each_shift(view, completer):
     done = robustness.completed(completer, view, adapt=False)
     scores = [robustness.score(view, done.points)]
-    rows = {"heading 0": robustness._summary(scores)}
-    about = {"weights": "w", "commit": None, "data": "boxes", "views": 1}
-    text = robustness.robustness_markdown({**about, "shifts": rows})
+    row = {"views": 1, "commit": None, **robustness._summary(scores)}
+    about = {"weights": "w", "data": "boxes", "shifts": {"heading 0": row}}
+    text = robustness.robustness_markdown(about)
     shown = 1e4 * scores[0]["completed"]["cd_l2"]
-    assert "| heading 0 | " in text and f"{shown:.4g}" in text
+    assert "| heading 0 | 1 | " in text and f"{shown:.4g}" in text
+
+
+def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypatch):
+    """Each is written as soon as it is done."""
+    completers = []
+    monkeypatch.setattr(
+        robustness.Completer, "from_pretrained", lambda path: completers[-1]
+    )
+    monkeypatch.setattr(
+        robustness, "_views", lambda: ([view], {"data": "boxes", "digest": "d"})
+    )
+    monkeypatch.setattr(robustness, "completed", lambda *_: view_as_it_is(view))
+    output = tmp_path / "robustness.json"
+
+    def run(number, *shifts):
+        completers.append(types.SimpleNamespace(variables={"x": np.full(3, number)}))
+        given = [f"--shift={shift}" for shift in shifts]
+        assert launching.run(robustness, f"--output={output}", *given) == 0
+        return list(json.loads(output.read_text())["shifts"])
+
+    assert run(0.0, "noise 1 %") == ["noise 1 %"]
+    assert run(0.0, "heading 0") == ["heading 0", "noise 1 %"]
+    assert run(0.0, "heading 0") == ["heading 0", "noise 1 %"]
+    assert run(1.0, "heading 45") == ["heading 45"], "of other weights"
+
+
+def view_as_it_is(view):
+    return types.SimpleNamespace(points=view.partial)
 
 
 def test_rules_leave_away_what_they_say(view):
