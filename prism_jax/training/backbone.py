@@ -18,7 +18,12 @@ from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.inputs import visibility_of
 from prism_jax.training.phase import Phase
-from prism_jax.training.supervised import Stages, supervised_phase
+from prism_jax.training.supervised import (
+    Losses,
+    Stages,
+    stage_losses,
+    supervised_phase,
+)
 
 
 def backbone_phase(
@@ -34,13 +39,13 @@ def backbone_phase(
     def known(batch: Batch) -> Visibility | None:
         return visibility_of(batch) if model.reads_visibility else None
 
-    def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
+    def train(variables: Variables, batch: Batch, _: Array) -> tuple[Losses, Variables]:
         partial = jnp.asarray(batch.partial)
         indices = _indices(batch, partial, model)
         decoded, statistics = train_backbone(
             variables, model, partial, indices, phase.num_blocks, known(batch)
         )
-        return decoded.stages, statistics
+        return stage_losses(decoded.stages, batch, training.norm), statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial = jnp.asarray(batch.partial)

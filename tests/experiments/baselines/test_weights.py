@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from experiments.baselines.networks import NETWORKS
-from experiments.baselines.weights import load_network, save_network
+from experiments.baselines.weights import load_network, save_network, with_weights
 from experiments.weights import located
 from prism_jax.io.errors import InputError
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 
 
 @pytest.mark.parametrize(
-    "name", ["small-pretrained", "small-align", "small-align-normal", *NETWORKS]
+    "name", ["small-pretrained", "small-align", "small-align-normal", *with_weights()]
 )
 def test_names_of_what_lies_here(name):
     assert read_metadata(located(name))["samples"] > 0
@@ -24,7 +24,7 @@ def test_anything_else_is_left_to_the_package(name):
     assert located(name) == name
 
 
-@pytest.mark.parametrize("name", ["pcn", "seedformer"])
+@pytest.mark.parametrize("name", ["pcn", "seedformer", "snowflakenet", "adapointr"])
 def test_a_network_to_compare_with_comes_back(tmp_path, name):
     module = NETWORKS[name]["small"]
     cloud = jnp.zeros((1, module.config.num_points, 3))
