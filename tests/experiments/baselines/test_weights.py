@@ -7,6 +7,7 @@ import pytest
 
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.weights import load_network, save_network, with_weights
+from experiments.table_1 import LABELS
 from experiments.weights import located
 from prism_jax.io.errors import InputError
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
@@ -48,3 +49,15 @@ def test_what_is_not_a_network_to_compare_with(tmp_path, tiny, tiny_variables):
         load_network(str(tmp_path / "ours.safetensors"))
     with pytest.raises(InputError, match="no such network"):
         load_network("resnet")
+
+
+def test_networks_without_weights_here_are_no_rows_of_the_table(monkeypatch):
+    there = with_weights()
+    assert there == sorted(there) and set(there) <= set(NETWORKS)
+    assert {"pcn", "pointr", "seedformer"} <= set(there)
+    monkeypatch.setitem(NETWORKS, "another", {})
+    assert with_weights() == there
+    with pytest.raises(InputError, match="another: no such network") as raised:
+        load_network("another")
+    assert str(there) in str(raised.value)
+    assert set(LABELS) >= set(NETWORKS) - {"another"}
