@@ -9,9 +9,8 @@ import jax
 import numpy as np
 from absl import flags
 
-from experiments.baselines.networks import NETWORKS
 from experiments.baselines.trivial import mirrored, training_mean
-from experiments.baselines.weights import load_network
+from experiments.baselines.weights import load_network, with_weights
 from experiments.comparison import Row, comparison
 from experiments.output import prepare_output
 from experiments.scoring import (
@@ -37,7 +36,13 @@ from prism_jax.weights import (
 )
 
 FLAGS = flags.FLAGS
-LABELS = {"pcn": "PCN", "pointr": "PoinTr", "seedformer": "SeedFormer"}
+LABELS = {
+    "pcn": "PCN",
+    "pointr": "PoinTr",
+    "seedformer": "SeedFormer",
+    "snowflakenet": "SnowflakeNet",
+    "adapointr": "AdaPoinTr",
+}
 BACKBONE = "CRA-PCN"
 
 
@@ -53,7 +58,7 @@ def define_flags() -> None:
     flags.DEFINE_multi_string(
         "network",
         None,
-        "Others, by name or by file; all of NETWORKS if not given.",
+        "Others, by name or by file; if not given, all whose weights lie here.",
     )
 
 
@@ -62,7 +67,7 @@ def main():
     prepare_output(FLAGS.output, ".json")
     config, variables = load_pretrained(located(FLAGS.weights))
     alone, backbone = load_pretrained(located(FLAGS.backbone))
-    names = sorted(NETWORKS) if FLAGS.network is None else FLAGS.network
+    names = with_weights() if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
     sizes = {FLAGS.weights: prism_size(config), FLAGS.backbone: prism_size(alone)}
     for name, (module, own) in others.items():

@@ -1,6 +1,7 @@
-"""Trains a network to compare with, as our own backbone is trained.
+r"""Trains a network to compare with, as our own backbone is trained.
 
-python -m experiments.train_baseline --network=pcn --workdir=DIR [--resume]
+python -m experiments.train_baseline --network=pcn --workdir=DIR [--samples=N] \
+    [--resume]
 """
 
 import dataclasses
@@ -29,8 +30,8 @@ FLAGS = flags.FLAGS
 
 
 def main():
-    """Trains on as many samples as the preset's network has seen at the end of its
-    meta-training, all stages at once."""
+    """Trains all stages at once; if not told otherwise, on as many samples as the
+    preset's network has seen at the end of its meta-training."""
     join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
     sizes = NETWORKS[FLAGS.network]
@@ -38,8 +39,10 @@ def main():
         fault = f"{FLAGS.network} has no size for {FLAGS.preset}"
         raise InputError("--preset", fault, f"use one of {', '.join(sizes)}")
     config, network = preset.pretrain, sizes[FLAGS.preset]
-    num_samples = sum(phase.num_samples for phase in config.backbone)
-    num_samples += preset.meta.num_samples
+    num_samples = FLAGS.samples
+    if num_samples is None:
+        num_samples = sum(phase.num_samples for phase in config.backbone)
+        num_samples += preset.meta.num_samples
     phase = PhaseConfig(FLAGS.network, num_samples, None)
     data = training_data(preset, config.num_complete, config.validate_every, encoded=0)
     run = {
@@ -72,6 +75,12 @@ def run():
     define_training_flags()
     names = sorted(NETWORKS)
     flags.DEFINE_enum("network", None, names, "Which.", required=True)
+    flags.DEFINE_integer(
+        "samples",
+        None,
+        "To train on, repetitions counted; as many as the preset's if not given.",
+        1,
+    )
     launch("train_baseline", main)
 
 

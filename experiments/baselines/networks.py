@@ -3,12 +3,22 @@ they have."""
 
 import flax.linen as nn
 
+from experiments.baselines.adapointr import (
+    ADAPOINTR_SMALL,
+    AdaPoinTr,
+    AdaPoinTrConfig,
+)
 from experiments.baselines.pcn import PCN, PCN_SMALL, PCNConfig
 from experiments.baselines.pointr import POINTR_SMALL, PoinTr, PoinTrConfig
 from experiments.baselines.seedformer import (
     SEEDFORMER_SMALL,
     SeedFormer,
     SeedFormerConfig,
+)
+from experiments.baselines.snowflakenet import (
+    SNOWFLAKENET_SMALL,
+    SnowflakeNet,
+    SnowflakeNetConfig,
 )
 
 NETWORKS: dict[str, dict[str, nn.Module]] = {
@@ -17,5 +27,13 @@ NETWORKS: dict[str, dict[str, nn.Module]] = {
     "seedformer": {
         "small": SeedFormer(SEEDFORMER_SMALL),
         "paper": SeedFormer(SeedFormerConfig()),
+    },
+    "snowflakenet": {
+        "small": SnowflakeNet(SNOWFLAKENET_SMALL),
+        "paper": SnowflakeNet(SnowflakeNetConfig()),
+    },
+    "adapointr": {
+        "small": AdaPoinTr(ADAPOINTR_SMALL),
+        "paper": AdaPoinTr(AdaPoinTrConfig()),
     },
 }

@@ -13,7 +13,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.sampling import farthest_point_sample
@@ -35,8 +35,8 @@ from prism_jax.models.layers import (
 
 
 @dataclasses.dataclass(frozen=True)
-class PoinTrConfig:
-    """Sizes of PoinTr. The defaults are the published network for PCN.
+class ProxyConfig:
+    """Sizes of a transformer of point proxies. The defaults are PoinTr's for PCN.
 
     Attributes:
       num_points: points of the partial cloud.
@@ -54,9 +54,7 @@ class PoinTrConfig:
       mlp_ratio: expansion of a block's hidden layer.
       position_features: hidden width of the position embedding.
       global_features: width of the two global features and of the query generator.
-      num_queries: predicted centres, at most ``num_centers[0]``.
-      fold_side: points along a side of the grid that is folded around each centre.
-      fold_features: hidden widths of the two foldings.
+      num_queries: centres that points are rebuilt around, at most ``num_centers[0]``.
       use_norm: BatchNorm and GroupNorm; LayerNorm is always there.
     """
 
@@ -74,13 +72,24 @@ class PoinTrConfig:
     position_features: int = 128
     global_features: int = 1024
     num_queries: int = 224
-    fold_side: int = 8
-    fold_features: tuple[int, int] = (256, 128)
     use_norm: bool = True
 
     def __post_init__(self) -> None:
         if self.num_queries > self.num_centers[0]:
             raise ValueError("PoinTr needs at least as many centers as queries")
+
+
+@dataclasses.dataclass(frozen=True)
+class PoinTrConfig(ProxyConfig):
+    """Sizes of PoinTr. The defaults are the published network for PCN.
+
+    Attributes:
+      fold_side: points along a side of the grid that is folded around each centre.
+      fold_features: hidden widths of the two foldings.
+    """
+
+    fold_side: int = 8
+    fold_features: tuple[int, int] = (256, 128)
 
     @property
     def stage_sizes(self) -> tuple[int, int]:
@@ -129,7 +138,7 @@ class ProxyIndices(NamedTuple):
     proxy_neighbors: Int[Array, "... m j"]
 
 
-def proxy_indices(partial: Float[Array, "N 3"], config: PoinTrConfig) -> ProxyIndices:
+def proxy_indices(partial: Float[Array, "N 3"], config: ProxyConfig) -> ProxyIndices:
     """Samples and neighbours of one partial cloud."""
     num_centers, num_proxies = config.num_centers
     rows = farthest_point_sample(partial, num_centers)
@@ -207,19 +216,27 @@ class EdgeConv(nn.Module):
 
 
 class Attention(nn.Module):
-    """Multi-head attention (Vaswani et al., 2017); only its last layer has a bias."""
+    """Multi-head attention (Vaswani et al., 2017); only its last layer has a bias.
+
+    ``visible`` says which of the support a query may look at; all, if not given.
+    """
 
     num_heads: int
 
     @nn.compact
     def __call__(
-        self, query: Float[Array, "... M C"], support: Float[Array, "... N C"]
+        self,
+        query: Float[Array, "... M C"],
+        support: Float[Array, "... N C"],
+        visible: Bool[Array, "M N"] | None = None,
     ) -> Float[Array, "... M C"]:
         q, k, v = (
             self._heads(name, x)
             for name, x in (("query", query), ("key", support), ("value", support))
         )
         logits = jnp.einsum("...mhc,...nhc->...hmn", q, k) / q.shape[-1] ** 0.5
+        if visible is not None:
+            logits = jnp.where(visible, logits, -jnp.inf)
         attended = jnp.einsum("...hmn,...nhc->...mhc", jax.nn.softmax(logits), v)
         return Dense(query.shape[-1], name="end")(attended.reshape(query.shape))
 
@@ -240,8 +257,10 @@ class GeometryAwareAttention(nn.Module):
         query: Float[Array, "... M C"],
         support: Float[Array, "... N C"],
         neighbors: Int[Array, "... M k"] | None,
+        visible: Bool[Array, "M N"] | None = None,
     ) -> Float[Array, "... M C"]:
-        attended = Attention(self.num_heads, name="attention")(query, support)
+        attention = Attention(self.num_heads, name="attention")
+        attended = attention(query, support, visible)
         if neighbors is None:
             return attended
         width = query.shape[-1]
@@ -250,8 +269,9 @@ class GeometryAwareAttention(nn.Module):
 
 
 class Block(nn.Module):
-    """A transformer block, normalised before each part: attention among the tokens, to
-    the encoder's where these are given, and an MLP."""
+    """A transformer block, normalised before each part: attention among the tokens, of
+    those that are ``visible`` to each, to the encoder's where these are given, and an
+    MLP."""
 
     num_heads: int
     mlp_ratio: int
@@ -263,10 +283,11 @@ class Block(nn.Module):
         neighbors: Int[Array, "... M k"] | None,
         encoded: Float[Array, "... N C"] | None = None,
         encoded_neighbors: Int[Array, "... M k"] | None = None,
+        visible: Bool[Array, "M M"] | None = None,
     ) -> Float[Array, "... M C"]:
         y = _layer_norm("norm_self")(x)
         attention = GeometryAwareAttention(self.num_heads, name="self_attention")
-        x = x + attention(y, y, neighbors)
+        x = x + attention(y, y, neighbors, visible)
         if encoded is not None:
             y, support = _layer_norm("norm_query")(x), _layer_norm("norm_key")(encoded)
             attention = GeometryAwareAttention(self.num_heads, name="cross_attention")
@@ -285,7 +306,7 @@ class ProxyExtractor(nn.Module):
     """A feature for each proxy's neighbourhood: four edge convolutions over fewer and
     fewer points."""
 
-    config: PoinTrConfig
+    config: ProxyConfig
 
     @nn.compact
     def __call__(
@@ -304,6 +325,61 @@ class ProxyExtractor(nn.Module):
         x = conv_2(x, x, indices.center_neighbors)
         around = indices.center_neighbors[..., :num_proxies, :]
         return conv_3(x[..., :num_proxies, :], x, around)
+
+
+# To be called inside a compact module, to which the submodules made here belong.
+
+
+def encode(
+    config: ProxyConfig,
+    partial: Float[Array, "... N 3"],
+    proxies: Float[Array, "... m 3"],
+    indices: ProxyIndices,
+    train: bool,
+) -> Float[Array, "... m C"]:
+    """The encoder's tokens, one a proxy."""
+    width = config.features
+    x = ProxyExtractor(config, name="extractor")(partial, indices)
+    x = _mlp(config, "input", (width, width))(x, train=train)
+    embedding = _mlp(config, "position", (config.position_features, width))
+    position = embedding(proxies, train=train)
+    for i in range(config.depth[0]):
+        near = indices.proxy_neighbors if i < config.geometric_depth else None
+        x = _block(config, f"encoder_{i}")(x + position, near)
+    return x
+
+
+def decode(
+    config: ProxyConfig,
+    queries: Float[Array, "... M C"],
+    encoded: Float[Array, "... m C"],
+    neighbors: tuple[Int[Array, "... M k"], Int[Array, "... M k"]],
+    visible: Bool[Array, "M M"] | None = None,
+) -> Float[Array, "... M C"]:
+    """The decoder's tokens, one a query, whose neighbours are among the queries and
+    among the encoder's tokens."""
+    x = queries
+    for i in range(config.depth[1]):
+        own, across = neighbors if i < config.geometric_depth else (None, None)
+        x = _block(config, f"decoder_{i}")(x, own, encoded, across, visible)
+    return x
+
+
+def global_feature(
+    config: ProxyConfig, name: str, x: Float[Array, "... m C"], train: bool
+) -> Float[Array, "... 1 G"]:
+    """The maximum over the tokens, with an axis of one token."""
+    width = config.global_features
+    mlp = _mlp(config, f"global_{name}", (width, width))
+    return highest(mlp(x, train=train))[..., None, :]
+
+
+def _mlp(config: ProxyConfig, name: str, features: tuple[int, ...]) -> NormMLP:
+    return NormMLP(features, config.use_norm, name=name)
+
+
+def _block(config: ProxyConfig, name: str) -> Block:
+    return Block(config.num_heads, config.mlp_ratio, name=name)
 
 
 class PoinTr(nn.Module):
@@ -349,53 +425,29 @@ class PoinTr(nn.Module):
         indices = over_batch(lambda cloud: proxy_indices(cloud, config))(partial)
         sampled = take(partial, indices.rows)
         proxies = sampled[..., : config.num_centers[1], :]
-        encoded = self._encode(partial, proxies, indices, train)
+        encoded = encode(config, partial, proxies, indices, train)
         centers, queries = self._queries(encoded, train)
-        decoded = self._decode(centers, queries, proxies, encoded)
+        k = config.block_neighbors
+        near = over_batch(lambda c, p: (knn(c, c, k), knn(c, p, k)))(centers, proxies)
+        decoded = decode(config, queries, encoded, near)
         rebuilt = self._rebuild(centers, decoded, train)
         seen = sampled[..., : config.num_queries, :]
         coarse = jnp.concatenate([centers, seen], axis=-2)
         return coarse, jnp.concatenate([rebuilt, partial], axis=-2)
 
-    def _encode(
-        self, partial: Array, proxies: Array, indices: ProxyIndices, train: bool
-    ) -> Array:
-        config, width = self.config, self.config.features
-        x = ProxyExtractor(config, name="extractor")(partial, indices)
-        x = self._mlp("input", (width, width))(x, train=train)
-        embedding = self._mlp("position", (config.position_features, width))
-        position = embedding(proxies, train=train)
-        for i in range(config.depth[0]):
-            near = indices.proxy_neighbors if i < config.geometric_depth else None
-            x = self._block(f"encoder_{i}")(x + position, near)
-        return x
-
     def _queries(self, encoded: Array, train: bool) -> tuple[Array, Array]:
         """Centres from the encoder's global feature, and a query for each."""
         width, count = self.config.global_features, self.config.num_queries
-        context = self._global_feature("encoded", encoded, train)
+        context = global_feature(self.config, "encoded", encoded, train)
         centers = MLP((width, 3 * count), name="centers")(context)
         centers = centers.reshape(*encoded.shape[:-2], count, 3)
         mlp = NormMLP((width, width, self.config.features), False, name="queries")
         return centers, mlp(centers, context)
 
-    def _decode(
-        self, centers: Array, queries: Array, proxies: Array, encoded: Array
-    ) -> Array:
-        config, k = self.config, self.config.block_neighbors
-        own, across = over_batch(lambda c, p: (knn(c, c, k), knn(c, p, k)))(
-            centers, proxies
-        )
-        x = queries
-        for i in range(config.depth[1]):
-            near = (own, across) if i < config.geometric_depth else (None, None)
-            x = self._block(f"decoder_{i}")(x, near[0], encoded, near[1])
-        return x
-
     def _rebuild(self, centers: Array, decoded: Array, train: bool) -> Array:
         """Each centre with a grid folded twice around it."""
         config = self.config
-        context = self._global_feature("decoded", decoded, train)
+        context = global_feature(config, "decoded", decoded, train)
         x = MLP((config.features,), name="reduce")(decoded, centers, context)
         sides = np.linspace(-1, 1, config.fold_side, dtype=np.float32)
         grid = np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
@@ -405,15 +457,3 @@ class PoinTr(nn.Module):
             fold = NormMLP(widths, config.use_norm, slope=0.0, name=f"fold_{i}")
             folded = fold(folded, x, train=train)
         return folded + jnp.repeat(centers, len(grid), axis=-2)
-
-    def _global_feature(self, name: str, x: Array, train: bool) -> Array:
-        """The maximum over the tokens, with an axis of one token."""
-        width = self.config.global_features
-        mlp = self._mlp(f"global_{name}", (width, width))
-        return highest(mlp(x, train=train))[..., None, :]
-
-    def _mlp(self, name: str, features: tuple[int, ...]) -> NormMLP:
-        return NormMLP(features, self.config.use_norm, name=name)
-
-    def _block(self, name: str) -> Block:
-        return Block(self.config.num_heads, self.config.mlp_ratio, name=name)

@@ -30,8 +30,9 @@ from prism_jax.models.pyramid import farthest_order
 
 
 @dataclasses.dataclass(frozen=True)
-class SeedFormerConfig:
-    """Sizes. The defaults are the published network for PCN.
+class PatchConfig:
+    """Sizes of a network that grows points from seeds. The defaults are SeedFormer's
+    for PCN.
 
     Attributes:
       num_points: points of the partial cloud.
@@ -43,9 +44,6 @@ class SeedFormerConfig:
       features: width of per-point features in the decoder.
       attention_features: width inside an attention.
       attention_ratio: expansion of its hidden layer.
-      seed_times: seeds per patch point.
-      seeds_from_patches: seeds are offsets from their patch points, and not absolute
-        coordinates as published; a short training gets further so.
       num_initial: points sampled from seeds and partial, from which refinement starts.
       up_factors: children per point of each up-sampling layer.
       use_norm: BatchNorm in the attentions.
@@ -61,8 +59,6 @@ class SeedFormerConfig:
     features: int = 128
     attention_features: int = 64
     attention_ratio: int = 4
-    seed_times: int = 2
-    seeds_from_patches: bool = False
     num_initial: int = 512
     up_factors: tuple[int, ...] = (1, 4, 8)
     use_norm: bool = True
@@ -72,6 +68,20 @@ class SeedFormerConfig:
     def num_outputs(self) -> int:
         """Points of the last stage."""
         return self.num_initial * math.prod(self.up_factors)
+
+
+@dataclasses.dataclass(frozen=True)
+class SeedFormerConfig(PatchConfig):
+    """Sizes. The defaults are the published network for PCN.
+
+    Attributes:
+      seed_times: seeds per patch point.
+      seeds_from_patches: seeds are offsets from their patch points, and not absolute
+        coordinates as published; a short training gets further so.
+    """
+
+    seed_times: int = 2
+    seeds_from_patches: bool = False
 
 
 SEEDFORMER_SMALL = SeedFormerConfig(
@@ -144,7 +154,7 @@ class SeedFormer(nn.Module):
 class Encoder(nn.Module):
     """Two set abstractions, each with a point transformer, then the global feature."""
 
-    config: SeedFormerConfig
+    config: PatchConfig
 
     @nn.compact
     def __call__(
@@ -238,7 +248,7 @@ class PointTransformer(nn.Module):
     """Vector attention over neighbours in a narrower width (Zhao et al., Point
     Transformer, ICCV 2021)."""
 
-    config: SeedFormerConfig
+    config: PatchConfig
 
     @nn.compact
     def __call__(

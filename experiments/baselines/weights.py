@@ -14,6 +14,11 @@ from prism_jax.models.variables import Variables
 from prism_jax.weights import checked_arrays, read_file, write_file
 
 
+def with_weights() -> list[str]:
+    """Those of `NETWORKS` whose weights lie here, by name."""
+    return sorted(name for name in NETWORKS if pathlib.Path(located(name)).is_file())
+
+
 def save_network(
     path: str | pathlib.Path,
     name: str,
@@ -30,7 +35,7 @@ def load_network(name_or_path: str) -> tuple[nn.Module, Variables]:
 
     A file that is not of one of `NETWORKS` raises `prism_jax.io.InputError`.
     """
-    remedy = f"give a file of experiments.train_baseline, or one of {sorted(NETWORKS)}"
+    remedy = f"give a file of experiments.train_baseline, or one of {with_weights()}"
     path = pathlib.Path(located(name_or_path))
     if not path.is_file():
         raise InputError(name_or_path, "no such network", remedy)

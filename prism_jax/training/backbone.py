@@ -19,7 +19,12 @@ from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.inputs import visibility_of
 from prism_jax.training.phase import Phase
-from prism_jax.training.supervised import Stages, supervised_phase
+from prism_jax.training.supervised import (
+    Losses,
+    Stages,
+    stage_losses,
+    supervised_phase,
+)
 
 
 def backbone_phase(
@@ -39,7 +44,7 @@ def backbone_phase(
     def known(batch: Batch) -> Visibility | None:
         return visibility_of(batch) if model.reads_visibility else None
 
-    def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
+    def train(variables: Variables, batch: Batch, _: Array) -> tuple[Losses, Variables]:
         partial = jnp.asarray(batch.partial)
         indices = _indices(batch, partial, model)
         frozen = jax.lax.stop_gradient(variables["params"])
@@ -54,7 +59,8 @@ def backbone_phase(
         )
         before = variables["batch_stats"]
         statistics = _from_block(phase.first_block, statistics, before)
-        return decoded.stages[trained], statistics
+        losses = stage_losses(decoded.stages[trained], batch, training.norm)
+        return losses, statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial = jnp.asarray(batch.partial)

@@ -6,10 +6,10 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from prism_jax.data.pipeline import Batch
-from prism_jax.losses.chamfer import chamfer
+from prism_jax.losses.chamfer import ChamferNorm, chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.variables import Variables, apply, apply_training
 from prism_jax.training.config import PhaseConfig, PretrainConfig
@@ -17,20 +17,33 @@ from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import Phase, TrainState, steps_of
 
 Stages = tuple[Float[Array, "B _ 3"], ...]
+Losses = Float[Array, "B _"]
+
+TrainFn = Callable[[Variables, Batch, Int[Array, ""]], tuple[Losses, Variables]]
+"""The losses of a batch's examples at this step, and BatchNorm's updated statistics."""
+
+
+def stage_losses(stages: Stages, batch: Batch, norm: ChamferNorm) -> Losses:
+    """The terms of Eq. 10 of each example."""
+    return jax.vmap(lambda s, c: stage_chamfers(s, c, norm))(
+        stages, jnp.asarray(batch.complete)
+    )
 
 
 def supervised_phase(
     variables: Variables,
-    train_fn: Callable[[Variables, Batch], tuple[Stages, Variables]],
+    train_fn: TrainFn,
     stages_fn: Callable[[Variables, Batch], Stages],
     names: tuple[str, ...],
     phase: PhaseConfig,
     training: PretrainConfig,
+    own: tuple[str, ...] = (),
 ) -> Phase:
-    """Eq. 10 over the stages that ``train_fn`` makes with BatchNorm's statistics of the
-    batch, which it returns too; validated on those of ``stages_fn``, by CD-L2 in the
-    unit of the scores. What decides is the mean logarithm of the last stage's CD-L1,
-    which one bad example cannot carry. ``names`` are the stages', coarse first."""
+    """The sum of the losses that ``train_fn`` makes; validated on the stages of
+    ``stages_fn``, by CD-L2 in the unit of the scores. What decides is the mean
+    logarithm of the last stage's CD-L1, which one bad example cannot carry. ``names``
+    are the stages', coarse first; ``own`` are losses beside those of the stages, and
+    come before them."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
     adam = optimiser(
         "adam",
@@ -41,19 +54,17 @@ def supervised_phase(
         training.clip_norm,
     )
 
-    def loss_fn(params: Variables, batch_stats: Variables, batch: Batch):
+    def loss_fn(params: Variables, batch_stats: Variables, batch: Batch, now: Array):
         variables = {"params": params, "batch_stats": batch_stats}
-        stages, statistics = train_fn(variables, batch)
-        losses = jax.vmap(lambda s, c: stage_chamfers(s, c, training.norm))(
-            stages, jnp.asarray(batch.complete)
-        ).mean(0)
+        losses, statistics = train_fn(variables, batch, now)
+        losses = losses.mean(0)
         return losses.sum(), (losses, statistics)
 
     @jax.jit
     def step(state: TrainState, batch: Batch):
         variables = state.variables
         grads, (losses, statistics) = jax.grad(loss_fn, has_aux=True)(
-            variables["params"], variables["batch_stats"], batch
+            variables["params"], variables["batch_stats"], batch, state.step
         )
         updates, opt_state = adam.update(grads, state.opt_state)
         params: Variables = optax.apply_updates(  # pyright: ignore
@@ -85,7 +96,7 @@ def supervised_phase(
         ),
         step,
         validate,
-        names,
+        (*own, *names),
         (*names, "log_cd_l1"),
     )
 
@@ -108,7 +119,15 @@ def network_phase(
     training: PretrainConfig,
     seed: int,
 ) -> Phase:
-    """A network from ``(B, num_points, 3)`` to its stages, from fresh variables on."""
+    """A network from ``(B, num_points, 3)`` to its stages, from fresh variables on.
+
+    One that has losses beside those of its stages gives their names as ``own_losses``,
+    and has a method ``supervised(partial, complete, norm, train)`` that returns the
+    stages and these losses, ``(B, L)``. What it draws for them comes from Flax's stream
+    ``noise``, which follows from the seed and the step.
+    """
+    own: tuple[str, ...] = getattr(module, "own_losses", ())
+    key = jax.random.key(seed)
 
     def init(key: Array) -> Variables:
         first, second = jax.random.split(key)
@@ -116,14 +135,28 @@ def network_phase(
         made = module.init(second, cloud)
         return {kind: made.get(kind, {}) for kind in ("params", "batch_stats")}
 
-    def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
-        return apply_training(module, variables, jnp.asarray(batch.partial))
+    def train(variables: Variables, batch: Batch, now: Array):
+        partial, complete = jnp.asarray(batch.partial), jnp.asarray(batch.complete)
+        if not own:
+            stages, statistics = apply_training(module, variables, partial)
+            return stage_losses(stages, batch, training.norm), statistics
+        (stages, losses), statistics = apply_training(
+            module,
+            variables,
+            partial,
+            complete,
+            training.norm,
+            method="supervised",
+            rngs={"noise": jax.random.fold_in(key, now)},
+        )
+        each = stage_losses(stages, batch, training.norm)
+        return jnp.concatenate([losses, each], axis=-1), statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         return apply(module, variables, jnp.asarray(batch.partial))
 
-    variables = jax.jit(init)(jax.random.key(seed))
+    variables = jax.jit(init)(key)
     cloud = jax.ShapeDtypeStruct((1, num_points, 3), jnp.float32)
     made = jax.eval_shape(lambda cloud: apply(module, variables, cloud), cloud)
     names = tuple(f"stage_{i}" for i in range(len(made)))
-    return supervised_phase(variables, train, stages, names, phase, training)
+    return supervised_phase(variables, train, stages, names, phase, training, own)

@@ -8,7 +8,7 @@ import pytest
 
 from experiments import table_1, table_2, table_3
 from experiments.assets import CELLS
-from experiments.baselines.networks import NETWORKS
+from experiments.baselines.weights import with_weights
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.evaluation.run import Predictions
@@ -46,7 +46,7 @@ def test_table_one(tmp_path):
     rows = table["rows"]
     assert list(rows) == [
         *("partial", "training mean", "partial and its mirror image"),
-        *(table_1.LABELS[name] for name in sorted(NETWORKS)),
+        *(table_1.LABELS[name] for name in with_weights()),
         *("CRA-PCN", "PRISM, not adapted", "PRISM"),
     ]
     assert table["against"] == "CRA-PCN"

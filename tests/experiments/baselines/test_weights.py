@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from experiments.baselines.networks import NETWORKS
-from experiments.baselines.weights import load_network, save_network
+from experiments.baselines.weights import load_network, save_network, with_weights
+from experiments.table_1 import LABELS
 from experiments.weights import located
 from prism_jax.io.errors import InputError
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 
 
 @pytest.mark.parametrize(
-    "name", ["small-pretrained", "small-align", "small-align-normal", *NETWORKS]
+    "name", ["small-pretrained", "small-align", "small-align-normal", *with_weights()]
 )
 def test_names_of_what_lies_here(name):
     assert read_metadata(located(name))["samples"] > 0
@@ -24,7 +25,7 @@ def test_anything_else_is_left_to_the_package(name):
     assert located(name) == name
 
 
-@pytest.mark.parametrize("name", ["pcn", "seedformer"])
+@pytest.mark.parametrize("name", ["pcn", "seedformer", "snowflakenet", "adapointr"])
 def test_a_network_to_compare_with_comes_back(tmp_path, name):
     module = NETWORKS[name]["small"]
     cloud = jnp.zeros((1, module.config.num_points, 3))
@@ -48,3 +49,15 @@ def test_what_is_not_a_network_to_compare_with(tmp_path, tiny, tiny_variables):
         load_network(str(tmp_path / "ours.safetensors"))
     with pytest.raises(InputError, match="no such network"):
         load_network("resnet")
+
+
+def test_networks_without_weights_here_are_no_rows_of_the_table(monkeypatch):
+    there = with_weights()
+    assert there == sorted(there) and set(there) <= set(NETWORKS)
+    assert {"pcn", "pointr", "seedformer"} <= set(there)
+    monkeypatch.setitem(NETWORKS, "another", {})
+    assert with_weights() == there
+    with pytest.raises(InputError, match="another: no such network") as raised:
+        load_network("another")
+    assert str(there) in str(raised.value)
+    assert set(LABELS) >= set(NETWORKS) - {"another"}
