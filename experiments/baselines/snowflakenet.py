@@ -76,10 +76,10 @@ class SnowflakeNet(nn.Module):
     Beside Eq. 10 it is trained on the paper's partial matching loss (`supervised`), as
     in the authors' release with a weight of one.
 
-    Deviations: both transformers attend to the values of the neighbours, as in the
-    paper, where the release gives a point its own value for all of them; initialisers
-    are this package's, and offsets start near zero (`offset_init`). The default has
-    19,317,612 parameters.
+    Deviations: both transformers attend to the values of the neighbours, as Point
+    Transformer does (Zhao et al., ICCV 2021), where the release gives a point its own
+    value for all of them; initialisers are this package's, and offsets start near zero
+    (`offset_init`). The default has 19,317,612 parameters, as many as the release.
     """
 
     config: SnowflakeNetConfig = SnowflakeNetConfig()
@@ -122,8 +122,8 @@ def partial_matching(
     """The mean distance of the partial's points to the nearest predicted ones, squared
     with `"l2"`: one direction of the Chamfer distance, not halved.
 
-    What was measured must be there, while nothing is said of what was not (section 3.4;
-    Wen et al., Cycle4Completion, CVPR 2021). Differentiable as `chamfer`.
+    What was measured must be there, while nothing is said of what was not. From Wen et
+    al., Cycle4Completion, CVPR 2021. Differentiable as `chamfer`.
     """
     squared, _ = nearest(partial, prediction)
     if norm == "l2":
@@ -133,7 +133,7 @@ def partial_matching(
 
 class SeedGenerator(nn.Module):
     """The first points, of the global feature alone: it is split into a feature for
-    each of them (section 3.1)."""
+    each of them."""
 
     config: SnowflakeNetConfig
 
@@ -151,8 +151,8 @@ class SeedGenerator(nn.Module):
 
 
 class PointDeconvolution(nn.Module):
-    """Snowflake point deconvolution (section 3.2): children of every point, at offsets
-    of at most 1 an axis, and their displacement features.
+    """Snowflake point deconvolution: children of every point, at offsets of at most 1
+    an axis, and their displacement features.
 
     ``displacement`` is what the layer before gave the points here, its children; the
     first layer has none.
@@ -190,7 +190,7 @@ class PointDeconvolution(nn.Module):
 
 class SkipTransformer(nn.Module):
     """Vector attention of the points' features to how their neighbours were displaced
-    the layer before, or to the neighbours' own features (section 3.3)."""
+    the layer before, or to the neighbours' own features."""
 
     config: SnowflakeNetConfig
 
