@@ -36,6 +36,7 @@ class AdaPoinTrConfig(ProxyConfig):
       score_features: hidden widths of the scores of candidates.
       rebuilt_points: points rebuilt around each centre.
       rebuild_features: hidden width of the layers that rebuild them.
+      offset_init: standard deviation of the kernel that makes their offsets.
       num_noised: noised centres in training, at most ``num_centers[0]``.
       noise: standard deviation of their noise in the units of the cloud; five of these
         bound it.
@@ -47,6 +48,7 @@ class AdaPoinTrConfig(ProxyConfig):
     score_features: tuple[int, int] = (256, 256)
     rebuilt_points: int = 32
     rebuild_features: int = 512
+    offset_init: float = 0.01
     num_noised: int = 64
     noise: float = 0.01
     denoising_weight: float = 0.5
@@ -132,7 +134,8 @@ class AdaPoinTr(nn.Module):
     it has (Eq. 10), there with all of it. The small perceptrons are PoinTr's: BatchNorm
     where ``use_norm``, leaky ReLUs and as wide as the tokens, where the release has
     GELUs, one wider layer before the encoder, and BatchNorm once; as in `PoinTr`, the
-    position is added before every block of the encoder, there before the first. The
+    position is added before every block of the encoder, there before the first.
+    Initialisers are this package's, and rebuilt points start near their centres. The
     default has 32,405,953 parameters.
     """
 
@@ -223,7 +226,8 @@ class AdaPoinTr(nn.Module):
         x = MLP((config.features,), name="reduce")(decoded, centers, context)
         of_all = highest(x[..., :count, :])[..., None, :]
         widths = (config.rebuild_features, 3 * config.rebuilt_points)
-        offsets = MLP(widths, name="rebuild")(x, of_all)
+        init = nn.initializers.normal(config.offset_init)
+        offsets = MLP(widths, final_init=init, name="rebuild")(x, of_all)
         offsets = offsets.reshape(*centers.shape[:-1], config.rebuilt_points, 3)
         points = centers[..., None, :] + offsets
         return points.reshape(*centers.shape[:-2], -1, 3)
