@@ -33,7 +33,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import check_cloud, inside_image
 from prism_jax.io.depth import read_camera, read_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import read_bytes, read_object
 from prism_jax.io.ply import read_ply
 
 DEPTH_SCALE = 0.00025
@@ -149,7 +149,7 @@ def read_frame(folder: str | os.PathLike, number: int) -> Frame:
         partial=partial,
         complete=_read_cloud(complete) if complete.exists() else None,
         labels=_read_labels(labels, camera) if labels.exists() else None,
-        joints=_read_object(joints) if joints.exists() else None,
+        joints=read_object(joints, _COPY) if joints.exists() else None,
     )
 
 
@@ -241,15 +241,3 @@ def _read_labels(path: pathlib.Path, camera: Camera) -> UInt8[np.ndarray, "H W"]
     if labels.max() > max(LABELS.values()):
         raise InputError(path, f"has the label {labels.max()}", f"use {LABELS}")
     return labels
-
-
-def _read_object(path: pathlib.Path) -> dict[str, Any]:
-    try:
-        entries = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        entries = None
-    if not isinstance(entries, dict):
-        raise InputError(path, "is not a JSON object", _COPY)
-    return entries

@@ -17,7 +17,7 @@ from prism_jax.report.view import viewing_direction
 
 COLORS = {
     "measured": ply.COLORS[ply.OBSERVED],
-    "robot": (120, 94, 160),
+    "robot": ply.COLORS[ply.KNOWN],
     "predicted": ply.COLORS[ply.COMPLETED],
     "unseen": (178, 186, 196),
     "free": (255, 255, 255),

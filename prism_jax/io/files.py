@@ -1,6 +1,7 @@
 """Bytes of a user's file within limits; the folder of what can be made again."""
 
 import functools
+import json
 import os
 import pathlib
 import stat
@@ -8,6 +9,7 @@ import sys
 import tempfile
 import zipfile
 import zlib
+from typing import Any
 
 from prism_jax.io.errors import InputError
 
@@ -70,6 +72,19 @@ def read_bytes(path: str | os.PathLike) -> bytes:
     if not data:
         raise InputError(path, "is empty", "write the file again at its source")
     return data
+
+
+def read_object(path: str | os.PathLike, remedy: str) -> dict[str, Any]:
+    """The object of a JSON file; one that holds none raises InputError."""
+    try:
+        content = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        content = None
+    if not isinstance(content, dict):
+        raise InputError(path, "is not a JSON object", remedy)
+    return content
 
 
 def read_member(path: str | os.PathLike, name: str, max_bytes: int) -> bytes:
