@@ -65,6 +65,8 @@ class RerunView:
         self._rerun.set_time("sensor", timestamp=1e-9 * frame.timestamp)
         names = {OBSERVED: "observed", COMPLETED: "completed", KNOWN: "robot"}
         for label, name in names.items():
+            if label == KNOWN and not (frame.label == KNOWN).any():
+                continue
             points = frame.points[frame.label == label].astype(np.float32)
             cloud = self._rerun.Points3D(points, colors=[COLORS[label]])
             self._rerun.log(f"frame/{name}", cloud)
