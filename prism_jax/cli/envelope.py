@@ -82,6 +82,9 @@ def define_flags() -> None:
     flags.DEFINE_float(
         "accumulate", None, "Of recordings, as prism-stream has it.", lower_bound=1e-4
     )
+    flags.DEFINE_enum(
+        "pace", "max", ["max", "sensor"], "Of recordings, as prism-stream has it."
+    )
     flags.DEFINE_bool(
         "every_frame",
         False,
@@ -256,7 +259,8 @@ def envelope_of(source: str) -> dict[str, Any]:
     if stream is not None:
         sink = _Folder(folder, functools.partial(_summary, about, source))
         tell = functools.partial(say, command=NAME)
-        return follow(stream, maker, [sink], about, folder / REPORT, tell)
+        asked = {**about, "pace": FLAGS.pace}
+        return follow(stream, maker, [sink], asked, folder / REPORT, tell)
     assert scan is not None
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     with _timed(f"completing {count}", "make", {}):
@@ -291,14 +295,14 @@ def _maker() -> FrameEnveloper:
 def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str, Any]:
     """What the JSON says of one envelope, `about` being the same for all."""
     grid, query = made.envelope.grid, made.query
+    frame = {"frame": made.number, "timestamp": made.timestamp}
     return plain(
         {
             **about,
             "input": {
                 "file": source,
                 "points": len(made.scan.points),
-                "frame": made.number,
-                "timestamp": made.timestamp,
+                **({} if made.number is None else frame),
             },
             "not_completed": made.seen.fault,
             "grid": {"lower": grid.lower, "voxel": grid.voxel, "shape": grid.shape},

@@ -60,7 +60,8 @@ class MadeEnvelope:
       scan, seen, envelope: what it is of, what was completed of that, and the voxels.
       query: the points that were asked for with their distances, if any were.
       seconds: spent on "observe", "complete" and "envelope".
-      number, timestamp: of the frame, in its recording and in nanoseconds.
+      number, timestamp: of the frame, in its recording and in nanoseconds; of a scan no
+        number is told.
     """
 
     scan: Scanned
@@ -68,7 +69,7 @@ class MadeEnvelope:
     envelope: Envelope
     query: tuple[Float[np.ndarray, "Q 3"], Distances] | None
     seconds: dict[str, float]
-    number: int = 0
+    number: int | None = None
     timestamp: int = 0
 
     def numbered(self, number: int) -> "MadeEnvelope":

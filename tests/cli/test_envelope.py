@@ -306,6 +306,8 @@ def test_what_is_remembered_is_measured(stream, tmp_path, capsys):
         counts.append(lines_in(tmp_path / "out")[-1]["points"]["measured"])
     assert counts[1] > counts[0] + 50
     assert "was not calibrated with --accumulate" in capsys.readouterr().err
+    page = (tmp_path / "out" / "envelope.html").read_text()
+    assert "promises nothing here" in page and "clouds, frame 4" in page
 
 
 def asked_camera(eye, target, folder):
@@ -337,7 +339,7 @@ def test_a_known_robot_of_recordings_is_where_each_frame_says(
     known, texts = tmp_path / "recordings", []
     shutil.copytree(recordings, known)
     for number, path in enumerate(sorted(known.glob("*/*.joints.json"))):
-        pose = {"yaw": 0.2 * number, "shoulder": 0.4, "elbow": 0.3}
+        pose = {"yaw": 1.0 * number, "shoulder": 0.4, "elbow": 0.3}
         base = np.eye(4)
         base[:3, 3] = 0.5, 0.5, 1.0
         texts.append(json.dumps({"positions": pose, "base": base.tolist()}))
