@@ -2,7 +2,7 @@
 
 import os
 import pathlib
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -29,8 +29,8 @@ class Labelled(NamedTuple):
 class Sink(Protocol):
     """Takes frames one after the other."""
 
-    def write(self, frame: Labelled) -> None:
-        """Keeps or shows a frame."""
+    def write(self, frame: Any) -> None:
+        """Keeps or shows a frame: one that is `Labelled`, or an envelope."""
 
     def close(self) -> None:
         """Ends what was written. Called once, also where the stream was broken off."""
