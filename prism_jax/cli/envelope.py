@@ -56,7 +56,7 @@ from prism_jax.streams.enveloper import FrameEnveloper, MadeEnvelope, Scanned
 FLAGS = flags.FLAGS
 NAME = "prism-envelope"
 CALIBRATE = "calibrate"
-_METHOD = {field.name: field.default for field in dataclasses.fields(Method)}
+_METHOD = Method()
 _CARVING = Carving()
 LINES = "envelope.jsonl"
 """Of a stream, a line a frame."""
@@ -129,22 +129,22 @@ def define_flags() -> None:
     flags.DEFINE_string("up", None, "Direction upwards, as prism-complete has it.")
     flags.DEFINE_enum(
         "objects",
-        _METHOD["objects"],
+        _METHOD.objects,
         ["one", "auto"],
         "one: all points are objects. auto: supports and walls are set aside.",
     )
     flags.DEFINE_enum(
         "around",
-        _METHOD["around"],
+        _METHOD.around,
         ["everything", "objects"],
         "What of the measured a margin is laid around; objects are the scan without "
         "what was set aside.",
     )
     flags.DEFINE_enum(
-        "background", _METHOD["background"], ["unknown", "empty"], "As prism-complete."
+        "background", _METHOD.background, ["unknown", "empty"], "As prism-complete."
     )
-    flags.DEFINE_float("density", _METHOD["density"], "As prism-complete.", 0.0)
-    flags.DEFINE_bool("adapt", _METHOD["adapt"], "Adapt the network to the scan first.")
+    flags.DEFINE_float("density", _METHOD.density, "As prism-complete.", 0.0)
+    flags.DEFINE_bool("adapt", _METHOD.adapt, "Adapt the network to the scan first.")
     define_robot_flags("told with each frame of recordings, also to `calibrate`")
     flags.DEFINE_string("ssm", None, "JSON of the terms of a separation distance.")
     flags.DEFINE_string("query", None, "Cloud of points to tell both distances of.")
