@@ -12,6 +12,7 @@ from absl import flags
 from tqdm import tqdm
 
 from prism_jax.cli.launch import launch
+from prism_jax.data.recordings import Frame
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError, require
 
@@ -33,7 +34,7 @@ def main() -> None:
     """Writes the recording."""
     for package in ("trimesh", "manifold3d", "embreex", "fpsample"):
         require(package, "data")
-    from prism_jax.simulation.roboarm.models import arms_of
+    from prism_jax.simulation.roboarm.models import arms_of, urdf_path
     from prism_jax.simulation.roboarm.recording import record
     from prism_jax.simulation.roboarm.sequences import (
         RoboArmConfig,
@@ -59,7 +60,15 @@ def main() -> None:
     rng = np.random.default_rng(FLAGS.seed)
     sequence = make_sequence(arms[FLAGS.arm], FLAGS.num_frames, config, rng)
     numbers = tqdm(range(FLAGS.num_frames), delay=2.0, unit="frame", disable=None)
-    frames = (make_frame(sequence, n, config, rng) for n in numbers)
+    base = sequence.robot.mount.copy()
+    base[2, 3] += sequence.cell.base_height
+
+    def made(number: int) -> Frame:
+        frame = make_frame(sequence, number, config, rng)
+        joints = {**(frame.joints or {}), "base": base.tolist()}
+        return dataclasses.replace(frame, joints=joints)
+
+    frames = map(made, numbers)
     try:
         beside = record(path, frames, FLAGS.rate)
     except ValueError as error:
@@ -69,10 +78,15 @@ def main() -> None:
     bounds = np.concatenate([sequence.cell.lower, sequence.cell.upper])
     box = ",".join(f"{value:.2f}" for value in bounds)
     print(f"written     {path}, and the ground truth in {beside}")
+    first = f"{beside}/000/000000"
     print(
-        f"complete it prism-stream {path} --camera={beside}/000/000000.camera.json "
+        f"complete it prism-stream {path} --camera={first}.camera.json "
         f"--workspace={box} --weights=small-robocell"
     )
+    # The file's own root is where the base is, and all of it is seen, of some arms.
+    if arms[FLAGS.arm].root is None and arms[FLAGS.arm].tool_link is None:
+        urdf = urdf_path(arms[FLAGS.arm])
+        print(f"its robot   --urdf={urdf} --base={first}.joints.json")
 
 
 def run() -> None:

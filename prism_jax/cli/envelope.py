@@ -2,6 +2,7 @@
 
     prism-envelope calibrate RECORDINGS --output=cal.json
     prism-envelope SCAN --calibration=cal.json --alpha=0.1 --output_dir=out
+    prism-envelope RECORDING --calibration=cal.json --workspace=-1,-1,0,1,1,2
 
 Not safety-rated; no claim to any standard; people are never predicted. If the input or
 the calibration cannot be used, it ends with status 2 and one line on stderr.
@@ -9,8 +10,10 @@ the calibration cannot be used, it ends with status 2 and one line on stderr.
 
 import dataclasses
 import functools
+import json
+import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,10 +22,17 @@ from absl import flags
 from prism_jax import io
 from prism_jax.cli.complete import load_completer, say, timed
 from prism_jax.cli.launch import launch
+from prism_jax.cli.stream import (
+    REPORT,
+    define_robot_flags,
+    end_as_interrupted,
+    follow,
+    known_robot,
+    told_frames,
+)
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.envelope import NOTICE
 from prism_jax.envelope.calibration import conformal_margin, read_calibration
-from prism_jax.envelope.distance import Envelope
 from prism_jax.envelope.files import (
     NAMES,
     distances_summary,
@@ -30,36 +40,26 @@ from prism_jax.envelope.files import (
     told_kinds,
 )
 from prism_jax.envelope.recorded import calibrate_on
-from prism_jax.envelope.robot import (
-    MARGIN,
-    of_robot,
-    read_joints,
-    robot_surface,
-)
+from prism_jax.envelope.robot import joints_from_dict, robot_surface
 from prism_jax.envelope.separation import read_terms, separation
-from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
-from prism_jax.envelope.voxels import (
-    VOXEL,
-    Carving,
-    Grid,
-    carve,
-    label,
-    view_of_cloud,
-    view_of_depth,
-)
+from prism_jax.envelope.surfaces import Method, sensor_name
+from prism_jax.envelope.voxels import VOXEL, Carving
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
+from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.support import find_up
 from prism_jax.observation.upright import parse_up, upright
 from prism_jax.result import plain, software
 from prism_jax.robots.urdf import Linkage
+from prism_jax.streams.enveloper import FrameEnveloper, MadeEnvelope, Scanned
 
 FLAGS = flags.FLAGS
 NAME = "prism-envelope"
 CALIBRATE = "calibrate"
-_METHOD = {field.name: field.default for field in dataclasses.fields(Method)}
+_METHOD = Method()
 _CARVING = Carving()
-AROUND = 10
-"""Voxels beyond the inflated surfaces that a grid reaches to, unless it is given."""
+LINES = "envelope.jsonl"
+"""Of a stream, a line a frame."""
 
 _timed = functools.partial(timed, command=NAME)
 
@@ -73,7 +73,23 @@ def define_flags() -> None:
     flags.DEFINE_string(
         "camera",
         None,
-        "JSON of the camera; of a depth image by default the .json of the same name.",
+        "JSON of the camera; by default a depth image's .json of the same name, and a "
+        "recording's CameraInfo.",
+    )
+    flags.DEFINE_string(
+        "topic", None, "Which of a recording's topics or sensors, if it has several."
+    )
+    flags.DEFINE_float(
+        "accumulate", None, "Of recordings, as prism-stream has it.", lower_bound=1e-4
+    )
+    flags.DEFINE_enum(
+        "pace", "max", ["max", "sensor"], "Of recordings, as prism-stream has it."
+    )
+    flags.DEFINE_bool(
+        "every_frame",
+        False,
+        "All files of each frame of a recording, in a folder of its own, and not of "
+        "the last alone.",
     )
     flags.DEFINE_string(
         "depth",
@@ -113,29 +129,23 @@ def define_flags() -> None:
     flags.DEFINE_string("up", None, "Direction upwards, as prism-complete has it.")
     flags.DEFINE_enum(
         "objects",
-        _METHOD["objects"],
+        _METHOD.objects,
         ["one", "auto"],
         "one: all points are objects. auto: supports and walls are set aside.",
     )
     flags.DEFINE_enum(
         "around",
-        _METHOD["around"],
+        _METHOD.around,
         ["everything", "objects"],
         "What of the measured a margin is laid around; objects are the scan without "
         "what was set aside.",
     )
     flags.DEFINE_enum(
-        "background", _METHOD["background"], ["unknown", "empty"], "As prism-complete."
+        "background", _METHOD.background, ["unknown", "empty"], "As prism-complete."
     )
-    flags.DEFINE_float("density", _METHOD["density"], "As prism-complete.", 0.0)
-    flags.DEFINE_bool("adapt", _METHOD["adapt"], "Adapt the network to the scan first.")
-    flags.DEFINE_string("urdf", None, "The robot, if it is known: URDF or xacro.")
-    flags.DEFINE_string(
-        "joints",
-        None,
-        "JSON of its joint positions; `calibrate` takes those of the recordings.",
-    )
-    flags.DEFINE_float("robot_margin", MARGIN, "Nearer points are the robot's.", 0.0)
+    flags.DEFINE_float("density", _METHOD.density, "As prism-complete.", 0.0)
+    flags.DEFINE_bool("adapt", _METHOD.adapt, "Adapt the network to the scan first.")
+    define_robot_flags("told with each frame of recordings, also to `calibrate`")
     flags.DEFINE_string("ssm", None, "JSON of the terms of a separation distance.")
     flags.DEFINE_string("query", None, "Cloud of points to tell both distances of.")
     flags.DEFINE_integer("max_points", io.MAX_POINTS, "As prism-complete.", 1)
@@ -153,10 +163,16 @@ def main(words: Sequence[str] = ()) -> None:
         print(calibrate(words[1]))
         return
     if len(words) != 1:
-        remedy = f"give one scan, or: {NAME} {CALIBRATE} RECORDINGS --output=cal.json"
+        remedy = f"give one scan or recording, or: {NAME} {CALIBRATE} RECORDINGS"
         raise io.InputError(NAME, f"got {len(words)} scans", remedy)
+    end_as_interrupted()
     summary = envelope_of(words[0])
     print(f"notice      {NOTICE}")
+    if is_stream(words[0]):
+        files = LINES, REPORT, *(["000000/", "..."] if FLAGS.every_frame else NAMES)
+        print(told_frames(summary))
+        print(f"written     {FLAGS.output_dir}: {', '.join(files)}")
+        return
     print(f"margin      q = {summary['q']:.4g}, {summary['calibration']['n']} cells")
     volumes = ("not_free", "envelope", "free")
     print(f"volumes     {_told({k: summary['volumes'][k] for k in volumes})}")
@@ -168,7 +184,8 @@ def main(words: Sequence[str] = ()) -> None:
 def calibrate(folder: str) -> str:
     """Scores every cell of recordings, writes the calibration, and says what it is."""
     cells = RecordedCells(folder)
-    method, robot = _method(), _robot()
+    method = _method()
+    robot = None if FLAGS.urdf is None else Linkage(FLAGS.urdf)
     alpha = 0.1 if FLAGS.alpha is None else FLAGS.alpha
     # Too few are known to be so before anything is completed.
     conformal_margin([0.0] * len(set(cells.objects)), alpha)
@@ -187,147 +204,208 @@ def calibrate(folder: str) -> str:
 
 
 def envelope_of(source: str) -> dict[str, Any]:
-    """Makes the envelope of a scan, writes its files, and returns what the JSON says.
+    """Makes the envelope of a scan, or of each frame of a recording; writes the files.
 
-    What the user can put right raises InputError, before the weights are loaded if it
-    can be known by then.
+    Returns what the JSON says, of a recording what `stream.json` does. What the user
+    can put right raises InputError, before the weights are loaded if it can be known by
+    then.
     """
     seconds: dict[str, float] = {}
+    maker = _maker()
+    stream = scan = None
     with _timed(f"reading {source}", "read", seconds):
-        scan, view = _read(source)
-        method, robot = _method(), _robot()
-        surface = None
-        if robot is not None:
-            if FLAGS.joints is None:
-                raise io.InputError("--urdf", "is without --joints", "give both")
-            surface = robot_surface(robot, *read_joints(FLAGS.joints))
+        robot, joints = known_robot(FLAGS.urdf, FLAGS.joints, FLAGS.base)
+        maker.robot = robot
+        if is_stream(source):
+            stream, named = _opened(source, joints)
+        else:
+            scan = _read(source, maker, joints)
+            named = scan.named
+        if named is None and FLAGS.eye is None:
+            say("nothing is free: give --camera or --eye, the sensor's place", NAME)
         terms = None if FLAGS.ssm is None else read_terms(FLAGS.ssm)
-        asked = None
         if FLAGS.query is not None:
-            asked = io.read_points(FLAGS.query, FLAGS.max_points).astype(np.float64)
+            asked = io.read_points(FLAGS.query, FLAGS.max_points)
+            maker.asked = asked.astype(np.float64)
     if FLAGS.calibration is None:
         remedy = f"make one with {NAME} {CALIBRATE} RECORDINGS"
         raise io.InputError("--calibration", "is missing", remedy)
-    sensor = FLAGS.sensor or sensor_name(scan.named)
+    sensor = FLAGS.sensor or sensor_name(named)
     if sensor is None:
         raise io.InputError("--sensor", "is missing", "name it as it was calibrated")
-    runs = method.setup(_digest(FLAGS.weights), sensor)
+    runs = maker.method.setup(_digest(FLAGS.weights), sensor)
     calibration = read_calibration(FLAGS.calibration, runs)
     alpha = calibration.alpha if FLAGS.alpha is None else FLAGS.alpha
-    margin = calibration.margin(alpha, FLAGS.scaled)
-    folder = io.make_output_dir(FLAGS.output_dir)
-    with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
-        completer = load_completer(FLAGS.weights)
-    count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
-    with _timed(f"completing {count}", "complete", seconds):
-        known = surface, scan.everything
-        seen = see(completer, scan.points, scan.camera, method, scan.up, *known)
-    if seen.fault:
-        say(f"nothing is predicted: {seen.fault}", NAME)
-    with _timed("carving", "envelope", seconds):
-        envelope = _envelope(scan, view, seen, margin, calibration.floor)
-        found = None if asked is None else (asked, envelope.query(asked))
-    summary = {
+    maker.margin = calibration.margin(alpha, FLAGS.scaled)
+    maker.floor = calibration.floor if FLAGS.scaled else None
+    about = {
         "notice": NOTICE,
         "prism_jax": software(),
-        "input": {"file": source, "points": len(scan.points)},
         "weights": FLAGS.weights,
         "weights_sha256": runs.weights,
         "sensor": sensor,
         "settings": dict(runs.settings),
+        "accumulate": FLAGS.accumulate,
         "calibration": {"file": FLAGS.calibration, "n": len(calibration.cells)},
         "alpha": alpha,
-        "q": margin,
+        "q": maker.margin,
         "scaled": FLAGS.scaled,
-        "not_completed": seen.fault,
-        "grid": {
-            "lower": envelope.grid.lower,
-            "voxel": envelope.grid.voxel,
-            "shape": envelope.grid.shape,
-        },
-        "carving": {"margin": FLAGS.carving_margin, "share": FLAGS.carving_share},
-        "points": told_kinds(envelope),
-        "volumes": envelope.volumes(),
-        "query": None if found is None else distances_summary(found[1]),
-        "separation": None if terms is None else separation(terms, margin),
-        "seconds": seconds,
+        "carving": maker.carving._asdict(),
+        "separation": None if terms is None else separation(terms, maker.margin),
     }
-    turn = upright(scan.up)
-    vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
+    folder = io.make_output_dir(FLAGS.output_dir)
+    with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
+        maker.completer = load_completer(FLAGS.weights)
+    if stream is not None:
+        sink = _Folder(folder, functools.partial(_summary, about, source))
+        tell = functools.partial(say, command=NAME)
+        asked = {**about, "pace": FLAGS.pace}
+        return follow(stream, maker, [sink], asked, folder / REPORT, tell)
+    assert scan is not None
+    count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
+    with _timed(f"completing {count}", "make", {}):
+        made = maker.make(scan)
+    if made.seen.fault:
+        say(f"nothing is predicted: {made.seen.fault}", NAME)
+    seconds |= made.seconds
+    summary = _summary(about, source, dataclasses.replace(made, seconds=seconds))
     with _timed(f"writing to {folder}", "write", seconds):
-        files = envelope_files(envelope, plain(summary), scan.named, vertical, found)
-        io.write_together({folder / name: data for name, data in files.items()})
-    return plain(summary)
+        _write(folder, made, summary)
+    return summary
 
 
-@dataclasses.dataclass(frozen=True)
-class _Scan:
-    """A scan as it was read.
+def _maker() -> FrameEnveloper:
+    """What makes envelopes by the flags, but for what other files say."""
+    if FLAGS.accumulate is not None:
+        line = "the margin was not calibrated with --accumulate; with it, it promises"
+        say(f"{line} nothing", NAME)
+    return FrameEnveloper(
+        None,
+        _method(),
+        0.0,
+        voxel=FLAGS.voxel,
+        carving=Carving(FLAGS.carving_margin, FLAGS.carving_share),
+        eye=None if FLAGS.eye is None else _vector("--eye", FLAGS.eye),
+        bounds=None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace),
+        up=None if FLAGS.up is None else parse_up(FLAGS.up),
+        accumulator=None if FLAGS.accumulate is None else Accumulator(FLAGS.accumulate),
+    )
 
-    `points` are completed, `everything` is all that was measured; `camera` stands where
-    the sensor did, `named` is the depth camera if there is one.
+
+def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str, Any]:
+    """What the JSON says of one envelope, `about` being the same for all."""
+    grid, query = made.envelope.grid, made.query
+    frame = {"frame": made.number, "timestamp": made.timestamp}
+    return plain(
+        {
+            **about,
+            "input": {
+                "file": source,
+                "points": len(made.scan.points),
+                **({} if made.number is None else frame),
+            },
+            "not_completed": made.seen.fault,
+            "grid": {"lower": grid.lower, "voxel": grid.voxel, "shape": grid.shape},
+            "points": told_kinds(made.envelope),
+            "volumes": made.envelope.volumes(),
+            "query": None if query is None else distances_summary(query[1]),
+            "seconds": made.seconds,
+        }
+    )
+
+
+def _write(folder: pathlib.Path, made: MadeEnvelope, summary: dict[str, Any]) -> None:
+    """All files of one envelope."""
+    turn = upright(made.scan.up)
+    vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
+    about = made.scan.named, vertical, made.query
+    files = envelope_files(made.envelope, summary, *about)
+    io.write_together({folder / name: data for name, data in files.items()})
+
+
+class _Folder:
+    """A sink: a line for each frame as it comes, and all files of the last, or of each.
+
+    Until it is closed the lines' file ends in `.part.jsonl`.
     """
 
-    points: np.ndarray
-    everything: np.ndarray
-    camera: Camera | None
-    named: Camera | None
-    up: Any
+    def __init__(
+        self, folder: pathlib.Path, summary: Callable[[MadeEnvelope], dict[str, Any]]
+    ):
+        self._folder, self._summary = folder, summary
+        self._last: MadeEnvelope | None = None
+        self._part = folder / LINES.replace(".", ".part.")
+        self._part.write_bytes(b"")
+
+    def write(self, frame: MadeEnvelope) -> None:
+        summary, self._last = self._summary(frame), frame
+        told = ("points", "volumes", "q", "query", "not_completed", "seconds")
+        line = {
+            "frame": frame.number,
+            "timestamp": frame.timestamp,
+            **{name: summary[name] for name in told},
+        }
+        try:
+            with open(self._part, "a") as file:
+                file.write(json.dumps(line, allow_nan=False) + "\n")
+        except OSError as error:
+            fault = f"cannot be written ({error.strerror})"
+            raise io.InputError(self._part, fault, "free some space") from None
+        if FLAGS.every_frame:
+            own = io.make_output_dir(self._folder / f"{frame.number:06d}")
+            _write(own, frame, summary)
+
+    def close(self) -> None:
+        if self._last is not None and not FLAGS.every_frame:
+            _write(self._folder, self._last, self._summary(self._last))
+        os.replace(self._part, self._folder / LINES)
 
 
-def _read(source: str) -> tuple[_Scan, Any]:
-    """The scan, and the view that tells what is free, if there is one."""
-    bounds = None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace)
-    direction = None if FLAGS.up is None else parse_up(FLAGS.up)
+def _opened(source: str, joints: Joints | None) -> tuple[Stream, Camera | None]:
+    """The recording, and the camera of its first frame."""
+    if FLAGS.depth is not None:
+        raise io.InputError("--depth", "is of one scan", "leave it out")
+    camera = None if FLAGS.camera is None else io.read_camera(FLAGS.camera)
+    tell = functools.partial(say, command=NAME)
+    stream = open_stream(source, FLAGS.topic, camera, tell, joints)
+    # By a second look, so that nothing is told and counted twice.
+    looked = open_stream(source, FLAGS.topic, camera, lambda _: None)
+    first = next(iter(looked), None)
+    return stream, None if first is None else first.camera
+
+
+def _read(source: str, maker: FrameEnveloper, joints: Joints | None) -> Scanned:
+    """One scan, and what its sensor saw beside it."""
+    if FLAGS.topic is not None or FLAGS.accumulate is not None:
+        flag = "--topic" if FLAGS.topic is not None else "--accumulate"
+        raise io.InputError(flag, "is of a recording, not of a scan", "leave it out")
     scan = io.read_scan(source, FLAGS.camera, max_points=FLAGS.max_points)
-    depth = source if source.lower().endswith(".png") else FLAGS.depth
-    camera, view, everything = scan.camera, None, scan.points
-    if depth is not None:
-        camera_path = FLAGS.camera or pathlib.Path(depth).with_suffix(".json")
-        metres, mask, camera = io.read_depth(depth, camera_path, FLAGS.max_points)
-        view = view_of_depth(metres, mask, camera)
+    depth_path = source if source.lower().endswith(".png") else FLAGS.depth
+    camera, depth, everything = scan.camera, None, scan.points
+    if depth_path is not None:
+        camera_path = FLAGS.camera or pathlib.Path(depth_path).with_suffix(".json")
+        metres, mask, camera = io.read_depth(depth_path, camera_path, FLAGS.max_points)
         seen = io.points_from_depth(metres, mask, camera)
         everything = np.concatenate([scan.points, seen])
-    named = camera
-    if FLAGS.eye is not None:
-        if depth is not None:
-            raise io.InputError("--eye", "is of a depth image", "leave it out")
-        eye = _vector("--eye", FLAGS.eye)
-        camera = Camera(np.eye(3), -eye, np.eye(3), 1, 1)
-    if view is None and camera is not None:
-        view = view_of_cloud(scan.points, np.asarray(camera.position), FLAGS.background)
-    if view is None:
-        say("nothing is free: give --camera or --eye, the sensor's place", NAME)
+        depth = np.where(mask, metres, 0.0)
+    standing = maker.standing(depth, camera)
+    direction = maker.up
     if direction is None:
         direction = "-y" if scan.in_camera_frame else "z"
     if isinstance(direction, str) and direction == "auto":
-        place = None if camera is None else np.asarray(camera.position)
-        rotation = None if named is None else named.rotation
+        place = None if standing is None else np.asarray(standing.position)
+        rotation = None if camera is None else camera.rotation
         direction = find_up(scan.points, place, rotation).vector
-    points = io.crop(scan.points, bounds, source)
-    return _Scan(points, everything, camera, named, direction), view
-
-
-def _envelope(
-    scan: _Scan, view: Any, seen: Seen, margin: float, floor: float | None
-) -> Envelope:
-    """The voxels of a scan, its surfaces, and their margin."""
-    surfaces = seen.surfaces(floor if FLAGS.scaled else None)
-    if FLAGS.workspace is not None:
-        bounds = io.parse_bounds(FLAGS.workspace)
-        grid = Grid.over(bounds.lower, bounds.upper, FLAGS.voxel)
-    else:
-        held = np.concatenate([scan.points, seen.predicted, seen.robot])
-        reach = surfaces.reach(margin) + AROUND * FLAGS.voxel
-        grid = Grid.over(held.min(0) - reach, held.max(0) + reach, FLAGS.voxel)
-    free = np.zeros(grid.shape, bool)
-    if view is not None:
-        carving = Carving(FLAGS.carving_margin, FLAGS.carving_share)
-        free = carve(grid, view, carving)
-    own = of_robot(scan.everything, seen.robot, FLAGS.robot_margin)
-    measured = scan.everything[~own]
-    state = label(grid, free, measured, seen.predicted, seen.robot)
-    return Envelope(grid, state, surfaces, margin)
+    robot = None
+    if maker.robot is not None and joints is not None:
+        if joints.given is None:
+            fault = "is without --joints, a .json of them"
+            raise io.InputError("--urdf", fault, "give both")
+        base = {} if joints.base is None else {"base": joints.base}
+        robot = robot_surface(maker.robot, *joints_from_dict({**joints.given, **base}))
+    view = maker.view(scan.points, depth, camera)
+    points = io.crop(scan.points, maker.bounds, source)
+    return Scanned(points, everything, view, standing, camera, direction, robot)
 
 
 def _method() -> Method:
@@ -340,10 +418,6 @@ def _method() -> Method:
         robot="unknown" if FLAGS.urdf is None else "known",
         robot_margin=FLAGS.robot_margin,
     )
-
-
-def _robot() -> Linkage | None:
-    return None if FLAGS.urdf is None else Linkage(FLAGS.urdf)
 
 
 def _digest(weights: str) -> str:

@@ -12,21 +12,24 @@ import pathlib
 import signal
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from absl import flags
 
 from prism_jax import io
 from prism_jax.cli.launch import launch
+from prism_jax.envelope.robot import LAYOUT, MARGIN, joints_from_dict
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import require
-from prism_jax.io.streams import Stream, open_stream
+from prism_jax.io.files import read_json
+from prism_jax.io.streams import Joints, Stream, open_stream
 from prism_jax.io.streams.packed import EXTRA
 from prism_jax.io.streams.sinks import Sink, open_sink
 from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.upright import parse_up
 from prism_jax.result import plain
+from prism_jax.robots.urdf import Linkage
 
 FLAGS = flags.FLAGS
 NAME = "prism-stream"
@@ -81,6 +84,7 @@ def define_flags() -> None:
         "earlier frames and is hidden now is kept. For sensors that stand still.",
         lower_bound=1e-4,
     )
+    define_robot_flags("that is told with each frame of the recording")
     flags.DEFINE_enum(
         "pace",
         "max",
@@ -96,12 +100,55 @@ def define_flags() -> None:
     )
 
 
+def define_robot_flags(otherwise: str) -> None:
+    """Those of a robot that is known; `otherwise` its joints are what that says."""
+    flags.DEFINE_string("urdf", None, "The robot, if it is known: URDF or xacro.")
+    flags.DEFINE_string(
+        "joints",
+        None,
+        "Its joint positions: a .json of them, or a recording's topic of JointState. "
+        f"By default what is {otherwise}.",
+    )
+    flags.DEFINE_string(
+        "base",
+        None,
+        'JSON whose "base" is where the robot stands in the frame of the points, a 4x4 '
+        "pose, if that is neither the identity nor told with the joints.",
+    )
+    flags.DEFINE_float(
+        "robot_margin", MARGIN, "Nearer points are the robot's.", lower_bound=0.0
+    )
+
+
+def known_robot(
+    urdf: str | None, joints: str | None, base: str | None
+) -> tuple[Linkage | None, Joints | None]:
+    """The robot of these flags, and where its joint positions come from."""
+    if urdf is None:
+        if joints is not None:
+            raise io.InputError("--joints", "are of a robot", "give --urdf too")
+        return None, None
+    given = topic = None
+    if joints is not None and (
+        joints.endswith(".json") or pathlib.Path(joints).is_file()
+    ):
+        given = read_json(joints, LAYOUT)
+        joints_from_dict(given, joints)
+    else:
+        topic = joints
+    pose = None
+    if base is not None:
+        content = read_json(base, LAYOUT)
+        pose = joints_from_dict({"positions": {}} | content, base)[1].tolist()
+    return Linkage(urdf), Joints(topic, given, pose)
+
+
 def main(words: Sequence[str]) -> None:
     """Does what the flags ask for."""
     if len(words) != 1:
         fault = f"takes one recording, not {len(words)}"
         raise io.InputError(NAME, fault, f"write {NAME} RECORDING --output=PLACE")
-    signal.signal(signal.SIGTERM, _end)
+    end_as_interrupted()
     summary = stream_file(
         words[0],
         topic=FLAGS.topic,
@@ -113,6 +160,10 @@ def main(words: Sequence[str]) -> None:
         density=FLAGS.density,
         background=FLAGS.background,
         accumulate=FLAGS.accumulate,
+        urdf=FLAGS.urdf,
+        joints=FLAGS.joints,
+        base=FLAGS.base,
+        robot_margin=FLAGS.robot_margin,
         pace=FLAGS.pace,
         view=FLAGS.view,
         output=FLAGS.output,
@@ -132,6 +183,10 @@ def stream_file(
     density: float = 0.0,
     background: str = "unknown",
     accumulate: float | None = None,
+    urdf: str | None = None,
+    joints: str | None = None,
+    base: str | None = None,
+    robot_margin: float = MARGIN,
     pace: str = "max",
     view: bool = False,
     output: str = "prism_stream",
@@ -152,6 +207,10 @@ def stream_file(
         "density": density,
         "background": background,
         "accumulate": accumulate,
+        "urdf": urdf,
+        "joints": joints,
+        "base": base,
+        "robot_margin": robot_margin,
         "pace": pace,
     }
     bounds = None if workspace is None else io.parse_bounds(workspace)
@@ -162,7 +221,8 @@ def stream_file(
     report_path = place.with_name(REPORT) if beside else place / REPORT
     if pathlib.Path(source).resolve() == place.resolve():
         raise io.InputError(output, "is the recording itself", "name another output")
-    stream = open_stream(source, topic, view_from, say)
+    robot, positions = known_robot(urdf, joints, base)
+    stream = open_stream(source, topic, view_from, say, positions)
     io.make_output_dir(place.parent if beside else place)
     if beside:
         require("mcap.writer", EXTRA)
@@ -170,7 +230,6 @@ def stream_file(
     # Imported this late, so that a wrong recording is refused in a moment.
     from prism_jax.cli.complete import load_completer
     from prism_jax.streams.completer import FrameCompleter
-    from prism_jax.streams.run import StreamReport, run_stream
 
     completer: Any = FrameCompleter(
         load_completer(weights),
@@ -180,25 +239,41 @@ def stream_file(
         density=density,
         background=background,  # pyright: ignore
         accumulator=None if accumulate is None else Accumulator(accumulate),
+        robot=robot,
+        robot_margin=robot_margin,
     )
     sinks = [open_sink(place), *viewers]
+    return follow(stream, completer, sinks, asked, report_path, say)
+
+
+def follow(
+    stream: Stream,
+    completer: Any,
+    sinks: Sequence[Sink],
+    asked: Mapping[str, Any],
+    report_path: pathlib.Path,
+    tell: Callable[[str], None],
+) -> dict[str, Any]:
+    """Runs a stream with a bar of progress, and writes and returns what the report
+    says of it, also when it is broken off."""
+    from prism_jax.streams.run import StreamReport, run_stream
+
     report = StreamReport()
     whole = False
-    say(f"{len(stream)} frames; the first run on a machine also compiles")
+    tell(f"{len(stream)} frames; the first run on a machine also compiles")
+    pace = asked.get("pace", "max")
     try:
         with _progress(len(stream)) as progress:
-            run_stream(stream, completer, [*sinks, progress], pace, report)  # pyright: ignore
+            run_stream(stream, completer, [*sinks, progress], pace, report)
         whole = True
     finally:
-        summary = _summary(source, asked, stream, report) | {"whole": whole}
+        summary = _summary(asked, stream, report) | {"whole": whole}
         text = json.dumps(plain(summary), indent=2, allow_nan=False)
         write_bytes(report_path, f"{text}\n".encode())
     return plain(summary)
 
 
-def _summary(
-    source: str, asked: Mapping[str, Any], stream: Stream, report: Any
-) -> dict[str, Any]:
+def _summary(asked: Mapping[str, Any], stream: Stream, report: Any) -> dict[str, Any]:
     """What `stream.json` says of a stream, whole or broken off."""
     frames = {
         "in_recording": len(stream),
@@ -208,7 +283,7 @@ def _summary(
     }
     rate = report.completed / report.duration if report.duration else 0.0
     return {
-        "source": source,
+        "source": stream.path,
         "topic": stream.topic,
         **asked,
         "frames": frames,
@@ -221,13 +296,18 @@ def _summary(
 
 def outcome(summary: dict[str, Any], output: str) -> str:
     """What was done, in a few lines."""
+    return f"{told_frames(summary)}\nwritten     {output} and {REPORT}"
+
+
+def told_frames(summary: dict[str, Any]) -> str:
+    """How many frames there were, and how long they took."""
     frames = summary["frames"]
     counts = ", ".join(f"{frames[k]} {k}" for k in ("completed", "dropped", "unusable"))
     lines = [f"frames      {counts}, {summary['frames_a_second']:.1f} a second"]
     for stage, ms in summary["milliseconds"].items():
         times = ", ".join(f"{name} {value:.1f}" for name, value in ms.items())
         lines.append(f"{stage:<11} {times} ms")
-    return "\n".join([*lines, f"written     {output} and {REPORT}"])
+    return "\n".join(lines)
 
 
 def say(text: str) -> None:
@@ -241,9 +321,13 @@ def _open_view() -> Sink:
     return RerunView()
 
 
-def _end(*_: Any) -> None:
-    """What a signal to end does: as Ctrl-C, so that all files are whole."""
-    raise KeyboardInterrupt
+def end_as_interrupted() -> None:
+    """Has a signal to end do what Ctrl-C does, so that all files are whole."""
+
+    def end(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, end)
 
 
 class _progress:

@@ -17,7 +17,7 @@ from prism_jax.report.view import viewing_direction
 
 COLORS = {
     "measured": ply.COLORS[ply.OBSERVED],
-    "robot": (120, 94, 160),
+    "robot": ply.COLORS[ply.KNOWN],
     "predicted": ply.COLORS[ply.COMPLETED],
     "unseen": (178, 186, 196),
     "free": (255, 255, 255),
@@ -74,6 +74,11 @@ def envelope_page(
 def promise(summary: Mapping[str, Any]) -> str:
     """What the margin is, and what it was measured on."""
     told, alpha = summary["calibration"], summary["alpha"]
+    if summary.get("accumulate") is not None:
+        return (
+            f"Surfaces are inflated by q = {number(summary['q'])}. It was not "
+            "calibrated with what earlier frames measured, and promises nothing here."
+        )
     unit = "times each point's expected error" if summary["scaled"] else "in its units"
     return (
         f"Surfaces are inflated by q = {number(summary['q'])}, {unit}, which was "
@@ -90,8 +95,12 @@ def _volumes(summary: Mapping[str, Any]) -> list[tuple[str, float]]:
 def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     grid, told = summary["grid"], summary["calibration"]
     lower = ", ".join(f"{value:.6g}" for value in grid["lower"])
+    frame = summary["input"].get("frame")
     rows = [
-        ("Input", summary["input"]["file"]),
+        (
+            "Input",
+            summary["input"]["file"] + ("" if frame is None else f", frame {frame}"),
+        ),
         ("Weights", summary["weights"]),
         ("Sensor", summary["sensor"]),
         ("Calibration", f"{told['file']}, {told['n']} cells"),

@@ -1,5 +1,6 @@
 """A robot that is known: its surface by URDF and joint positions, cut out of a scan."""
 
+import functools
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -18,8 +19,8 @@ SPACING = 0.02
 MARGIN = 0.03
 """Metres: measured points this near to the robot's surface are the robot's."""
 
-_LAYOUT = 'write {"positions": {JOINT: radians or metres}} and, if it is not the frame'
-_LAYOUT += '\'s own origin, "base": a 4x4 pose of the robot'
+LAYOUT = 'write {"positions": {JOINT: radians or metres}} and, if it is not the frame'
+LAYOUT += '\'s own origin, "base": a 4x4 pose of the robot'
 
 
 def read_joints(
@@ -30,7 +31,7 @@ def read_joints(
     The file is that of the recordings: `positions` are needed; `base` is a 4x4 matrix,
     the identity unless given; all else is left alone.
     """
-    return joints_from_dict(read_json(path, _LAYOUT), path)
+    return joints_from_dict(read_json(path, LAYOUT), path)
 
 
 def joints_from_dict(
@@ -39,7 +40,7 @@ def joints_from_dict(
     """The same of what such a file holds; InputError about `path`."""
     positions = content.get("positions")
     if type(positions) is not dict or not all(map(_is_number, positions.values())):
-        raise InputError(path, "has no positions of joints", _LAYOUT)
+        raise InputError(path, "has no positions of joints", LAYOUT)
     base = np.eye(4)
     if "base" in content:
         try:
@@ -47,7 +48,7 @@ def joints_from_dict(
         except (TypeError, ValueError):
             base = np.zeros(0)
         if base.shape != (4, 4) or not _is_pose(base):
-            raise InputError(path, "has a base that is no 4x4 pose", _LAYOUT)
+            raise InputError(path, "has a base that is no 4x4 pose", LAYOUT)
     return {name: float(value) for name, value in positions.items()}, base
 
 
@@ -57,7 +58,8 @@ def robot_surface(
     base: Float[np.ndarray, "4 4"],
     spacing: float = SPACING,
 ) -> Float64[np.ndarray, "R 3"]:
-    """Points on a robot's surface in the scan's frame, evenly spaced (`on_triangles`).
+    """Points on a robot's surface in the scan's frame, evenly spaced on each link
+    (`on_triangles`), so that another pose of the same robot takes next to no time.
 
     A joint of the robot without a position raises InputError; other positions are left
     alone.
@@ -68,9 +70,19 @@ def robot_surface(
         remedy = f"give all of {', '.join(robot.joints)}"
         raise InputError("joints", fault, remedy)
     given = np.array([positions[name] for name in robot.joints])
-    vertices, faces = robot.triangles(given)
-    placed = vertices @ base[:3, :3].T + base[:3, 3]
-    return on_triangles(placed, faces, spacing)
+    poses = base @ robot.link_poses(given[None])[0]
+    links = _link_points(robot, spacing)
+    placed = [
+        points @ pose[:3, :3].T + pose[:3, 3]
+        for points, pose in zip(links, poses, strict=True)
+    ]
+    return np.concatenate(placed)
+
+
+@functools.lru_cache(maxsize=4)
+def _link_points(robot: Linkage, spacing: float) -> list[Float64[np.ndarray, "_ 3"]]:
+    """Points on each link's surface, in its own frame."""
+    return [on_triangles(mesh.vertices, mesh.faces, spacing) for mesh in robot.meshes]
 
 
 def on_triangles(

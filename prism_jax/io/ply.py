@@ -11,21 +11,21 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from prism_jax.io import atomic
 from prism_jax.io.arrays import stack_columns
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 from prism_jax.io.text import parse_rows
 
-OBSERVED, COMPLETED = 0, 1
-"""Values of the `label` property."""
+OBSERVED, COMPLETED, KNOWN = 0, 1, 2
+"""Values of the `label` property; a known robot's surface is `KNOWN`."""
 
 OBJECTS = "object -1: support or wall, -2: none, else the object's number"
 
 SIGMA = "sigma: expected distance from the true surface, 0 for observed points"
 
-COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34)}
+COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34), KNOWN: (120, 94, 160)}
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
@@ -97,25 +97,26 @@ def write_ply(
 
 def ply_bytes(
     points: Float[np.ndarray, "M 3"],
-    labels: Bool[np.ndarray, " M"] | None = None,
+    labels: Bool[np.ndarray, " M"] | UInt8[np.ndarray, " M"] | None = None,
     objects: Int[np.ndarray, " M"] | None = None,
     sigma: Float[np.ndarray, " M"] | None = None,
 ) -> bytes:
     """A file of points, which `read_ply` reads back bit for bit.
 
     With `labels`, True for completed points, each has a `label` (0 observed,
-    1 completed) and a colour; with `objects` too, the number of an `object`; with
-    `sigma`, a float32 of that name. Binary little-endian, x y z in the type of `points`
-    (float32 or float64).
+    1 completed, 2 a known robot's) and a colour; with `objects` too, the number of an
+    `object`; with `sigma`, a float32 of that name. Binary little-endian, x y z in
+    the type of `points` (float32 or float64).
     """
     columns = {}
     comments = []
     if labels is not None:
-        palette = np.array([COLORS[OBSERVED], COLORS[COMPLETED]], dtype=np.uint8)
+        palette = np.array(list(COLORS.values()), dtype=np.uint8)
         label = labels.astype(np.uint8)
         columns["label"] = label
         columns |= zip(("red", "green", "blue"), palette[label].T, strict=True)
-        comments.append("label 0: observed, 1: completed")
+        known = ", 2: known robot" if (label == KNOWN).any() else ""
+        comments.append(f"label 0: observed, 1: completed{known}")
     if objects is not None:
         columns["object"] = objects.astype(np.int32)
         comments.append(OBJECTS)

@@ -2,22 +2,22 @@
 
 import dataclasses
 import time
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from prism_jax.completed import join
 from prism_jax.completion import Completer
-from prism_jax.geometry.camera import Vector
+from prism_jax.envelope.robot import of_robot
 from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.io.clouds import check_cloud
-from prism_jax.io.scan import Bounds, crop, in_own_axes
+from prism_jax.io.clouds import check_cloud, inside
+from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from prism_jax.io.streams.frame import Frame
-from prism_jax.observation.accumulation import Accumulator
+from prism_jax.io.streams.sinks import Labelled
 from prism_jax.observation.observation import compile_sampling
-from prism_jax.observation.support import find_up
+from prism_jax.streams.observer import FrameObserver
 
 Adapt = Literal["off", "first", "every"]
 
@@ -28,8 +28,9 @@ class CompletedFrame:
 
     Attributes:
       points: the measured points inside the workspace, exactly as they were, and then
-        the predicted points where nothing was measured.
-      observed: True for a measured point.
+        the predicted points where nothing was measured, and points on the surface of a
+        robot that is known.
+      label: OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
       remembered: how many of the observed points, the last ones, were measured in
         earlier frames and are hidden now. 0 without an accumulator.
       workspace: the cube that was completed.
@@ -38,41 +39,45 @@ class CompletedFrame:
     """
 
     points: Float[np.ndarray, "M 3"]
-    observed: Bool[np.ndarray, " M"]
+    label: UInt8[np.ndarray, " M"]
     workspace: Workspace
     timestamp: int
     seconds: dict[str, float]
     remembered: int = 0
 
+    @property
+    def observed(self) -> Bool[np.ndarray, " M"]:
+        """True for a measured point."""
+        return self.label == OBSERVED
 
-class FrameCompleter:
+    def numbered(self, number: int) -> Labelled:
+        """The frame of that number, as sinks take it."""
+        return Labelled(number, self.timestamp, self.points, self.label)
+
+
+class FrameCompleter(FrameObserver):
     """Completes frames as `Completer.complete` completes scans, and nothing else.
 
     There is no verdict, no depth map and, unless ``density`` asks for it, no
-    resampling; the points are the same, bit for bit. ``bounds`` crop each frame first.
-    ``adapt`` "off" takes the network as it is, "every" adapts it to each frame, and
-    "first" to the first, whose encoders are then kept. ``up`` and the rest are as for
-    `Completer.complete`. Without an ``up`` it is -y for a depth image in its camera's
-    axes and else z; "auto" looks for it in the first frame and keeps it. With an
-    ``accumulator``, for a sensor that does not move, a frame also has what earlier ones
-    measured where something hides it now, so that it is not predicted again.
+    resampling; the points are the same, bit for bit. ``adapt`` "off" takes the network
+    as it is, "every" adapts it to each frame, and "first" to the first, whose encoders
+    are then kept. ``density`` and ``background`` are as for `Completer.complete`, the
+    rest as for `FrameObserver`: what is remembered is not predicted again, and a known
+    robot is put back as points on its surface, with nothing predicted within its
+    margin.
     """
 
     def __init__(
         self,
         completer: Completer,
         *,
-        bounds: Bounds | None = None,
         adapt: Adapt = "off",
-        up: str | Vector | None = None,
         density: float = 0.0,
         background: Background = "unknown",
-        accumulator: Accumulator | None = None,
+        **observed: Any,
     ):
-        self.accumulator = accumulator
-        self.bounds = bounds
+        super().__init__(**observed)
         self.adapt: Adapt = adapt
-        self.up = up
         self.density = density
         self.background: Background = background
         self._completer = completer
@@ -81,12 +86,10 @@ class FrameCompleter:
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
         start = time.perf_counter()
-        points = frame.points
-        if len(points):
-            points = crop(points, self.bounds, "the frame")
-        check_cloud(points, "the frame")
-        points, remembered = self._with_memory(frame, points)
-        task = self._completer.task(points, frame.camera, None, self._up(frame, points))
+        points, remembered, robot, up = self.observe(frame)
+        if self.robot is not None:
+            check_cloud(points, "the frame without its robot")
+        task = self._completer.task(points, frame.camera, None, up)
         observed = time.perf_counter()
         steps = self.adapt == "every" or (self.adapt == "first" and not self._adapted)
         reads = self.background, task.read.partial, task.view
@@ -102,9 +105,10 @@ class FrameCompleter:
         joined = join(
             points, task.seen, task.read, predicted, self.density, self.background
         )
+        placed, label = self._with_robot(joined, robot)
         return CompletedFrame(
-            points=joined.points,
-            observed=joined.observed,
+            points=placed,
+            label=label,
             remembered=int(task.seen.inside[len(points) - remembered :].sum()),
             workspace=task.seen.workspace,
             timestamp=frame.timestamp,
@@ -122,32 +126,23 @@ class FrameCompleter:
         """
         num_points = self._completer.config.model.backbone.num_points
         compile_sampling(num_points, len(frame.points))
-        accumulator, self.accumulator = self.accumulator, None
-        try:
-            return self.complete(frame)
-        finally:
-            self.accumulator = accumulator
+        return super().warm_up(frame)
 
-    def _with_memory(
-        self, frame: Frame, points: Float[np.ndarray, "N 3"]
-    ) -> tuple[Float[np.ndarray, "M 3"], int]:
-        """The points, then those that the frame lacks, and how many these are."""
-        if self.accumulator is None:
-            return points, 0
-        lacking = self.accumulator.add(points, frame.points, _place(frame))
-        return np.concatenate([points, lacking.astype(points.dtype)]), len(lacking)
-
-    def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
-        if self.up is None:
-            camera = None if frame.depth is None else frame.camera
-            return "-y" if camera is not None and in_own_axes(camera) else "z"
-        if isinstance(self.up, str) and self.up == "auto":
-            rotation = None if frame.camera is None else frame.camera.rotation
-            self.up = find_up(points, _place(frame), rotation).vector
-        return self.up
-
-
-def _place(frame: Frame) -> Float[np.ndarray, "3"]:
-    """Where the frame's sensor stood."""
-    camera = frame.camera
-    return np.zeros(3) if camera is None else np.asarray(camera.position, np.float64)
+    def _with_robot(
+        self, joined: Any, robot: Float[np.ndarray, "R 3"]
+    ) -> tuple[Float[np.ndarray, "M 3"], UInt8[np.ndarray, " M"]]:
+        """Points and their labels, the robot's surface inside the bounds behind them
+        and no prediction within its margin."""
+        points = joined.points
+        label = np.where(joined.observed, OBSERVED, COMPLETED).astype(np.uint8)
+        if len(robot) == 0:
+            return points, label
+        if self.bounds is not None:
+            robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
+        kept = joined.observed | ~of_robot(points, robot, self.robot_margin)
+        robot = robot.astype(points.dtype)
+        known = np.full(len(robot), KNOWN, np.uint8)
+        return (
+            np.concatenate([points[kept], robot]),
+            np.concatenate([label[kept], known]),
+        )

@@ -5,23 +5,19 @@ import itertools
 import threading
 import time
 from array import array
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.frame import Frame, Stream
-from prism_jax.io.streams.sinks import Labelled, Sink
-from prism_jax.streams.completer import CompletedFrame, FrameCompleter
+from prism_jax.io.streams.sinks import Sink
+from prism_jax.streams.observer import FrameObserver
 
 Pace = Literal["max", "sensor"]
-
-STAGES = ("read", "observe", "network", "assemble", "write", "age")
-"""What is timed of each frame. Its age is the time from when the sensor gave it, or it
-was taken up at pace "max", until it is written."""
 
 READ_AHEAD = 2
 """Frames that are read before their turn, at pace "max"."""
@@ -43,7 +39,9 @@ class StreamReport:
       unusable: frames with nothing to complete.
       warm_up: until the first frame was done for the first time, compilation included.
       duration: from then on.
-      times: by stage, of each completed frame.
+      times: by stage, of each completed frame: "read", those of what completes it,
+        "write", and its "age", which is the time from when the sensor gave it, or it
+        was taken up at pace "max", until it is written.
     """
 
     completed: int = 0
@@ -52,30 +50,31 @@ class StreamReport:
     warm_up: float = 0.0
     duration: float = 0.0
     times: dict[str, array] = dataclasses.field(
-        default_factory=lambda: {stage: array("d") for stage in STAGES}
+        default_factory=lambda: defaultdict(lambda: array("d"))
     )
 
     def latency(self) -> dict[str, dict[str, float]]:
         """Milliseconds by stage: the 50th, 95th and 99th percentile, and the most."""
         found = {}
         for stage, seconds in self.times.items():
-            if seconds:
-                ms = 1e3 * np.asarray(seconds)
-                ranks = np.percentile(ms, [50, 95, 99, 100], method="higher")
-                names = ("p50", "p95", "p99", "max")
-                found[stage] = dict(zip(names, ranks.tolist(), strict=True))
+            ms = 1e3 * np.asarray(seconds)
+            ranks = np.percentile(ms, [50, 95, 99, 100], method="higher")
+            names = ("p50", "p95", "p99", "max")
+            found[stage] = dict(zip(names, ranks.tolist(), strict=True))
         return found
 
 
 def run_stream(
     stream: Stream,
-    completer: FrameCompleter,
+    completer: FrameObserver,
     sinks: Sequence[Sink] = (),
     pace: Pace = "max",
     report: StreamReport | None = None,
 ) -> StreamReport:
     """Completes a stream's frames and hands each to the sinks, in order.
 
+    What the ``completer`` makes of a frame has `seconds` by stage, and gives by
+    `numbered` what the sinks take, as a `CompletedFrame` does.
     Frames are read ahead in a thread of their own, and written in another. At pace
     "sensor" each is given at its time, counted from the first, and one that is not
     taken up before the next is dropped. The first usable frame is completed twice, so
@@ -101,10 +100,11 @@ def run_stream(
             if done is None:
                 continue
             times = {"read": read, **done.seconds}
-            labelled = Labelled(number, done.timestamp, done.points, done.observed)
             while len(waiting) >= WRITE_BEHIND or (waiting and waiting[0].done()):
                 waiting.popleft().result()
-            job = writer.submit(_write, labelled, sinks, report, times, given)
+            job = writer.submit(
+                _write, done.numbered(number), sinks, report, times, given
+            )
             waiting.append(job)
         while waiting:
             waiting.popleft().result()
@@ -121,7 +121,7 @@ def run_stream(
 def _first_usable(
     numbered: Iterator[tuple[int, Frame]],
     stream: Stream,
-    completer: FrameCompleter,
+    completer: FrameObserver,
     report: StreamReport,
 ) -> tuple[int, Frame] | None:
     for number, frame in numbered:
@@ -134,9 +134,9 @@ def _completed(
     number: int,
     frame: Frame,
     stream: Stream,
-    complete: Callable[[Frame], CompletedFrame],
+    complete: Callable[[Frame], Any],
     report: StreamReport,
-) -> CompletedFrame | None:
+) -> Any:
     try:
         return complete(frame)
     except InputError as error:
@@ -146,7 +146,7 @@ def _completed(
 
 
 def _write(
-    frame: Labelled,
+    frame: Any,
     sinks: Sequence[Sink],
     report: StreamReport,
     times: dict[str, float],

@@ -11,6 +11,9 @@ import trimesh
 from prism_jax.assets import asset
 from prism_jax.cli import envelope
 from prism_jax.envelope.files import NAMES
+from prism_jax.envelope.robot import of_robot
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import read_ply
 from tests import launching
 from tests.fake_completer import FakeCompleter
@@ -192,3 +195,177 @@ def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
     words = "calibrate", str(recordings), f"--urdf={urdf}"
     assert launching.run(envelope, *words, f"--output={tmp_path / 'no.json'}") == 2
     assert "has no position of the joint 'yaw'" in capsys.readouterr().err
+
+
+@pytest.fixture
+def stream(asked, recordings, tmp_path):
+    """Three frames of one recording, the second without a point in the workspace."""
+    folder = tmp_path / "clouds"
+    folder.mkdir()
+    for number in range(3):
+        points = read_ply(FRAME.with_name("000000.partial.ply")) + 50.0 * (number == 1)
+        np.save(folder / f"{number}.npy", points)
+    skipped = "--depth", "--camera"
+    kept = [flag for flag in asked[1:] if not flag.startswith(skipped)]
+    sensor = "--sensor=camera 640x480, 70x55 degrees"
+    box = "--workspace=-1,-1,0,1,1,2"
+    return [str(folder), *kept, sensor, box, "--eye=2,0,1.5"]
+
+
+def lines_in(folder):
+    return [json.loads(line) for line in (folder / envelope.LINES).open()]
+
+
+def test_each_frame_of_a_recording_has_a_line_and_the_last_its_files(
+    stream, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    assert launching.run(envelope, *stream) == 0
+    said = capsys.readouterr()
+    assert "2 completed, 0 dropped, 1 unusable" in said.out
+    assert "frame 1 is left out" in said.err
+    names = {path.name for path in out.iterdir()}
+    assert names == {*NAMES, "envelope.jsonl", "stream.json"}
+    report = json.loads((out / "stream.json").read_text())
+    assert report["whole"] and report["remarks"] == {"unusable": 1}
+    first, last = lines_in(out)
+    assert (first["frame"], last["frame"]) == (0, 2)
+    told = json.loads((out / "envelope.json").read_text())
+    assert told["input"]["frame"] == 2 and told["input"]["timestamp"] == 200_000_000
+    for name in ("volumes", "q", "query", "points"):
+        assert first[name] == last[name] == told[name]
+    arrays = (out / "envelope.npz").read_bytes()
+    # A scan is taken in the same way.
+    scan = f"{stream[0]}/2.npy"
+    assert launching.run(envelope, scan, *stream[1:]) == 0
+    assert (out / "envelope.npz").read_bytes() == arrays
+    assert json.loads((out / "envelope.json").read_text())["volumes"] == told["volumes"]
+
+
+def test_depth_images_of_a_recording_are_those_of_a_scan(asked, recordings, tmp_path):
+    out = tmp_path / "out"
+    kept = [flag for flag in asked[1:] if not flag.startswith(("--depth", "--camera"))]
+    cell = str(recordings / "000-panda")
+    box = "--workspace=-1,-1,0,1,1,2"
+    assert launching.run(envelope, cell, "--topic=depth", *kept, box) == 0
+    (line,) = lines_in(out)
+    with np.load(out / "envelope.npz", allow_pickle=False) as arrays:
+        state = arrays["state"]
+    depth = asked[1].partition("=")[2]
+    assert launching.run(envelope, depth, asked[2], *kept, box) == 0
+    with np.load(out / "envelope.npz", allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(arrays["state"], state)
+    told = json.loads((out / "envelope.json").read_text())
+    assert line["volumes"] == told["volumes"] and told["volumes"]["free"] > 0
+
+
+def test_every_frame_has_its_files_if_asked(stream, tmp_path):
+    assert launching.run(envelope, *stream, "--every_frame") == 0
+    out = tmp_path / "out"
+    for number in ("000000", "000002"):
+        assert {path.name for path in (out / number).iterdir()} == {*NAMES}
+    names = {path.name for path in out.iterdir()}
+    assert names == {"000000", "000002", "envelope.jsonl", "stream.json"}
+
+
+def test_a_recording_that_is_broken_off_leaves_whole_files(
+    stream, tmp_path, monkeypatch
+):
+    class Interrupted(FakeCompleter):
+        frames = 0
+
+        def complete(self, *given, **asked):
+            self.frames += 1
+            if self.frames == 3:  # of which the first came twice
+                raise KeyboardInterrupt
+            return super().complete(*given, **asked)
+
+    monkeypatch.setattr(envelope, "load_completer", lambda weights: Interrupted())
+    assert launching.run(envelope, *stream) == 130
+    out = tmp_path / "out"
+    assert [line["frame"] for line in lines_in(out)] == [0]
+    assert {path.name for path in out.iterdir()} > {*NAMES}
+    assert not json.loads((out / "stream.json").read_text())["whole"]
+
+
+def test_what_is_remembered_is_measured(stream, tmp_path, capsys):
+    """In the last frame a box hides half of the cell."""
+    folder = tmp_path / "clouds"
+    points = np.load(folder / "0.npy")
+    for number in range(1, 4):
+        np.save(folder / f"{number}.npy", points)
+    eye, middle = np.array([2.0, 0, 1.5]), points.mean(axis=0)
+    seen = points[points[:, 1] > middle[1]]
+    hiding = eye + 0.3 * (points[points[:, 1] <= middle[1]] - eye)
+    np.save(folder / "4.npy", np.concatenate([seen, hiding]))
+    camera = asked_camera(eye, middle, tmp_path)
+    kept = [flag for flag in stream if not flag.startswith("--eye")]
+    counts = []
+    for more in ([], ["--accumulate=0.05"]):
+        assert launching.run(envelope, *kept, camera, *more) == 0
+        counts.append(lines_in(tmp_path / "out")[-1]["points"]["measured"])
+    assert counts[1] > counts[0] + 50
+    assert "was not calibrated with --accumulate" in capsys.readouterr().err
+    page = (tmp_path / "out" / "envelope.html").read_text()
+    assert "promises nothing here" in page and "clouds, frame 4" in page
+
+
+def asked_camera(eye, target, folder):
+    camera = Camera.look_at(eye, target.astype(float), height=48, width=64)
+    (folder / "c.json").write_text(json.dumps(camera_to_dict(camera)))
+    return f"--camera={folder / 'c.json'}"
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (["--depth=d.png"], "is of one scan"),
+        (["--topic=/points"], "leave --topic out"),
+        (["--joints=/joint_states"], "give --urdf too"),
+        (["--calibration=none.json"], "no such file"),
+    ],
+)
+def test_what_does_not_fit_a_recording_is_one_line(
+    stream, tmp_path, more, told, capsys
+):
+    assert launching.run(envelope, *stream, *more) == 2
+    assert told in capsys.readouterr().err.strip().splitlines()[-1]
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def test_a_known_robot_of_recordings_is_where_each_frame_says(
+    stream, urdf, tmp_path, recordings
+):
+    known, texts = tmp_path / "recordings", []
+    shutil.copytree(recordings, known)
+    for number, path in enumerate(sorted(known.glob("*/*.joints.json"))):
+        pose = {"yaw": 1.0 * number, "shoulder": 0.4, "elbow": 0.3}
+        base = np.eye(4)
+        base[:3, 3] = 0.5, 0.5, 1.0
+        texts.append(json.dumps({"positions": pose, "base": base.tolist()}))
+        path.write_text(texts[-1])
+    own = f"--calibration={tmp_path / 'own.json'}"
+    words = f"--urdf={urdf}", f"--output={tmp_path / 'own.json'}"
+    assert launching.run(envelope, "calibrate", str(known), *words) == 0
+    for sequence in sorted(known.iterdir())[2:]:
+        shutil.rmtree(sequence)
+    kept = [f for f in stream[1:] if not f.startswith(("--cal", "--eye"))]
+    words = *kept, own, words[0], "--topic=partial"
+    assert launching.run(envelope, str(known), *words, "--every_frame") == 0
+    out = tmp_path / "out"
+    robots = []
+    for number in (0, 1):
+        with np.load(
+            out / f"{number:06d}" / "envelope.npz", allow_pickle=False
+        ) as arrays:
+            robots.append(arrays["robot"])
+            assert not of_robot(arrays["predicted"], arrays["robot"]).any()
+    assert robots[0].shape == robots[1].shape and len(robots[0]) > 100
+    assert np.abs(robots[0] - robots[1]).max() > 0.1
+    # A file's are those of all frames.
+    (tmp_path / "joints.json").write_text(texts[1])
+    joints = f"--joints={tmp_path / 'joints.json'}"
+    cell = str(known / "000-panda")
+    assert launching.run(envelope, cell, *words, joints) == 0
+    with np.load(out / "envelope.npz", allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(arrays["robot"], robots[1])

@@ -1,5 +1,6 @@
 """prism-stream, with a small network of any numbers."""
 
+import dataclasses
 import json
 import os
 import pathlib
@@ -10,14 +11,22 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from prism_jax.cli import complete
 from prism_jax.cli import stream as command
+from prism_jax.data.recordings import LABELS
+from prism_jax.envelope.robot import of_robot
 from prism_jax.io.clouds import read_points
+from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import write_ply
 from prism_jax.io.streams import open_stream
+from prism_jax.simulation.roboarm.sequences import make_frame, make_sequence
 from prism_jax.weights import save_weights
 from tests.launching import run
+from tests.simulation.roboarm.conftest import model, small, urdf
+
+__all__ = ["model", "small", "urdf"]
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -98,6 +107,7 @@ def test_an_mcap_file(scans, weights, tmp_path):
         (["SCANS", "--up=q"], "cannot read 'q'"),
         (["SCANS", "--camera=no.json"], "no such file"),
         (["SCANS", "--adapt=always"], "--help lists the flags"),
+        (["SCANS", "--joints=j.json"], "give --urdf too"),
         (["SCANS", "--output=SCANS"], "name another output"),
     ],
 )
@@ -158,3 +168,53 @@ def test_a_stream_that_is_ended_leaves_whole_files(ending, scans, weights, tmp_p
     summary = json.loads((out / "stream.json").read_text())
     assert not summary["whole"]
     assert summary["frames"]["completed"] == len(done)
+
+
+def test_a_known_robot_from_end_to_end(
+    weights, model, urdf, small, tmp_path, monkeypatch, capsys
+):
+    """By joint states of an MCAP, and by the files beside the same frames."""
+    recording = pytest.importorskip("prism_jax.simulation.roboarm.recording")
+    pytest.importorskip("mcap")
+    plyfile = pytest.importorskip("plyfile")
+    rng = np.random.default_rng(0)
+    small = dataclasses.replace(small, width=160, height=120)
+    sequence = make_sequence(model, 2, small, rng)
+    frames = [make_frame(sequence, number, small, rng) for number in range(2)]
+    base = sequence.robot.mount.copy()
+    base[2, 3] += sequence.cell.base_height
+    told = {"base": base.tolist()}
+    frames = [dataclasses.replace(f, joints={**f.joints, **told}) for f in frames]
+    monkeypatch.chdir(tmp_path)
+    beside = recording.record("cell.mcap", frames)
+    pathlib.Path("c.json").write_text(json.dumps(camera_to_dict(sequence.cell.camera)))
+    bounds = [*sequence.cell.lower, *sequence.cell.upper]
+    box = f"--workspace={','.join(map(str, bounds))}"
+    known = weights, box, f"--urdf={urdf}"
+    first = f"--base={beside}/000/000000.joints.json"
+    assert (
+        run(command, "cell.mcap", "--camera=c.json", *known, first, "--output=a") == 0
+    )
+    assert run(command, str(beside), "--topic=depth", *known, "--output=b") == 0
+    for number, frame in enumerate(frames):
+        clouds, labels = [], []
+        for folder in "ab":
+            read = plyfile.PlyData.read(f"{folder}/{number:06d}.ply")["vertex"]
+            clouds.append(np.stack([read[axis] for axis in "xyz"], axis=1))
+            labels.append(read["label"])
+        known_points = [c[i == 2] for c, i in zip(clouds, labels, strict=True)]
+        np.testing.assert_allclose(*known_points, atol=1e-6)
+        away = KDTree(known_points[0]).query(frame.complete)[0]
+        # What the depth image has of the robot is gone, its surface is there.
+        robots = frame.labels[frame.depth > 0] == LABELS["robot"]
+        assert robots.sum() > 100 and (away < 0.03).mean() > 0.3
+        for cloud, label in zip(clouds, labels, strict=True):
+            assert not of_robot(cloud[label < 2], known_points[0], 0.0299).any()
+    capsys.readouterr()
+    only = weights, f"--urdf={urdf}", "--output=c"
+    assert run(command, "cell.mcap", *only, "--joints=/arm") == 2
+    assert "choose with --joints one of /joint_states" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    assert run(command, "cell.mcap", *only) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert 'pip install "prism_jax[robots]"' in line

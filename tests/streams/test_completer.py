@@ -4,12 +4,19 @@ import numpy as np
 import pytest
 
 from prism_jax.completion import Completer
+from prism_jax.envelope.robot import of_robot, robot_surface
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError
+from prism_jax.io.ply import KNOWN
 from prism_jax.io.scan import parse_bounds
 from prism_jax.io.streams import Frame
 from prism_jax.observation import observation
 from prism_jax.observation.accumulation import Accumulator
+from prism_jax.robots.urdf import Linkage
 from prism_jax.streams.completer import FrameCompleter
+from tests.simulation.roboarm.conftest import urdf
+
+__all__ = ["urdf"]
 
 RNG = np.random.default_rng(0)
 
@@ -115,3 +122,41 @@ def test_nothing_is_compiled_once_it_is_warm(completer):
     for count in (64, 65, 100, 127, 128, 129, 500, 1000, 1025, 2400):
         stream.complete(Frame(points[:count], 0))
     assert [compiled._cache_size() for compiled in sampling] == before
+
+
+def test_a_known_robot_is_cut_out_and_put_back(completer, urdf):
+    """It stands in front of the box, and moves on when it has been seen often."""
+    robot, base = Linkage(urdf), np.eye(4)
+    base[0, 3] = 1.5
+    poses = [{"yaw": 0.0, "shoulder": s, "elbow": 0.3} for s in (1.2, -1.2)]
+    surfaces = [robot_surface(robot, pose, base) for pose in poses]
+    joints = [{"positions": pose, "base": base.tolist()} for pose in poses]
+    box = shell(3)
+    accumulator = Accumulator(0.1)
+    stream = FrameCompleter(
+        completer, robot=robot, robot_margin=0.05, accumulator=accumulator
+    )
+    noisy = surfaces[0] + RNG.normal(0, 0.005, surfaces[0].shape)
+    points = np.concatenate([box, noisy]).astype(np.float32)
+    for _ in range(4):
+        done = stream.complete(Frame(points, 0, joints=joints[0]))
+    np.testing.assert_array_equal(done.points[done.observed], box)
+    known = done.points[done.label == KNOWN]
+    np.testing.assert_array_equal(known, surfaces[0].astype(np.float32))
+    assert not of_robot(done.points[done.label != KNOWN], known, 0.05).any()
+    alone = FrameCompleter(completer).complete(Frame(box, 0))
+    predicted = alone.points[~alone.observed]
+    predicted = predicted[~of_robot(predicted, surfaces[0], 0.05)]
+    np.testing.assert_array_equal(done.points[done.label == 1], predicted)
+    # Nothing was remembered of where it was.
+    done = stream.complete(Frame(box, 0, joints=joints[1]))
+    assert done.remembered == 0
+    np.testing.assert_array_equal(done.points[done.observed], box)
+    np.testing.assert_array_equal(
+        done.points[done.label == KNOWN], surfaces[1].astype(np.float32)
+    )
+    with pytest.raises(InputError, match="has no joint positions"):
+        stream.complete(Frame(box, 0))
+    stream.accumulator = None
+    with pytest.raises(InputError, match="without its robot: has no points"):
+        stream.complete(Frame(noisy, 0, joints=joints[0]))

@@ -66,10 +66,10 @@ class Instant(FrameCompleter):
         if len(frame.points) == 0:
             raise InputError("the frame", "has no points", "see the sensor")
         time.sleep(self.seconds)
-        observed = np.ones(len(frame.points), bool)
+        label = np.zeros(len(frame.points), np.uint8)
         stages = dict.fromkeys(("observe", "network", "assemble"), self.seconds / 3)
         cube = Workspace(np.zeros(3), 1.0)
-        return CompletedFrame(frame.points, observed, cube, frame.timestamp, stages)
+        return CompletedFrame(frame.points, label, cube, frame.timestamp, stages)
 
 
 def frames(count, period=TENTH):

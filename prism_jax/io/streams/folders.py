@@ -1,5 +1,6 @@
 """Folders of clouds, of depth images, and of the recordings' layout."""
 
+import dataclasses
 import os
 import pathlib
 import re
@@ -10,12 +11,15 @@ import numpy as np
 from prism_jax.io.clouds import READERS, read_points_counted
 from prism_jax.io.depth import read_camera, read_depth
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_json
 from prism_jax.io.streams.frame import Frame, Stream, Tell
 
 PERIOD = 100_000_000
 """Nanoseconds between files that say nothing of their time: 10 frames a second."""
 
 _DEPTH, _PARTIAL, _CAMERA = ".depth.png", ".partial.ply", ".camera.json"
+_JOINTS = ".joints.json"
+_LEAVE = "record it again, or give --joints=FILE for all frames"
 TOPICS = {"depth": _DEPTH, "partial": _PARTIAL}
 """What a frame of the recordings' layout holds of its sensor, and in which file."""
 
@@ -99,18 +103,28 @@ class RecordedFrames(Stream):
     def _frames(self) -> Iterator[Frame]:
         suffix = TOPICS[str(self.topic)]
         for number, path in enumerate(self._paths):
-            camera = path.with_name(path.name.removesuffix(suffix) + _CAMERA)
+            name = path.name.removesuffix(suffix)
+            camera = path.with_name(name + _CAMERA)
+            joints = path.with_name(name + _JOINTS)
             time = number * PERIOD
             try:
                 if suffix == _DEPTH:
-                    yield _depth_frame(path, camera, time)
+                    frame = _depth_frame(path, camera, time)
                 else:
                     points, count = read_points_counted(path)
                     odd = count - len(points)
                     view = read_camera(camera)
-                    yield Frame(points, time, view, num_not_finite=odd)
+                    frame = Frame(points, time, view, num_not_finite=odd)
+                if self.joints is not None and joints.exists():
+                    frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
+                yield frame
             except InputError as error:
                 self.remark("damaged", f"{path.name} is left out: {error}")
+
+    def _check_joints(self, topic: str | None) -> None:
+        if topic is not None:
+            fault = f"has no topic {topic} of joints, but files beside its frames"
+            raise InputError(self.path, fault, "leave --joints out")
 
 
 def is_recordings(path: pathlib.Path) -> bool:

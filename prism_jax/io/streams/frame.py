@@ -5,7 +5,8 @@ import dataclasses
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +22,21 @@ _LATE = 1_000_000
 """Nanoseconds: clocks that step back by less are not told."""
 
 
+class Joints(NamedTuple):
+    """Where the joint positions of a robot in a stream come from.
+
+    Attributes:
+      topic: of the recording's, by default the only one, or what its frames have.
+      given: those of every frame, as a `joints.json` of recordings has them, or None.
+      base: the robot's pose in the points' frame, 4x4, or None for what `given` or the
+        frames say of it.
+    """
+
+    topic: str | None = None
+    given: Mapping[str, Any] | None = None
+    base: Any = None
+
+
 @dataclasses.dataclass(frozen=True)
 class Frame:
     """One measurement of a sensor, in metres.
@@ -34,6 +50,8 @@ class Frame:
       depth: a depth image along the camera's z, 0 where there was no return, or None.
       num_not_finite: points that were left out because they are not finite.
       size: rows and columns of an image or of an organised cloud; None for any other.
+      joints: of a robot in it, as a `joints.json` of recordings has them, if the stream
+        was asked for them and has some.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -42,6 +60,7 @@ class Frame:
     depth: Float[np.ndarray, "H W"] | None = None
     num_not_finite: int = 0
     size: tuple[int, int] | None = None
+    joints: Mapping[str, Any] | None = None
 
     @classmethod
     def of_depth(
@@ -68,7 +87,8 @@ class Frame:
                 f"has {camera.width}x{camera.height} pixels, images {width}x{height}"
             )
             raise InputError("--camera", fault, "give the camera of these images")
-        return Frame.of_depth(self.depth, camera, self.timestamp)
+        seen = Frame.of_depth(self.depth, camera, self.timestamp)
+        return dataclasses.replace(seen, joints=self.joints)
 
 
 class Stream(abc.ABC):
@@ -82,10 +102,12 @@ class Stream(abc.ABC):
       topic: which of the recording's sensors it is, where it names them.
       camera: one that was given for all frames, or None. For depth images it takes the
         place of what the recording says of theirs.
+      joints: where the frames' joint positions come from; None if nobody asked.
     """
 
     topic: str | None = None
     camera: Camera | None = None
+    joints: Joints | None = None
 
     def __init__(self, path: str | os.PathLike, tell: Tell | None = None):
         self.path = os.fspath(path)
@@ -106,8 +128,29 @@ class Stream(abc.ABC):
             self._look_at(number, frame, before)
             if self.camera is not None and frame.camera is not self.camera:
                 frame = frame.seen_by(self.camera)
-            yield frame
+            yield self._with_joints(number, frame)
             before = dataclasses.replace(frame, points=_NONE, depth=None)
+
+    def take_joints(self, joints: Joints) -> None:
+        """Has each frame tell joint positions; InputError where there are none."""
+        if joints.given is None:
+            self._check_joints(joints.topic)
+        self.joints = joints
+
+    def _check_joints(self, topic: str | None) -> None:
+        """Looks for joint positions in the recording."""
+        named = "tells no joint positions" + (f" on {topic}" if topic else "")
+        raise InputError(self.path, named, "give --joints=FILE, a .json of them")
+
+    def _with_joints(self, number: int, frame: Frame) -> Frame:
+        if self.joints is None:
+            return frame
+        found = frame.joints if self.joints.given is None else self.joints.given
+        if found is None:
+            self.remark("joints", f"frame {number} has no joint positions")
+            return frame
+        base = {} if self.joints.base is None else {"base": self.joints.base}
+        return dataclasses.replace(frame, joints={**found, **base})
 
     def remark(self, kind: str, line: str) -> None:
         """Counts something odd, and tells the first of its kind."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, UInt8
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError, require
@@ -93,7 +93,7 @@ def cloud_message(
     points: Float[np.ndarray, "N 3"],
     time: int,
     frame_id: str = "sensor",
-    labels: Bool[np.ndarray, " N"] | None = None,
+    labels: UInt8[np.ndarray, " N"] | None = None,
 ) -> Maker:
     """A PointCloud2 in the points' own precision, with a `label` of each if given."""
     scalar = "f8" if points.dtype == np.float64 else "f4"

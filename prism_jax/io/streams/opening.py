@@ -14,7 +14,7 @@ from prism_jax.io.streams.folders import (
     is_recordings,
     natural,
 )
-from prism_jax.io.streams.frame import Stream, Tell
+from prism_jax.io.streams.frame import Joints, Stream, Tell
 from prism_jax.io.streams.mcap import McapFile
 from prism_jax.io.streams.messages import MessageFile
 from prism_jax.io.streams.ouster import OusterStream
@@ -34,6 +34,7 @@ def open_stream(
     topic: str | None = None,
     camera: Camera | None = None,
     tell: Tell | None = None,
+    joints: Joints | None = None,
 ) -> Stream:
     """The frames of a recording.
 
@@ -42,9 +43,28 @@ def open_stream(
     (`prism_jax.data.recordings`). If several topics have frames, ``topic`` chooses; an
     InputError lists them. A ``camera`` takes the place of the CameraInfo of depth
     images, with its pose, and says of clouds where their sensor stood. ``tell`` gets a
-    line for each kind of oddity; by default they go to stderr. What cannot be read at
-    all, and a missing package, raise InputError.
+    line for each kind of oddity; by default they go to stderr. ``joints`` says where
+    the joint positions of a robot come from; without it frames have none. What cannot
+    be read at all, and a missing package, raise InputError.
     """
+    stream = _opened(path, topic, camera, tell)
+    if joints is not None:
+        stream.take_joints(joints)
+    return stream
+
+
+def is_stream(path: str | os.PathLike) -> bool:
+    """Whether a name is a recording's and no scan's: a folder, or by its suffix."""
+    place = pathlib.Path(path)
+    return place.is_dir() or place.suffix.lower() in SUFFIXES
+
+
+def _opened(
+    path: str | os.PathLike,
+    topic: str | None,
+    camera: Camera | None,
+    tell: Tell | None,
+) -> Stream:
     place = pathlib.Path(path)
     suffix = place.suffix.lower()
     try:

@@ -1,8 +1,10 @@
 """Frames from ROS messages: PointCloud2, or depth Images with their CameraInfo."""
 
+import dataclasses
 import functools
 import os
 import posixpath
+from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -20,9 +22,13 @@ from prism_jax.io.streams.packed import EXTRA
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMAGE = "sensor_msgs/msg/Image"
 INFO = "sensor_msgs/msg/CameraInfo"
+JOINTS = "sensor_msgs/msg/JointState"
 
 DEPTH = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: the type of a pixel, and metres a count (REP 118)."""
+
+JOINTS_AGE = 500_000_000
+"""Nanoseconds: joint positions that are older than this are not a frame's."""
 
 _SCALARS = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1))
 """PointField's numbers of types."""
@@ -33,8 +39,9 @@ class RosStream(Stream):
 
     A cloud's points at the very origin are left out: drivers write lost returns so. Of
     a depth image the CameraInfo beside it (`camera_info` in the same namespace, or the
-    only one) gives the pinhole; distortion is not undone. A message that cannot be
-    read is left out and remarked.
+    only one) gives the pinhole; distortion is not undone. Joint positions are the last
+    that were measured no later than the frame, up to `JOINTS_AGE` before it, of each
+    joint by itself. A message that cannot be read is left out and remarked.
     """
 
     def __init__(
@@ -56,7 +63,7 @@ class RosStream(Stream):
                 self._topics[name] = found._replace(count=before + found.count)
         self.topic = self._chosen(topic)
         self._is_depth = self._topics[self.topic].kind == IMAGE
-        self._info = None
+        self._joints = self._info = None
         if self._is_depth and camera is None:
             self._info = self._info_topic()
 
@@ -67,14 +74,17 @@ class RosStream(Stream):
         camera = self.camera
         if self._info is not None:
             camera = self._first_camera()
-        wanted = {self.topic, self._info} - {None}
+        wanted = {self.topic, self._info, self._joints} - {None}
+        joints = _LastJoints()
         for message in self._messages(wanted):
             try:
                 content = self._read(message)
-                if message.topic == self._info:
+                if message.topic == self._joints:
+                    joints.add(content, _time(content, message))
+                elif message.topic == self._info:
                     camera = self._pinhole(content)
                 elif not self._is_depth:
-                    yield _cloud(content, _time(content, message))
+                    yield joints.put_into(_cloud(content, _time(content, message)))
                 elif camera is not None:
                     depth = _depth(content)
                     if depth.shape != (camera.height, camera.width):
@@ -82,7 +92,8 @@ class RosStream(Stream):
                             f"it has {depth.shape[1]}x{depth.shape[0]} pixels and its "
                             f"camera {camera.width}x{camera.height}"
                         )
-                    yield Frame.of_depth(depth, camera, _time(content, message))
+                    time = _time(content, message)
+                    yield joints.put_into(Frame.of_depth(depth, camera, time))
             except ValueError as error:
                 if isinstance(error, InputError):
                     raise
@@ -111,6 +122,18 @@ class RosStream(Stream):
             return store.deserialize_cdr(message.data, kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"it is no {kind} ({type(error).__name__})") from None
+
+    def _check_joints(self, topic: str | None) -> None:
+        found = [name for name, held in self._topics.items() if held.kind == JOINTS]
+        if topic in found or (topic is None and len(found) == 1):
+            self._joints = topic or found[0]
+        elif found:
+            fault = f"has {len(found)} topics of joint positions"
+            fault = fault if topic is None else f"has no joint positions on {topic}"
+            remedy = f"choose with --joints one of {', '.join(found)}"
+            raise InputError(self.path, fault, remedy)
+        else:
+            super()._check_joints(topic)
 
     def _chosen(self, topic: str | None) -> str:
         """The topic that frames are taken from."""
@@ -210,6 +233,37 @@ def _types() -> Any:
         types.get_typestore(types.Stores.ROS1_NOETIC),
         types.get_typestore(types.Stores.ROS2_HUMBLE),
     )
+
+
+class _LastJoints:
+    """Joint positions as they come, and the last of each when a frame was measured."""
+
+    def __init__(self):
+        # Of a clock that runs ahead of the frames', no more are kept.
+        self._waiting: deque[tuple[int, dict[str, float]]] = deque(maxlen=10_000)
+        self._last: dict[str, tuple[int, float]] = {}
+
+    def add(self, content: Any, time: int) -> None:
+        """Takes a JointState; ValueError if it is not as it says."""
+        names, positions = list(content.name), np.asarray(content.position, np.float64)
+        if len(names) != len(positions):
+            raise ValueError(f"{len(names)} joints have {len(positions)} positions")
+        self._waiting.append((time, dict(zip(names, positions.tolist(), strict=True))))
+
+    def put_into(self, frame: Frame) -> Frame:
+        """The frame with the positions of its time, if there are any."""
+        due = [entry for entry in self._waiting if entry[0] <= frame.timestamp]
+        for entry in due:
+            self._waiting.remove(entry)
+        for time, positions in sorted(due, key=lambda entry: entry[0]):
+            self._last |= {name: (time, value) for name, value in positions.items()}
+        oldest = frame.timestamp - JOINTS_AGE
+        positions = {
+            name: value for name, (time, value) in self._last.items() if time >= oldest
+        }
+        if not positions:
+            return frame
+        return dataclasses.replace(frame, joints={"positions": positions})
 
 
 class _Both:

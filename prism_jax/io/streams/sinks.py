@@ -2,10 +2,10 @@
 
 import os
 import pathlib
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, UInt8
 
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.ply import ply_bytes
@@ -16,20 +16,21 @@ TOPIC = "/completed"
 
 
 class Labelled(NamedTuple):
-    """A completed frame as it is written: `observed` is False for predicted points."""
+    """A completed frame as it is written; `label` is OBSERVED, COMPLETED or KNOWN, as
+    PLY files have it."""
 
     number: int
     timestamp: int
     points: Float[np.ndarray, "M 3"]
-    observed: Bool[np.ndarray, " M"]
+    label: UInt8[np.ndarray, " M"]
 
 
 @runtime_checkable
 class Sink(Protocol):
     """Takes frames one after the other."""
 
-    def write(self, frame: Labelled) -> None:
-        """Keeps or shows a frame."""
+    def write(self, frame: Any) -> None:
+        """Keeps or shows a frame: one that is `Labelled`, or an envelope."""
 
     def close(self) -> None:
         """Ends what was written. Called once, also where the stream was broken off."""
@@ -43,21 +44,22 @@ class PlyFolder:
 
     def write(self, frame: Labelled) -> None:
         name = f"{frame.number:06d}.ply"
-        write_bytes(self.path / name, ply_bytes(frame.points, ~frame.observed))
+        write_bytes(self.path / name, ply_bytes(frame.points, frame.label))
 
     def close(self) -> None:
         pass
 
 
 class McapSink:
-    """PointCloud2 messages on `TOPIC`, with a `label`: 0 observed, 1 completed."""
+    """PointCloud2 messages on `TOPIC`, with a `label`: 0 observed, 1 completed,
+    2 of a known robot's surface."""
 
     def __init__(self, path: str | os.PathLike):
         make_output_dir(pathlib.Path(path).parent)
         self._output = McapOutput(path)
 
     def write(self, frame: Labelled) -> None:
-        cloud = cloud_message(frame.points, frame.timestamp, labels=~frame.observed)
+        cloud = cloud_message(frame.points, frame.timestamp, labels=frame.label)
         kind = "sensor_msgs/msg/PointCloud2"
         self._output.write(TOPIC, kind, frame.timestamp, cloud)
 

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 
 from prism_jax.io.errors import InputError, require
-from prism_jax.io.ply import COLORS, COMPLETED, OBSERVED
+from prism_jax.io.ply import COLORS, COMPLETED, KNOWN, OBSERVED
 from prism_jax.io.streams.sinks import Labelled
 
 EXTRA = "view"
@@ -22,7 +22,8 @@ QUIET = {"CI": "1"}
 
 
 class RerunView:
-    """A sink that shows frames in a window: measured and predicted points.
+    """A sink that shows frames in a window: measured and predicted points,
+    and those of a known robot.
 
     The window stays when the stream ends. When it is closed before, the stream goes on
     without it. Where there is no screen an InputError says so. ``path`` writes a file
@@ -62,11 +63,12 @@ class RerunView:
             return
         self._rerun.set_time("frame", sequence=frame.number)
         self._rerun.set_time("sensor", timestamp=1e-9 * frame.timestamp)
-        clouds = {"observed": frame.observed, "completed": ~frame.observed}
-        colors = {"observed": COLORS[OBSERVED], "completed": COLORS[COMPLETED]}
-        for name, which in clouds.items():
-            points = frame.points[which].astype(np.float32)
-            cloud = self._rerun.Points3D(points, colors=[colors[name]])
+        names = {OBSERVED: "observed", COMPLETED: "completed", KNOWN: "robot"}
+        for label, name in names.items():
+            if label == KNOWN and not (frame.label == KNOWN).any():
+                continue
+            points = frame.points[frame.label == label].astype(np.float32)
+            cloud = self._rerun.Points3D(points, colors=[COLORS[label]])
             self._rerun.log(f"frame/{name}", cloud)
 
     def close(self) -> None:

@@ -55,11 +55,12 @@ def write_mcap(
     for number, frame in enumerate(frames):
         time = START + round(number * 1e9 / rate)
         counts = np.rint(frame.depth * (1e3 * DEPTH_SCALE)).astype(np.uint16)
+        if frame.joints is not None:
+            # Before the image of the same time, as robots tell theirs without delay.
+            joints = joints_message(frame.joints["positions"], time)
+            output.write(JOINTS_TOPIC, "sensor_msgs/msg/JointState", time, joints)
         camera = camera_message(frame.camera, time)
         output.write(INFO_TOPIC, "sensor_msgs/msg/CameraInfo", time, camera)
         image = depth_message(counts, time)
         output.write(DEPTH_TOPIC, "sensor_msgs/msg/Image", time, image)
-        if frame.joints is not None:
-            joints = joints_message(frame.joints["positions"], time)
-            output.write(JOINTS_TOPIC, "sensor_msgs/msg/JointState", time, joints)
     output.close()

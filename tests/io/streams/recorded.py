@@ -9,11 +9,12 @@ typesys = pytest.importorskip("rosbags.typesys")
 
 ROS1 = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
 ROS2 = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-CLOUD, IMAGE, INFO, TEXT = (
+CLOUD, IMAGE, INFO, TEXT, JOINTS = (
     "sensor_msgs/msg/PointCloud2",
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/CameraInfo",
     "std_msgs/msg/String",
+    "sensor_msgs/msg/JointState",
 )
 SECOND = 1_000_000_000
 
@@ -87,6 +88,14 @@ def info(width, height, focal, time=0, store=ROS2, distortion=0.0):
         roi=region,
         **values,
     )
+
+
+def joints(positions, time, store=ROS2):
+    """A JointState of positions by name."""
+    none = np.zeros(0)
+    values = np.array(list(positions.values()), np.float64)
+    header = _header(store, time)
+    return store.types[JOINTS](header, list(positions), values, none, none)
 
 
 def write_bag(path, messages, packed=None):

@@ -15,7 +15,7 @@ from prism_jax.io.depth import camera_to_dict, points_from_depth, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.ply import write_ply
 from prism_jax.io.scan import read_scan
-from prism_jax.io.streams import open_stream
+from prism_jax.io.streams import Joints, open_stream
 
 POINTS = np.random.default_rng(0).normal(size=(100, 3)).astype(np.float32)
 
@@ -121,3 +121,25 @@ def test_a_cloud_is_what_read_points_gives(tmp_path):
     (frame,) = open_stream(tmp_path)
     np.testing.assert_array_equal(frame.points, read_points(tmp_path / "a.xyz"))
     assert frame.points.dtype == np.float64
+
+
+def test_recordings_tell_their_joints_if_asked(tmp_path):
+    root = asset("roboarm")
+    wanted = RecordedCells(root).read(0).joints
+    for topic in ("depth", "partial"):
+        (frame,) = open_stream(root, topic, joints=Joints())
+        assert frame.joints == wanted
+        (frame,) = open_stream(root, topic)
+        assert frame.joints is None
+    copied = tmp_path / "cells"
+    shutil.copytree(root, copied)
+    (file,) = copied.glob("*/*.joints.json")
+    file.unlink()
+    stream = open_stream(copied, "depth", tell=lambda _: None, joints=Joints())
+    assert [frame.joints for frame in stream] == [None]
+    assert stream.remarks == {"joints": 1}
+    with pytest.raises(InputError, match="leave --joints out"):
+        open_stream(root, "depth", joints=Joints("/joint_states"))
+    write_ply(tmp_path / "scan.ply", POINTS)
+    with pytest.raises(InputError, match="give --joints=FILE"):
+        open_stream(tmp_path, joints=Joints())

@@ -19,7 +19,7 @@ highlevel = pytest.importorskip("rosbags.highlevel")
 reader = pytest.importorskip("mcap.reader")
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3))
-OBSERVED = np.arange(50) < 20
+LABEL = np.repeat(np.arange(3, dtype=np.uint8), [20, 20, 10])
 
 
 @pytest.mark.parametrize("scalar", [np.float32, np.float64])
@@ -29,7 +29,7 @@ def test_clouds_with_labels(scalar, tmp_path):
     points = POINTS.astype(scalar)
     for number in range(3):
         time = 7_000_000_000 + number
-        sink.write(Labelled(number, time, points + number, OBSERVED))
+        sink.write(Labelled(number, time, points + number, LABEL))
     assert not path.exists()
     # What a killed program leaves is read up to the last frame.
     left = path.with_name("out.part.mcap")
@@ -49,7 +49,7 @@ def test_clouds_with_labels(scalar, tmp_path):
             message = bag.deserialize(data, connection.msgtype)
             rows = message.data.reshape(50, message.point_step)
             (label,) = [f for f in message.fields if f.name == "label"]
-            np.testing.assert_array_equal(rows[:, label.offset], ~OBSERVED)
+            np.testing.assert_array_equal(rows[:, label.offset], LABEL)
             assert time == 7_000_000_000 + message.header.stamp.nanosec
     with open(path, "rb") as file:
         summary = reader.make_reader(file, validate_crcs=True).get_summary()
@@ -58,7 +58,7 @@ def test_clouds_with_labels(scalar, tmp_path):
 
 def test_a_file_a_frame(tmp_path):
     sink = open_sink(tmp_path / "out")
-    sink.write(Labelled(12, 0, POINTS, OBSERVED))
+    sink.write(Labelled(12, 0, POINTS, LABEL))
     sink.close()
     (path,) = (tmp_path / "out").iterdir()
     assert path.name == "000012.ply"

@@ -9,11 +9,12 @@ import pytest
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.streams import open_stream, ros
+from prism_jax.io.streams import Joints, open_stream, ros
 from tests.io.streams.recorded import (
     CLOUD,
     IMAGE,
     INFO,
+    JOINTS,
     ROS2,
     SECOND,
     TEXT,
@@ -21,6 +22,7 @@ from tests.io.streams.recorded import (
     cloud,
     image,
     info,
+    joints,
     store_of,
     write_mcap,
 )
@@ -273,3 +275,54 @@ def test_a_missing_package_is_one_line(tmp_path, monkeypatch):
     importlib.invalidate_caches()
     with pytest.raises(InputError, match=r'pip install "prism_jax\[stream\]"'):
         open_stream(path)
+
+
+def told_joints(found):
+    return [frame.joints and frame.joints["positions"] for frame in found]
+
+
+@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
+def test_joints_are_the_last_before_each_frame(writer, tmp_path):
+    """Of each joint by itself, by their own stamps and not by when they came."""
+    store = store_of(writer)
+    states = [
+        ({"a": 1.0, "b": 2.0}, -0.1),
+        ({"b": 3.0}, 0.0),
+        ({"a": 4.0}, 0.05),
+        ({"a": 6.0}, 0.15),  # written too late for the third frame
+    ]
+    messages = clouds(store)
+    for (positions, after), place in zip(states, (0, 0, 0, 8), strict=True):
+        time = START + int(after * SECOND)
+        entry = ("/joint_states", JOINTS, time, joints(positions, time, store))
+        messages.insert(place, entry)
+    path = WRITERS[writer](tmp_path, messages)
+    assert {frame.joints for frame in open_stream(path)} == {None}
+    for topic in (None, "/joint_states"):
+        found = told_joints(open_stream(path, joints=Joints(topic)))
+        assert found[0] == {"a": 1.0, "b": 3.0}
+        assert found[1] == found[2] == {"a": 4.0, "b": 3.0}
+        assert found[3] == {"a": 6.0, "b": 3.0}
+    base = np.eye(4).tolist()
+    stream = open_stream(path, joints=Joints(given={"positions": {}}, base=base))
+    assert [f.joints for f in stream] == 4 * [{"positions": {}, "base": base}]
+    with pytest.raises(InputError, match="choose with --joints one of /joint_states"):
+        open_stream(path, joints=Joints("/arm"))
+
+
+def test_joints_that_are_missing_or_old_are_told_once_and_counted(tmp_path):
+    odd = joints({"a": 1.0}, START)
+    odd.name.append("b")
+    states = [(odd, START), (joints({"a": 1.0}, START - ros.JOINTS_AGE), START)]
+    messages = [("/j", JOINTS, time, state) for state, time in states]
+    path = write_mcap(tmp_path / "r.mcap", messages + clouds(ROS2))
+    stream = open_stream(path, joints=Joints())
+    frames, lines = lines_of(stream)
+    assert told_joints(frames) == [{"a": 1.0}, None, None, None]
+    assert "frame 1 has no joint positions" in lines[1]
+    assert "2 joints have 1 positions" in lines[0]
+    assert len(lines) == 2 and stream.remarks == {"damaged": 1, "joints": 3}
+    (tmp_path / "none").mkdir()
+    path = write_mcap(tmp_path / "none" / "r.mcap", clouds(ROS2))
+    with pytest.raises(InputError, match="tells no joint positions"):
+        open_stream(path, joints=Joints())

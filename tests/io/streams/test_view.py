@@ -9,13 +9,15 @@ from prism_jax.io.streams.view import RerunView
 
 rerun = pytest.importorskip("rerun")
 
+LABEL = np.repeat(np.arange(3, dtype=np.uint8), [400, 400, 200])
+
 
 def test_frames_are_logged(tmp_path):
     path = tmp_path / "view.rrd"
     view = RerunView(path)
     points = np.random.default_rng(0).normal(size=(1000, 3))
     for number in range(3):
-        view.write(Labelled(number, number * 10**8, points, np.arange(1000) < 400))
+        view.write(Labelled(number, number * 10**8, points, LABEL))
     view.close()
     # One frame has 12,000 bytes of coordinates.
     assert path.stat().st_size > 20_000

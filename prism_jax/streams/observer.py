@@ -1,0 +1,114 @@
+"""What frames hold for completing, whatever is made of them."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.envelope.robot import (
+    MARGIN,
+    joints_from_dict,
+    of_robot,
+    robot_surface,
+)
+from prism_jax.geometry.camera import Vector
+from prism_jax.io.clouds import check_cloud
+from prism_jax.io.errors import InputError
+from prism_jax.io.scan import Bounds, crop, in_own_axes
+from prism_jax.io.streams.frame import Frame
+from prism_jax.observation.accumulation import Accumulator
+from prism_jax.observation.support import find_up
+from prism_jax.robots.urdf import Linkage
+
+
+class Observed(NamedTuple):
+    """What a frame holds for completing.
+
+    `points` are measured inside the bounds and not the robot's; the last `remembered`
+    of them were measured in earlier frames and are hidden now. `robot` are points on
+    the surface of a robot that is known, of which there are else none.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    remembered: int
+    robot: Float[np.ndarray, "R 3"]
+    up: str | Vector
+
+
+class FrameObserver:
+    """Frames of one sensor as scans, whatever is made of each.
+
+    ``bounds`` crop each frame first. Without an ``up`` it is -y for a depth image in
+    its camera's axes and else z; "auto" looks for it in the first frame and keeps it.
+    With an ``accumulator``, for a sensor that does not move, a frame also has what
+    earlier ones measured where something hides it now. Of a ``robot`` that is known,
+    points within ``robot_margin`` of where the frame's joints put it are cut out; so
+    they are never remembered.
+    """
+
+    def __init__(
+        self,
+        *,
+        bounds: Bounds | None = None,
+        up: str | Vector | None = None,
+        accumulator: Accumulator | None = None,
+        robot: Linkage | None = None,
+        robot_margin: float = MARGIN,
+    ):
+        self.bounds = bounds
+        self.up = up
+        self.accumulator = accumulator
+        self.robot = robot
+        self.robot_margin = robot_margin
+
+    def complete(self, frame: Frame) -> Any:
+        """What is made of a frame. One that has too little raises InputError."""
+        raise NotImplementedError
+
+    def warm_up(self, frame: Frame) -> Any:
+        """The same of a first frame, which nothing is remembered of."""
+        accumulator, self.accumulator = self.accumulator, None
+        try:
+            return self.complete(frame)
+        finally:
+            self.accumulator = accumulator
+
+    def observe(self, frame: Frame) -> Observed:
+        """The frame's points, those of its robot apart; InputError if it has none, or
+        if its joints are missing."""
+        points = frame.points
+        if len(points):
+            points = crop(points, self.bounds, "the frame")
+        check_cloud(points, "the frame")
+        robot = self._surface(frame)
+        own = of_robot(points, robot, self.robot_margin)
+        points, remembered = points[~own], 0
+        if self.accumulator is not None:
+            lacking = self.accumulator.add(points, frame.points, eye_of(frame))
+            lacking = lacking[~of_robot(lacking, robot, self.robot_margin)]
+            points = np.concatenate([points, lacking.astype(points.dtype)])
+            remembered = len(lacking)
+        return Observed(points, remembered, robot, self._up(frame, points))
+
+    def _surface(self, frame: Frame) -> Float[np.ndarray, "R 3"]:
+        if self.robot is None:
+            return np.zeros((0, 3))
+        if frame.joints is None:
+            remedy = "record joint states, or give them with --joints"
+            raise InputError("the frame", "has no joint positions", remedy)
+        return robot_surface(self.robot, *joints_from_dict(frame.joints))
+
+    def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
+        if self.up is None:
+            camera = None if frame.depth is None else frame.camera
+            return "-y" if camera is not None and in_own_axes(camera) else "z"
+        if isinstance(self.up, str) and self.up == "auto":
+            rotation = None if frame.camera is None else frame.camera.rotation
+            self.up = find_up(points, eye_of(frame), rotation).vector
+        return self.up
+
+
+def eye_of(frame: Frame) -> Float[np.ndarray, "3"]:
+    """Where the frame's sensor stood."""
+    camera = frame.camera
+    return np.zeros(3) if camera is None else np.asarray(camera.position, np.float64)
