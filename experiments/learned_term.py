@@ -152,8 +152,10 @@ def main() -> None:
     known = {k: v for k, v in read_metadata(weights).items() if k != "config"}
     save_weights(FLAGS.output, config, variables, known | {"learned_term": about})
     print(f"written {FLAGS.output}")
-    told = with_background(config, "empty")
-    measure = jax.jit(jax.vmap(measured(told, FLAGS.step_length), (None, 0, 0, 0, 0)))
+    knowing = with_background(config, "empty")
+    measure = jax.jit(
+        jax.vmap(measured(knowing, FLAGS.step_length), (None, 0, 0, 0, 0))
+    )
     result = about | {"error": ERROR, "step_length": FLAGS.step_length, "sets": {}}
     for name in (HELD_OUT, *SETS) if FLAGS.limit else ():
         source = held_out
@@ -161,7 +163,7 @@ def main() -> None:
             dataset, split, beside = SETS[name]
             source = open_dataset(dataset, split, FLAGS.data_dir if beside else None)
         print(f"measuring on {name}", flush=True)
-        found = worth(measure, told, variables, source, FLAGS.limit)
+        found = worth(measure, knowing, variables, source, FLAGS.limit)
         result["sets"][name] = found
     table = worth_markdown(result)
     print(table)
