@@ -123,5 +123,5 @@ def test_files_have_it_or_not(config, minimal, minimal_fresh, with_it, tmp_path)
         assert found[0] == settings and bitwise(found[1], variables)
     path = str(tmp_path / "lacks.safetensors")
     save_weights(path, config, minimal_fresh, {})
-    with pytest.raises(InputError, match="params/learned/.* is missing"):
+    with pytest.raises(InputError, match=r"params/learned/.* is missing"):
         load_pretrained(path)
