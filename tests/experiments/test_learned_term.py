@@ -1,4 +1,4 @@
-"""What fits and judges the learned term, on laws that are known; the network is small."""
+"""What fits and judges the learned term, on laws that are known."""
 
 import json
 
