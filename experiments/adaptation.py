@@ -9,7 +9,10 @@ is empty (`--background`). Blind is the same network given the surface that its 
 shows and nothing of emptiness, which is what it has of a bare cloud, and what it had in
 every other view that it was trained on; `--blind` names other weights for these rows.
 The wrong sensor stands a quarter turn about the vertical away, for network and steps;
-what is removed is decided from the right place.
+what is removed is decided from the right place. `--learned` names weights with a
+learned term (`experiments.learned_term`, `experiments.meta_train`), which descend it as
+their configuration and `--learned_set` say; `--rows` picks rows, each of which takes
+its time.
 """
 
 import dataclasses
@@ -47,6 +50,7 @@ from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
 from prism_jax.evaluation.tables import LABELS, interval_text, percent, table_lines
 from prism_jax.geometry.visibility import Background, turned
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
@@ -74,6 +78,7 @@ PAPER = "told, adapted by the paper's objective, removed"
 ADAPTED = "told, adapted by the new objective, removed"
 WRONG = "told from a wrong sensor, removed"
 WRONG_ADAPTED = "told from a wrong sensor, adapted by the new objective, removed"
+LEARNED = "told, adapted by the learned term, removed"
 PLANT = "adapted to the plant, told, removed"
 ORACLE = "told, steps along the true gradient, removed"
 
@@ -84,11 +89,23 @@ PAIRS = (
     (TOLD_REMOVED, PAPER),
     (TOLD_REMOVED, ADAPTED),
     (PAPER, ADAPTED),
+    (TOLD_REMOVED, LEARNED),
     (WRONG, WRONG_ADAPTED),
     (TOLD_REMOVED, PLANT),
     (TOLD_REMOVED, ORACLE),
 )
 """Rows whose differences answer something."""
+
+ROWS = {
+    "blind": (BLIND, BLIND_REMOVED, TOLD),
+    "paper": (PAPER,),
+    "new": (ADAPTED,),
+    "learned": (LEARNED,),
+    "wrong": (WRONG_ADAPTED,),
+    "oracle": (ORACLE,),
+    "plant": (PLANT,),
+}
+"""Names of rows for the flag; told and removed comes with every other."""
 
 QUARTER_TURN = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], np.float32)
 """Of points as rows, about the vertical."""
@@ -100,6 +117,9 @@ def define_flags() -> None:
     flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
     flags.DEFINE_string("blind", None, "Others for the blind rows.")
     flags.DEFINE_string("plant", None, "The weights, adapted to the plant.")
+    flags.DEFINE_string("learned", None, "The weights, with a learned term.")
+    flags.DEFINE_multi_string("learned_set", [], "Changes to how those adapt.")
+    flags.DEFINE_multi_enum("rows", [*ROWS], [*ROWS], "Which rows to score.")
     flags.DEFINE_enum(
         "background",
         "empty",
@@ -118,9 +138,18 @@ def main() -> None:
     new = changed(own.with_adapt(**NEW), FLAGS.set)
     others = {
         label: load_pretrained(located(name))
-        for label, name in ((BLIND, FLAGS.blind), (PLANT, FLAGS.plant))
+        for label, name in (
+            (BLIND, FLAGS.blind),
+            (PLANT, FLAGS.plant),
+            (LEARNED, FLAGS.learned),
+        )
         if name is not None
     }
+    wanted = {label for name in FLAGS.rows for label in ROWS[name]}
+    wanted -= {PLANT, LEARNED} - others.keys()
+    if not wanted & {PAPER, ADAPTED, LEARNED, ORACLE}:
+        fault = "none of them says what the network is before it adapts"
+        raise InputError("--rows", fault, "add one of paper, new, learned or oracle")
     sizes = {FLAGS.weights: prism_size(own)}
     sizes |= {label: prism_size(config) for label, (config, _) in others.items()}
     require_equal_sizes(sizes)
@@ -147,28 +176,40 @@ def main() -> None:
     blind = unadapted(with_background(config, "unknown"), weights)
     told = with_background(own, FLAGS.background)
     new = with_background(new, FLAGS.background)
-    rows = {
-        BLIND: Row(score(blind, config)),
-        BLIND_REMOVED: Row(score(blind, config, removes=True)),
-        TOLD: Row(score(unadapted(told, variables), told, told=True)),
-    }
+    rows = {}
+    if BLIND in wanted:
+        rows[BLIND] = Row(score(blind, config))
+        rows[BLIND_REMOVED] = Row(score(blind, config, removes=True))
+        rows[TOLD] = Row(score(unadapted(told, variables), told, told=True))
     adapted = prism_completer(new, variables)
-    for before, after, complete in (
+    completers = [
         (TOLD_REMOVED, PAPER, prism_completer(told, variables)),
         (TOLD_REMOVED, ADAPTED, adapted),
         (WRONG, WRONG_ADAPTED, from_wrong_sensor(adapted)),
         (TOLD_REMOVED, ORACLE, oracle_completer(new, variables)),
-    ):
+    ]
+    settings = {"new": new.adapt}
+    if LEARNED in others:
+        config, weights = others[LEARNED]
+        config = with_background(changed(config, FLAGS.learned_set), FLAGS.background)
+        completers.append((TOLD_REMOVED, LEARNED, prism_completer(config, weights)))
+        settings["learned"] = config.adapt
+    for before, after, complete in completers:
+        if after not in wanted:
+            continue
         result = score(complete, own, told=True, removes=True)
         rows.setdefault(before, Row(result, "network_unadapted"))
         rows[after] = Row(result)
-    if PLANT in others:
+    if PLANT in wanted:
         config, weights = others[PLANT]
         plant = unadapted(with_background(config, FLAGS.background), weights)
         rows[PLANT] = Row(score(plant, config, told=True, removes=True))
 
     about = describe_run(protocol) | {"weights": FLAGS.weights}
-    about |= {"new": {name: getattr(new.adapt, name) for name in NEW}}
+    for name, adapt in settings.items():
+        about[name] = {
+            field: getattr(adapt, field) for field in (*NEW, "learned_weight")
+        }
     table = comparison(rows, TOLD_REMOVED, **about)
     table["pairs"] = differences(rows)
     print_and_write(table, markdown(table))
@@ -259,9 +300,15 @@ def markdown(table: Mapping[str, Any]) -> str:
             cells.append(cell)
         lines.append([pair["row"], pair["against"], *cells])
     head = ["", "against", *(LABELS[name] for name in names)]
-    settings = ", ".join(f"{name} {value}" for name, value in table["new"].items())
-    told = f"The new objective: {settings}.\n"
-    return "\n".join([comparison_markdown(table), told, *table_lines(head, lines), ""])
+    told = [
+        f"The {name} objective: "
+        + ", ".join(f"{field} {value}" for field, value in table[name].items())
+        + ".\n"
+        for name in ("new", "learned")
+        if name in table
+    ]
+    parts = [comparison_markdown(table), *told, *table_lines(head, lines), ""]
+    return "\n".join(parts)
 
 
 def run() -> None:

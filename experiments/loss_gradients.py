@@ -140,8 +140,10 @@ def cosines_and_changes(
         rest = prepared(variables, left, eye)
         params = variables["params"]
 
-        def values(encoder: Variables) -> Float[Array, " terms"]:
-            own = {**variables, "params": {**params, "point_encoder": encoder}}
+        start, unravel = ravel_pytree(params["point_encoder"])
+
+        def values(flat: Float[Array, " P"]) -> Float[Array, " terms"]:
+            own = {**variables, "params": {**params, "point_encoder": unravel(flat)}}
             losses, prediction = test_time_objective(own, inputs, config)
             completed_rest = predict(own, rest, config.model)
             terms = (
@@ -153,22 +155,24 @@ def cosines_and_changes(
             )
             return jnp.stack(terms)
 
-        start, unravel = ravel_pytree(params["point_encoder"])
-        rows = jax.jacrev(lambda flat: values(unravel(flat)))(start)
-        norms = jnp.sqrt((rows**2).sum(-1, keepdims=True))
-        units = jnp.where(norms > 0, rows / jnp.where(norms > 0, norms, 1), 0)
-
-        def error(flat: Array) -> Float[Array, ""]:
-            encoder = unravel(flat)
-            own = {**variables, "params": {**params, "point_encoder": encoder}}
-            return chamfer(predict(own, inputs, config.model).points, complete)
-
-        moved = jax.lax.map(
-            lambda unit: error(start - config.adapt.step_size * unit), units
-        )
-        return jnp.stack([units @ units[-1], moved / error(start) - 1])
+        return agreement(values, start, config.adapt.step_size)
 
     return followed
+
+
+def agreement(
+    values: Callable[[Float[Array, " P"]], Float[Array, " L"]],
+    start: Float[Array, " P"],
+    step_length: float,
+) -> Float[Array, "2 L"]:
+    """Of several functions, the last of which is the error: the cosines of their
+    gradients with the error's, and by what share a step of this length against each
+    raises the error. Without a gradient both are 0."""
+    rows = jax.jacrev(values)(start)
+    norms = jnp.sqrt((rows**2).sum(-1, keepdims=True))
+    units = jnp.where(norms > 0, rows / jnp.where(norms > 0, norms, 1), 0)
+    moved = jax.lax.map(lambda unit: values(start - step_length * unit)[-1], units)
+    return jnp.stack([units @ units[-1], moved / values(start)[-1] - 1])
 
 
 def _parted(partial: Float[Array, "N 3"], key: Array) -> tuple[Array, Array]:

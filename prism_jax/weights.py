@@ -23,6 +23,7 @@ from prism_jax.assets import asset
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
+from prism_jax.models.error_head import LEARNED, term_shapes, with_term
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables, unlearned_steps
 from prism_jax.point_errors import PointErrors
@@ -31,6 +32,7 @@ from prism_jax.trust import Calibration
 
 SUFFIX = ".safetensors"
 NOT_OURS = "it holds no prism_jax configuration"
+_TERM = f"params/{LEARNED}/"
 
 
 def available_weights() -> list[str]:
@@ -224,6 +226,8 @@ def _checked_tree(
     except Exception as error:  # sizes that are in range and do not fit together
         fault = f"its configuration makes no network ({str(error)[:200]})"
         raise InputError(path, fault, _remedy()) from None
+    if config.adapt.learned_weight or any(k.startswith(_TERM) for k in arrays):
+        wanted = with_term(wanted, term_shapes())
     return checked_arrays(arrays, wanted, path)
 
 

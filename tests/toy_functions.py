@@ -69,8 +69,9 @@ def toy_objective(variables, inputs, depth_weight):
         ]
     )
     weighted = weighted_auxiliary(weighting["logits"], terms, weighting["scales"])
-    objective = depth_weight * consistency + weighted
-    return Losses(objective, consistency, *terms), prediction
+    learned = jnp.tanh(points * variables["params"]["learned"]["only"]).mean()
+    objective = depth_weight * (consistency + learned) + weighted
+    return Losses(objective, consistency, *terms, learned=learned), prediction
 
 
 def toy_loss(stages, complete, norm):
@@ -127,7 +128,9 @@ def toy_inputs():
     weighting = {"logits": numbers(3), "scales": numbers(3), "log_steps": steps}
     variables = {"params": params, "batch_stats": {}, "weighting": weighting}
     inputs = ToyInput(numbers(CLOUDS, POINTS, 3), numbers(CLOUDS))
-    return variables, inputs, numbers(CLOUDS, 9, 3)
+    complete = numbers(CLOUDS, 9, 3)
+    params["learned"] = {"only": numbers(3)}
+    return variables, inputs, complete
 
 
 def of_the_weighted_sum(logits, losses, scales):
@@ -215,6 +218,10 @@ def expected_gradients(toy, config, meta):
         for name in ENCODERS
     }
     params["decoder"] = whole["params"]["decoder"]
+    if not meta.learn_backbone:
+        params = {}
+    if meta.learn_term:
+        params["learned"] = whole["params"]["learned"]
     if meta.learn_auxiliary:
         params["auxiliary"] = whole["params"]["auxiliary"]
     if meta.learn_refiner:

@@ -9,6 +9,7 @@ from prism_jax.models.config import ModelConfig
 from prism_jax.models.ranges import check_ranges
 
 WeightRule = Literal["auxiliary", "meta"]
+Moves = Literal["encoders", "global"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,6 +28,9 @@ class AdaptConfig:
         (`prism_jax.losses.visibility`); not in the paper.
       keep_weight: of what the unadapted completion had right and the adapted one leaves
         uncovered; not in the paper.
+      learned_weight: of the mean error that the learned term expects of the predicted
+        points (`prism_jax.models.error_head`), with weights that have one; not in the
+        paper.
       balance: whether every term of Eq. 13 is divided by the norm of its gradient in
         the encoders before the first step, in the place of its scale from training: the
         weights then say how far each moves them, whatever its unit. What is kept has
@@ -52,6 +56,7 @@ class AdaptConfig:
     auxiliary_weight: float = 1.0
     visibility_weight: float = 0.0
     keep_weight: float = 0.0
+    learned_weight: float = 0.0
     balance: bool = False
     lambda_smooth: float = 0.1
     normal_neighbors: int = 16
@@ -74,6 +79,7 @@ class AdaptConfig:
             auxiliary_weight=weight,
             visibility_weight=weight,
             keep_weight=weight,
+            learned_weight=weight,
             lambda_smooth=weight,
             normal_neighbors=(2, 64),
             normal_stride=(1, 2**16),
@@ -118,6 +124,12 @@ class MetaConfig:
         time does (Eq. 13 in the place of Eq. 11).
       learn_steps: whether a step size is learned for each module of the encoders
         (Meta-SGD, Li et al., 2017).
+      moves: what the steps move, in training and ever after: both encoders, or of the
+        point encoder the module that makes the global feature alone.
+      learn_backbone: whether encoders and decoder learn. If not they stay, and what is
+        learned is how to adapt them: to be had from data that they have not seen.
+      learn_term: whether the learned term learns, from the primary loss after
+        adaptation; the variables must have one.
       learn_auxiliary: whether the auxiliary modules learn too, from the primary loss
         after adaptation: what the inner loop descends is then itself learned (Bechtle
         et al., Meta-learning via learned loss, 2019). In the paper they are frozen.
@@ -135,6 +147,9 @@ class MetaConfig:
     branches: tuple[Branch, ...] = BRANCHES
     rehearse_depth: bool = False
     learn_steps: bool = False
+    moves: Moves = "encoders"
+    learn_backbone: bool = True
+    learn_term: bool = False
     learn_auxiliary: bool = False
     learn_refiner: bool = True
     remat: bool = False

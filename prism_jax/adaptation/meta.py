@@ -17,6 +17,7 @@ from prism_jax.adaptation.objective import Losses, hold, test_time_objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import update_scale, weighted_auxiliary
+from prism_jax.models.error_head import LEARNED
 from prism_jax.models.prism import decode_and_refine, encode, refine
 from prism_jax.models.variables import (
     ENCODERS,
@@ -81,7 +82,8 @@ def meta_loss(
     - decoder: from ``(1 - beta_0) L_pri(enc', dec)`` with the adapted encoders as
       given: the zero-step term of Eq. 12 names no decoder, and the inner loop, as at
       test time, holds it fixed. Without inner steps both terms are one, and it has all;
-    - auxiliary modules and log_steps: from L_pri(enc', dec), if they learn;
+    - auxiliary modules, learned term and log_steps: from L_pri(enc', dec), if they
+      learn;
     - logits: from L_aux (``weight_rule="auxiliary"``) or L_pri(enc', dec) (``"meta"``);
     - refiner: from Eq. 3 of the adapted completion alone, if it learns.
     """
@@ -184,13 +186,21 @@ def _descended(config: PrismConfig, meta: MetaConfig) -> PrismConfig:
     if meta.rehearse_depth:
         return config
     return config.with_adapt(
-        depth_weight=0.0, auxiliary_weight=1.0, visibility_weight=0.0, keep_weight=0.0
+        depth_weight=0.0,
+        auxiliary_weight=1.0,
+        visibility_weight=0.0,
+        keep_weight=0.0,
+        learned_weight=0.0,
     )
 
 
 def learned_part(variables: Variables, meta: MetaConfig) -> Variables:
     """What a meta-step learns: the part of the variables that has gradients."""
-    modules, weights = [*ENCODERS, "decoder"], ["logits"]
+    modules, weights = [], ["logits"]
+    if meta.learn_backbone:
+        modules += [*ENCODERS, "decoder"]
+    if meta.learn_term:
+        modules.append(LEARNED)
     if meta.learn_auxiliary:
         modules.append("auxiliary")
     if meta.learn_refiner:

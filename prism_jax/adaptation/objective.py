@@ -13,9 +13,11 @@ from prism_jax.geometry.visibility import Visibility, seen_by, spacing_of
 from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
 from prism_jax.losses.depth import depth_error
+from prism_jax.losses.learned import error_clues
 from prism_jax.losses.normal import normal_loss
 from prism_jax.losses.visibility import contradiction, keep_loss, visibility_loss
 from prism_jax.losses.weighting import BRANCHES, weighted_auxiliary
+from prism_jax.models.error_head import LEARNED, log_errors
 from prism_jax.models.prism import (
     Branches,
     NetworkInput,
@@ -33,14 +35,15 @@ was measured about its pixel would have hidden it. Chosen on `novel`
 (docs/experiments.md)."""
 
 BALANCED = ("depth_consistency", *BRANCHES, "visibility")
-"""The terms that have a norm of their own (`AdaptConfig.balance`)."""
+"""The terms that have a norm of their own (`AdaptConfig.balance`); after them the
+learned one, if it has a weight."""
 
 
 class Losses(NamedTuple):
     """The terms of Eq. 13 as they are, before scales and weights, and their sum.
 
-    `visibility` and `keep` are not of the paper; they are None where they have no
-    weight.
+    `visibility`, `keep` and `learned` are not of the paper; they are None where they
+    have no weight.
     """
 
     objective: Float[Array, "*steps"]
@@ -50,6 +53,7 @@ class Losses(NamedTuple):
     align: Float[Array, "*steps"]
     visibility: Float[Array, "*steps"] | None = None
     keep: Float[Array, "*steps"] | None = None
+    learned: Float[Array, "*steps"] | None = None
 
     def named(self) -> dict[str, Float[Array | np.ndarray, "*steps"]]:
         """All that there are, by name."""
@@ -134,8 +138,12 @@ def test_time_objective(
     if terms.visibility is not None:
         beside = settings.visibility_weight * terms.visibility
         beside += settings.keep_weight * terms.keep
-        objective += beside if norms is None else beside / norms[-1]
-    extra = (terms.visibility, terms.keep)
+        place = BALANCED.index("visibility")
+        objective += beside if norms is None else beside / norms[place]
+    if terms.learned is not None:
+        learned = settings.learned_weight * terms.learned
+        objective += learned if norms is None else learned / norms[-1]
+    extra = (terms.visibility, terms.keep, terms.learned)
     return Losses(objective, terms.consistency, *terms.auxiliary, *extra), prediction
 
 
@@ -146,6 +154,7 @@ class _Terms(NamedTuple):
     auxiliary: Float[Array, " K"]
     visibility: Float[Array, ""] | None = None
     keep: Float[Array, ""] | None = None
+    learned: Float[Array, ""] | None = None
 
 
 def _terms(
@@ -160,13 +169,37 @@ def _terms(
     consistency = depth_error(
         points, inputs.reference, inputs.reference_mask, inputs.view
     )
+    terms = _Terms(consistency, auxiliary)
+    if config.adapt.learned_weight:
+        terms = terms._replace(learned=learned_loss(variables, points, inputs, config))
     if not _looks(config.adapt):
-        return _Terms(consistency, auxiliary), prediction
+        return terms, prediction
     keep = jnp.zeros(())
     if inputs.kept is not None:
         keep = keep_loss(points, inputs.kept, inputs.kept_mask)
     visibility = visibility_loss(points, _known(inputs, config), _tolerance(inputs))
-    return _Terms(consistency, auxiliary, visibility, keep), prediction
+    return terms._replace(visibility=visibility, keep=keep), prediction
+
+
+def learned_loss(
+    variables: Variables,
+    points: Float[Array, "N 3"],
+    inputs: NetworkInput,
+    config: PrismConfig,
+) -> Float[Array, ""]:
+    """Mean error that the learned term expects of the points: of its logarithm.
+
+    Differentiable in the points and in the term's parameters. Variables without a term
+    raise ValueError.
+    """
+    if LEARNED not in variables["params"]:
+        raise ValueError(
+            "these weights have no learned term; leave adapt.learned_weight at 0, or "
+            "fit one with experiments.learned_term"
+        )
+    known, eye = _known(inputs, config), inputs.view.position
+    clues = error_clues(points, inputs.partial, known, eye)
+    return jnp.mean(log_errors(variables["params"][LEARNED], clues))
 
 
 def hold(
@@ -180,7 +213,7 @@ def hold(
     """
     inputs, settings = hold_decoding(variables, inputs, config.model), config.adapt
     variables = jax.lax.stop_gradient(variables)
-    if _looks(settings):
+    if _looks(settings) or settings.learned_weight:
         inputs = inputs._replace(visibility=_known(inputs, config))
     if settings.keep_weight:
         points = predict(variables, inputs, config.model).points
@@ -194,19 +227,21 @@ def hold(
 def _gradient_norms(
     variables: Variables, inputs: NetworkInput, config: PrismConfig
 ) -> Float[Array, " T"]:
-    """Of each of `BALANCED`; zero for one without a weight."""
+    """Of each of `BALANCED`, zero for one without a weight; and of the learned term,
+    if it has one."""
     encoders, rest = pop_encoders(variables)
     start, unravel = ravel_pytree(encoders)
 
     def values(flat: Float[Array, " P"]) -> Float[Array, " T"]:
         terms, _ = _terms(put_encoders(unravel(flat), rest), inputs, config)
         seen = jnp.zeros(()) if terms.visibility is None else terms.visibility
-        return jnp.stack([terms.consistency, *terms.auxiliary, seen])
+        learned = [] if terms.learned is None else [terms.learned]
+        return jnp.stack([terms.consistency, *terms.auxiliary, seen, *learned])
 
     # One backward pass after the other needs no more memory than a step.
-    _, backward = jax.vjp(values, start)
+    found, backward = jax.vjp(values, start)
     squares = jax.lax.map(
-        lambda row: jnp.sum(backward(row)[0] ** 2), jnp.eye(len(BALANCED))
+        lambda row: jnp.sum(backward(row)[0] ** 2), jnp.eye(len(found))
     )
     return jnp.sqrt(squares)
 

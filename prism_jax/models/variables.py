@@ -4,7 +4,7 @@
 "batch_stats": {point_encoder, depth_encoder, decoder}, "weighting": {logits, scales,
 log_steps}}``: the last holds the learned eta of Eq. 11, the losses' own scales, and for
 each module of the encoders the logarithm of its learned step size, as a multiple of the
-configuration's.
+configuration's. Some have a learned term besides (`prism_jax.models.error_head`).
 """
 
 from typing import Any

@@ -107,7 +107,7 @@ class MetaTrainConfig:
       clip_norm: bound on the global norm of their gradient; 0 for none.
       weight_rate: of the loss weights' logits, whose optimiser is of the same kind.
       step_rate: of the logarithms of learned step sizes, by Adam.
-      auxiliary_rate: of the auxiliary modules, if they learn.
+      auxiliary_rate: of the auxiliary modules and of the learned term, if they learn.
       refiner_rate: of the refiner, whose optimiser is its own, of the same kind.
       average_decay: of the moving average of all variables but the scales, which is
         then what is validated and released; 0 for none.

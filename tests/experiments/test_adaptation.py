@@ -40,6 +40,7 @@ def table(tmp_path_factory):
     output = folder / "table.json"
     place = ["--dataset=recordings", f"--data_dir={CELLS}", "--limit=2", "--split=all"]
     given = [f"--plant={other}", "--set=adapt.num_steps=2", f"--output={output}"]
+    given += [f"--learned={other}", "--learned_set=adapt.num_steps=3"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(adaptation, "prism_completer", fake)
         patch.setattr(adaptation, "oracle_completer", fake)
@@ -55,7 +56,7 @@ def test_rows_and_what_they_are_compared_with(table):
         adaptation.PAPER,
         adaptation.ADAPTED,
         *(adaptation.WRONG, adaptation.WRONG_ADAPTED),
-        *(adaptation.ORACLE, adaptation.PLANT),
+        *(adaptation.ORACLE, adaptation.LEARNED, adaptation.PLANT),
     ]
     assert table["against"] == "told, removed"
     means = {label: row["mean"]["cd_l2"] for label, row in rows.items()}
@@ -66,6 +67,8 @@ def test_rows_and_what_they_are_compared_with(table):
     assert (
         len({means[row] for row in ("told", adaptation.PAPER, adaptation.ADAPTED)}) == 3
     )
+    assert means[adaptation.LEARNED] > means[adaptation.ADAPTED]
+    assert table["learned"]["num_steps"] == 3
     assert table["new"]["num_steps"] == 2
     assert [(p["row"], p["against"]) for p in table["pairs"]] == [
         (after, before) for before, after in adaptation.PAIRS
@@ -81,7 +84,7 @@ def test_rows_and_what_they_are_compared_with(table):
 def test_who_is_told_what(table):
     _, _, calls = table
     seeds = [config.adapt.seed for config, *_ in calls]
-    assert seeds == [0] * (len(calls) - 1) + [5]
+    assert seeds == [0] * (len(calls) - 2) + [5] * 2
     backgrounds = [config.model.background for config, *_ in calls]
     assert backgrounds == ["unknown"] * 2 + ["empty"] * (len(calls) - 2)
     assert [told is None for *_, told in calls] == [True] * 2 + [False] * (
@@ -128,6 +131,13 @@ def test_steps_along_the_true_gradient_lower_the_error(
         found.network_unadapted, found.network, complete, strict=True
     ):
         assert error(np.asarray(after), truth) < error(np.asarray(before), truth)
+
+
+def test_rows_that_are_compared_with_nothing_are_refused(capsys):
+    assert launching.run(adaptation, "--rows=blind", "--split=novel") == 2
+    assert "add one of paper, new, learned or oracle" in capsys.readouterr().err
+    assert launching.run(adaptation, "--rows=learned", "--split=novel") == 2
+    assert "none of them says what the network is" in capsys.readouterr().err
 
 
 def test_other_sizes_are_refused(tmp_path, capsys, minimal, minimal_variables):
