@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from absl import flags
+from jaxtyping import Float
 
 from prism_jax import io
 from prism_jax.cli.complete import load_completer, say, timed
@@ -51,7 +52,13 @@ from prism_jax.observation.support import find_up
 from prism_jax.observation.upright import parse_up, upright
 from prism_jax.result import plain, software
 from prism_jax.robots.urdf import Linkage
-from prism_jax.streams.enveloper import FrameEnveloper, MadeEnvelope, Scanned
+from prism_jax.streams.enveloper import (
+    FrameEnveloper,
+    MadeEnvelope,
+    Scanned,
+    standing,
+    view_from,
+)
 
 FLAGS = flags.FLAGS
 NAME = "prism-envelope"
@@ -211,33 +218,32 @@ def envelope_of(source: str) -> dict[str, Any]:
     then.
     """
     seconds: dict[str, float] = {}
-    maker = _maker()
-    stream = scan = None
+    method, observed = _method(), _observed()
+    eye = None if FLAGS.eye is None else _vector("--eye", FLAGS.eye)
+    stream = scan = asked = None
     with _timed(f"reading {source}", "read", seconds):
         robot, joints = known_robot(FLAGS.urdf, FLAGS.joints, FLAGS.base)
-        maker.robot = robot
         if is_stream(source):
             stream, named = _opened(source, joints)
         else:
-            scan = _read(source, maker, joints)
+            scan = _read(source, eye, observed, robot, joints)
             named = scan.named
         if named is None and FLAGS.eye is None:
             say("nothing is free: give --camera or --eye, the sensor's place", NAME)
         terms = None if FLAGS.ssm is None else read_terms(FLAGS.ssm)
         if FLAGS.query is not None:
-            asked = io.read_points(FLAGS.query, FLAGS.max_points)
-            maker.asked = asked.astype(np.float64)
+            asked = io.read_points(FLAGS.query, FLAGS.max_points).astype(np.float64)
     if FLAGS.calibration is None:
         remedy = f"make one with {NAME} {CALIBRATE} RECORDINGS"
         raise io.InputError("--calibration", "is missing", remedy)
     sensor = FLAGS.sensor or sensor_name(named)
     if sensor is None:
         raise io.InputError("--sensor", "is missing", "name it as it was calibrated")
-    runs = maker.method.setup(_digest(FLAGS.weights), sensor)
+    runs = method.setup(_digest(FLAGS.weights), sensor)
     calibration = read_calibration(FLAGS.calibration, runs)
     alpha = calibration.alpha if FLAGS.alpha is None else FLAGS.alpha
-    maker.margin = calibration.margin(alpha, FLAGS.scaled)
-    maker.floor = calibration.floor if FLAGS.scaled else None
+    margin = calibration.margin(alpha, FLAGS.scaled)
+    carving = Carving(FLAGS.carving_margin, FLAGS.carving_share)
     about = {
         "notice": NOTICE,
         "prism_jax": software(),
@@ -248,19 +254,30 @@ def envelope_of(source: str) -> dict[str, Any]:
         "accumulate": FLAGS.accumulate,
         "calibration": {"file": FLAGS.calibration, "n": len(calibration.cells)},
         "alpha": alpha,
-        "q": maker.margin,
+        "q": margin,
         "scaled": FLAGS.scaled,
-        "carving": maker.carving._asdict(),
-        "separation": None if terms is None else separation(terms, maker.margin),
+        "carving": carving._asdict(),
+        "separation": None if terms is None else separation(terms, margin),
     }
     folder = io.make_output_dir(FLAGS.output_dir)
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
-        maker.completer = load_completer(FLAGS.weights)
+        maker = FrameEnveloper(
+            load_completer(FLAGS.weights),
+            method,
+            margin,
+            floor=calibration.floor if FLAGS.scaled else None,
+            voxel=FLAGS.voxel,
+            carving=carving,
+            eye=eye,
+            asked=asked,
+            robot=robot,
+            **observed,
+        )
     if stream is not None:
         sink = _Folder(folder, functools.partial(_summary, about, source))
         tell = functools.partial(say, command=NAME)
-        asked = {**about, "pace": FLAGS.pace}
-        return follow(stream, maker, [sink], asked, folder / REPORT, tell)
+        told = {**about, "pace": FLAGS.pace}
+        return follow(stream, maker, [sink], told, folder / REPORT, tell)
     assert scan is not None
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     with _timed(f"completing {count}", "make", {}):
@@ -274,22 +291,18 @@ def envelope_of(source: str) -> dict[str, Any]:
     return summary
 
 
-def _maker() -> FrameEnveloper:
-    """What makes envelopes by the flags, but for what other files say."""
+def _observed() -> dict[str, Any]:
+    """How frames are observed (`FrameObserver`), but for the robot."""
     if FLAGS.accumulate is not None:
         line = "the margin was not calibrated with --accumulate; with it, it promises"
         say(f"{line} nothing", NAME)
-    return FrameEnveloper(
-        None,
-        _method(),
-        0.0,
-        voxel=FLAGS.voxel,
-        carving=Carving(FLAGS.carving_margin, FLAGS.carving_share),
-        eye=None if FLAGS.eye is None else _vector("--eye", FLAGS.eye),
-        bounds=None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace),
-        up=None if FLAGS.up is None else parse_up(FLAGS.up),
-        accumulator=None if FLAGS.accumulate is None else Accumulator(FLAGS.accumulate),
-    )
+    return {
+        "bounds": None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace),
+        "up": None if FLAGS.up is None else parse_up(FLAGS.up),
+        "accumulator": None
+        if FLAGS.accumulate is None
+        else Accumulator(FLAGS.accumulate),
+    }
 
 
 def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str, Any]:
@@ -374,7 +387,13 @@ def _opened(source: str, joints: Joints | None) -> tuple[Stream, Camera | None]:
     return stream, None if first is None else first.camera
 
 
-def _read(source: str, maker: FrameEnveloper, joints: Joints | None) -> Scanned:
+def _read(
+    source: str,
+    eye: Float[np.ndarray, "3"] | None,
+    observed: dict[str, Any],
+    robot: Linkage | None,
+    joints: Joints | None,
+) -> Scanned:
     """One scan, and what its sensor saw beside it."""
     if FLAGS.topic is not None or FLAGS.accumulate is not None:
         flag = "--topic" if FLAGS.topic is not None else "--accumulate"
@@ -388,24 +407,24 @@ def _read(source: str, maker: FrameEnveloper, joints: Joints | None) -> Scanned:
         seen = io.points_from_depth(metres, mask, camera)
         everything = np.concatenate([scan.points, seen])
         depth = np.where(mask, metres, 0.0)
-    standing = maker.standing(depth, camera)
-    direction = maker.up
+    place_of = standing(depth, camera, eye)
+    direction = observed["up"]
     if direction is None:
         direction = "-y" if scan.in_camera_frame else "z"
     if isinstance(direction, str) and direction == "auto":
-        place = None if standing is None else np.asarray(standing.position)
+        place = None if place_of is None else np.asarray(place_of.position)
         rotation = None if camera is None else camera.rotation
         direction = find_up(scan.points, place, rotation).vector
-    robot = None
-    if maker.robot is not None and joints is not None:
+    surface = None
+    if robot is not None and joints is not None:
         if joints.given is None:
             fault = "is without --joints, a .json of them"
             raise io.InputError("--urdf", fault, "give both")
         base = {} if joints.base is None else {"base": joints.base}
-        robot = robot_surface(maker.robot, *joints_from_dict({**joints.given, **base}))
-    view = maker.view(scan.points, depth, camera)
-    points = io.crop(scan.points, maker.bounds, source)
-    return Scanned(points, everything, view, standing, camera, direction, robot)
+        surface = robot_surface(robot, *joints_from_dict({**joints.given, **base}))
+    view = view_from(scan.points, depth, place_of, FLAGS.background)
+    points = io.crop(scan.points, observed["bounds"], source)
+    return Scanned(points, everything, view, place_of, camera, direction, surface)
 
 
 def _method() -> Method:

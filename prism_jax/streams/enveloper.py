@@ -20,7 +20,7 @@ from prism_jax.envelope.voxels import (
     view_of_depth,
 )
 from prism_jax.geometry.camera import Camera, Vector
-from prism_jax.geometry.visibility import Visibility
+from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.frame import Frame
 from prism_jax.streams.observer import FrameObserver
@@ -77,6 +77,37 @@ class MadeEnvelope:
         return dataclasses.replace(self, number=number)
 
 
+def standing(
+    depth: Float[np.ndarray, "H W"] | None,
+    camera: Camera | None,
+    eye: Float[np.ndarray, "3"] | None,
+) -> Camera | None:
+    """A camera where the sensor stood: that of a depth image, or one at ``eye``.
+
+    An ``eye`` beside a depth image raises InputError.
+    """
+    if eye is None:
+        return camera
+    if depth is not None:
+        raise InputError("--eye", "is of a depth image", "leave it out")
+    return Camera(np.eye(3), -eye, np.eye(3), 1, 1)
+
+
+def view_from(
+    points: Float[np.ndarray, "N 3"],
+    depth: Float[np.ndarray, "H W"] | None,
+    camera: Camera | None,
+    background: Background,
+) -> Visibility | None:
+    """What a sensor knows of its view, by its depth image or by its cloud; nothing
+    without a camera where it stood."""
+    if camera is None:
+        return None
+    if depth is not None:
+        return view_of_depth(depth, depth > 0, camera)
+    return view_of_cloud(points, np.asarray(camera.position), background)
+
+
 class FrameEnveloper(FrameObserver):
     """Makes envelopes of frames and of single scans, all in the same way.
 
@@ -116,11 +147,12 @@ class FrameEnveloper(FrameObserver):
         start = time.perf_counter()
         points, remembered, robot, up = self.observe(frame)
         place = len(points) - remembered
+        camera = standing(frame.depth, frame.camera, self.eye)
         scan = Scanned(
             points=points,
             everything=np.concatenate([frame.points, points[place:]]),
-            view=self.view(frame.points, frame.depth, frame.camera),
-            camera=self.standing(frame.depth, frame.camera),
+            view=view_from(frame.points, frame.depth, camera, self.method.background),
+            camera=camera,
             named=frame.camera,
             up=up,
             robot=None if self.robot is None else robot,
@@ -129,31 +161,6 @@ class FrameEnveloper(FrameObserver):
         made = self.make(scan)
         seconds = {"observe": observed, **made.seconds}
         return dataclasses.replace(made, seconds=seconds, timestamp=frame.timestamp)
-
-    def standing(
-        self, depth: Float[np.ndarray, "H W"] | None, camera: Camera | None
-    ) -> Camera | None:
-        """A camera where the sensor stood: that of a depth image, or one at ``eye``."""
-        if self.eye is None:
-            return camera
-        if depth is not None:
-            raise InputError("--eye", "is of a depth image", "leave it out")
-        return Camera(np.eye(3), -self.eye, np.eye(3), 1, 1)
-
-    def view(
-        self,
-        points: Float[np.ndarray, "N 3"],
-        depth: Float[np.ndarray, "H W"] | None,
-        camera: Camera | None,
-    ) -> Visibility | None:
-        """What the sensor knows of its view, by its depth image or by its cloud."""
-        camera = self.standing(depth, camera)
-        if camera is None:
-            return None
-        if depth is not None:
-            return view_of_depth(depth, depth > 0, camera)
-        place = np.asarray(camera.position)
-        return view_of_cloud(points, place, self.method.background)
 
     def make(self, scan: Scanned) -> MadeEnvelope:
         """The scan completed, the voxels around it, and their margin."""

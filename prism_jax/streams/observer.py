@@ -1,5 +1,6 @@
 """What frames hold for completing, whatever is made of them."""
 
+import abc
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ class Observed(NamedTuple):
     up: str | Vector
 
 
-class FrameObserver:
+class FrameObserver(abc.ABC):
     """Frames of one sensor as scans, whatever is made of each.
 
     ``bounds`` crop each frame first. Without an ``up`` it is -y for a depth image in
@@ -61,9 +62,9 @@ class FrameObserver:
         self.robot = robot
         self.robot_margin = robot_margin
 
+    @abc.abstractmethod
     def complete(self, frame: Frame) -> Any:
         """What is made of a frame. One that has too little raises InputError."""
-        raise NotImplementedError
 
     def warm_up(self, frame: Frame) -> Any:
         """The same of a first frame, which nothing is remembered of."""

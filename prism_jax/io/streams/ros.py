@@ -252,9 +252,10 @@ class _LastJoints:
 
     def put_into(self, frame: Frame) -> Frame:
         """The frame with the positions of its time, if there are any."""
-        due = [entry for entry in self._waiting if entry[0] <= frame.timestamp]
-        for entry in due:
-            self._waiting.remove(entry)
+        waiting, due = list(self._waiting), []
+        self._waiting.clear()
+        for entry in waiting:
+            (due if entry[0] <= frame.timestamp else self._waiting).append(entry)
         for time, positions in sorted(due, key=lambda entry: entry[0]):
             self._last |= {name: (time, value) for name, value in positions.items()}
         oldest = frame.timestamp - JOINTS_AGE
