@@ -189,6 +189,8 @@ def parts_of_training() -> str:
 def _weights() -> dict[str, float]:
     """The flags' data sets, and how often each is seen."""
     if FLAGS.mixture is None:
+        if FLAGS.whole is not None:
+            raise InputError("--whole", "is of a mixture", "give --mixture too")
         return {FLAGS.dataset: 1.0}
     return parse_mixture(FLAGS.mixture)
 

@@ -133,3 +133,8 @@ def test_weights_of_another_network_are_refused(run, weights, tmp_path, capsys):
     assert (status, starts) == (2, [])
     assert "not weights of tiny; choose the preset" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_a_share_of_whole_views_is_of_a_mixture(run, tmp_path, capsys):
+    assert run(f"--workdir={tmp_path}/run", "--whole=0.5") == (2, [])
+    assert "--whole: is of a mixture; give --mixture too" in capsys.readouterr().err
