@@ -13,8 +13,7 @@ FOLDS = 5
 
 
 def numbered(count: int) -> Int[np.ndarray, " count"]:
-    """Random numbers of a set's objects, the same for every fit. What has even ones is
-    fitted on, and what has odd ones is held out."""
+    """Random numbers of a set's objects, the same for every fit."""
     return np.random.default_rng(0).permutation(count)
 
 
@@ -36,12 +35,11 @@ def cross_predicted(
     found: Float[np.ndarray, "N E"],
     wanted: Float[np.ndarray, " N"],
     weights: Float[np.ndarray, " N"],
-    group: Int[np.ndarray, " N"],
+    fold: Int[np.ndarray, " N"],
     **settings: Any,
 ) -> Float[np.ndarray, " N"]:
-    """What `boosted` says of samples whose objects, of even numbers, it was not fitted
-    on."""
-    fold, said = group // 2 % FOLDS, np.empty(len(wanted))
+    """What `boosted` says of each fold's samples, fitted on those of all others."""
+    said = np.empty(len(wanted))
     for number in np.unique(fold):
         others, own = fold != number, fold == number
         model = boosted(found[others], wanted[others], weights[others], **settings)

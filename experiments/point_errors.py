@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 from tqdm import tqdm
 
 from experiments.boosting import (
+    FOLDS,
     boosted,
     complete_trees,
     cross_predicted,
@@ -220,12 +221,12 @@ def fitted(
     clues = np.concatenate([s.clues[r] for s, r in zip(samples, rows, strict=True)])
     errors = np.concatenate([s.errors[r] for s, r in zip(samples, rows, strict=True)])
     data = np.repeat([sample.data for sample in samples], numbers)
-    group = np.repeat([sample.group for sample in samples], numbers)
+    fold = np.repeat([sample.group // 2 % FOLDS for sample in samples], numbers)
     _, inverse, sizes = np.unique(data, return_inverse=True, return_counts=True)
     weights = len(data) / sizes[inverse]
     wanted = np.log(np.maximum(errors, LEAST))
     if lift is None:
-        said = np.exp(cross_predicted(clues, wanted, weights, group, **TREES))
+        said = np.exp(cross_predicted(clues, wanted, weights, fold, **TREES))
         mean, mean_said = (np.average(x, weights=weights) for x in (errors, said))
         lift = float(np.log(mean / mean_said))
     trees = _trees(boosted(clues, wanted, weights, **TREES), lift)

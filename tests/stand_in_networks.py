@@ -47,11 +47,13 @@ def meta_gradients(variables, frames, complete, adapt, config):
 
 
 def make_adapt(config):
-    """Moves the partial towards the camera, if that stands above it."""
+    """Moves the partial towards the camera, if that stands above it; the farther, the
+    more is measured in the map."""
 
-    def adapt(variables, partial, camera):
+    def adapt(variables, partial, camera, visibility=None):
         accepted = camera.position[2] > 0
-        towards = 0.05 * camera.position
+        measured = 0.0 if visibility is None else (visibility.state > 0).mean()
+        towards = (0.05 + measured) * camera.position
         points = jnp.where(accepted, partial + towards, partial)
         return Completion(points, partial, accepted, None, None, {})
 

@@ -254,16 +254,16 @@ def _validation(
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        def one(partial, eye, complete, scale):
+        def one(partial, eye, complete, scale, known):
             camera = observe(partial, eye, Workspace.unit()).camera
-            done = complete_frame(variables, partial, camera)
+            done = complete_frame(variables, partial, camera, known)
             before, after = (
                 chamfer(points, complete) * scale**2
                 for points in (done.before, done.points)
             )
             return jnp.stack([before, done.accepted.astype(before.dtype), after])
 
-        arrays = (batch.partial, batch.eye, batch.complete, batch.scale)
-        return jax.vmap(one)(*map(jnp.asarray, arrays))
+        told = (batch.partial, batch.eye, batch.complete, batch.scale, batch.visibility)
+        return jax.vmap(one)(*jax.tree.map(jnp.asarray, told))
 
     return validate

@@ -7,7 +7,14 @@ import pytest
 
 from experiments import trust
 from experiments.shifts import View
-from experiments.trust import SETS, Sample, fitted, measured, unfitted
+from experiments.trust import (
+    SETS,
+    Sample,
+    fitted,
+    judged_unseen,
+    measured,
+    unfitted,
+)
 from prism_jax.data.source import Example
 from prism_jax.trust import EVIDENCE, Calibration
 from prism_jax.weights import file_sha256, save_weights
@@ -34,6 +41,11 @@ def samples(count, seed, noise=0.1):
     return made
 
 
+def judged_by(calibration, samples):
+    judge = calibration.judge
+    return samples, [judge(sample.evidence, sample.half_extent) for sample in samples]
+
+
 @pytest.fixture(scope="module")
 def calibration():
     return fitted(BLANK, samples(600, 0))
@@ -49,7 +61,7 @@ def test_a_law_is_found(calibration):
 
 
 def test_it_is_right_about_others_by_its_own_account(calibration):
-    told = measured(calibration, samples(400, 2))
+    told = measured(*judged_by(calibration, samples(400, 2)))
     assert set(told) == {"all", *SETS, "tilt"}
     everything = told["all"]
     assert everything["views"] == 400
@@ -62,12 +74,23 @@ def test_it_is_right_about_others_by_its_own_account(calibration):
     assert everything["expected"] == pytest.approx(everything["error"], rel=0.15)
 
 
+def test_no_object_is_judged_by_what_saw_it():
+    """What sets one object apart and makes its error is no evidence for itself."""
+    others = [s._replace(group=5 * s.group + 1 + s.group % 2) for s in samples(40, 6)]
+    usual = samples(1, 7)[0]
+    odd = usual._replace(error=1e3 * usual.half_extent)
+    verdict = judged_unseen(BLANK, [odd, *others])[0]
+    assert verdict.expected_error < 0.1 * odd.error
+    assert verdict == judged_unseen(BLANK, [usual, *others])[0]
+
+
 def test_it_finds_nothing_where_nothing_is():
     """Errors that have nothing to do with the evidence are not foretold."""
     rng = np.random.default_rng(3)
     blind = [s._replace(error=float(np.exp(rng.normal()))) for s in samples(400, 4)]
     rest = [s._replace(error=float(np.exp(rng.normal()))) for s in samples(400, 5)]
-    told = measured(fitted(BLANK, blind), [s._replace(half_extent=1.0) for s in rest])
+    rest = [s._replace(half_extent=1.0) for s in rest]
+    told = measured(*judged_by(fitted(BLANK, blind), rest))
     assert abs(told["all"]["rank_correlation"]) < 0.2
 
 
@@ -128,7 +151,6 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
     assert launching.run(trust, *given) == 0
     result = json.loads(output.read_text())
     assert result["weights_sha256"] == file_sha256(str(weights))
-    assert sum(result["views"].values()) == 12
-    assert result["trust"]["all"]["views"] == result["views"]["held_out"]
+    assert result["trust"]["all"]["views"] == result["views"] == 12
     Calibration.from_dict(result["calibration"])
     assert "| all | " in output.with_suffix(".md").read_text()

@@ -12,6 +12,7 @@ from prism_jax.adaptation.config import MetaConfig, PrismConfig
 from prism_jax.adaptation.meta import MetaTerms
 from prism_jax.adaptation.objective import Losses
 from prism_jax.data.pipeline import Framing
+from prism_jax.geometry.visibility import SURFACE, nothing_known
 from prism_jax.io.errors import InputError
 from prism_jax.losses.weighting import loss_weights
 from prism_jax.models.variables import ENCODERS
@@ -472,8 +473,14 @@ def test_every_step_is_of_one_compilation(phase_of, batch):
     assert phase.step_fn._cache_size() == 1
 
 
-def test_validation_scores(phase_of, batch, variables):
-    """CD-L2 before, whether the adapted one was taken, and CD-L2 of what was."""
+@pytest.mark.parametrize("measured", [None, 0.25])
+def test_validation_scores(phase_of, batch, variables, measured):
+    """CD-L2 before, whether the adapted one was taken, and CD-L2 of what was; a batch's
+    maps reach the adaptation."""
+    if measured is not None:
+        known = jax.tree.map(lambda leaf: np.stack([leaf] * BATCH), nothing_known(4))
+        known.state[:, :1] = SURFACE
+        batch = batch._replace(visibility=known)
     above = np.array([True, False, True, True])
     eye = batch.eye.copy()
     eye[:, 2] = np.where(above, 1, -1) * np.abs(eye[:, 2])
@@ -482,7 +489,7 @@ def test_validation_scores(phase_of, batch, variables):
     assert scores.shape == (BATCH, 3)
     for i in range(BATCH):
         complete, partial = batch.complete[i], batch.partial[i]
-        after = partial + 0.05 * batch.eye[i] * above[i]
+        after = partial + (0.05 + (measured or 0.0)) * batch.eye[i] * above[i]
 
         def chamfer(points, complete=complete):
             there = cKDTree(complete).query(points)[0]
