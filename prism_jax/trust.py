@@ -131,8 +131,11 @@ class Calibration(Trees):
             # What the error would be less if one piece of evidence were as usual.
             usual = np.where(np.eye(len(found), dtype=bool), self.usual, found)
             blame = log_error - self.sums(usual)
-            worst = [i for i in np.argsort(-blame, kind="stable") if blame[i] > REASON]
             told = list(EVIDENCE.items())
+            # Few points speak against it, and much of everything else.
+            sign = np.array([-1 if name == "num_points" else 1 for name in EVIDENCE])
+            blame = np.where(sign * (found - self.usual) > 0, blame, 0.0)
+            worst = [i for i in np.argsort(-blame, kind="stable") if blame[i] > REASON]
             reasons = [
                 told[i][1].format(evidence[told[i][0]]) for i in worst[:MAX_REASONS]
             ]

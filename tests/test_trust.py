@@ -115,6 +115,18 @@ def test_the_reasons_are_what_makes_the_error_large_the_worst_first():
     assert found.judge(USUAL, 1.0).reasons == ()
 
 
+@pytest.mark.parametrize(
+    ("name", "usual_side"), [("num_points", 1), ("strays", -1), ("novelty", -1)]
+)
+def test_what_speaks_for_a_completion_is_no_reason_against_it(name, usual_side):
+    """Trees that call many points, or no strays at all, a bad sign."""
+    high = np.log(8.0)
+    leaves = (0, high) if usual_side > 0 else (high, 0)
+    found = calibration(stump(name, *leaves, at=0.5 * usual_side))
+    verdict = found.judge(spreads(**{name: usual_side}), 1.0)
+    assert verdict.trust == "low" and verdict.reasons == ()
+
+
 def test_every_reason_can_be_said():
     for name, text in EVIDENCE.items():
         assert text.format(0.123), name
