@@ -13,11 +13,12 @@ _PAGE = """<!doctype html>
 body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 60rem; }
 table { border-collapse: collapse; width: 100%; }
 th, td { border-bottom: 1px solid #ccc; padding: .4rem .6rem; text-align: left; }
-td.number { text-align: right; }
+.number { text-align: right; }
 </style>
 <h1>{{ results | length }} completed scans</h1>
 <table>
-<tr><th>scan</th><th>objects</th><th>trust</th><th>observed</th><th>added</th></tr>
+<tr><th>scan</th><th class="number">objects</th><th>trust</th>
+<th class="number">observed</th><th class="number">added</th></tr>
 {% for name, result in results.items() %}
 <tr>
 <td><a href="{{ name | urlencode }}/report.html">{{ result.input.file }}</a></td>
