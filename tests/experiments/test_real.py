@@ -10,6 +10,7 @@ from PIL import Image
 
 from experiments import real as command
 from experiments import real_specs
+from experiments.real_pictures import picture_row
 from experiments.real_specs import SPECS
 from prism_jax import metrics
 from prism_jax.io import InputError, ply_bytes
@@ -237,3 +238,27 @@ def test_the_real_ones_are_read(real, name, count):
     assert len(given.points) == count
     assert given.points.dtype == np.float64 and np.isfinite(given.points).all()
     assert (given.truth is not None) == name.startswith("bunny")
+
+
+def test_pictures_show_what_was_added_and_what_is_of_nothing():
+    completer = Completer("small")
+    points, _ = clutter()
+    scene = completer.split_scene(points)
+    done = completer.complete_scene(points, scene=scene)
+    row = picture_row("clutter", {"small": done}, 64)
+    assert row.label == "clutter"
+    kinds = [kinds_of(picture) for picture in row.pictures]
+    assert kinds == [{"blue", "grey", "white"}, {"blue", "grey", "orange", "white"}]
+    # All that is of objects is within: nothing is drawn on the edge.
+    alone = dataclasses.replace(done, object=np.where(done.object < 0, 0, done.object))
+    for picture in picture_row("", {"small": alone}, 64).pictures:
+        edge = [picture[0], picture[-1], picture[:, 0], picture[:, -1]]
+        assert kinds_of(np.concatenate(edge)) == {"white"}
+
+
+def kinds_of(pixels):
+    """Which of the colours there are, in whatever shade."""
+    red, _, blue = np.moveaxis(pixels.reshape(-1, 3).astype(int), -1, 0)
+    grey, white = abs(red - blue) < 9, np.minimum(red, blue) > 250
+    found = np.select([white, grey, red > blue], ["white", "grey", "orange"], "blue")
+    return set(found.tolist())
