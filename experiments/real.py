@@ -224,7 +224,7 @@ def _scores(scores: Mapping[str, float]) -> list[str]:
 
 def _values(check: str, values: Mapping[str, float]) -> str:
     factor = CHECKS[check].factor
-    return ", ".join(f"{name}: {factor * value:#.3g}" for name, value in values.items())
+    return ", ".join(f"{name}: {factor * value:.3g}" for name, value in values.items())
 
 
 def run() -> None:

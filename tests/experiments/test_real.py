@@ -120,7 +120,7 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
         "| bunny, scan_000 | `small-robocell` | 200 | 1 | 100 | 0 | 1 | - | - |" in text
     )
     head = f"| bunny, scan_000 | `small` | partial | {1e4 * partial['cd_l2']:.4g} |"
-    assert head in text and "| thing 0: 0.900, thing 1: 0.900 |" in text
+    assert head in text and "| thing 0: 0.9, thing 1: 0.9 |" in text
     assert "Left out: Ouster, sweep (" in text
 
 
