@@ -40,7 +40,7 @@ def picture_row(label: str, done: Mapping[str, Done], size: int) -> Row:
     frame = Workspace.from_points(shown, 1.0, upright(up))
     seen = frame.camera_to_unit(camera)
     eye = FAR * viewing_direction(seen, turn_degrees=TURN, rise_degrees=RISE)
-    outline = jnp.asarray(_extremes(frame.to_unit(shown)))
+    outline = jnp.asarray(_extremes(np.asarray(frame.to_unit(shown))))
     view = Camera.framing(outline, eye, 1.1, size, size)
     pictures = [_drawn(first, first.observed, frame, view)]
     for one in done.values():
@@ -74,7 +74,7 @@ def _drawn(
     done: Done, which: Bool[np.ndarray, " M"], frame: Workspace, view: Camera
 ) -> UInt8[np.ndarray, "S S 3"]:
     """Those of the points that are in the picture."""
-    points = frame.to_unit(done.points)
+    points = np.asarray(frame.to_unit(done.points))
     colors = np.where(
         done.observed[:, None], rgb_of(OBSERVED_COLOR), rgb_of(COMPLETED_COLOR)
     )
