@@ -133,17 +133,18 @@ def picture_row(shown: GalleryItem, size: int) -> Row:
     center = (everything.min(0) + everything.max(0)) / 2
     eye = center + 4.0 * np.ptp(everything, axis=0).max() * shown.toward_viewer
     camera = Camera.framing(jnp.asarray(everything), eye, 1.05, size, size)
-    measured = shown.measured, _rgb(OBSERVED_COLOR)
+    measured = shown.measured, rgb_of(OBSERVED_COLOR)
     pictures = (
         [measured],
-        [(shown.added, _rgb(COMPLETED_COLOR)), measured],
-        [(shown.complete, _rgb(GROUND_TRUTH_COLOR))],
+        [(shown.added, rgb_of(COMPLETED_COLOR)), measured],
+        [(shown.complete, rgb_of(GROUND_TRUTH_COLOR))],
         [(shown.completed, distance_colors(shown.errors))],
     )
     return Row(shown.label, [draw_clouds(clouds, camera) for clouds in pictures])
 
 
-def _rgb(css: str) -> Color:
+def rgb_of(css: str) -> Color:
+    """A colour of CSS as red, green and blue within 0 to 1."""
     red, green, blue = ImageColor.getrgb(css)[:3]
     return red / 255, green / 255, blue / 255
 

@@ -6,8 +6,8 @@ from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError
 
 
-def prepare_output(path: str | None, suffix: str) -> None:
-    """Makes the folder of an output.
+def prepare_output(path: str | None, suffix: str, flag: str = "--output") -> None:
+    """Makes the folder of an output, which `flag` names.
 
     Raises InputError for one that could not be written at the end, or whose name does
     not end in ``suffix``: what is written beside it has the same name with another end.
@@ -16,5 +16,5 @@ def prepare_output(path: str | None, suffix: str) -> None:
         return
     if pathlib.Path(path).suffix != suffix:
         remedy = f"name a file that ends in {suffix}"
-        raise InputError("--output", f"{path} is no {suffix} file", remedy)
+        raise InputError(flag, f"{path} is no {suffix} file", remedy)
     make_output_dir(pathlib.Path(path).parent)

@@ -17,7 +17,7 @@ from experiments.comparison import comparison_markdown
 from experiments.loss_gradients import agreement_markdown
 from experiments.mixtures import mixtures_markdown
 from experiments.point_errors import point_errors_markdown
-from experiments.real_scans import real_scans_markdown
+from experiments.real import real_markdown
 from experiments.robustness import robustness_markdown
 from experiments.segmentation import segmentation_markdown
 from experiments.trust import trust_markdown, unfitted
@@ -119,7 +119,7 @@ def test_tables_are_those_of_their_results(path):
     kinds = {
         "rows": comparison_markdown,
         "losses": agreement_markdown,
-        "scans": real_scans_markdown,
+        "scans": real_markdown,
         "shifts": robustness_markdown,
         "trust": trust_markdown,
         "sigma": point_errors_markdown,

@@ -52,7 +52,7 @@ class KITTI(ListedSource):
     def __getitem__(self, index: int) -> Example:
         car, _ = self.locate(index)
         path = self.root / "cars" / f"{car.id}.pcd"
-        corners = _read_corners(self.root / "bboxes" / f"{car.id}.txt")
+        corners = read_corners(self.root / "bboxes" / f"{car.id}.txt")
         scan = to_box_frame(read_cloud(path).astype(np.float64), corners)
         eye = to_box_frame(np.zeros((1, 3)), corners)[0]
         partial = sound_cloud(scan, path)
@@ -81,7 +81,11 @@ def to_box_frame(
     return np.stack([forward, z, left], axis=1) / length
 
 
-def _read_corners(path: pathlib.Path) -> Float64[np.ndarray, "8 3"]:
+def read_corners(path: str | os.PathLike) -> Float64[np.ndarray, "8 3"]:
+    """The corners of a car's box, in the scanner's frame; InputError of anything else.
+
+    From corner 0 edges lead to 1, 3 and 4, and that to 3 is the heading.
+    """
     corners = read_text(path)
     is_box = corners.shape == (8, 3) and bool(np.isfinite(corners).all())
     if not is_box or np.array_equal(corners[0, :2], corners[3, :2]):

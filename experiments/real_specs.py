@@ -1,0 +1,199 @@
+"""What real scans there are in a folder, and how each is given to a completer.
+
+Some come with more: the true shape, labels of the things in them, a box about the
+object, or what another network predicts of them.
+"""
+
+import pathlib
+import zipfile
+from collections.abc import Callable, Mapping
+from functools import partial
+from io import BytesIO
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float64, Int
+
+from experiments.segmentation import labelled_scan
+from prism_jax import io
+from prism_jax.completed import CompletedScan, CompletedScene
+from prism_jax.data.public.kitti import read_corners
+from prism_jax.evaluation.segmentation import MIN_POINTS, agreement
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.files import read_bytes, unsound
+from prism_jax.io.streams import open_stream
+from prism_jax.result import score
+
+REACH = 6.0
+"""Metres from a LiDAR, beyond which its points are left away."""
+
+GROWN = 1.1
+"""A labelled box is so many times as long, wide and high before points are outside."""
+
+Done = CompletedScan | CompletedScene
+Check = Callable[[Done], dict[str, float]]
+
+
+class Given(NamedTuple):
+    """A scan as it is given to a completer, and what is known of it.
+
+    Attributes:
+      points: the finite ones, in the file's units and frame.
+      camera: the sensor's, where the file has one.
+      truth: the whole shape in the same frame, or None.
+      checks: what else a completion can be held against, by the names of `CHECKS`.
+    """
+
+    points: Float64[np.ndarray, "N 3"]
+    camera: Camera | None = None
+    truth: Float[np.ndarray, "T 3"] | None = None
+    checks: Mapping[str, Check] = {}
+
+
+class Spec(NamedTuple):
+    """A scan of the folder.
+
+    Attributes:
+      name: in tables.
+      file: its place in the folder.
+      read: takes the path, and raises InputError where there is nothing to read.
+      up: what the completer is told of the direction that points upwards.
+      is_scene: whether there are several objects, to be taken apart first.
+    """
+
+    name: str
+    file: str
+    read: Callable[[pathlib.Path], Given]
+    up: str
+    is_scene: bool = False
+
+
+class Told(NamedTuple):
+    """How a table shows what a check says."""
+
+    label: str
+    factor: float
+
+
+CHECKS = {
+    "overlap": Told(f"IoU of each labelled thing of more than {MIN_POINTS} points", 1),
+    "outside_box": Told("% of points outside the labelled box grown by 10 %", 100),
+    "to_peer": Told(
+        "CD-L2 x1e4 to a published network's output, which is no truth", 1e4
+    ),
+}
+"""Their names, as results have them."""
+
+
+def scanned(path: pathlib.Path) -> Given:
+    """A cloud, or a depth image with its camera beside it."""
+    scan = io.read_scan(path)
+    return Given(scan.points.astype(np.float64), scan.camera)
+
+
+def scanned_in_frame(path: pathlib.Path, member: str) -> Given:
+    """One of the scans of an NPZ that were moved into the frame of `complete`."""
+    data = BytesIO(read_bytes(path))
+    try:
+        arrays = np.load(data, allow_pickle=False)
+        points, truth = arrays[member], arrays["complete"]
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        kind = f"an NPZ of {member} and complete"
+        raise unsound(path, kind, error, "copy it again") from None
+    return Given(points.astype(np.float64), truth=truth)
+
+
+def labelled(path: pathlib.Path) -> Given:
+    """A cloud, or a depth image, of things that the PCD of the same name tells apart:
+    what has most points is what they stand on."""
+    points, labels = labelled_scan(str(path.with_suffix(".pcd")))
+    given = scanned(path)
+    if len(given.points) != len(points):
+        fault = f"has {len(given.points):,} points, and its labels {len(points):,}"
+        raise io.InputError(path, fault, "put the PCD of the same frame beside it")
+    return given._replace(checks={"overlap": partial(overlap, labels)})
+
+
+def boxed(path: pathlib.Path) -> Given:
+    """A cloud with the eight corners of its object's box in the .txt of its name."""
+    corners = read_corners(path.with_suffix(".txt"))
+    return scanned(path)._replace(checks={"outside_box": partial(outside, corners)})
+
+
+def with_peer(path: pathlib.Path, peer: str) -> Given:
+    """A cloud, and what another network predicts of it in a file beside it."""
+    predicted = io.read_points(path.with_name(peer))
+    return scanned(path)._replace(checks={"to_peer": partial(to_peer, predicted)})
+
+
+def swept(path: pathlib.Path) -> Given:
+    """The points of a LiDAR within `REACH`."""
+    return Given(near(scanned(path).points))
+
+
+def captured(path: pathlib.Path) -> Given:
+    """The first whole frame of a LiDAR's recording, within `REACH`."""
+    stream, lacking = open_stream(path), 0
+    for frame in stream:
+        if stream.remarks["incomplete"] == lacking:
+            return Given(near(frame.points.astype(np.float64)))
+        lacking = stream.remarks["incomplete"]
+    raise io.InputError(path, "has no whole frame", "check how it was recorded")
+
+
+def near(points: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "M 3"]:
+    """Those within `REACH` of the origin; a point at it is no return."""
+    distance = np.linalg.norm(points, axis=1)
+    return points[(distance > 0) & (distance < REACH)]
+
+
+def overlap(labels: Int[np.ndarray, " N"], done: Done) -> dict[str, float]:
+    """Intersection over union of each labelled thing with the object that has most in
+    common with it."""
+    assert isinstance(done, CompletedScene)
+    found = agreement(labels, done.object[done.observed]).overlap
+    return {f"thing {number}": float(iou) for number, iou in enumerate(found)}
+
+
+def outside(corners: Float64[np.ndarray, "8 3"], done: Done) -> dict[str, float]:
+    """Shares of the measured and of the added points outside the grown box.
+
+    From corner 0, edges lead to the corners 1, 3 and 4.
+    """
+    edges = corners[[1, 3, 4]] - corners[0]
+    along = np.linalg.solve(edges.T, (done.points - corners[0]).T).T
+    is_outside = (np.abs(along - 0.5) > GROWN / 2).any(axis=1)
+    parts = {"measured": done.observed, "added": ~done.observed}
+    return {k: float(is_outside[v].mean()) for k, v in parts.items() if v.any()}
+
+
+def to_peer(predicted: Float[np.ndarray, "P 3"], done: Done) -> dict[str, float]:
+    """CD-L2 of each cloud to what another network predicts, which is no truth."""
+    scores: dict[str, Any] = score(done, predicted)["clouds"]
+    return {name: scored["cd_l2"] for name, scored in scores.items()}
+
+
+_BUNNY, _KINECT = "bunny/pairs.npz", "kinect/mosd_test24"
+_PEER = partial(with_peer, peer="airplane_predicted_16384.ply")
+
+SPECS = (
+    Spec("bunny, scan_000", _BUNNY, partial(scanned_in_frame, member="scan_000"), "y"),
+    Spec("bunny, scan_090", _BUNNY, partial(scanned_in_frame, member="scan_090"), "y"),
+    Spec("bunny, raw", "bunny/raw_scan_000.ply", scanned, "y"),
+    Spec("Kinect, cloud", f"{_KINECT}.pcd", labelled, "auto", is_scene=True),
+    Spec("Kinect, depth image", f"{_KINECT}.png", labelled, "auto", is_scene=True),
+    Spec("KITTI, car", "kitti/frame_0_car_0.pcd", boxed, "z"),
+    Spec("ShapeNet, airplane", "shapenet/airplane_partial_2048.ply", _PEER, "y"),
+    Spec("Ouster, sweep", "ouster/single_frame_zm_scan0.npz", swept, "z", True),
+    Spec(
+        "Ouster, capture", "ouster/OS-0-128-U1_v2.3.0_1024x10.pcap", captured, "z", True
+    ),
+)
+
+
+def check_folder(folder: pathlib.Path) -> None:
+    """Raises InputError, which says what is expected, if there is no such folder."""
+    if not folder.is_dir():
+        files = ", ".join(dict.fromkeys(spec.file for spec in SPECS))
+        remedy = f"name a folder of real scans, with {files}"
+        raise io.InputError("--data_dir", f"{folder} is no folder", remedy)
