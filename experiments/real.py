@@ -47,7 +47,9 @@ def define_flags() -> None:
         "weights", ["small", "small-robocell"], "Names or files; one or several."
     )
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
-    flags.DEFINE_string("picture", None, "PNG to write, a row for each scan.")
+    flags.DEFINE_string(
+        "picture", None, "PNG to write, a row for each scan that may be shown."
+    )
     flags.DEFINE_integer("size", 200, "Pixels of a picture's side.", 16, 1024)
     flags.DEFINE_integer("columns", 2, "Rows of pictures side by side.", 1)
 
@@ -71,7 +73,7 @@ def main() -> None:
                 done[weights] = completed(completer, spec, scan)
                 rows.append(row_of(spec, weights, scan, done[weights]))
                 bar.update()
-            if FLAGS.picture is not None:
+            if FLAGS.picture is not None and spec.is_drawn:
                 pictures.append(
                     picture_row(label_of(spec.name, done), done, FLAGS.size)
                 )

@@ -30,6 +30,10 @@ REACH = 6.0
 GROWN = 1.1
 """A labelled box is so many times as long, wide and high before points are outside."""
 
+AT_ORIGIN = Camera(np.eye(3), np.zeros(3), np.eye(3), height=1, width=1)
+"""A LiDAR's points are in its own frame. All around it as they are, nothing about them
+says so."""
+
 Done = CompletedScan | CompletedScene
 Check = Callable[[Done], dict[str, float]]
 
@@ -59,6 +63,7 @@ class Spec(NamedTuple):
       read: takes the path, and raises InputError where there is nothing to read.
       up: what the completer is told of the direction that points upwards.
       is_scene: whether there are several objects, to be taken apart first.
+      is_drawn: whether its licence lets everyone show and change pictures of it.
     """
 
     name: str
@@ -66,6 +71,7 @@ class Spec(NamedTuple):
     read: Callable[[pathlib.Path], Given]
     up: str
     is_scene: bool = False
+    is_drawn: bool = True
 
 
 class Told(NamedTuple):
@@ -128,7 +134,7 @@ def with_peer(path: pathlib.Path, peer: str) -> Given:
 
 def swept(path: pathlib.Path) -> Given:
     """The points of a LiDAR within `REACH`."""
-    return Given(near(scanned(path).points))
+    return Given(near(scanned(path).points), AT_ORIGIN)
 
 
 def captured(path: pathlib.Path) -> Given:
@@ -136,7 +142,7 @@ def captured(path: pathlib.Path) -> Given:
     stream, lacking = open_stream(path), 0
     for frame in stream:
         if stream.remarks["incomplete"] == lacking:
-            return Given(near(frame.points.astype(np.float64)))
+            return Given(near(frame.points.astype(np.float64)), AT_ORIGIN)
         lacking = stream.remarks["incomplete"]
     raise io.InputError(path, "has no whole frame", "check how it was recorded")
 
@@ -174,6 +180,7 @@ def to_peer(predicted: Float[np.ndarray, "P 3"], done: Done) -> dict[str, float]
 
 
 _BUNNY, _KINECT = "bunny/pairs.npz", "kinect/mosd_test24"
+_PLANE = "shapenet/airplane_partial_2048.ply"
 _PEER = partial(with_peer, peer="airplane_predicted_16384.ply")
 
 SPECS = (
@@ -182,8 +189,8 @@ SPECS = (
     Spec("bunny, raw", "bunny/raw_scan_000.ply", scanned, "y"),
     Spec("Kinect, cloud", f"{_KINECT}.pcd", labelled, "auto", is_scene=True),
     Spec("Kinect, depth image", f"{_KINECT}.png", labelled, "auto", is_scene=True),
-    Spec("KITTI, car", "kitti/frame_0_car_0.pcd", boxed, "z"),
-    Spec("ShapeNet, airplane", "shapenet/airplane_partial_2048.ply", _PEER, "y"),
+    Spec("KITTI, car", "kitti/frame_0_car_0.pcd", boxed, "z", is_drawn=False),
+    Spec("ShapeNet, airplane", _PLANE, _PEER, "y", is_drawn=False),
     Spec("Ouster, sweep", "ouster/single_frame_zm_scan0.npz", swept, "z", True),
     Spec(
         "Ouster, capture", "ouster/OS-0-128-U1_v2.3.0_1024x10.pcap", captured, "z", True
