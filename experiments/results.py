@@ -45,6 +45,7 @@ def pages() -> dict[pathlib.Path, str]:
         **results,
         "table": table,
         "effect": effect,
+        "pair": pair,
         "score": score,
         "change": lambda found: percent(found["change"], found["interval"]),
         "interval": interval_text,
@@ -82,6 +83,16 @@ def score(result: Mapping[str, Any], cloud: str, metric: str = "cd_l2") -> str:
 def effect(result: Mapping[str, Any]) -> Mapping[str, Any]:
     """What adaptation changes in the CD-L2 of the network's own output."""
     return result["adaptation"]["network"]["cd_l2"]
+
+
+def pair(
+    result: Mapping[str, Any], row: str, against: str, measure: str = "cd_l2"
+) -> Mapping[str, Any]:
+    """What changes from one row of a comparison to another."""
+    for found in result["pairs"]:
+        if (found["row"], found["against"]) == (row, against):
+            return found["change"][measure]
+    raise KeyError(f"{row} against {against}")
 
 
 def without(found: Mapping[str, Any]) -> str:
