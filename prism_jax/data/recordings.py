@@ -32,7 +32,6 @@ from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud, inside_image
 from prism_jax.io.depth import points_from_depth, read_depth
 from prism_jax.io.errors import InputError
@@ -52,8 +51,6 @@ MAX_METRES = 50.0
 """A coordinate beyond this is not in metres, or not of a cell."""
 NEAR = 0.03
 """Metres along a pixel's ray: a partial's point this near its pixel's depth fits it."""
-MARGIN = 1.4
-"""Side of the cube that what is around hides or not, over the partial's longest."""
 RAYS_A_PIXEL = 5
 """Of a depth image, about so many for each pixel of a map."""
 
@@ -138,9 +135,8 @@ def map_of_image(
 ) -> Visibility:
     """What a depth camera knows of its view of a partial cloud, by its whole image.
 
-    What hides something does so in the cube around the partial, with `MARGIN`. Of the
-    image's pixels about `RAYS_A_PIXEL` are taken for each of the map's. All in one
-    frame and unit; see `prism_jax.observation.maps.seen_among`.
+    Of the image's pixels about `RAYS_A_PIXEL` are taken for each of the map's. All in
+    one frame and unit; see `prism_jax.observation.maps.seen_among`.
     """
     eye = np.asarray(camera.position, np.float64)
     close = framing_camera(partial.astype(np.float64), eye).intrinsics[0, 0]
@@ -148,8 +144,7 @@ def map_of_image(
     few = np.zeros_like(mask)
     few[::step, ::step] = mask[::step, ::step]
     around = points_from_depth(depth, few, camera)
-    workspace = Workspace.from_points(partial.astype(np.float64), MARGIN)
-    return seen_among(partial, around, eye, workspace)
+    return seen_among(partial, around, eye)
 
 
 def _category(sequence: str) -> str:

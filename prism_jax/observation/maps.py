@@ -21,6 +21,9 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.geometry.workspace import Workspace
 
+MARGIN = 1.4
+"""Side of a cube around an object over the longest of its points' box."""
+
 BEHIND = 0.03
 """In half sides of a workspace: what lies no farther before its far side hides nothing
 of it."""
@@ -39,7 +42,7 @@ def seen_among(
     points: Float[np.ndarray, "N 3"],
     around: Float[np.ndarray, "R 3"],
     eye: Float[np.ndarray, "3"],
-    workspace: Workspace,
+    workspace: Workspace | None = None,
     background: Background = "unknown",
 ) -> Visibility:
     """What a sensor at `eye` knows of its view of an object: by the object's `points`,
@@ -53,12 +56,15 @@ def seen_among(
     was measured nothing is known, unless the `background` is "empty", which says that
     nothing else was there to be hit.
 
-    All in one frame and unit, the workspace's cube included. At least one point; of
-    what lies around, what is behind the eye or beside the map does not count. NumPy, in
-    double precision but for the depths; not differentiable.
+    All in one frame and unit, and so the workspace's cube, which is that around the
+    points with `MARGIN` unless it is given. At least one point; of what lies around,
+    what is behind the eye or beside the map does not count. NumPy, in double precision
+    but for the depths; not differentiable.
     """
     points, around = (np.asarray(cloud, np.float64) for cloud in (points, around))
     eye = np.asarray(eye, np.float64)
+    if workspace is None:
+        workspace = Workspace.from_points(points, MARGIN)
     camera = framing_camera(points, eye, WIDEST)
     pixel, z = camera.pixel_of(points)
     row = _nearest(pixel, z)
