@@ -105,9 +105,9 @@ class Completer:
         else there is around these points: nothing is added there, and networks that
         read visibility are told. ``around`` is what the sensor measured besides in the
         same scan, occluders, support and walls, with what lies outside a workspace that
-        is given: where that lies behind, nothing is added beside the object, and
-        networks trained with such views (``model.told``) are told. It counts only where
-        the sensor's place is known.
+        is given: nothing is added where the sensor looked past the object to it, and
+        networks that gain by it (``model.told``) are told. It counts only where the
+        sensor's place is known.
         Clouds of another shape, complex or not finite, fewer than 64 distinct points,
         an extent of zero or above 10,000, a workspace without volume, and an ``up`` or
         a ``density`` that is none raise `prism_jax.io.InputError`.

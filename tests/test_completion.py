@@ -387,7 +387,9 @@ def wall():
 
 @pytest.mark.parametrize("told", [True, False])
 @pytest.mark.parametrize("reads", [True, False])
-def test_networks_trained_with_surroundings_are_told_of_them(minimal, told, reads):
+def test_networks_are_told_of_surroundings_if_their_configuration_says_so(
+    minimal, told, reads
+):
     backbone = dataclasses.replace(
         minimal.config.model.backbone, reads_visibility=reads
     )

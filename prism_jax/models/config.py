@@ -150,8 +150,8 @@ class ModelConfig:
         leave holes in a fine map, through which the far side of the shape shows.
       background: what lies around a cloud that comes without a map, for a network that
         reads visibility.
-      told: whether such a network was trained with maps of what was measured beside
-        objects, things nearer included, and so is told of it at test time.
+      told: whether such a network is told what else the sensor measured in the same
+        scan, where that is known. Chosen on validation, for each set of weights.
     """
 
     backbone: BackboneConfig = BackboneConfig()

@@ -85,10 +85,10 @@ class FrameObserver(abc.ABC):
         check_cloud(points, "the frame")
         robot = self._surface(frame)
         own = of_robot(points, robot, self.robot_margin)
-        if own.any():
-            around = (
-                points[own] if around is None else np.append(around, points[own], 0)
-            )
+        if self.robot is not None:
+            # Seen or not: what is told must not depend on it, or more is compiled.
+            apart = [points[own]] if around is None else [around, points[own]]
+            around = np.concatenate(apart)
         points, remembered = points[~own], 0
         if self.accumulator is not None:
             lacking = self.accumulator.add(points, frame.points, eye_of(frame))
