@@ -297,11 +297,10 @@ class Completer:
         camera_given: bool,
     ) -> CompletedScan:
         """The completed scan, with all that these weights can say of it."""
-        *observed, known = task
         return assemble(
-            *observed,
+            *task[:4],
             completion,
-            known=known,
+            known=task.known,
             density=density,
             background=background,
             camera_given=camera_given,
@@ -402,7 +401,7 @@ def _known(
     """What the sensor knows of its view of what was observed, in the unit workspace and
     in single precision: the object alone if nobody knows where it stood."""
     points = np.asarray(seen.partial)[np.asarray(seen.inside)]
-    beside = seen.workspace.to_unit(around.astype(np.float64))
+    beside = np.asarray(seen.workspace.to_unit(around.astype(np.float64)))
     if not seen.sensor_known:
         beside = beside[:0]
     eye = np.asarray(seen.eye)

@@ -116,9 +116,9 @@ def select(
             past |= in_free_space(prediction, known, TOLERANCE * spacing)
         if past.any():
             through = past & looked_through(prediction, measured, eye, ABOUT * spacing)
-    known = ~keep_unmeasured(prediction, measured, partial)
-    kept = ~(outside | stray | hides | through | known)
-    return Selection(kept, outside, stray, hides, through, known)
+    old = ~keep_unmeasured(prediction, measured, partial)
+    kept = ~(outside | stray | hides | through | old)
+    return Selection(kept, outside, stray, hides, through, old)
 
 
 def keep_unmeasured(

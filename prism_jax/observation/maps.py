@@ -66,7 +66,7 @@ def seen_among(
     if workspace is None:
         workspace = Workspace.from_points(points, MARGIN)
     camera = framing_camera(points, eye, WIDEST)
-    pixel, z = camera.pixel_of(points)
+    pixel, z = map(np.asarray, camera.pixel_of(points))
     row = _nearest(pixel, z)
     focal = camera.intrinsics[0, 0]
     reach = 0.5 * CLOSED * _spacing(points) * focal / max(z.mean(), MIN_DEPTH)
@@ -75,7 +75,7 @@ def seen_among(
     depth = np.where(surface, z[row.ravel()[nearest]], 0.0)
     if background == "empty":
         state[~surface], depth[~surface] = BACKGROUND, 2.0 * z.max()
-    pixel, z = camera.pixel_of(around)
+    pixel, z = map(np.asarray, camera.pixel_of(around))
     around, pixel, z = (rows[pixel < MAP_SIZE**2] for rows in (around, pixel, z))
     if len(around):
         row = _nearest(pixel, z)
@@ -134,8 +134,9 @@ def _without_holes(
     """The same with the nearest pixel's row in narrow holes between them."""
     if len(around) > DENSE:
         return row
-    in_camera = camera.to_camera(around)
-    image = camera.intrinsics[0, 0] * in_camera[:, :2] / in_camera[:, 2:]
+    in_camera = np.asarray(camera.to_camera(around))
+    focal = float(camera.intrinsics[0, 0])
+    image = focal * in_camera[:, :2] / in_camera[:, 2:]
     reach = float(min(0.5 * CLOSED * _spacing(image), REACH))
     # What lies beyond the map's edge is not known, and so no side of a hole.
     known, nearest = closed(np.pad(row >= 0, REACH), reach)
@@ -151,8 +152,8 @@ def _hides(
     workspace: Workspace,
 ) -> Bool[np.ndarray, " P"]:
     """Whether the cube goes on behind points that were seen from `eye` at depth `z`."""
-    unit = workspace.to_unit(eye)
-    rays = (workspace.to_unit(points) - unit) / z[:, None]
+    unit, ends = (np.asarray(workspace.to_unit(one)) for one in (eye, points))
+    rays = (ends - unit) / z[:, None]
     far = box_exit(unit, rays, -np.ones(3), np.ones(3))
     return far > z + BEHIND * float(workspace.half_extent)
 

@@ -23,7 +23,9 @@ CUBE = Workspace(np.zeros(3), np.array(0.7))
 
 def plane(y, x, z, step):
     """A grid in a plane of constant y, from bound to bound in x and z."""
-    across, up = (np.linspace(*on, round((on[1] - on[0]) / step) + 1) for on in (x, z))
+    across, up = (
+        np.linspace(low, high, round((high - low) / step) + 1) for low, high in (x, z)
+    )
     x, z = (axis.ravel() for axis in np.meshgrid(across, up))
     return np.stack([x, np.full(x.shape, float(y)), z], axis=1)
 
@@ -114,9 +116,11 @@ def test_the_whole_scan_turned_and_moved_is_seen_alike(unit):
     turn = Rotation.from_euler("z", 37, degrees=True).as_matrix().T
     shift = np.array([3e4, -2e4, 500.0])
     plain = seen_among(PLATE, AROUND, EYE, CUBE)
-    moved = [unit * (cloud @ turn) + shift for cloud in (PLATE, AROUND, EYE)]
+    plate, around, eye = (
+        unit * (cloud @ turn) + shift for cloud in (PLATE, AROUND, EYE)
+    )
     cube = Workspace(shift, np.array(0.7 * unit), turn.T)
-    known = seen_among(*moved, cube)
+    known = seen_among(plate, around, eye, cube)
     assert (known.state == plain.state).mean() > 0.995
     same = known.state == plain.state
     assert (np.abs(known.depth - unit * plain.depth)[same] < 1e-3 * unit).mean() > 0.995
