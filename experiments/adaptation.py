@@ -12,7 +12,8 @@ The wrong sensor stands a quarter turn about the vertical away, for network and 
 what is removed is decided from the right place. `--learned` names weights with a
 learned term (`experiments.learned_term`, `experiments.meta_train`), which descend it as
 their configuration and `--learned_set` say; `--rows` picks rows, each of which takes
-its time.
+its time. With `--measured` what a user gets is scored: the points that are added, and
+the measured ones.
 """
 
 import dataclasses
@@ -120,6 +121,7 @@ def define_flags() -> None:
     flags.DEFINE_string("learned", None, "The weights, with a learned term.")
     flags.DEFINE_multi_string("learned_set", [], "Changes to how those adapt.")
     flags.DEFINE_multi_enum("rows", [*ROWS], [*ROWS], "Which rows to score.")
+    flags.DEFINE_bool("measured", False, "Score added and measured points together.")
     flags.DEFINE_enum(
         "background",
         "empty",
@@ -155,8 +157,9 @@ def main() -> None:
     require_equal_sizes(sizes)
     source = open_split(FLAGS.split)
     protocol = dataclasses.replace(
-        make_protocol(own), with_measured=False, with_emd=False
+        make_protocol(own), with_measured=FLAGS.measured, with_emd=False
     )
+    cloud = "completed" if FLAGS.measured else "network"
 
     def score(
         complete: CompleteFn, config: PrismConfig, **settings: bool
@@ -178,9 +181,9 @@ def main() -> None:
     new = with_background(new, FLAGS.background)
     rows = {}
     if BLIND in wanted:
-        rows[BLIND] = Row(score(blind, config))
-        rows[BLIND_REMOVED] = Row(score(blind, config, removes=True))
-        rows[TOLD] = Row(score(unadapted(told, variables), told, told=True))
+        rows[BLIND] = Row(score(blind, config), cloud)
+        rows[BLIND_REMOVED] = Row(score(blind, config, removes=True), cloud)
+        rows[TOLD] = Row(score(unadapted(told, variables), told, told=True), cloud)
     adapted = prism_completer(new, variables)
     completers = [
         (TOLD_REMOVED, PAPER, prism_completer(told, variables)),
@@ -198,12 +201,12 @@ def main() -> None:
         if after not in wanted:
             continue
         result = score(complete, own, told=True, removes=True)
-        rows.setdefault(before, Row(result, "network_unadapted"))
-        rows[after] = Row(result)
+        rows.setdefault(before, Row(result, f"{cloud}_unadapted"))
+        rows[after] = Row(result, cloud)
     if PLANT in wanted:
         config, weights = others[PLANT]
         plant = unadapted(with_background(config, FLAGS.background), weights)
-        rows[PLANT] = Row(score(plant, config, told=True, removes=True))
+        rows[PLANT] = Row(score(plant, config, told=True, removes=True), cloud)
 
     about = describe_run(protocol) | {"weights": FLAGS.weights}
     for name, adapt in settings.items():

@@ -12,7 +12,7 @@ from prism_jax.adaptation.test_time import Completion
 from prism_jax.evidence import SecondLook, evidence_of
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
-from prism_jax.geometry.visibility import Background
+from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.observation import Observation, padded
 from prism_jax.observation.planes import Plane
@@ -114,6 +114,7 @@ def assemble(
     background: Background,
     camera_given: bool,
     seconds: dict[str, float],
+    known: Visibility | None = None,
     look: SecondLook | None = None,
     calibration: Calibration | None = None,
     point_errors: PointErrors | None = None,
@@ -121,11 +122,12 @@ def assemble(
     """What a user gets of a completion in the unit workspace.
 
     ``seen`` is what `observe` made of the points, ``read`` what the network read of it
-    and ``view`` its camera. ``density`` and ``background`` are as
+    and ``view`` its camera. ``known`` is what the sensor knows of the view, if it is to
+    speak against predicted points. ``density`` and ``background`` are as
     `prism_jax.Completer.complete` has them. The verdict needs a ``look`` and a
     ``calibration``, every point's sigma a ``look`` and ``point_errors``.
     """
-    joined = join(points, seen, read, completion.points, density, background)
+    joined = join(points, seen, read, completion.points, density, background, known)
     prediction, selection = joined.prediction, joined.selection
     verdict = None
     if look is not None and calibration is not None:
@@ -190,6 +192,7 @@ def join(
     predicted: Float[Array | np.ndarray, "P 3"],
     density: float,
     background: Background,
+    known: Visibility | None = None,
 ) -> Joined:
     """The measured points as they were, and behind them those that are new.
 
@@ -200,7 +203,7 @@ def join(
     prediction = np.asarray(predicted, np.float64)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     new, selection = added_points(
-        prediction, unit, read.partial, eye, density, background
+        prediction, unit, read.partial, eye, density, background, known
     )
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])

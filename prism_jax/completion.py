@@ -19,11 +19,12 @@ from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
 from prism_jax.completed import CompletedScan, CompletedScene, assemble, in_one_scene
 from prism_jax.evidence import SecondLook, make_second_look
 from prism_jax.geometry.camera import Camera, Vector
-from prism_jax.geometry.visibility import Background
+from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError, choose
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
+from prism_jax.observation.maps import seen_among
 from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.scene import Scene, split_scene
 from prism_jax.observation.sensor import is_believable, likely_eye
@@ -84,6 +85,7 @@ class Completer:
         up: str | Vector = "z",
         density: float = 1.0,
         background: Background = "unknown",
+        around: Float[np.ndarray, "R 3"] | None = None,
     ) -> CompletedScan:
         """Completes one scan of one object.
 
@@ -101,12 +103,17 @@ class Completer:
         sparser than that; 0 leaves them as predicted.
         A ``background`` that is "empty" says that the sensor would have seen whatever
         else there is around these points: nothing is added there, and networks that
-        read visibility are told.
-        Points of another shape, complex or not finite, fewer than 64 distinct ones, an
-        extent of zero or above 10,000, a workspace without volume, and an ``up`` or a
-        ``density`` that is none raise `prism_jax.io.InputError`.
+        read visibility are told. ``around`` is what the sensor measured besides in the
+        same scan, occluders, support and walls, with what lies outside a workspace that
+        is given: nothing is added where the sensor looked past the object to it, and
+        networks that gain by it (``model.told``) are told. It counts only where the
+        sensor's place is known.
+        Clouds of another shape, complex or not finite, fewer than 64 distinct points,
+        an extent of zero or above 10,000, a workspace without volume, and an ``up`` or
+        a ``density`` that is none raise `prism_jax.io.InputError`.
         """
         points = _checked(points)
+        around = None if around is None else _checked(around, "around")
         _check_density(density)
         choose("background", background, get_args(Background))
         if workspace is None:
@@ -114,8 +121,8 @@ class Completer:
         else:
             _check_workspace(workspace)
         up, _ = _resolved(up, points, camera)
-        task = self.task(points, camera, workspace, up)
-        completion, seconds = self.run(adapt, background, task.read.partial, task.view)
+        task = self.task(points, camera, workspace, up, around, background)
+        completion, seconds = self.run(adapt, background, *self.reads(task))
         given = camera is not None
         return self._assemble(task, completion, seconds, density, background, given)
 
@@ -128,25 +135,29 @@ class Completer:
         density: float = 1.0,
         background: Background = "unknown",
         scene: Scene | None = None,
+        around: Float[np.ndarray, "R 3"] | None = None,
     ) -> CompletedScene:
         """Completes every object of a scene, each in a workspace of its own.
 
         What objects stand on and walls are set aside, and so are outliers and what is
-        too small (`split_scene`, whose result for the same points can be given). One
-        compiled function completes all objects, `SLOTS` in a call. Arguments and errors
-        are those of `complete`.
+        too small (`split_scene`, whose result for the same points can be given). Around
+        each lies all that is not its own, beside what is given as ``around`` the scene.
+        One compiled function completes all objects, `SLOTS` in a call. Arguments and
+        errors are those of `complete`.
         """
         points = _checked(points)
+        beyond = np.zeros((0, 3)) if around is None else _checked(around, "around")
         _check_density(density)
         choose("background", background, get_args(Background))
         check_cloud(points, "points")
         up, up_source = _resolved(up, points, camera)
         if scene is None:
             scene = split_scene(points, up, _seen_from(points, camera))
-        tasks = [
-            self.task(points[scene.object == number], camera, None, up)
-            for number in range(len(scene.num_points))
-        ]
+        tasks = []
+        for number in range(len(scene.num_points)):
+            own = scene.object == number
+            others = np.concatenate([points[~own], beyond])
+            tasks.append(self.task(points[own], camera, None, up, others, background))
         objects = []
         for start in range(0, len(tasks), SLOTS):
             batch = tasks[start : start + SLOTS]
@@ -179,6 +190,8 @@ class Completer:
         camera: Camera | None = None,
         workspace: Workspace | None = None,
         up: str | Vector = "z",
+        around: Float[np.ndarray, "R 3"] | None = None,
+        background: Background = "unknown",
     ) -> "Task":
         """What the network reads of one object's finite points, and the way back.
 
@@ -197,33 +210,47 @@ class Completer:
                 )
                 seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
         read = seen.sampled(model.backbone.num_points)
-        return Task(points, seen, read, read.camera)
+        if workspace is not None and not seen.inside.all():
+            outside = points[~seen.inside]
+            around = outside if around is None else np.concatenate([outside, around])
+        known = None
+        if around is not None:
+            known = _known(seen, around, background)
+        return Task(points, seen, read, read.camera, known)
+
+    def reads(self, task: "Task") -> tuple[Any, ...]:
+        """What `run` and `predict` take of a task: its points, its view and, for
+        networks that are told, what is known of that."""
+        known = task.known
+        model = self.config.model
+        if known is None or not (model.told and model.backbone.reads_visibility):
+            return task.read.partial, task.view
+        return task.read.partial, task.view, known
 
     def run(
-        self, adapt: bool, background: Background, partial: Any, view: Camera
+        self, adapt: bool, background: Background, *reads: Any
     ) -> tuple[Completion, dict[str, float]]:
-        """The network's completion of what a task reads, and the seconds it took to
-        compile and to run: the second step of `complete`."""
-        return self._timed(_as_it_is, adapt, background, partial, view)
+        """The network's completion of what it `reads` of a task, and the seconds it
+        took to compile and to run: the second step of `complete`."""
+        return self._timed(_as_it_is, adapt, background, reads)
 
     def predict(
-        self, background: Background, partial: Any, view: Camera
+        self, background: Background, *reads: Any
     ) -> tuple[Any, dict[str, float]]:
         """The points of `run` without adaptation, and its seconds, for who needs no
         losses: a third of the time goes to them."""
-        return self._timed(_points_alone, False, background, partial, view)
+        return self._timed(_points_alone, False, background, reads)
 
     def _timed(
         self,
         make: Callable[[AdaptFn], Callable[..., Any]],
         adapt: bool,
         background: Background,
-        partial: Any,
-        view: Camera,
+        reads: tuple[Any, ...],
     ) -> tuple[Any, dict[str, float]]:
         """What ``make`` makes of the adaptation function, called, and its seconds."""
         start = time.perf_counter()
-        arguments = (self.variables, partial, view)
+        arguments = (self.variables, *reads)
         call = self._compile_adapt(make, adapt, background, arguments)
         compiled = time.perf_counter()
         found = jax.block_until_ready(call(*arguments))
@@ -246,9 +273,9 @@ class Completer:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
         start = time.perf_counter()
         filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
-        inputs = [(task.read.partial, task.view) for task in filled]
+        inputs = [self.reads(task) for task in filled]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
-        arguments = (self.variables, *stacked, np.arange(SLOTS) < len(tasks))
+        arguments = (self.variables, stacked, np.arange(SLOTS) < len(tasks))
         call = self._compile_adapt(_in_slots, adapt, background, arguments)
         compiled = time.perf_counter()
         together = jax.device_get(call(*arguments))
@@ -271,8 +298,9 @@ class Completer:
     ) -> CompletedScan:
         """The completed scan, with all that these weights can say of it."""
         return assemble(
-            *task,
+            *task[:4],
             completion,
+            known=task.known,
             density=density,
             background=background,
             camera_given=camera_given,
@@ -304,7 +332,7 @@ class Completer:
         steps = self.config.adapt.num_steps if adapt else 0
         config = self._told(background).with_adapt(num_steps=steps)
         fn = make(make_adapt(config))
-        key = make, adapt, config.model.background
+        key = make, adapt, config.model.background, jax.tree.structure(arguments[1:])
         # A kept trace is told by what it is about, not by the function itself.
         return self._compile(key, fn, arguments, (make.__name__, config))
 
@@ -330,12 +358,14 @@ class Completer:
 
 
 class Task(NamedTuple):
-    """One object's points, what was made of them, and what the network reads."""
+    """One object's points, what was made of them, what the network reads and in which
+    view, and what is known of that, if it was told what lies around."""
 
     points: Float[np.ndarray, "N 3"]
     seen: Observation
     read: Observation
     view: Camera
+    known: Visibility | None = None
 
 
 def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
@@ -350,23 +380,34 @@ def _points_alone(adapt: AdaptFn) -> Callable[..., Any]:
 def _in_slots(adapt: AdaptFn) -> Callable[..., Completion]:
     """The adaptation of several frames one after another; empty slots cost nothing."""
 
-    def in_slots(
-        variables: Variables, partials: Any, views: Camera, used: Any
-    ) -> Completion:
-        def one(partial: Any, view: Camera) -> Completion:
+    def in_slots(variables: Variables, reads: tuple[Any, ...], used: Any) -> Completion:
+        def one(*reads: Any) -> Completion:
             # Each frame's encoders would be as large as the network.
-            return adapt(variables, partial, view)._replace(encoders={})
+            return adapt(variables, *reads)._replace(encoders={})
 
-        shapes = jax.eval_shape(
-            one, *jax.tree.map(lambda leaf: leaf[0], (partials, views))
-        )
+        shapes = jax.eval_shape(one, *jax.tree.map(lambda leaf: leaf[0], reads))
         nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         return jax.lax.map(
-            lambda slot: jax.lax.cond(slot[2], one, lambda *_: nothing, *slot[:2]),
-            (partials, views, used),
+            lambda slot: jax.lax.cond(slot[1], one, lambda *_: nothing, *slot[0]),
+            (reads, used),
         )
 
     return in_slots
+
+
+def _known(
+    seen: Observation, around: Float[np.ndarray, "R 3"], background: Background
+) -> Visibility:
+    """What the sensor knows of its view of what was observed, in the unit workspace and
+    in single precision: the object alone if nobody knows where it stood."""
+    points = np.asarray(seen.partial)[np.asarray(seen.inside)]
+    beside = np.asarray(seen.workspace.to_unit(around.astype(np.float64)))
+    if not seen.sensor_known:
+        beside = beside[:0]
+    eye = np.asarray(seen.eye)
+    known = seen_among(points, beside, eye, Workspace.unit(), background)
+    camera = jax.tree.map(lambda array: array.astype(np.float32), known.camera)
+    return known._replace(camera=camera)
 
 
 def _resolved(
@@ -390,19 +431,19 @@ def _seen_from(
     return np.zeros(3) if observe(points, "origin").sensor_known else None
 
 
-def _checked(points: Any) -> Float[np.ndarray, "N 3"]:
-    """The points as an array of floats, or InputError."""
+def _checked(points: Any, subject: str = "points") -> Float[np.ndarray, "N 3"]:
+    """The points as an array of floats, or InputError about the subject."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         remedy = "pass an (N, 3) array, such as points[:, :3]"
-        raise InputError("points", f"have the shape {points.shape}", remedy)
+        raise InputError(subject, f"have the shape {points.shape}", remedy)
     if points.dtype.kind not in "fiu":
         remedy = "pass real coordinates, such as points.real"
-        raise InputError("points", f"are of the type {points.dtype}", remedy)
+        raise InputError(subject, f"are of the type {points.dtype}", remedy)
     if points.dtype.kind != "f":
         points = points.astype(np.float64)
     if not np.isfinite(points).all():
-        raise InputError("points", "has points that are not finite", "drop them")
+        raise InputError(subject, "has points that are not finite", "drop them")
     return points
 
 

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
-from prism_jax.geometry.visibility import Background
+from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.observation.maps import in_free_space
 from prism_jax.observation.visibility import in_front, looked_through
 
 STRAY = 0.3
@@ -42,8 +43,9 @@ class Selection(NamedTuple):
       outside: it lies outside the workspace.
       stray: it lies alone (`STRAY`).
       in_front: it would have hidden what was measured behind it (`TOLERANCE`).
-      looked_through: the sensor saw nothing about its line of sight (`ABOUT`), and what
-        lies around the object is known to be empty.
+      looked_through: the sensor saw nothing of the object about its line of sight
+        (`ABOUT`), and something else behind it, or what lies around is known to be
+        empty.
       known: it says nothing new, so near is a measured point.
     """
 
@@ -67,6 +69,7 @@ def added_points(
     eye: Float[np.ndarray, "3"] | None,
     density: float = 1.0,
     background: Background = "unknown",
+    known: Visibility | None = None,
 ) -> tuple[Float[np.ndarray, "Q 3"], Selection]:
     """What a user gets beside the measured points, and what became of the predicted.
 
@@ -74,7 +77,7 @@ def added_points(
     times as dense as the measured ones, where they are not so anyway; 0 leaves them as
     predicted. All in the unit workspace, and within it.
     """
-    selection = select(prediction, measured, partial, eye, background)
+    selection = select(prediction, measured, partial, eye, background, known)
     kept = prediction[selection.kept]
     predicted = surface_density(kept) if density else 0.0
     if predicted == 0:
@@ -89,6 +92,7 @@ def select(
     partial: Float[Array | np.ndarray, "M 3"],
     eye: Float[np.ndarray, "3"] | None,
     background: Background = "unknown",
+    known: Visibility | None = None,
 ) -> Selection:
     """Which predicted points to add to the measured ones.
 
@@ -97,8 +101,9 @@ def select(
     `partial` is what the network read. All in the unit workspace.
 
     That a sensor seems to have looked through a point is a reason to leave it out only
-    if the `background` is known to be empty: where views are cropped, or cells are full
-    of things, it did not see them for other reasons.
+    if the `background` is known to be empty, or where it is `known` that something else
+    was measured behind it (`prism_jax.observation.maps.seen_among`): where views are
+    cropped, or cells are full of things, it did not see them for other reasons.
     """
     spacing = usual_spacing(np.asarray(partial))
     outside = np.asarray(~(np.abs(prediction) <= 1.0).all(axis=1))
@@ -106,11 +111,14 @@ def select(
     hides = through = np.zeros(len(prediction), bool)
     if eye is not None:
         hides = in_front(prediction, measured, eye, spacing, TOLERANCE)
-        if background == "empty":
-            through = looked_through(prediction, measured, eye, ABOUT * spacing)
-    known = ~keep_unmeasured(prediction, measured, partial)
-    kept = ~(outside | stray | hides | through | known)
-    return Selection(kept, outside, stray, hides, through, known)
+        past = np.full(len(prediction), background == "empty")
+        if known is not None:
+            past |= in_free_space(prediction, known, TOLERANCE * spacing)
+        if past.any():
+            through = past & looked_through(prediction, measured, eye, ABOUT * spacing)
+    old = ~keep_unmeasured(prediction, measured, partial)
+    kept = ~(outside | stray | hides | through | old)
+    return Selection(kept, outside, stray, hides, through, old)
 
 
 def keep_unmeasured(

@@ -31,6 +31,7 @@ class FakeCompleter:
         up="z",
         density=1.0,
         background="unknown",
+        around=None,
     ):
         workspace = workspace or Workspace.from_points(points.astype(np.float64))
         prediction = 2 * workspace.center - points[::2]

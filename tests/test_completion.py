@@ -12,10 +12,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.trust import unfitted
-from prism_jax.completion import CompletedScan, Completer, _checked
+from prism_jax.adaptation.test_time import Completion
+from prism_jax.completion import CompletedScan, Completer, _checked, _in_slots
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import (
+    BACKGROUND,
+    NEARER,
+    SURFACE,
+    UNKNOWN,
+    nothing_known,
+)
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
+from prism_jax.observation.scene import Scene
 from prism_jax.observation.sensor import likely_eye
 from prism_jax.point_errors import CLUES, PointErrors
 from prism_jax.selection import keep_unmeasured
@@ -366,6 +375,87 @@ def test_a_few_stray_points_change_nothing_and_are_counted(completer):
     assert result.points.tobytes() == alone.points.tobytes()
     assert np.array_equal(result.observed, alone.observed)
     assert result.losses == alone.losses
+
+
+def wall():
+    """Points all over the view, far behind the scan."""
+    across, up = np.meshgrid(*2 * [np.linspace(-40, 40, 150)])
+    right = np.array([EYE[1], -EYE[0], 0]) / np.hypot(*EYE[:2])
+    rows = across.reshape(-1, 1) * right + up.reshape(-1, 1) * [0, 0, 1]
+    return rows - 5 * EYE
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("reads", [True, False])
+def test_networks_are_told_of_surroundings_if_their_configuration_says_so(
+    minimal, told, reads
+):
+    backbone = dataclasses.replace(
+        minimal.config.model.backbone, reads_visibility=reads
+    )
+    model = dataclasses.replace(minimal.config.model, backbone=backbone, told=told)
+    completer = Completer(dataclasses.replace(minimal.config, model=model), {})
+    given = scan(), camera_at(EYE)
+    alone, task = completer.task(*given), completer.task(*given, around=wall())
+    assert alone.known is None and len(completer.reads(alone)) == 2
+    assert {SURFACE, BACKGROUND} <= set(np.unique(task.known.state))
+    assert task.known.camera.rotation.dtype == np.float32
+    np.testing.assert_allclose(task.known.camera.position, task.read.eye, atol=1e-5)
+    expected = 3 if told and reads else 2
+    assert len(completer.reads(task)) == expected
+    origin = completer.task(scan() + FAR, around=wall() + FAR)
+    assert set(np.unique(origin.known.state)) == {SURFACE, UNKNOWN}  # no sensor
+
+
+def test_what_lies_outside_a_given_workspace_is_around(minimal):
+    completer = Completer(minimal.config, {})
+    cube = Workspace(np.zeros(3), np.array(1.2))
+    both = np.concatenate([wall()[::2], scan()])
+    task = completer.task(both, camera_at(EYE), cube, around=wall()[1::2])
+    other = completer.task(scan(), camera_at(EYE), cube, around=wall())
+    np.testing.assert_array_equal(task.known.state, other.known.state)
+    assert (task.known.state == BACKGROUND).any()
+
+
+def test_around_an_object_of_a_scene_lies_all_that_is_not_its_own(minimal, monkeypatch):
+    tasks = []
+
+    def stop(self, adapt, background, batch):
+        tasks.extend(batch)
+        raise StopIteration
+
+    monkeypatch.setattr(Completer, "_run_together", stop)
+    points = np.concatenate([scan(), scan() - 2 * EYE, wall()[::2]])
+    number = np.repeat([0, 1, -1], [300, 300, len(wall()[::2])])
+    scene = Scene(number, (), (300, 300), len(wall()[::2]), 0)
+    completer = Completer(minimal.config, {})
+    with pytest.raises(StopIteration):
+        completer.complete_scene(
+            points, camera_at(EYE), up="z", scene=scene, around=wall()[1::2]
+        )
+    assert len(tasks) == 2
+    # The nearer one hides some of the cube of the one behind it.
+    assert {*np.unique(tasks[1].known.state)} >= {SURFACE, NEARER, BACKGROUND}
+    assert (tasks[0].known.state == BACKGROUND).any()
+
+
+def test_maps_of_several_objects_go_into_their_slots():
+    def adapt(variables, partial, view, known=None):
+        away = partial + variables["by"]
+        return Completion(away, known.depth, away.sum() > 0, {}, away, {})
+
+    reads = np.arange(6.0).reshape(3, 2), {}, nothing_known(4)
+    stacked = jax.tree.map(lambda leaf: np.stack([leaf] * 3), reads[2])
+    used = np.array([True, True, False])
+    found = jax.jit(_in_slots(adapt))({"by": 1.0}, (reads[0], {}, stacked), used)
+    np.testing.assert_array_equal(found.points, [[1, 2], [3, 4], [0, 0]])
+    assert found.before.shape == (3, 4, 4)
+
+
+def test_what_lies_around_is_checked_as_points_are(completer):
+    around = np.where(np.arange(5)[:, None] == 3, np.nan, np.zeros((5, 3)))
+    with pytest.raises(InputError, match=r"around: has points that are not finite"):
+        completer.complete(scan(), camera_at(EYE), around=around)
 
 
 def test_a_workspace_of_jax_arrays_will_do(completer, near):

@@ -78,7 +78,8 @@ def define_flags() -> None:
         None,
         "Box to crop the scan to, x0,y0,z0,x1,y1,z1 in the units of the input, and "
         "the ground truth alike. What is added may reach beyond it, within the "
-        "cube that is completed: its side is 1.4 times the points' longest.",
+        "cube that is completed: its side is 1.4 times the points' longest. What was "
+        "measured outside tells where beside the object nothing can be.",
     )
     flags.DEFINE_integer(
         "max_points",
@@ -199,13 +200,14 @@ def complete_file(
     doing = "adapting to and completing" if adapt else "completing"
     asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
     asked["background"] = background
+    given = scan.points, scan.camera
     with timed(f"{doing} {count}", "complete", seconds):
         if taken_apart:
             result = completer.complete_scene(
-                scan.points, scan.camera, scene=scene, **asked
+                *given, scene=scene, around=scan.around, **asked
             )
         else:
-            result = completer.complete(scan.points, scan.camera, **asked)
+            result = completer.complete(*given, around=scan.around, **asked)
     about = {"weights": weights, "bounds": workspace, **asked}
     if not taken_apart and up == "auto":
         about["up"] = result.workspace.up

@@ -19,6 +19,7 @@ from prism_jax.data.source import Example, Source
 from prism_jax.geometry.visibility import Visibility, mirrored, to_unit, turned
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
+from prism_jax.observation.maps import seen_among
 from prism_jax.observation.observation import Heading, observe, workspace_around
 from prism_jax.observation.strays import find_strays
 
@@ -94,6 +95,8 @@ def frame_example(
     }
     unit = Workspace.from_points(clouds["complete"], 1.0)
     eye, known = example.eye, example.visibility
+    if known is not None and not known.state.any():
+        known = None  # of a packed view of which none was kept
     pose = _pose(example, framing, rng)
     if pose is not None:
         clouds = {name: cloud @ pose for name, cloud in clouds.items()}
@@ -184,8 +187,21 @@ def training_batches(
 
 
 def stack(rows: Sequence[Batch]) -> Batch:
-    """Examples side by side along a new first axis."""
+    """Examples side by side along a new first axis.
+
+    Where some have maps, others get what their clouds say, with nothing around them.
+    """
+    if any(row.visibility is not None for row in rows):
+        rows = [_with_map(row) for row in rows]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+
+
+def _with_map(row: Batch) -> Batch:
+    if row.visibility is not None:
+        return row
+    nothing, cube = row.partial[:0], Workspace.unit()
+    known = seen_among(row.partial, nothing, row.eye, cube, "empty")
+    return row._replace(visibility=framed_map(known, cube))
 
 
 def _framed(

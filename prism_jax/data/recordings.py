@@ -23,18 +23,21 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt8, UInt16
+from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.assets import asset
 from prism_jax.data.manifest import MANIFEST, check_files, read_manifest
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import framing_camera
+from prism_jax.geometry.visibility import Visibility
 from prism_jax.io.clouds import check_cloud, inside_image
-from prism_jax.io.depth import read_camera, read_depth
+from prism_jax.io.depth import points_from_depth, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes, read_json
 from prism_jax.io.ply import read_ply
+from prism_jax.observation.maps import seen_among
 
 DEPTH_SCALE = 0.00025
 """Metres a count of the depth image: the L515's own unit."""
@@ -48,6 +51,8 @@ MAX_METRES = 50.0
 """A coordinate beyond this is not in metres, or not of a cell."""
 NEAR = 0.03
 """Metres along a pixel's ray: a partial's point this near its pixel's depth fits it."""
+RAYS_A_PIXEL = 5
+"""Of a depth image, about so many for each pixel of a map."""
 
 NEEDED = ("camera.json", "depth.png", "partial.ply")
 OPTIONAL = ("complete.ply", "labels.png", "joints.json")
@@ -76,6 +81,8 @@ class RecordedCells:
     that the layout does not know, an incomplete frame and, with `verify`, a file that
     differs from the manifest raise InputError. A sequence counts as one object. Its
     category is the robot if its name tells it, as 003-ur5 does, else "robot cell".
+    What the sensor knows (`Example.visibility`) is told by the whole depth image, and
+    by no labels, which no user has.
     """
 
     def __init__(self, root: str | os.PathLike, verify: bool = True):
@@ -101,20 +108,43 @@ class RecordedCells:
         sequence, name = self.frames[index]
         frame = self.root / sequence / name
         complete = frame_file(frame, "complete.ply")
-        camera = read_camera(frame_file(frame, "camera.json"))
+        image = frame_file(frame, "depth.png"), frame_file(frame, "camera.json")
+        metres, mask, camera = read_depth(*image)
+        partial = _read_cloud(frame_file(frame, "partial.ply"))
         return Example(
             complete=_read_cloud(complete) if complete.exists() else None,
-            partial=_read_cloud(frame_file(frame, "partial.ply")),
+            partial=partial,
             eye=np.asarray(camera.position, np.float32),
             category=_category(sequence),
             name=f"{sequence}/{name}",
             any_heading=True,
+            visibility=map_of_image(partial, metres, mask, camera),
         )
 
     def read(self, index: int) -> Frame:
         """All of a frame, each file checked against the others."""
         sequence, name = self.frames[index]
         return read_frame(self.root / sequence, int(name))
+
+
+def map_of_image(
+    partial: Float[np.ndarray, "N 3"],
+    depth: Float[np.ndarray, "H W"],
+    mask: Bool[np.ndarray, "H W"],
+    camera: Camera,
+) -> Visibility:
+    """What a depth camera knows of its view of a partial cloud, by its whole image.
+
+    Of the image's pixels about `RAYS_A_PIXEL` are taken for each of the map's. All in
+    one frame and unit; see `prism_jax.observation.maps.seen_among`.
+    """
+    eye = np.asarray(camera.position, np.float64)
+    close = framing_camera(partial.astype(np.float64), eye).intrinsics[0, 0]
+    step = max(1, int(camera.intrinsics[0, 0] / close / np.sqrt(RAYS_A_PIXEL)))
+    few = np.zeros_like(mask)
+    few[::step, ::step] = mask[::step, ::step]
+    around = points_from_depth(depth, few, camera)
+    return seen_among(partial, around, eye)
 
 
 def _category(sequence: str) -> str:

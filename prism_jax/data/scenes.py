@@ -21,6 +21,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int
 
 from prism_jax.data.shards import Shards, restored, shard_file
+from prism_jax.data.source import Example
+from prism_jax.observation.maps import seen_among
 
 TRAITS = "traits.json"
 SCENE_ARRAYS = ("points", "labels", "frames")
@@ -69,8 +71,9 @@ class LabelledScene:
 class Scenes(Shards):
     """A folder of scenes: things one by one as a `Source`, or whole by `scene`.
 
-    As a source each item is one thing as it was measured among the others; all things
-    of a scene count as one object, since what holds for one of them does for another.
+    As a source each item is one thing as it was measured among the others, and what the
+    sensor knows of it is told by all that it measured. All things of a scene count as
+    one object, since what holds for one of them does for another.
     """
 
     def __init__(self, root: str | os.PathLike, *arguments: Any, **expected: Any):
@@ -78,6 +81,16 @@ class Scenes(Shards):
         count = len(self._starts) - 1
         frames = [self._array(shard, "frames") for shard in range(count)]
         self._scene_starts = np.cumsum([0, *map(len, frames)])
+
+    def __getitem__(self, index: int) -> Example:
+        index = range(len(self))[index]
+        example = super().__getitem__(index)
+        number = int(self.objects[index])
+        scene, first = self.scene(number), np.searchsorted(self.objects, number)
+        others = scene.points[scene.labels != index - first]
+        assert example.partial is not None
+        known = seen_among(example.partial, others, scene.eye)
+        return example._replace(visibility=known)
 
     @property
     def num_scenes(self) -> int:

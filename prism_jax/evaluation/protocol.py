@@ -62,7 +62,8 @@ class Protocol:
       removes: whether those of the network's points that contradict the view, or lie
         alone or outside the workspace, are left away before it is scored
         (`prism_jax.selection.Selection.believable`). Where the example has a map, what
-        it says of the background counts, and `background` does not.
+        it says of what lies around counts, and `background` does not; so it does then
+        for what is added to the measured points.
     """
 
     num_partial: int

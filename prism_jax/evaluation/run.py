@@ -31,7 +31,6 @@ from prism_jax.evaluation.protocol import (
 )
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from prism_jax.geometry.visibility import BACKGROUND, look_up
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
 from prism_jax.observation.observation import Observation, observe
@@ -194,6 +193,9 @@ def scored_clouds(
         workspace_for(example, protocol),
     )
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
+    known = None
+    if protocol.removes:
+        known = map_of(example, workspace_for(example, protocol))
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:
         clouds["partial"] = from_own(example.partial)
@@ -216,6 +218,7 @@ def scored_clouds(
                 partial,
                 eye if seen.sensor_known else None,
                 background=protocol.background,
+                known=known,
             )
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud
@@ -234,20 +237,14 @@ def believable(
     `seen` is all that was measured of the example, and `partial` what was read of it.
     """
     known = map_of(example, workspace_for(example, protocol))
-    selection = select(
+    allowed = select(
         prediction,
         np.asarray(seen.partial),
         partial,
         np.asarray(seen.eye) if seen.sensor_known else None,
-        protocol.background if known is None else "empty",
-    )
-    if known is not None:
-        state, _ = look_up(known, prediction.astype(np.float32))
-        emptiness = np.asarray(state) == BACKGROUND
-        selection = selection._replace(
-            looked_through=selection.looked_through & emptiness
-        )
-    allowed = selection.believable
+        protocol.background if known is None else "unknown",
+        known,
+    ).believable
     return allowed if allowed.any() else np.ones(len(prediction), bool)
 
 

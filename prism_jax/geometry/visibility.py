@@ -4,6 +4,7 @@ A lost return says nothing. What is not known is never free.
 """
 
 import dataclasses
+import functools
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -154,15 +155,26 @@ def seen_by(
     reach = 0.5 * CLOSED * spacing * focal / jnp.maximum(z.mean(), MIN_DEPTH)
     # Within the margin, or the image's edge would be part of a hole.
     reach = jnp.minimum(reach, MAP_SIZE / 8)
-    apart, nearest = nearest_marked(hit)
-    # Grown by the reach and shrunk again.
-    surface = hit | (nearest_marked(apart > reach)[0] > reach)
+    surface, nearest = closed(hit, reach)
     depth = jnp.where(surface, depth.ravel()[nearest], 0.0)
     state = jnp.where(surface, SURFACE, UNKNOWN)
     if background == "empty":
         state = jnp.where(surface, SURFACE, BACKGROUND)
         depth = jnp.where(surface, depth, 2.0 * z.max())
     return Visibility(camera, state.astype(jnp.uint8), depth)
+
+
+def closed(
+    marked: Bool[Array | np.ndarray, "H W"], reach: Float[Array, ""] | float
+) -> tuple[Bool[Array | np.ndarray, "H W"], Int[Array | np.ndarray, "H W"]]:
+    """The marked pixels and the holes between them that are at most twice as wide as
+    the reach in pixels, and the marked pixel that is nearest to each.
+
+    Grown by the reach and shrunk again; the image's edge counts as marked. NumPy arrays
+    stay NumPy.
+    """
+    apart, nearest = nearest_marked(marked)
+    return marked | (nearest_marked(apart > reach)[0] > reach), nearest
 
 
 def spacing_of(points: Float[Array, "N 3"]) -> Float[Array, ""]:
@@ -182,21 +194,23 @@ def surface_alone(visibility: Visibility) -> Visibility:
 
 def nearest_marked(
     marked: Bool[Array | np.ndarray, "H W"],
-) -> tuple[Float[Array, "H W"], Int[Array, "H W"]]:
+) -> tuple[Float[Array | np.ndarray, "H W"], Int[Array | np.ndarray, "H W"]]:
     """How far each pixel lies from the nearest marked one, in pixels, and which it is.
 
-    Exact, in two passes. Where none is marked the distance is infinite.
+    Exact, in two passes. Where none is marked the distance is infinite. NumPy arrays
+    stay NumPy.
     """
+    xp: Any = jnp if isinstance(marked, jax.Array) else np
     height, width = marked.shape
-    rows, columns = jnp.arange(height), jnp.arange(width)
-    away = jnp.square(rows[:, None] - rows)[:, :, None]
-    away = jnp.where(marked, away.astype(float), jnp.inf)  # (to, from, column)
+    rows, columns = xp.arange(height), xp.arange(width)
+    away = xp.square(rows[:, None] - rows)[:, :, None]
+    away = xp.where(marked, away.astype(float), xp.inf)  # (to, from, column)
     row, within = away.argmin(1), away.min(1)
-    aside = jnp.square(columns[:, None] - columns)
+    aside = xp.square(columns[:, None] - columns)
     total = within[:, None, :] + aside  # (row, to, from)
     column = total.argmin(2)
-    nearest = jnp.take_along_axis(row, column, 1) * width + column
-    return jnp.sqrt(total.min(2)), nearest
+    nearest = xp.take_along_axis(row, column, 1) * width + column
+    return xp.sqrt(total.min(2)), nearest
 
 
 def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "N 6"]:
@@ -228,22 +242,27 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
     return jnp.concatenate([read[:, :4], behind[:, None], away[:, None]], axis=1)
 
 
-def free_depth(visibility: Visibility) -> Float[Array, "H W"]:
+def free_depth(visibility: Visibility) -> Float[Array | np.ndarray, "H W"]:
     """How far each pixel of one map is free for sure: to the nearest of all depths that
     were measured within `ABOUT` of it, rows and columns alike.
 
     Between its points a cloud's map has depths of neighbours, and at an edge a pixel
     sees one side of two. 0 where nothing was measured. In the unit of the map, without
-    a gradient.
+    a gradient. NumPy arrays stay NumPy.
     """
-    known = jnp.asarray(visibility.state) != UNKNOWN
-    depth = jax.lax.stop_gradient(jnp.asarray(visibility.depth))
-    window = (2 * ABOUT + 1, 2 * ABOUT + 1)
-    measured = jnp.where(known, depth, jnp.inf)
-    nearest = jax.lax.reduce_window(
-        measured, jnp.inf, jax.lax.min, window, (1, 1), "SAME"
-    )
-    return jnp.where(known, nearest, 0.0)
+    xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in visibility[1:]) else np
+    known = xp.asarray(visibility.state) != UNKNOWN
+    depth = visibility.depth if xp is np else jax.lax.stop_gradient(visibility.depth)
+    nearest = xp.where(known, depth, xp.inf)
+    for axis in (0, 1):
+        around = [(ABOUT, ABOUT) if axis == of else (0, 0) for of in (0, 1)]
+        padded = xp.pad(nearest, around, constant_values=xp.inf)
+        windows = [
+            xp.take(padded, xp.arange(known.shape[axis]) + step, axis)
+            for step in range(2 * ABOUT + 1)
+        ]
+        nearest = functools.reduce(xp.minimum, windows)
+    return xp.where(known, nearest, 0.0).astype(depth.dtype)
 
 
 def beside(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, " N"]:

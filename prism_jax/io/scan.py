@@ -38,6 +38,7 @@ class Scan:
       in_camera_frame: whether they are a depth image's, in its camera's own axes (x
         right, y down, z forward) or those of another sensor in the same housing, turned
         by less than `CAMERA_FRAME_DEGREES`.
+      around: the finite points outside the bounds; None without bounds.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -45,6 +46,7 @@ class Scan:
     num_not_finite: int
     num_outside: int
     in_camera_frame: bool = False
+    around: Float[np.ndarray, "R 3"] | None = None
 
 
 def read_scan(
@@ -58,7 +60,7 @@ def read_scan(
     A `.png` is a depth image (pixels without a return are no points); its camera is
     `camera_path`, or the `.json` of the same name beside it, and the points are in
     the frame the camera's pose refers to: the camera's own unless it has one. For any
-    other file see `read_points`. Points outside `bounds` are cropped away. An image
+    other file see `read_points`. Points outside `bounds` are kept apart. An image
     of more than `max_points` pixels, or a cloud of more points, is refused.
     """
     in_camera_frame = False
@@ -74,21 +76,29 @@ def read_scan(
         camera = read_camera(camera_path) if camera_path else None
         points, num_read = read_points_counted(path, max_points)
     num_finite = len(points)
-    points = crop(points, bounds, path)
+    points, around = parted(points, bounds, path)
     check_cloud(points, path)
     if camera is not None:
         check_in_view(points, camera, path)
     not_finite, outside = num_read - num_finite, num_finite - len(points)
-    return Scan(points, camera, not_finite, outside, in_camera_frame)
+    return Scan(points, camera, not_finite, outside, in_camera_frame, around)
 
 
 def crop(
     points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: str | os.PathLike
 ) -> Float[np.ndarray, "K 3"]:
     """The points inside the bounds; InputError about `subject` if there are none."""
+    return parted(points, bounds, subject)[0]
+
+
+def parted(
+    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: str | os.PathLike
+) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "R 3"] | None]:
+    """As `crop`, and the points outside; None of these without bounds."""
     if bounds is None:
-        return points
-    kept = points[inside(points, bounds.lower, bounds.upper)]
+        return points, None
+    held = inside(points, bounds.lower, bounds.upper)
+    kept = points[held]
     if len(kept) == 0:
         lower, upper = points.min(axis=0), points.max(axis=0)
         spans = ",".join(f"{value:.6g}" for value in (*lower, *upper))
@@ -97,7 +107,7 @@ def crop(
             "has no point inside --workspace",
             f"its points span {spans} (x0,y0,z0,x1,y1,z1)",
         )
-    return kept
+    return kept, points[~held]
 
 
 def parse_bounds(text: str) -> Bounds:

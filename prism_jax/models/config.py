@@ -150,6 +150,8 @@ class ModelConfig:
         leave holes in a fine map, through which the far side of the shape shows.
       background: what lies around a cloud that comes without a map, for a network that
         reads visibility.
+      told: whether such a network is told what else the sensor measured in the same
+        scan, where that is known. Chosen on validation, for each set of weights.
     """
 
     backbone: BackboneConfig = BackboneConfig()
@@ -159,6 +161,7 @@ class ModelConfig:
     depth_pixels: int = 128
     consistency_pixels: int = 128
     background: Background = "unknown"
+    told: bool = False
 
     def __post_init__(self):
         pixels = (1, 2048)

@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.simulation.open_shapes import make_open_shape
 from prism_jax.simulation.raycast import Scene, sphere_directions
-from prism_jax.simulation.sensors import camera_axes
 from prism_jax.simulation.shapes import TRAIN_CATEGORIES, make_shape
 
 Color = tuple[float, float, float]

@@ -21,6 +21,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Float64
 
+from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.simulation.partials import PARTIALS, make_partial
 from prism_jax.simulation.raycast import Scene
@@ -33,7 +34,7 @@ from prism_jax.simulation.surroundings import (
     random_planes,
 )
 from prism_jax.simulation.truncation import NO_CUT, random_cut
-from prism_jax.simulation.visibility import framing_camera, map_of, map_rays
+from prism_jax.simulation.visibility import map_of, map_rays
 
 MIXTURE: Mapping[str, float] = {
     "clear": 0.10,

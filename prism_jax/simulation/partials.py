@@ -8,13 +8,13 @@ import trimesh
 from jaxtyping import Float, Float64
 
 from prism_jax.data.crops import random_crop
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.io.depth import points_from_depth
 from prism_jax.simulation.raycast import Scene
 from prism_jax.simulation.readings import RAYS, pixel_grid
 from prism_jax.simulation.sensors import (
     L515Config,
     OusterConfig,
-    camera_axes,
     cropped_to,
     l515_camera,
     l515_depth,

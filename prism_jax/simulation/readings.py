@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float64, UInt8
 
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE
 from prism_jax.simulation.raycast import Hits, Scene
 from prism_jax.simulation.sensors import (
     OusterConfig,
     RangeConfig,
-    camera_axes,
     measure,
 )
 from prism_jax.simulation.surroundings import Surroundings

@@ -144,15 +144,6 @@ class Returns(NamedTuple):
     ranges: Float64[np.ndarray, " R"]
 
 
-def camera_axes(forward: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """Rows: right, down and forward of an OpenCV camera with z up in the world."""
-    forward = forward / np.linalg.norm(forward)
-    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.999 else (0.0, 1.0, 0.0)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
-
-
 def l515_camera(axes: Float[np.ndarray, "3 3"], eye: Float[np.ndarray, "3"]) -> Camera:
     """`Camera.l515` of float64 NumPy arrays: 640x480 pixels, 70 by 55 degrees.
 

@@ -11,8 +11,8 @@ import trimesh
 from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.simulation.raycast import Hits, Scene
-from prism_jax.simulation.sensors import camera_axes
 
 HIDDEN_SHARES = (0.1, 0.7)
 """Of what would have been seen: the least and the most that an occluder hides."""

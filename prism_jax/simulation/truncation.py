@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 from prism_jax.simulation.raycast import Scene
 from prism_jax.simulation.readings import Readings
-from prism_jax.simulation.sensors import camera_axes
 
 KEPT_SHARES = (0.25, 0.85)
 """Of the points that would be measured, the least and the most that a cut leaves."""

@@ -9,33 +9,11 @@ from jaxtyping import Float
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import (
     MAP_SIZE,
-    MARGIN,
     SURFACE,
     UNKNOWN,
     Visibility,
 )
 from prism_jax.simulation.readings import Rays, Readings
-from prism_jax.simulation.sensors import camera_axes
-
-
-def framing_camera(
-    points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"]
-) -> Camera:
-    """`Camera.framing` by `MARGIN` and of `MAP_SIZE`, in float64 and without JAX.
-
-    All points must lie in front of the eye.
-    """
-    axes = camera_axes(0.5 * (points.min(axis=0) + points.max(axis=0)) - eye)
-    in_camera = (points - eye) @ axes.T
-    tangent = MARGIN * np.abs(in_camera[:, :2] / in_camera[:, 2:]).max()
-    focal, middle = 0.5 * MAP_SIZE / max(tangent, 1e-3), 0.5 * (MAP_SIZE - 1)
-    return Camera(
-        rotation=axes,
-        translation=-axes @ eye,
-        intrinsics=np.array([(focal, 0, middle), (0, focal, middle), (0, 0, 1)]),
-        height=MAP_SIZE,
-        width=MAP_SIZE,
-    )
 
 
 def map_rays(camera: Camera, eye: Float[np.ndarray, "3"]) -> Rays:

@@ -86,13 +86,15 @@ class FrameCompleter(FrameObserver):
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
         start = time.perf_counter()
-        points, remembered, robot, up = self.observe(frame)
+        points, remembered, robot, up, around = self.observe(frame)
         if self.robot is not None:
             check_cloud(points, "the frame without its robot")
-        task = self._completer.task(points, frame.camera, None, up)
+        task = self._completer.task(
+            points, frame.camera, None, up, around, self.background
+        )
         observed = time.perf_counter()
         steps = self.adapt == "every" or (self.adapt == "first" and not self._adapted)
-        reads = self.background, task.read.partial, task.view
+        reads = self.background, *self._completer.reads(task)
         if steps:
             completion, seconds = self._completer.run(True, *reads)
             predicted = completion.points
@@ -102,9 +104,8 @@ class FrameCompleter(FrameObserver):
         else:
             predicted, seconds = self._completer.predict(*reads)
         ran = time.perf_counter()
-        joined = join(
-            points, task.seen, task.read, predicted, self.density, self.background
-        )
+        told = self.density, self.background, task.known
+        joined = join(points, task.seen, task.read, predicted, *told)
         placed, label = self._with_robot(joined, robot)
         return CompletedFrame(
             points=placed,

@@ -145,7 +145,7 @@ class FrameEnveloper(FrameObserver):
     def complete(self, frame: Frame) -> MadeEnvelope:
         """The envelope of a frame. One that has too little raises InputError."""
         start = time.perf_counter()
-        points, remembered, robot, up = self.observe(frame)
+        points, remembered, robot, up, _ = self.observe(frame)
         place = len(points) - remembered
         camera = standing(frame.depth, frame.camera, self.eye)
         scan = Scanned(

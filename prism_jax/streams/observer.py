@@ -15,7 +15,7 @@ from prism_jax.envelope.robot import (
 from prism_jax.geometry.camera import Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
-from prism_jax.io.scan import Bounds, crop, in_own_axes
+from prism_jax.io.scan import Bounds, in_own_axes, parted
 from prism_jax.io.streams.frame import Frame
 from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.support import find_up
@@ -27,13 +27,15 @@ class Observed(NamedTuple):
 
     `points` are measured inside the bounds and not the robot's; the last `remembered`
     of them were measured in earlier frames and are hidden now. `robot` are points on
-    the surface of a robot that is known, of which there are else none.
+    the surface of a robot that is known, of which there are else none. `around` is what
+    was measured besides, if bounds or a known robot set anything apart.
     """
 
     points: Float[np.ndarray, "N 3"]
     remembered: int
     robot: Float[np.ndarray, "R 3"]
     up: str | Vector
+    around: Float[np.ndarray, "S 3"] | None
 
 
 class FrameObserver(abc.ABC):
@@ -77,19 +79,23 @@ class FrameObserver(abc.ABC):
     def observe(self, frame: Frame) -> Observed:
         """The frame's points, those of its robot apart; InputError if it has none, or
         if its joints are missing."""
-        points = frame.points
+        points, around = frame.points, None
         if len(points):
-            points = crop(points, self.bounds, "the frame")
+            points, around = parted(points, self.bounds, "the frame")
         check_cloud(points, "the frame")
         robot = self._surface(frame)
         own = of_robot(points, robot, self.robot_margin)
+        if self.robot is not None:
+            # Seen or not: what is told must not depend on it, or more is compiled.
+            apart = [points[own]] if around is None else [around, points[own]]
+            around = np.concatenate(apart)
         points, remembered = points[~own], 0
         if self.accumulator is not None:
             lacking = self.accumulator.add(points, frame.points, eye_of(frame))
             lacking = lacking[~of_robot(lacking, robot, self.robot_margin)]
             points = np.concatenate([points, lacking.astype(points.dtype)])
             remembered = len(lacking)
-        return Observed(points, remembered, robot, self._up(frame, points))
+        return Observed(points, remembered, robot, self._up(frame, points), around)
 
     def _surface(self, frame: Frame) -> Float[np.ndarray, "R 3"]:
         if self.robot is None:

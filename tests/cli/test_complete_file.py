@@ -11,13 +11,17 @@ import time
 import numpy as np
 import plyfile
 import pytest
+from PIL import Image
 
 from prism_jax import io
 from prism_jax.cli import complete
 from prism_jax.cli.complete import complete_file, timed
 from prism_jax.io.ply import read_ply
+from prism_jax.observation.planes import Plane
+from prism_jax.observation.scene import Scene
 from tests.fake_completer import FakeCompleter
 
+PLANE = Plane(np.array([0, 0, 1.0]), 0.0, 0.1)
 POINTS = np.random.default_rng(0).uniform(1, 2, size=(300, 3)).astype(np.float32)
 
 
@@ -84,6 +88,35 @@ def test_result_holds_what_the_completer_said(given):
     center = written["workspace"]["center"]
     np.testing.assert_allclose(center, (POINTS.min(0) + POINTS.max(0)) / 2, rtol=1e-6)
     assert io.camera_from_dict(written["camera"]).width == 128
+
+
+@pytest.mark.parametrize("objects", ["one", "auto"])
+def test_what_the_workspace_crops_away_is_told_as_around(given, monkeypatch, objects):
+    """Of a depth image; of objects on a support too."""
+    folder = pathlib.Path(given["input"]).parent
+    counts = np.full((30, 40), 2000, np.uint16)
+    counts[:, ::7] = 1900
+    Image.fromarray(counts).save(folder / "scan.png")
+    camera = {"width": 40, "height": 30, "fx": 20, "fy": 20, "cx": 19.5, "cy": 14.5}
+    text = json.dumps({**camera, "depth_scale": 1e-3})
+    (folder / "scan.json").write_text(text)
+    told = []
+    plain = FakeCompleter.complete
+
+    def complete(self, *arguments, around=None, **asked):
+        told.append(around)
+        return plain(self, *arguments, **asked)
+
+    monkeypatch.setattr(FakeCompleter, "complete", complete)
+    if objects == "auto":
+        parted = Scene(np.repeat([0, -1], [500, 100]), (PLANE,), (500,), 100, 0)
+        monkeypatch.setattr(FakeCompleter, "split_scene", lambda *_: parted)
+    image = given | dict(input=str(folder / "scan.png"), objects=objects)
+    complete_file(**image, workspace="0,-9,-9,9,9,9")
+    assert told[0].shape == (600, 3) and (told[0][:, 0] < 0).all()
+    if objects == "one":
+        complete_file(**image)
+        assert told[1] is None
 
 
 def test_workspace_crops_scan_and_ground_truth(given, tmp_path):

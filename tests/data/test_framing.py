@@ -3,6 +3,7 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
@@ -10,7 +11,7 @@ from scipy.spatial import KDTree
 from prism_jax.data.augmentation import Augmentation
 from prism_jax.data.pipeline import Framing, frame_example, stack
 from prism_jax.data.source import Example
-from prism_jax.geometry.visibility import SURFACE, look_up
+from prism_jax.geometry.visibility import SURFACE, look_up, nothing_known, seen_by
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.simulation.views import make_views
@@ -308,3 +309,17 @@ def test_a_spoiled_partial_decides_the_workspace(example):
         plain = frame_example(example, FRAMING, np.random.default_rng(seed))
         assert not np.array_equal(batch.partial, plain.partial)
         assert batch.complete.shape == plain.complete.shape
+
+
+def test_rows_without_a_map_get_what_their_clouds_say_beside_others(seen):
+    """And so does one whose packed map knows nothing, of which none was kept."""
+    lost = seen._replace(visibility=nothing_known())
+    rows = [frame_example(one, FRAMING) for one in (seen, lost)]
+    assert rows[1].visibility is None
+    batch = stack(rows)
+    cloud, eye = jnp.asarray(batch.partial[1]), jnp.asarray(batch.eye[1])
+    expected = seen_by(cloud, eye, "empty")
+    state = batch.visibility.state
+    assert np.mean(state[1] == expected.state) > 0.99
+    np.testing.assert_array_equal(state[0], rows[0].visibility.state)
+    assert stack([rows[1], rows[1]]).visibility is None

@@ -1,3 +1,4 @@
+import dataclasses
 import hashlib
 import io
 import json
@@ -19,6 +20,7 @@ from prism_jax.data.recordings import (
 )
 from prism_jax.data.source import Source
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import NEARER, SURFACE, UNKNOWN, look_up
 from prism_jax.io.errors import InputError
 from prism_jax.simulation.recorder import has_frame, write_frame
 
@@ -132,6 +134,38 @@ def test_recordings_are_a_source_of_examples(root):
     with pytest.raises(IndexError):
         cells[3]
     assert check_recordings(root) == 3
+
+
+def test_what_the_camera_knows_is_told_by_its_whole_image_and_no_labels(tmp_path):
+    """A post before the wall and a hole in it; of the wall a patch is the object."""
+    whole = frame()
+    depth = whole.depth.copy()
+    depth[:, 20:22], depth[8:11, 8:11] = 2000, 40000
+    patch = (np.abs(whole.partial[:, 1]) < 0.2) & (
+        np.abs(whole.partial[:, 2] - 1) < 0.3
+    )
+    image = dataclasses.replace(whole, depth=depth, partial=whole.partial[patch])
+    write_frame(tmp_path / "one", 0, image)
+    bare = dataclasses.replace(image, complete=None, labels=None, joints=None)
+    write_frame(tmp_path / "two", 0, bare)
+    (first, second) = RecordedCells(tmp_path)
+    known = first.visibility
+    for one, other in zip(known[1:], second.visibility[1:], strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_allclose(known.camera.position, first.eye, atol=1e-6)
+    states, behind = look_up(
+        known,
+        np.array(
+            [
+                (0.1, 0.1, 1.0),  # behind the patch
+                (-0.5, -0.167, 1.0),  # behind the post, which is at x = -1
+                (0.5, 0.3, 1.0),  # behind the wall beside the patch
+                (0.1, -1.4, 1.0),  # beside the map
+            ]
+        ),
+    )
+    np.testing.assert_array_equal(states, [SURFACE, NEARER, NEARER, UNKNOWN])
+    np.testing.assert_allclose(behind[:3], [0.1, 0.5, 0.5], atol=0.05)
 
 
 def test_a_frame_written_again_leaves_nothing_of_the_old_one(tmp_path):

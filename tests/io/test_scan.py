@@ -44,6 +44,17 @@ def test_crop_keeps_the_faces_of_the_box(cloud):
     np.testing.assert_array_equal(scan.points, POINTS[5:][POINTS[5:, 0] <= face])
     assert face in scan.points[:, 0]
     assert len(scan.points) + scan.num_outside == 295
+    np.testing.assert_array_equal(scan.around, POINTS[5:][POINTS[5:, 0] > face])
+    assert read_scan(cloud).around is None
+
+
+def test_of_a_depth_image_all_that_was_cropped_away_is_around(depth_image):
+    """Pixels without a return are no points, neither inside nor around."""
+    whole = read_scan(depth_image).points
+    scan = read_scan(depth_image, bounds=parse_bounds("0,-9,-9,9,9,9"))
+    np.testing.assert_array_equal(scan.points, whole[whole[:, 0] >= 0])
+    np.testing.assert_array_equal(scan.around, whole[whole[:, 0] < 0])
+    assert len(whole) == 8 * 20 and len(scan.around) == 8 * 10
 
 
 @pytest.mark.parametrize(

@@ -145,10 +145,18 @@ def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path)
     np.testing.assert_array_equal(pickled[4].visibility.state, known.state)
 
 
-def test_sets_without_maps_are_stored_as_ever(folder):
+def test_sets_without_maps_are_stored_as_ever(tmp_path):
     """So that folders of users open, and digests stay."""
+    folder = pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
     assert not list(folder.glob("*.map.npy")) and not list(folder.glob("*.camera.npy"))
     assert all(example.visibility is None for example in Shards(folder))
+
+
+def test_recordings_keep_what_their_images_tell(folder):
+    given, found = RecordedCells(CELLS)[0].visibility, Shards(folder)[5].visibility
+    np.testing.assert_array_equal(found.state, given.state)
+    np.testing.assert_allclose(found.depth, given.depth, rtol=2e-4)
+    assert len(np.unique(given.state)) == 4
 
 
 def test_views_of_an_object_share_its_complete_cloud(tmp_path):

@@ -3,6 +3,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.simulation.partials import (
     HALF_EXTENT,
     PARTIALS,
@@ -17,7 +18,6 @@ from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.sensors import (
     L515Config,
     OusterConfig,
-    camera_axes,
     l515_camera,
     l515_depth,
     ouster_scan,

@@ -6,13 +6,13 @@ import trimesh
 from scipy import stats
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
 from prism_jax.simulation.raycast import Scene
 from prism_jax.simulation.sensors import (
     L515Config,
     OusterConfig,
-    camera_axes,
     cropped_to,
     l515_camera,
     l515_depth,

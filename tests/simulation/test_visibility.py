@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
     MAP_SIZE,
@@ -15,7 +16,7 @@ from prism_jax.geometry.visibility import (
     look_up,
 )
 from prism_jax.simulation.readings import Readings
-from prism_jax.simulation.visibility import framing_camera, map_of, map_rays
+from prism_jax.simulation.visibility import map_of, map_rays
 
 
 def cloud(seed: int = 0) -> np.ndarray:

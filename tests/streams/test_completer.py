@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from prism_jax import selection
 from prism_jax.completion import Completer
 from prism_jax.envelope.robot import of_robot, robot_surface
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 from prism_jax.io.ply import KNOWN
-from prism_jax.io.scan import parse_bounds
+from prism_jax.io.scan import parse_bounds, read_scan
 from prism_jax.io.streams import Frame
 from prism_jax.observation import observation
 from prism_jax.observation.accumulation import Accumulator
@@ -54,9 +55,33 @@ def test_density_bounds_and_up_are_a_scans_too(completer):
         completer, bounds=parse_bounds("2,-2,-1,5,2,1"), up="-y", density=2.0
     )
     done = stream.complete(Frame(points, 0))
-    inside = points[points[:, 1] < 2]
-    whole = completer.complete(inside, adapt=False, density=2.0, up="-y")
+    inside = points[:, 1] < 2
+    whole = completer.complete(
+        points[inside], density=2.0, up="-y", around=points[~inside]
+    )
     np.testing.assert_array_equal(done.points, whole.points)
+
+
+def test_what_bounds_crop_away_is_around_a_frame_as_around_a_scan(
+    completer, tmp_path, monkeypatch
+):
+    """A wall behind the object: both leave away what they see before it. The few points
+    that this network reads would make a rim as wide as the workspace."""
+    monkeypatch.setattr(selection, "ABOUT", 0.5)
+    across, up = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-9, 9, 300)]))
+    wall = np.stack([np.full(across.shape, 9.0), across, up], axis=1)
+    points = np.concatenate([wall, shell(0)]).astype(np.float32)
+    np.save(tmp_path / "scan.npy", points)
+    box = parse_bounds("2,-2,-1,5,2,1")
+    scan = read_scan(tmp_path / "scan.npy", bounds=box)
+    np.testing.assert_array_equal(scan.around, points[: len(wall)])
+    whole = completer.complete(scan.points, density=0.0, around=scan.around)
+    done = FrameCompleter(completer, bounds=box).complete(Frame(points, 0))
+    np.testing.assert_array_equal(done.points, whole.points)
+    alone = completer.complete(scan.points, density=0.0)
+    assert len(done.points) < len(alone.points)
+    assert alone.left_away["looked_through"] == 0 < whole.left_away["looked_through"]
+    np.testing.assert_array_equal(alone.prediction, whole.prediction)
 
 
 def test_depth_images_are_upright_as_their_camera(completer):

@@ -14,6 +14,7 @@ from jaxtyping import Float, Float64
 from manifold3d import Manifold
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.simulation.roboarm.clutter import GAP, Bench, draw_clutter
 from prism_jax.simulation.roboarm.furnishings import (
     FIXTURES,
@@ -24,7 +25,6 @@ from prism_jax.simulation.roboarm.furnishings import (
     upright,
 )
 from prism_jax.simulation.roboarm.robots import Robot
-from prism_jax.simulation.sensors import camera_axes
 from prism_jax.simulation.solids import rod
 
 Rng = np.random.Generator

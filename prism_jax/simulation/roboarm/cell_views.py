@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float32, Float64, Int, UInt8, UInt16
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
     NEARER,
@@ -15,6 +16,7 @@ from prism_jax.geometry.visibility import (
     UNKNOWN,
     Visibility,
 )
+from prism_jax.observation.maps import box_exit
 from prism_jax.simulation.raycast import Scene, sample_outside
 from prism_jax.simulation.readings import Readings
 from prism_jax.simulation.roboarm.furnishings import together
@@ -23,7 +25,7 @@ from prism_jax.simulation.roboarm.workcells import PARTS, Workcell, scene_of
 from prism_jax.simulation.sensors import L515Config, l515_depth
 from prism_jax.simulation.truncation import NO_CUT, random_cut
 from prism_jax.simulation.views import PARTIAL_POINTS, SURFACE_POINTS
-from prism_jax.simulation.visibility import framing_camera, map_of
+from prism_jax.simulation.visibility import map_of
 
 LABELS_OF = dict(
     zip(
@@ -181,27 +183,13 @@ def _readings(
     eye = np.asarray(cell.camera.position)
     lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
     lower[2] = cell.lower[2] + FLOOR_MARGIN
-    hides = _box_exit(eye, rays, lower, upper) > depth + FLOOR_MARGIN
+    hides = box_exit(eye, rays, lower, upper) > depth + FLOOR_MARGIN
     state = np.where(hides, NEARER, BACKGROUND).astype(np.uint8)
     own = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
     state[measured] = SURFACE
     state[(own & ~measured) | (depth == 0)] = UNKNOWN
     points = eye + np.where(depth > 0, depth, 1.0)[:, None] * rays
     return Readings(state, points, 0.0)
-
-
-def _box_exit(
-    eye: np.ndarray,
-    rays: Float64[np.ndarray, "P 3"],
-    lower: np.ndarray,
-    upper: np.ndarray,
-) -> Float64[np.ndarray, " P"]:
-    """Where each ray from an eye leaves a box, in its own lengths; 0 if it misses."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sides = (lower - eye) / rays, (upper - eye) / rays
-    entry = np.minimum(*sides).max(axis=1)
-    leave = np.maximum(*sides).min(axis=1)
-    return np.where(leave > np.maximum(entry, 0), leave, 0.0)
 
 
 def _thinned(

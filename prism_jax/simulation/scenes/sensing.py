@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 from scipy.spatial.transform import Rotation
 
+from prism_jax.geometry.framing import camera_axes
 from prism_jax.observation.scene import LEFT_OVER
 from prism_jax.simulation.raycast import Scene
 from prism_jax.simulation.readings import Rays, pixel_grid, ring_rays
@@ -14,7 +15,6 @@ from prism_jax.simulation.sensors import (
     L515Config,
     OusterConfig,
     RangeConfig,
-    camera_axes,
     measure,
 )
 from prism_jax.simulation.stations import BEAMS, COLUMNS

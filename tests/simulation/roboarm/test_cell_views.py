@@ -12,7 +12,10 @@ from prism_jax.geometry.visibility import (
     UNKNOWN,
     look_up,
 )
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.depth import points_from_depth
+from prism_jax.observation.maps import seen_among
+from prism_jax.simulation.roboarm import cell_views
 from prism_jax.simulation.roboarm.cell_views import make_cell_view
 from prism_jax.simulation.roboarm.furnishings import together
 from prism_jax.simulation.roboarm.workcells import make_workcell
@@ -51,6 +54,28 @@ def test_clouds_are_of_robot_and_fixtures_alone(seen):
         assert view.partial.shape == (256, 3) and view.complete.shape == (512, 3)
         assert gaps(view.complete, cell, "robot", "fixture").max() < 1e-5
         assert gaps(view.partial, cell, "robot", "fixture").max() < 1e-3
+
+
+def test_the_map_is_what_a_whole_image_tells_without_labels(seen):
+    """`seen_among` of the object's pixels and all others. Its cube is not the cell's
+    box, so hidden and background are compared as one: measured beside."""
+    agree = []
+    for cell, view in seen:
+        if view.cut:
+            continue
+        depth = (view.depth * DEPTH_SCALE).reshape(-1)
+        rays = cell_views._pixel_rays(view.camera)
+        own = cell_views._measured(depth, view.labels, rays, cell)
+        points = view.eye + depth[:, None] * rays
+        among = points[own], points[~own & (depth > 0)]
+        cube = Workspace.from_points(among[0], 1.4)
+        known = seen_among(*among, view.eye.astype(float), cube)
+        kinds = [np.minimum(one.state, NEARER) for one in (known, view.visibility)]
+        agree.append(np.mean(kinds[0] == kinds[1]))
+        both = (kinds[0] == kinds[1]) & (kinds[0] != UNKNOWN)
+        gap = np.abs(known.depth - view.visibility.depth)[both]
+        assert np.mean(gap < 0.02) > 0.97
+    assert min(agree) > 0.95 and len(agree) > 2
 
 
 def test_nothing_that_is_there_is_said_to_be_free(seen):

@@ -10,7 +10,9 @@ from scipy.spatial import KDTree
 from prism_jax.data.datasets import folder_of, open_dataset
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.source import Source
+from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 from prism_jax.io.errors import InputError
+from prism_jax.observation.maps import in_free_space
 from prism_jax.observation.scene import LEFT_OVER, SUPPORT
 from prism_jax.simulation.build_dataset import build_dataset
 from prism_jax.simulation.scenes import build
@@ -64,6 +66,18 @@ def test_every_thing_is_measured_and_on_its_own_surface(source):
         for thing, complete in enumerate(scene.complete):
             apart, _ = KDTree(complete).query(scene.points[scene.labels == thing])
             assert np.median(apart) < 0.02 * np.ptp(complete, axis=0).max() + 0.02
+
+
+def test_what_the_sensor_knows_of_a_thing_is_told_by_the_whole_scene(source):
+    """Nothing that was measured lies where it says that there is nothing."""
+    states = set()
+    for index, number in enumerate(source.objects):
+        known = source[index].visibility
+        scene = source.scene(int(number))
+        np.testing.assert_allclose(known.camera.position, scene.eye, atol=1e-5)
+        assert not in_free_space(scene.points.astype(float), known, 1e-3).any()
+        states |= set(known.state.ravel())
+    assert states == {UNKNOWN, SURFACE, NEARER, BACKGROUND}
 
 
 def test_items_are_the_things_and_a_scene_counts_as_one_object(source):
