@@ -6,9 +6,11 @@ python -m experiments.evaluate --weights=FILE --dataset=shapenet55 --data_dir=DI
 
 The tables show every cloud's scores and what adaptation changes in them: with
 intervals over objects and over categories (kinds of shapes, robot arms), the category
-that carries most of the change, and what is left without it.
+that carries most of the change, and what is left without it. Weights that gain by
+being told what else a scan holds (`model.told`) are told, where the data say it.
 """
 
+import dataclasses
 from typing import Any
 
 from absl import flags
@@ -76,6 +78,7 @@ def main():
     split = FLAGS.split or ("test" if published else "validation")
     source = open_published(split) if published else open_split(split)
     protocol = make_protocol(config, published)
+    protocol = dataclasses.replace(protocol, told=config.model.told)
     scores = run_evaluation(prism_completer(config, variables), source, protocol)
     result = {**about(config, protocol, split), **scores}
     table = markdown(result)

@@ -58,12 +58,12 @@ class Protocol:
       heading: which one the completer knows objects in; the partial decides on it.
       background: whether what lies around a partial is known to be empty, and predicted
         points there are left away.
-      told: whether the completer gets `Told` beside partials and sensors.
+      told: whether the completer gets `Told` beside partials and sensors, and a map
+        that an example has speaks against what is added to the measured points.
       removes: whether those of the network's points that contradict the view, or lie
         alone or outside the workspace, are left away before it is scored
         (`prism_jax.selection.Selection.believable`). Where the example has a map, what
-        it says of what lies around counts, and `background` does not; so it does then
-        for what is added to the measured points.
+        it says of what lies around counts, and `background` does not.
     """
 
     num_partial: int

@@ -194,7 +194,7 @@ def scored_clouds(
     )
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
     known = None
-    if protocol.removes:
+    if protocol.told or protocol.removes:
         known = map_of(example, workspace_for(example, protocol))
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:

@@ -13,6 +13,7 @@ from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.run import Predictions
+from prism_jax.geometry.visibility import BACKGROUND, MAP_SIZE, SURFACE
 from prism_jax.metrics import hausdorff
 from tests import launching
 from tests.public_sets import write_pcn, write_shapenet55
@@ -21,7 +22,7 @@ from tests.public_sets import write_pcn, write_shapenet55
 def fake(config, variables):
     """Moves the partial up, by the number of steps; accepts every other frame."""
 
-    def complete(partials, eyes):
+    def complete(partials, eyes, told=None):
         if config.adapt.num_steps == 0:
             return Predictions(partials)
         moved = partials + np.float32([0, 0, 0.01 * config.adapt.num_steps])
@@ -61,6 +62,30 @@ def cells(tmp_path_factory):
         | {"table": (folder / f"{name}.md").read_text()}
         for name, arguments in runs.items()
     }
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_weights_that_are_told_are_told_of_recordings(asked, tmp_path, monkeypatch):
+    """`small` is, of what its frames' whole depth images show."""
+    found = []
+
+    def listening(config, variables):
+        def complete(partials, eyes, *told):
+            found.extend(told)
+            return Predictions(partials)
+
+        return complete
+
+    monkeypatch.setattr(evaluate, "prism_completer", listening)
+    place = ["--dataset=recordings", f"--data_dir={CELLS}", "--split=all", "--limit=2"]
+    output = f"--output={tmp_path / 'scores.json'}"
+    told = f"--set=model.told={asked}"
+    assert launching.run(evaluate, *place, told, output) == 0
+    if asked:
+        (one,) = found
+        assert one.visibility.state.shape == (2, MAP_SIZE, MAP_SIZE)
+        assert np.isin([SURFACE, BACKGROUND], one.visibility.state).all()
+    assert bool(found) == asked
 
 
 def test_changes_are_made_and_named(cells):
