@@ -8,6 +8,7 @@ and if what is hidden of those is not returned better than before, nothing is wr
 and the exit status is 1.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 from absl import flags
@@ -69,7 +70,7 @@ def main():
         config, variables, source, settings, FLAGS.seed, FLAGS.steps, minutes
     )
     better, told = verdict(adapted.before, adapted.after)
-    print(in_words(adapted, told))
+    print(in_words(adapted.steps, adapted.num_frames, told))
     if not better:
         raise SomeFailed([refusal(told)])
     about = about_adapted(adapted, settings, told)
@@ -78,13 +79,13 @@ def main():
     print(f"written {FLAGS.output}")
 
 
-def in_words(adapted: Adapted, told: dict[str, Any]) -> str:
+def in_words(steps: int, num_frames: int, told: Mapping[str, Any]) -> str:
     """What was done, and what the held-out frames say, in a sentence."""
     low, high = (100 * bound for bound in told["interval"])
     near, kept = ("{:.4f} to {:.4f}".format(*told[name]) for name in ("hidden", "kept"))
     shares = "{:.1%} to {:.1%}".format(*told["contradicted"])
     return (
-        f"{adapted.steps:,} steps on {adapted.num_frames:,} frames without truth. On "
+        f"{steps:,} steps on {num_frames:,} frames without truth. On "
         f"{told['looks']:,} virtual occlusions of held-out frames the distance of what "
         f"was hidden went from {near} half sides ({100 * told['change']:+.1f} % "
         f"[{low:+.1f}, {high:+.1f}]), of what was seen from {kept}, and the share of "
@@ -125,7 +126,7 @@ def about_adapted(
             "settings": vars(settings),
             "check": told,
         },
-        "notes": [f"{origin} {in_words(adapted, told)}"],
+        "notes": [f"{origin} {in_words(adapted.steps, adapted.num_frames, told)}"],
     }
 
 

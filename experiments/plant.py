@@ -10,6 +10,7 @@ frames, and would not be written, is scored all the same, and said to have faile
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def main():
         config, variables, frames, settings, FLAGS.seed, FLAGS.steps, minutes
     )
     better, told = verdict(adapted.before, adapted.after)
-    print(in_words(adapted, told))
+    print(in_words(adapted.steps, adapted.num_frames, told))
     protocol = dataclasses.replace(make_protocol(config), with_emd=False)
     config = config.with_adapt(num_steps=0)
     others = Subset(source, scored)
@@ -99,8 +100,7 @@ def main():
         "check": told,
         "clouds": tables,
     }
-    passed = "It passed." if better else "It failed: nothing would be written."
-    print_and_write(result, in_tables(tables, f"{in_words(adapted, told)} {passed}"))
+    print_and_write(result, plant_markdown(result))
 
 
 def categories_of(source: Source) -> list[str]:
@@ -113,11 +113,16 @@ def categories_of(source: Source) -> list[str]:
     return [names[number] for number in source.objects]
 
 
-def in_tables(tables: dict[str, Any], words: str) -> str:
-    """The scores of both clouds, and every measure's change."""
-    parts = [f"{words}\n"]
+def plant_markdown(result: Mapping[str, Any]) -> str:
+    """What was done, the scores of both clouds, and every measure's change."""
+    first = next(iter(result["clouds"].values()))
+    passed = (
+        "It passed." if result["passed"] else "It failed: nothing would be written."
+    )
+    words = in_words(first["steps"], result["frames"], result["check"])
+    parts = [f"{words} {passed}\n"]
     changes = {}
-    for cloud, table in tables.items():
+    for cloud, table in result["clouds"].items():
         parts += [f"{cloud}:\n", comparison_markdown(table)]
         found = table["rows"][ADAPTED]["change"]
         changes |= {
@@ -125,7 +130,7 @@ def in_tables(tables: dict[str, Any], words: str) -> str:
             for name in MEASURES
             if name in found
         }
-    heads, cells = change_cells(changes, f"against {FLAGS.weights}")
+    heads, cells = change_cells(changes, f"against {first['against']}")
     rows = [[label, *row] for label, row in zip(changes, cells, strict=True)]
     return "\n".join([*parts, *table_lines(["", *heads], rows), ""])
 

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from experiments import results, rooms
+from experiments.adaptation import markdown as adaptation_markdown
 from experiments.assets import CELLS
 from experiments.comparison import comparison_markdown
 from experiments.loss_gradients import agreement_markdown
 from experiments.mixtures import mixtures_markdown
+from experiments.plant import plant_markdown
 from experiments.point_errors import point_errors_markdown
 from experiments.real import real_markdown
 from experiments.robustness import robustness_markdown
@@ -117,6 +119,8 @@ def test_tables_are_those_of_their_results(path):
     """As the commands wrote them: JSON, Markdown, and what docs/results.md shows."""
     result = json.loads(path.read_text())
     kinds = {
+        "pairs": adaptation_markdown,
+        "passed": plant_markdown,
         "rows": comparison_markdown,
         "losses": agreement_markdown,
         "scans": real_markdown,
@@ -127,9 +131,7 @@ def test_tables_are_those_of_their_results(path):
         "by_scene": segmentation_markdown,
         "sets": mixtures_markdown,
     }
-    (text,) = [make(result) for kind, make in kinds.items() if kind in result] or [
-        markdown(result)
-    ]
+    text = next((kinds[key] for key in kinds if key in result), markdown)(result)
     assert path.with_suffix(".md").read_text() == text
     lines = [line for line in text.splitlines() if line]
     assert len(lines) > 4

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.assets import asset
 from prism_jax.io.errors import InputError
@@ -103,9 +104,9 @@ def test_a_file_written_before_adaptation_knew_of_emptiness(tiny):
     for name in ("auxiliary_weight", "visibility_weight", "keep_weight", "balance"):
         del fields["adapt"][name]
     assert config_from_dict(fields) == tiny
-    known = read_metadata("small-robocell")["config"]["adapt"]
-    assert "visibility_weight" not in known
-    adapt = load_pretrained("small-robocell")[0].adapt
+    before = located("small-canonical")
+    assert "visibility_weight" not in read_metadata(before)["config"]
+    adapt = load_pretrained(before)[0].adapt
     assert (adapt.auxiliary_weight, adapt.visibility_weight) == (1, 0)
     assert (adapt.keep_weight, adapt.balance) == (0, False)
 
