@@ -24,7 +24,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError, choose
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
-from prism_jax.observation.maps import seen_among
+from prism_jax.observation.maps import seen_among, some_of
 from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.scene import Scene, split_scene
 from prism_jax.observation.sensor import is_believable, likely_eye
@@ -401,7 +401,8 @@ def _known(
     """What the sensor knows of its view of what was observed, in the unit workspace and
     in single precision: the object alone if nobody knows where it stood."""
     points = np.asarray(seen.partial)[np.asarray(seen.inside)]
-    beside = np.asarray(seen.workspace.to_unit(around.astype(np.float64)))
+    beside = some_of(around).astype(np.float64)
+    beside = np.asarray(seen.workspace.to_unit(beside))
     if not seen.sensor_known:
         beside = beside[:0]
     eye = np.asarray(seen.eye)

@@ -133,7 +133,7 @@ def keep_unmeasured(
     the typical distance between neighbours of the network's input says nothing new.
     """
     reach = spacing * usual_spacing(np.asarray(partial))
-    return KDTree(measured).query(prediction)[0] > reach
+    return _tree(measured).query(prediction)[0] > reach
 
 
 def densify(points: Float[np.ndarray, "P 3"], times: float) -> Float[np.ndarray, "Q 3"]:
@@ -182,9 +182,14 @@ def _lonely(
     prediction: Float[np.ndarray, "P 3"], measured: Float[np.ndarray, "N 3"]
 ) -> Bool[np.ndarray, " P"]:
     """Points of a prediction that fewer than two of either cloud are near."""
-    others = KDTree(np.concatenate([prediction, measured]))
+    others = _tree(np.concatenate([prediction, measured]))
     # The first is the point itself.
     return ~(others.query(prediction, k=3)[0][:, 2] <= STRAY)
+
+
+def _tree(cloud: Float[np.ndarray, "N 3"]) -> KDTree:
+    """Of which few are asked: made in half the time, and with the same distances."""
+    return KDTree(cloud, compact_nodes=False, balanced_tree=False)
 
 
 def _middles(
