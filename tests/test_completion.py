@@ -379,7 +379,7 @@ def test_a_few_stray_points_change_nothing_and_are_counted(completer):
 
 def wall():
     """Points all over the view, far behind the scan."""
-    across, up = np.meshgrid(*2 * [np.linspace(-40, 40, 150)])
+    across, up = np.meshgrid(*2 * [np.linspace(-40, 40, 140)])
     right = np.array([EYE[1], -EYE[0], 0]) / np.hypot(*EYE[:2])
     rows = across.reshape(-1, 1) * right + up.reshape(-1, 1) * [0, 0, 1]
     return rows - 5 * EYE

@@ -14,7 +14,13 @@ from prism_jax.geometry.visibility import (
     seen_by,
 )
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.observation.maps import box_exit, in_free_space, seen_among
+from prism_jax.observation.maps import (
+    ENOUGH,
+    box_exit,
+    in_free_space,
+    seen_among,
+    some_of,
+)
 from prism_jax.selection import ABOUT, select, usual_spacing
 
 EYE = np.array([0.0, -5.0, 0.0])
@@ -197,3 +203,16 @@ def test_rays_leave_a_box_where_they_should():
     np.testing.assert_allclose(box_exit(eye, rays, *box), [4, 2, 10 / 3, 0, 0])
     inside = box_exit(np.zeros(3), rays, *box)
     np.testing.assert_allclose(inside, [1, 0.5, 1, 1, 1])
+
+
+def test_of_many_points_around_some_are_drawn():
+    """From every column of an image alike, and the same each time."""
+    image = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), -1)
+    around = np.concatenate([image, np.ones((480, 640, 1))], -1).reshape(-1, 3)
+    some = some_of(around)
+    assert abs(len(some) - ENOUGH) < 5 * np.sqrt(ENOUGH)
+    columns = np.bincount(some[:, 0].astype(int), minlength=640)
+    assert columns.min() > 0 and columns.max() < 4 * columns.mean()
+    np.testing.assert_array_equal(some_of(around), some)
+    np.testing.assert_array_equal(some_of(around[:ENOUGH]), around[:ENOUGH])
+    assert len(some_of(around[:0])) == 0
