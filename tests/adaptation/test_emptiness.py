@@ -132,6 +132,7 @@ def test_without_weights_there_are_no_such_terms(minimal, frame, minimal_fresh):
     assert (held.kept, held.kept_mask, held.norms, held.visibility) == (None,) * 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("balance", [False, True])
 def test_steps_lower_it_whatever_the_network_reads(
     config, frame, known, minimal_fresh, quick_jit, balance

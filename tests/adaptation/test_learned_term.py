@@ -18,6 +18,8 @@ from prism_jax.models.variables import pop_encoders, put_encoders
 from prism_jax.weights import load_pretrained, save_weights
 from tests.trees import bitwise
 
+pytestmark = pytest.mark.slow  # whole networks, with second derivatives
+
 
 @pytest.fixture(scope="module")
 def frame(tiny_frames):

@@ -108,6 +108,7 @@ def test_a_wrong_sensor_knows_what_the_right_one_knew_elsewhere():
     np.testing.assert_allclose(found, [-1.0, 3.0, 2.0], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_steps_along_the_true_gradient_lower_the_error(
     minimal, minimal_fresh, tiny_frames
 ):

@@ -78,6 +78,7 @@ def test_cosine_is_what_a_step_along_the_gradient_shows(config, variables, cloud
     assert changes[-1] < 0
 
 
+@pytest.mark.slow
 def test_a_loss_that_is_the_error_has_cosine_one(
     config, variables, clouds, monkeypatch
 ):

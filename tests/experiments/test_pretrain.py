@@ -111,6 +111,7 @@ def test_without_weights_it_starts_afresh(run, tmp_path, capsys):
     assert read_metadata(str(tmp_path / "weights.safetensors"))["pretrained"] is None
 
 
+@pytest.mark.slow
 def test_a_network_with_one_more_block_goes_on_from_one_without(
     run, weights, variables, tmp_path
 ):

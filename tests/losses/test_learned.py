@@ -91,9 +91,9 @@ def test_gradient_against_finite_differences(x64, partial):
 HARD = {
     "copies": jnp.zeros((20, 3)),
     "one point": jnp.full((1, 3), 0.2),
-    "measured points": cloud(40, 1),
-    "at the sensor": jnp.tile(EYE, (5, 1)),
-    "behind the sensor": jnp.full((5, 3), 3.0),
+    "measured points": cloud(40, 1)[:20],
+    "at the sensor": jnp.tile(EYE, (20, 1)),
+    "behind the sensor": jnp.full((20, 3), 3.0),
     "not finite": cloud(20).at[3, 1].set(jnp.nan).at[4].set(jnp.inf),
     "beyond all bounds": cloud(20).at[5].set(1e30),
 }

@@ -121,6 +121,7 @@ def test_the_whole_decoder_trains(stages, indexed):
             assert not bitwise(tree, after[kind]["decoder"][name]), name
 
 
+@pytest.mark.slow
 def test_a_last_block_is_trained_alone(preset, batch):
     """On a network that was trained without it."""
     two = dataclasses.replace(
@@ -162,6 +163,7 @@ def test_the_first_step_is_of_size_zero_and_moves_statistics_alone(seeds, batch)
     assert not bitwise(state.variables["batch_stats"]["point_encoder"], before)
 
 
+@pytest.mark.slow
 def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     """Bitwise; and every step, before a checkpoint and after, is of one compilation."""
     mesh = parallel.data_mesh()
@@ -189,6 +191,7 @@ def test_broken_off_and_resumed_it_ends_as_if_it_had_not(seeds, data, tmp_path):
     assert seeds.validate_fn._cache_size() == 1
 
 
+@pytest.mark.slow
 def test_the_average_is_what_is_kept(preset, backbone, batch):
     """In closed form: it forgets sooner at first. Training is as without it."""
     phase, settings = preset.pretrain.backbone[0], preset.pretrain

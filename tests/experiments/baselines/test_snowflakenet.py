@@ -213,6 +213,7 @@ def test_partial_matching_looks_one_way(norm, quick_jit):
     assert found < 4e-5 and np.isfinite(slope).all()
 
 
+@pytest.mark.slow
 def test_its_own_loss_is_that_of_the_last_stage(variables, step, apply, clouds):
     fn, init = step
     params = variables["params"]
