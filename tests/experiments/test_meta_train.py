@@ -109,6 +109,7 @@ def test_it_logs_every_validation(unbroken):
     assert list(losses[0])[-1] == "adapted"
 
 
+@pytest.mark.slow
 def test_stopped_and_resumed_it_ends_the_same(run, unbroken, weights, tmp_path, capsys):
     """The files bit for bit; and a run that is done is not done again."""
     folder = tmp_path / "broken"

@@ -24,6 +24,7 @@ def given(few_shapes, monkeypatch):
     return ["--preset=tiny", f"--data_dir={few_shapes}"]
 
 
+@pytest.mark.slow
 def test_it_trains_on_a_mixture_as_pretraining_does(given, tmp_path, monkeypatch):
     workdir = tmp_path / "baseline"
     flags = [*given, *MIXTURE, f"--workdir={workdir}", "--network=pcn", "--samples=16"]

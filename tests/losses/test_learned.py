@@ -99,19 +99,23 @@ HARD = {
 }
 
 
+@jax.jit
+def derivatives(points, partial, known):
+    """Of the sum of all squared clues: the first, and the second along ones."""
+
+    def value(points):
+        return (error_clues(points, partial, known, EYE) ** 2).sum()
+
+    return jax.jvp(jax.grad(value), (points,), (jnp.ones_like(points),))
+
+
 @pytest.mark.parametrize("points", HARD.values(), ids=HARD)
 @pytest.mark.parametrize("blind", [False, True])
 def test_every_derivative_is_finite(partial, known, points, blind):
     """With the second, which the unrolled steps ask for, and where nothing is known."""
     known = nothing_known() if blind else known
-
-    def value(points):
-        return (error_clues(points, partial, known, EYE) ** 2).sum()
-
-    gradient = jax.grad(value)
     assert np.isfinite(looked(points, partial, known, EYE)).all()
-    found = gradient(points)
-    _, curved = jax.jvp(gradient, (points,), (jnp.ones_like(points),))
+    found, curved = derivatives(points, partial, known)
     assert np.isfinite(found).all() and np.isfinite(curved).all()
     beyond = ~(np.abs(points) <= REACH)
     assert (np.asarray(found)[beyond] == 0).all()

@@ -117,8 +117,10 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_fra
 
 
 def test_a_decoder_that_reads_needs_a_map(reading, trained, frame):
-    partial = frame[0]
-    indices = partial_indices(partial, reading.backbone)
-    encoded = encode_points(trained, reading.backbone, partial, indices)
+    def decoded(partial):
+        indices = partial_indices(partial, reading.backbone)
+        encoded = encode_points(trained, reading.backbone, partial, indices)
+        return decode(trained, reading.backbone, partial, encoded)
+
     with pytest.raises(ValueError, match="needs a map"):
-        decode(trained, reading.backbone, partial, encoded)
+        jax.eval_shape(decoded, frame[0])
