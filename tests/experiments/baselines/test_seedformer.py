@@ -264,7 +264,6 @@ def test_without_offsets_every_stage_is_made_of_seeds_and_partial(
     assert distances.min(1).max() <= apart.min()
 
 
-@pytest.mark.slow
 def test_gradients_reach_every_leaf(variables, value_and_grad, clouds):
     (loss, _), gradient = value_and_grad(variables["params"], *clouds)
     assert np.isfinite(loss)
