@@ -88,6 +88,8 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     less = dataclasses.replace(
         wanted.backbone,
         reads_visibility=wanted.backbone.reads_visibility and given.reads_visibility,
+        visibility_form=given.visibility_form,
+        reads_depth=wanted.backbone.reads_depth and given.reads_depth,
         up_factors=wanted.backbone.up_factors[:blocks],
         level_rates=wanted.backbone.level_rates[:blocks],
     )
@@ -98,7 +100,8 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
     if given != wanted.backbone:
-        fresh = init_backbone(jax.random.key(FLAGS.seed), wanted.backbone)
+        key = jax.random.key(FLAGS.seed)
+        fresh = init_backbone(key, wanted.backbone, wanted)
         variables = overlaid(fresh, variables)
     return variables, known_of(FLAGS.weights)
 

@@ -11,11 +11,17 @@ from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.visibility import seen_by
-from prism_jax.models.backbone import decode, encode_points, partial_indices
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.models.backbone import (
+    RenderedView,
+    decode,
+    encode_points,
+    partial_indices,
+)
 from prism_jax.models.config import ModelConfig
-from prism_jax.models.prism import refine
+from prism_jax.models.prism import refine, rendered_view
 from prism_jax.models.variables import Variables
-from prism_jax.observation.observation import Observation
+from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.visibility import looked_through
 from prism_jax.selection import ABOUT, Selection, usual_spacing
 
@@ -67,13 +73,23 @@ def make_second_look(model: ModelConfig) -> LookFn:
             see = functools.partial(seen_by, background=model.background)
             known = jax.vmap(see)(clouds, eyes)
         indices = partial_indices(clouds, model.backbone)
-        encoded = encode_points(variables, model.backbone, clouds, indices)
+        view = None
+        if model.backbone.reads_depth:
+            eyes = _posed("j,pij->pi", eye, _POSES)
+            view = jax.vmap(lambda cloud, eye: _view(cloud, eye, model))(clouds, eyes)
+        seen = (known, view, model)
+        encoded = encode_points(variables, model.backbone, clouds, indices, *seen)
         decoded = decode(variables, model.backbone, clouds, encoded, None, known)
         points = refine(variables, decoded, model)
         back = _posed("pni,pij->pnj", points, _POSES)
         return SecondLook(encoded.global_feature[0], *back)
 
     return look
+
+
+def _view(cloud: Array, eye: Array, model: ModelConfig) -> RenderedView:
+    camera = observe(cloud, eye, Workspace.unit()).camera
+    return rendered_view(cloud, camera, model)
 
 
 def evidence_of(

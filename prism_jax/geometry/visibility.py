@@ -233,13 +233,25 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
     image = jnp.concatenate([*channels, aside[..., None]], axis=-1)
     beyond = jnp.array([1.0, 0, 0, 0, 0, camera.height])
     uv, z = camera.project(points)
-    read = _interpolated(image, uv, beyond)
+    read = interpolated(image, uv, beyond)
     read = jnp.where((z > MIN_DEPTH)[:, None], read, beyond)
     known = 1.0 - read[:, UNKNOWN]
     behind = jnp.clip(known * z - read[:, 4], -1.0, 1.0)
     away = jnp.minimum(read[:, 5] * z / camera.intrinsics[0, 0], 1.0)
     away = jnp.where(z > MIN_DEPTH, away, 1.0)
     return jnp.concatenate([read[:, :4], behind[:, None], away[:, None]], axis=1)
+
+
+def picture(visibility: Visibility) -> Float[Array, "H W 6"]:
+    """A map of the unit workspace as an image: the shares of the four states, the depth
+    behind the workspace's middle where it is known, bounded to [-2, 2], and how far
+    aside of the measured surface, in heights of the image."""
+    camera, (state, depth) = visibility.camera, map(jnp.asarray, visibility[1:])
+    middle = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
+    behind = jnp.where(state == UNKNOWN, 0.0, jnp.clip(depth - middle, -2.0, 2.0))
+    aside = _pixels_aside(visibility) / camera.height
+    shares = jax.nn.one_hot(state, 4)
+    return jnp.concatenate([shares, jnp.stack([behind, aside], -1)], axis=-1)
 
 
 def free_depth(visibility: Visibility) -> Float[Array | np.ndarray, "H W"]:
@@ -280,7 +292,7 @@ def beside(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, 
     camera = visibility.camera
     uv, z = camera.project(points)
     beyond = jnp.array([camera.height], float)
-    read = _interpolated(_pixels_aside(visibility)[..., None], uv, beyond)[:, 0]
+    read = interpolated(_pixels_aside(visibility)[..., None], uv, beyond)[:, 0]
     # Half a pixel from the middle of the last one that was hit, the surface ends.
     pixels = jnp.maximum(read - 0.5, 0.0)
     return pixels * jnp.where(z > MIN_DEPTH, z, 0.0) / camera.intrinsics[0, 0]
@@ -292,7 +304,7 @@ def _pixels_aside(visibility: Visibility) -> Float[Array, "H W"]:
     return jnp.minimum(nearest_marked(surface)[0], visibility.camera.height)
 
 
-def _interpolated(
+def interpolated(
     image: Float[Array, "H W C"],
     uv: Float[Array, "N 2"],
     beyond: Float[Array, " C"],

@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from prism_jax.geometry.visibility import Visibility, clues
+from prism_jax.geometry.visibility import Visibility, clues, picture
 from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
 from prism_jax.models.config import BackboneConfig
+from prism_jax.models.depth_encoder import DepthView, aligned
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import (
     MLP,
+    Conv,
     Dense,
     ResidualMLP,
     SplitPoints,
@@ -105,8 +107,9 @@ class UpsamplingBlock(nn.Module):
         intra: Pyramid,
         train: bool = False,
         visibility: Visibility | None = None,
+        depth: DepthView | None = None,
     ) -> tuple[Float[Array, "... M 3"], Float[Array, "... N C"], Array]:
-        x = self._point_features(xyz, global_feature, visibility)
+        x = self._point_features(xyz, global_feature, visibility, depth)
         transformer = self._transformer("inter")
         x = transformer(xyz, x, support.xyz, support.features, inter, train)
         x = self._transformer("intra")(xyz, x, xyz, x, intra, train)
@@ -114,17 +117,24 @@ class UpsamplingBlock(nn.Module):
         return repeat_in_place(xyz, self.times) + offsets, x, child_features
 
     def _point_features(
-        self, xyz: Array, global_feature: Array, visibility: Visibility | None
+        self,
+        xyz: Array,
+        global_feature: Array,
+        visibility: Visibility | None,
+        depth: DepthView | None,
     ) -> Array:
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
-        if self.config.reads_visibility:
+        if self.config.reads_visibility and self.config.visibility_form == "clues":
             if visibility is None:
                 raise ValueError("a decoder that reads visibility needs a map")
             told = over_batch(lambda cloud, known: clues(known, cloud))
             # Nothing at first, so that training can go on from weights without it.
             reading = MLP((width // 2, width), nn.initializers.zeros, name="clues")
             x = x + reading(told(xyz, visibility))
+        if self.config.reads_depth:
+            seen = over_batch(lambda cloud, view: aligned(view, cloud))(xyz, depth)
+            x = x + MLP((width, width), nn.initializers.zeros, name="depth")(seen)
         whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
         return mlp(x, whole, global_feature[..., None, :])
@@ -151,6 +161,26 @@ class UpsamplingBlock(nn.Module):
         return jnp.tanh(offsets), child
 
 
+class PooledVisibility(nn.Module):
+    """One feature of a whole map and its view; 0 at first."""
+
+    width: int
+
+    @nn.compact
+    def __call__(
+        self, cloud: Float[Array, "... N 3"], visibility: Visibility
+    ) -> Float[Array, "... G"]:
+        x = over_batch(lambda _, known: picture(known))(cloud, visibility)
+        for i, features in enumerate((16, 32, 64)):
+            x = nn.relu(Conv(features, 3, 2, name=f"conv_{i}")(x))
+        camera = visibility.camera
+        pose = camera.rotation.reshape(*camera.rotation.shape[:-2], 9)
+        x = jnp.concatenate([x.mean((-3, -2)), pose, camera.position], axis=-1)
+        widths = (self.width, self.width)
+        mlp = MLP(widths, nn.initializers.zeros, name="mlp")
+        return mlp(x[..., None, :])[..., 0, :]
+
+
 class Decoder(nn.Module):
     """CRA-PCN's decoder, from the encoded partial to every stage's points.
 
@@ -173,6 +203,10 @@ class Decoder(nn.Module):
         visibility: Visibility | None = None,
     ) -> Decoded:
         config = self.config
+        if config.reads_visibility and config.visibility_form == "pooled":
+            pooled = PooledVisibility(config.global_features[-1], name="pooled")
+            whole = encoded.global_feature + pooled(partial, visibility)
+            encoded = encoded._replace(global_feature=whole)
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
         if indices is None:
             initial = initial_rows(seeds, partial, config.num_initial)
@@ -194,7 +228,13 @@ class Decoder(nn.Module):
             pyramids.append(pair)
             block = UpsamplingBlock(config, times, name=f"block_{i}")
             children, block_features, features = block(
-                xyz, encoded.global_feature, previous, *pair, train, visibility
+                xyz,
+                encoded.global_feature,
+                previous,
+                *pair,
+                train,
+                visibility,
+                encoded.depth,
             )
             previous, xyz = Cloud(xyz, block_features), children
             stages.append(xyz)

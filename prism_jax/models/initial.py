@@ -8,12 +8,13 @@ from jaxtyping import PRNGKeyArray
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import BRANCHES
-from prism_jax.models.backbone import decode, encode_points, init_backbone
+from prism_jax.models.backbone import decode, init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
 from prism_jax.models.prism import (
     AUXILIARY,
     Prediction,
+    encode,
     prepare_input,
     run_auxiliary,
 )
@@ -24,7 +25,8 @@ from prism_jax.models.variables import Variables, unlearned_steps
 def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
     """Everything that ``adapt`` and training need, in the structure of `variables`."""
     first, second = jax.random.split(key)
-    return init_auxiliary(second, init_backbone(first, config.backbone), config)
+    backbone = init_backbone(first, config.backbone, config)
+    return init_auxiliary(second, backbone, config)
 
 
 def init_auxiliary(
@@ -38,7 +40,7 @@ def init_auxiliary(
         shape = (config.backbone.num_points, 3)
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
         inputs = prepare_input(cloud, Camera.fixed_view(), keys[0], config)
-        encoded = encode_points(backbone, config.backbone, cloud, inputs.indices)
+        encoded = encode(backbone, inputs, config)
         known = inputs.visibility
         decoded = decode(backbone, config.backbone, cloud, encoded, visibility=known)
         points, features = decoded.stages[-1], decoded.features

@@ -20,7 +20,7 @@ from prism_jax.models.auxiliary import (
     TokenIntegrator,
     Tokens,
 )
-from prism_jax.models.backbone import decode, encode_points
+from prism_jax.models.backbone import RenderedView, decode, encode_points
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.decoder import Decoded, DecoderIndices
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
@@ -105,16 +105,14 @@ def prepare_input(
     partial, camera = jax.lax.stop_gradient((partial, camera))
     if visibility is None and config.backbone.reads_visibility:
         visibility = seen_by(partial, camera.position, config.background)
-    depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
-    depth, mask = render_depth(partial, depth_view)
-    center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
+    rendered = rendered_view(partial, camera, config)
     view = camera.resized(config.consistency_pixels, config.consistency_pixels)
     perturbed = perturb(key, partial, camera.position)
     return NetworkInput(
         partial,
         encoder_indices(partial, config.backbone) if indices is None else indices,
-        jnp.where(mask, depth - center_depth, 0.0),
-        mask,
+        rendered.depth,
+        rendered.mask,
         view,
         *render_depth(partial, view),
         perturbed,
@@ -122,6 +120,16 @@ def prepare_input(
         upsample_midpoints(partial),
         visibility=visibility,
     )
+
+
+def rendered_view(
+    partial: Float[Array, "N 3"], camera: Camera, config: ModelConfig
+) -> RenderedView:
+    """What the depth stream reads: depth relative to the workspace's centre."""
+    depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
+    depth, mask = render_depth(partial, depth_view)
+    center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
+    return RenderedView(depth_view, jnp.where(mask, depth - center_depth, 0.0), mask)
 
 
 def hold_decoding(
@@ -156,8 +164,11 @@ def predict(
 def encode(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> PointFeatures:
-    """The point stream."""
-    return encode_points(variables, config.backbone, inputs.partial, inputs.indices)
+    """The point stream, and the depth stream for a decoder that reads it."""
+    view = RenderedView(inputs.view, inputs.depth, inputs.depth_mask)
+    cloud, rows, known = inputs.partial, inputs.indices, inputs.visibility
+    backbone = config.backbone
+    return encode_points(variables, backbone, cloud, rows, known, view, config)
 
 
 def decode_and_refine(

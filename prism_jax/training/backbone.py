@@ -8,16 +8,17 @@ from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.io.errors import InputError
 from prism_jax.models.backbone import (
+    RenderedView,
     decode,
     encode_points,
     partial_indices,
     train_backbone,
 )
-from prism_jax.models.config import BackboneConfig
+from prism_jax.models.config import BackboneConfig, ModelConfig
 from prism_jax.models.encoder import EncoderIndices
 from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
-from prism_jax.training.inputs import visibility_of
+from prism_jax.training.inputs import view_of, visibility_of
 from prism_jax.training.phase import Phase
 from prism_jax.training.supervised import (
     Losses,
@@ -32,8 +33,10 @@ def backbone_phase(
     model: BackboneConfig,
     phase: PhaseConfig,
     training: PretrainConfig,
+    whole: ModelConfig | None = None,
 ) -> Phase:
-    """Encoder and decoder on the stages that the phase trains."""
+    """Encoder and decoder on the stages that the phase trains, and the depth stream of
+    the whole model for a decoder that reads it."""
     blocks = len(model.up_factors) if phase.num_blocks is None else phase.num_blocks
     trained = slice(phase.first_block + 1 if phase.first_block else 0, blocks + 1)
     names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))[trained]
@@ -43,6 +46,9 @@ def backbone_phase(
 
     def known(batch: Batch) -> Visibility | None:
         return visibility_of(batch) if model.reads_visibility else None
+
+    def view(batch: Batch) -> RenderedView | None:
+        return view_of(batch, whole) if model.reads_depth else None
 
     def train(variables: Variables, batch: Batch, _: Array) -> tuple[Losses, Variables]:
         partial = jnp.asarray(batch.partial)
@@ -56,6 +62,8 @@ def backbone_phase(
             indices,
             phase.num_blocks,
             known(batch),
+            view(batch),
+            whole,
         )
         before = variables["batch_stats"]
         statistics = _from_block(phase.first_block, statistics, before)
@@ -64,9 +72,9 @@ def backbone_phase(
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial = jnp.asarray(batch.partial)
-        encoded = encode_points(
-            variables, model, partial, partial_indices(partial, model)
-        )
+        indices = partial_indices(partial, model)
+        seen = (known(batch), view(batch), whole)
+        encoded = encode_points(variables, model, partial, indices, *seen)
         decoded = decode(variables, model, partial, encoded, visibility=known(batch))
         return decoded.stages[trained]
 

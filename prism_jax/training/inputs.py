@@ -7,8 +7,9 @@ from jaxtyping import Array, Key
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.visibility import Visibility, seen_by, surface_alone
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.models.backbone import RenderedView
 from prism_jax.models.config import ModelConfig
-from prism_jax.models.prism import NetworkInput, prepare_input
+from prism_jax.models.prism import NetworkInput, prepare_input, rendered_view
 from prism_jax.observation.observation import observe
 
 
@@ -27,6 +28,16 @@ def inputs_of(
     known = visibility_of(batch) if config.backbone.reads_visibility else None
     over = jax.vmap(inputs, in_axes=(0, 0, 0, 0, 0 if key.ndim else None))
     return over(*arrays, known, key)
+
+
+def view_of(batch: Batch, config: ModelConfig) -> RenderedView:
+    """What the depth stream reads of a batch."""
+
+    def view(partial, eye):
+        camera = observe(partial, eye, Workspace.unit()).camera
+        return rendered_view(partial, camera, config)
+
+    return jax.vmap(view)(jnp.asarray(batch.partial), jnp.asarray(batch.eye))
 
 
 def visibility_of(batch: Batch) -> Visibility:

@@ -39,7 +39,8 @@ def pretrain(
         if num_samples:
             steps_of(name, num_samples, training.batch_size)
     backbone_key, auxiliary_key = jax.random.split(jax.random.key(seed))
-    variables = init_backbone(backbone_key, config.model.backbone)
+    own = (config.model,) if config.model.backbone.reads_depth else ()
+    variables = init_backbone(backbone_key, config.model.backbone, *own)
     if start is not None:
         variables = {
             kind: {name: start[kind][name] for name in parts}
@@ -48,7 +49,8 @@ def pretrain(
     for each in training.backbone:
         if not each.num_samples:
             continue
-        phase = backbone_phase(variables, config.model.backbone, each, training)
+        backbone = config.model.backbone
+        phase = backbone_phase(variables, backbone, each, training, *own)
         trained = train_phase(phase, data, folder, max_steps, tensorboard)
         if not trained.done:
             return None
