@@ -4,12 +4,14 @@
     python -m experiments.mixtures --workdir=DIR --output=FILE.json
 
 Of every set of validation data one table: what a user gets after trainings that differ
-by one thing each, without adaptation. Changes are against the first.
+by one thing each, without adaptation. Changes are against the first. --trainings and
+--sets compare others: any folders with weights.safetensors, and the results of
+`experiments.evaluate` beside them.
 """
 
 import json
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from absl import flags
@@ -42,35 +44,42 @@ def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("workdir", None, "That of the trainings.", required=True)
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_list(
+        "trainings", [*MIXTURES], "Folders in --workdir, compared with the first."
+    )
+    flags.DEFINE_list("sets", [*SETS], "Names of the results in each folder.")
 
 
 def main() -> None:
     """Reads the scores of the trainings that are there, and compares them."""
     prepare_output(FLAGS.output, ".json")
     workdir = pathlib.Path(FLAGS.workdir)
-    sets = {name: compared(workdir, name) for name in SETS}
+    sets = {name: compared(workdir, name, FLAGS.trainings) for name in FLAGS.sets}
     result = {"commit": commit(), "sets": sets}
     print_and_write(result, mixtures_markdown(result))
 
 
-def compared(workdir: pathlib.Path, name: str) -> dict[str, Any]:
-    """The mixtures side by side on one set."""
+def compared(
+    workdir: pathlib.Path, name: str, trainings: Sequence[str]
+) -> dict[str, Any]:
+    """The trainings side by side on one set."""
     rows = {}
-    for mixture, words in MIXTURES.items():
-        path = workdir / mixture / f"{name}.json"
+    for training in trainings:
+        path = workdir / training / f"{name}.json"
         if not path.exists():
             continue
         found = json.loads(path.read_text())
         seen = samples_seen(read_metadata(str(path.parent / "weights.safetensors")))
-        rows[words] = Row(found, "completed", samples=seen)
-    if MIXTURES["today"] not in rows:
-        remedy = "train it first (experiments/train_mixtures.sh)"
-        raise InputError(workdir / "today" / f"{name}.json", "is missing", remedy)
-    first = rows[MIXTURES["today"]]
+        rows[MIXTURES.get(training, training)] = Row(found, "completed", samples=seen)
+    base = MIXTURES.get(trainings[0], trainings[0])
+    if base not in rows:
+        remedy = "train and score it first (experiments/train_mixtures.sh)"
+        raise InputError(workdir / trainings[0] / f"{name}.json", "is missing", remedy)
+    first = rows[base]
     about = ("data", "split", "digest", "normalisation", "steps")
     known = {key: first.result[key] for key in about if key in first.result}
     partial = {"the partial": Row(first.result, "partial")}
-    return comparison(rows | partial, MIXTURES["today"], **known)
+    return comparison(rows | partial, base, **known)
 
 
 def mixtures_markdown(result: Mapping[str, Any]) -> str:

@@ -93,6 +93,18 @@ def test_scores_side_by_side(workdir, tmp_path, capsys):
     assert text.count("-50.0 %") == len(mixtures.SETS)
 
 
+def test_other_folders_and_sets(workdir, tmp_path):
+    (workdir / "poses").rename(workdir / "mine")
+    output = tmp_path / "mine.json"
+    arguments = ["--trainings=mine,today", "--sets=shapes-novel"]
+    arguments += [f"--workdir={workdir}", f"--output={output}"]
+    assert launching.run(mixtures, *arguments) == 0
+    sets = json.loads(output.read_text())["sets"]
+    assert list(sets) == ["shapes-novel"] and sets["shapes-novel"]["against"] == "mine"
+    change = sets["shapes-novel"]["rows"][mixtures.MIXTURES["today"]]["change"]
+    assert change["cd_l2"]["change"] == pytest.approx(1.0)
+
+
 def test_without_the_first_there_is_nothing_to_compare_with(tmp_path, capsys):
     assert launching.run(mixtures, f"--workdir={tmp_path}") == 2
     assert "today/shapes-novel.json: is missing" in capsys.readouterr().err
