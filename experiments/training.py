@@ -77,8 +77,8 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     """The variables of --weights and what is known of their training, if it is given.
 
     Weights of a network that is not the preset's raise InputError; but one that reads
-    visibility, or has more up-sampling blocks, goes on from one that does not, with
-    the parts for it untrained.
+    visibility or depth, or has more up-sampling blocks, goes on from one that does not,
+    with the parts for it untrained.
     """
     if FLAGS.weights is None:
         return None
@@ -88,7 +88,6 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     less = dataclasses.replace(
         wanted.backbone,
         reads_visibility=wanted.backbone.reads_visibility and given.reads_visibility,
-        visibility_form=given.visibility_form,
         reads_depth=wanted.backbone.reads_depth and given.reads_depth,
         up_factors=wanted.backbone.up_factors[:blocks],
         level_rates=wanted.backbone.level_rates[:blocks],
@@ -100,8 +99,7 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
     if given != wanted.backbone:
-        key = jax.random.key(FLAGS.seed)
-        fresh = init_backbone(key, wanted.backbone, wanted)
+        fresh = init_backbone(jax.random.key(FLAGS.seed), wanted)
         variables = overlaid(fresh, variables)
     return variables, known_of(FLAGS.weights)
 

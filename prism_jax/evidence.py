@@ -17,6 +17,7 @@ from prism_jax.models.backbone import (
     decode,
     encode_points,
     partial_indices,
+    with_depth,
 )
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import refine, rendered_view
@@ -67,18 +68,15 @@ def make_second_look(model: ModelConfig) -> LookFn:
     ) -> SecondLook:
         # One pass for all poses.
         clouds = _posed("nj,pij->pni", partial, _POSES)
-        known = None
+        eyes, known = _posed("j,pij->pi", eye, _POSES), None
         if model.backbone.reads_visibility:
-            eyes = _posed("j,pij->pi", eye, _POSES)
             see = functools.partial(seen_by, background=model.background)
             known = jax.vmap(see)(clouds, eyes)
         indices = partial_indices(clouds, model.backbone)
-        view = None
+        encoded = encode_points(variables, model.backbone, clouds, indices)
         if model.backbone.reads_depth:
-            eyes = _posed("j,pij->pi", eye, _POSES)
-            view = jax.vmap(lambda cloud, eye: _view(cloud, eye, model))(clouds, eyes)
-        seen = (known, view, model)
-        encoded = encode_points(variables, model.backbone, clouds, indices, *seen)
+            view = jax.vmap(functools.partial(_view, model))(clouds, eyes)
+            encoded = with_depth(encoded, variables, model, view)
         decoded = decode(variables, model.backbone, clouds, encoded, None, known)
         points = refine(variables, decoded, model)
         back = _posed("pni,pij->pnj", points, _POSES)
@@ -87,7 +85,7 @@ def make_second_look(model: ModelConfig) -> LookFn:
     return look
 
 
-def _view(cloud: Array, eye: Array, model: ModelConfig) -> RenderedView:
+def _view(model: ModelConfig, cloud: Array, eye: Array) -> RenderedView:
     camera = observe(cloud, eye, Workspace.unit()).camera
     return rendered_view(cloud, camera, model)
 

@@ -31,7 +31,7 @@ def suite(preset: str = "small") -> Iterator[Row]:
     operations; of the meta-step, which is a loop, the compiler does not know how many.
     """
     settings = resolve(preset)
-    config, backbone = settings.pretrain, settings.model.backbone
+    config = settings.pretrain
     variables = init_variables(jax.random.key(0), settings.model)
     kinds = ("params", "batch_stats")
     own = {
@@ -44,7 +44,7 @@ def suite(preset: str = "small") -> Iterator[Row]:
     best = np.median(products) / product.flops
     wanted = [1e3 * config.batch_size / SAMPLES_PER_SECOND]
     for phase in config.backbone:
-        step = _step(backbone_phase(own, backbone, phase, config), batch)
+        step = _step(backbone_phase(own, settings.model, phase, config), batch)
         (times,) = in_turn(step, seconds=20.0)
         name = f"{preset}, {phase.name}, step of {config.batch_size} samples"
         peer = f"{SAMPLES_PER_SECOND} samples a second"

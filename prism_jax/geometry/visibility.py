@@ -242,18 +242,6 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
     return jnp.concatenate([read[:, :4], behind[:, None], away[:, None]], axis=1)
 
 
-def picture(visibility: Visibility) -> Float[Array, "H W 6"]:
-    """A map of the unit workspace as an image: the shares of the four states, the depth
-    behind the workspace's middle where it is known, bounded to [-2, 2], and how far
-    aside of the measured surface, in heights of the image."""
-    camera, (state, depth) = visibility.camera, map(jnp.asarray, visibility[1:])
-    middle = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
-    behind = jnp.where(state == UNKNOWN, 0.0, jnp.clip(depth - middle, -2.0, 2.0))
-    aside = _pixels_aside(visibility) / camera.height
-    shares = jax.nn.one_hot(state, 4)
-    return jnp.concatenate([shares, jnp.stack([behind, aside], -1)], axis=-1)
-
-
 def free_depth(visibility: Visibility) -> Float[Array | np.ndarray, "H W"]:
     """How far each pixel of one map is free for sure: to the nearest of all depths that
     were measured within `ABOUT` of it, rows and columns alike.

@@ -30,34 +30,31 @@ class RenderedView(NamedTuple):
     mask: Bool[Array, "... H W"]
 
 
-def init_backbone(
-    key: PRNGKeyArray, config: BackboneConfig, model: ModelConfig | None = None
-) -> Variables:
-    """Fresh variables of the encoder and the decoder, and of the depth stream for a
-    decoder that reads it, whose sizes are the model's."""
+def init_backbone(key: PRNGKeyArray, model: ModelConfig) -> Variables:
+    """Fresh variables of the encoder and the decoder, and of the depth stream if the
+    decoder reads it."""
+    config = model.backbone
 
     def init(key: PRNGKeyArray) -> Variables:
         keys = jax.random.split(key, 3)
         shape = (1, config.num_points, 3)
         partial = jax.random.uniform(keys[0], shape, minval=-1.0)
         indices = partial_indices(partial, config)
+        encoder = PointEncoder(config).init(keys[1], partial, indices)
+        encoded = PointEncoder(config).apply(encoder, partial, indices)
         known = nothing_of(partial) if config.reads_visibility else None
-        given = {"visibility": known}
-        encoder = PointEncoder(config).init(keys[1], partial, indices, **given)
-        encoded = PointEncoder(config).apply(encoder, partial, indices, **given)
         parts = {"point_encoder": encoder}
         if config.reads_depth:
-            assert model is not None
-            side = model.depth_pixels
-            image = jnp.zeros((1, side, side))
             module = DepthEncoder(model.auxiliary)
-            parts["depth_encoder"] = module.init(keys[0], image, image > 0)
-            maps = module.apply(parts["depth_encoder"], image, image > 0).maps
-            camera = Camera.fixed_view()
-            camera = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], camera)
-            encoded = encoded._replace(depth=DepthView(camera, maps))
-        decoder = Decoder(config).init(keys[2], partial, encoded, visibility=known)
-        parts["decoder"] = decoder
+            empty = jnp.zeros((1, model.depth_pixels, model.depth_pixels))
+            seen, parts["depth_encoder"] = module.init_with_output(
+                jax.random.fold_in(key, 3), empty, empty > 0
+            )
+            camera = jax.tree.map(lambda leaf: leaf[None], Camera.fixed_view())
+            encoded = encoded._replace(depth=DepthView(camera, seen.maps))
+        parts["decoder"] = Decoder(config).init(
+            keys[2], partial, encoded, visibility=known
+        )
         return {
             collection: {name: own.get(collection, {}) for name, own in parts.items()}
             for collection in ("params", "batch_stats")
@@ -78,17 +75,23 @@ def encode_points(
     config: BackboneConfig,
     partial: Float[Array, "... N 3"],
     indices: EncoderIndices,
-    visibility: Visibility | None = None,
-    view: RenderedView | None = None,
-    model: ModelConfig | None = None,
 ) -> PointFeatures:
-    """The point stream, with BatchNorm statistics as they are, and the depth stream for
-    a decoder that reads it."""
+    """The point stream, with BatchNorm statistics as they are."""
     own = part(variables, "point_encoder")
-    given = {"visibility": visibility}
-    encoded = apply(PointEncoder(config), own, partial, indices, **given)
-    if not config.reads_depth:
+    return apply(PointEncoder(config), own, partial, indices)
+
+
+def with_depth(
+    encoded: PointFeatures,
+    variables: Variables,
+    model: ModelConfig,
+    view: RenderedView | None,
+) -> PointFeatures:
+    """The same with the depth stream's maps of a view, BatchNorm statistics as they
+    are, if the decoder reads them. It needs a view then."""
+    if not model.backbone.reads_depth:
         return encoded
+    assert view is not None
     own = part(variables, "depth_encoder")
     seen = apply(DepthEncoder(model.auxiliary), own, view.depth, view.mask)
     return encoded._replace(depth=DepthView(view.camera, seen.maps))
@@ -118,25 +121,25 @@ def nothing_of(partial: Float[Array, "*B N 3"]) -> Visibility:
 
 def train_backbone(
     variables: Variables,
-    config: BackboneConfig,
+    model: ModelConfig,
     partial: Float[Array, "B N 3"],
     indices: EncoderIndices,
     num_blocks: int | None = None,
     visibility: Visibility | None = None,
     view: RenderedView | None = None,
-    model: ModelConfig | None = None,
 ) -> tuple[Decoded, Variables]:
-    """All stages with statistics of the batch, and the updated running statistics."""
-    encoded, encoder = apply_training(
+    """All stages with statistics of the batch, and the updated running statistics. What
+    the decoder reads beside the cloud is given: the map, the view, or both."""
+    config, updated = model.backbone, {}
+    encoded, updated["point_encoder"] = apply_training(
         PointEncoder(config),
         part(variables, "point_encoder"),
         partial,
         indices,
-        visibility=visibility,
     )
-    streams = {"point_encoder": encoder}
     if config.reads_depth:
-        seen, streams["depth_encoder"] = apply_training(
+        assert view is not None
+        seen, updated["depth_encoder"] = apply_training(
             DepthEncoder(model.auxiliary),
             part(variables, "depth_encoder"),
             view.depth,
@@ -153,7 +156,7 @@ def train_backbone(
     )
     statistics = {
         **variables["batch_stats"],
-        **streams,
+        **updated,
         "decoder": {**variables["batch_stats"]["decoder"], **decoder},
     }
     return decoded, statistics

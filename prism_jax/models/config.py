@@ -39,12 +39,9 @@ class BackboneConfig:
         small one starts training from the seeds and the partial themselves.
       reads_visibility: every block reads, for each of its points, what the sensor knows
         there (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
-      visibility_form: how that is read. "clues": by every block, for each of its
-        points. "pooled": one feature of the whole map, added to the global one.
-        "points": a grid of points where it is empty or hidden, flagged, among those
-        that the encoder reads.
       reads_depth: every block reads, for each of its points, the depth stream's feature
-        maps at its projection. The paper's streams meet in the losses alone.
+        maps at its projection (`prism_jax.models.depth_encoder.aligned`). In the paper
+        the streams meet in the losses alone.
     """
 
     num_points: int = 2048
@@ -65,7 +62,6 @@ class BackboneConfig:
     use_norm: bool = True
     offset_init: float = 0.01
     reads_visibility: bool = False
-    visibility_form: Literal["clues", "pooled", "points"] = "clues"
     reads_depth: bool = False
 
     def __post_init__(self):

@@ -7,14 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from prism_jax.geometry.visibility import Visibility, clues, picture
+from prism_jax.geometry.visibility import Visibility, clues
 from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.depth_encoder import DepthView, aligned
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import (
     MLP,
-    Conv,
     Dense,
     ResidualMLP,
     SplitPoints,
@@ -125,19 +124,23 @@ class UpsamplingBlock(nn.Module):
     ) -> Array:
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
-        if self.config.reads_visibility and self.config.visibility_form == "clues":
+        if self.config.reads_visibility:
             if visibility is None:
                 raise ValueError("a decoder that reads visibility needs a map")
             told = over_batch(lambda cloud, known: clues(known, cloud))
-            # Nothing at first, so that training can go on from weights without it.
-            reading = MLP((width // 2, width), nn.initializers.zeros, name="clues")
-            x = x + reading(told(xyz, visibility))
+            x = x + self._reading("clues", width // 2)(told(xyz, visibility))
         if self.config.reads_depth:
-            seen = over_batch(lambda cloud, view: aligned(view, cloud))(xyz, depth)
-            x = x + MLP((width, width), nn.initializers.zeros, name="depth")(seen)
+            if depth is None:
+                raise ValueError("a decoder that reads depth needs its stream's maps")
+            seen = over_batch(lambda cloud, view: aligned(view, cloud))
+            x = x + self._reading("depth", width)(seen(xyz, depth))
         whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
         return mlp(x, whole, global_feature[..., None, :])
+
+    def _reading(self, name: str, hidden: int) -> MLP:
+        """Nothing at first, so that training can go on from weights without it."""
+        return MLP((hidden, self.config.features), nn.initializers.zeros, name=name)
 
     def _transformer(self, name: str) -> CrossResolutionTransformer:
         return CrossResolutionTransformer(
@@ -159,26 +162,6 @@ class UpsamplingBlock(nn.Module):
         init = nn.initializers.normal(self.config.offset_init)
         offsets = MLP((width // 2, 3), final_init=init, name="offset")(nn.relu(child))
         return jnp.tanh(offsets), child
-
-
-class PooledVisibility(nn.Module):
-    """One feature of a whole map and its view; 0 at first."""
-
-    width: int
-
-    @nn.compact
-    def __call__(
-        self, cloud: Float[Array, "... N 3"], visibility: Visibility
-    ) -> Float[Array, "... G"]:
-        x = over_batch(lambda _, known: picture(known))(cloud, visibility)
-        for i, features in enumerate((16, 32, 64)):
-            x = nn.relu(Conv(features, 3, 2, name=f"conv_{i}")(x))
-        camera = visibility.camera
-        pose = camera.rotation.reshape(*camera.rotation.shape[:-2], 9)
-        x = jnp.concatenate([x.mean((-3, -2)), pose, camera.position], axis=-1)
-        widths = (self.width, self.width)
-        mlp = MLP(widths, nn.initializers.zeros, name="mlp")
-        return mlp(x[..., None, :])[..., 0, :]
 
 
 class Decoder(nn.Module):
@@ -203,10 +186,6 @@ class Decoder(nn.Module):
         visibility: Visibility | None = None,
     ) -> Decoded:
         config = self.config
-        if config.reads_visibility and config.visibility_form == "pooled":
-            pooled = PooledVisibility(config.global_features[-1], name="pooled")
-            whole = encoded.global_feature + pooled(partial, visibility)
-            encoded = encoded._replace(global_feature=whole)
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
         if indices is None:
             initial = initial_rows(seeds, partial, config.num_initial)

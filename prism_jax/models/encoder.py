@@ -3,16 +3,14 @@
 from typing import NamedTuple
 
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
-from prism_jax.geometry.visibility import BACKGROUND, NEARER, Visibility
 from prism_jax.models.attention import CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.depth_encoder import DepthView
-from prism_jax.models.layers import MLP, Dense, gather, highest, over_batch, take
+from prism_jax.models.layers import MLP, Dense, gather, highest, take
 from prism_jax.models.pyramid import (
     Pyramid,
     build_pyramid,
@@ -33,8 +31,8 @@ class EncoderIndices(NamedTuple):
 
 class PointFeatures(NamedTuple):
     """What the decoder and the auxiliary branches see of the partial: its patches,
-    their neighbours among each other, and all of it at once; and what the depth stream
-    made of its view, for a decoder that reads it."""
+    their neighbours among each other, and all of it at once; and the depth stream's
+    maps, for a decoder that reads them."""
 
     patch_xyz: Float[Array, "... M 3"]
     patch_features: Float[Array, "... M C"]
@@ -69,47 +67,6 @@ def encoder_indices(
     return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids), around)
 
 
-GRID = 8
-"""Points along each side of the view that say where it is empty or hidden."""
-
-
-def with_empty(
-    partial: Float[Array, "N 3"],
-    indices: EncoderIndices,
-    visibility: Visibility,
-    config: BackboneConfig,
-) -> tuple[Float[Array, "n 3"], Float[Array, "n 2"], EncoderIndices]:
-    """The first patches, a grid of places in the view in the stead of the last ones.
-
-    A place lies on its pixel's ray, as deep as the workspace's middle, flagged as
-    empty or as hidden; one of which the map says neither is the first patch again,
-    without a flag. The second patches are measured ones, as they would be without.
-    """
-    camera, state = visibility.camera, visibility.state
-    step = state.shape[0] // GRID
-    state = state[step // 2 :: step, step // 2 :: step].ravel()
-    grid = camera.resized(GRID, GRID)
-    middle = jnp.maximum(camera.to_camera(jnp.zeros((1, 3)))[0, 2], 0.0)
-    full = jnp.full((GRID, GRID), middle), jnp.ones((GRID, GRID), bool)
-    flags = jnp.stack([state == BACKGROUND, state == NEARER], -1).astype(float)
-    measured = partial[indices.rows[0]]
-    said = flags.any(-1, keepdims=True)
-    places = jnp.where(said, grid.unproject(*full), measured[0])
-    kept = measured[: len(measured) - len(places)]
-    xyz = jax.lax.stop_gradient(jnp.concatenate([kept, places]))
-    flags = jnp.concatenate([jnp.zeros((len(kept), 2)), flags])
-    order = jnp.arange(len(xyz))
-    levels = resolution_rows(order, len(xyz), config.encoder_rates)
-    pyramid = build_pyramid(xyz, xyz, levels, levels, config.num_neighbors, same=True)
-    second = measured[: config.patch_points[1]]
-    near = (
-        knn(xyz, partial, config.patch_neighbors),
-        knn(second, xyz, config.patch_neighbors),
-    )
-    pyramids = (pyramid, indices.pyramids[1])
-    return xyz, flags, indices._replace(neighbors=near, pyramids=pyramids)
-
-
 class SetAbstraction(nn.Module):
     """PointNet++ over given neighbours: relative coordinates and features, a shared
     MLP, the maximum."""
@@ -141,21 +98,11 @@ class PointEncoder(nn.Module):
         partial: Float[Array, "... N 3"],
         indices: EncoderIndices,
         train: bool = False,
-        visibility: Visibility | None = None,
     ) -> PointFeatures:
         config = self.config
-        xyz_1, flags = take(partial, indices.rows[0]), None
-        if config.reads_visibility and config.visibility_form == "points":
-            joined = over_batch(
-                lambda cloud, rows, known: with_empty(cloud, rows, known, config)
-            )
-            xyz_1, flags, indices = joined(partial, indices, visibility)
+        xyz_1 = take(partial, indices.rows[0])
         abstract = SetAbstraction(config.patch_features[0], name="abstraction_1")
         features_1 = abstract(xyz_1, partial, partial, indices.neighbors[0])
-        if flags is not None:
-            width = config.patch_features[0][-1]
-            flagged = MLP((width, width), nn.initializers.zeros, name="flags")
-            features_1 = features_1 + flagged(flags)
         features_1 = self._transform(1, xyz_1, features_1, indices, train)
 
         xyz_2 = take(xyz_1, indices.rows[1])

@@ -25,14 +25,14 @@ from prism_jax.models.variables import Variables, unlearned_steps
 def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
     """Everything that ``adapt`` and training need, in the structure of `variables`."""
     first, second = jax.random.split(key)
-    backbone = init_backbone(first, config.backbone, config)
-    return init_auxiliary(second, backbone, config)
+    return init_auxiliary(second, init_backbone(first, config), config)
 
 
 def init_auxiliary(
     key: PRNGKeyArray, backbone: Variables, config: ModelConfig
 ) -> Variables:
-    """A backbone's variables with fresh ones for all that reads it."""
+    """A backbone's variables with fresh ones for all that reads it. The depth stream is
+    the backbone's own where its decoder reads it."""
     sizes = config.auxiliary
 
     def init(key: PRNGKeyArray, backbone: Variables) -> dict[str, Any]:
@@ -65,6 +65,8 @@ def init_auxiliary(
 
     fresh = jax.jit(init)(key, backbone)
     depth = fresh.pop("depth_encoder")
+    if config.backbone.reads_depth:
+        depth = {kind: backbone[kind]["depth_encoder"] for kind in depth}
     params = {name: variables["params"] for name, variables in fresh.items()}
     params = {
         **backbone["params"],

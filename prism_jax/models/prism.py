@@ -20,7 +20,12 @@ from prism_jax.models.auxiliary import (
     TokenIntegrator,
     Tokens,
 )
-from prism_jax.models.backbone import RenderedView, decode, encode_points
+from prism_jax.models.backbone import (
+    RenderedView,
+    decode,
+    encode_points,
+    with_depth,
+)
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.decoder import Decoded, DecoderIndices
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
@@ -165,10 +170,10 @@ def encode(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> PointFeatures:
     """The point stream, and the depth stream for a decoder that reads it."""
+    cloud, rows = inputs.partial, inputs.indices
+    encoded = encode_points(variables, config.backbone, cloud, rows)
     view = RenderedView(inputs.view, inputs.depth, inputs.depth_mask)
-    cloud, rows, known = inputs.partial, inputs.indices, inputs.visibility
-    backbone = config.backbone
-    return encode_points(variables, backbone, cloud, rows, known, view, config)
+    return with_depth(encoded, variables, config, view)
 
 
 def decode_and_refine(

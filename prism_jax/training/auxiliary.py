@@ -17,6 +17,7 @@ from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.weighting import BRANCHES, update_scale
+from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.prism import (
     NetworkInput,
@@ -31,13 +32,18 @@ from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import Phase, TrainState, steps_of
 
-TRAINED = ("refiner", "depth_encoder", "auxiliary")
+
+def trained_parts(model: ModelConfig) -> tuple[str, ...]:
+    """The parts that learn. A depth stream that the decoder reads is the backbone's."""
+    own = () if model.backbone.reads_depth else ("depth_encoder",)
+    return ("refiner", *own, "auxiliary")
 
 
 def auxiliary_phase(
     variables: Variables, config: PrismConfig, training: PretrainConfig, seed: int
 ) -> Phase:
     """Everything but the backbone, on the losses of Eq. 3, 5, 6 and 9."""
+    names = trained_parts(config.model)
     num_steps = steps_of("auxiliary", training.auxiliary_samples, training.batch_size)
     adam = optimiser(
         "adam",
@@ -50,9 +56,9 @@ def auxiliary_phase(
     # The refiner's gradient is clipped on its own.
     both = optax.partition(
         {"refiner": adam, "branches": adam},
-        {name: "refiner" if name == "refiner" else "branches" for name in TRAINED},
+        {name: "refiner" if name == "refiner" else "branches" for name in names},
     )
-    trained = {name: variables["params"][name] for name in TRAINED}
+    trained = {name: variables["params"][name] for name in names}
     start = TrainState(jnp.int32(0), variables, both.init(trained))
     key = jax.random.key(seed)
     return Phase(
@@ -72,12 +78,16 @@ def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyA
     def loss_fn(trained, variables, batch, key):
         variables = {**variables, "params": {**variables["params"], **trained}}
         inputs = inputs_of(batch, _keys(key, batch), config.model)
-        depth_features, statistics = apply_training(
-            DepthEncoder(config.model.auxiliary),
-            part(variables, "depth_encoder"),
-            inputs.depth,
-            inputs.depth_mask,
-        )
+        if "depth_encoder" in trained:
+            depth_features, statistics = apply_training(
+                DepthEncoder(config.model.auxiliary),
+                part(variables, "depth_encoder"),
+                inputs.depth,
+                inputs.depth_mask,
+            )
+        else:
+            depth_features = _depth_features(variables, inputs, config)
+            statistics = variables["batch_stats"]["depth_encoder"]
         terms, measured, _ = _terms(variables, inputs, depth_features, batch, config)
         return terms.sum(), (terms, measured.mean(0), statistics)
 
@@ -85,7 +95,7 @@ def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyA
     def step(state: TrainState, batch: Batch):
         variables = state.variables
         params, weighting = variables["params"], variables["weighting"]
-        trained = {name: params[name] for name in TRAINED}
+        trained = {name: params[name] for name in trained_parts(config.model)}
         grads, (terms, measured, statistics) = jax.grad(loss_fn, has_aux=True)(
             trained, variables, batch, jax.random.fold_in(key, state.step)
         )
@@ -109,9 +119,7 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
     @jax.jit
     def validate(variables: Variables, batch: Batch):
         inputs = inputs_of(batch, _keys(key, batch), config.model)
-        depth_features = jax.vmap(lambda f: read_depth(variables, f, config.model))(
-            inputs
-        )
+        depth_features = _depth_features(variables, inputs, config)
         terms, _, predictions = _terms(variables, inputs, depth_features, batch, config)
         complete = jnp.asarray(batch.complete)
         scale = jnp.asarray(batch.scale) ** 2
@@ -120,6 +128,13 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
         return jnp.stack([*distances, jnp.broadcast_to(terms.sum(), scale.shape)], -1)
 
     return validate
+
+
+def _depth_features(
+    variables: Variables, inputs: NetworkInput, config: PrismConfig
+) -> DepthFeatures:
+    """Those of a batch, with BatchNorm statistics as they are."""
+    return jax.vmap(lambda frame: read_depth(variables, frame, config.model))(inputs)
 
 
 def _keys(key: PRNGKeyArray, batch: Batch) -> Key[Array, " B"]:

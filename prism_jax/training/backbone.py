@@ -13,6 +13,7 @@ from prism_jax.models.backbone import (
     encode_points,
     partial_indices,
     train_backbone,
+    with_depth,
 )
 from prism_jax.models.config import BackboneConfig, ModelConfig
 from prism_jax.models.encoder import EncoderIndices
@@ -30,14 +31,14 @@ from prism_jax.training.supervised import (
 
 def backbone_phase(
     variables: Variables,
-    model: BackboneConfig,
+    model: ModelConfig,
     phase: PhaseConfig,
     training: PretrainConfig,
-    whole: ModelConfig | None = None,
 ) -> Phase:
-    """Encoder and decoder on the stages that the phase trains, and the depth stream of
-    the whole model for a decoder that reads it."""
-    blocks = len(model.up_factors) if phase.num_blocks is None else phase.num_blocks
+    """Encoder and decoder on the stages that the phase trains, and the depth stream if
+    the decoder reads it."""
+    backbone = model.backbone
+    blocks = len(backbone.up_factors) if phase.num_blocks is None else phase.num_blocks
     trained = slice(phase.first_block + 1 if phase.first_block else 0, blocks + 1)
     names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))[trained]
     if not names:
@@ -45,14 +46,14 @@ def backbone_phase(
         raise InputError(phase.name, fault, "add a block, or lower its first_block")
 
     def known(batch: Batch) -> Visibility | None:
-        return visibility_of(batch) if model.reads_visibility else None
+        return visibility_of(batch) if backbone.reads_visibility else None
 
     def view(batch: Batch) -> RenderedView | None:
-        return view_of(batch, whole) if model.reads_depth else None
+        return view_of(batch, model) if backbone.reads_depth else None
 
     def train(variables: Variables, batch: Batch, _: Array) -> tuple[Losses, Variables]:
         partial = jnp.asarray(batch.partial)
-        indices = _indices(batch, partial, model)
+        indices = _indices(batch, partial, backbone)
         frozen = jax.lax.stop_gradient(variables["params"])
         params = _from_block(phase.first_block, variables["params"], frozen)
         decoded, statistics = train_backbone(
@@ -63,7 +64,6 @@ def backbone_phase(
             phase.num_blocks,
             known(batch),
             view(batch),
-            whole,
         )
         before = variables["batch_stats"]
         statistics = _from_block(phase.first_block, statistics, before)
@@ -72,10 +72,10 @@ def backbone_phase(
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial = jnp.asarray(batch.partial)
-        indices = partial_indices(partial, model)
-        seen = (known(batch), view(batch), whole)
-        encoded = encode_points(variables, model, partial, indices, *seen)
-        decoded = decode(variables, model, partial, encoded, visibility=known(batch))
+        indices = partial_indices(partial, backbone)
+        encoded = encode_points(variables, backbone, partial, indices)
+        encoded = with_depth(encoded, variables, model, view(batch))
+        decoded = decode(variables, backbone, partial, encoded, None, known(batch))
         return decoded.stages[trained]
 
     return supervised_phase(variables, train, stages, names, phase, training)

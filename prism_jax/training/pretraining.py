@@ -39,8 +39,7 @@ def pretrain(
         if num_samples:
             steps_of(name, num_samples, training.batch_size)
     backbone_key, auxiliary_key = jax.random.split(jax.random.key(seed))
-    own = (config.model,) if config.model.backbone.reads_depth else ()
-    variables = init_backbone(backbone_key, config.model.backbone, *own)
+    variables = init_backbone(backbone_key, config.model)
     if start is not None:
         variables = {
             kind: {name: start[kind][name] for name in parts}
@@ -49,8 +48,7 @@ def pretrain(
     for each in training.backbone:
         if not each.num_samples:
             continue
-        backbone = config.model.backbone
-        phase = backbone_phase(variables, backbone, each, training, *own)
+        phase = backbone_phase(variables, config.model, each, training)
         trained = train_phase(phase, data, folder, max_steps, tensorboard)
         if not trained.done:
             return None

@@ -10,7 +10,7 @@ from flax.traverse_util import flatten_dict
 from experiments.baselines.crapcn import convert_state_dict, load_torch
 from prism_jax.io.errors import InputError
 from prism_jax.models.backbone import init_backbone
-from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
+from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig, ModelConfig
 
 # No two widths that meet in one layer are equal.
 TINY = BackboneConfig(
@@ -134,7 +134,8 @@ def unused(name):
 def test_gives_the_variables_of_the_modules(config, num_parameters):
     state = {n: np.zeros(s, np.float16) for n, s in torch_shapes(config).items()}
     converted = flatten_dict(convert_state_dict(state, config))
-    expected = jax.eval_shape(lambda key: init_backbone(key, config), jax.random.key(0))
+    model = ModelConfig(config)
+    expected = jax.eval_shape(lambda key: init_backbone(key, model), jax.random.key(0))
     expected = flatten_dict(expected)
     assert {p: a.shape for p, a in converted.items()} == {
         p: a.shape for p, a in expected.items()

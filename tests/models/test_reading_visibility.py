@@ -1,4 +1,4 @@
-"""A decoder that reads what the sensor knows."""
+"""A decoder that reads what the sensor knows, and what the depth stream made of it."""
 
 import dataclasses
 
@@ -9,7 +9,13 @@ import pytest
 
 from experiments.training import overlaid
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, seen_by
+from prism_jax.geometry.visibility import (
+    BACKGROUND,
+    SURFACE,
+    UNKNOWN,
+    nothing_known,
+    seen_by,
+)
 from prism_jax.models.backbone import (
     decode,
     encode_points,
@@ -23,14 +29,15 @@ from prism_jax.training.inputs import inputs_of, visibility_of
 @pytest.fixture(scope="module")
 def reading(minimal):
     """The model of `minimal`, reading."""
-    backbone = dataclasses.replace(minimal.model.backbone, reads_visibility=True)
+    reads = {"reads_visibility": True, "reads_depth": True}
+    backbone = dataclasses.replace(minimal.model.backbone, **reads)
     return dataclasses.replace(minimal.model, backbone=backbone)
 
 
 @pytest.fixture(scope="module")
 def untrained(reading, minimal_fresh):
     """Variables of `minimal`, with the parts for it as they begin."""
-    fresh = init_backbone(jax.random.key(0), reading.backbone)
+    fresh = init_backbone(jax.random.key(0), reading)
     return overlaid(fresh, minimal_fresh)
 
 
@@ -40,11 +47,11 @@ def trained(untrained):
     rng = np.random.default_rng(0)
     params = untrained["params"]
     block = params["decoder"]["block_0"]
-    clues = jax.tree.map(
+    read = jax.tree.map(
         lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype),
-        block["clues"],
+        {name: block[name] for name in ("clues", "depth")},
     )
-    decoder = {**params["decoder"], "block_0": {**block, "clues": clues}}
+    decoder = {**params["decoder"], "block_0": {**block, **read}}
     return {**untrained, "params": {**params, "decoder": decoder}}
 
 
@@ -96,6 +103,17 @@ def test_what_is_known_changes_what_is_said(trained, complete, frame):
     assert np.abs(found[0] - found[2]).max() > 1e-2
 
 
+def test_the_depth_stream_has_a_say(untrained, trained, complete, frame):
+    """With a decoder that has learned to read it, as adaptation moves it."""
+    partial, camera = frame
+    for variables, moves in ((untrained, False), (trained, True)):
+        params = variables["params"]
+        other = jax.tree.map(lambda leaf: 1.5 * leaf, params["depth_encoder"])
+        changed = {**variables, "params": {**params, "depth_encoder": other}}
+        found = [complete(v, partial, camera, None) for v in (variables, changed)]
+        assert (np.abs(found[0] - found[1]).max() > 1e-3) == moves
+
+
 def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_frames):
     partials, cameras = tiny_frames
     eyes = cameras.position
@@ -116,11 +134,13 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_fra
     np.testing.assert_array_equal(inputs.visibility.state, known.state)
 
 
-def test_a_decoder_that_reads_needs_a_map(reading, trained, frame):
-    def decoded(partial):
+def test_a_decoder_that_reads_needs_a_map_and_a_view(reading, trained, frame):
+    def decoded(partial, known):
         indices = partial_indices(partial, reading.backbone)
         encoded = encode_points(trained, reading.backbone, partial, indices)
-        return decode(trained, reading.backbone, partial, encoded)
+        return decode(trained, reading.backbone, partial, encoded, None, known)
 
     with pytest.raises(ValueError, match="needs a map"):
-        jax.eval_shape(decoded, frame[0])
+        jax.eval_shape(decoded, frame[0], None)
+    with pytest.raises(ValueError, match="needs its stream's maps"):
+        jax.eval_shape(decoded, frame[0], nothing_known())

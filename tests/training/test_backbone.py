@@ -9,11 +9,14 @@ import numpy as np
 import optax
 import pytest
 
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.holdout import Subset
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.io.errors import InputError
 from prism_jax.models.backbone import init_backbone
+from prism_jax.models.initial import init_auxiliary
 from prism_jax.training import parallel
+from prism_jax.training.auxiliary import auxiliary_phase
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.indices import index_table
@@ -51,13 +54,13 @@ def backbone(minimal_variables):
 @pytest.fixture(scope="module")
 def seeds(preset, backbone):
     phase = preset.pretrain.backbone[0]
-    return backbone_phase(backbone, preset.model.backbone, phase, preset.pretrain)
+    return backbone_phase(backbone, preset.model, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
 def stages(preset, backbone):
     phase = preset.pretrain.backbone[1]
-    return backbone_phase(backbone, preset.model.backbone, phase, preset.pretrain)
+    return backbone_phase(backbone, preset.model, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
@@ -122,11 +125,45 @@ def test_the_whole_decoder_trains(stages, indexed):
 
 
 @pytest.mark.slow
+def test_a_depth_stream_that_is_read_is_trained_with_the_backbone(preset, batch):
+    """And what comes after leaves it alone."""
+    backbone = dataclasses.replace(preset.model.backbone, reads_depth=True)
+    model = dataclasses.replace(preset.model, backbone=backbone)
+    variables = init_backbone(jax.random.key(0), model)
+    phase = backbone_phase(
+        variables, model, preset.pretrain.backbone[1], preset.pretrain
+    )
+    state = phase.start
+    for _ in range(3):
+        state, _ = phase.step_fn(state, batch)
+    after = state.variables
+    for kind in ("params", "batch_stats"):
+        assert not bitwise(
+            variables[kind]["depth_encoder"], after[kind]["depth_encoder"]
+        )
+    assert np.isfinite(phase.validate_fn(state.kept, batch)).all()
+    whole = init_auxiliary(jax.random.key(1), after, model)
+    config = PrismConfig(model, preset.adapt)
+    training = dataclasses.replace(preset.pretrain, auxiliary_samples=8 * BATCH)
+    later = auxiliary_phase(whole, config, training, seed=0)
+    state = later.start
+    for _ in range(2):
+        state, _ = later.step_fn(state, batch)
+    for kind in ("params", "batch_stats"):
+        kept = state.variables[kind]["depth_encoder"]
+        assert bitwise(kept, after[kind]["depth_encoder"])
+    assert not bitwise(
+        state.variables["params"]["auxiliary"], whole["params"]["auxiliary"]
+    )
+
+
+@pytest.mark.slow
 def test_a_last_block_is_trained_alone(preset, batch):
     """On a network that was trained without it."""
     two = dataclasses.replace(
         preset.model.backbone, up_factors=(2, 2), level_rates=((1,), (1,))
     )
+    two = dataclasses.replace(preset.model, backbone=two)
     variables = init_backbone(jax.random.key(0), two)
     last = dataclasses.replace(preset.pretrain.backbone[1], first_block=1)
     phase = backbone_phase(variables, two, last, preset.pretrain)
@@ -196,8 +233,8 @@ def test_the_average_is_what_is_kept(preset, backbone, batch):
     """In closed form: it forgets sooner at first. Training is as without it."""
     phase, settings = preset.pretrain.backbone[0], preset.pretrain
     averaged = dataclasses.replace(settings, average_decay=0.25)
-    with_average = backbone_phase(backbone, preset.model.backbone, phase, averaged)
-    alone = backbone_phase(backbone, preset.model.backbone, phase, settings)
+    with_average = backbone_phase(backbone, preset.model, phase, averaged)
+    alone = backbone_phase(backbone, preset.model, phase, settings)
     assert alone.start.average is None
     state, plain, expected = with_average.start, alone.start, alone.start.variables
     assert bitwise(state.kept, state.variables)
