@@ -42,7 +42,7 @@ class BackboneConfig:
       visibility_form: how that is read. "clues": by every block, for each of its
         points. "pooled": one feature of the whole map, added to the global one.
         "points": a grid of points where it is empty or hidden, flagged, among those
-        that the encoder reads.
+        that the encoder reads. "both": the first two.
       reads_depth: every block reads, for each of its points, the depth stream's feature
         maps at its projection. The paper's streams meet in the losses alone.
     """
@@ -65,7 +65,7 @@ class BackboneConfig:
     use_norm: bool = True
     offset_init: float = 0.01
     reads_visibility: bool = False
-    visibility_form: Literal["clues", "pooled", "points"] = "clues"
+    visibility_form: Literal["clues", "pooled", "points", "both"] = "clues"
     reads_depth: bool = False
 
     def __post_init__(self):

@@ -125,7 +125,8 @@ class UpsamplingBlock(nn.Module):
     ) -> Array:
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
-        if self.config.reads_visibility and self.config.visibility_form == "clues":
+        form = self.config.visibility_form
+        if self.config.reads_visibility and form in ("clues", "both"):
             if visibility is None:
                 raise ValueError("a decoder that reads visibility needs a map")
             told = over_batch(lambda cloud, known: clues(known, cloud))
@@ -203,7 +204,7 @@ class Decoder(nn.Module):
         visibility: Visibility | None = None,
     ) -> Decoded:
         config = self.config
-        if config.reads_visibility and config.visibility_form == "pooled":
+        if config.reads_visibility and config.visibility_form in ("pooled", "both"):
             pooled = PooledVisibility(config.global_features[-1], name="pooled")
             whole = encoded.global_feature + pooled(partial, visibility)
             encoded = encoded._replace(global_feature=whole)
