@@ -149,7 +149,9 @@ _PAPER_META = MetaTrainConfig(MetaConfig(remat=True), at_once=4)
 # The paper's sizes and samples with what helped `small` on validation.
 _PLUS = Preset(
     ModelConfig(
-        dataclasses.replace(_PAPER, seeds_from_patches=True),
+        dataclasses.replace(
+            _PAPER, seeds_from_patches=True, reads_visibility=True, reads_depth=True
+        ),
         AuxiliaryConfig(max_coordinate=2.0),
     ),
     _SMALL_ADAPT,
