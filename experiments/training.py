@@ -92,10 +92,11 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
         up_factors=wanted.backbone.up_factors[:blocks],
         level_rates=wanted.backbone.level_rates[:blocks],
     )
-    # In which heading the network gets an object is no matter of its size.
-    if config.model != dataclasses.replace(
-        wanted, backbone=less, heading=config.model.heading
-    ):
+    # How an object reaches the network, and what it is told, is no matter of its size.
+    use = {
+        name: getattr(config.model, name) for name in ("heading", "background", "told")
+    }
+    if config.model != dataclasses.replace(wanted, backbone=less, **use):
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
     if given != wanted.backbone:

@@ -183,7 +183,13 @@ PRESETS = {
         num_shapes=64,
     ),
     "small": Preset(
-        ModelConfig(_SMALL, _SMALL_AUXILIARY, heading="level", consistency_pixels=32),
+        ModelConfig(
+            _SMALL,
+            _SMALL_AUXILIARY,
+            heading="level",
+            consistency_pixels=32,
+            told=True,
+        ),
         _SMALL_ADAPT,
         PretrainConfig(
             _phases(200_000, 768_000), auxiliary_samples=20_000, average_decay=0.999

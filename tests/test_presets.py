@@ -3,6 +3,7 @@
 import pytest
 
 from prism_jax.presets import PRESETS
+from prism_jax.weights import load_pretrained
 
 
 @pytest.mark.parametrize(
@@ -35,6 +36,10 @@ def test_paper_has_the_papers_values():
     assert meta.method.weight_rule == "auxiliary"
     assert not meta.method.first_order
     assert not meta.method.learn_steps
+
+
+def test_a_training_can_go_on_from_what_ships():
+    assert load_pretrained("small")[0].model == PRESETS["small"].model
 
 
 @pytest.mark.parametrize("name", PRESETS)

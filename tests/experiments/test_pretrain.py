@@ -136,6 +136,14 @@ def test_weights_of_another_network_are_refused(run, weights, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+def test_what_weights_are_told_is_no_matter_of_their_size(run, weights, tmp_path):
+    changes = ("--set=model.told=True", "--set=model.background=empty")
+    status, (start,) = run(
+        f"--workdir={tmp_path}/run", f"--weights={weights}", "--max_steps=1", *changes
+    )
+    assert status == 0 and start is not None
+
+
 def test_a_share_of_whole_views_is_of_a_mixture(run, tmp_path, capsys):
     assert run(f"--workdir={tmp_path}/run", "--whole=0.5") == (2, [])
     assert "--whole: is of a mixture; give --mixture too" in capsys.readouterr().err
