@@ -11,18 +11,16 @@ from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.visibility import seen_by
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.backbone import (
-    RenderedView,
     decode,
     encode_points,
     partial_indices,
     with_depth,
 )
 from prism_jax.models.config import ModelConfig
-from prism_jax.models.prism import refine, rendered_view
+from prism_jax.models.prism import refine, view_from
 from prism_jax.models.variables import Variables
-from prism_jax.observation.observation import Observation, observe
+from prism_jax.observation.observation import Observation
 from prism_jax.observation.visibility import looked_through
 from prism_jax.selection import ABOUT, Selection, usual_spacing
 
@@ -75,7 +73,7 @@ def make_second_look(model: ModelConfig) -> LookFn:
         indices = partial_indices(clouds, model.backbone)
         encoded = encode_points(variables, model.backbone, clouds, indices)
         if model.backbone.reads_depth:
-            view = jax.vmap(functools.partial(_view, model))(clouds, eyes)
+            view = jax.vmap(lambda *one: view_from(*one, model))(clouds, eyes)
             encoded = with_depth(encoded, variables, model, view)
         decoded = decode(variables, model.backbone, clouds, encoded, None, known)
         points = refine(variables, decoded, model)
@@ -83,11 +81,6 @@ def make_second_look(model: ModelConfig) -> LookFn:
         return SecondLook(encoded.global_feature[0], *back)
 
     return look
-
-
-def _view(model: ModelConfig, cloud: Array, eye: Array) -> RenderedView:
-    camera = observe(cloud, eye, Workspace.unit()).camera
-    return rendered_view(cloud, camera, model)
 
 
 def evidence_of(

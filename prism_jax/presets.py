@@ -146,7 +146,8 @@ _PAPER_PRETRAIN = PretrainConfig(
 
 _PAPER_META = MetaTrainConfig(MetaConfig(remat=True), at_once=4)
 
-# The paper's sizes and samples with what helped `small` on validation.
+# The paper's sizes and samples with what helped `small` on validation, and with a
+# decoder that reads the depth stream: the place to try that at length.
 _PLUS = Preset(
     ModelConfig(
         dataclasses.replace(

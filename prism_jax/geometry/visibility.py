@@ -297,7 +297,10 @@ def interpolated(
     uv: Float[Array, "N 2"],
     beyond: Float[Array, " C"],
 ) -> Float[Array, "N C"]:
-    """Bilinear between the middles of pixels; `beyond` is what lies around them."""
+    """Bilinear between the middles of pixels; `beyond` is what lies around them.
+
+    Continuous in the pixel coordinates, and differentiable almost everywhere.
+    """
     height, width, _ = image.shape
     padded = jnp.pad(image - beyond, ((1, 1), (1, 1), (0, 0))) + beyond
     # In the coordinates of the padded image; farther out it is the same.

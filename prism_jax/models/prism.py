@@ -12,6 +12,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Visibility, seen_by
+from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.denoise import perturb, upsample_midpoints
 from prism_jax.models.auxiliary import (
     Denoiser,
@@ -32,6 +33,7 @@ from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
 from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, apply, part
+from prism_jax.observation.observation import observe
 
 
 class NetworkInput(NamedTuple):
@@ -135,6 +137,15 @@ def rendered_view(
     depth, mask = render_depth(partial, depth_view)
     center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
     return RenderedView(depth_view, jnp.where(mask, depth - center_depth, 0.0), mask)
+
+
+def view_from(
+    partial: Float[Array, "N 3"], eye: Float[Array, "3"], config: ModelConfig
+) -> RenderedView:
+    """What the depth stream reads of a cloud in the unit workspace, from where its
+    sensor stood."""
+    camera = observe(partial, eye, Workspace.unit()).camera
+    return rendered_view(partial, camera, config)
 
 
 def hold_decoding(

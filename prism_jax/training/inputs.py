@@ -9,7 +9,7 @@ from prism_jax.geometry.visibility import Visibility, seen_by, surface_alone
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.backbone import RenderedView
 from prism_jax.models.config import ModelConfig
-from prism_jax.models.prism import NetworkInput, prepare_input, rendered_view
+from prism_jax.models.prism import NetworkInput, prepare_input, view_from
 from prism_jax.observation.observation import observe
 
 
@@ -32,12 +32,8 @@ def inputs_of(
 
 def view_of(batch: Batch, config: ModelConfig) -> RenderedView:
     """What the depth stream reads of a batch."""
-
-    def view(partial, eye):
-        camera = observe(partial, eye, Workspace.unit()).camera
-        return rendered_view(partial, camera, config)
-
-    return jax.vmap(view)(jnp.asarray(batch.partial), jnp.asarray(batch.eye))
+    arrays = jnp.asarray(batch.partial), jnp.asarray(batch.eye)
+    return jax.vmap(lambda *one: view_from(*one, config))(*arrays)
 
 
 def visibility_of(batch: Batch) -> Visibility:
