@@ -4,9 +4,9 @@ python -m experiments.remake --output_dir=DIR [--tables=test,unseen] \
     [--given=CELLS=my_cells] [--given=scan_000.ply=my_scans/scan_000.ply]
 
 Nothing in docs/tables changes, so what is made names a commit without changes. What is
-in DIR already is not made again: the same command goes on where it was broken off. What
-a command leaves to its reader, such as where cells lie, is to be given, or its table is
-left out.
+in DIR already is not made again: the same command goes on where it was broken off, with
+what is in DIR/unfinished. What a command leaves to its reader, such as where cells lie,
+is to be given, or its table is left out.
 """
 
 import pathlib
@@ -70,7 +70,10 @@ def remake(
     given: Mapping[str, str],
     run: Callable[[Sequence[str]], int] = subprocess.call,
 ) -> list[str]:
-    """Runs what has not left its table in a folder yet; returns what failed."""
+    """Runs what has not left its table in a folder yet; returns what failed.
+
+    What a command writes reaches the folder once it is done: some write as they go.
+    """
     failed = []
     for name, words in found.items():
         values = [word.partition("=")[2] for word in words]
@@ -80,11 +83,15 @@ def remake(
         elif left:
             print(f"{name}: left out; give --given={left[0]}=...")
         else:
-            filled = [_filled(word, folder, given) for word in words]
+            own = make_output_dir(folder / "unfinished" / name)
+            filled = [_filled(word, own, given) for word in words]
             command = [sys.executable, *filled[1:]]
             print(f"{name}: {shlex.join(command)}", flush=True)
             if run(command):
                 failed.append(name)
+                continue
+            for path in own.iterdir():
+                path.replace(folder / path.name)
     return failed
 
 

@@ -1,5 +1,6 @@
 """Commands are read where they are printed, and run with their outputs elsewhere."""
 
+import pathlib
 import sys
 
 from experiments import remake, results
@@ -24,24 +25,38 @@ def test_every_table_has_its_command():
 
 def test_commands_run_with_what_is_given(tmp_path):
     ran = []
+    unfinished = tmp_path / "unfinished"
 
     def run(command):
         assert command[:2] == [sys.executable, "-m"]
         ran.append(command[2:])
+        output = next(word for word in command if word.startswith("--output="))
+        pathlib.Path(output.partition("=")[2]).write_text("{}")
         return 1 if "experiments.real" in command else 0
 
     found = remake.commands(PAGE)
     assert remake.remake(found, tmp_path, {"CELLS": "mine"}, run) == ["real"]
     assert ran == [
-        ["experiments.evaluate", "--split=test", f"--output={tmp_path}/test.json"],
+        [
+            "experiments.evaluate",
+            "--split=test",
+            f"--output={unfinished}/test/test.json",
+        ],
         [
             "experiments.real",
             "--data_dir=scans",
-            f"--output={tmp_path}/real.json",
-            f"--picture={tmp_path}/real.png",
+            f"--output={unfinished}/real/real.json",
+            f"--picture={unfinished}/real/real.png",
         ],
-        ["experiments.plant", "--data_dir=mine", f"--output={tmp_path}/plant.json"],
+        [
+            "experiments.plant",
+            "--data_dir=mine",
+            f"--output={unfinished}/plant/plant.json",
+        ],
     ]
+    # What failed is not taken for done.
+    assert {path.stem for path in tmp_path.glob("*.json")} == {"test", "plant"}
+    assert (unfinished / "real" / "real.json").exists()
 
 
 def test_what_is_there_or_left_open_does_not_run(tmp_path, capsys):
