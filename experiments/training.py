@@ -73,12 +73,16 @@ def join_processes() -> None:
     jax.distributed.initialize(FLAGS.coordinator, FLAGS.processes, FLAGS.process)
 
 
+_READ = ("reads_visibility", "seeds_read_visibility", "reads_depth")
+"""What a decoder can learn to read later."""
+
+
 def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | None:
     """The variables of --weights and what is known of their training, if it is given.
 
     Weights of a network that is not the preset's raise InputError; but one that reads
     visibility or depth, or has more up-sampling blocks, goes on from one that does not,
-    with the parts for it untrained.
+    with the parts for it untrained; and how far offsets reach can change.
     """
     if FLAGS.weights is None:
         return None
@@ -87,8 +91,11 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     blocks = len(given.up_factors)
     less = dataclasses.replace(
         wanted.backbone,
-        reads_visibility=wanted.backbone.reads_visibility and given.reads_visibility,
-        reads_depth=wanted.backbone.reads_depth and given.reads_depth,
+        offset_reach=given.offset_reach,
+        **{
+            read: getattr(wanted.backbone, read) and getattr(given, read)
+            for read in _READ
+        },
         up_factors=wanted.backbone.up_factors[:blocks],
         level_rates=wanted.backbone.level_rates[:blocks],
     )

@@ -37,8 +37,14 @@ class BackboneConfig:
       use_norm: BatchNorm in the attentions and the up-sampling heads.
       offset_init: standard deviation of the kernels that make coordinate offsets; a
         small one starts training from the seeds and the partial themselves.
+      offset_reach: how far a child can lie from its parent along each axis, at the
+        most, in half sides of the workspace. Where truth goes on beyond what is
+        measured, blocks that can reach far throw single points after it instead of
+        leaving that to the seeds.
       reads_visibility: every block reads, for each of its points, what the sensor knows
         there (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
+      seeds_read_visibility: the global feature, and so the seeds, read it too, at a
+        lattice of points in and around the workspace. Needs `reads_visibility`.
       reads_depth: every block reads, for each of its points, the depth stream's feature
         maps at its projection (`prism_jax.models.depth_encoder.aligned`). In the paper
         the streams meet in the losses alone.
@@ -61,7 +67,9 @@ class BackboneConfig:
     up_factors: tuple[int, ...] = (1, 4, 8)
     use_norm: bool = True
     offset_init: float = 0.01
+    offset_reach: float = 1.0
     reads_visibility: bool = False
+    seeds_read_visibility: bool = False
     reads_depth: bool = False
 
     def __post_init__(self):
@@ -82,7 +90,10 @@ class BackboneConfig:
             num_initial=(1, 2**16),
             up_factors=(1, 256),
             offset_init=(0, 1e3),
+            offset_reach=(1e-6, 1e3),
         )
+        if self.seeds_read_visibility and not self.reads_visibility:
+            raise ValueError("seeds_read_visibility needs reads_visibility")
         if max(self.stage_sizes) > MAX_POINTS:
             raise ValueError(f"a stage must not have over {MAX_POINTS:,} points")
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.visibility import Visibility, clues
@@ -29,6 +30,10 @@ from prism_jax.models.pyramid import (
     farthest_order,
     resolution_rows,
 )
+
+_ALONG = np.linspace(-1.5, 1.5, 7)
+_LATTICE = np.stack(np.meshgrid(_ALONG, _ALONG, _ALONG), -1).reshape(-1, 3)
+"""Where the seeds read what the sensor knows: points in and around the workspace."""
 
 
 class DecoderIndices(NamedTuple):
@@ -90,6 +95,26 @@ class SeedGenerator(nn.Module):
         return seeds, x
 
 
+class VisibilityPooling(nn.Module):
+    """One feature of all that the sensor knows: its clues at a lattice of points, a
+    shared MLP, the maximum. Nothing at first, so that training can go on from weights
+    without it."""
+
+    config: BackboneConfig
+
+    @nn.compact
+    def __call__(
+        self, partial: Float[Array, "... N 3"], visibility: Visibility
+    ) -> Float[Array, "... G"]:
+        at = jnp.asarray(_LATTICE, partial.dtype)
+        told = over_batch(lambda _, known: clues(known, at))(partial, visibility)
+        at = jnp.broadcast_to(at, (*told.shape[:-1], 3))
+        width = self.config.features
+        each = MLP((width, width), name="point")(jnp.concatenate([at, told], axis=-1))
+        out = MLP((self.config.global_features[-1],), nn.initializers.zeros, name="out")
+        return out(nn.relu(highest(each)))
+
+
 class UpsamplingBlock(nn.Module):
     """Inter-level and intra-level transformers, and children with bounded offsets."""
 
@@ -125,10 +150,9 @@ class UpsamplingBlock(nn.Module):
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
         if self.config.reads_visibility:
-            if visibility is None:
-                raise ValueError("a decoder that reads visibility needs a map")
             told = over_batch(lambda cloud, known: clues(known, cloud))
-            x = x + self._reading("clues", width // 2)(told(xyz, visibility))
+            known = _given(visibility)
+            x = x + self._reading("clues", width // 2)(told(xyz, known))
         if self.config.reads_depth:
             if depth is None:
                 raise ValueError("a decoder that reads depth needs its stream's maps")
@@ -161,7 +185,8 @@ class UpsamplingBlock(nn.Module):
         child = ResidualMLP(width, width, name="child")(child, x)
         init = nn.initializers.normal(self.config.offset_init)
         offsets = MLP((width // 2, 3), final_init=init, name="offset")(nn.relu(child))
-        return jnp.tanh(offsets), child
+        reach = self.config.offset_reach
+        return reach * jnp.tanh(offsets / reach), child
 
 
 class Decoder(nn.Module):
@@ -186,6 +211,10 @@ class Decoder(nn.Module):
         visibility: Visibility | None = None,
     ) -> Decoded:
         config = self.config
+        if config.seeds_read_visibility:
+            pooled = VisibilityPooling(config, name="visibility_pooling")
+            whole = encoded.global_feature + pooled(partial, _given(visibility))
+            encoded = encoded._replace(global_feature=whole)
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
         if indices is None:
             initial = initial_rows(seeds, partial, config.num_initial)
@@ -218,6 +247,12 @@ class Decoder(nn.Module):
             previous, xyz = Cloud(xyz, block_features), children
             stages.append(xyz)
         return Decoded(tuple(stages), features, DecoderIndices(initial, (*pyramids,)))
+
+
+def _given(visibility: Visibility | None) -> Visibility:
+    if visibility is None:
+        raise ValueError("a decoder that reads visibility needs a map")
+    return visibility
 
 
 def initial_rows(
