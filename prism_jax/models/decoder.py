@@ -112,7 +112,7 @@ class VisibilityPooling(nn.Module):
         width = self.config.features
         each = MLP((width, width), name="point")(jnp.concatenate([at, told], axis=-1))
         out = MLP((self.config.global_features[-1],), nn.initializers.zeros, name="out")
-        return out(nn.relu(highest(each)))
+        return out(nn.relu(highest(each))[..., None, :])[..., 0, :]
 
 
 class UpsamplingBlock(nn.Module):

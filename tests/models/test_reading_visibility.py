@@ -21,16 +21,18 @@ from prism_jax.models.backbone import (
     encode_points,
     init_backbone,
     partial_indices,
+    with_depth,
 )
-from prism_jax.models.prism import predict, prepare_input
+from prism_jax.models.config import BackboneConfig
+from prism_jax.models.prism import predict, prepare_input, view_from
 from prism_jax.training.inputs import inputs_of, visibility_of
 
 
 @pytest.fixture(scope="module")
 def reading(minimal):
     """The model of `minimal`, reading."""
-    reads = {"reads_visibility": True, "reads_depth": True}
-    backbone = dataclasses.replace(minimal.model.backbone, **reads)
+    reads = ("reads_visibility", "seeds_read_visibility", "reads_depth")
+    backbone = dataclasses.replace(minimal.model.backbone, **dict.fromkeys(reads, True))
     return dataclasses.replace(minimal.model, backbone=backbone)
 
 
@@ -47,11 +49,14 @@ def trained(untrained):
     rng = np.random.default_rng(0)
     params = untrained["params"]
     block = params["decoder"]["block_0"]
-    read = jax.tree.map(
+    reading = {name: block[name] for name in ("clues", "depth")}
+    pooling = params["decoder"]["visibility_pooling"]
+    reading, pooling = jax.tree.map(
         lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype),
-        {name: block[name] for name in ("clues", "depth")},
+        (reading, pooling),
     )
-    decoder = {**params["decoder"], "block_0": {**block, **read}}
+    read = {"block_0": {**block, **reading}, "visibility_pooling": pooling}
+    decoder = {**params["decoder"], **read}
     return {**untrained, "params": {**params, "decoder": decoder}}
 
 
@@ -101,6 +106,33 @@ def test_what_is_known_changes_what_is_said(trained, complete, frame):
     ]
     np.testing.assert_allclose(found[0], found[1], atol=1e-6)
     assert np.abs(found[0] - found[2]).max() > 1e-2
+
+
+def test_the_seeds_know_of_it(reading, trained, frame, quick_jit):
+    """In one view as in a batch of them."""
+    partial, camera = frame
+    maps = [seen_by(partial, camera.position, told) for told in ("unknown", "empty")]
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), *maps)
+
+    @quick_jit
+    def seeds(partial, known):
+        indices = partial_indices(partial, reading.backbone)
+        encoded = encode_points(trained, reading.backbone, partial, indices)
+        view = view_from(frame[0], camera.position, reading)
+        encoded = with_depth(encoded, trained, reading, view)
+        return decode(trained, reading.backbone, partial, encoded, None, known).stages[
+            0
+        ]
+
+    found = [seeds(partial, known) for known in maps]
+    assert np.abs(found[0] - found[1]).max() > 1e-2
+    together = jax.vmap(lambda known: seeds(partial, known))(both)
+    np.testing.assert_allclose(together, np.stack(found), rtol=1e-5, atol=1e-5)
+
+
+def test_the_seeds_do_not_read_what_the_blocks_do_not():
+    with pytest.raises(ValueError, match="needs reads_visibility"):
+        BackboneConfig(seeds_read_visibility=True)
 
 
 def test_the_depth_stream_has_a_say(untrained, trained, complete, frame):
