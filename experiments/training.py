@@ -106,7 +106,8 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     if config.model != dataclasses.replace(wanted, backbone=less, **use):
         remedy = "choose the preset that they were trained with, or --set its fields"
         raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
-    if given != wanted.backbone:
+    reach = wanted.backbone.offset_reach
+    if dataclasses.replace(given, offset_reach=reach) != wanted.backbone:
         fresh = init_backbone(jax.random.key(FLAGS.seed), wanted)
         variables = overlaid(fresh, variables)
     return variables, known_of(FLAGS.weights)

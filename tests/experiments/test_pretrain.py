@@ -144,6 +144,15 @@ def test_what_weights_are_told_is_no_matter_of_their_size(run, weights, tmp_path
     assert status == 0 and start is not None
 
 
+def test_how_far_offsets_reach_can_change(run, weights, variables, tmp_path):
+    change = "--set=model.backbone.offset_reach=0.2"
+    status, (start,) = run(
+        f"--workdir={tmp_path}/run", f"--weights={weights}", "--max_steps=1", change
+    )
+    assert status == 0
+    assert jax.tree.all(jax.tree.map(np.array_equal, start, variables))
+
+
 def test_a_share_of_whole_views_is_of_a_mixture(run, tmp_path, capsys):
     assert run(f"--workdir={tmp_path}/run", "--whole=0.5") == (2, [])
     assert "--whole: is of a mixture; give --mixture too" in capsys.readouterr().err
