@@ -18,6 +18,7 @@ from prism_jax.data.mixture import open_mixture, parse_mixture
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.models.backbone import init_backbone
+from prism_jax.models.config import ModelConfig
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.simulation.build_dataset import build_if_missing
@@ -78,16 +79,26 @@ _READ = ("reads_visibility", "seeds_read_visibility", "reads_depth")
 
 
 def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | None:
-    """The variables of --weights and what is known of their training, if it is given.
-
-    Weights of a network that is not the preset's raise InputError; but one that reads
-    visibility or depth, or has more up-sampling blocks, goes on from one that does not,
-    with the parts for it untrained; and how far offsets reach can change.
-    """
+    """The variables of --weights and what is known of their training, if it is given
+    (`beginning`)."""
     if FLAGS.weights is None:
         return None
-    config, variables = load_pretrained(located(FLAGS.weights))
-    wanted, given = preset.model, config.model.backbone
+    variables = beginning(FLAGS.weights, preset.model, FLAGS.preset, FLAGS.seed)
+    return variables, known_of(FLAGS.weights)
+
+
+def beginning(
+    weights: str, wanted: ModelConfig, whose: str, seed: int | None
+) -> Variables:
+    """What a training of a network begins with that goes on from weights.
+
+    Weights of a network that is not the wanted one, which is ``whose``, raise
+    InputError; but one that reads visibility or depth, or has more up-sampling blocks,
+    goes on from one that does not, with the parts for it as the seed makes them; and
+    how far offsets reach can change.
+    """
+    config, variables = load_pretrained(located(weights))
+    given = config.model.backbone
     blocks = len(given.up_factors)
     less = dataclasses.replace(
         wanted.backbone,
@@ -105,12 +116,12 @@ def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | N
     }
     if config.model != dataclasses.replace(wanted, backbone=less, **use):
         remedy = "choose the preset that they were trained with, or --set its fields"
-        raise InputError(FLAGS.weights, f"not weights of {FLAGS.preset}", remedy)
+        raise InputError(weights, f"not weights of {whose}", remedy)
     reach = wanted.backbone.offset_reach
     if dataclasses.replace(given, offset_reach=reach) != wanted.backbone:
-        fresh = init_backbone(jax.random.key(FLAGS.seed), wanted)
+        fresh = init_backbone(jax.random.key(seed or 0), wanted)
         variables = overlaid(fresh, variables)
-    return variables, known_of(FLAGS.weights)
+    return variables
 
 
 def known_of(weights: str) -> dict[str, Any]:

@@ -1,0 +1,64 @@
+"""Weights between where a training began and where it ended.
+
+python -m experiments.interpolate --start=small --end=FILE --share=0.5 --output=FILE
+
+A network that goes on training on another corpus gains there and loses on what it knew.
+Halfway between the two, along the straight line through all their weights, it keeps
+much of both (WiSE-FT, Wortsman et al., 2022). The share is chosen on validation.
+"""
+
+import jax
+from absl import flags
+
+from experiments.output import prepare_output
+from experiments.training import beginning
+from experiments.weights import located
+from prism_jax.cli.launch import launch
+from prism_jax.models.variables import Variables
+from prism_jax.training.run import commit
+from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+
+FLAGS = flags.FLAGS
+
+KEPT = ("preset", "seed", "commit", "data", "samples", "pretrained")
+"""Of what is known of the training; what was fitted to its end is not true of it."""
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("start", None, "Weights it went on from.", required=True)
+    flags.DEFINE_string("end", None, "Weights it ended with.", required=True)
+    flags.DEFINE_float("share", 0.5, "How far from start to end.", 0.0, 1.0)
+    flags.DEFINE_string("output", None, "File to write.", required=True)
+
+
+def main() -> None:
+    """Writes the weights in between."""
+    prepare_output(FLAGS.output, ".safetensors")
+    config, end = load_pretrained(located(FLAGS.end))
+    known = read_metadata(located(FLAGS.end))
+    start = beginning(FLAGS.start, config.model, FLAGS.end, known.get("seed"))
+    about = {key: known[key] for key in KEPT if key in known}
+    about["interpolated"] = {
+        "start": sha256(start),
+        "end": sha256(end),
+        "share": FLAGS.share,
+        "commit": commit(),
+    }
+    save_weights(FLAGS.output, config, between(start, end, FLAGS.share), about)
+    print(f"written {FLAGS.output}")
+
+
+def between(start: Variables, end: Variables, share: float) -> Variables:
+    """Each number so far from the first to the second; both trees have one form."""
+    return jax.tree.map(lambda a, b: (1.0 - share) * a + share * b, start, end)
+
+
+def run() -> None:
+    """The entry point."""
+    define_flags()
+    launch("interpolate", main)
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,75 @@
+"""Weights between where a training began and where it ended."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from experiments import interpolate
+from prism_jax.models.backbone import init_backbone
+from prism_jax.weights import load_pretrained, read_metadata, save_weights
+from tests import launching
+
+
+@pytest.fixture
+def files(minimal, minimal_variables, tmp_path):
+    """Of a network, and of one that went on from it and also reads what is known."""
+    variables = minimal_variables
+    start, end = tmp_path / "start.safetensors", tmp_path / "end.safetensors"
+    save_weights(start, minimal.config, variables, {"seed": 0})
+    reads = {"reads_visibility": True, "seeds_read_visibility": True}
+    backbone = dataclasses.replace(minimal.model.backbone, **reads)
+    model = dataclasses.replace(minimal.model, backbone=backbone)
+    config = dataclasses.replace(minimal.config, model=model)
+    fresh = init_backbone(jax.random.key(3), model)
+    moved = jax.tree.map(lambda leaf: leaf + 1.0, {**variables, **fresh})
+    whole = {kind: {**variables[kind], **moved[kind]} for kind in variables}
+    save_weights(end, config, whole, {"seed": 3, "samples": 8, "calibration": [1]})
+    return start, end
+
+
+def between(files, share, tmp_path):
+    start, end = files
+    made = tmp_path / f"{share}.safetensors"
+    given = f"--start={start}", f"--end={end}", f"--share={share}", f"--output={made}"
+    assert launching.run(interpolate, *given) == 0
+    return made
+
+
+def test_it_lies_between_the_two(files, tmp_path):
+    """What only the end has begins as its training's seed made it."""
+    (_, start), (config, end) = (load_pretrained(str(path)) for path in files)
+    made = between(files, 0.25, tmp_path)
+    found_config, found = load_pretrained(str(made))
+    assert found_config == config
+    before, after = start["params"]["decoder"], end["params"]["decoder"]
+    fresh = init_backbone(jax.random.key(3), config.model)["params"]["decoder"]
+    assert after.keys() - before.keys() == {"visibility_pooling"}
+    for name, tree in found["params"]["decoder"].items():
+        first = {**fresh[name], **before.get(name, {})}
+        expected = jax.tree.map(
+            lambda a, b: 0.75 * np.asarray(a) + 0.25 * np.asarray(b), first, after[name]
+        )
+        jax.tree.map(
+            lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), tree, expected
+        )
+    known = read_metadata(str(made))
+    assert known["samples"] == 8 and known["interpolated"]["share"] == 0.25
+    # It was fitted to the end alone.
+    assert "calibration" not in known
+
+
+def test_nothing_of_the_way_is_the_start_and_all_of_it_the_end(files, tmp_path):
+    (_, start), (_, end) = (load_pretrained(str(path)) for path in files)
+    for share, expected in ((0.0, start), (1.0, end)):
+        _, found = load_pretrained(str(between(files, share, tmp_path)))
+        encoders = (tree["params"]["point_encoder"] for tree in (found, expected))
+        assert jax.tree.all(jax.tree.map(np.array_equal, *encoders))
+
+
+def test_weights_of_another_network_are_refused(files, tmp_path, capsys):
+    start, end = files
+    given = f"--start={end}", f"--end={start}", f"--output={tmp_path}/x.safetensors"
+    assert launching.run(interpolate, *given) == 2
+    assert "not weights of" in capsys.readouterr().err
