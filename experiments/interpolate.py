@@ -4,10 +4,13 @@ python -m experiments.interpolate --start=small --end=FILE --share=0.5 --output=
 
 A network that goes on training on another corpus gains there and loses on what it knew.
 Halfway between the two, along the straight line through all their weights, it keeps
-much of both (WiSE-FT, Wortsman et al., 2022). The share is chosen on validation.
+much of both (WiSE-FT, Wortsman et al., 2022). The share is chosen on validation. Parts
+that only the end has are the end's, with a last layer that grows from nothing.
 """
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from absl import flags
 
 from experiments.output import prepare_output
@@ -37,7 +40,9 @@ def main() -> None:
     prepare_output(FLAGS.output, ".safetensors")
     config, end = load_pretrained(located(FLAGS.end))
     known = read_metadata(located(FLAGS.end))
-    start = beginning(FLAGS.start, config.model, FLAGS.end, known.get("seed"))
+    _, given = load_pretrained(located(FLAGS.start))
+    fresh = beginning(FLAGS.start, config.model, FLAGS.end, known.get("seed"))
+    start = completed(given, end, fresh)
     about = {key: known[key] for key in KEPT if key in known}
     about["interpolated"] = {
         "start": sha256(start),
@@ -47,6 +52,26 @@ def main() -> None:
     }
     save_weights(FLAGS.output, config, between(start, end, FLAGS.share), about)
     print(f"written {FLAGS.output}")
+
+
+def completed(start: Variables, end: Variables, fresh: Variables) -> Variables:
+    """The start with the end's parts that it lacks, silent: layers that are zero in
+    the fresh tree, which begins like a training, are zero."""
+    return {
+        name: silent(end[name], fresh[name])
+        if name not in start
+        else completed(start[name], end[name], fresh[name])
+        if isinstance(end[name], dict)
+        else start[name]
+        for name in end
+    }
+
+
+def silent(part: Variables, fresh: Variables) -> Variables:
+    """A part of a network whose layers that are zero in the fresh one are zero."""
+    if "kernel" in fresh:
+        return part if np.any(fresh["kernel"]) else jax.tree.map(jnp.zeros_like, part)
+    return {name: silent(part[name], fresh[name]) for name in part}
 
 
 def between(start: Variables, end: Variables, share: float) -> Variables:
