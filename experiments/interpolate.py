@@ -17,6 +17,7 @@ from experiments.output import prepare_output
 from experiments.training import beginning
 from experiments.weights import located
 from prism_jax.cli.launch import launch
+from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.training.run import commit
 from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
@@ -42,6 +43,9 @@ def main() -> None:
     known = read_metadata(located(FLAGS.end))
     _, given = load_pretrained(located(FLAGS.start))
     fresh = beginning(FLAGS.start, config.model, FLAGS.end, known.get("seed"))
+    if jax.tree.structure(fresh) != jax.tree.structure(end):
+        fault = f"has other parts than a training from {FLAGS.start} ends with"
+        raise InputError(FLAGS.end, fault, "give what that training went on from")
     start = completed(given, end, fresh)
     about = {key: known[key] for key in KEPT if key in known}
     about["interpolated"] = {
