@@ -14,18 +14,15 @@ import numpy as np
 from absl import flags
 
 from experiments.output import prepare_output
-from experiments.training import beginning
+from experiments.training import beginning, known_of, overlaid
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.training.run import commit
-from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+from prism_jax.weights import load_pretrained, save_weights, sha256
 
 FLAGS = flags.FLAGS
-
-KEPT = ("preset", "seed", "commit", "data", "samples", "pretrained")
-"""Of what is known of the training; what was fitted to its end is not true of it."""
 
 
 def define_flags() -> None:
@@ -40,14 +37,14 @@ def main() -> None:
     """Writes the weights in between."""
     prepare_output(FLAGS.output, ".safetensors")
     config, end = load_pretrained(located(FLAGS.end))
-    known = read_metadata(located(FLAGS.end))
-    _, given = load_pretrained(located(FLAGS.start))
-    fresh = beginning(FLAGS.start, config.model, FLAGS.end, known.get("seed"))
+    about = known_of(FLAGS.end)
+    fresh = beginning(FLAGS.start, config.model, FLAGS.end, about.get("seed"))
     if jax.tree.structure(fresh) != jax.tree.structure(end):
         fault = f"has other parts than a training from {FLAGS.start} ends with"
         raise InputError(FLAGS.end, fault, "give what that training went on from")
-    start = completed(given, end, fresh)
-    about = {key: known[key] for key in KEPT if key in known}
+    _, given = load_pretrained(located(FLAGS.start))
+    start = overlaid(silent(end, fresh), given)
+    # Of the rest of its metadata, what was fitted to the end is not true here.
     about["interpolated"] = {
         "start": sha256(start),
         "end": sha256(end),
@@ -58,24 +55,14 @@ def main() -> None:
     print(f"written {FLAGS.output}")
 
 
-def completed(start: Variables, end: Variables, fresh: Variables) -> Variables:
-    """The start with the end's parts that it lacks, silent: layers that are zero in
-    the fresh tree, which begins like a training, are zero."""
+def silent(end: Variables, fresh: Variables) -> Variables:
+    """The end, with its layers zero that are zero in the fresh tree."""
+    if "kernel" in fresh and not np.any(fresh["kernel"]):
+        return jax.tree.map(jnp.zeros_like, end)
     return {
-        name: silent(end[name], fresh[name])
-        if name not in start
-        else completed(start[name], end[name], fresh[name])
-        if isinstance(end[name], dict)
-        else start[name]
-        for name in end
+        name: silent(part, fresh[name]) if isinstance(part, dict) else part
+        for name, part in end.items()
     }
-
-
-def silent(part: Variables, fresh: Variables) -> Variables:
-    """A part of a network whose layers that are zero in the fresh one are zero."""
-    if "kernel" in fresh:
-        return part if np.any(fresh["kernel"]) else jax.tree.map(jnp.zeros_like, part)
-    return {name: silent(part[name], fresh[name]) for name in part}
 
 
 def between(start: Variables, end: Variables, share: float) -> Variables:

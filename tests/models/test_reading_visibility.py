@@ -120,9 +120,8 @@ def test_the_seeds_know_of_it(reading, trained, frame, quick_jit):
         encoded = encode_points(trained, reading.backbone, partial, indices)
         view = view_from(frame[0], camera.position, reading)
         encoded = with_depth(encoded, trained, reading, view)
-        return decode(trained, reading.backbone, partial, encoded, None, known).stages[
-            0
-        ]
+        decoded = decode(trained, reading.backbone, partial, encoded, None, known)
+        return decoded.stages[0]
 
     found = [seeds(partial, known) for known in maps]
     assert np.abs(found[0] - found[1]).max() > 1e-2
