@@ -74,6 +74,17 @@ def join_processes() -> None:
     jax.distributed.initialize(FLAGS.coordinator, FLAGS.processes, FLAGS.process)
 
 
+_KNOWN = (
+    "preset",
+    "seed",
+    "commit",
+    "data",
+    "samples",
+    "pretrained",
+    "interpolated",
+)
+"""What trainings that go on from weights keep of their metadata."""
+
 _READ = ("reads_visibility", "seeds_read_visibility", "reads_depth")
 """What a decoder can learn to read later."""
 
@@ -126,9 +137,8 @@ def beginning(
 
 def known_of(weights: str) -> dict[str, Any]:
     """What is known of the trainings that led to weights, by name or by file."""
-    known = ("preset", "seed", "commit", "data", "samples", "pretrained")
     metadata = read_metadata(located(weights))
-    return {key: metadata[key] for key in known if key in metadata}
+    return {key: metadata[key] for key in _KNOWN if key in metadata}
 
 
 def overlaid(fresh: Variables, given: Variables) -> Variables:

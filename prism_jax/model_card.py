@@ -113,7 +113,9 @@ def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
         sets |= dict.fromkeys(data.split(", "))
         made = f"preset {run.get('preset')}, seed {run.get('seed')}"
         where = f"commit {short(run.get('commit') or 'unknown')}"
-        yield f"{samples:,} samples of {data}, {made}, {where}"
+        between = run.get("interpolated")
+        share = f", {between['share']:.0%} of what it changed kept" if between else ""
+        yield f"{samples:,} samples of {data}, {made}, {where}{share}"
     yield f"{samples_seen(about):,} samples in all"
     yield from (f"meshes of {name}: {mesh_licences(name)}" for name in sets)
 

@@ -137,6 +137,14 @@ def test_every_training_counts(card_of):
     assert "No scores." in card
 
 
+def test_what_was_kept_of_an_interpolated_training_is_told(card_of):
+    first = {"samples": 1000, "data": "shapes", "interpolated": {"share": 0.6}}
+    card = card_of(samples=30, data="shapes", pretrained=first)
+    lines = [line for line in card.splitlines() if line.startswith("- ")]
+    assert lines[0].endswith(", 60% of what it changed kept")
+    assert "kept" not in lines[1]
+
+
 def test_without_a_word_of_training(card_of):
     assert "0 samples in all" in card_of()
 
