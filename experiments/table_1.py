@@ -1,6 +1,8 @@
 """Table I: PRISM beside other networks, and beside completions without a network.
 
 python -m experiments.table_1 --split=test --output=tables/table_1.json
+
+`experiments/train_table_1.sh` trains all of them on as many samples each.
 """
 
 import dataclasses
@@ -28,6 +30,7 @@ from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import training_split
 from prism_jax.evaluation.run import Predictions, network_completer, prism_completer
+from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (
     load_pretrained,
@@ -60,6 +63,9 @@ def define_flags() -> None:
         None,
         "Others, by name or by file; if not given, all whose weights lie here.",
     )
+    flags.DEFINE_multi_string(
+        "longer", [], "PRISM's that were trained for longer, for rows of their own."
+    )
 
 
 def main():
@@ -69,7 +75,13 @@ def main():
     alone, backbone = load_pretrained(located(FLAGS.backbone))
     names = with_weights() if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
+    longer = {name: load_pretrained(located(name)) for name in FLAGS.longer}
+    for name, (own, _) in longer.items():
+        if own.model.heading != config.model.heading:
+            fault = f"knows objects in other headings than {FLAGS.weights}"
+            raise InputError(name, fault, "compare weights of one heading")
     sizes = {FLAGS.weights: prism_size(config), FLAGS.backbone: prism_size(alone)}
+    sizes |= {name: prism_size(own) for name, (own, _) in longer.items()}
     for name, (module, own) in others.items():
         sizes[name] = network_size(module, own, config.model.margin)
     require_equal_sizes(sizes)
@@ -96,7 +108,8 @@ def main():
     }
     for name, (module, own) in others.items():
         found = run(network_completer(module, own))
-        rows[LABELS.get(name, name)] = Row(found, "network", count(own), seen(name))
+        label = LABELS[read_metadata(located(name))["network"]]
+        rows[label] = Row(found, "network", count(own), seen(name))
     alone = alone.with_adapt(num_steps=0)
     found = run(prism_completer(alone, backbone))
     number = count(backbone, "point_encoder", "decoder")
@@ -104,6 +117,10 @@ def main():
     number, samples = count(variables), seen(FLAGS.weights)
     rows["PRISM, not adapted"] = Row(adapted, "network_unadapted", number, samples)
     rows["PRISM"] = Row(adapted, "network", number, samples)
+    for name, (own, trained) in longer.items():
+        found = run(prism_completer(own.with_adapt(num_steps=0), trained))
+        number = count(trained)
+        rows[f"{name}, not adapted"] = Row(found, "network", number, seen(name))
     about = describe_run(protocol) | {
         "weights": FLAGS.weights,
         "steps": config.adapt.num_steps,

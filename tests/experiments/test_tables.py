@@ -8,6 +8,7 @@ import pytest
 
 from experiments import table_1, table_2, table_3
 from experiments.assets import CELLS
+from experiments.baselines.networks import NETWORKS
 from experiments.baselines.weights import with_weights
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
@@ -42,13 +43,16 @@ def run(module, output, *arguments):
 
 @pytest.mark.slow
 def test_table_one(tmp_path):
-    table, text = run(table_1, tmp_path / "1.json", "--backbone=small-canonical")
+    given = ("--backbone=small-canonical", "--longer=small-canonical")
+    table, text = run(table_1, tmp_path / "1.json", *given)
     rows = table["rows"]
     assert list(rows) == [
         *("partial", "training mean", "partial and its mirror image"),
         *(table_1.LABELS[name] for name in with_weights()),
         *("CRA-PCN", "PRISM, not adapted", "PRISM"),
+        "small-canonical, not adapted",
     ]
+    assert rows["small-canonical, not adapted"] == rows["PRISM, not adapted"]
     assert table["against"] == "CRA-PCN"
     # The fake gives back the partial, of 512 points, if it does not adapt.
     plain, adapted = rows["PRISM, not adapted"]["mean"], rows["PRISM"]["mean"]
@@ -65,6 +69,46 @@ def test_table_one(tmp_path):
     assert rows["PCN"]["samples"] == samples_seen(read_metadata(located("pcn")))
     assert "| training mean | " in text
     assert table["data"] == "recordings"
+
+
+def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
+    place = f"--workdir={tmp_path}/run"
+    given = ["--samples=640", "--seed=3", "--mixture=shapes:1"]
+    status, told, commands = scripted("train_table_1.sh", place, *given)
+    assert status == 0, told
+    for name, *arguments in commands:
+        launching.parse(name, *arguments)
+    names = [command[0] for command in commands]
+    assert names == ["train_baseline"] * len(NETWORKS) + ["pretrain"] * 2
+    assert {
+        flag.partition("=")[2]
+        for command in commands
+        for flag in command
+        if flag.startswith("--network=")
+    } == set(NETWORKS)
+    for command in commands:
+        assert {"--seed=3", "--mixture=shapes:1", "--preset=small"} <= set(command)
+    for command in commands[:-2]:
+        assert "--samples=640" in command
+    for command in commands[-2:]:
+        phases = (128, 512)
+        assert {
+            f"--set=pretrain.backbone.{i}.num_samples={count}"
+            for i, count in enumerate(phases)
+        } <= set(command)
+    table = told.strip().splitlines()[-1].split()
+    assert table[:3] == ["python", "-m", "experiments.table_1"]
+    assert len([word for word in table if word.startswith("--network=")]) == 5
+    launching.parse("table_1", *table[3:])
+    # What is done is not done again, and others are not begun.
+    assert scripted("train_table_1.sh", place, *given)[2] == []
+    more = f"--workdir={tmp_path}/more"
+    _, _, commands = scripted("train_table_1.sh", more, "--only=crapcn")
+    assert [command[0] for command in commands] == ["pretrain"]
+    assert "--set=model.backbone.reads_visibility=False" in commands[0]
+    for wrong in ("--only=nothing", "--samples=half", "nothing"):
+        status, told, commands = scripted("train_table_1.sh", more, wrong)
+        assert status == 2 and not commands and told.startswith("train_table_1: ")
 
 
 def test_table_two(tmp_path, monkeypatch):
