@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Trains every network of Table I from nothing, on as many samples of the same data each:
 # those to compare with, the backbone alone as CRA-PCN has it, and ours, which is told what
-# the sensor knows.
+# the sensor knows. Its auxiliary modules see 20,000 samples more.
 #
 #     experiments/train_table_1.sh --workdir=DIR [--samples=500000] [--only=NAME] ...
 #
