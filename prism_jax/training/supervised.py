@@ -9,7 +9,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from prism_jax.data.pipeline import Batch
-from prism_jax.losses.chamfer import ChamferNorm, chamfer
+from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.variables import Variables, apply, apply_training
 from prism_jax.training.config import PhaseConfig, PretrainConfig
@@ -23,11 +23,16 @@ TrainFn = Callable[[Variables, Batch, Int[Array, ""]], tuple[Losses, Variables]]
 """The losses of a batch's examples at this step, and BatchNorm's updated statistics."""
 
 
-def stage_losses(stages: Stages, batch: Batch, norm: ChamferNorm) -> Losses:
-    """The terms of Eq. 10 of each example."""
-    return jax.vmap(lambda s, c: stage_chamfers(s, c, norm))(
-        stages, jnp.asarray(batch.complete)
-    )
+def stage_losses(stages: Stages, batch: Batch, training: PretrainConfig) -> Losses:
+    """The terms of Eq. 10 of each example, as the training wants them."""
+
+    def losses(stages: Stages, complete: Array) -> Array:
+        terms = stage_chamfers(stages, complete, training.norm)
+        if training.squared_weight:
+            terms += training.squared_weight * stage_chamfers(stages, complete, "l2")
+        return terms
+
+    return jax.vmap(losses)(stages, jnp.asarray(batch.complete))
 
 
 def supervised_phase(
@@ -139,7 +144,7 @@ def network_phase(
         partial, complete = jnp.asarray(batch.partial), jnp.asarray(batch.complete)
         if not own:
             stages, statistics = apply_training(module, variables, partial)
-            return stage_losses(stages, batch, training.norm), statistics
+            return stage_losses(stages, batch, training), statistics
         (stages, losses), statistics = apply_training(
             module,
             variables,
@@ -149,7 +154,7 @@ def network_phase(
             method="supervised",
             rngs={"noise": jax.random.fold_in(key, now)},
         )
-        each = stage_losses(stages, batch, training.norm)
+        each = stage_losses(stages, batch, training)
         return jnp.concatenate([losses, each], axis=-1), statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:
