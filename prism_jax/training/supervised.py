@@ -9,7 +9,7 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from prism_jax.data.pipeline import Batch
-from prism_jax.losses.chamfer import chamfer
+from prism_jax.losses.chamfer import ChamferNorm, chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.variables import Variables, apply, apply_training
 from prism_jax.training.config import PhaseConfig, PretrainConfig
@@ -26,13 +26,14 @@ TrainFn = Callable[[Variables, Batch, Int[Array, ""]], tuple[Losses, Variables]]
 def stage_losses(stages: Stages, batch: Batch, training: PretrainConfig) -> Losses:
     """The terms of Eq. 10 of each example, as the training wants them."""
 
-    def losses(stages: Stages, complete: Array) -> Array:
-        terms = stage_chamfers(stages, complete, training.norm)
-        if training.squared_weight:
-            terms += training.squared_weight * stage_chamfers(stages, complete, "l2")
-        return terms
+    def terms(norm: ChamferNorm) -> Losses:
+        return jax.vmap(lambda s, c: stage_chamfers(s, c, norm))(
+            stages, jnp.asarray(batch.complete)
+        )
 
-    return jax.vmap(losses)(stages, jnp.asarray(batch.complete))
+    if not training.squared_weight:
+        return terms(training.norm)
+    return terms(training.norm) + training.squared_weight * terms("l2")
 
 
 def supervised_phase(
