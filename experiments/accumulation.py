@@ -41,7 +41,7 @@ TOLD = (
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("weights", "small-robocell", "Released weights, name or file.")
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_float("voxel", 0.03, "What --accumulate is.", 1e-4)
     flags.DEFINE_integer("num_sequences", 12, "Cells, of the arms in turn.", 2)
     flags.DEFINE_integer("num_frames", 20, "Of each, over one movement.", STEADY + 1)

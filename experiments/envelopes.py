@@ -94,7 +94,7 @@ class Scored(NamedTuple):
 def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_integer("num_cells", 100, "To calibrate on, and as many to test.", 1)
-    flags.DEFINE_string("weights", "small-robocell", "Released weights, name or file.")
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_bool("choices", False, "Compare settings on validation instead.")
     flags.DEFINE_string("cell_dir", None, "Where cells are kept; the user's cache.")
     flags.DEFINE_integer("num_workers", 2, "Processes that make cells.", 1)

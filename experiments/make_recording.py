@@ -81,7 +81,7 @@ def main() -> None:
     first = f"{beside}/000/000000"
     print(
         f"complete it prism-stream {path} --camera={first}.camera.json "
-        f"--workspace={box} --weights=small-robocell"
+        f"--workspace={box}"
     )
     # The file's own root is where the base is, and all of it is seen, of some arms.
     if arms[FLAGS.arm].root is None and arms[FLAGS.arm].tool_link is None:

@@ -6,7 +6,8 @@
 Of every set of validation data one table: what a user gets after trainings that differ
 by one thing each, without adaptation. Changes are against the first. --trainings and
 --sets compare others: any folders with weights.safetensors, and the results of
-`experiments.evaluate` beside them.
+`experiments.evaluate` beside them. FOLDER:CLOUD takes another of their clouds than
+`completed`.
 """
 
 import json
@@ -20,7 +21,7 @@ from experiments.comparison import Row, comparison, comparison_markdown
 from experiments.output import prepare_output
 from experiments.scoring import print_and_write
 from prism_jax.cli.launch import launch
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, choose
 from prism_jax.training.run import commit
 from prism_jax.weights import read_metadata, samples_seen
 
@@ -45,7 +46,7 @@ def define_flags() -> None:
     flags.DEFINE_string("workdir", None, "That of the trainings.", required=True)
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
     flags.DEFINE_list(
-        "trainings", [*MIXTURES], "Folders in --workdir, compared with the first."
+        "trainings", [*MIXTURES], "Folders in --workdir, compared with the first one."
     )
     flags.DEFINE_list("sets", [*SETS], "Names of the results in each folder.")
 
@@ -64,22 +65,30 @@ def compared(
 ) -> dict[str, Any]:
     """The trainings side by side on one set."""
     rows = {}
-    for training in trainings:
+    for given in trainings:
+        training, _, cloud = given.partition(":")
         path = workdir / training / f"{name}.json"
         if not path.exists():
             continue
         found = json.loads(path.read_text())
         seen = samples_seen(read_metadata(str(path.parent / "weights.safetensors")))
-        rows[MIXTURES.get(training, training)] = Row(found, "completed", samples=seen)
-    base = MIXTURES.get(trainings[0], trainings[0])
+        cloud = choose("--trainings", cloud or "completed", found["clouds"])
+        rows[_label(given)] = Row(found, cloud, samples=seen)
+    base = _label(trainings[0])
     if base not in rows:
         remedy = "train and score it first (experiments/train_mixtures.sh)"
-        raise InputError(workdir / trainings[0] / f"{name}.json", "is missing", remedy)
+        path = workdir / trainings[0].partition(":")[0] / f"{name}.json"
+        raise InputError(path, "is missing", remedy)
     first = rows[base]
     about = ("data", "split", "digest", "normalisation", "steps")
     known = {key: first.result[key] for key in about if key in first.result}
     partial = {"the partial": Row(first.result, "partial")}
     return comparison(rows | partial, base, **known)
+
+
+def _label(given: str) -> str:
+    """What a row of a folder, or of one of its clouds, is called."""
+    return MIXTURES.get(given, given.replace(":", ", "))
 
 
 def mixtures_markdown(result: Mapping[str, Any]) -> str:

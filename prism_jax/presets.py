@@ -52,7 +52,9 @@ _SMALL = BackboneConfig(
     num_initial=256,
     up_factors=(1, 8),
     use_norm=False,
+    offset_reach=0.2,
     reads_visibility=True,
+    seeds_read_visibility=True,
 )
 
 _SMALL_AUXILIARY = AuxiliaryConfig(

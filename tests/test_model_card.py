@@ -104,7 +104,7 @@ def test_scores_under_todays_names_stay(card_of, tmp_path):
     [
         ("small", "shapes-test"),
         ("small", "shapes-unseen"),
-        ("small-robocell", "roboarm-test"),
+        ("small", "roboarm-test"),
     ],
 )
 def test_scores_that_they_ship_with_are_shown(name, split):

@@ -113,7 +113,7 @@ def test_a_file_written_before_adaptation_knew_of_emptiness(tiny):
 
 def test_names_of_what_ships():
     names = available_weights()
-    assert names == ["small", "small-occluded", "small-robocell"]
+    assert names == ["small"]
     for name in names:
         config, variables = load_pretrained(name)
         assert config.model.backbone.stage_sizes[-1] >= 2048

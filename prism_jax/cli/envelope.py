@@ -76,7 +76,7 @@ def define_flags() -> None:
     flags.DEFINE_string("calibration", None, "What `calibrate` wrote; needed.")
     flags.DEFINE_float("alpha", None, "Share of cells to miss; the calibration's own.")
     flags.DEFINE_bool("scaled", False, "Margins in scales of each point's own error.")
-    flags.DEFINE_string("weights", "small-robocell", "Released weights, name or file.")
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_string(
         "camera",
         None,

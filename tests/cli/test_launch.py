@@ -20,7 +20,7 @@ def test_an_output_that_would_overwrite_itself_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("command", "arguments"),
     [
-        (evaluate, ["small-robocell", "--split=test"]),
+        (evaluate, ["small", "--split=test"]),
         (pretrain, ["--workdir=w", "--set", "meta.num_samples=64", "adapt.seed=1"]),
         (make_data, ["shapes"]),
     ],

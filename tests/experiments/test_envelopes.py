@@ -43,7 +43,7 @@ def found(low, high):
 def result(low, high):
     told = envelopes.tables(found(low, high), (0.1, 0.05))
     return {
-        "weights": "small-robocell",
+        "weights": "small",
         "num_cells": 20,
         "commit": None,
         "robot": {"unknown": told, "known": told},

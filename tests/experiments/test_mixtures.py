@@ -105,6 +105,20 @@ def test_other_folders_and_sets(workdir, tmp_path):
     assert change["cd_l2"]["change"] == pytest.approx(1.0)
 
 
+def test_another_cloud_of_a_folder(workdir, tmp_path, capsys):
+    """All of the partial's scores are four times those of the first."""
+    output = tmp_path / "clouds.json"
+    arguments = ["--trainings=today,today:partial", f"--output={output}"]
+    assert launching.run(mixtures, f"--workdir={workdir}", *arguments) == 0
+    for table in json.loads(output.read_text())["sets"].values():
+        change = table["rows"]["today, partial"]["change"]["cd_l2"]["change"]
+        assert change == pytest.approx(3.0, abs=1.0) and change > 1
+    wrong = [f"--workdir={workdir}", "--trainings=today:adapted"]
+    assert launching.run(mixtures, *wrong) == 2
+    told = capsys.readouterr().err
+    assert "unknown value 'adapted'; use one of partial, completed" in told
+
+
 def test_without_the_first_there_is_nothing_to_compare_with(tmp_path, capsys):
     assert launching.run(mixtures, f"--workdir={tmp_path}") == 2
     assert "today/shapes-novel.json: is missing" in capsys.readouterr().err

@@ -77,7 +77,8 @@ def folder(tmp_path, monkeypatch):
 def test_every_scan_has_a_row(folder, tmp_path, capsys):
     output, picture = tmp_path / "tables" / "real.json", tmp_path / "real.png"
     asked = [f"--data_dir={folder}", f"--output={output}", f"--picture={picture}"]
-    assert launching.run(command, *asked, "--size=32") == 0
+    weights = ["--weights=small", "--weights=other"]
+    assert launching.run(command, *asked, *weights, "--size=32") == 0
     told = capsys.readouterr()
     result = json.loads(output.read_text())
     rows = {(row["scan"], row["weights"]): row for row in result["scans"]}
@@ -87,7 +88,7 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
     assert (row["points"], row["added"], row["objects"]) == (200, 100, 1)
     assert (row["outside"], row["strays"], row["up"]) == (0, 1, "y")
     assert row["verdicts"] == [{"trust": "fair", "expected_error": 0.25}]
-    assert rows["bunny, scan_000", "small-robocell"]["verdicts"] == []
+    assert rows["bunny, scan_000", "other"]["verdicts"] == []
     partial = row["scores"]["clouds"]["partial"]
     unit = np.ptp(POINTS, axis=0).max() / 2
     expected = metrics.cd_l2(POINTS[:200] / unit, POINTS / unit)
@@ -117,9 +118,7 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
     assert text in told.out and text == command.real_markdown(result)
     cells = "| 200 | 1 | 100 | 0 | 1 | 1 fair | 0.25 |"
     assert f"| bunny, scan_000 | `small` {cells}" in text
-    assert (
-        "| bunny, scan_000 | `small-robocell` | 200 | 1 | 100 | 0 | 1 | - | - |" in text
-    )
+    assert "| bunny, scan_000 | `other` | 200 | 1 | 100 | 0 | 1 | - | - |" in text
     head = f"| bunny, scan_000 | `small` | partial | {1e4 * partial['cd_l2']:.4g} |"
     assert head in text and "| thing 0: 0.9, thing 1: 0.9 |" in text
     assert "Left out: Ouster, sweep (" in text
