@@ -29,21 +29,27 @@ class Row(NamedTuple):
     samples: int | None = None
 
 
+ABOVE = "the row above"
+
+
 def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str, Any]:
     """Means, medians and intervals of every row, and its ``change`` against the row
-    `against` (`paired_difference`), as JSON.
+    `against`, or against `ABOVE` (`paired_difference`), as JSON.
 
     What is zero in that row has no change. `about` is what else names the comparison.
-    Rows of other examples than those of `against` raise ValueError.
+    Rows of other examples than those of that row raise ValueError.
     """
-    reference = rows[against]
+    labels = list(rows)
+    stepwise = against == ABOVE
+    reference = rows[labels[0] if stepwise else against]
 
-    def entry(row: Row) -> dict[str, Any]:
+    def entry(number: int, row: Row) -> dict[str, Any]:
+        before = rows[labels[max(number - 1, 0)]] if stepwise else reference
         scores = row.result["clouds"][row.cloud]
-        clouds = (reference.cloud, row.cloud)
+        clouds = (before.cloud, row.cloud)
         return {
             **{name: scores[name] for name in ("mean", "median", "intervals")},
-            "change": all_differences(reference.result, row.result, clouds),
+            "change": all_differences(before.result, row.result, clouds),
             "parameters": row.parameters,
             "samples": row.samples,
         }
@@ -53,17 +59,21 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
         **about,
         **{name: reference.result[name] for name in named},
         "against": against,
-        "rows": {label: entry(row) for label, row in rows.items()},
+        "rows": {
+            label: entry(number, row)
+            for number, (label, row) in enumerate(rows.items())
+        },
     }
 
 
 def comparison_markdown(table: Mapping[str, Any]) -> str:
     """What names a `comparison`, and its rows."""
     rows, against = table["rows"], table["against"]
+    unchanged = next(iter(rows)) if against == ABOVE else against
     columns = columns_of(next(iter(rows.values())))
     counted = any(row["parameters"] for row in rows.values())
     changes = {
-        label: None if label == against else row["change"].get("cd_l2")
+        label: None if label == unchanged else row["change"].get("cd_l2")
         for label, row in rows.items()
     }
     heads, cells = change_cells(changes, f"CD-L2 against {against}")

@@ -7,7 +7,7 @@ Of every set of validation data one table: what a user gets after trainings that
 by one thing each, without adaptation. Changes are against the first. --trainings and
 --sets compare others: any folders with weights.safetensors, and the results of
 `experiments.evaluate` beside them. FOLDER:CLOUD takes another of their clouds than
-`completed`.
+`completed`, and --stepwise compares each with the one before.
 """
 
 import json
@@ -17,7 +17,7 @@ from typing import Any
 
 from absl import flags
 
-from experiments.comparison import Row, comparison, comparison_markdown
+from experiments.comparison import ABOVE, Row, comparison, comparison_markdown
 from experiments.output import prepare_output
 from experiments.scoring import print_and_write
 from prism_jax.cli.launch import launch
@@ -49,21 +49,25 @@ def define_flags() -> None:
         "trainings", [*MIXTURES], "Folders in --workdir, compared with the first one."
     )
     flags.DEFINE_list("sets", [*SETS], "Names of the results in each folder.")
+    flags.DEFINE_bool("stepwise", False, "Compare each with the one before instead.")
 
 
 def main() -> None:
     """Reads the scores of the trainings that are there, and compares them."""
     prepare_output(FLAGS.output, ".json")
     workdir = pathlib.Path(FLAGS.workdir)
-    sets = {name: compared(workdir, name, FLAGS.trainings) for name in FLAGS.sets}
+    sets = {
+        name: compared(workdir, name, FLAGS.trainings, FLAGS.stepwise)
+        for name in FLAGS.sets
+    }
     result = {"commit": commit(), "sets": sets}
     print_and_write(result, mixtures_markdown(result))
 
 
 def compared(
-    workdir: pathlib.Path, name: str, trainings: Sequence[str]
+    workdir: pathlib.Path, name: str, trainings: Sequence[str], stepwise: bool = False
 ) -> dict[str, Any]:
-    """The trainings side by side on one set."""
+    """The trainings side by side on one set. The partial is last, or the first step."""
     rows = {}
     for given in trainings:
         training, _, cloud = given.partition(":")
@@ -83,6 +87,8 @@ def compared(
     about = ("data", "split", "digest", "normalisation", "steps")
     known = {key: first.result[key] for key in about if key in first.result}
     partial = {"the partial": Row(first.result, "partial")}
+    if stepwise:
+        return comparison(partial | rows, ABOVE, **known)
     return comparison(rows | partial, base, **known)
 
 

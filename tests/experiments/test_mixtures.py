@@ -119,6 +119,28 @@ def test_another_cloud_of_a_folder(workdir, tmp_path, capsys):
     assert "unknown value 'adapted'; use one of partial, completed" in told
 
 
+def test_step_by_step(workdir, tmp_path):
+    """Each against the one before, and the first against the partial."""
+    output = tmp_path / "steps.json"
+    arguments = ["--trainings=today,poses,today:partial", "--stepwise"]
+    arguments += [f"--workdir={workdir}", f"--output={output}"]
+    assert launching.run(mixtures, *arguments) == 0
+    tables = json.loads(output.read_text())["sets"]
+    assert list(tables) == list(mixtures.SETS)
+    for table in tables.values():
+        rows = table["rows"]
+        labels = [mixtures.MIXTURES[name] for name in ("today", "poses")]
+        assert list(rows) == ["the partial", *labels, "today, partial"]
+        scores = [row["mean"]["cd_l2"] for row in rows.values()]
+        for row, before, after in zip(
+            [*rows.values()][1:], scores, scores[1:], strict=False
+        ):
+            change = row["change"]["cd_l2"]["change"]
+            assert change == pytest.approx(after / before - 1)
+    lines = output.with_suffix(".md").read_text().splitlines()
+    assert sum("CD-L2 against the row above" in line for line in lines) == 4
+
+
 def test_without_the_first_there_is_nothing_to_compare_with(tmp_path, capsys):
     assert launching.run(mixtures, f"--workdir={tmp_path}") == 2
     assert "today/shapes-novel.json: is missing" in capsys.readouterr().err
