@@ -83,10 +83,8 @@ class NetworkSize(NamedTuple):
 
 def prism_size(config: PrismConfig) -> NetworkSize:
     """The size of a PRISM network."""
-    backbone = config.model.backbone
-    return NetworkSize(
-        backbone.num_points, backbone.stage_sizes[-1], config.model.margin
-    )
+    model = config.model
+    return NetworkSize(model.backbone.num_points, model.num_points, model.margin)
 
 
 def network_size(module: nn.Module, variables: Variables, margin: float) -> NetworkSize:

@@ -267,6 +267,15 @@ class Completer:
         other.variables = put_encoders(encoders, rest)
         return other
 
+    def in_poses(self, count: int) -> "Completer":
+        """The same, which completes in so many poses (`ModelConfig.poses`); what is
+        compiled is not shared. Verdicts stay those of the poses before."""
+        other = copy.copy(self)
+        model = dataclasses.replace(self.config.model, poses=count)
+        other.config = dataclasses.replace(self.config, model=model)
+        other._compiled = {}
+        return other
+
     def _run_together(
         self, adapt: bool, background: Background, tasks: Sequence["Task"]
     ) -> tuple[list[Completion], dict[str, float]]:

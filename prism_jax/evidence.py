@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
@@ -18,6 +17,7 @@ from prism_jax.models.backbone import (
     with_depth,
 )
 from prism_jax.models.config import ModelConfig
+from prism_jax.models.poses import POSES, posed
 from prism_jax.models.prism import refine, view_from
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import Observation
@@ -49,12 +49,7 @@ class SecondLook(NamedTuple):
 
 LookFn = Callable[[Variables, Array, Array], SecondLook]
 
-_POSES = np.array(
-    [np.eye(3), np.diag([-1, 1, 1]), [[0, -1, 0], [1, 0, 0], [0, 0, 1]]], np.float32
-)
-
-
-_posed = functools.partial(jnp.einsum, precision="highest")
+_POSES = POSES[:3]
 
 
 def make_second_look(model: ModelConfig) -> LookFn:
@@ -65,8 +60,8 @@ def make_second_look(model: ModelConfig) -> LookFn:
         variables: Variables, partial: Float[Array, "N 3"], eye: Float[Array, "3"]
     ) -> SecondLook:
         # One pass for all poses.
-        clouds = _posed("nj,pij->pni", partial, _POSES)
-        eyes, known = _posed("j,pij->pi", eye, _POSES), None
+        clouds = posed("nj,pij->pni", partial, _POSES)
+        eyes, known = posed("j,pij->pi", eye, _POSES), None
         if model.backbone.reads_visibility:
             see = functools.partial(seen_by, background=model.background)
             known = jax.vmap(see)(clouds, eyes)
@@ -77,7 +72,7 @@ def make_second_look(model: ModelConfig) -> LookFn:
             encoded = with_depth(encoded, variables, model, view)
         decoded = decode(variables, model.backbone, clouds, encoded, None, known)
         points = refine(variables, decoded, model)
-        back = _posed("pni,pij->pnj", points, _POSES)
+        back = posed("pni,pij->pnj", points, _POSES)
         return SecondLook(encoded.global_feature[0], *back)
 
     return look

@@ -36,7 +36,9 @@ def model_card(name_or_path: str) -> str:
     about = read_metadata(name_or_path)
     backbone = config.model.backbone
     count = sum(leaf.size for leaf in jax.tree.leaves(variables["params"]))
-    sizes = f"{backbone.num_points:,} points in, {backbone.stage_sizes[-1]:,} out"
+    sizes = f"{backbone.num_points:,} points in, {config.model.num_points:,} out"
+    if config.model.poses > 1:
+        sizes += f", of {config.model.poses} poses"
     adapting = f"adapts to a frame in K = {config.adapt.num_steps}"
     lines = [
         f"# {name_or_path}\n",

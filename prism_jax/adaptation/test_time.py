@@ -1,5 +1,6 @@
 """Test-time adaptation of the encoders to one frame, Eq. 13."""
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -13,7 +14,8 @@ from prism_jax.adaptation.objective import Losses, hold, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.losses.weighting import loss_weights
-from prism_jax.models.prism import prepare_input
+from prism_jax.models.poses import brought_back, in_other_poses
+from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
 
@@ -21,7 +23,9 @@ class Completion(NamedTuple):
     """A completed frame, in the unit workspace.
 
     Attributes:
-      points: the completion, adapted if that was accepted.
+      points: the completion, adapted if that was accepted; behind it those of the frame
+        in other poses, if there are some (``config.model.poses``), by the same
+        encoders. No loss looks at those.
       before: the completion of the network as it was.
       accepted: whether the adapted completion is the one returned. It means that the
         objective of Eq. 13 did not rise and that everything stayed finite. It does not
@@ -78,9 +82,22 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         inputs = prepare_input(
             partial, camera, key, config.model, visibility=visibility
         )
+        others = None
+        if config.model.poses > 1:
+            others = in_other_poses(partial, camera, key, config.model, visibility)
         if settings.num_steps:
             inputs = hold(variables, inputs, config)
+            if others is not None:
+                hold_each = functools.partial(hold_decoding, config=config.model)
+                others = jax.vmap(hold_each, (None, 0))(variables, others)
         encoders, rest = pop_encoders(variables)
+
+        def with_others(points: Array, moving: Variables) -> Array:
+            """The points, and those of the frame in other poses."""
+            if others is None:
+                return points
+            own = put_encoders(moving, rest)
+            return jnp.concatenate([points, brought_back(own, others, config.model)])
 
         # Compiled, so that it is traced once for the steps and for what follows them.
         @jax.jit
@@ -95,6 +112,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             _, (losses, points) = loss_fn(encoders)
             losses = jax.tree.map(lambda loss: loss[None], losses)
             refused = jnp.zeros((), bool)
+            points = with_others(points, encoders)
             return Completion(points, points, refused, losses, weights, encoders)
         adapted, (_, (before, points)) = unroll(
             loss_fn,
@@ -104,10 +122,11 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             clip_norm=settings.clip_norm,
         )
         _, (after, last) = loss_fn(adapted)
+        last = with_others(last, adapted)
         losses = jax.tree.map(
             lambda steps, final: jnp.concatenate([steps, final[None]]), before, after
         )
-        first = points[0]
+        first = with_others(points[0], encoders)
         accepted = _improved(losses) & jnp.isfinite(last).all()
         return Completion(
             jnp.where(accepted, last, first),

@@ -26,6 +26,7 @@ from prism_jax.io.files import read_json
 from prism_jax.io.streams import Joints, Stream, open_stream
 from prism_jax.io.streams.packed import EXTRA
 from prism_jax.io.streams.sinks import Sink, open_sink
+from prism_jax.models.config import MAX_POSES
 from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.upright import parse_up
 from prism_jax.result import plain
@@ -76,6 +77,14 @@ def define_flags() -> None:
         "unknown",
         ["unknown", "empty"],
         "empty: nothing else was hit around the object, and so nothing is added there.",
+    )
+    flags.DEFINE_integer(
+        "poses",
+        1,
+        "In how many poses each frame is completed, up to 4. One is quickest; scans of "
+        "prism-complete have those that their weights say.",
+        1,
+        MAX_POSES,
     )
     flags.DEFINE_float(
         "accumulate",
@@ -159,6 +168,7 @@ def main(words: Sequence[str]) -> None:
         up=FLAGS.up,
         density=FLAGS.density,
         background=FLAGS.background,
+        poses=FLAGS.poses,
         accumulate=FLAGS.accumulate,
         urdf=FLAGS.urdf,
         joints=FLAGS.joints,
@@ -182,6 +192,7 @@ def stream_file(
     up: str | None = None,
     density: float = 0.0,
     background: str = "unknown",
+    poses: int = 1,
     accumulate: float | None = None,
     urdf: str | None = None,
     joints: str | None = None,
@@ -206,6 +217,7 @@ def stream_file(
         "up": up,
         "density": density,
         "background": background,
+        "poses": poses,
         "accumulate": accumulate,
         "urdf": urdf,
         "joints": joints,
@@ -238,6 +250,7 @@ def stream_file(
         up=direction,
         density=density,
         background=background,  # pyright: ignore
+        poses=poses,
         accumulator=None if accumulate is None else Accumulator(accumulate),
         robot=robot,
         robot_margin=robot_margin,

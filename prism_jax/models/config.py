@@ -9,6 +9,9 @@ from prism_jax.models.ranges import check_ranges
 MAX_POINTS = 2**18
 """Of a cloud that the decoder makes."""
 
+MAX_POSES = 4
+"""Of `prism_jax.models.poses`."""
+
 WIDTHS = (1, 4096)
 NEIGHBORS = (1, 64)
 
@@ -167,6 +170,9 @@ class ModelConfig:
         reads visibility.
       told: whether such a network is told what else the sensor measured in the same
         scan, where that is known. Chosen on validation, for each set of weights.
+      poses: in how many poses a frame is completed, of those of
+        `prism_jax.models.poses`; what comes of each is laid together. Training looks
+        at one.
     """
 
     backbone: BackboneConfig = BackboneConfig()
@@ -177,12 +183,22 @@ class ModelConfig:
     consistency_pixels: int = 128
     background: Background = "unknown"
     told: bool = False
+    poses: int = 1
 
     def __post_init__(self):
         pixels = (1, 2048)
         check_ranges(
-            self, margin=(0.1, 100), depth_pixels=pixels, consistency_pixels=pixels
+            self,
+            margin=(0.1, 100),
+            depth_pixels=pixels,
+            consistency_pixels=pixels,
+            poses=(1, MAX_POSES),
         )
+
+    @property
+    def num_points(self) -> int:
+        """That a completion has."""
+        return self.poses * self.backbone.stage_sizes[-1]
 
 
 SHAPENET55 = BackboneConfig(up_factors=(1, 4, 4))

@@ -59,12 +59,13 @@ class FrameCompleter(FrameObserver):
     """Completes frames as `Completer.complete` completes scans, and nothing else.
 
     There is no verdict, no depth map and, unless ``density`` asks for it, no
-    resampling; the points are the same, bit for bit. ``adapt`` "off" takes the network
-    as it is, "every" adapts it to each frame, and "first" to the first, whose encoders
-    are then kept. ``density`` and ``background`` are as for `Completer.complete`, the
-    rest as for `FrameObserver`: what is remembered is not predicted again, and a known
-    robot is put back as points on its surface, with nothing predicted within its
-    margin.
+    resampling. ``poses`` is one for speed, while scans are completed in as many as
+    their weights say; in equally many the points are the same, bit for bit. ``adapt``
+    "off" takes the network as it is, "every" adapts it to each frame, and "first" to
+    the first, whose encoders are then kept. ``density`` and ``background`` are as for
+    `Completer.complete`, the rest as for `FrameObserver`: what is remembered is not
+    predicted again, and a known robot is put back as points on its surface, with
+    nothing predicted within its margin.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class FrameCompleter(FrameObserver):
         adapt: Adapt = "off",
         density: float = 0.0,
         background: Background = "unknown",
+        poses: int = 1,
         **observed: Any,
     ):
         super().__init__(**observed)
@@ -81,6 +83,8 @@ class FrameCompleter(FrameObserver):
         self.density = density
         self.background: Background = background
         self._completer = completer
+        if completer.config.model.poses != poses:
+            self._completer = completer.in_poses(poses)
         self._adapted = False
 
     def complete(self, frame: Frame) -> CompletedFrame:

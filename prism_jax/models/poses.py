@@ -1,0 +1,85 @@
+"""One frame in several poses, and what a network makes of each, brought back."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import Visibility, mirrored, seen_by, turned
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.models.config import ModelConfig
+from prism_jax.models.prism import NetworkInput, predict, prepare_input
+from prism_jax.models.variables import Variables
+from prism_jax.observation.observation import observe
+
+POSES = np.array(
+    [
+        np.eye(3),
+        np.diag([-1, 1, 1]),
+        [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
+        np.diag([-1, -1, 1]),
+    ],
+    np.float32,
+)
+"""As it is, its mirror image in x, a quarter and a half turn about the vertical. They
+take columns."""
+
+posed = functools.partial(jnp.einsum, precision="highest")
+
+
+def seen_in(
+    pose: Float[np.ndarray, "3 3"],
+    partial: Float[Array, "N 3"],
+    eye: Float[Array, "3"],
+    visibility: Visibility | None,
+    config: ModelConfig,
+) -> Visibility | None:
+    """What the sensor knows of a cloud that lies in one of `POSES` already, for a
+    network that reads it: ``visibility``, which is of the cloud as it was, or else what
+    the posed cloud says."""
+    if not config.backbone.reads_visibility:
+        return None
+    if visibility is None:
+        return seen_by(partial, eye, config.background)
+    if np.linalg.det(pose) > 0:
+        return turned(visibility, pose.T)
+    flip = POSES[1]
+    return mirrored(turned(visibility, (flip @ pose).T))
+
+
+def in_other_poses(
+    partial: Float[Array, "N 3"],
+    camera: Camera,
+    key: Array,
+    config: ModelConfig,
+    visibility: Visibility | None = None,
+) -> NetworkInput:
+    """Inputs of a frame in the first ``config.poses`` of `POSES` but the first, side by
+    side. Arguments are those of `prepare_input`."""
+    poses = POSES[1 : config.poses]
+    clouds = posed("nj,pij->pni", partial, poses)
+    eyes = posed("j,pij->pi", camera.position, poses)
+    known = [
+        seen_in(pose, clouds[i], eyes[i], visibility, config)
+        for i, pose in enumerate(poses)
+    ]
+
+    def one(cloud: Array, eye: Array, known: Visibility | None) -> NetworkInput:
+        view = observe(cloud, eye, Workspace.unit()).camera
+        return prepare_input(cloud, view, key, config, visibility=known)
+
+    beside = jax.tree.map(lambda *maps: jnp.stack(maps), *known)
+    return jax.vmap(one)(clouds, eyes, beside)
+
+
+def brought_back(
+    variables: Variables, inputs: NetworkInput, config: ModelConfig
+) -> Float[Array, "P 3"]:
+    """The completions of `in_other_poses`, in the frame as it was, one behind the
+    other. Differentiable in the variables."""
+    points = jax.vmap(lambda each: predict(variables, each, config).points)(inputs)
+    back = posed("pni,pij->pnj", points, POSES[1 : config.poses])
+    return back.reshape(-1, 3)
