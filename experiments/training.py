@@ -123,7 +123,8 @@ def beginning(
     )
     # How an object reaches the network, and what it is told, is no matter of its size.
     use = {
-        name: getattr(config.model, name) for name in ("heading", "background", "told")
+        name: getattr(config.model, name)
+        for name in ("heading", "background", "told", "poses")
     }
     if config.model != dataclasses.replace(wanted, backbone=less, **use):
         remedy = "choose the preset that they were trained with, or --set its fields"
