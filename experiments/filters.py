@@ -21,7 +21,7 @@ from prism_jax.cli.launch import launch
 from prism_jax.io.errors import choose
 from prism_jax.observation.observation import observe
 from prism_jax.observation.visibility import in_front, looked_through
-from prism_jax.selection import keep_unmeasured, usual_spacing
+from prism_jax.selection import disputed, keep_unmeasured, usual_spacing
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
@@ -54,7 +54,8 @@ def main() -> None:
         measured, partial = np.asarray(seen.partial), np.asarray(read.partial)
         eye = np.asarray(seen.eye)
         new = keep_unmeasured(prediction, measured, partial)
-        for name, away in rules(prediction, measured, partial, eye).items():
+        found = rules(prediction, measured, partial, eye, model.poses)
+        for name, away in found.items():
             cloud = np.concatenate([measured, prediction[new & ~away]])
             users = np.asarray(seen.workspace.from_unit(cloud))
             score = cd_l2(users, shifted)
@@ -63,7 +64,11 @@ def main() -> None:
 
 
 def rules(
-    prediction: np.ndarray, measured: np.ndarray, partial: np.ndarray, eye: np.ndarray
+    prediction: np.ndarray,
+    measured: np.ndarray,
+    partial: np.ndarray,
+    eye: np.ndarray,
+    poses: int = 1,
 ) -> dict[str, np.ndarray]:
     """Which predicted points each rule leaves away."""
     spacing = usual_spacing(partial)
@@ -72,6 +77,10 @@ def rules(
     found = {"none": np.zeros(len(prediction), bool), "outside": outside}
     for reach in (0.1, 0.2, 0.3):
         found[f"second neighbour beyond {reach}"] = near[:, 2] > reach
+    if poses > 1:
+        for reach in (0.1, 0.15, 0.2, 0.3):
+            found[f"other poses beyond {reach}"] = disputed(prediction, poses, reach)
+        found["other poses"] = np.arange(len(prediction)) >= len(prediction) // poses
     for tolerance in (2.0, 4.0, 8.0):
         hides = in_front(prediction, measured, eye, spacing, tolerance)
         found[f"in front by {tolerance:g} spacings"] = hides

@@ -115,6 +115,7 @@ def assemble(
     camera_given: bool,
     seconds: dict[str, float],
     known: Visibility | None = None,
+    poses: int = 1,
     look: SecondLook | None = None,
     calibration: Calibration | None = None,
     point_errors: PointErrors | None = None,
@@ -123,11 +124,13 @@ def assemble(
 
     ``seen`` is what `observe` made of the points, ``read`` what the network read of it
     and ``view`` its camera. ``known`` is what the sensor knows of the view, if it is to
-    speak against predicted points. ``density`` and ``background`` are as
-    `prism_jax.Completer.complete` has them. The verdict needs a ``look`` and a
-    ``calibration``, every point's sigma a ``look`` and ``point_errors``.
+    speak against predicted points, and the completion is of so many ``poses``.
+    ``density`` and ``background`` are as `prism_jax.Completer.complete` has them. The
+    verdict needs a ``look`` and a ``calibration``, every point's sigma a ``look`` and
+    ``point_errors``.
     """
-    joined = join(points, seen, read, completion.points, density, background, known)
+    predicted = completion.points, density, background, known, poses
+    joined = join(points, seen, read, *predicted)
     prediction, selection = joined.prediction, joined.selection
     verdict = None
     if look is not None and calibration is not None:
@@ -193,17 +196,18 @@ def join(
     density: float,
     background: Background,
     known: Visibility | None = None,
+    poses: int = 1,
 ) -> Joined:
     """The measured points as they were, and behind them those that are new.
 
-    ``predicted`` are the network's, in the unit workspace; the rest is as in
-    `assemble`.
+    ``predicted`` are the network's, of so many ``poses``, in the unit workspace; the
+    rest is as in `assemble`.
     """
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
     prediction = np.asarray(predicted, np.float64)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     new, selection = added_points(
-        prediction, unit, read.partial, eye, density, background, known
+        prediction, unit, read.partial, eye, density, background, known, poses
     )
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])

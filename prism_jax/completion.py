@@ -310,6 +310,7 @@ class Completer:
             *task[:4],
             completion,
             known=task.known,
+            poses=self.config.model.poses,
             density=density,
             background=background,
             camera_given=camera_given,

@@ -192,6 +192,7 @@ PRESETS = {
             heading="level",
             consistency_pixels=32,
             told=True,
+            poses=3,
         ),
         _SMALL_ADAPT,
         PretrainConfig(

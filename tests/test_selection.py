@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from prism_jax.selection import (
+    AGREE,
     MAX_DENSE,
     STRAY,
     densify,
@@ -52,6 +53,21 @@ def test_a_point_alone_is_a_stray(wall, company):
     np.testing.assert_array_equal(selection.stray[25:], company < 2)
     assert not selection.stray[:25].any()
     assert not (selection.kept & selection.stray).any()
+
+
+@pytest.mark.parametrize("away", [0.5, 0.99, 1.01, 2.0])
+def test_what_one_pose_has_alone_is_a_stray(wall, away):
+    """Of three poses two have a far square, the second a little aside of the first; the
+    third has all of it elsewhere, and a part that all have is kept."""
+    far, elsewhere = grid(9, 0.3, y=-0.5), grid(9, 0.3, y=-0.95)
+    aside = far + [0.0, away * AGREE, 0.0]
+    points = np.concatenate([far, aside, elsewhere])
+    found = select(points, wall, wall, EYE, poses=3).stray
+    np.testing.assert_array_equal(found[:162], away > 1)
+    assert found[162:].all()
+    assert not select(points, wall, wall, EYE).stray.any()
+    three = np.concatenate([far] * 3)
+    assert not select(three, wall, wall, EYE, poses=3).stray.any()
 
 
 def test_what_would_hide_the_measured_is_not_kept(wall):
