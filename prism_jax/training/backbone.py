@@ -67,7 +67,7 @@ def backbone_phase(
         )
         before = variables["batch_stats"]
         statistics = _from_block(phase.first_block, statistics, before)
-        losses = stage_losses(decoded.stages[trained], batch, training)
+        losses = stage_losses(decoded.stages[trained], batch, training.norm)
         return losses, statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:

@@ -57,9 +57,6 @@ class PretrainConfig:
       num_complete: points of the complete cloud that a loss looks at.
       norm: Chamfer convention of Eq. 10 in training: CD-L1, while validation and all
         scores are CD-L2.
-      squared_weight: of CD-L2 beside it. At 1 a point pulls twice as hard from a
-        quarter of the workspace's half side away, five times from its whole half side;
-        near ones hardly more: against single points that stray, and truth far off.
       warmup_steps: steps in which the step size rises from zero.
       clip_norm: bound on the gradient's global norm; 0 for none.
       average_decay: of the moving average of the backbone's variables, which is then
@@ -73,7 +70,6 @@ class PretrainConfig:
     batch_size: int = 32
     num_complete: int = 2048
     norm: ChamferNorm = "l1"
-    squared_weight: float = 0.0
     warmup_steps: int = 200
     clip_norm: float = 1.0
     average_decay: float = 0.0
@@ -86,7 +82,6 @@ class PretrainConfig:
             auxiliary_rate=RATE,
             batch_size=(1, 2**16),
             num_complete=(1, 2**20),
-            squared_weight=(0, 1e3),
             warmup_steps=SAMPLES,
             clip_norm=(0, 1e6),
             average_decay=(0, 1),

@@ -23,17 +23,11 @@ TrainFn = Callable[[Variables, Batch, Int[Array, ""]], tuple[Losses, Variables]]
 """The losses of a batch's examples at this step, and BatchNorm's updated statistics."""
 
 
-def stage_losses(stages: Stages, batch: Batch, training: PretrainConfig) -> Losses:
-    """The terms of Eq. 10 of each example, as the training wants them."""
-
-    def terms(norm: ChamferNorm) -> Losses:
-        return jax.vmap(lambda s, c: stage_chamfers(s, c, norm))(
-            stages, jnp.asarray(batch.complete)
-        )
-
-    if not training.squared_weight:
-        return terms(training.norm)
-    return terms(training.norm) + training.squared_weight * terms("l2")
+def stage_losses(stages: Stages, batch: Batch, norm: ChamferNorm) -> Losses:
+    """The terms of Eq. 10 of each example."""
+    return jax.vmap(lambda s, c: stage_chamfers(s, c, norm))(
+        stages, jnp.asarray(batch.complete)
+    )
 
 
 def supervised_phase(
@@ -145,7 +139,7 @@ def network_phase(
         partial, complete = jnp.asarray(batch.partial), jnp.asarray(batch.complete)
         if not own:
             stages, statistics = apply_training(module, variables, partial)
-            return stage_losses(stages, batch, training), statistics
+            return stage_losses(stages, batch, training.norm), statistics
         (stages, losses), statistics = apply_training(
             module,
             variables,
@@ -155,7 +149,7 @@ def network_phase(
             method="supervised",
             rngs={"noise": jax.random.fold_in(key, now)},
         )
-        each = stage_losses(stages, batch, training)
+        each = stage_losses(stages, batch, training.norm)
         return jnp.concatenate([losses, each], axis=-1), statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:

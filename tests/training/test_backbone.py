@@ -22,7 +22,6 @@ from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.indices import index_table
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import VALIDATION_COMPLETE, Data, order_seed, train_phase
-from prism_jax.training.supervised import stage_losses
 from tests.trees import bitwise
 
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
@@ -251,18 +250,6 @@ def test_the_average_is_what_is_kept(preset, backbone, batch):
     for a, b in zip(*map(jax.tree.leaves, (state.kept, expected)), strict=True):
         assert a.dtype == b.dtype
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6)
-
-
-def test_squared_distances_weigh_far_points(preset, batch):
-    """In closed form, of clouds that lie a quarter and a whole half side away."""
-    complete = np.zeros((BATCH, 8, 3), np.float32)
-    stages = tuple(jnp.float32(complete[:, :4] + [far, 0, 0]) for far in (0.25, 1.0))
-    batch = batch._replace(complete=complete)
-    alone = stage_losses(stages, batch, preset.pretrain)
-    training = dataclasses.replace(preset.pretrain, squared_weight=2.0)
-    weighed = stage_losses(stages, batch, training)
-    np.testing.assert_allclose(alone, [[0.25, 1.0]] * BATCH, rtol=1e-6)
-    np.testing.assert_allclose(weighed, [[0.5, 5.0]] * BATCH, rtol=1e-6)
 
 
 def test_validation_is_in_the_unit_of_the_scores(seeds, examples, framed):
