@@ -136,10 +136,10 @@ def define_flags() -> None:
 def main() -> None:
     """Scores every row, and prints and writes what differs between them."""
     prepare_output(FLAGS.output, ".json")
-    own, variables = load_pretrained(located(FLAGS.weights))
+    own, variables = in_one_pose(FLAGS.weights)
     new = changed(own.with_adapt(**NEW), FLAGS.set)
     others = {
-        label: load_pretrained(located(name))
+        label: in_one_pose(name)
         for label, name in (
             (BLIND, FLAGS.blind),
             (PLANT, FLAGS.plant),
@@ -216,6 +216,14 @@ def main() -> None:
     table = comparison(rows, TOLD_REMOVED, **about)
     table["pairs"] = differences(rows)
     print_and_write(table, markdown(table))
+
+
+def in_one_pose(weights: str) -> tuple[PrismConfig, Variables]:
+    """Weights that complete a frame in its own pose alone (`ModelConfig.poses`):
+    what steps change there is asked for here."""
+    config, variables = load_pretrained(located(weights))
+    model = dataclasses.replace(config.model, poses=1)
+    return dataclasses.replace(config, model=model), variables
 
 
 def with_background(config: PrismConfig, background: Background) -> PrismConfig:

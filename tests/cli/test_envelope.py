@@ -124,7 +124,7 @@ def test_the_same_scan_gives_the_same_arrays_and_surface(asked, tmp_path):
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        (["--weights=small"], "weights"),
+        (["--weights=another"], "weights"),
         (["--density=2"], "density 1.0, not 2.0"),
         (["--sensor=another"], "sensor"),
         (["--adapt"], "adapt False, not True"),

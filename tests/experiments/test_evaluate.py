@@ -20,9 +20,11 @@ from tests.public_sets import write_pcn, write_shapenet55
 
 
 def fake(config, variables):
-    """Moves the partial up, by the number of steps; accepts every other frame."""
+    """Moves the partial up, by the number of steps, alike in all poses; accepts every
+    other frame."""
 
     def complete(partials, eyes, told=None):
+        partials = np.concatenate([partials] * config.model.poses, axis=1)
         if config.adapt.num_steps == 0:
             return Predictions(partials)
         moved = partials + np.float32([0, 0, 0.01 * config.adapt.num_steps])
@@ -72,7 +74,7 @@ def test_weights_that_are_told_are_told_of_recordings(asked, tmp_path, monkeypat
     def listening(config, variables):
         def complete(partials, eyes, *told):
             found.extend(told)
-            return Predictions(partials)
+            return Predictions(np.concatenate([partials] * config.model.poses, axis=1))
 
         return complete
 

@@ -12,7 +12,10 @@ from tests import launching
 
 def test_writes_a_page_and_a_picture(tmp_path, monkeypatch):
     def fake(config, variables):
-        return lambda partials, eyes: Predictions(partials + np.float32(0.1))
+        poses = config.model.poses
+        return lambda partials, eyes: Predictions(
+            np.concatenate([partials + np.float32(0.1)] * poses, axis=1)
+        )
 
     source = RecordedCells(CELLS)
     page = tmp_path / "out" / "cells.html"
