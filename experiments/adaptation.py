@@ -222,14 +222,12 @@ def in_one_pose(weights: str) -> tuple[PrismConfig, Variables]:
     """Weights that complete a frame in its own pose alone (`ModelConfig.poses`):
     what steps change there is asked for here."""
     config, variables = load_pretrained(located(weights))
-    model = dataclasses.replace(config.model, poses=1)
-    return dataclasses.replace(config, model=model), variables
+    return config.with_model(poses=1), variables
 
 
 def with_background(config: PrismConfig, background: Background) -> PrismConfig:
     """The same networks, told this of what lies around a cloud without a map."""
-    model = dataclasses.replace(config.model, background=background)
-    return dataclasses.replace(config, model=model)
+    return config.with_model(background=background)
 
 
 def from_wrong_sensor(complete: Callable[..., Predictions]) -> CompleteFn:

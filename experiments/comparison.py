@@ -40,11 +40,11 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
     Rows of other examples than those of that row raise ValueError.
     """
     labels = list(rows)
-    stepwise = against == ABOVE
-    reference = rows[labels[0] if stepwise else against]
+    above = dict(zip(labels[1:], labels, strict=False))
+    reference = rows[labels[0] if against == ABOVE else against]
 
-    def entry(number: int, row: Row) -> dict[str, Any]:
-        before = rows[labels[max(number - 1, 0)]] if stepwise else reference
+    def entry(label: str, row: Row) -> dict[str, Any]:
+        before = rows[above.get(label, label)] if against == ABOVE else reference
         scores = row.result["clouds"][row.cloud]
         clouds = (before.cloud, row.cloud)
         return {
@@ -59,10 +59,7 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
         **about,
         **{name: reference.result[name] for name in named},
         "against": against,
-        "rows": {
-            label: entry(number, row)
-            for number, (label, row) in enumerate(rows.items())
-        },
+        "rows": {label: entry(label, row) for label, row in rows.items()},
     }
 
 

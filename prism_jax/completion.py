@@ -271,8 +271,7 @@ class Completer:
         """The same, which completes in so many poses (`ModelConfig.poses`); what is
         compiled is not shared. Verdicts stay those of the poses before."""
         other = copy.copy(self)
-        model = dataclasses.replace(self.config.model, poses=count)
-        other.config = dataclasses.replace(self.config, model=model)
+        other.config = self.config.with_model(poses=count)
         other._compiled = {}
         return other
 

@@ -17,7 +17,7 @@ alone. Chosen on validation (`experiments.filters`, docs/experiments.md)."""
 AGREE = 0.15
 """A point that one of a frame's poses has (`prism_jax.models.poses`), and no other so
 near, is a stray: what a frame is completed to should not hang on how it lies. In the
-unit workspace, and chosen as `STRAY` is."""
+unit workspace, and chosen on validation (docs/experiments.md)."""
 
 TOLERANCE = 4.0
 """In spacings of the network's input: a point that much nearer to the sensor than all

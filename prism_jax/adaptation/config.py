@@ -103,6 +103,11 @@ class PrismConfig:
         adapt = dataclasses.replace(self.adapt, **changes)
         return dataclasses.replace(self, adapt=adapt)
 
+    def with_model(self, **changes: Any) -> "PrismConfig":
+        """The same with other fields of the model, such as its poses."""
+        model = dataclasses.replace(self.model, **changes)
+        return dataclasses.replace(self, model=model)
+
 
 @dataclasses.dataclass(frozen=True)
 class MetaConfig:

@@ -49,6 +49,21 @@ def test_a_frame_is_what_a_scan_is_bit_for_bit(completer, scalar):
         assert set(done.seconds) == {"observe", "network", "assemble"}
 
 
+def test_poses_are_a_streams_own(completer):
+    """In as many as a scan the points are the same, and one is what it takes if nothing
+    is said, whatever the weights say."""
+    points = shell(2)
+    both = completer.in_poses(2)
+    whole = both.complete(points, density=0.0)
+    alone = completer.complete(points, density=0.0)
+    assert len(whole.prediction) == 2 * len(alone.prediction)
+    done = FrameCompleter(both, poses=2).complete(Frame(points, 0))
+    np.testing.assert_array_equal(done.points, whole.points)
+    single = FrameCompleter(both).complete(Frame(points, 0))
+    np.testing.assert_array_equal(single.points, alone.points)
+    assert completer.config.model.poses == 1
+
+
 def test_density_bounds_and_up_are_a_scans_too(completer):
     points = np.concatenate([shell(0), shell(1) + np.float32([0, 5, 0])])
     stream = FrameCompleter(
