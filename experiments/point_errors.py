@@ -28,7 +28,7 @@ from experiments.boosting import (
 )
 from experiments.output import prepare_output
 from experiments.robustness import completed
-from experiments.scoring import print_and_write
+from experiments.scoring import print_and_write, require_looks
 from experiments.shifts import any_shift, validation_views
 from experiments.weights import located
 from prism_jax import metrics
@@ -121,7 +121,9 @@ def main() -> None:
     prepare_output(FLAGS.output, ".json")
     weights = located(FLAGS.weights)
     listener = Listener(**_trees(None), bounds=np.array([-20.0, 20.0]))
-    completer = Completer(*load_pretrained(weights), point_errors=listener)
+    config, variables = load_pretrained(weights)
+    require_looks(FLAGS.weights, config)
+    completer = Completer(config, variables, point_errors=listener)
     samples = list(completed_views(completer, listener))
     result = {
         "commit": commit(),

@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from experiments.output import prepare_output
 from experiments.scoring import write_result
+from experiments.settings import changed
 from experiments.shifts import SHIFTS, View, validation_views
 from experiments.weights import located
 from prism_jax import io, metrics
@@ -58,6 +59,9 @@ def define_flags() -> None:
     flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
     flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
     flags.DEFINE_bool("adapt", False, "Adapt to each view.")
+    flags.DEFINE_multi_string(
+        "set", [], "Changes to the weights' settings, as model.heading=given."
+    )
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 
 
@@ -67,11 +71,13 @@ def main() -> None:
     for name in FLAGS.shift:
         choose("shift", name, SHIFTS)
     completer = Completer.from_pretrained(located(FLAGS.weights))
+    completer.config = changed(completer.config, FLAGS.set)
     views, about = _views()
     about |= {
         "weights": FLAGS.weights,
         "variables_sha256": sha256(completer.variables),
         "adapt": FLAGS.adapt,
+        "set": " ".join(FLAGS.set) or None,
     }
     rows, made_at = _rows_before(about), commit()
     result = {**about, "shifts": rows}
@@ -127,8 +133,9 @@ def completed(completer: Completer, view: View, adapt: bool) -> CompletedScan:
 def robustness_markdown(result: Mapping[str, Any]) -> str:
     """A row for each shift."""
     commits = {row["commit"] or "unknown": None for row in result["shifts"].values()}
+    changes = f", {result['set']}" if result.get("set") else ""
     lines = [
-        f"`{result['weights']}`, commit {', '.join(map(short, commits))}, "
+        f"`{result['weights']}`{changes}, commit {', '.join(map(short, commits))}, "
         f"views of {result['data']}. Unit of length: {metrics.UNIT}.\n",
         f"| shift | views | the partial's CD-L2 x1e4 | {' | '.join(COLUMNS)} |",
         f"| --- | --- | --- |{' --- |' * len(COLUMNS)}",

@@ -20,6 +20,7 @@ from prism_jax.data.datasets import (
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
 from prism_jax.evaluation.run import CompleteFn, evaluate
+from prism_jax.evidence import LOOKS
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
@@ -102,6 +103,14 @@ def require_equal_sizes(sizes: Mapping[str, NetworkSize]) -> None:
         if found != wanted:
             fault = f"is made for {found}, and {first} for {wanted}"
             raise InputError(name, fault, "compare weights of one size")
+
+
+def require_looks(weights: str, config: PrismConfig) -> None:
+    """InputError unless weights complete in the poses that a verdict compares."""
+    if config.model.poses < LOOKS:
+        fault = f"completes in fewer than the {LOOKS} poses that a verdict compares"
+        remedy = f"release it with --set=model.poses={LOOKS} first"
+        raise InputError(weights, fault, remedy)
 
 
 def make_protocol(config: PrismConfig, published: bool = False) -> Protocol:

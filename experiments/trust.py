@@ -29,7 +29,7 @@ from experiments.boosting import (
 )
 from experiments.output import prepare_output
 from experiments.robustness import completed
-from experiments.scoring import print_and_write
+from experiments.scoring import print_and_write, require_looks
 from experiments.shifts import any_shift, validation_views
 from experiments.weights import located
 from prism_jax import metrics
@@ -39,7 +39,7 @@ from prism_jax.completion import Completer
 from prism_jax.data.datasets import digest_of, open_dataset, validation_split
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.evaluation.tables import short
-from prism_jax.evidence import make_second_look
+from prism_jax.models.backbone import encode_points, partial_indices
 from prism_jax.models.variables import Variables
 from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
@@ -96,6 +96,7 @@ def main() -> None:
     prepare_output(FLAGS.output, ".json")
     weights = located(FLAGS.weights)
     config, variables = load_pretrained(weights)
+    require_looks(FLAGS.weights, config)
     blank = unfitted(training_features(config, variables, FLAGS.training))
     completer = Completer(config, variables, calibration=blank)
     samples = list(completed_views(completer))
@@ -120,13 +121,19 @@ def training_features(
     build_if_missing("shapes", "train", FLAGS.data_dir)
     source = open_dataset("shapes", "train", FLAGS.data_dir)
     framing = Framing(model.backbone.num_points, 1, model.margin, model.heading)
-    look = jax.jit(make_second_look(model))
+
+    @jax.jit
+    def encode(partial: Float[np.ndarray, "N 3"]):
+        indices = partial_indices(partial, model.backbone)
+        encoded = encode_points(variables, model.backbone, partial, indices)
+        return encoded.global_feature
+
     rows = np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)
     features = []
     for row in tqdm(rows, desc="features", mininterval=2.0):
         rng = np.random.default_rng(row)
         batch = frame_example(source[int(row)], framing, rng)
-        features.append(np.asarray(look(variables, batch.partial, batch.eye).features))
+        features.append(np.asarray(encode(batch.partial)))
     return np.array(features, np.float64)
 
 

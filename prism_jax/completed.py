@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.evidence import SecondLook, evidence_of
+from prism_jax.evidence import evidence_of, looks_of
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Background, Visibility
@@ -49,10 +49,12 @@ class CompletedScan:
       depth_observed, mask_observed: the measured points in that view.
       depth_completed, mask_completed: the completed ones.
       seconds: spent on compiling and on running.
-      verdict: how far it can be trusted; None for weights without a calibration.
+      verdict: how far it can be trusted; None for weights without a calibration, or in
+        fewer than three poses (`ModelConfig.poses`).
       sigma: how far each point is expected to lie from the true surface, on average
         (`prism_jax.point_errors`): 0 for measured points, which are as the sensor gave
-        them, its noise included. None for weights that cannot tell.
+        them, its noise included. None for weights that cannot tell, or in fewer than
+        three poses.
     """
 
     points: Float[np.ndarray, "M 3"]
@@ -116,7 +118,6 @@ def assemble(
     seconds: dict[str, float],
     known: Visibility | None = None,
     poses: int = 1,
-    look: SecondLook | None = None,
     calibration: Calibration | None = None,
     point_errors: PointErrors | None = None,
 ) -> CompletedScan:
@@ -126,21 +127,22 @@ def assemble(
     and ``view`` its camera. ``known`` is what the sensor knows of the view, if it is to
     speak against predicted points, and the completion is of so many ``poses``.
     ``density`` and ``background`` are as `prism_jax.Completer.complete` has them. The
-    verdict needs a ``look`` and a ``calibration``, every point's sigma a ``look`` and
-    ``point_errors``.
+    verdict needs a ``calibration``, every point's sigma ``point_errors``, and both
+    need three poses.
     """
     predicted = completion.points, density, background, known, poses
     joined = join(points, seen, read, *predicted)
     prediction, selection = joined.prediction, joined.selection
+    looks = looks_of(completion.before, poses)
     verdict = None
-    if look is not None and calibration is not None:
-        novelty = calibration.novelty(np.asarray(look.features))
-        evidence = evidence_of(seen, read, prediction, selection, look, novelty)
+    if looks is not None and calibration is not None:
+        novelty = calibration.novelty(np.asarray(completion.features))
+        evidence = evidence_of(seen, read, prediction, selection, looks, novelty)
         verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
     sigma = None
-    if look is not None and point_errors is not None:
+    if looks is not None and point_errors is not None:
         kept = prediction[selection.kept]
-        clues = clues_of(kept, seen, read, prediction, look)
+        clues = clues_of(kept, seen, read, prediction, looks)
         expected = spread(joined.new, kept, point_errors.sigma(clues))
         none = np.zeros(int(joined.observed.sum()))
         sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])

@@ -17,7 +17,6 @@ from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
 from prism_jax.completed import CompletedScan, CompletedScene, assemble, in_one_scene
-from prism_jax.evidence import SecondLook, make_second_look
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.geometry.workspace import Workspace
@@ -38,7 +37,7 @@ from prism_jax.weights import load_calibration, load_point_errors, load_pretrain
 SLOTS = 8
 """Objects that one compiled call completes, at most."""
 
-for kind in (Completion, Losses, SecondLook):
+for kind in (Completion, Losses):
     name = f"prism_jax.{kind.__name__}"
     jax.export.register_namedtuple_serialization(kind, serialized_name=name)
 
@@ -269,7 +268,7 @@ class Completer:
 
     def in_poses(self, count: int) -> "Completer":
         """The same, which completes in so many poses (`ModelConfig.poses`); what is
-        compiled is not shared. Verdicts stay those of the poses before."""
+        compiled is not shared. In fewer than three there are no verdicts."""
         other = copy.copy(self)
         other.config = self.config.with_model(poses=count)
         other._compiled = {}
@@ -314,21 +313,9 @@ class Completer:
             background=background,
             camera_given=camera_given,
             seconds=seconds,
-            look=self._look_again(task, background),
             calibration=self.calibration,
             point_errors=self.point_errors,
         )
-
-    def _look_again(self, task: "Task", background: Background) -> SecondLook | None:
-        """What a verdict and points' errors need beside the completion."""
-        if self.calibration is None and self.point_errors is None:
-            return None
-        eye = np.asarray(task.read.eye, np.float32)
-        arguments = (self.variables, task.read.partial, eye)
-        model = self._told(background).model
-        look = make_second_look(model)
-        call = self._compile(("look", background), look, arguments, model)
-        return jax.device_get(call(*arguments))
 
     def _compile_adapt(
         self,

@@ -1,25 +1,11 @@
 """What speaks for or against a completion without the truth being known."""
 
-import functools
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Sequence
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
-from prism_jax.geometry.visibility import seen_by
-from prism_jax.models.backbone import (
-    decode,
-    encode_points,
-    partial_indices,
-    with_depth,
-)
-from prism_jax.models.config import ModelConfig
-from prism_jax.models.poses import POSES, posed
-from prism_jax.models.prism import refine, view_from
-from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import Observation
 from prism_jax.observation.visibility import looked_through
 from prism_jax.selection import ABOUT, Selection, usual_spacing
@@ -31,51 +17,19 @@ NEIGHBORS = 12
 """Of a measured point, that a plane is laid through."""
 
 
-class SecondLook(NamedTuple):
-    """What the network as released makes of a partial, and of it in other poses.
+LOOKS = 3
+"""A verdict compares what a frame is completed to in so many poses, the first of
+`prism_jax.models.poses`: as it is, mirrored, and by a quarter turn."""
 
-    Attributes:
-      features: the encoder's global feature.
-      prediction: the completion.
-      mirrored, turned: those of the mirror image in x and of a quarter turn about z,
-        brought back.
-    """
-
-    features: Float[Array | np.ndarray, " G"]
-    prediction: Float[Array | np.ndarray, "P 3"]
-    mirrored: Float[Array | np.ndarray, "P 3"]
-    turned: Float[Array | np.ndarray, "P 3"]
+Looks = Sequence[Float[Array | np.ndarray, "L 3"]]
 
 
-LookFn = Callable[[Variables, Array, Array], SecondLook]
-
-_POSES = POSES[:3]
-
-
-def make_second_look(model: ModelConfig) -> LookFn:
-    """The function of variables, a partial of ``num_points`` points in the unit
-    workspace, and the sensor's place there. Pure; ``jit`` it."""
-
-    def look(
-        variables: Variables, partial: Float[Array, "N 3"], eye: Float[Array, "3"]
-    ) -> SecondLook:
-        # One pass for all poses.
-        clouds = posed("nj,pij->pni", partial, _POSES)
-        eyes, known = posed("j,pij->pi", eye, _POSES), None
-        if model.backbone.reads_visibility:
-            see = functools.partial(seen_by, background=model.background)
-            known = jax.vmap(see)(clouds, eyes)
-        indices = partial_indices(clouds, model.backbone)
-        encoded = encode_points(variables, model.backbone, clouds, indices)
-        if model.backbone.reads_depth:
-            view = jax.vmap(lambda *one: view_from(*one, model))(clouds, eyes)
-            encoded = with_depth(encoded, variables, model, view)
-        decoded = decode(variables, model.backbone, clouds, encoded, None, known)
-        points = refine(variables, decoded, model)
-        back = posed("pni,pij->pnj", points, _POSES)
-        return SecondLook(encoded.global_feature[0], *back)
-
-    return look
+def looks_of(
+    before: Float[Array | np.ndarray, "P 3"], poses: int
+) -> list[np.ndarray] | None:
+    """What the network as it was makes of each of the first `LOOKS` poses, from all of
+    them, one behind the other; None if they are fewer."""
+    return np.split(np.asarray(before), poses)[:LOOKS] if poses >= LOOKS else None
 
 
 def evidence_of(
@@ -83,15 +37,16 @@ def evidence_of(
     read: Observation,
     prediction: Float[np.ndarray, "P 3"],
     selection: Selection,
-    look: SecondLook,
+    looks: Looks,
     novelty: float,
 ) -> dict[str, float]:
     """The numbers that `prism_jax.trust.Calibration` turns into a verdict, by name.
 
     `seen` and `read` are what was observed and what the network read of it,
-    `prediction` its output, adapted or not, and `selection` what became of that.
-    `novelty` is how far `look`'s features are from those of the training. Lengths are
-    in half sides of the workspace. None is asked of an empty prediction.
+    `prediction` its output, adapted or not, `selection` what became of that, and
+    `looks` what it was in each pose before it adapted. `novelty` is how far the frame's
+    features are from those of the training. Lengths are in half sides of the workspace.
+    None is asked of an empty prediction.
     """
     measured = np.asarray(seen.partial, np.float64)[np.asarray(seen.inside)]
     distinct = np.unique(measured, axis=0)
@@ -110,8 +65,8 @@ def evidence_of(
         "looked_through": float(through.mean()),
         "unexplained": float(KDTree(prediction).query(some)[0].mean()),
         "reach": float(away.mean()),
-        "disagreement_mirrored": _apart(look.prediction, look.mirrored),
-        "disagreement_turned": _apart(look.prediction, look.turned),
+        "disagreement_mirrored": _apart(looks[0], looks[1]),
+        "disagreement_turned": _apart(looks[0], looks[2]),
         "novelty": novelty,
     }
 

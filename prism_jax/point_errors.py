@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
-from prism_jax.evidence import SecondLook, asked, roughness
+from prism_jax.evidence import Looks, asked, roughness
 from prism_jax.observation.observation import Observation
 from prism_jax.observation.visibility import beside_and_behind
 from prism_jax.selection import usual_spacing
@@ -69,15 +69,15 @@ def clues_of(
     seen: Observation,
     read: Observation,
     prediction: Float[np.ndarray, "P 3"],
-    look: SecondLook,
+    looks: Looks,
 ) -> Float[np.ndarray, "Q C"]:
     """`CLUES` of some of the predicted points, a row for each.
 
     `seen` and `read` are what was observed and what the network read of it, of at least
-    one point inside; `prediction` is its output, adapted or not, and `look` what it
-    makes of other poses. All in the unit workspace. NumPy, the same bits for the same
-    input, finite for any cloud: neighbours that there are not are the farthest there
-    is.
+    one point inside; `prediction` is its output, adapted or not, and `looks` what it
+    was in each pose before it adapted. All in the unit workspace. NumPy, the same bits
+    for the same input, finite for any cloud: neighbours that there are not are the
+    farthest there is.
     """
     if len(points) == 0:
         return np.zeros((0, len(CLUES)))
@@ -95,7 +95,7 @@ def clues_of(
     ray = points - eye
     length = np.maximum(np.linalg.norm(ray, axis=1), np.finfo(np.float64).tiny)
     beside, behind = beside_and_behind(points, distinct, eye)
-    mirrored, turned = (_away(points, np.asarray(c)) for c in look[2:])
+    mirrored, turned = (_away(points, np.asarray(look)) for look in looks[1:])
     known = _away(points, distinct)
     found = {
         "measured": known,

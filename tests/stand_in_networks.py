@@ -55,7 +55,7 @@ def make_adapt(config):
         measured = 0.0 if visibility is None else (visibility.state > 0).mean()
         towards = (0.05 + measured) * camera.position
         points = jnp.where(accepted, partial + towards, partial)
-        return Completion(points, partial, accepted, None, None, {})
+        return Completion(points, partial, accepted, None, None, {}, None)
 
     return adapt
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from experiments.trust import unfitted
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion import CompletedScan, Completer, _checked, _in_slots
+from prism_jax.evidence import LOOKS
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
@@ -97,24 +98,42 @@ def test_added_points_are_of_the_prediction_and_between_them(far, completer):
 
 
 @pytest.fixture(scope="module")
-def judging(completer, minimal, minimal_variables):
+def posed(minimal, minimal_variables):
+    """In the poses that a verdict compares."""
+    return Adapting(minimal.config.with_model(poses=LOOKS), minimal_variables)
+
+
+@pytest.fixture(scope="module")
+def judging(posed, minimal):
     """The same with a calibration by which every error is a tenth of the half side."""
     width = minimal.model.backbone.global_features[-1]
     features = np.random.default_rng(0).normal(size=(30, width))
     blank = unfitted(features)
     calibration = dataclasses.replace(blank, base=np.log(0.1), fair=0.01, low=0.05)
-    judging = Adapting(minimal.config, minimal_variables, calibration=calibration)
-    judging._compiled = completer._compiled
+    judging = Adapting(posed.config, posed.variables, calibration=calibration)
+    judging._compiled = posed._compiled
     return judging
 
 
-def test_without_a_calibration_there_is_no_verdict(near, judging):
+def test_without_a_calibration_there_is_no_verdict(posed, judging):
+    near = posed.complete(scan(), camera_at(EYE))
     assert near.verdict is None
     result = judging.complete(scan(), camera_at(EYE))
     assert result.verdict.trust == "low"
     assert list(result.verdict.evidence) == list(EVIDENCE)
     expected = 0.1 * result.workspace.half_extent
     assert result.verdict.expected_error == pytest.approx(expected)
+    np.testing.assert_array_equal(result.points, near.points)
+
+
+def test_in_too_few_poses_there_is_neither_verdict_nor_sigma(
+    completer, near, judging, telling
+):
+    judges = judging.calibration, telling.point_errors
+    alone = Adapting(completer.config, completer.variables, None, *judges)
+    alone._compiled = completer._compiled
+    result = alone.complete(scan(), camera_at(EYE))
+    assert result.verdict is None and result.sigma is None
     np.testing.assert_array_equal(result.points, near.points)
 
 
@@ -142,7 +161,8 @@ def telling(judging):
     return telling
 
 
-def test_every_added_point_has_its_error_in_the_users_unit(near, judging, telling):
+def test_every_added_point_has_its_error_in_the_users_unit(posed, judging, telling):
+    near = posed.complete(scan(), camera_at(EYE))
     assert near.sigma is None and judging.complete(scan()).sigma is None
     result = telling.complete(scan(), camera_at(EYE))
     np.testing.assert_array_equal(result.points, near.points)
@@ -442,7 +462,7 @@ def test_around_an_object_of_a_scene_lies_all_that_is_not_its_own(minimal, monke
 def test_maps_of_several_objects_go_into_their_slots():
     def adapt(variables, partial, view, known=None):
         away = partial + variables["by"]
-        return Completion(away, known.depth, away.sum() > 0, {}, away, {})
+        return Completion(away, known.depth, away.sum() > 0, {}, away, {}, away)
 
     reads = np.arange(6.0).reshape(3, 2), {}, nothing_known(4)
     stacked = jax.tree.map(lambda leaf: np.stack([leaf] * 3), reads[2])

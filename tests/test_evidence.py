@@ -1,11 +1,9 @@
 """Evidence for and against completions, on clouds whose answers are known."""
 
-import jax
 import numpy as np
 import pytest
 
-from prism_jax.evidence import SecondLook, evidence_of, make_second_look
-from prism_jax.models.prism import predict, prepare_input
+from prism_jax.evidence import evidence_of, looks_of
 from prism_jax.observation.observation import observe
 from prism_jax.selection import select
 from prism_jax.trust import EVIDENCE
@@ -20,7 +18,7 @@ def square(count, height=0.0, side=1.0, seed=0):
     return np.column_stack([flat, np.full(count, height)])
 
 
-def evidence(points, prediction=None, num_read=128, look=None, sensor=EYE):
+def evidence(points, prediction=None, num_read=128, looks=None, sensor=EYE):
     """Of points and what was predicted, the points themselves unless given.
 
     The workspace is the points' own box, so that the unit is theirs.
@@ -31,8 +29,8 @@ def evidence(points, prediction=None, num_read=128, look=None, sensor=EYE):
     predicted = unit if prediction is None else seen.workspace.to_unit(prediction)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     selection = select(predicted, unit, read.partial, eye)
-    look = look or SecondLook(np.zeros(3), predicted, predicted, predicted)
-    return evidence_of(seen, read, predicted, selection, look, novelty=0.5)
+    looks = looks or (predicted, predicted, predicted)
+    return evidence_of(seen, read, predicted, selection, looks, novelty=0.5)
 
 
 def test_of_a_completion_that_adds_nothing():
@@ -81,8 +79,7 @@ def test_roughness_is_the_noise():
 def test_disagreement_is_the_chamfer_distance():
     points = square(500)
     off = points + [0, 0, 0.1]
-    look = SecondLook(np.zeros(3), points, off, points)
-    found = evidence(points, look=look)
+    found = evidence(points, looks=(points, off, points))
     assert found["disagreement_mirrored"] == pytest.approx(0.1)
     assert found["disagreement_turned"] == 0.0
 
@@ -107,29 +104,10 @@ def test_far_from_the_origin_and_in_any_unit():
         assert there[name] == pytest.approx(here[name], rel=1e-3, abs=1e-6), name
 
 
-def test_the_second_look_is_the_network_in_three_poses(
-    minimal, minimal_fresh, tiny_frames, quick_jit
-):
-    """Against the completion of each pose by itself."""
-    partials, cameras = tiny_frames
-    partial, camera = partials[0], jax.tree.map(lambda leaf: leaf[0], cameras)
-    model = minimal.model
-    eye = camera.position
-    look = quick_jit(make_second_look(model))(minimal_fresh, partial, eye)
-
-    @quick_jit
-    def complete(cloud):
-        inputs = prepare_input(cloud, camera, jax.random.key(0), model)
-        done = predict(minimal_fresh, inputs, model)
-        return done.points, done.encoded.global_feature
-
-    points, features = complete(partial)
-    np.testing.assert_allclose(look.prediction, points, atol=1e-5)
-    np.testing.assert_allclose(look.features, features, atol=1e-5)
-    mirror = np.array([-1, 1, 1], np.float32)
-    mirrored = complete(partial * mirror)[0] * mirror
-    np.testing.assert_allclose(look.mirrored, mirrored, atol=1e-5)
-    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
-    turned = complete(partial @ turn.T)[0] @ turn
-    np.testing.assert_allclose(look.turned, turned, atol=1e-5)
-    assert np.abs(look.turned - look.prediction).max() > 1e-3
+def test_looks_are_the_first_poses():
+    clouds = RNG.normal(size=(4, 5, 3))
+    for count in (3, 4):
+        looks = looks_of(clouds[:count].reshape(-1, 3), count)
+        np.testing.assert_array_equal(looks, clouds[:3])
+    assert looks_of(clouds[:2].reshape(-1, 3), 2) is None
+    assert looks_of(clouds[0], 1) is None

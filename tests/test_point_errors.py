@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from prism_jax.evidence import SecondLook
 from prism_jax.observation.observation import observe
 from prism_jax.point_errors import CLUES, PointErrors, clues_of, spread
 
@@ -24,8 +23,8 @@ def clues(points, prediction, asked=None, off=0.0, sensor=EYE, num_read=128):
     seen = observe(points, sensor, margin=1.0)
     unit = np.asarray(seen.workspace.to_unit(prediction), np.float64)
     some = unit if asked is None else unit[asked]
-    look = SecondLook(np.zeros(3), unit, unit + [0, 0, off], unit - [0, 0, 2 * off])
-    found = clues_of(some, seen, seen.sampled(num_read), unit, look)
+    looks = unit, unit + [0, 0, off], unit - [0, 0, 2 * off]
+    found = clues_of(some, seen, seen.sampled(num_read), unit, looks)
     assert found.shape == (len(some), len(CLUES)) and np.isfinite(found).all()
     return dict(zip(CLUES, found.T, strict=True))
 

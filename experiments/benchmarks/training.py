@@ -1,5 +1,6 @@
 """Training steps of a preset: supervised, and of the meta-objective."""
 
+import dataclasses
 from collections.abc import Iterator
 
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
 from experiments.settings import resolve
 from prism_jax.data.pipeline import Batch
-from prism_jax.models.backbone import partial_indices
+from prism_jax.models.backbone import init_backbone, partial_indices
 from prism_jax.models.initial import init_variables
 from prism_jax.presets import Preset
 from prism_jax.training.backbone import backbone_phase
@@ -29,6 +30,8 @@ def suite(preset: str = "small") -> Iterator[Row]:
     On random clouds, the encoder's indices made beforehand as they are for a data set.
     A supervised step stands also beside the time in which a matrix product has as many
     operations; of the meta-step, which is a loop, the compiler does not know how many.
+    The last step stands beside that of a network which is not told what the sensor
+    knows, if its own is.
     """
     settings = resolve(preset)
     config = settings.pretrain
@@ -51,6 +54,18 @@ def suite(preset: str = "small") -> Iterator[Row]:
         yield row(name, times, peer, wanted, 1.0, **step.costs)
         yield row(name, times, "its operations, as a product", [best * step.flops])
     assert step is not None
+    backbone = settings.model.backbone
+    if backbone.reads_visibility:
+        backbone = dataclasses.replace(
+            backbone, reads_visibility=False, seeds_read_visibility=False
+        )
+        model = dataclasses.replace(settings.model, backbone=backbone)
+        fresh = init_backbone(jax.random.key(0), model)
+        phase = config.backbone[-1]
+        blind = _step(backbone_phase(fresh, model, phase, config), batch)
+        ours, theirs = in_turn(step, blind, seconds=30.0)
+        name = f"{preset}, {phase.name}, step of {config.batch_size} samples"
+        yield row(name, ours, "the same, not told what the sensor knows", theirs)
     meta = _step(meta_phase(variables, settings.config, settings.meta, 0), batch)
     ours, theirs = in_turn(meta, step, seconds=30.0)
     name = f"{preset}, meta-step of {settings.meta.batch_size} samples"

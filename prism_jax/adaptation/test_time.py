@@ -36,6 +36,7 @@ class Completion(NamedTuple):
       weights: of the auxiliary losses, softmax(eta*).
       encoders: the encoders' parameters that made ``points``, with the samples
         and neighbours of the decoding before (`prism_jax.models.prism.hold_decoding`).
+      features: the point stream's global feature, of the network as it was.
     """
 
     points: Float[Array, "N 3"]
@@ -44,6 +45,7 @@ class Completion(NamedTuple):
     losses: Losses
     weights: Float[Array, "3"]
     encoders: Variables
+    features: Float[Array, " G"]
 
 
 AdaptFn = Callable[..., Completion]
@@ -105,23 +107,26 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             losses, prediction = test_time_objective(
                 put_encoders(moving, rest), inputs, config
             )
-            return losses.objective, (losses, prediction.points)
+            features = prediction.encoded.global_feature
+            return losses.objective, (losses, prediction.points, features)
 
         weights = loss_weights(variables["weighting"]["logits"])
         if settings.num_steps == 0:
-            _, (losses, points) = loss_fn(encoders)
+            _, (losses, points, features) = loss_fn(encoders)
             losses = jax.tree.map(lambda loss: loss[None], losses)
             refused = jnp.zeros((), bool)
             points = with_others(points, encoders)
-            return Completion(points, points, refused, losses, weights, encoders)
-        adapted, (_, (before, points)) = unroll(
+            return Completion(
+                points, points, refused, losses, weights, encoders, features
+            )
+        adapted, (_, (before, points, features)) = unroll(
             loss_fn,
             encoders,
             step_sizes(variables, settings),
             settings.num_steps,
             clip_norm=settings.clip_norm,
         )
-        _, (after, last) = loss_fn(adapted)
+        _, (after, last, _) = loss_fn(adapted)
         last = with_others(last, adapted)
         losses = jax.tree.map(
             lambda steps, final: jnp.concatenate([steps, final[None]]), before, after
@@ -135,6 +140,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             losses,
             weights,
             jax.tree.map(lambda a, e: jnp.where(accepted, a, e), adapted, encoders),
+            features[0],
         )
 
     return adapt

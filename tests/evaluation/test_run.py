@@ -105,7 +105,7 @@ def test_completed_is_what_a_user_gets(boxes):
         seen,
         seen.sampled(own.num_partial),
         seen.camera,
-        Completion(prediction, prediction, False, (), np.ones(3), {})._replace(
+        Completion(prediction, prediction, False, (), np.ones(3), {}, ())._replace(
             losses=Losses(*np.ones((len(Losses._fields), 1)))
         ),
         density=1.0,

@@ -86,7 +86,8 @@ def test_a_view_to_which_nothing_is_added_is_left_out():
 def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_fresh):
     """On boxes, with a network of few points; errors are distances to the truth."""
     weights = tmp_path / "weights.safetensors"
-    save_weights(weights, minimal.config, minimal_fresh, {})
+    config = minimal.config.with_model(poses=3)
+    save_weights(weights, config, minimal_fresh, {})
     eye, noted = np.array([2.0, 3.0, 2.5]), []
 
     def views(name, limit, split):

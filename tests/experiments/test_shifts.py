@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from experiments import filters, headings, robustness, shifts
 from experiments.shifts import SHIFTS, View
 from prism_jax.completion import Completer
+from prism_jax.models.config import ModelConfig
 from prism_jax.observation.support import find_up
 from tests import launching
 
@@ -105,9 +106,12 @@ def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypat
     monkeypatch.setattr(robustness, "completed", lambda *_: view_as_it_is(view))
     output = tmp_path / "robustness.json"
 
-    def run(number, *shifts):
-        completers.append(types.SimpleNamespace(variables={"x": np.full(3, number)}))
-        given = [f"--shift={shift}" for shift in shifts]
+    def run(number, *shifts, more=()):
+        completer = types.SimpleNamespace(
+            variables={"x": np.full(3, number)}, config=ModelConfig()
+        )
+        completers.append(completer)
+        given = [f"--shift={shift}" for shift in shifts] + list(more)
         assert launching.run(robustness, f"--output={output}", *given) == 0
         return list(json.loads(output.read_text())["shifts"])
 
@@ -115,6 +119,12 @@ def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypat
     assert run(0.0, "heading 0") == ["heading 0", "noise 1 %"]
     assert run(0.0, "heading 0") == ["heading 0", "noise 1 %"]
     assert run(1.0, "heading 45") == ["heading 45"], "of other weights"
+    more = ["--set=poses=2"]
+    assert run(1.0, "noise 1 %", more=more) == ["noise 1 %"], "of other settings"
+    assert completers[-1].config.poses == 2
+    assert run(1.0, "heading 45", more=more) == ["heading 45", "noise 1 %"]
+    assert "`small`, poses=2, commit" in output.with_suffix(".md").read_text()
+    assert run(1.0, "heading 0") == ["heading 0"], "of the weights' own settings"
 
 
 def view_as_it_is(view):

@@ -177,7 +177,7 @@ def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
             count = encoders["point_encoder"]
             after = {"point_encoder": count + 1, "depth_encoder": count}
             there = partial + count
-            return Completion(there, partial, jnp.bool_(True), None, None, after)
+            return Completion(there, partial, jnp.bool_(True), None, None, after, None)
 
         return adapt
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from experiments import trust
+from experiments import point_errors, trust
 from experiments.shifts import View
 from experiments.trust import (
     SETS,
@@ -107,10 +107,21 @@ def test_few_and_equal_features_are_no_fault():
     assert np.isfinite(found.novelty(np.ones(5)))
 
 
+def test_weights_of_one_pose_are_refused(tmp_path, minimal, minimal_fresh, capsys):
+    """At once, before anything is built or completed."""
+    weights = tmp_path / "one.safetensors"
+    save_weights(weights, minimal.config, minimal_fresh, {})
+    for command in (trust, point_errors):
+        assert launching.run(command, f"--weights={weights}") == 2
+        said = capsys.readouterr().err
+        assert "one.safetensors: completes in fewer than the 3 poses" in said
+
+
 def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_fresh):
     """On boxes, with a network of few points."""
     weights = tmp_path / "weights.safetensors"
-    save_weights(weights, minimal.config, minimal_fresh, {})
+    config = minimal.config.with_model(poses=3)
+    save_weights(weights, config, minimal_fresh, {})
 
     def box(seed, count):
         rng = np.random.default_rng(seed)
