@@ -45,6 +45,7 @@ LABELS = {
     "seedformer": "SeedFormer",
     "snowflakenet": "SnowflakeNet",
     "adapointr": "AdaPoinTr",
+    "fsc": "FSC",
 }
 BACKBONE = "CRA-PCN"
 

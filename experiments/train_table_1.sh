@@ -11,7 +11,7 @@
 #
 #     --workdir=DIR    where everything goes
 #     --samples=N      of each network; 500,000 if not given
-#     --only=NAME      pcn, pointr, seedformer, snowflakenet, adapointr, crapcn or prism,
+#     --only=NAME      pcn, pointr, seedformer, snowflakenet, adapointr, fsc, crapcn or prism,
 #                      again for others; all if not given
 #
 # All others go to every training: --mixture, --data_dir, --seed, --set, ...
@@ -22,7 +22,7 @@ fail() {
     exit 2
 }
 
-others=(pcn pointr seedformer snowflakenet adapointr)
+others=(pcn pointr seedformer snowflakenet adapointr fsc)
 workdir='' samples=500000 only=() flags=()
 for flag in "$@"; do
     value=${flag#*=}

@@ -8,6 +8,7 @@ from experiments.baselines.adapointr import (
     AdaPoinTr,
     AdaPoinTrConfig,
 )
+from experiments.baselines.fsc import FSC, FSC_SMALL, FSCConfig
 from experiments.baselines.pcn import PCN, PCN_SMALL, PCNConfig
 from experiments.baselines.pointr import POINTR_SMALL, PoinTr, PoinTrConfig
 from experiments.baselines.seedformer import (
@@ -36,4 +37,5 @@ NETWORKS: dict[str, dict[str, nn.Module]] = {
         "small": AdaPoinTr(ADAPOINTR_SMALL),
         "paper": AdaPoinTr(AdaPoinTrConfig()),
     },
+    "fsc": {"small": FSC(FSC_SMALL), "paper": FSC(FSCConfig())},
 }

@@ -90,12 +90,13 @@ class PCN(nn.Module):
         coarse = MLP(widths, name="coarse")(feature)
         coarse = coarse.reshape(*partial.shape[:-2], config.num_coarse, 3)
 
-        grid = jnp.tile(folding_grid(config), (config.num_coarse, 1))
+        grid = folding_grid(config.grid_size, config.grid_extent)
+        grid = jnp.tile(grid, (config.num_coarse, 1))
         offsets = MLP((*config.fold_features, 3), name="fold")(grid, coarse, feature)
         return coarse, repeat_in_place(coarse, config.grid_size**2) + offsets
 
 
-def folding_grid(config: PCNConfig) -> Float[Array, "n 2"]:
+def folding_grid(size: int, extent: float) -> Float[Array, "n 2"]:
     """The square grid around the origin that every coarse point has of its own."""
-    side = jnp.linspace(-config.grid_extent, config.grid_extent, config.grid_size)
+    side = jnp.linspace(-extent, extent, size)
     return jnp.stack(jnp.meshgrid(side, side), -1).reshape(-1, 2)

@@ -121,7 +121,7 @@ def count(config):
 
 def test_published_grid():
     """Four by four points, 0.1 wide, evenly spaced around the origin."""
-    grid = np.asarray(folding_grid(PCNConfig()))
+    grid = np.asarray(folding_grid(4, 0.05))
     assert grid.shape == (16, 2)
     assert len(np.unique(grid.round(6), axis=0)) == 16
     values = np.unique(grid.round(6))
