@@ -124,7 +124,6 @@ def make_protocol(config: PrismConfig, published: bool = False) -> Protocol:
         with_emd=not published,
         heading=config.model.heading,
         background=config.model.background,
-        poses=config.model.poses,
     )
 
 

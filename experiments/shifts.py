@@ -42,11 +42,14 @@ class View:
 
 
 def validation_views(
-    dataset: str, limit: int | None = None, split: str | None = None
+    dataset: str,
+    limit: int | None = None,
+    split: str | None = None,
+    data_dir: str | None = None,
 ) -> list[View]:
     """Those of a data set's validation split, unless another is named, or so many of
     them, evenly spaced."""
-    source = open_dataset(dataset, split or validation_split(dataset))
+    source = open_dataset(dataset, split or validation_split(dataset), data_dir)
     count = min(len(source), limit or len(source))
     views = []
     for row in np.linspace(0, len(source) - 1, count).astype(int):

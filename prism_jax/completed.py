@@ -130,8 +130,7 @@ def assemble(
     verdict needs a ``calibration``, every point's sigma ``point_errors``, and both
     need three poses.
     """
-    predicted = completion.points, density, background, known, poses
-    joined = join(points, seen, read, *predicted)
+    joined = join(points, seen, read, completion.points, density, background, known)
     prediction, selection = joined.prediction, joined.selection
     looks = looks_of(completion.before, poses)
     verdict = None
@@ -198,18 +197,16 @@ def join(
     density: float,
     background: Background,
     known: Visibility | None = None,
-    poses: int = 1,
 ) -> Joined:
     """The measured points as they were, and behind them those that are new.
 
-    ``predicted`` are the network's, of so many ``poses``, in the unit workspace; the
-    rest is as in `assemble`.
+    ``predicted`` are the network's, in the unit workspace; the rest as in `assemble`.
     """
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
     prediction = np.asarray(predicted, np.float64)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     new, selection = added_points(
-        prediction, unit, read.partial, eye, density, background, known, poses
+        prediction, unit, read.partial, eye, density, background, known
     )
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])

@@ -10,14 +10,10 @@ from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.observation.maps import in_free_space
 from prism_jax.observation.visibility import in_front, looked_through
 
-STRAY = 0.3
-"""A predicted point whose second neighbour is farther off, in the unit workspace, lies
-alone. Chosen on validation (`experiments.filters`, docs/experiments.md)."""
-
-AGREE = 0.15
-"""A point that one of a frame's poses has (`prism_jax.models.poses`), and no other so
-near, is a stray: what a frame is completed to should not hang on how it lies. In the
-unit workspace, and chosen on validation (docs/experiments.md)."""
+STRAY = 0.35
+"""Of a predicted point that is no stray so many others (`company`), predicted or
+measured, are no farther off, in the unit workspace. Chosen on validation
+(docs/experiments.md), as that number is."""
 
 TOLERANCE = 4.0
 """In spacings of the network's input: a point that much nearer to the sensor than all
@@ -46,7 +42,7 @@ class Selection(NamedTuple):
     Attributes:
       kept: it is added to the measured points.
       outside: it lies outside the workspace.
-      stray: it lies alone (`STRAY`), or no other pose has it (`AGREE`).
+      stray: it lies alone, or with few (`STRAY`).
       in_front: it would have hidden what was measured behind it (`TOLERANCE`).
       looked_through: the sensor saw nothing of the object about its line of sight
         (`ABOUT`), and something else behind it, or what lies around is known to be
@@ -75,7 +71,6 @@ def added_points(
     density: float = 1.0,
     background: Background = "unknown",
     known: Visibility | None = None,
-    poses: int = 1,
 ) -> tuple[Float[np.ndarray, "Q 3"], Selection]:
     """What a user gets beside the measured points, and what became of the predicted.
 
@@ -83,7 +78,7 @@ def added_points(
     times as dense as the measured ones, where they are not so anyway; 0 leaves them as
     predicted. All in the unit workspace, and within it.
     """
-    selection = select(prediction, measured, partial, eye, background, known, poses)
+    selection = select(prediction, measured, partial, eye, background, known)
     kept = prediction[selection.kept]
     predicted = surface_density(kept) if density else 0.0
     if predicted == 0:
@@ -99,15 +94,12 @@ def select(
     eye: Float[np.ndarray, "3"] | None,
     background: Background = "unknown",
     known: Visibility | None = None,
-    poses: int = 1,
 ) -> Selection:
     """Which predicted points to add to the measured ones.
 
     Those in the workspace, in company, where nothing was measured, and none that hides
     what was measured from the sensor at `eye` (None if nobody knows where it stood).
-    `partial` is what the network read. The prediction is of so many `poses`, one behind
-    the other; of several, those that others do not have are left away, too. All in the
-    unit workspace.
+    `partial` is what the network read. All in the unit workspace.
 
     That a sensor seems to have looked through a point is a reason to leave it out only
     if the `background` is known to be empty, or where it is `known` that something else
@@ -116,7 +108,7 @@ def select(
     """
     spacing = usual_spacing(np.asarray(partial))
     outside = np.asarray(~(np.abs(prediction) <= 1.0).all(axis=1))
-    stray = _lonely(prediction, measured) | disputed(prediction, poses)
+    stray = lonely(prediction, measured)
     hides = through = np.zeros(len(prediction), bool)
     if eye is not None:
         hides = in_front(prediction, measured, eye, spacing, TOLERANCE)
@@ -187,27 +179,27 @@ def usual_spacing(cloud: Float[np.ndarray, "N 3"]) -> float:
     return float(np.median(KDTree(distinct).query(distinct, k=2)[0][:, 1]))
 
 
-def _lonely(
-    prediction: Float[np.ndarray, "P 3"], measured: Float[np.ndarray, "N 3"]
+def company(num_points: int) -> int:
+    """How many points a predicted point that is no stray has near it (`STRAY`), in a
+    prediction of so many: 12 in three poses of 2,048 points, 4 in one, and never fewer
+    than 2."""
+    return max(2, round(num_points / 512))
+
+
+def lonely(
+    prediction: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    reach: float = STRAY,
+    count: int | None = None,
 ) -> Bool[np.ndarray, " P"]:
-    """Points of a prediction that fewer than two of either cloud are near."""
+    """Points of a prediction that fewer than ``count`` others of either cloud are near,
+    `company` of it if that is None."""
+    if count is None:
+        count = company(len(prediction))
     others = _tree(np.concatenate([prediction, measured]))
     # The first is the point itself.
-    return ~(others.query(prediction, k=3)[0][:, 2] <= STRAY)
-
-
-def disputed(
-    prediction: Float[np.ndarray, "P 3"], poses: int, reach: float = AGREE
-) -> Bool[np.ndarray, " P"]:
-    """Points of one pose with none of another within reach; none of a single pose."""
-    if poses == 1:
-        return np.zeros(len(prediction), bool)
-    parts = np.split(prediction, poses)
-    found = []
-    for number, part in enumerate(parts):
-        others = np.concatenate(parts[:number] + parts[number + 1 :])
-        found.append(~(_tree(others).query(part)[0] <= reach))
-    return np.concatenate(found)
+    apart = others.query(prediction, k=[count + 1])[0][:, 0]
+    return ~(apart <= reach)
 
 
 def _tree(cloud: Float[np.ndarray, "N 3"]) -> KDTree:

@@ -5,10 +5,11 @@ import pytest
 from scipy.spatial import KDTree
 
 from prism_jax.selection import (
-    AGREE,
     MAX_DENSE,
     STRAY,
+    company,
     densify,
+    lonely,
     select,
     surface_density,
     usual_spacing,
@@ -55,19 +56,30 @@ def test_a_point_alone_is_a_stray(wall, company):
     assert not (selection.kept & selection.stray).any()
 
 
-@pytest.mark.parametrize("away", [0.5, 0.99, 1.01, 2.0])
-def test_what_one_pose_has_alone_is_a_stray(wall, away):
-    """Of three poses two have a far square, the second a little aside of the first; the
-    third has all of it elsewhere, and a part that all have is kept."""
-    far, elsewhere = grid(9, 0.3, y=-0.5), grid(9, 0.3, y=-0.95)
-    aside = far + [0.0, away * AGREE, 0.0]
-    points = np.concatenate([far, aside, elsewhere])
-    found = select(points, wall, wall, EYE, poses=3).stray
-    np.testing.assert_array_equal(found[:162], away > 1)
-    assert found[162:].all()
-    assert not select(points, wall, wall, EYE).stray.any()
-    three = np.concatenate([far] * 3)
-    assert not select(three, wall, wall, EYE, poses=3).stray.any()
+def test_how_much_company_there_has_to_be():
+    """It grows with the prediction, and single points never are enough."""
+    assert [company(n) for n in (64, 2048, 6144, 24_576)] == [2, 4, 12, 48]
+
+
+@pytest.mark.parametrize("size", [3, 12, 13, 20])
+def test_few_together_are_strays(wall, size):
+    """Of a prediction of three poses a clump is one up to its own number."""
+    rng = np.random.default_rng(0)
+    clump = [0.0, -0.9, 0.0] + rng.uniform(-0.1, 0.1, (size, 3)) * STRAY
+    surface = grid(78, y=-0.2)
+    found = lonely(np.concatenate([surface, clump]), wall)
+    assert company(len(found)) == 12
+    assert not found[: len(surface)].any()
+    np.testing.assert_array_equal(found[len(surface) :], size < 13)
+
+
+def test_measured_points_are_company(wall):
+    alone = np.array([[0.0, -0.05, 0.0]])
+    far = np.concatenate([grid(78, y=-0.9), alone])
+    assert lonely(far, wall[:11])[-1] and not lonely(far, wall)[-1]
+    distances = np.sort(np.linalg.norm(wall - alone, axis=1))
+    assert not lonely(far, wall, reach=distances[11] + 1e-9)[-1]
+    assert lonely(far, wall, reach=distances[11] - 1e-9)[-1]
 
 
 def test_what_would_hide_the_measured_is_not_kept(wall):

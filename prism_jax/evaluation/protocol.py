@@ -58,8 +58,6 @@ class Protocol:
       heading: which one the completer knows objects in; the partial decides on it.
       background: whether what lies around a partial is known to be empty, and predicted
         points there are left away.
-      poses: how many poses the completer's points are of
-        (`prism_jax.selection.select`).
       told: whether the completer gets `Told` beside partials and sensors, and a map
         that an example has speaks against what is added to the measured points.
       removes: whether those of the network's points that contradict the view, or lie
@@ -76,7 +74,6 @@ class Protocol:
     with_measured: bool = True
     heading: Heading = "given"
     background: Background = "unknown"
-    poses: int = 1
     told: bool = False
     removes: bool = False
 

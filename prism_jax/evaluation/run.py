@@ -219,7 +219,6 @@ def scored_clouds(
                 eye if seen.sensor_known else None,
                 background=protocol.background,
                 known=known,
-                poses=protocol.poses,
             )
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud
@@ -245,7 +244,6 @@ def believable(
         np.asarray(seen.eye) if seen.sensor_known else None,
         protocol.background if known is None else "unknown",
         known,
-        protocol.poses,
     ).believable
     return allowed if allowed.any() else np.ones(len(prediction), bool)
 

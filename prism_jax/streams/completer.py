@@ -108,8 +108,7 @@ class FrameCompleter(FrameObserver):
         else:
             predicted, seconds = self._completer.predict(*reads)
         ran = time.perf_counter()
-        poses = self._completer.config.model.poses
-        told = self.density, self.background, task.known, poses
+        told = self.density, self.background, task.known
         joined = join(points, task.seen, task.read, predicted, *told)
         placed, label = self._with_robot(joined, robot)
         return CompletedFrame(
