@@ -158,7 +158,7 @@ def test_views_are_of_the_validation_split(monkeypatch, view):
             asked.append(row)
             return row
 
-    monkeypatch.setattr(shifts, "open_dataset", lambda name, split: Few())
+    monkeypatch.setattr(shifts, "open_dataset", lambda *place: Few())
     monkeypatch.setattr(shifts, "with_partial", lambda row: dataclasses.replace(view))
     views = shifts.validation_views("shapes", 3)
     assert asked == [0, 4, 8]
