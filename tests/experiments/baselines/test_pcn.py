@@ -5,11 +5,9 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 
 from experiments.baselines.pcn import PCN, PCN_SMALL, PCNConfig, folding_grid
-from prism_jax.losses.primary import primary_loss
 
 TINY = PCNConfig(
     num_points=24,
@@ -24,14 +22,6 @@ RNG = np.random.default_rng(0)
 PARTIAL = jnp.asarray(RNG.uniform(-1, 1, (3, 24, 3)), jnp.float32)
 COMPLETE = jnp.asarray(RNG.uniform(-1, 1, (3, 32, 3)), jnp.float32)
 
-DEGENERATE = {
-    "one point many times": np.tile([[0.3, -0.2, 0.7]], (24, 1)),
-    "one point": np.array([[0.3, -0.2, 0.7]]),
-    "all at the origin": np.zeros((24, 3)),
-    "collinear": np.linspace(-1, 1, 24)[:, None] * [1.0, 2.0, -1.0],
-    "far from the origin": RNG.uniform(-1, 1, (24, 3)) + 1e4,
-}
-
 
 @pytest.fixture(scope="module")
 def variables():
@@ -43,17 +33,6 @@ def variables():
 @pytest.fixture(scope="module")
 def complete_fn(quick_jit):
     return quick_jit(PCN(TINY).apply)
-
-
-@pytest.fixture(scope="module")
-def loss_and_grad(quick_jit):
-    """Eq. 10 over a batch, and its gradient in the variables."""
-
-    def loss(variables, partial, complete):
-        stages = PCN(TINY).apply(variables, partial)
-        return jax.vmap(primary_loss)(stages, complete).mean()
-
-    return quick_jit(jax.value_and_grad(loss))
 
 
 def by_hand(variables, partial):
@@ -128,15 +107,6 @@ def test_published_grid():
     np.testing.assert_allclose(values, [-0.05, -0.05 / 3, 0.05 / 3, 0.05], atol=1e-6)
 
 
-def test_children_stand_around_their_coarse_point(complete_fn, variables):
-    """And where nothing is folded, upon it."""
-    flat = jax.tree_util.tree_map_with_path(
-        lambda path, leaf: 0 * leaf if "fold" in str(path) else leaf, variables
-    )
-    coarse, dense = complete_fn(flat, PARTIAL)
-    assert np.array_equal(dense, np.repeat(coarse, 4, axis=1))
-
-
 def test_order_and_repetition_of_the_points_do_not_matter(complete_fn, variables):
     expected = complete_fn(variables, PARTIAL)
     order = np.random.default_rng(1).permutation(24)
@@ -146,80 +116,3 @@ def test_order_and_repetition_of_the_points_do_not_matter(complete_fn, variables
             np.testing.assert_allclose(a, b, atol=1e-6)
     changed = complete_fn(variables, PARTIAL.at[:, 0].add(0.5))
     assert np.abs(np.asarray(changed[1]) - np.asarray(expected[1])).max() > 1e-3
-
-
-def test_gradients_reach_every_parameter(loss_and_grad, variables):
-    _, grads = loss_and_grad(variables, PARTIAL, COMPLETE)
-    for leaf in jax.tree.leaves(grads):
-        assert np.isfinite(leaf).all()
-        assert np.abs(leaf).max() > 0
-
-
-@pytest.mark.usefixtures("x64")
-def test_gradients_are_those_of_finite_differences(quick_jit, variables):
-    """Along random directions, of a smooth function of both stages."""
-    double = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), variables)
-    partial = jnp.asarray(PARTIAL, jnp.float64)
-
-    @quick_jit
-    @jax.value_and_grad
-    def loss(variables):
-        return sum(jnp.sin(3 * s).sum() for s in PCN(TINY).apply(variables, partial))
-
-    _, grads = loss(double)
-    rng, step = np.random.default_rng(2), 1e-6
-    for _ in range(3):
-        direction = jax.tree.map(lambda leaf: rng.normal(size=leaf.shape), double)
-        ends = [
-            loss(jax.tree.map(lambda x, d, h=h: x + h * d, double, direction))[0]
-            for h in (step, -step)
-        ]
-        slope = sum(
-            (g * d).sum()
-            for g, d in zip(*map(jax.tree.leaves, (grads, direction)), strict=True)
-        )
-        difference = float(ends[0] - ends[1]) / (2 * step)
-        assert difference == pytest.approx(float(slope), rel=1e-5)
-
-
-@pytest.mark.parametrize("name", DEGENERATE)
-def test_degenerate_clouds(name, complete_fn, loss_and_grad, variables):
-    """One is as good as many of it; every number is finite."""
-    cloud = np.resize(DEGENERATE[name], (24, 3))
-    partial = jnp.asarray(np.stack([cloud] * 3), jnp.float32)
-    for stage in complete_fn(variables, partial):
-        assert np.isfinite(stage).all()
-    loss, grads = loss_and_grad(variables, partial, COMPLETE)
-    assert np.isfinite(loss)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(grads))
-
-
-def test_a_cloud_of_no_points(variables):
-    with pytest.raises(ValueError, match="empty cloud"):
-        jax.eval_shape(PCN(TINY).apply, variables, PARTIAL[:, :0])
-
-
-def test_any_leading_axes(complete_fn, quick_jit, variables):
-    """As a batch, mapped, one by one and folded into two axes, it is all the same."""
-    together = complete_fn(variables, PARTIAL)
-    mapped = quick_jit(jax.vmap(functools.partial(PCN(TINY).apply, variables)))(PARTIAL)
-    nested = complete_fn(variables, PARTIAL.reshape(3, 1, 24, 3))
-    alone = [complete_fn(variables, cloud) for cloud in PARTIAL]
-    for i, stage in enumerate(together):
-        np.testing.assert_allclose(mapped[i], stage, atol=1e-6)
-        np.testing.assert_allclose(nested[i][:, 0], stage, atol=1e-6)
-        for stages, expected in zip(alone, stage, strict=True):
-            np.testing.assert_allclose(stages[i], expected, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_some_steps_of_adam_lower_the_loss(loss_and_grad, quick_jit, variables):
-    optimizer = optax.adam(3e-3)
-    update = quick_jit(optimizer.update)
-    state, losses = optimizer.init(variables), []
-    for _ in range(20):
-        loss, grads = loss_and_grad(variables, PARTIAL, COMPLETE)
-        losses.append(float(loss))
-        updates, state = update(grads, state)
-        variables = optax.apply_updates(variables, updates)
-    assert losses[-1] < 0.8 * losses[0]
