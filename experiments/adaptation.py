@@ -32,6 +32,7 @@ from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
+    in_one_pose,
     make_protocol,
     open_split,
     print_and_write,
@@ -40,7 +41,6 @@ from experiments.scoring import (
     run_evaluation,
 )
 from experiments.settings import changed
-from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.inner_loop import step_sizes, unroll
 from prism_jax.adaptation.objective import hold
@@ -56,7 +56,6 @@ from prism_jax.losses.chamfer import chamfer
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.observation.observation import observe
-from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
 
@@ -216,13 +215,6 @@ def main() -> None:
     table = comparison(rows, TOLD_REMOVED, **about)
     table["pairs"] = differences(rows)
     print_and_write(table, markdown(table))
-
-
-def in_one_pose(weights: str) -> tuple[PrismConfig, Variables]:
-    """Weights that complete a frame in its own pose alone (`ModelConfig.poses`):
-    what steps change there is asked for here."""
-    config, variables = load_pretrained(located(weights))
-    return config.with_model(poses=1), variables
 
 
 def with_background(config: PrismConfig, background: Background) -> PrismConfig:

@@ -11,6 +11,7 @@ import numpy as np
 from absl import flags
 
 from experiments.comparison import comparison_markdown
+from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.datasets import (
     DATASETS,
@@ -26,6 +27,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
 from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
+from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
 
@@ -94,6 +96,13 @@ def network_size(module: nn.Module, variables: Variables, margin: float) -> Netw
     cloud = jax.ShapeDtypeStruct((1, num_points, 3), np.float32)
     stages = jax.eval_shape(lambda cloud: apply(module, variables, cloud), cloud)
     return NetworkSize(num_points, stages[-1].shape[1], margin)
+
+
+def in_one_pose(weights: str) -> tuple[PrismConfig, Variables]:
+    """Weights, by name or by file, that complete a frame in its own pose alone
+    (`ModelConfig.poses`): where networks are compared, all have as many points."""
+    config, variables = load_pretrained(located(weights))
+    return config.with_model(poses=1), variables
 
 
 def require_equal_sizes(sizes: Mapping[str, NetworkSize]) -> None:

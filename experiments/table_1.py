@@ -18,6 +18,7 @@ from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
+    in_one_pose,
     make_protocol,
     network_size,
     open_split,
@@ -33,7 +34,6 @@ from prism_jax.evaluation.run import Predictions, network_completer, prism_compl
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (
-    load_pretrained,
     read_metadata,
     samples_seen,
 )
@@ -72,11 +72,11 @@ def define_flags() -> None:
 def main():
     """Scores every row on the same examples, input and output counts."""
     prepare_output(FLAGS.output, ".json")
-    config, variables = load_pretrained(located(FLAGS.weights))
-    alone, backbone = load_pretrained(located(FLAGS.backbone))
+    config, variables = in_one_pose(FLAGS.weights)
+    alone, backbone = in_one_pose(FLAGS.backbone)
     names = with_weights() if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
-    longer = {name: load_pretrained(located(name)) for name in FLAGS.longer}
+    longer = {name: in_one_pose(name) for name in FLAGS.longer}
     for name, (own, _) in longer.items():
         if own.model.heading != config.model.heading:
             fault = f"knows objects in other headings than {FLAGS.weights}"

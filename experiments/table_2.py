@@ -15,6 +15,7 @@ from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
+    in_one_pose,
     make_protocol,
     open_split,
     print_and_write,
@@ -22,7 +23,6 @@ from experiments.scoring import (
     require_equal_sizes,
     run_evaluation,
 )
-from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch
@@ -30,7 +30,6 @@ from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.observation.observation import observe
-from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
 PRETRAINED, META = "pretrained", "meta-trained"
@@ -56,8 +55,8 @@ def main():
     """Scores both weights with each number of steps, and two variants of one."""
     prepare_output(FLAGS.output, ".json")
     both = {
-        PRETRAINED: load_pretrained(located(FLAGS.pretrained)),
-        META: load_pretrained(located(FLAGS.weights)),
+        PRETRAINED: in_one_pose(FLAGS.pretrained),
+        META: in_one_pose(FLAGS.weights),
     }
     own, variables = both[META]
     require_equal_sizes(

@@ -12,6 +12,7 @@ from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
+    in_one_pose,
     make_protocol,
     open_split,
     print_and_write,
@@ -19,11 +20,9 @@ from experiments.scoring import (
     require_equal_sizes,
     run_evaluation,
 )
-from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.errors import InputError
-from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
 NONE = "none"
@@ -58,7 +57,7 @@ def main():
         if not equals:
             raise InputError(change, "no label", "write LABEL=NAME|FILE")
         variants[label] = weights
-    loaded = {label: load_pretrained(located(n)) for label, n in variants.items()}
+    loaded = {label: in_one_pose(n) for label, n in variants.items()}
     require_equal_sizes(
         {label: prism_size(config) for label, (config, _) in loaded.items()}
     )

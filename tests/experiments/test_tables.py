@@ -9,7 +9,8 @@ import pytest
 from experiments import table_1, table_2, table_3
 from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
-from experiments.baselines.weights import with_weights
+from experiments.baselines.weights import load_network, with_weights
+from experiments.scoring import in_one_pose, network_size, prism_size
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.evaluation.run import Predictions
@@ -98,7 +99,7 @@ def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
         } <= set(command)
     table = told.strip().splitlines()[-1].split()
     assert table[:3] == ["python", "-m", "experiments.table_1"]
-    assert len([word for word in table if word.startswith("--network=")]) == 5
+    assert len([word for word in table if word.startswith("--network=")]) == 6
     launching.parse("table_1", *table[3:])
     # What is done is not done again, and others are not begun.
     assert scripted("train_table_1.sh", place, *given)[2] == []
@@ -203,3 +204,12 @@ def test_equal_weights_are_those_before_learning():
     alone = table_2.equally_weighted(moved)["weighting"]["logits"]
     assert alone.tolist() == [-np.inf, 0, 0]
     assert found["params"] is variables["params"]
+
+
+def test_networks_are_compared_in_one_pose():
+    """Else ours would have as many times the others' points as it has poses."""
+    assert load_pretrained("small")[0].model.poses > 1
+    config, _ = in_one_pose("small")
+    size = prism_size(config)
+    module, variables = load_network("pcn")
+    assert size == network_size(module, variables, config.model.margin)
