@@ -85,7 +85,12 @@ def compared(
         raise InputError(path, "is missing", remedy)
     first = rows[base]
     about = ("data", "split", "digest", "normalisation", "steps")
-    known = {key: first.result[key] for key in about if key in first.result}
+    known = {
+        key: first.result[key]
+        for key in about
+        if key in first.result
+        and all(row.result.get(key) == first.result[key] for row in rows.values())
+    }
     partial = {"the partial": Row(first.result, "partial")}
     if stepwise:
         return comparison(partial | rows, ABOVE, **known)

@@ -119,6 +119,22 @@ def test_another_cloud_of_a_folder(workdir, tmp_path, capsys):
     assert "unknown value 'adapted'; use one of partial, completed" in told
 
 
+def test_what_holds_of_all_rows_is_told_of_the_table(workdir, tmp_path):
+    """Steps are not, where one row has another number than the first."""
+    for name, steps in (("today", 0), ("poses", 1)):
+        path = workdir / name / "shapes-novel.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"steps": steps}))
+    path = workdir / "poses" / "objects-validation.json"
+    for each in (path, workdir / "today" / path.name):
+        each.write_text(json.dumps(json.loads(each.read_text()) | {"steps": 0}))
+    output = tmp_path / "told.json"
+    given = ["--sets=shapes-novel,objects-validation", f"--output={output}"]
+    assert launching.run(mixtures, f"--workdir={workdir}", *given) == 0
+    mixed, alike = json.loads(output.read_text())["sets"].values()
+    assert "steps" not in mixed and mixed["split"] == "novel"
+    assert alike["steps"] == 0
+
+
 def test_step_by_step(workdir, tmp_path):
     """Each against the one before, and the first against the partial."""
     output = tmp_path / "steps.json"
