@@ -52,7 +52,7 @@ def folder(tmp_path_factory, minimal, minimal_variables):
     blank = unfitted(np.random.default_rng(0).normal(size=(30, width)))
     about = {"calibration": blank.to_dict()}
     path = folder / "weights.safetensors"
-    save_weights(path, minimal.config, minimal_variables, about)
+    save_weights(path, minimal.config.with_model(poses=3), minimal_variables, about)
     scan = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], (300, 3))
     np.save(folder / "scan.npy", scan.astype(np.float32))
     return folder
