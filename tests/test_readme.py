@@ -85,7 +85,7 @@ def test_a_plain_script(folder):
 def test_inside_ones_own_jax_code(folder, minimal):
     run(folder, GIVEN + EXAMPLES["python.md"][0] + SHOWN)
     metres, scan = np.load(folder / "metres.npy"), np.load(folder / "scan.npy")
-    assert metres.shape == (minimal.model.backbone.stage_sizes[-1], 3)
+    assert metres.shape == (3 * minimal.model.backbone.stage_sizes[-1], 3)
     assert np.isfinite(metres).all()
     # The unit cube is the box of the scan, its longest side times the margin.
     half = 0.5 * minimal.model.margin * np.ptp(scan, axis=0).max()
