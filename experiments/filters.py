@@ -3,9 +3,9 @@
     python -m experiments.filters --weights=small --dataset=roboarm --shift="heading 0"
 
 On shifted views of a validation split (`experiments.shifts`), not adapted and as sparse
-as predicted. Of the added points those are left away that a rule finds: of all points,
-"none", and of those that a user gets, "all that are". Told are the changes of CD-L1 and
-CD-L2 over all views, and in how many CD-L2 falls and rises.
+as predicted. Of the new points those are left away that a rule finds; "none" leaves
+nothing away, "all that are" what a user's completion leaves away. Told are the changes
+of CD-L1 and CD-L2 over all views, and in how many CD-L2 falls and rises.
 """
 
 import jax

@@ -16,7 +16,6 @@ SAMPLE = 1024
 NEIGHBORS = 12
 """Of a measured point, that a plane is laid through."""
 
-
 LOOKS = 3
 """A verdict compares what a frame is completed to in so many poses, the first of
 `prism_jax.models.poses`: as it is, mirrored, and by a quarter turn."""
