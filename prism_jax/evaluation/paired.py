@@ -1,13 +1,14 @@
 """How much a metric differs between two clouds of the same examples, and where."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prism_jax.evaluation.bootstrap import (
     change_interval,
+    quantiles,
     resampled_means,
     resampled_medians,
 )
@@ -62,17 +63,7 @@ def paired_difference(
     Other examples, a metric or a cloud that is not there, and a zero in `a` raise
     ValueError.
     """
-    same = ("name", "object", "category")
-    if any(a["per_example"][key] != b["per_example"][key] for key in same):
-        raise ValueError("the two results are not of the same examples in one order")
-    columns = []
-    for result, cloud in zip((a, b), clouds, strict=True):
-        try:
-            columns.append(result["per_example"]["clouds"][cloud][metric])
-        except KeyError:
-            raise ValueError(f"a result has no {metric} of {cloud}") from None
-    values = np.array(columns, np.float64).T
-    objects = np.array(a["per_example"]["object"])
+    values, objects = _columns(a, b, metric, clouds)
     names, categories = np.unique(a["per_example"]["category"], return_inverse=True)
     take, resample = {
         "mean": (np.mean, resampled_means),
@@ -93,6 +84,55 @@ def paired_difference(
     if len(names) > 1 and statistic == "mean" and after != before:
         found["carried_by"] = _carrier(values, objects, categories, names)
     return found
+
+
+def shared_difference(
+    pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]],
+    metric: str = "cd_l1",
+    clouds: tuple[str, str] = ("network", "network"),
+) -> dict[str, Any]:
+    """How much higher a metric is in the second of each pair of results than in the
+    first, over several sets of examples.
+
+    Both are geometric means: over the examples of a set, then over sets, each of which
+    weighs the same. One bad example cannot carry them, as it can a mean.
+
+    Returns the second's geometric ``mean``, the ``change`` as a share of the first's,
+    and its 95 % bootstrap ``interval`` over the objects of each set. Both sides are
+    drawn together. Zeros and pairs of other examples raise ValueError.
+    """
+    changes, after, resampled = [], [], []
+    for pair in pairs:
+        values, objects = _columns(*pair, metric, clouds)
+        if (values <= 0).any():
+            raise ValueError(f"a {metric} is zero: no geometric mean")
+        logs = np.log(values)
+        difference = logs[:, 1:] - logs[:, :1]
+        changes.append(difference.mean())
+        after.append(logs[:, 1].mean())
+        drawn = len(resampled)
+        resampled.append(resampled_means(difference, objects, drawn)[:, 0])
+    return {
+        "mean": float(np.exp(np.mean(after))),
+        "change": float(np.expm1(np.mean(changes))),
+        "interval": np.expm1(quantiles(np.mean(resampled, axis=0))).tolist(),
+    }
+
+
+def _columns(
+    a: Mapping[str, Any], b: Mapping[str, Any], metric: str, clouds: tuple[str, str]
+) -> tuple[Float[np.ndarray, "E 2"], Int[np.ndarray, " E"]]:
+    """A metric of the same examples in two results, and the objects they show."""
+    same = ("name", "object", "category")
+    if any(a["per_example"][key] != b["per_example"][key] for key in same):
+        raise ValueError("the two results are not of the same examples in one order")
+    columns = []
+    for result, cloud in zip((a, b), clouds, strict=True):
+        try:
+            columns.append(result["per_example"]["clouds"][cloud][metric])
+        except KeyError:
+            raise ValueError(f"a result has no {metric} of {cloud}") from None
+    return np.array(columns, np.float64).T, np.array(a["per_example"]["object"])
 
 
 def _carrier(

@@ -90,7 +90,16 @@ def test_scores_side_by_side(workdir, tmp_path, capsys):
     text = output.with_suffix(".md").read_text()
     assert text == mixtures.mixtures_markdown(result)
     assert text in capsys.readouterr().out
-    assert text.count("-50.0 %") == len(mixtures.SETS)
+    tables, last = text.split("Together:")
+    assert tables.count("-50.0 %") == len(mixtures.SETS)
+    together = result["together"]["rows"]
+    assert list(together) == [*mixtures.MIXTURES.values()][:2]
+    first, second = together.values()
+    assert first["change"] == 0
+    assert second["change"] == pytest.approx(-0.5)
+    assert second["interval"] == pytest.approx([-0.5, -0.5])
+    assert second["mean"] == pytest.approx(first["mean"] / 2)
+    assert "-50.0 % [-50.0, -50.0]" in last
 
 
 def test_other_folders_and_sets(workdir, tmp_path):
@@ -100,6 +109,7 @@ def test_other_folders_and_sets(workdir, tmp_path):
     arguments += [f"--workdir={workdir}", f"--output={output}"]
     assert launching.run(mixtures, *arguments) == 0
     sets = json.loads(output.read_text())["sets"]
+    assert "together" not in json.loads(output.read_text())
     assert list(sets) == ["shapes-novel"] and sets["shapes-novel"]["against"] == "mine"
     change = sets["shapes-novel"]["rows"][mixtures.MIXTURES["today"]]["change"]
     assert change["cd_l2"]["change"] == pytest.approx(1.0)
@@ -155,6 +165,11 @@ def test_step_by_step(workdir, tmp_path):
             assert change == pytest.approx(after / before - 1)
     lines = output.with_suffix(".md").read_text().splitlines()
     assert sum("CD-L2 against the row above" in line for line in lines) == 4
+    together = json.loads(output.read_text())["together"]
+    assert together["against"] == "the row above"
+    found = [row["change"] for row in together["rows"].values()]
+    means = [row["mean"] for row in together["rows"].values()]
+    assert found == pytest.approx([0, *(np.divide(means[1:], means[:-1]) - 1)])
 
 
 def test_without_the_first_there_is_nothing_to_compare_with(tmp_path, capsys):
