@@ -106,7 +106,7 @@ def compared(rows: Mapping[str, Row], base: str) -> dict[str, Any]:
 
 
 def together(sets: Sequence[Mapping[str, Row]], base: str) -> dict[str, Any]:
-    """CD-L1 over all sets, of the trainings that every set has (`shared_difference`)."""
+    """CD-L1 over all sets of the trainings that each has (`shared_difference`)."""
     labels = [label for label in sets[0] if all(label in rows for rows in sets)]
     before = [labels[0], *labels] if base == ABOVE else [base] * len(labels)
     rows = {}

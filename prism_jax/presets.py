@@ -192,7 +192,7 @@ PRESETS = {
             heading="level",
             consistency_pixels=32,
             told=True,
-            poses=3,
+            poses=4,
         ),
         _SMALL_ADAPT,
         PretrainConfig(
