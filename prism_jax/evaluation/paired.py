@@ -102,7 +102,7 @@ def shared_difference(
     drawn together. Zeros and pairs of other examples raise ValueError.
     """
     changes, after, resampled = [], [], []
-    for pair in pairs:
+    for seed, pair in enumerate(pairs):
         values, objects = _columns(*pair, metric, clouds)
         if (values <= 0).any():
             raise ValueError(f"a {metric} is zero: no geometric mean")
@@ -110,8 +110,7 @@ def shared_difference(
         difference = logs[:, 1:] - logs[:, :1]
         changes.append(difference.mean())
         after.append(logs[:, 1].mean())
-        drawn = len(resampled)
-        resampled.append(resampled_means(difference, objects, drawn)[:, 0])
+        resampled.append(resampled_means(difference, objects, seed)[:, 0])
     return {
         "mean": float(np.exp(np.mean(after))),
         "change": float(np.expm1(np.mean(changes))),
