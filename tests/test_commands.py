@@ -12,7 +12,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "BUILD_NOTES.md", *sorted(ROOT.glob("docs/*.md"))]
 COMMAND = re.compile(
     r"(?:python -m experiments\.(\w+)|prism-(complete|stream|envelope)(?: [\w./]+)*)"
-    r"((?:\s+--[^\s`]+)*)"
+    r"((?:\s+--(?:\"[^\"]*\"|[^\s`\"])+)*)"
 )
 PLACEHOLDERS = {"$split": "train", "SUITE": "ops", "--network=NAME": "--network=pcn"}
 WITHOUT_FLAGS = {"results", "rooms"}
