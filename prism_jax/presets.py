@@ -192,7 +192,7 @@ PRESETS = {
             heading="level",
             consistency_pixels=32,
             told=True,
-            poses=4,
+            poses=3,
         ),
         _SMALL_ADAPT,
         PretrainConfig(
