@@ -33,7 +33,7 @@ def test_all_that_ship_have_one(name):
     card, about = model_card(name), read_metadata(name)
     assert card.startswith(f"# {name}\n")
     assert all(note in card for note in about["notes"])
-    assert "512 points in, 8,192 out, of 4 poses" in card
+    assert "512 points in, 6,144 out, of 3 poses" in card
     assert "meshes of shapes: procedural" in card
     for result in released_scores(name).values():
         completed = result["clouds"]["completed"]
