@@ -39,11 +39,11 @@ def define_flags() -> None:
     """The flags of this launcher."""
     define_scoring_flags(split="test")
     flags.DEFINE_string(
-        "weights", "small-canonical", "Meta-trained, by name or by file."
+        "weights", "small-meta", "Meta-trained, by name or by file."
     )
     flags.DEFINE_string(
         "pretrained",
-        "small-pretrained",
+        "small-meta-pretrained",
         "Trained on as many samples without the method, by name or by file.",
     )
     flags.DEFINE_multi_integer(
