@@ -4,8 +4,8 @@ python -m experiments.adapt_plant --recordings=DIR --weights=small --output=FILE
 
 Recordings are laid out as docs/data.md says; their ground truth, if they have one, is
 not used. Every fifth sequence, or frame where there are fewer than five, is held out,
-and if what is hidden of those is not returned better than before, nothing is written
-and the exit status is 1.
+and if what is hidden of those is not returned better by a tenth for certain, nothing is
+written and the exit status is 1.
 """
 
 from collections.abc import Mapping
@@ -96,9 +96,9 @@ def in_words(steps: int, num_frames: int, told: Mapping[str, Any]) -> str:
 def refusal(told: dict[str, Any]) -> str:
     """Why nothing is written, in one line."""
     return (
-        "not written: held-out frames are not completed better "
-        f"(hidden {100 * told['change']:+.1f} %); record more varied frames, or train "
-        "longer"
+        "not written: held-out frames are not completed a tenth better for certain "
+        f"(hidden {100 * told['change']:+.1f} %); weights that know such cells gain "
+        "nothing here; else record more varied frames, or train longer"
     )
 
 

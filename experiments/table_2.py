@@ -38,9 +38,7 @@ PRETRAINED, META = "pretrained", "meta-trained"
 def define_flags() -> None:
     """The flags of this launcher."""
     define_scoring_flags(split="test")
-    flags.DEFINE_string(
-        "weights", "small-meta", "Meta-trained, by name or by file."
-    )
+    flags.DEFINE_string("weights", "small-meta", "Meta-trained, by name or by file.")
     flags.DEFINE_string(
         "pretrained",
         "small-meta-pretrained",

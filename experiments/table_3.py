@@ -27,11 +27,11 @@ from prism_jax.io.errors import InputError
 FLAGS = flags.FLAGS
 NONE = "none"
 VARIANTS = {
-    NONE: "small-pretrained",
-    "align": "small-align",
-    "align + normal": "small-align-normal",
-    "align + denoise": "small-align-denoise",
-    "all": "small-canonical",
+    NONE: "small-meta-pretrained",
+    "align": "small-meta-align",
+    "align + normal": "small-meta-align-normal",
+    "align + denoise": "small-meta-align-denoise",
+    "all": "small-meta",
 }
 """Weights meta-trained with some of the branches; ``none`` saw as many samples without
 the method."""

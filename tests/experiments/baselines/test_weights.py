@@ -14,7 +14,8 @@ from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha2
 
 
 @pytest.mark.parametrize(
-    "name", ["small-pretrained", "small-align", "small-align-normal", *with_weights()]
+    "name",
+    ["small-pretrained", "small-meta", "small-meta-align-normal", *with_weights()],
 )
 def test_names_of_what_lies_here(name):
     assert read_metadata(located(name))["samples"] > 0
