@@ -61,7 +61,7 @@ def test_small_offsets_are_left_alone(minimal, minimal_fresh, tiny_frames, quick
         for reach in (0.5, 1.0)
     )
     np.testing.assert_allclose(near, far, atol=1e-3)
-    slope = jax.grad(lambda variables: jnp.sum(last(variables, 0.5) ** 2))
+    slope = quick_jit(jax.grad(lambda variables: jnp.sum(last(variables, 0.5) ** 2)))
     assert all(
         np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope(minimal_fresh))
     )
