@@ -97,8 +97,8 @@ def refusal(told: dict[str, Any]) -> str:
     """Why nothing is written, in one line."""
     return (
         "not written: held-out frames are not completed a tenth better for certain "
-        f"(hidden {100 * told['change']:+.1f} %); weights that know such cells gain "
-        "nothing here; else record more varied frames, or train longer"
+        f"(hidden {100 * told['change']:+.1f} %); keep the weights as they are if they "
+        "know such cells, or record more varied frames, or train longer"
     )
 
 
