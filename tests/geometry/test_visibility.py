@@ -197,6 +197,9 @@ def sphere(count, radius=1.0):
 
 FAR_EYE = np.array([20.0, 0, 0])
 
+see = jax.jit(seen_by, static_argnums=2)
+read = jax.jit(clues)
+
 
 def test_a_cloud_by_itself_tells_its_surface_and_no_more():
     known = jax.jit(seen_by)(sphere(400), FAR_EYE)
@@ -213,8 +216,8 @@ def test_a_cloud_by_itself_tells_its_surface_and_no_more():
 
 
 def test_what_lies_around_can_be_known_to_be_empty():
-    known = seen_by(sphere(400), FAR_EYE)
-    empty = seen_by(sphere(400), FAR_EYE, "empty")
+    known = see(sphere(400), FAR_EYE)
+    empty = see(sphere(400), FAR_EYE, "empty")
     np.testing.assert_array_equal(
         empty.state, np.where(known.state == SURFACE, SURFACE, BACKGROUND)
     )
@@ -228,7 +231,7 @@ def test_a_gap_wider_than_the_spacing_stays_open():
     """A ring as wide as its hole."""
     points = np.asarray(sphere(2000))
     ring = jnp.asarray(points[np.hypot(points[:, 1], points[:, 2]) > 0.5])
-    state = np.asarray(seen_by(ring, FAR_EYE, "empty").state)
+    state = np.asarray(see(ring, FAR_EYE, "empty").state)
     inside = np.hypot(*(np.indices(state.shape) - 31.5)) * 1.4 / 32
     assert (state[inside < 0.4] == BACKGROUND).all()
     assert (state[(inside > 0.6) & (inside < 0.9)] == SURFACE).all()
@@ -241,7 +244,7 @@ def test_clouds_of_few_points_or_of_one_place(count):
         jnp.zeros((count, 3)),
         sphere(count) * jnp.array([1.0, 0, 0]),
     ):
-        known = seen_by(cloud, FAR_EYE, "empty")
+        known = see(cloud, FAR_EYE, "empty")
         state = np.asarray(known.state)
         assert 0 < (state == SURFACE).sum() < state.size
         assert np.isfinite(known.depth).all()
@@ -252,7 +255,7 @@ def test_mapped_maps_are_those_of_each():
     eyes = jnp.asarray([FAR_EYE, [5.0, 1, 1]], jnp.float32)
     both = jax.jit(jax.vmap(seen_by))(clouds, eyes)
     for row in range(2):
-        alone = seen_by(clouds[row], eyes[row])
+        alone = see(clouds[row], eyes[row])
         assert (both.state[row] == alone.state).mean() > 0.999  # rounding at edges
         np.testing.assert_allclose(both.camera.intrinsics[row], alone.camera.intrinsics)
 
@@ -269,7 +272,7 @@ def test_clues_in_closed_form():
             (-1.0, 0.0, 0.0),
         ]
     )
-    found = np.asarray(clues(view_along_x(), jnp.asarray(middle, jnp.float32)))
+    found = np.asarray(read(view_along_x(), jnp.asarray(middle, jnp.float32)))
     shares = np.eye(4)[[SURFACE, SURFACE, NEARER, UNKNOWN, BACKGROUND, UNKNOWN]]
     assert found.shape == (6, NUM_CLUES)
     np.testing.assert_allclose(found[:, :4], shares, atol=1e-6)
@@ -279,16 +282,17 @@ def test_clues_in_closed_form():
 
 
 def test_clues_are_continuous_and_have_their_derivative(x64):
-    known = jax.tree.map(np.asarray, seen_by(sphere(200), FAR_EYE, "empty"))
+    known = jax.tree.map(np.asarray, see(sphere(200), FAR_EYE, "empty"))
     rng = np.random.default_rng(3)
     # Far from the surface, or its depth would be bounded or doubled on the way.
     start, step = rng.uniform(-1, 1, (2, 50, 3))
     path = start + np.linspace(0, 1e-3, 200)[:, None, None] * step
-    read = jax.jit(jax.vmap(lambda points: clues(known, points)))
-    values = np.asarray(read(jnp.asarray(path)))
+    along = jax.jit(jax.vmap(lambda points: clues(known, points)))
+    values = np.asarray(along(jnp.asarray(path)))
     assert np.abs(np.diff(values, axis=0)).max() < 1e-2
     weights = rng.normal(size=NUM_CLUES)
 
+    @jax.jit
     def total(points):
         return (clues(known, points) * weights).sum()
 
@@ -301,9 +305,9 @@ def test_clues_are_continuous_and_have_their_derivative(x64):
 def test_points_without_an_image_have_clues_of_nothing():
     points = jnp.asarray([(np.nan, 0, 0), (-5.0, 0, 0), (30.0, 500, 0), (0, 0, 0)])
     known = view_along_x()
-    found = np.asarray(clues(known, points))[1:]
+    found = np.asarray(read(known, points))[1:]
     np.testing.assert_allclose(found, [[1, 0, 0, 0, 0, 1]] * 3)
-    blind = clues(nothing_known(8), jnp.asarray(POINTS))
+    blind = read(nothing_known(8), jnp.asarray(POINTS))
     np.testing.assert_allclose(blind[:, :5], [[1, 0, 0, 0, 0]] * 8)
     depth = jnp.asarray(POINTS)[:, 2]
     aside = jnp.where(depth > 0, jnp.minimum(8 * depth, 1), 1)

@@ -52,6 +52,8 @@ def at(row, column, depth):
 
 
 losses = jax.jit(contradiction)
+mean_loss = jax.jit(visibility_loss)
+keep = jax.jit(keep_loss)
 
 
 def test_ways_out_of_free_space_in_closed_form():
@@ -71,7 +73,7 @@ def test_ways_out_of_free_space_in_closed_form():
     expected += [min(0.5 * 2.5 / FOCAL, 0.1), 0]
     found = losses(jnp.asarray(points), scene(), TOLERANCE)
     np.testing.assert_allclose(np.sqrt(found), expected, atol=1e-5)
-    mean = visibility_loss(jnp.asarray(points), scene(), TOLERANCE)
+    mean = mean_loss(jnp.asarray(points), scene(), TOLERANCE)
     np.testing.assert_allclose(mean, np.square(expected).mean(), rtol=1e-5)
 
 
@@ -114,11 +116,9 @@ def test_gradient_against_finite_differences(x64):
     row, column = rng.uniform(0, SIZE - 1, (2, 200))
     points = jnp.asarray(at(row, column, rng.uniform(1, 4, 200)), float)
     along = jnp.asarray(rng.normal(size=points.shape))
-    gradient = jax.grad(lambda p: visibility_loss(p, known, TOLERANCE))(points)
+    gradient = jax.grad(mean_loss)(points, known, TOLERANCE)
     step = 1e-7
-    both = [
-        visibility_loss(points + s * step * along, known, TOLERANCE) for s in (1, -1)
-    ]
+    both = [mean_loss(points + s * step * along, known, TOLERANCE) for s in (1, -1)]
     slope = (gradient * along).sum()
     assert abs(slope) > 1e-3
     np.testing.assert_allclose((both[0] - both[1]) / (2 * step), slope, rtol=1e-4)
@@ -147,7 +147,7 @@ def test_what_is_unknown_costs_nothing_and_has_no_gradient():
         [free, at(12, 1, 1.0), at(12, 90, 1.0), (0, 0, -5), (np.nan, 0, 0), free]
     )
     points[-1, 2] = np.inf
-    grad = jax.jit(jax.value_and_grad(visibility_loss))
+    grad = jax.value_and_grad(mean_loss)
     value, gradient = grad(jnp.asarray(points, jnp.float32), scene(), TOLERANCE)
     expected = losses(jnp.asarray(free)[None], scene(), TOLERANCE)[0] / 6
     np.testing.assert_allclose(value, expected, rtol=1e-6)
@@ -162,7 +162,7 @@ def test_without_any_surface_the_way_is_back_to_what_was_measured(state):
     depth = np.full((SIZE, SIZE), 4.0, np.float32)
     known = Visibility(CAMERA, np.full((SIZE, SIZE), state, np.uint8), depth)
     points = jnp.asarray(at(np.array([2.0, 20.0]), 11.5, np.array([3.0, 4.5])))
-    value, gradient = jax.value_and_grad(visibility_loss)(points, known, TOLERANCE)
+    value, gradient = jax.value_and_grad(mean_loss)(points, known, TOLERANCE)
     np.testing.assert_allclose(value, 0.8**2 / 2, rtol=1e-5)
     np.testing.assert_allclose(gradient, [[0, 0, -0.8], [0, 0, 0]], atol=1e-5)
 
@@ -174,7 +174,7 @@ def test_mapped_it_is_the_same():
     several = jax.tree.map(lambda leaf: np.stack([leaf] * 3), known)
     found = jax.jit(jax.vmap(visibility_loss, (0, 0, None)))(clouds, several, 0.1)
     for cloud, value in zip(clouds, found, strict=True):
-        np.testing.assert_allclose(value, visibility_loss(cloud, known, 0.1), rtol=1e-6)
+        np.testing.assert_allclose(value, mean_loss(cloud, known, 0.1), rtol=1e-6)
 
 
 def cloud(count, seed, dtype=np.float32):
@@ -186,11 +186,11 @@ def test_what_is_kept_costs_its_distance_to_the_points():
     points, kept = cloud(70, 3), cloud(50, 4)
     mask = jnp.asarray(np.random.default_rng(5).random(50) < 0.6)
     expected = (KDTree(points).query(kept[mask])[0] ** 2).mean()
-    found = jax.jit(keep_loss)(points, kept, mask)
+    found = keep(points, kept, mask)
     np.testing.assert_allclose(found, expected, rtol=1e-5)
     moved = kept + jnp.array([0.0, 0.0, 1e-3])
-    np.testing.assert_allclose(keep_loss(moved, kept, mask), 1e-6, rtol=1e-2)
-    several = jax.vmap(keep_loss)(*(jnp.stack([a, a]) for a in (points, kept, mask)))
+    np.testing.assert_allclose(keep(moved, kept, mask), 1e-6, rtol=1e-2)
+    several = jax.vmap(keep)(*(jnp.stack([a, a]) for a in (points, kept, mask)))
     np.testing.assert_allclose(several, expected, rtol=1e-5)
 
 
@@ -198,17 +198,17 @@ def test_gradient_of_what_is_kept(x64):
     points, kept = (cloud(n, n, np.float64) for n in (30, 40))
     mask = jnp.arange(40) % 3 > 0
     along = cloud(30, 6, np.float64)
-    slope = (jax.grad(keep_loss)(points, kept, mask) * along).sum()
-    both = [keep_loss(points + s * 1e-6 * along, kept, mask) for s in (1, -1)]
+    slope = (jax.grad(keep)(points, kept, mask) * along).sum()
+    both = [keep(points + s * 1e-6 * along, kept, mask) for s in (1, -1)]
     assert abs(slope) > 1e-3
     np.testing.assert_allclose((both[0] - both[1]) / 2e-6, slope, rtol=1e-6)
-    assert (jax.grad(keep_loss, 1)(points, kept, mask) == 0).all()
+    assert (jax.grad(keep, 1)(points, kept, mask) == 0).all()
 
 
 def test_nothing_to_keep_and_all_of_it_covered():
     points = cloud(20, 7)
     for mask in (jnp.zeros(20, bool), jnp.ones(20, bool)):
-        value, gradient = jax.value_and_grad(keep_loss)(points, points, mask)
+        value, gradient = jax.value_and_grad(keep)(points, points, mask)
         assert value == 0 and (gradient == 0).all()
     with pytest.raises(ValueError):
         keep_loss(points[:0], points, mask)

@@ -93,7 +93,8 @@ def test_features_at_points_are_scipys_interpolation():
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert (expected[:50] != 0).all() and (expected[-1] == 0).all()
     assert aligned(VIEW, jnp.asarray(points[:1])).shape == (1, 12)
-    several = jax.vmap(aligned, in_axes=(None, 0))(VIEW, points[:70].reshape(7, 10, 3))
+    mapped = jax.jit(lambda clouds: jax.vmap(aligned, (None, 0))(VIEW, clouds))
+    several = mapped(points[:70].reshape(7, 10, 3))
     np.testing.assert_allclose(several.reshape(70, 12), found[:70], atol=1e-5)
 
 
@@ -102,6 +103,7 @@ def test_features_at_points_have_their_derivatives(x64):
     points, weights = jnp.asarray(inside(30), float), RNG.normal(size=12)
     step, other = RNG.normal(size=points.shape), RNG.normal(size=VIEW.maps[1].shape)
 
+    @jax.jit
     def total(points, coarse):
         return (
             aligned(VIEW._replace(maps=(VIEW.maps[0], coarse)), points) @ weights

@@ -43,10 +43,9 @@ CONFIG = MetaTrainConfig(
 def train(folder, weights, devices, max_steps, coordinator, processes, process):
     """To a step, as one process of several. Leaves the state, and which files of the
     run's folder this process wrote, checkpoints apart."""
-    os.environ["XLA_FLAGS"] = (
-        f"--xla_force_host_platform_device_count={devices}"
-        " --xla_backend_optimization_level=0"
-    )
+    flags = os.environ.get("XLA_FLAGS", "")
+    count = f"--xla_force_host_platform_device_count={devices}"
+    os.environ["XLA_FLAGS"] = f"{flags} {count}"
     if processes > 1:
         jax.distributed.initialize(coordinator, processes, process)
     assert jax.device_count() == devices * processes

@@ -185,12 +185,12 @@ def test_order_of_the_points_does_not_matter(complete_fn, variables):
 def test_batch_norm_learns_in_training_alone(quick_jit):
     """Its statistics are of the batch in training, and those that it kept without."""
     module = FSC(FSCConfig(**{**vars(TINY), "use_norm": True}))
-    variables = jax.jit(module.init)(jax.random.key(0), PARTIAL)
+    variables = quick_jit(module.init)(jax.random.key(0), PARTIAL)
     train = quick_jit(
         functools.partial(module.apply, train=True, mutable=["batch_stats"])
     )
     stages, changed = train(variables, PARTIAL)
-    plain = module.apply(variables, PARTIAL)
+    plain = quick_jit(module.apply)(variables, PARTIAL)
     assert np.abs(stages[1] - plain[1]).max() > 1e-3
     before, after = (jax.tree.leaves(v["batch_stats"]) for v in (variables, changed))
     assert all(np.abs(a - b).max() > 0 for a, b in zip(before, after, strict=True))
