@@ -202,7 +202,7 @@ read = jax.jit(clues)
 
 
 def test_a_cloud_by_itself_tells_its_surface_and_no_more():
-    known = jax.jit(seen_by)(sphere(400), FAR_EYE)
+    known = see(sphere(400), FAR_EYE)
     inside = np.hypot(*(np.indices((MAP_SIZE, MAP_SIZE)) - 31.5)) * 1.4 / 32
     state = np.asarray(known.state)
     assert (state[inside < 0.95] == SURFACE).all()  # the holes are closed
