@@ -60,8 +60,8 @@ phases=(
     --set=pretrain.backbone.0.num_samples=$((samples / 5))
     --set=pretrain.backbone.1.num_samples=$((samples - samples / 5))
 )
-alone=(--set=model.backbone.reads_visibility=False
-    --set=model.backbone.seeds_read_visibility=False
+alone=(--set=model.backbone.seeds_read_visibility=False
+    --set=model.backbone.reads_visibility=False
     --set=pretrain.auxiliary_samples=0)
 for name in "${names[@]}"; do
     case $name in

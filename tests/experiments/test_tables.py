@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments import table_1, table_2, table_3
+from experiments import settings, table_1, table_2, table_3
 from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.weights import load_network, with_weights
@@ -79,6 +79,8 @@ def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
     assert status == 0, told
     for name, *arguments in commands:
         launching.parse(name, *arguments)
+        changes = [flag[6:] for flag in arguments if flag.startswith("--set=")]
+        settings.resolve("small", changes)
     names = [command[0] for command in commands]
     assert names == ["train_baseline"] * len(NETWORKS) + ["pretrain"] * 2
     assert {
