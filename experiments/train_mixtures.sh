@@ -12,7 +12,7 @@
 #     --workdir=DIR     where everything goes, the data with views as sensors have them
 #                       in DIR/data among it
 #     --samples=N       of each training; 250,000 if not given
-#     --weights=NAME    that all go on from; small-pretrained if not given
+#     --weights=NAME    that all go on from, or a file
 #     --only=NAME       one of the six, again for others; all if not given
 #     --num_shapes=N    to build of shapes, and of open shapes; 12,000 if not given
 #     --num_cells=N     to build; 4,000 if not given
@@ -25,7 +25,7 @@ fail() {
     exit 2
 }
 
-workdir='' samples=250000 weights=small-pretrained only=() flags=()
+workdir='' samples=250000 weights='' only=() flags=()
 num_shapes=12000 num_cells=4000
 for flag in "$@"; do
     value=${flag#*=}
@@ -41,6 +41,7 @@ for flag in "$@"; do
     esac
 done
 [[ $workdir ]] || fail "--workdir: is missing" "say where everything goes"
+[[ $weights ]] || fail "--weights: is missing" "say what all trainings go on from"
 data=$workdir/data
 
 # What each is trained on, as flags of experiments.pretrain.

@@ -14,14 +14,6 @@ from prism_jax.weights import (
     trainings,
 )
 
-OLD_CLOUDS = {
-    "control": "partial",
-    "unadapted": "network_unadapted",
-    "merged_unadapted": "completed_unadapted",
-    "merged": "completed",
-}
-"""What clouds were called; ``network`` had no name."""
-
 WORST = 3
 """How many categories of each data set are named, those with the highest CD-L2."""
 
@@ -79,32 +71,9 @@ def weights_table(names: Sequence[str]) -> str:
 
 
 def released_scores(name_or_path: str) -> dict[str, dict[str, Any]]:
-    """The results of `evaluate` that came with weights, by data set and split.
-
-    Without what they hold of every example. Older files have other names for clouds and
-    for a metric; those are replaced here.
-    """
-    scores = read_metadata(name_or_path).get("scores", {})
-    return {split: _renamed(result) for split, result in scores.items()}
-
-
-def _renamed(result: Mapping[str, Any]) -> dict[str, Any]:
-    """A result with today's names of clouds and metrics."""
-    if "clouds" in result:
-        return dict(result)
-    network = {name: result[name] for name in ("mean", "intervals", "per_category")}
-    others = {new: result[old] for old, new in OLD_CLOUDS.items() if old in result}
-    about = {k: v for k, v in result.items() if k not in {*network, *OLD_CLOUDS}}
-    return {**about, "clouds": _with_hausdorff({"network": network, **others})}
-
-
-def _with_hausdorff(value: Any) -> Any:
-    if not isinstance(value, Mapping):
-        return value
-    return {
-        "hausdorff" if name == "hd" else name: _with_hausdorff(entry)
-        for name, entry in value.items()
-    }
+    """The results of `evaluate` that came with weights, by data set and split, without
+    what they hold of every example."""
+    return read_metadata(name_or_path).get("scores", {})
 
 
 def _trainings(about: Mapping[str, Any]) -> Iterator[str]:

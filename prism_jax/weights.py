@@ -25,7 +25,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.models.error_head import LEARNED, term_shapes, with_term
 from prism_jax.models.initial import init_variables
-from prism_jax.models.variables import Variables, unlearned_steps
+from prism_jax.models.variables import Variables
 from prism_jax.point_errors import PointErrors
 from prism_jax.trees import Trees
 from prism_jax.trust import Calibration
@@ -163,13 +163,10 @@ def sha256(variables: Variables) -> str:
 
 
 def config_from_dict(fields: dict[str, Any]) -> PrismConfig:
-    """The configuration whose ``dataclasses.asdict`` went through JSON.
-
-    Files written before `PrismConfig` hold ``model`` among the settings of adaptation.
-    """
-    model, rest = dict(fields["model"]), dict(fields)
-    del rest["model"]
-    adapt = rest.pop("adapt") if rest.keys() == {"adapt"} else rest
+    """The configuration whose ``dataclasses.asdict`` went through JSON."""
+    model, adapt = dict(fields["model"]), fields["adapt"]
+    if unknown := fields.keys() - {"model", "adapt"}:
+        raise TypeError(f"unknown settings {sorted(unknown)}")
     backbone = BackboneConfig(**_tuples(model.pop("backbone")))
     auxiliary = AuxiliaryConfig(**_tuples(model.pop("auxiliary")))
     return PrismConfig(ModelConfig(backbone, auxiliary, **model), AdaptConfig(**adapt))
@@ -211,8 +208,6 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
         for step in path:
             branch = branch.setdefault(step, {})
         branch[name] = array
-    steps = unlearned_steps(variables["params"])
-    variables["weighting"].setdefault("log_steps", steps)
     # All at once: one by one takes most of a second.
     return jax.device_put(variables)
 
@@ -245,10 +240,7 @@ def checked_arrays(
 
     def pick(leaf_path: tuple[Any, ...], leaf: jax.ShapeDtypeStruct) -> jax.Array:
         key = _key(leaf_path)
-        if key.startswith("weighting/log_steps/"):
-            array = arrays.pop(key, np.zeros(()))  # files of before they were learned
-        else:
-            array = arrays.pop(key, None)
+        array = arrays.pop(key, None)
         if array is None or array.shape != leaf.shape or array.dtype.kind != "f":
             raise InputError(path, f"{key} is missing or misshapen", _remedy())
         return jnp.asarray(array, leaf.dtype)

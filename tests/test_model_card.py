@@ -5,7 +5,6 @@ import pathlib
 
 import pytest
 
-from experiments.weights import located
 from prism_jax.data.datasets import parts_of
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io import InputError
@@ -65,31 +64,7 @@ def test_the_table_has_what_users_get_of_each_split(
     assert blank.split()[1:] == ["0", "nothing"]
 
 
-def test_scores_under_older_names_are_converted():
-    """Of an older file, beside what it holds."""
-    path = located("small-canonical")
-    old = read_metadata(path)["scores"]["shapes-test"]
-    new = released_scores(path)["shapes-test"]
-    pairs = {
-        "partial": old["control"],
-        "network": old,
-        "network_unadapted": old["unadapted"],
-        "completed": old["merged"],
-        "completed_unadapted": old["merged_unadapted"],
-    }
-    assert new["clouds"].keys() == pairs.keys()
-    for name, scores in pairs.items():
-        for key in ("mean", "intervals"):
-            found = dict(new["clouds"][name][key])
-            assert found.pop("hausdorff") == scores[key]["hd"]
-            assert all(scores[key][metric] == found[metric] for metric in found)
-        chair = new["clouds"][name]["per_category"]["chair"]
-        assert chair["hausdorff"] == scores["per_category"]["chair"]["hd"]
-    assert (new["unit"], new["num_examples"]) == (old["unit"], old["num_examples"])
-    assert not {"mean", "control", "merged"} & new.keys()
-
-
-def test_scores_under_todays_names_stay(card_of, tmp_path):
+def test_scores_come_back_as_they_were_written(card_of, tmp_path):
     path = README.parent / "docs" / "tables" / "unseen.json"
     result = json.loads(path.read_text())
     card = card_of(scores={"shapes-unseen": result})

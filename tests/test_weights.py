@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.assets import asset
 from prism_jax.io.errors import InputError
@@ -89,26 +88,6 @@ def test_a_configuration_survives_json(name):
     fields = json.loads(json.dumps(dataclasses.asdict(config)))
     assert config_from_dict(fields) == config
     assert isinstance(config_from_dict(fields), PrismConfig)
-
-
-def test_a_file_written_before_the_model_left_the_settings_of_adaptation(tiny):
-    config = tiny.with_adapt(num_steps=7)
-    fields = json.loads(json.dumps(dataclasses.asdict(config)))
-    before = {"model": fields["model"], **fields["adapt"]}
-    assert config_from_dict(before) == config
-
-
-def test_a_file_written_before_adaptation_knew_of_emptiness(tiny):
-    """It adapts as it did."""
-    fields = json.loads(json.dumps(dataclasses.asdict(tiny)))
-    for name in ("auxiliary_weight", "visibility_weight", "keep_weight", "balance"):
-        del fields["adapt"][name]
-    assert config_from_dict(fields) == tiny
-    before = located("small-canonical")
-    assert "visibility_weight" not in read_metadata(before)["config"]
-    adapt = load_pretrained(before)[0].adapt
-    assert (adapt.auxiliary_weight, adapt.visibility_weight) == (1, 0)
-    assert (adapt.keep_weight, adapt.balance) == (0, False)
 
 
 def test_names_of_what_ships():
