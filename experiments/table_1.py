@@ -57,7 +57,7 @@ def define_flags() -> None:
     flags.DEFINE_string(
         "backbone",
         "crapcn",
-        "Of the backbone that is told nothing more, by name or by file.",
+        "Of the backbone that is told nothing, by name or by file.",
     )
     flags.DEFINE_multi_string(
         "network",
@@ -65,9 +65,7 @@ def define_flags() -> None:
         "Others, by name or by file; if not given, all whose weights lie here.",
     )
     flags.DEFINE_multi_string(
-        "longer",
-        ["small"],
-        "PRISM's that were trained for longer, for rows of their own.",
+        "longer", [], "PRISM's that were trained for longer, for rows of their own."
     )
 
 
@@ -79,15 +77,15 @@ def main():
     names = with_weights() if FLAGS.network is None else FLAGS.network
     others = {name: load_network(name) for name in names}
     longer = {name: in_one_pose(name) for name in FLAGS.longer}
+    for name, (own, _) in longer.items():
+        if own.model.heading != config.model.heading:
+            fault = f"knows objects in other headings than {FLAGS.weights}"
+            raise InputError(name, fault, "compare weights of one heading")
     sizes = {FLAGS.weights: prism_size(config), FLAGS.backbone: prism_size(alone)}
     sizes |= {name: prism_size(own) for name, (own, _) in longer.items()}
     for name, (module, own) in others.items():
         sizes[name] = network_size(module, own, config.model.margin)
     require_equal_sizes(sizes)
-    for name, (own, _) in longer.items():
-        if own.model.heading != config.model.heading:
-            fault = f"knows objects in other headings than {FLAGS.weights}"
-            raise InputError(name, fault, "compare weights of one heading")
     source, protocol = open_split(FLAGS.split), make_protocol(config)
     num_outputs = config.model.backbone.stage_sizes[-1]
     training = open_split(training_split(FLAGS.dataset))

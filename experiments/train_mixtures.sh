@@ -3,7 +3,7 @@
 # one thing each, and scores each on validation data that no training saw: new kinds,
 # people's models, robot cells, and new shapes of the kinds trained on.
 #
-#     experiments/train_mixtures.sh --workdir=DIR [--samples=250000] [--only=NAME] ...
+#     experiments/train_mixtures.sh --workdir=DIR --weights=NAME [--samples=250000] ...
 #     python -m experiments.mixtures --workdir=DIR --output=docs/tables/mixtures.json
 #
 # After an interruption give the same command again: what is done is not done again. Its
@@ -12,7 +12,7 @@
 #     --workdir=DIR     where everything goes, the data with views as sensors have them
 #                       in DIR/data among it
 #     --samples=N       of each training; 250,000 if not given
-#     --weights=NAME    that all go on from, or a file
+#     --weights=NAME    what all go on from, a name or a file
 #     --only=NAME       one of the six, again for others; all if not given
 #     --num_shapes=N    to build of shapes, and of open shapes; 12,000 if not given
 #     --num_cells=N     to build; 4,000 if not given
