@@ -48,6 +48,9 @@ LABELS = {
     "fsc": "FSC",
 }
 BACKBONE = "CRA-PCN"
+TOLD = "PRISM, told, not adapted"
+"""All other rows have the partial and the sensor's place; this one the map of the whole
+scan besides, where the source has maps."""
 
 
 def define_flags() -> None:
@@ -93,8 +96,8 @@ def main():
 
     mirror = jax.jit(lambda partials: mirrored(partials, num_outputs))
 
-    def run(complete_fn):
-        without = dataclasses.replace(protocol, with_measured=False)
+    def run(complete_fn, told=False):
+        without = dataclasses.replace(protocol, with_measured=False, told=told)
         return run_evaluation(complete_fn, source, without)
 
     adapted = run_evaluation(prism_completer(config, variables), source, protocol)
@@ -118,6 +121,9 @@ def main():
     number, samples = count(variables), seen(FLAGS.weights)
     rows["PRISM, not adapted"] = Row(adapted, "network_unadapted", number, samples)
     rows["PRISM"] = Row(adapted, "network", number, samples)
+    if source[0].visibility is not None:
+        found = run(prism_completer(config.with_adapt(num_steps=0), variables), True)
+        rows[TOLD] = Row(found, "network", number, samples)
     for name, (own, trained) in longer.items():
         found = run(prism_completer(own.with_adapt(num_steps=0), trained))
         number = count(trained)

@@ -22,7 +22,9 @@ from tests import launching
 def fake(config, variables):
     """Moves the partial up, by its steps and the weight of the first loss."""
 
-    def complete(partials, eyes):
+    def complete(partials, eyes, told=None):
+        if told is not None:
+            return Predictions(partials + np.float32(0.02))
         weight = float(jnp.exp(variables["weighting"]["logits"][0]))
         moved = partials + np.float32([0, 0, 0.01 * weight * config.adapt.num_steps])
         accepted = np.ones(len(partials), bool)
@@ -49,7 +51,7 @@ def test_table_one(tmp_path):
     assert list(rows) == [
         *("partial", "training mean", "partial and its mirror image"),
         *(table_1.LABELS[name] for name in with_weights()),
-        *("CRA-PCN", "PRISM, not adapted", "PRISM"),
+        *("CRA-PCN", "PRISM, not adapted", "PRISM", table_1.TOLD),
         "small, not adapted",
     ]
     # The fake gives back the partial, whatever the weights.
@@ -59,6 +61,10 @@ def test_table_one(tmp_path):
     plain, adapted = rows["PRISM, not adapted"]["mean"], rows["PRISM"]["mean"]
     assert rows["CRA-PCN"]["mean"] == pytest.approx(plain)
     assert adapted["cd_l2"] != pytest.approx(plain["cd_l2"], rel=0.01)
+    # It gives another answer to who is told what else the scan holds.
+    assert rows[table_1.TOLD]["mean"]["cd_l2"] != pytest.approx(
+        plain["cd_l2"], rel=0.01
+    )
     _, variables = load_pretrained(located("prism"))
     assert rows["PRISM"]["parameters"] == table_1.count(variables)
     assert 0 < rows["CRA-PCN"]["parameters"] < rows["PRISM"]["parameters"]
