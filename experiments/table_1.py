@@ -6,6 +6,8 @@ python -m experiments.table_1 --split=test --output=tables/table_1.json
 """
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +15,7 @@ from absl import flags
 
 from experiments.baselines.trivial import mirrored, training_mean
 from experiments.baselines.weights import load_network, with_weights
-from experiments.comparison import Row, comparison
+from experiments.comparison import Row, comparison, comparison_markdown
 from experiments.output import prepare_output
 from experiments.scoring import (
     define_scoring_flags,
@@ -30,7 +32,9 @@ from experiments.scoring import (
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import training_split
+from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.run import Predictions, network_completer, prism_completer
+from prism_jax.evaluation.tables import COLUMNS, percent, score_cells, table_lines
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (
@@ -48,6 +52,8 @@ LABELS = {
     "fsc": "FSC",
 }
 BACKBONE = "CRA-PCN"
+OURS = "PRISM, not adapted"
+COMPARED = [column for column in COLUMNS if column.statistic == "mean"]
 TOLD = "PRISM, told, not adapted"
 """All other rows have the partial and the sensor's place; this one the map of the whole
 scan besides, where the source has maps."""
@@ -119,7 +125,7 @@ def main():
     number = count(backbone, "point_encoder", "decoder")
     rows[BACKBONE] = Row(found, "network", number, seen(FLAGS.backbone))
     number, samples = count(variables), seen(FLAGS.weights)
-    rows["PRISM, not adapted"] = Row(adapted, "network_unadapted", number, samples)
+    rows[OURS] = Row(adapted, "network_unadapted", number, samples)
     rows["PRISM"] = Row(adapted, "network", number, samples)
     if source[0].visibility is not None:
         found = run(prism_completer(config.with_adapt(num_steps=0), variables), True)
@@ -132,7 +138,39 @@ def main():
         "weights": FLAGS.weights,
         "steps": config.adapt.num_steps,
     }
-    print_and_write(comparison(rows, BACKBONE, **about))
+    table = comparison(rows, BACKBONE, **about)
+    given = {name: rows[name] for name in (*LABELS.values(), BACKBONE) if name in rows}
+    table["best_others"] = best_others(given, rows[OURS])
+    print_and_write(table, comparison_markdown(table) + best_markdown(table))
+
+
+def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:
+    """Of each metric's means the ``row`` that is the best of others, and the ``change``
+    from it to ours (`paired_difference`); as JSON."""
+    found = {}
+    for column in COMPARED:
+        means = {
+            label: row.result["clouds"][row.cloud]["mean"][column.metric]
+            for label, row in others.items()
+        }
+        best = (max if column.metric == "f_score" else min)(means, key=means.get)
+        results = others[best].result, ours.result
+        clouds = others[best].cloud, ours.cloud
+        change = paired_difference(*results, column.metric, clouds)
+        found[column.metric] = {"row": best, "change": change}
+    return found
+
+
+def best_markdown(table: Mapping[str, Any]) -> str:
+    """Ours beside the best of the others, a line for each metric."""
+    lines = []
+    for column in COMPARED:
+        best, change = table["best_others"][column.metric].values()
+        shown = [score_cells(table["rows"][name], [column])[0] for name in (best, OURS)]
+        change = percent(change["change"], change["interval"])
+        lines.append((column.head, best, *shown, change))
+    head = ("", "best of the others", "its score", OURS, "change")
+    return "\n".join(["", *table_lines(head, lines), ""])
 
 
 def count(variables: Variables, *parts: str) -> int:

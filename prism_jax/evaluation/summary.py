@@ -7,11 +7,8 @@ import numpy as np
 from jaxtyping import Int
 
 from prism_jax.evaluation.bootstrap import mean_intervals
-from prism_jax.evaluation.paired import MEASURES, adaptation_effect
+from prism_jax.evaluation.paired import adaptation_effect
 from prism_jax.metrics import Scores
-
-KEPT = tuple(dict.fromkeys(measure.metric for measure in MEASURES.values()))
-"""Metrics whose value for every example stays in a result."""
 
 
 class ExampleScores(NamedTuple):
@@ -58,8 +55,8 @@ def summarise(
         }
 
     def kept(cloud: str) -> dict[str, list[float]]:
-        scores = [row.clouds[cloud] for row in rows]
-        return {m: [_short(getattr(one, m)) for one in scores] for m in KEPT}
+        named = [row.clouds[cloud].named() for row in rows]
+        return {m: [_short(one[m]) for one in named] for m in named[0]}
 
     accepted = [row.accepted for row in rows if row.accepted is not None]
     result = {

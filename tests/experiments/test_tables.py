@@ -10,10 +10,13 @@ from experiments import settings, table_1, table_2, table_3
 from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.weights import load_network, with_weights
+from experiments.comparison import Row, comparison
 from experiments.scoring import in_one_pose, network_size, prism_size
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.evaluation.run import Predictions
+from prism_jax.data.recordings import RecordedCells
+from prism_jax.evaluation.protocol import Protocol
+from prism_jax.evaluation.run import Predictions, evaluate
 from prism_jax.models.variables import pop_encoders
 from prism_jax.weights import load_pretrained, read_metadata, samples_seen, save_weights
 from tests import launching
@@ -73,7 +76,40 @@ def test_table_one(tmp_path):
     assert rows["PRISM"]["samples"] == samples_seen(read_metadata(located("prism")))
     assert rows["PCN"]["samples"] == samples_seen(read_metadata(located("pcn")))
     assert "| training mean | " in text
+    assert len(table["best_others"]) == 7
+    assert "| CD-L2 x1e4 | " in text
     assert table["data"] == "recordings"
+
+
+def test_ours_is_compared_with_the_best_of_the_others_metric_by_metric():
+    protocol = Protocol(256, 1.4, with_measured=False)
+
+    def scored(fraction, shift):
+        def complete(partials, _):
+            count = int(fraction * partials.shape[1])
+            return Predictions(partials[:, :count] + np.float32(shift))
+
+        return Row(evaluate(complete, RecordedCells(CELLS), protocol))
+
+    rows = {"near": scored(0.25, 0), "full": scored(1, 0.01), "ours": scored(1, 0.02)}
+    found = table_1.best_others({k: rows[k] for k in ("near", "full")}, rows["ours"])
+    assert found["prediction_to_truth"]["row"] == "near"
+    assert found["truth_to_prediction"]["row"] == "full"
+    for metric, best in found.items():
+        mean, ours = (
+            rows[name].result["clouds"]["network"]["mean"][metric]
+            for name in (best["row"], "ours")
+        )
+        assert best["change"]["change"] == pytest.approx(ours / mean - 1, rel=1e-5)
+        others = [
+            rows[name].result["clouds"]["network"]["mean"][metric]
+            for name in ("near", "full")
+        ]
+        assert mean == (max(others) if metric == "f_score" else min(others))
+    table = comparison(rows | {table_1.OURS: rows["ours"]}, "full")
+    lines = table_1.best_markdown(table | {"best_others": found}).splitlines()
+    assert len(lines) == 3 + len(found) == 10
+    assert lines[3].startswith(f"| CD-L2 x1e4 | {found['cd_l2']['row']} | ")
 
 
 def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
