@@ -141,7 +141,7 @@ def main():
     table = comparison(rows, BACKBONE, **about)
     given = {name: rows[name] for name in (*LABELS.values(), BACKBONE) if name in rows}
     table["best_others"] = best_others(given, rows[OURS])
-    print_and_write(table, comparison_markdown(table) + best_markdown(table))
+    print_and_write(table, table_markdown(table))
 
 
 def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:
@@ -161,8 +161,8 @@ def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:
     return found
 
 
-def best_markdown(table: Mapping[str, Any]) -> str:
-    """Ours beside the best of the others, a line for each metric."""
+def table_markdown(table: Mapping[str, Any]) -> str:
+    """All rows, and ours beside the best of the others, a line for each metric."""
     lines = []
     for column in COMPARED:
         best, change = table["best_others"][column.metric].values()
@@ -170,7 +170,7 @@ def best_markdown(table: Mapping[str, Any]) -> str:
         change = percent(change["change"], change["interval"])
         lines.append((column.head, best, *shown, change))
     head = ("", "best of the others", "its score", OURS, "change")
-    return "\n".join(["", *table_lines(head, lines), ""])
+    return "\n".join([comparison_markdown(table), *table_lines(head, lines), ""])
 
 
 def count(variables: Variables, *parts: str) -> int:

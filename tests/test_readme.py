@@ -22,6 +22,7 @@ from experiments.point_errors import point_errors_markdown
 from experiments.real import real_markdown
 from experiments.robustness import robustness_markdown
 from experiments.segmentation import segmentation_markdown
+from experiments.table_1 import table_markdown as table_1_markdown
 from experiments.trust import trust_markdown, unfitted
 from experiments.verdicts import verdicts_markdown
 from prism_jax.evaluation.tables import markdown
@@ -121,6 +122,7 @@ def test_tables_are_those_of_their_results(path):
     kinds = {
         "pairs": adaptation_markdown,
         "passed": plant_markdown,
+        "best_others": table_1_markdown,
         "rows": comparison_markdown,
         "losses": agreement_markdown,
         "scans": real_markdown,
