@@ -32,9 +32,9 @@ from experiments.scoring import (
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import training_split
-from prism_jax.evaluation.paired import paired_difference
+from prism_jax.evaluation.paired import all_differences, paired_difference
 from prism_jax.evaluation.run import Predictions, network_completer, prism_completer
-from prism_jax.evaluation.tables import COLUMNS, percent, score_cells, table_lines
+from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.weights import (
@@ -53,10 +53,10 @@ LABELS = {
 }
 BACKBONE = "CRA-PCN"
 OURS = "PRISM, not adapted"
-COMPARED = [column for column in COLUMNS if column.statistic == "mean"]
 TOLD = "PRISM, told, not adapted"
-"""All other rows have the partial and the sensor's place; this one the map of the whole
-scan besides, where the source has maps."""
+"""No other row is told the map of the whole scan. Only where the source has maps."""
+COMPARED = [column for column in COLUMNS if column.statistic == "mean"]
+"""By what ours is set beside the best of the others."""
 
 
 def define_flags() -> None:
@@ -128,7 +128,9 @@ def main():
     rows[OURS] = Row(adapted, "network_unadapted", number, samples)
     rows["PRISM"] = Row(adapted, "network", number, samples)
     if source[0].visibility is not None:
-        found = run(prism_completer(config.with_adapt(num_steps=0), variables), True)
+        found = run(
+            prism_completer(config.with_adapt(num_steps=0), variables), told=True
+        )
         rows[TOLD] = Row(found, "network", number, samples)
     for name, (own, trained) in longer.items():
         found = run(prism_completer(own.with_adapt(num_steps=0), trained))
@@ -141,6 +143,10 @@ def main():
     table = comparison(rows, BACKBONE, **about)
     given = {name: rows[name] for name in (*LABELS.values(), BACKBONE) if name in rows}
     table["best_others"] = best_others(given, rows[OURS])
+    if TOLD in rows:
+        clouds = (rows[OURS].cloud, rows[TOLD].cloud)
+        results = (rows[OURS].result, rows[TOLD].result)
+        table["told"] = all_differences(*results, clouds)
     print_and_write(table, table_markdown(table))
 
 
@@ -163,13 +169,15 @@ def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:
 
 def table_markdown(table: Mapping[str, Any]) -> str:
     """All rows, and ours beside the best of the others, a line for each metric."""
+    found = table["best_others"]
+    changes = {metric: best["change"] for metric, best in found.items()}
+    heads, cells = change_cells(changes, "change")
     lines = []
-    for column in COMPARED:
-        best, change = table["best_others"][column.metric].values()
+    for column, change in zip(COMPARED, cells, strict=True):
+        best = found[column.metric]["row"]
         shown = [score_cells(table["rows"][name], [column])[0] for name in (best, OURS)]
-        change = percent(change["change"], change["interval"])
-        lines.append((column.head, best, *shown, change))
-    head = ("", "best of the others", "its score", OURS, "change")
+        lines.append([column.head, best, *shown, *change])
+    head = ["", "best of the others", "its score", OURS, *heads]
     return "\n".join([comparison_markdown(table), *table_lines(head, lines), ""])
 
 

@@ -78,6 +78,8 @@ def test_table_one(tmp_path):
     assert "| training mean | " in text
     assert len(table["best_others"]) == 7
     assert "| CD-L2 x1e4 | " in text
+    told = rows[table_1.TOLD]["mean"]["cd_l2"] / plain["cd_l2"] - 1
+    assert table["told"]["cd_l2"]["change"] == pytest.approx(told, rel=1e-4)
     assert table["data"] == "recordings"
 
 
