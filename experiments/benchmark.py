@@ -18,7 +18,16 @@ from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 
 FLAGS = flags.FLAGS
-SUITES = ("ops", "adapt", "evaluation", "training", "startup", "memory", "stream")
+SUITES = (
+    "ops",
+    "kernels",
+    "adapt",
+    "evaluation",
+    "training",
+    "startup",
+    "memory",
+    "stream",
+)
 HEADER = (
     "| what | ours | peer | its | ratio | target | holds | compile s | MiB |\n"
     "| --- | --- | --- | --- | --- | --- | --- | --- | --- |"
@@ -31,8 +40,8 @@ def define_flags() -> None:
     flags.DEFINE_string(
         "of",
         None,
-        "Preset (training, memory) or weights (adapt, evaluation, stream); small if "
-        "not given, paper for memory.",
+        "Preset (training, memory), weights (evaluation, stream) or either (adapt); "
+        "small if not given, paper for memory.",
     )
     flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
 

@@ -27,14 +27,14 @@ LARGEST_DENSE = 16384
 def suite() -> Iterator[Row]:
     """Every operation at every size."""
     for size in SIZES:
-        points, other = _cloud(size, 0), _cloud(size, 1)
+        points, other = cloud(size, 0), cloud(size, 1)
         for measure in (_nearest, _farthest, _chamfer, _normals):
             yield from measure(points, other)
     for size in (256, 1024, 4096):
         yield from _sinkhorn(size)
 
 
-def _cloud(size: int, seed: int) -> np.ndarray:
+def cloud(size: int, seed: int) -> np.ndarray:
     """Points on a bumpy sphere: a surface, as scans are."""
     rng = np.random.default_rng([size, seed])
     points = rng.normal(size=(size, 3))

@@ -49,5 +49,5 @@ def test_what_cannot_be_measured_is_refused(suite, fault, capsys):
 
 
 def test_operations_of_a_product():
-    a, b = ops._cloud(8, 0), ops._cloud(5, 1)
+    a, b = ops.cloud(8, 0), ops.cloud(5, 1)
     assert Compiled(lambda a, b: a @ b.T, a, b).flops == 2 * 8 * 5 * 3

@@ -1,5 +1,5 @@
-"""The GPU's kernels, interpreted, against the XLA forms on hard clouds; their
-translation to Triton, which needs no GPU."""
+"""The GPU's kernels, interpreted where there is none, against the XLA forms on hard
+clouds; their translation to Triton, which needs no GPU."""
 
 import functools
 
@@ -15,9 +15,21 @@ from prism_jax.geometry.sampling import farthest_point_sample
 
 RNG = np.random.default_rng(0)
 
-nearest = jax.jit(nearest)
-knn = jax.jit(knn, static_argnums=2)
-farthest_point_sample = jax.jit(farthest_point_sample, static_argnums=(1, 3))
+INTERPRETED = not kernels.on_gpu()
+
+
+def on_cpu():
+    return jax.default_device(jax.devices("cpu")[0])
+
+
+def by_xla(fn, *static):
+    """A search on the CPU, where no kernel takes its place."""
+    return on_cpu()(jax.jit(fn, static_argnums=static))
+
+
+nearest = by_xla(nearest)
+knn = by_xla(knn, 2)
+farthest_point_sample = by_xla(farthest_point_sample, 1, 3)
 nearest_indices = jax.jit(kernels.nearest_indices, static_argnums=2)
 knn_indices = jax.jit(kernels.knn_indices, static_argnums=(2, 3))
 farthest_indices = jax.jit(kernels.farthest_indices, static_argnums=(3, 4))
@@ -55,7 +67,7 @@ def squared(query, support, indices):
 def test_nearest(kind, sizes):
     query, support = (cloud(kind, count) for count in sizes)
     _, expected = nearest(query, support)
-    found = nearest_indices(query, support, True)
+    found = nearest_indices(query, support, INTERPRETED)
     same = squared(query, support, np.asarray(found)[:, None])
     np.testing.assert_allclose(
         same, squared(query, support, np.asarray(expected)[:, None]), rtol=1e-5
@@ -69,7 +81,7 @@ def test_nearest(kind, sizes):
 def test_knn(kind, sizes, k):
     query, support = (cloud(kind, count) for count in sizes)
     expected = knn(query, support, k)
-    found = knn_indices(query, support, k, True)
+    found = knn_indices(query, support, k, INTERPRETED)
     assert found.shape == expected.shape
     np.testing.assert_allclose(
         squared(query, support, np.asarray(found)),
@@ -86,7 +98,7 @@ def test_knn_keeps_ties_in_order_when_a_nearer_point_comes():
     query = jnp.zeros((1, 3))
     support = jnp.array([[1.0, 0, 0], [-1, 0, 0], [0.5, 0, 0], [0, 1, 0]])
     for k in (1, 2, 3, 4):
-        found = knn_indices(query, support, k, True)
+        found = knn_indices(query, support, k, INTERPRETED)
         np.testing.assert_array_equal(found[0], [2, 0, 1, 3][:k])
         np.testing.assert_array_equal(found, knn(query, support, k))
 
@@ -97,13 +109,13 @@ def test_farthest_points(kind, skip):
     points = cloud(kind, 70)
     expected = farthest_point_sample(points, 20, 3, skip)
     allowed = (points**2).sum(-1) > (1e-3 if skip else -1.0)
-    found = farthest_indices(points, allowed, jnp.int32(3), 20, True)
+    found = farthest_indices(points, allowed, jnp.int32(3), 20, INTERPRETED)
     np.testing.assert_array_equal(found, expected)
 
 
 def test_vmap_is_a_loop():
     queries, supports = (cloud("random", 120).reshape(3, 40, 3),) * 2
-    search = functools.partial(kernels.knn_indices, k=4, interpret=True)
+    search = functools.partial(kernels.knn_indices, k=4, interpret=INTERPRETED)
     mapped = jax.vmap(search)(queries, supports + 0.1)
     for i in range(3):
         np.testing.assert_array_equal(mapped[i], search(queries[i], supports[i] + 0.1))
@@ -133,6 +145,7 @@ def translate(name):
     assert "triton" in exported(*shapes).mlir_module()
 
 
+@on_cpu()
 def test_the_platform_chooses(monkeypatch):
     def double(x):
         return 2 * x
