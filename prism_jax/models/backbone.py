@@ -19,7 +19,13 @@ from prism_jax.models.encoder import (
     encoder_indices,
 )
 from prism_jax.models.layers import over_batch
-from prism_jax.models.variables import Variables, apply, apply_training, part
+from prism_jax.models.variables import (
+    Variables,
+    apply,
+    apply_training,
+    on_cpu,
+    part,
+)
 
 
 class RenderedView(NamedTuple):
@@ -32,7 +38,7 @@ class RenderedView(NamedTuple):
 
 def init_backbone(key: PRNGKeyArray, model: ModelConfig) -> Variables:
     """Fresh variables of the encoder and the decoder, and of the depth stream if the
-    decoder reads it."""
+    decoder reads it; made on the CPU, so that a seed means the same everywhere."""
     config = model.backbone
 
     def init(key: PRNGKeyArray) -> Variables:
@@ -60,7 +66,8 @@ def init_backbone(key: PRNGKeyArray, model: ModelConfig) -> Variables:
             for collection in ("params", "batch_stats")
         }
 
-    return jax.jit(init)(key)
+    with on_cpu():
+        return jax.jit(init)(key)
 
 
 def partial_indices(

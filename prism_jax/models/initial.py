@@ -19,7 +19,7 @@ from prism_jax.models.prism import (
     run_auxiliary,
 )
 from prism_jax.models.refiner import Refiner
-from prism_jax.models.variables import Variables, unlearned_steps
+from prism_jax.models.variables import Variables, on_cpu, unlearned_steps
 
 
 def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
@@ -32,11 +32,14 @@ def init_auxiliary(
     key: PRNGKeyArray, backbone: Variables, config: ModelConfig
 ) -> Variables:
     """A backbone's variables with fresh ones for all that reads it. The depth stream is
-    the backbone's own where its decoder reads it."""
+    the backbone's own where its decoder reads it. Made on the CPU, as the backbone's
+    are: nothing depends on the backbone's values."""
     sizes = config.auxiliary
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), backbone)
 
-    def init(key: PRNGKeyArray, backbone: Variables) -> dict[str, Any]:
+    def init(key: PRNGKeyArray) -> dict[str, Any]:
         keys = jax.random.split(key, 7)
+        backbone = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
         shape = (config.backbone.num_points, 3)
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
         inputs = prepare_input(cloud, Camera.fixed_view(), keys[0], config)
@@ -63,7 +66,8 @@ def init_auxiliary(
         run_auxiliary(made, inputs, prediction, depth_features)
         return fresh
 
-    fresh = jax.jit(init)(key, backbone)
+    with on_cpu():
+        fresh = jax.jit(init)(key)
     depth = fresh.pop("depth_encoder")
     if config.backbone.reads_depth:
         depth = {kind: backbone[kind]["depth_encoder"] for kind in depth}

@@ -7,15 +7,27 @@ each module of the encoders the logarithm of its learned step size, as a multipl
 configuration's. Some have a learned term besides (`prism_jax.models.error_head`).
 """
 
+import contextlib
 from typing import Any
 
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
 
 Variables = dict[str, Any]
 
 ENCODERS = ("point_encoder", "depth_encoder")
 """The parts that test-time adaptation moves."""
+
+
+def on_cpu() -> contextlib.AbstractContextManager:
+    """Where fresh variables are made: a seed means the same everywhere, and a GPU would
+    take minutes to compile what it then does once. On the default device where JAX has
+    no CPU (``JAX_PLATFORMS=cuda``)."""
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:
+        return contextlib.nullcontext()
 
 
 def pop_encoders(variables: Variables) -> tuple[Variables, Variables]:
