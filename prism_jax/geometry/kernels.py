@@ -1,8 +1,9 @@
-"""Searches as Pallas kernels for GPUs (Triton backend): one launch each.
+"""Searches as GPUs do them, in Pallas kernels (Triton backend) but for the nearest.
 
-XLA's forms are bound by launches (farthest points: some for every sample) or by memory
-(neighbours: distances written and read again). Here distances never leave registers.
-The results are those of the XLA forms, ties included, which remain the fallback:
+What XLA makes is bound by launches (farthest points: some for every sample) or by
+memory (neighbours: distances written and read again). A kernel is launched once, and
+distances never leave registers. The results are those of the forms for a CPU, ties
+included, which remain the fallback:
 `prism_jax.geometry.neighbors` and `sampling` choose by platform.
 
 ``interpret=True`` runs a kernel without a GPU, for tests.
@@ -22,49 +23,18 @@ MAX_FARTHEST_POINTS = 16384
 """Of a cloud that one program holds in its registers."""
 
 _QUERIES = 128
-_SUPPORTS = 64
 
 
 def nearest_indices(
-    query: Float[Array, "N 3"], support: Float[Array, "M 3"], interpret: bool = False
+    query: Float[Array, "N 3"], support: Float[Array, "M 3"]
 ) -> Int[Array, " N"]:
-    """Index of each query's nearest support point; ties go to the lowest."""
-    queries = _rows(query, _QUERIES, 0.0)
-    supports = _rows(support, _SUPPORTS, jnp.inf)
-    num_blocks = supports.shape[1] // _SUPPORTS
+    """Index of each query's nearest support point; ties go to the lowest.
 
-    def kernel(query_ref, support_ref, index_ref):
-        x, y, z = (query_ref[i, :][:, None] for i in range(3))
-
-        def block(j, best):
-            distance, index = best
-            start = j * _SUPPORTS
-            a, b, c = (support_ref[i, pl.ds(start, _SUPPORTS)] for i in range(3))
-            squared = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
-            lowest = squared.min(axis=1)
-            # Triton knows no 64-bit index, which is the default under x64.
-            inside = jax.lax.argmin(squared, 1, jnp.int32)
-            closer = lowest < distance
-            index = jnp.where(closer, (start + inside).astype(jnp.int32), index)
-            return jnp.where(closer, lowest, distance), index
-
-        none = jnp.zeros(_QUERIES, jnp.int32)
-        start = (jnp.full(_QUERIES, jnp.inf, query.dtype), none)
-        index_ref[...] = jax.lax.fori_loop(0, num_blocks, block, start)[1]
-
-    call = pl.pallas_call(
-        kernel,
-        out_shape=jax.ShapeDtypeStruct((queries.shape[1],), jnp.int32),
-        grid=(queries.shape[1] // _QUERIES,),
-        in_specs=[
-            pl.BlockSpec((3, _QUERIES), lambda i: (0, i)),
-            pl.BlockSpec(supports.shape, lambda i: (0, 0)),
-        ],
-        out_specs=pl.BlockSpec((_QUERIES,), lambda i: (i,)),
-        compiler_params=triton.CompilerParams(num_warps=4),
-        interpret=interpret,
-    )
-    return call(queries, supports)[: query.shape[0]]
+    No kernel of ours: XLA reduces the distances as it makes them and keeps none, and
+    on an H200 took a fifth to a half of the time of one in Triton.
+    """
+    squared = sum((query[:, None, i] - support[:, i]) ** 2 for i in range(3))
+    return jax.lax.argmin(squared, 1, jnp.int32)
 
 
 def knn_indices(
@@ -78,7 +48,7 @@ def knn_indices(
     Every query keeps its k best in order, and each support point sinks to its place
     among them. Ties go to the lowest index.
     """
-    queries = _rows(query, _QUERIES, 0.0)
+    queries = _rows(query, _QUERIES)
     supports = support.T
     num_supports = support.shape[0]
 
@@ -132,7 +102,7 @@ def farthest_indices(
     One program holds the whole cloud, up to `MAX_FARTHEST_POINTS`.
     """
     size = pl.next_power_of_2(points.shape[0])
-    cloud = _rows(points, size, 0.0)
+    cloud = _rows(points, size)
     allowed = jnp.pad(chosen_from.astype(jnp.int32), (0, size - points.shape[0]))
     first = jnp.reshape(start, (1,))
 
@@ -175,7 +145,7 @@ def by_platform(
     return jax.lax.platform_dependent(*arguments, cuda=kernel, default=fallback)
 
 
-def _rows(points: Array, multiple: int, filling: float) -> Array:
-    """Coordinates as three rows, filled up to a multiple of points."""
+def _rows(points: Array, multiple: int) -> Array:
+    """Coordinates as three rows, filled up with zeros to a multiple of points."""
     padding = -points.shape[0] % multiple
-    return jnp.pad(points, ((0, padding), (0, 0)), constant_values=filling).T
+    return jnp.pad(points, ((0, padding), (0, 0))).T

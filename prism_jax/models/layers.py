@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from prism_jax.geometry import kernels
+
 gather = jnp.vectorize(
     lambda features, i: features[i], signature="(n,c),(m,k)->(m,k,c)"
 )
@@ -177,6 +179,9 @@ class Conv(nn.Module):
         shape = (self.size, self.size, x.shape[-1], self.features)
         kernel = self.param("kernel", kernel_init, shape)
         windows = _windows(x, self.size, self.strides)
+        if kernels.on_gpu():
+            # XLA of JAX 0.11.2 aborts where it fuses what joins them into the product.
+            windows = jax.lax.optimization_barrier(windows)
         return matmul(windows, kernel.reshape(-1, self.features))
 
 

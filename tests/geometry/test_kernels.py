@@ -1,6 +1,7 @@
 """The GPU's kernels, interpreted where there is none, against the XLA forms on hard
 clouds; their translation to Triton, which needs no GPU."""
 
+import contextlib
 import functools
 
 import jax
@@ -30,7 +31,7 @@ def by_xla(fn, *static):
 nearest = by_xla(nearest)
 knn = by_xla(knn, 2)
 farthest_point_sample = by_xla(farthest_point_sample, 1, 3)
-nearest_indices = jax.jit(kernels.nearest_indices, static_argnums=2)
+nearest_indices = jax.jit(kernels.nearest_indices)
 knn_indices = jax.jit(kernels.knn_indices, static_argnums=(2, 3))
 farthest_indices = jax.jit(kernels.farthest_indices, static_argnums=(3, 4))
 
@@ -67,7 +68,7 @@ def squared(query, support, indices):
 def test_nearest(kind, sizes):
     query, support = (cloud(kind, count) for count in sizes)
     _, expected = nearest(query, support)
-    found = nearest_indices(query, support, INTERPRETED)
+    found = nearest_indices(query, support)
     same = squared(query, support, np.asarray(found)[:, None])
     np.testing.assert_allclose(
         same, squared(query, support, np.asarray(expected)[:, None]), rtol=1e-5
@@ -122,7 +123,7 @@ def test_vmap_is_a_loop():
 
 
 @pytest.mark.parametrize("is_x64", [False, True])
-@pytest.mark.parametrize("name", ["nearest", "knn", "farthest"])
+@pytest.mark.parametrize("name", ["knn", "farthest"])
 def test_translates_to_triton(name, is_x64):
     with jax.enable_x64(is_x64):
         translate(name)
@@ -130,7 +131,6 @@ def test_translates_to_triton(name, is_x64):
 
 def translate(name):
     functions = {
-        "nearest": kernels.nearest_indices,
         "knn": functools.partial(kernels.knn_indices, k=16),
         "farthest": functools.partial(kernels.farthest_indices, num_samples=64),
     }
@@ -142,7 +142,17 @@ def translate(name):
     shapes = [jax.ShapeDtypeStruct((2, *s.shape), s.dtype) for s in shapes]
     checks = [jax.export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
     exported = jax.export.export(batched, platforms=["cuda"], disabled_checks=checks)
-    assert "triton" in exported(*shapes).mlir_module()
+    with for_a_gpu():
+        assert "triton" in exported(*shapes).mlir_module()
+
+
+def for_a_gpu():
+    """Newer versions of JAX ask which one, where none is at hand."""
+    if jax.__version_info__ < (0, 11) or kernels.on_gpu():
+        return contextlib.nullcontext()
+    device = jax.sharding.AbstractDevice("NVIDIA H100 80GB HBM3", 132, "gpu")
+    mesh = jax.sharding.AbstractMesh((), (), abstract_device=device)
+    return jax.sharding.use_abstract_mesh(mesh)
 
 
 @on_cpu()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from prism_jax.geometry import kernels
 from prism_jax.models.layers import (
     MLP,
     Conv,
@@ -271,6 +272,20 @@ def test_gradients_of_splitting():
         return jnp.sin(module.apply(variables, x)).sum()
 
     check_grads(total, (variables, x), order=2, modes=["rev"], eps=1e-6)
+
+
+def test_conv_for_a_gpu_keeps_its_windows_apart(monkeypatch):
+    x, module = normal(2, 8, 8, 3), Conv(4, 3)
+    variables = module.init(jax.random.key(0), x)
+
+    def squares(x):
+        return (module.apply(variables, x) ** 2).sum()
+
+    expected = jax.value_and_grad(squares)(x)
+    monkeypatch.setattr(kernels, "on_gpu", lambda: True)
+    assert "optimization_barrier" in str(jax.make_jaxpr(squares)(x))
+    found = jax.value_and_grad(squares)(x)
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
 @pytest.mark.parametrize(("size", "strides"), [(1, 1), (1, 2), (3, 1), (3, 2), (7, 2)])

@@ -3,9 +3,16 @@
 import copy
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from prism_jax.models.variables import ENCODERS, part, pop_encoders, put_encoders
+from prism_jax.models.variables import (
+    ENCODERS,
+    on_cpu,
+    part,
+    pop_encoders,
+    put_encoders,
+)
 from tests.trees import bitwise
 
 VARIABLES = {
@@ -52,3 +59,14 @@ def test_part():
     assert set(deeper["params"]) == {"kernel"}
     # Flax takes a missing collection for an empty one, and not the reverse.
     assert set(part(VARIABLES, "point_encoder")) == {"params"}
+
+
+def test_on_cpu_where_jax_was_told_of_none(monkeypatch):
+    def unknown(backend):
+        raise RuntimeError(f"Unknown backend {backend}")
+
+    with on_cpu():
+        assert jnp.ones(2).device.platform == "cpu"
+    monkeypatch.setattr(jax, "local_devices", unknown)
+    with on_cpu():
+        assert jnp.ones(2).sum() == 2
