@@ -28,6 +28,7 @@ _LISTED_COLUMNS = 512
 _LISTED_K = 32
 _NEAREST_PAIRS = 1 << 22
 _KNN_PAIRS = 1 << 24
+_REDUCED_PAIRS = 1 << 28
 
 
 def nearest(
@@ -43,7 +44,7 @@ def nearest(
     _require_points(support)
     query, support = jnp.asarray(query), jnp.asarray(support)
     indices = kernels.by_platform(
-        kernels.nearest_indices,
+        functools.partial(_by_rows, kernels.nearest_indices, _REDUCED_PAIRS),
         functools.partial(_by_rows, _nearest_indices, _NEAREST_PAIRS),
         *jax.lax.stop_gradient((query, support)),
     )

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.geometry import kernels
+from prism_jax.geometry import kernels, neighbors
 from prism_jax.geometry.neighbors import knn, nearest
 from prism_jax.geometry.sampling import farthest_point_sample
 
@@ -75,6 +75,12 @@ def test_nearest(kind, sizes):
     )
     if kind == "duplicated":  # ties go to the lowest index
         np.testing.assert_array_equal(found, expected)
+
+
+def test_nearest_block_by_block():
+    query, support = cloud("random", 130), cloud("random", 70)
+    blocks = neighbors._by_rows(kernels.nearest_indices, 20 * 70, query, support)
+    np.testing.assert_array_equal(blocks, nearest_indices(query, support))
 
 
 @pytest.mark.parametrize("kind", KINDS)
