@@ -1,4 +1,4 @@
-"""The searches as Pallas kernels against what XLA makes, on an NVIDIA GPU."""
+"""Searches by Pallas kernels, and Chamfer, against what XLA makes, on an NVIDIA GPU."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ import numpy as np
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
 from experiments.benchmarks.ops import cloud
 from prism_jax.geometry import kernels
-from prism_jax.geometry.neighbors import knn, nearest
+from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.sampling import farthest_point_sample
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
@@ -27,9 +27,9 @@ NEIGHBORS = 16
 def suite() -> Iterator[Row]:
     """Each kernel at every size, one cloud alone and a batch of the smaller ones.
 
-    Nearest points and Chamfer stand beside a whole matrix of distances, which XLA need
-    not keep: their forms for a CPU take XLA minutes to compile for a GPU. Raises
-    InputError where there is no GPU.
+    Chamfer stands beside a whole matrix of distances, which XLA need not keep: its
+    form for a CPU takes XLA minutes to compile for a GPU. Raises InputError where
+    there is no GPU.
     """
     if not kernels.on_gpu():
         fault = f"JAX sees no NVIDIA GPU, only {jax.default_backend()}"
@@ -43,7 +43,7 @@ def suite() -> Iterator[Row]:
 
 def _searches(size: int) -> dict[str, tuple[Callable, Callable, str]]:
     many = functools.partial(knn, k=NEIGHBORS)
-    as_on_cpu, dense = "its form for a CPU", "plain jax.numpy"
+    as_on_cpu = "its form for a CPU"
     count = size // 8
 
     def farthest(points: jax.Array, _: jax.Array) -> jax.Array:
@@ -51,20 +51,18 @@ def _searches(size: int) -> dict[str, tuple[Callable, Callable, str]]:
 
     gradient = jax.value_and_grad
     return {
-        "nearest neighbours": (nearest, _dense, dense),
         f"{NEIGHBORS} nearest neighbours": (many, _without(many), as_on_cpu),
-        "Chamfer, value and gradient": (gradient(chamfer), gradient(_plain), dense),
+        "Chamfer, value and gradient": (
+            gradient(chamfer),
+            gradient(_plain),
+            "plain jax.numpy",
+        ),
         f"farthest points, {count:,} of them": (
             farthest,
             _without(farthest),
             as_on_cpu,
         ),
     }
-
-
-def _dense(query: jax.Array, support: jax.Array) -> tuple[jax.Array, jax.Array]:
-    squared = ((query[:, None] - support) ** 2).sum(-1)
-    return squared.min(1), squared.argmin(1)
 
 
 def _plain(a: jax.Array, b: jax.Array) -> jax.Array:

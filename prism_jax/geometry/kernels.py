@@ -30,10 +30,10 @@ def nearest_indices(
 ) -> Int[Array, " N"]:
     """Index of each query's nearest support point; ties go to the lowest.
 
-    No kernel of ours: XLA reduces the distances as it makes them and keeps none, and
-    on an H200 took a fifth to a half of the time of one in Triton.
+    No kernel of ours: XLA reduces the distances as it makes them and keeps none
+    (docs/experiments.md, "On a GPU").
     """
-    squared = sum((query[:, None, i] - support[:, i]) ** 2 for i in range(3))
+    squared = ((query[:, None] - support) ** 2).sum(-1)
     return jax.lax.argmin(squared, 1, jnp.int32)
 
 

@@ -48,6 +48,12 @@ def test_what_cannot_be_measured_is_refused(suite, fault, capsys):
     assert f"benchmark: {fault}; " in capsys.readouterr().err
 
 
+def test_kernels_without_a_gpu_are_refused(capsys):
+    assert launching.run(benchmark, "--suite=kernels") == 2
+    fault = "--suite=kernels: JAX sees no NVIDIA GPU, only cpu; install"
+    assert f"benchmark: {fault}" in capsys.readouterr().err
+
+
 def test_operations_of_a_product():
     a, b = ops.cloud(8, 0), ops.cloud(5, 1)
     assert Compiled(lambda a, b: a @ b.T, a, b).flops == 2 * 8 * 5 * 3
