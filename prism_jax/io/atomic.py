@@ -49,6 +49,17 @@ def write_together(files: Mapping[Any, bytes]) -> None:
         ) from None
 
 
+def remove_unfinished(folder: str | os.PathLike) -> None:
+    """Remove the temporary files that killed writers left in a folder.
+
+    For a folder that has one writer, when it starts: it cannot tell a killed writer's
+    files from those of another that is at work.
+    """
+    mark = "[0-9a-f]" * len(uuid.uuid4().hex)
+    for path in pathlib.Path(folder).glob(f".*.{mark}.tmp"):
+        path.unlink(missing_ok=True)
+
+
 def make_output_dir(path: str | os.PathLike) -> pathlib.Path:
     """Create a directory if need be, and prove that files can be written in it.
 

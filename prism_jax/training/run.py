@@ -11,7 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.atomic import make_output_dir, remove_unfinished, write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.training.parallel import as_the_first, is_first
 
@@ -32,6 +32,7 @@ def open_run(
     if is_first():
         try:
             _check_in(folder, config, seed, resume)
+            remove_unfinished(folder)
         except InputError as error:
             refused = error
     if not as_the_first(refused is None):

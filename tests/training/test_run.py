@@ -9,6 +9,7 @@ import pytest
 
 from experiments.settings import resolve
 from prism_jax.evaluation.tables import short
+from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.training import run
 from prism_jax.training.run import Log, commit, open_run
@@ -67,6 +68,27 @@ def test_another_configuration_does_not_go_on(tmp_path, preset, seed, told):
 def test_resume_on_a_new_folder_starts_one(tmp_path):
     folder = open_run(str(tmp_path / "new"), PRESET, 0, resume=True)
     assert (folder / "config.json").exists()
+
+
+@pytest.mark.parametrize("written", ["config.json", "metrics.jsonl"])
+def test_going_on_removes_what_a_kill_left(tmp_path, monkeypatch, written):
+    """A writer that is killed before it renames, and has no time to tidy up."""
+    open_run(str(tmp_path), PRESET, 0, resume=False)
+    (tmp_path / ".notes.tmp").touch()
+    if written == "config.json":
+        (tmp_path / written).unlink()
+    with monkeypatch.context() as killed:
+        killed.setattr("pathlib.Path.unlink", lambda *_, **__: None)
+        killed.setattr("os.replace", _fail)
+        with pytest.raises(KeyboardInterrupt):
+            write_bytes(tmp_path / written, b"half")
+    assert len([*tmp_path.glob(f".{written}.*.tmp")]) == 1
+    open_run(str(tmp_path), PRESET, 0, resume=True)
+    assert {path.name for path in tmp_path.iterdir()} == {"config.json", ".notes.tmp"}
+
+
+def _fail(*_):
+    raise KeyboardInterrupt
 
 
 def test_a_folder_that_cannot_be_made(tmp_path):
