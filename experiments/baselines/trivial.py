@@ -3,6 +3,8 @@
 All in the unit workspace, which the partial alone determines.
 """
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float32
@@ -56,8 +58,10 @@ def training_mean(
     rng = np.random.default_rng(seed)
     rows = np.resize(rng.permutation(len(source)), num_outputs)
     points = np.empty((num_outputs, 3), np.float32)
+    # Of a small source every row comes up many times.
+    read = functools.lru_cache(256)(source.__getitem__)
     for point, row in zip(points, rows, strict=True):
-        example = with_partial(source[int(row)], rng)
+        example = with_partial(read(int(row)), rng)
         assert example.partial is not None and example.complete is not None
         workspace = Workspace.from_points(example.partial, margin)
         point[:] = workspace.to_unit(rng.choice(example.complete))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from experiments import accumulation
+from prism_jax.weights import save_weights
 from tests import launching
 
 
@@ -44,7 +45,9 @@ def test_what_something_hides_is_looked_past_and_not_forgotten():
 
 
 @pytest.mark.slow
-def test_it_runs_from_end_to_end(capsys):
-    sizes = "--num_sequences=2", "--num_frames=4", "--width=96"
-    assert launching.run(accumulation, *sizes) == 0
+def test_it_runs_from_end_to_end(minimal, minimal_fresh, tmp_path, capsys):
+    weights = tmp_path / "minimal.safetensors"
+    save_weights(weights, minimal.config, minimal_fresh, {})
+    sizes = "--num_sequences=2", "--num_frames=4", "--width=160"
+    assert launching.run(accumulation, f"--weights={weights}", *sizes) == 0
     assert "| known | CD-L1, mm |" in capsys.readouterr().out

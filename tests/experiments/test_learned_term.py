@@ -52,11 +52,12 @@ def place(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_command_writes_the_weights_with_it(place, tmp_path, monkeypatch, capsys):
+def test_the_command_writes_the_weights_with_it(
+    place, reading, reading_fresh, tmp_path, monkeypatch, capsys
+):
     """And what it is worth beside them; the cosine of the error with itself is one."""
-    config, variables = load_pretrained("small")
-    weights = tmp_path / "small.safetensors"
-    save_weights(weights, config, variables, {"seed": 3})
+    weights = tmp_path / "start.safetensors"
+    save_weights(weights, reading, reading_fresh, {"seed": 3})
     monkeypatch.setattr(
         learned_term, "SETS", {"shapes": ("shapes", "validation", True)}
     )
@@ -73,10 +74,10 @@ def test_the_command_writes_the_weights_with_it(place, tmp_path, monkeypatch, ca
     ]
     assert launching.run(learned_term, *given) == 0
     found, with_it = load_pretrained(str(output))
-    assert found == config
+    assert found == reading
     own = dict(with_it["params"])
     assert set(own.pop("learned")) == {"dense_0", "dense_1", "dense_2"}
-    assert bitwise({**with_it, "params": own}, variables)
+    assert bitwise({**with_it, "params": own}, reading_fresh)
     metadata = read_metadata(str(output))
     assert metadata["seed"] == 3 and metadata["learned_term"]["views"] == 4
     result = json.loads(output.with_suffix(".json").read_text())

@@ -9,6 +9,7 @@ import pytest
 from experiments import settings, table_1, table_2, table_3
 from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
+from experiments.baselines.pcn import PCN
 from experiments.baselines.weights import load_network, with_weights
 from experiments.comparison import Row, comparison
 from experiments.scoring import in_one_pose, network_size, prism_size
@@ -16,7 +17,7 @@ from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.protocol import Protocol
-from prism_jax.evaluation.run import Predictions, evaluate
+from prism_jax.evaluation.run import Predictions, evaluate, network_completer
 from prism_jax.models.variables import pop_encoders
 from prism_jax.weights import load_pretrained, read_metadata, samples_seen, save_weights
 from tests import launching
@@ -47,8 +48,17 @@ def run(module, output, *arguments):
     return json.loads(output.read_text()), output.with_suffix(".md").read_text()
 
 
+def quick_networks(module, variables):
+    """PCN as it is, and of others the partial, moved further the more parameters."""
+    if isinstance(module, PCN):
+        return network_completer(module, variables)
+    step = np.float32(1e-9 * table_1.count(variables))
+    return lambda partials, eyes: Predictions(partials + step)
+
+
 @pytest.mark.slow
-def test_table_one(tmp_path):
+def test_table_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(table_1, "network_completer", quick_networks)
     table, text = run(table_1, tmp_path / "1.json", "--longer=small")
     rows = table["rows"]
     assert list(rows) == [
@@ -60,6 +70,10 @@ def test_table_one(tmp_path):
     # The fake gives back the partial, whatever the weights.
     assert rows["small, not adapted"]["mean"] == rows["PRISM, not adapted"]["mean"]
     assert table["against"] == "CRA-PCN"
+    others = [rows[table_1.LABELS[name]] for name in with_weights() if name != "pcn"]
+    others.sort(key=lambda row: row["parameters"])
+    moved = [row["mean"]["cd_l2"] for row in others]
+    assert moved == sorted(set(moved))
     # The fake gives back the partial, of 512 points, if it does not adapt.
     plain, adapted = rows["PRISM, not adapted"]["mean"], rows["PRISM"]["mean"]
     assert rows["CRA-PCN"]["mean"] == pytest.approx(plain)
