@@ -1,33 +1,23 @@
 """Weights between where a training began and where it ended."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from experiments import interpolate
-from prism_jax.models.backbone import init_backbone
 from prism_jax.models.error_head import init_error_head, with_term
 from prism_jax.weights import load_pretrained, read_metadata, save_weights
 from tests import launching
 
 
 @pytest.fixture
-def files(minimal, minimal_variables, tmp_path):
+def files(minimal, minimal_variables, reading, reading_fresh, tmp_path):
     """Of a network, and of one that went on from it and also reads what is known."""
-    variables = minimal_variables
     start, end = tmp_path / "start.safetensors", tmp_path / "end.safetensors"
-    save_weights(start, minimal.config, variables, {"seed": 0})
-    reads = {"reads_visibility": True, "seeds_read_visibility": True}
-    backbone = dataclasses.replace(minimal.model.backbone, **reads)
-    model = dataclasses.replace(minimal.model, backbone=backbone)
-    config = dataclasses.replace(minimal.config, model=model)
-    fresh = init_backbone(jax.random.key(3), model)
-    moved = jax.tree.map(lambda leaf: leaf + 1.0, {**variables, **fresh})
-    whole = {kind: {**variables[kind], **moved[kind]} for kind in variables}
-    save_weights(end, config, whole, {"seed": 3, "samples": 8, "calibration": [1]})
+    save_weights(start, minimal.config, minimal_variables, {"seed": 0})
+    whole = jax.tree.map(lambda leaf: leaf + 1.0, reading_fresh)
+    save_weights(end, reading, whole, {"seed": 3, "samples": 8, "calibration": [1]})
     return start, end
 
 

@@ -1,7 +1,5 @@
 """A decoder that reads what the sensor knows, and what the depth stream made of it."""
 
-import dataclasses
-
 import chex
 import jax
 import jax.numpy as jnp
@@ -30,17 +28,14 @@ from prism_jax.training.inputs import inputs_of, visibility_of
 
 
 @pytest.fixture(scope="module")
-def reading(minimal):
-    """The model of `minimal`, reading."""
-    reads = ("reads_visibility", "seeds_read_visibility", "reads_depth")
-    backbone = dataclasses.replace(minimal.model.backbone, **dict.fromkeys(reads, True))
-    return dataclasses.replace(minimal.model, backbone=backbone)
+def model(reading):
+    return reading.model
 
 
 @pytest.fixture(scope="module")
-def untrained(reading, minimal_fresh):
+def untrained(model, minimal_fresh):
     """Variables of `minimal`, with the parts for it as they begin."""
-    fresh = init_backbone(jax.random.key(0), reading)
+    fresh = init_backbone(jax.random.key(0), model)
     return overlaid(fresh, minimal_fresh)
 
 
@@ -62,11 +57,11 @@ def trained(untrained):
 
 
 @pytest.fixture(scope="module")
-def complete(reading, quick_jit):
+def complete(model, quick_jit):
     def one(variables, partial, camera, known):
         key = jax.random.key(0)
-        inputs = prepare_input(partial, camera, key, reading, visibility=known)
-        return predict(variables, inputs, reading).points, inputs.visibility
+        inputs = prepare_input(partial, camera, key, model, visibility=known)
+        return predict(variables, inputs, model).points, inputs.visibility
 
     return quick_jit(one)
 
@@ -108,7 +103,7 @@ def test_what_is_known_changes_what_is_said(trained, complete, frame):
     assert np.abs(told - blind).max() < 1e-3 * changed
 
 
-def test_the_seeds_know_of_it(reading, trained, frame, quick_jit):
+def test_the_seeds_know_of_it(model, trained, frame, quick_jit):
     """In one view as in a batch of them."""
     partial, camera = frame
     maps = [seen_by(partial, camera.position, told) for told in ("unknown", "empty")]
@@ -116,11 +111,11 @@ def test_the_seeds_know_of_it(reading, trained, frame, quick_jit):
 
     @quick_jit
     def seeds(partial, known):
-        indices = partial_indices(partial, reading.backbone)
-        encoded = encode_points(trained, reading.backbone, partial, indices)
-        view = view_from(frame[0], camera.position, reading)
-        encoded = with_depth(encoded, trained, reading, view)
-        decoded = decode(trained, reading.backbone, partial, encoded, None, known)
+        indices = partial_indices(partial, model.backbone)
+        encoded = encode_points(trained, model.backbone, partial, indices)
+        view = view_from(frame[0], camera.position, model)
+        encoded = with_depth(encoded, trained, model, view)
+        decoded = decode(trained, model.backbone, partial, encoded, None, known)
         return decoded.stages[0]
 
     found = [seeds(partial, known) for known in maps]
@@ -145,7 +140,7 @@ def test_the_depth_stream_has_a_say(untrained, trained, complete, frame):
         assert (np.abs(found[0] - found[1]).max() > 1e-3) == moves
 
 
-def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_frames):
+def test_every_other_row_of_a_training_knows_the_surface_alone(model, tiny_frames):
     partials, cameras = tiny_frames
     eyes = cameras.position
     batch = Batch(np.asarray(partials), None, np.asarray(eyes), None)
@@ -159,17 +154,17 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_fra
     again = jax.jit(visibility_of)(batch._replace(visibility=given))
     seen = np.asarray(known.state) == SURFACE
     np.testing.assert_allclose(again.depth[seen], known.depth[seen] + 1)
-    inputs = jax.jit(lambda batch, key: inputs_of(batch, key, reading))(
+    inputs = jax.jit(lambda batch, key: inputs_of(batch, key, model))(
         batch, jax.random.key(0)
     )
     np.testing.assert_array_equal(inputs.visibility.state, known.state)
 
 
-def test_a_decoder_that_reads_needs_a_map_and_a_view(reading, trained, frame):
+def test_a_decoder_that_reads_needs_a_map_and_a_view(model, trained, frame):
     def decoded(partial, known):
-        indices = partial_indices(partial, reading.backbone)
-        encoded = encode_points(trained, reading.backbone, partial, indices)
-        return decode(trained, reading.backbone, partial, encoded, None, known)
+        indices = partial_indices(partial, model.backbone)
+        encoded = encode_points(trained, model.backbone, partial, indices)
+        return decode(trained, model.backbone, partial, encoded, None, known)
 
     with pytest.raises(ValueError, match="needs a map"):
         jax.eval_shape(decoded, frame[0], None)
