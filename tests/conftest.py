@@ -128,6 +128,12 @@ def _as_fresh(model):
 
 
 @pytest.fixture(scope="session")
+def as_fresh():
+    """Variables, as large as fresh ones, of a model's configuration."""
+    return _as_fresh
+
+
+@pytest.fixture(scope="session")
 def tiny_variables(tiny):
     """Variables of `tiny`, as large as fresh ones."""
     return _as_fresh(tiny.model)

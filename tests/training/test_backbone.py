@@ -9,12 +9,11 @@ import numpy as np
 import optax
 import pytest
 
+from experiments.training import overlaid
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.holdout import Subset
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.io.errors import InputError
-from prism_jax.models.backbone import init_backbone
-from prism_jax.models.initial import init_auxiliary
 from prism_jax.training import parallel
 from prism_jax.training.auxiliary import auxiliary_phase
 from prism_jax.training.backbone import backbone_phase
@@ -44,9 +43,12 @@ def preset(minimal):
 @pytest.fixture(scope="module")
 def backbone(minimal_variables):
     """The backbone's part of the variables."""
-    parts = ("point_encoder", "decoder")
+    return parts_of(minimal_variables, "point_encoder", "decoder")
+
+
+def parts_of(variables, *names):
     return {
-        kind: {name: minimal_variables[kind][name] for name in parts}
+        kind: {name: variables[kind][name] for name in names}
         for kind in ("params", "batch_stats")
     }
 
@@ -125,11 +127,14 @@ def test_the_whole_decoder_trains(stages, indexed):
 
 
 @pytest.mark.slow
-def test_a_depth_stream_that_is_read_is_trained_with_the_backbone(preset, batch):
+def test_a_depth_stream_that_is_read_is_trained_with_the_backbone(
+    preset, batch, as_fresh
+):
     """And what comes after leaves it alone."""
     backbone = dataclasses.replace(preset.model.backbone, reads_depth=True)
     model = dataclasses.replace(preset.model, backbone=backbone)
-    variables = init_backbone(jax.random.key(0), model)
+    whole = as_fresh(model)
+    variables = parts_of(whole, "point_encoder", "depth_encoder", "decoder")
     phase = backbone_phase(
         variables, model, preset.pretrain.backbone[1], preset.pretrain
     )
@@ -142,7 +147,7 @@ def test_a_depth_stream_that_is_read_is_trained_with_the_backbone(preset, batch)
             variables[kind]["depth_encoder"], after[kind]["depth_encoder"]
         )
     assert np.isfinite(phase.validate_fn(state.kept, batch)).all()
-    whole = init_auxiliary(jax.random.key(1), after, model)
+    whole = overlaid(whole, after)
     config = PrismConfig(model, preset.adapt)
     training = dataclasses.replace(preset.pretrain, auxiliary_samples=8 * BATCH)
     later = auxiliary_phase(whole, config, training, seed=0)
@@ -158,13 +163,13 @@ def test_a_depth_stream_that_is_read_is_trained_with_the_backbone(preset, batch)
 
 
 @pytest.mark.slow
-def test_a_last_block_is_trained_alone(preset, batch):
+def test_a_last_block_is_trained_alone(preset, batch, as_fresh):
     """On a network that was trained without it."""
     two = dataclasses.replace(
         preset.model.backbone, up_factors=(2, 2), level_rates=((1,), (1,))
     )
     two = dataclasses.replace(preset.model, backbone=two)
-    variables = init_backbone(jax.random.key(0), two)
+    variables = parts_of(as_fresh(two), "point_encoder", "decoder")
     last = dataclasses.replace(preset.pretrain.backbone[1], first_block=1)
     phase = backbone_phase(variables, two, last, preset.pretrain)
     assert phase.terms == ("stage_2",)
