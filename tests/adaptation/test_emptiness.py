@@ -69,6 +69,7 @@ def looked_at(config, frame, known, minimal_fresh, quick_jit):
     return look(minimal_fresh, put_encoders(moved, rest))
 
 
+@pytest.mark.slow
 def test_terms_are_those_of_their_losses(looked_at, frame, known):
     held, start, _, after, _, points, before = looked_at
     tolerance = TOLERANCE * spacing_of(frame[0])
@@ -86,6 +87,7 @@ def test_terms_are_those_of_their_losses(looked_at, frame, known):
     assert dict(zip(names, start, strict=True))["keep"] == 0 < after.keep
 
 
+@pytest.mark.slow
 def test_the_objective_is_their_sum(looked_at, config, minimal_fresh):
     held, _, _, after, balanced, *_ = looked_at
     weighting = jax.device_get(minimal_fresh["weighting"])
@@ -105,6 +107,7 @@ def test_the_objective_is_their_sum(looked_at, config, minimal_fresh):
     assert after.visibility == balanced.visibility
 
 
+@pytest.mark.slow
 def test_norms_are_those_of_the_gradients_in_the_encoders(looked_at):
     """So that each term's first gradient has the length of its weight."""
     held, _, rows, *_ = looked_at

@@ -90,6 +90,7 @@ def test_each_is_the_completion_of_that_pose(
     assert np.abs(points[2 * size : 3 * size] - points[:size]).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_adapted_with_all_poses(minimal, minimal_fresh, frame, quick_jit):
     """The first part is that of one pose, and the others move with its encoders."""
     size = minimal.model.backbone.stage_sizes[-1]
@@ -110,6 +111,7 @@ def test_adapted_with_all_poses(minimal, minimal_fresh, frame, quick_jit):
     assert moved[:size].max() > 1e-6 and moved[size:].max() > 1e-6
 
 
+@pytest.mark.slow
 def test_gradients_of_all_poses(minimal, minimal_variables, frame, quick_jit):
     """Each pose's points have one in the variables, and none reaches the cloud."""
     config = posed_config(minimal, 2, num_steps=0)

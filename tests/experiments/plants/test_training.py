@@ -67,6 +67,7 @@ def twice(adapted):
     return adapted()
 
 
+@pytest.mark.slow
 def test_a_step_lowers_its_loss_and_moves_what_is_to_move(batch, config, minimal_fresh):
     step, state = make_step(config, minimal_fresh, SETTINGS)
     key = jax.random.key(0)
