@@ -102,7 +102,7 @@ def completed(completer: Completer, spec: Spec, scan: Given) -> Done:
     """As a user's scan is."""
     asked = scan.points, scan.camera
     if not spec.is_scene:
-        return completer.complete(*asked, up=spec.up)
+        return completer.complete(*asked, up=spec.up, background=spec.background)
     scene = completer.split_scene(*asked, up=spec.up)
     return completer.complete_scene(*asked, up=spec.up, scene=scene)
 
@@ -115,6 +115,7 @@ def row_of(spec: Spec, weights: str, scan: Given, done: Done) -> dict[str, Any]:
         "scan": spec.name,
         "weights": weights,
         "up": spec.up,
+        "background": spec.background,
         "points": len(scan.points),
         "objects": len(objects),
         "added": int((~done.observed).sum()),

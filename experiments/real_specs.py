@@ -20,6 +20,7 @@ from prism_jax.completed import CompletedScan, CompletedScene
 from prism_jax.data.public.kitti import read_corners
 from prism_jax.evaluation.segmentation import MIN_POINTS, agreement
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import Background
 from prism_jax.io.files import read_bytes, unsound
 from prism_jax.io.streams import open_stream
 from prism_jax.result import score
@@ -64,6 +65,7 @@ class Spec(NamedTuple):
       up: what the completer is told of the direction that points upwards.
       is_scene: whether there are several objects, to be taken apart first.
       is_drawn: whether its licence lets everyone show and change pictures of it.
+      background: what the completer is told of it.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Spec(NamedTuple):
     up: str
     is_scene: bool = False
     is_drawn: bool = True
+    background: Background = "unknown"
 
 
 class Told(NamedTuple):
@@ -179,18 +182,26 @@ def to_peer(predicted: Float[np.ndarray, "P 3"], done: Done) -> dict[str, float]
     return {name: scored["cd_l2"] for name, scored in scores.items()}
 
 
+_SCAN_000 = partial(scanned_in_frame, member="scan_000")
+_SCAN_090 = partial(scanned_in_frame, member="scan_090")
 _BUNNY, _KINECT = "bunny/pairs.npz", "kinect/mosd_test24"
 _PLANE = "shapenet/airplane_partial_2048.ply"
 _PEER = partial(with_peer, peer="airplane_predicted_16384.ply")
 
+
+def and_alone(spec: Spec) -> tuple[Spec, Spec]:
+    """A scan of one object and nothing else, without and with that told."""
+    return spec, spec._replace(name=f"{spec.name}, alone", background="empty")
+
+
 SPECS = (
-    Spec("bunny, scan_000", _BUNNY, partial(scanned_in_frame, member="scan_000"), "y"),
-    Spec("bunny, scan_090", _BUNNY, partial(scanned_in_frame, member="scan_090"), "y"),
-    Spec("bunny, raw", "bunny/raw_scan_000.ply", scanned, "y"),
+    *and_alone(Spec("bunny, scan_000", _BUNNY, _SCAN_000, "y")),
+    *and_alone(Spec("bunny, scan_090", _BUNNY, _SCAN_090, "y")),
+    *and_alone(Spec("bunny, raw", "bunny/raw_scan_000.ply", scanned, "y")),
     Spec("Kinect, cloud", f"{_KINECT}.pcd", labelled, "auto", is_scene=True),
     Spec("Kinect, depth image", f"{_KINECT}.png", labelled, "auto", is_scene=True),
     Spec("KITTI, car", "kitti/frame_0_car_0.pcd", boxed, "z", is_drawn=False),
-    Spec("ShapeNet, airplane", _PLANE, _PEER, "y", is_drawn=False),
+    *and_alone(Spec("ShapeNet, airplane", _PLANE, _PEER, "y", is_drawn=False)),
     Spec("Ouster, sweep", "ouster/single_frame_zm_scan0.npz", swept, "z", True),
     Spec(
         "Ouster, capture", "ouster/OS-0-128-U1_v2.3.0_1024x10.pcap", captured, "z", True

@@ -223,6 +223,12 @@ def complete_file(
         count = f"{result.left_out:,} of {len(scan.points):,} points"
         say(f"{count} lie far from all others and were left out")
     warn_of_low_trust("this completion", result.verdict)
+    doubted = result.verdict is not None and result.verdict.trust != "high"
+    if doubted and background == "unknown" and scan.around is None:
+        say(
+            "nothing tells what lies around it; if the sensor saw nothing else, "
+            "--background=empty says so, and fewer points go astray"
+        )
     seconds.update(result.seconds)
     summary = summarize(result, scan, source, **about)
     if truth is not None:

@@ -148,6 +148,28 @@ def test_warns_of_low_trust_and_says_what_to_do(trust, monkeypatch, capsys):
     assert warned == (trust == "low")
 
 
+@pytest.mark.parametrize(
+    ("trust", "flags", "asks"),
+    [
+        ("high", [], False),
+        ("fair", [], True),
+        ("low", [], True),
+        ("low", ["--background=empty"], False),
+        ("low", ["--workspace=-9,-9,-9,9,9,9"], False),
+    ],
+)
+def test_asks_what_lies_around_a_doubted_scan(trust, flags, asks, monkeypatch, capsys):
+    verdict = Verdict(trust, 0.1, (), {})
+    plain = FakeCompleter.complete
+
+    def judged(*given, **asked):
+        return dataclasses.replace(plain(*given, **asked), verdict=verdict)
+
+    monkeypatch.setattr(FakeCompleter, "complete", judged)
+    assert run("--input=scan.npy", *flags) == 0
+    assert ("nothing tells what lies around it" in capsys.readouterr().err) == asks
+
+
 def test_says_why_nothing_was_adapted():
     points = {"partial": 1, "completed": 3}
     summary = {"points": points, "adapt": True, "accepted": False, "verdict": None}

@@ -27,7 +27,8 @@ BY_NAME = {spec.name: spec for spec in SPECS}
 
 
 class Completer(FakeCompleter):
-    """Judges what it completes if its weights are `small`."""
+    """Judges what it completes if its weights are `small`, and trusts it more where
+    nothing is around."""
 
     def __init__(self, name):
         self.judges = name == "small"
@@ -38,7 +39,8 @@ class Completer(FakeCompleter):
 
     def complete(self, *arguments, **asked):
         done = super().complete(*arguments, **asked)
-        verdict = Verdict("fair", 0.25, (), {}) if self.judges else None
+        trust = {"unknown": "fair", "empty": "high"}[asked.get("background", "unknown")]
+        verdict = Verdict(trust, 0.25, (), {}) if self.judges else None
         return dataclasses.replace(done, verdict=verdict)
 
 
@@ -82,7 +84,7 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
     told = capsys.readouterr()
     result = json.loads(output.read_text())
     rows = {(row["scan"], row["weights"]): row for row in result["scans"]}
-    assert len(rows) == len(result["scans"]) == 2 * 6
+    assert len(rows) == len(result["scans"]) == 2 * 10
 
     row = rows["bunny, scan_000", "small"]
     assert (row["points"], row["added"], row["objects"]) == (200, 100, 1)
@@ -95,6 +97,9 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
     assert partial["cd_l2"] == pytest.approx(expected, rel=1e-4)
     assert partial["prediction_to_truth"] == pytest.approx(0, abs=1e-12)
     assert rows["bunny, raw", "small"]["scores"] is None
+    alone = rows["bunny, scan_000, alone", "small"]
+    assert (row["background"], alone["background"]) == ("unknown", "empty")
+    assert alone["verdicts"] == [{"trust": "high", "expected_error": 0.25}]
 
     scene = rows["Kinect, cloud", "small"]
     assert (scene["objects"], scene["strays"]) == (2, 2)
@@ -112,7 +117,7 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
     assert "no such file" in line
     with Image.open(picture) as sheet:
         # Neither the car nor the airplane is drawn.
-        assert sheet.size == (2 * (3 * 32 + 4) - 4, 2 * (32 + 15))
+        assert sheet.size == (2 * (3 * 32 + 4) - 4, 4 * (32 + 15))
 
     text = output.with_suffix(".md").read_text()
     assert text in told.out and text == command.real_markdown(result)
