@@ -226,7 +226,7 @@ def complete_file(
     doubted = result.verdict is not None and result.verdict.trust != "high"
     if doubted and background == "unknown" and scan.around is None:
         say(
-            "nothing tells what lies around it; if the sensor saw nothing else, "
+            "nothing tells what lies around the object; if the sensor saw no more, "
             "--background=empty says so, and fewer points go astray"
         )
     seconds.update(result.seconds)

@@ -167,7 +167,9 @@ def test_asks_what_lies_around_a_doubted_scan(trust, flags, asks, monkeypatch, c
 
     monkeypatch.setattr(FakeCompleter, "complete", judged)
     assert run("--input=scan.npy", *flags) == 0
-    assert ("nothing tells what lies around it" in capsys.readouterr().err) == asks
+    assert (
+        "nothing tells what lies around the object" in capsys.readouterr().err
+    ) == asks
 
 
 def test_says_why_nothing_was_adapted():
