@@ -226,8 +226,8 @@ def complete_file(
     doubted = result.verdict is not None and result.verdict.trust != "high"
     if doubted and background == "unknown" and scan.around is None:
         say(
-            "nothing tells what lies around the object; if the sensor saw no more, "
-            "--background=empty says so, and fewer points go astray"
+            "nothing tells what lies around the object; if the sensor saw nothing "
+            "else, --background=empty says so, and fewer points go astray"
         )
     seconds.update(result.seconds)
     summary = summarize(result, scan, source, **about)
