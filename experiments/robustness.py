@@ -31,6 +31,7 @@ from prism_jax.completion import Completer
 from prism_jax.data.datasets import digest_of, validation_split
 from prism_jax.evaluation.tables import short
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import choose
 from prism_jax.observation.support import find_up
@@ -59,6 +60,9 @@ def define_flags() -> None:
     flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
     flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
     flags.DEFINE_bool("adapt", False, "Adapt to each view.")
+    flags.DEFINE_enum(
+        "background", "unknown", ["unknown", "empty"], "What is said of it."
+    )
     flags.DEFINE_multi_string(
         "set", [], "Changes to the weights' settings, as model.heading=given."
     )
@@ -78,6 +82,7 @@ def main() -> None:
         "variables_sha256": sha256(completer.variables),
         "adapt": FLAGS.adapt,
         "set": " ".join(FLAGS.set) or None,
+        "background": FLAGS.background if FLAGS.background != "unknown" else None,
     }
     rows, made_at = _rows_before(about), commit()
     result = {**about, "shifts": rows}
@@ -90,7 +95,7 @@ def main() -> None:
             scores = []
             for number, view in enumerate(views):
                 shifted = SHIFTS[name](view, np.random.default_rng(number))
-                done = completed(completer, shifted, FLAGS.adapt)
+                done = completed(completer, shifted, FLAGS.adapt, FLAGS.background)
                 scores.append(pool.submit(score, shifted, done.points))
                 bar.update()
             row = _summary([waiting.result() for waiting in scores])
@@ -120,20 +125,26 @@ def score(view: View, points: Float[np.ndarray, "N 3"]) -> dict[str, dict[str, f
     }
 
 
-def completed(completer: Completer, view: View, adapt: bool) -> CompletedScan:
+def completed(
+    completer: Completer, view: View, adapt: bool, background: Background = "unknown"
+) -> CompletedScan:
     """As a user's scan is. A view with a table, with the way up that the table says."""
     camera, up = None, "z"
     if view.eye is not None:
         camera = Camera.look_at(view.eye, view.partial.mean(axis=0))
     if view.table is not None:
         up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
-    return completer.complete(view.partial, camera, adapt=adapt, up=up)
+    return completer.complete(
+        view.partial, camera, adapt=adapt, up=up, background=background
+    )
 
 
 def robustness_markdown(result: Mapping[str, Any]) -> str:
     """A row for each shift."""
     commits = {row["commit"] or "unknown": None for row in result["shifts"].values()}
     changes = f", {result['set']}" if result.get("set") else ""
+    if result.get("background"):
+        changes += f", background {result['background']}"
     lines = [
         f"`{result['weights']}`{changes}, commit {', '.join(map(short, commits))}, "
         f"views of {result['data']}. Unit of length: {metrics.UNIT}.\n",

@@ -227,7 +227,8 @@ def complete_file(
     if doubted and background == "unknown" and scan.around is None:
         say(
             "nothing tells what lies around the object; if the sensor saw nothing "
-            "else, --background=empty says so, and fewer points go astray"
+            "else, and the scan is no crop, --background=empty says so, and fewer "
+            "points go astray"
         )
     seconds.update(result.seconds)
     summary = summarize(result, scan, source, **about)

@@ -132,15 +132,25 @@ def test_says_how_far_to_trust():
     assert told == "trust       fair: expected error 0.0123, in the input's units"
 
 
-@pytest.mark.parametrize("trust", ["low", "fair"])
-def test_warns_of_low_trust_and_says_what_to_do(trust, monkeypatch, capsys):
-    verdict = Verdict(trust, 0.1, ("it strays: crop it",), {"strays": 0.2})
+@pytest.fixture
+def judge(monkeypatch):
+    """Gives every completion that trust."""
     plain = FakeCompleter.complete
 
-    def judged(*given, **asked):
-        return dataclasses.replace(plain(*given, **asked), verdict=verdict)
+    def judge(trust):
+        verdict = Verdict(trust, 0.1, ("it strays: crop it",), {"strays": 0.2})
 
-    monkeypatch.setattr(FakeCompleter, "complete", judged)
+        def judged(*given, **asked):
+            return dataclasses.replace(plain(*given, **asked), verdict=verdict)
+
+        monkeypatch.setattr(FakeCompleter, "complete", judged)
+
+    return judge
+
+
+@pytest.mark.parametrize("trust", ["low", "fair"])
+def test_warns_of_low_trust_and_says_what_to_do(trust, judge, capsys):
+    judge(trust)
     assert run("--input=scan.npy") == 0
     warned = (
         "low trust in this completion: it strays: crop it" in capsys.readouterr().err
@@ -158,18 +168,11 @@ def test_warns_of_low_trust_and_says_what_to_do(trust, monkeypatch, capsys):
         ("low", ["--workspace=-9,-9,-9,9,9,9"], False),
     ],
 )
-def test_asks_what_lies_around_a_doubted_scan(trust, flags, asks, monkeypatch, capsys):
-    verdict = Verdict(trust, 0.1, (), {})
-    plain = FakeCompleter.complete
-
-    def judged(*given, **asked):
-        return dataclasses.replace(plain(*given, **asked), verdict=verdict)
-
-    monkeypatch.setattr(FakeCompleter, "complete", judged)
+def test_asks_what_lies_around_a_doubted_scan(trust, flags, asks, judge, capsys):
+    judge(trust)
     assert run("--input=scan.npy", *flags) == 0
-    assert (
-        "nothing tells what lies around the object" in capsys.readouterr().err
-    ) == asks
+    told = capsys.readouterr().err
+    assert ("nothing tells what lies around the object" in told) == asks
 
 
 def test_says_why_nothing_was_adapted():

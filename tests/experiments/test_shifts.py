@@ -84,6 +84,19 @@ def test_scores_are_those_of_the_partial_and_of_what_a_user_gets(view, completer
     assert np.isfinite(again["completed"]["cd_l2"])
 
 
+def test_what_is_said_of_the_background_is_passed_on(view, completer, monkeypatch):
+    asked, plain = [], completer.complete
+
+    def complete(*given, **settings):
+        asked.append(settings["background"])
+        return plain(*given, **settings)
+
+    monkeypatch.setattr(completer, "complete", complete)
+    robustness.completed(completer, view, False)
+    robustness.completed(completer, view, False, "empty")
+    assert asked == ["unknown", "empty"]
+
+
 def test_the_table_has_a_row_for_each_shift(view, completer):
     done = robustness.completed(completer, view, adapt=False)
     scores = [robustness.score(view, done.points)]
@@ -103,7 +116,13 @@ def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypat
     monkeypatch.setattr(
         robustness, "_views", lambda: ([view], {"data": "boxes", "digest": "d"})
     )
-    monkeypatch.setattr(robustness, "completed", lambda *_: view_as_it_is(view))
+    backgrounds = []
+
+    def completed(completer, view, adapt, background):
+        backgrounds.append(background)
+        return view_as_it_is(view)
+
+    monkeypatch.setattr(robustness, "completed", completed)
     output = tmp_path / "robustness.json"
 
     def run(number, *shifts, more=()):
@@ -125,6 +144,9 @@ def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypat
     assert run(1.0, "heading 45", more=more) == ["heading 45", "noise 1 %"]
     assert "`small`, poses=2, commit" in output.with_suffix(".md").read_text()
     assert run(1.0, "heading 0") == ["heading 0"], "of the weights' own settings"
+    assert run(1.0, "noise 1 %", more=["--background=empty"]) == ["noise 1 %"]
+    assert set(backgrounds[:-1]) == {"unknown"} and backgrounds[-1] == "empty"
+    assert "`small`, background empty, commit" in output.with_suffix(".md").read_text()
 
 
 def view_as_it_is(view):
