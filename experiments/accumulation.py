@@ -64,7 +64,7 @@ def main() -> None:
     """Measures it."""
     for package in ("trimesh", "manifold3d", "embreex", "fpsample"):
         require(package, "data")
-    from prism_jax.simulation.roboarm.models import arms_of
+    from experiments.simulation.roboarm.models import arms_of
 
     arms = arms_of("validation")
     completer = load_completer(FLAGS.weights)
@@ -119,7 +119,7 @@ def _sequence(
 ) -> tuple[list[tuple[Frame, np.ndarray, np.ndarray]], Any]:
     """Frames of robot and fixtures, each with all that was measured in it and the true
     surface, and the robot. A draw of which too little is seen is drawn again."""
-    from prism_jax.simulation.roboarm.sequences import (
+    from experiments.simulation.roboarm.sequences import (
         RoboArmConfig,
         make_frame,
         make_sequence,

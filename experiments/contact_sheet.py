@@ -20,22 +20,22 @@ from absl import flags
 from tqdm import tqdm
 
 from experiments.output import prepare_output
+from experiments.simulation.contact_sheet import Row, contact_sheet, open_row, shape_row
+from experiments.simulation.kinds import MIXTURE
+from experiments.simulation.objects.build import NUM_VIEWS
+from experiments.simulation.objects.catalogues import FOLDER
+from experiments.simulation.objects.pictures import credit, model_row
+from experiments.simulation.objects.survey import survey
+from experiments.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
+from experiments.simulation.roboarm.cell_pictures import workcell_row
+from experiments.simulation.roboarm.pictures import cell_row
+from experiments.simulation.scenes.build import ScenesConfig
+from experiments.simulation.scenes.pictures import scene_row
+from experiments.simulation.scenes.things import pools_of
+from experiments.simulation.shapes import CATEGORIES
+from experiments.simulation.view_pictures import kind_row
 from prism_jax.cli.launch import launch
 from prism_jax.io.atomic import write_bytes
-from prism_jax.simulation.contact_sheet import Row, contact_sheet, open_row, shape_row
-from prism_jax.simulation.kinds import MIXTURE
-from prism_jax.simulation.objects.build import NUM_VIEWS
-from prism_jax.simulation.objects.catalogues import FOLDER
-from prism_jax.simulation.objects.pictures import credit, model_row
-from prism_jax.simulation.objects.survey import survey
-from prism_jax.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
-from prism_jax.simulation.roboarm.cell_pictures import workcell_row
-from prism_jax.simulation.roboarm.pictures import cell_row
-from prism_jax.simulation.scenes.build import ScenesConfig
-from prism_jax.simulation.scenes.pictures import scene_row
-from prism_jax.simulation.scenes.things import pools_of
-from prism_jax.simulation.shapes import CATEGORIES
-from prism_jax.simulation.view_pictures import kind_row
 
 FLAGS = flags.FLAGS
 

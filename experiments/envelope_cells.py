@@ -1,6 +1,6 @@
 """Simulated cells with all that is true of them, to measure envelopes on.
 
-A cell is one frame of a sequence of its own of `prism_jax.simulation.roboarm`: another
+A cell is one frame of its own sequence of `experiments.simulation.roboarm`: another
 arm's way, other fixtures, another camera. It is made once and kept.
 """
 
@@ -15,21 +15,21 @@ import numpy as np
 import tqdm
 from jaxtyping import Float32, Float64
 
-from prism_jax.data.recordings import DEPTH_SCALE
-from prism_jax.envelope.robot import on_triangles
-from prism_jax.envelope.voxels import view_of_depth
-from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.visibility import Visibility
-from prism_jax.io.atomic import write_bytes
-from prism_jax.simulation.roboarm.build import own_rng
-from prism_jax.simulation.roboarm.models import arms_of
-from prism_jax.simulation.roboarm.sequences import (
+from experiments.simulation.roboarm.build import own_rng
+from experiments.simulation.roboarm.models import arms_of
+from experiments.simulation.roboarm.sequences import (
     PARTS,
     RoboArmConfig,
     make_frame,
     make_sequence,
     scene_parts,
 )
+from prism_jax.data.recordings import DEPTH_SCALE
+from prism_jax.envelope.robot import on_triangles
+from prism_jax.envelope.voxels import view_of_depth
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import Visibility
+from prism_jax.io.atomic import write_bytes
 
 SPACING = 0.02
 """Metres between points on the true surfaces."""

@@ -17,12 +17,12 @@ from experiments.scoring import (
     make_protocol,
     open_split,
 )
+from experiments.simulation.contact_sheet import contact_sheet
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.evaluation.protocol import UNITS
 from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.atomic import write_bytes
-from prism_jax.simulation.contact_sheet import contact_sheet
 from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from PIL import ImageColor
 from scipy.spatial import KDTree
 
+from experiments.simulation.contact_sheet import Color, Row, draw_clouds
 from prism_jax import metrics
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
@@ -29,7 +30,6 @@ from prism_jax.figures import (
 from prism_jax.geometry.camera import Camera
 from prism_jax.observation.observation import Observation
 from prism_jax.report.view import viewing_direction
-from prism_jax.simulation.contact_sheet import Color, Row, draw_clouds
 
 COLUMNS = (
     "Partial",

@@ -6,9 +6,9 @@ python -m experiments.make_data --dataset=meshes --mesh_dir=FOLDER --split=train
 
 from absl import app, flags
 
+from experiments.simulation.build_dataset import BUILDERS, build_dataset, settings_of
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import DATASETS
-from prism_jax.simulation.build_dataset import BUILDERS, build_dataset, settings_of
 
 FLAGS = flags.FLAGS
 

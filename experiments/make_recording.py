@@ -34,9 +34,9 @@ def main() -> None:
     """Writes the recording."""
     for package in ("trimesh", "manifold3d", "embreex", "fpsample"):
         require(package, "data")
-    from prism_jax.simulation.roboarm.models import arms_of, urdf_path
-    from prism_jax.simulation.roboarm.recording import record
-    from prism_jax.simulation.roboarm.sequences import (
+    from experiments.simulation.roboarm.models import arms_of, urdf_path
+    from experiments.simulation.roboarm.recording import record
+    from experiments.simulation.roboarm.sequences import (
         RoboArmConfig,
         make_frame,
         make_sequence,

@@ -8,12 +8,12 @@ import pathlib
 import numpy as np
 from absl import flags
 
+from experiments.simulation.partials import HALF_EXTENT
+from experiments.simulation.shapes import CATEGORIES
+from experiments.simulation.shapes.build import ShapesConfig, shape_seed
+from experiments.simulation.views import make_views
 from prism_jax.cli.launch import launch
 from prism_jax.io.ply import write_ply
-from prism_jax.simulation.partials import HALF_EXTENT
-from prism_jax.simulation.shapes import CATEGORIES
-from prism_jax.simulation.shapes.build import ShapesConfig, shape_seed
-from prism_jax.simulation.views import make_views
 
 FLAGS = flags.FLAGS
 

@@ -8,6 +8,8 @@ import pathlib
 
 from absl import flags
 
+from experiments.simulation.build_dataset import build_if_missing
+from experiments.simulation.packing import PackConfig, pack
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import (
     DATASETS,
@@ -16,8 +18,6 @@ from prism_jax.data.datasets import (
     training_split,
     validation_split,
 )
-from prism_jax.simulation.build_dataset import build_if_missing
-from prism_jax.simulation.packing import PackConfig, pack
 
 FLAGS = flags.FLAGS
 

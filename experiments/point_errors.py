@@ -30,6 +30,7 @@ from experiments.output import prepare_output
 from experiments.robustness import completed
 from experiments.scoring import print_and_write, require_looks
 from experiments.shifts import any_shift, validation_views
+from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
 from prism_jax import metrics
 from prism_jax.cli.launch import launch
@@ -37,7 +38,6 @@ from prism_jax.completion import Completer
 from prism_jax.data.datasets import digest_of
 from prism_jax.evaluation.tables import short
 from prism_jax.point_errors import CLUES, PointErrors, spread
-from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
 from prism_jax.weights import file_sha256, load_pretrained
 

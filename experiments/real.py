@@ -22,6 +22,7 @@ from experiments.output import prepare_output
 from experiments.real_pictures import picture_row
 from experiments.real_specs import CHECKS, SPECS, Done, Given, Spec, check_folder
 from experiments.scoring import print_and_write
+from experiments.simulation.contact_sheet import Row, contact_sheet
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completed import CompletedScan, CompletedScene
@@ -31,7 +32,6 @@ from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.metrics import UNIT
 from prism_jax.result import score
-from prism_jax.simulation.contact_sheet import Row, contact_sheet
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS

@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from experiments.gallery_page import rgb_of
 from experiments.real_specs import Done
+from experiments.simulation.contact_sheet import Row, draw_clouds
+from experiments.simulation.scenes.pictures import GREYS
 from prism_jax.completed import CompletedScene
 from prism_jax.figures import COMPLETED_COLOR, OBSERVED_COLOR
 from prism_jax.geometry.camera import Camera
@@ -16,8 +18,6 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.observation.scene import SUPPORT
 from prism_jax.observation.upright import upright
 from prism_jax.report.view import viewing_direction
-from prism_jax.simulation.contact_sheet import Row, draw_clouds
-from prism_jax.simulation.scenes.pictures import GREYS
 
 TURN, RISE = 50.0, 25.0
 """Degrees from the sensor's view, so that what was added behind can be seen, and above

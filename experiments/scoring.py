@@ -11,6 +11,7 @@ import numpy as np
 from absl import flags
 
 from experiments.comparison import comparison_markdown
+from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.datasets import (
@@ -25,7 +26,6 @@ from prism_jax.evidence import LOOKS
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
-from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
 from prism_jax.weights import load_pretrained
 

@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from experiments.output import prepare_output
 from experiments.scoring import print_and_write
+from experiments.simulation.build_dataset import build_if_missing
 from prism_jax.cli.launch import launch
 from prism_jax.data.datasets import digest_of, open_dataset
 from prism_jax.data.scenes import Scenes
@@ -30,7 +31,6 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.pcd import read_pcd, read_pcd_field
 from prism_jax.observation.scene import SUPPORT, split_scene
 from prism_jax.observation.support import find_up
-from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS

@@ -51,7 +51,7 @@ splits() {
 import sys
 import experiments  # which tells faults in one line
 from prism_jax.data.datasets import open_dataset, scored_splits
-from prism_jax.simulation.build_dataset import build_if_missing
+from experiments.simulation.build_dataset import build_if_missing
 name, folder = sys.argv[1], sys.argv[2] or None
 for split in scored_splits(name):
     build_if_missing(name, split, folder)

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 from absl import flags
 
+from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
 from prism_jax.data.datasets import (
     DATASETS,
@@ -21,7 +22,6 @@ from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
-from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.indices import index_table
 from prism_jax.training.parallel import wait_for_all
 from prism_jax.training.phase import Data, order_seed

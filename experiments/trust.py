@@ -31,6 +31,7 @@ from experiments.output import prepare_output
 from experiments.robustness import completed
 from experiments.scoring import print_and_write, require_looks
 from experiments.shifts import any_shift, validation_views
+from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
 from prism_jax import metrics
 from prism_jax.adaptation.config import PrismConfig
@@ -41,7 +42,6 @@ from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.evaluation.tables import short
 from prism_jax.models.backbone import encode_points, partial_indices
 from prism_jax.models.variables import Variables
-from prism_jax.simulation.build_dataset import build_if_missing
 from prism_jax.training.run import commit
 from prism_jax.trust import EVIDENCE, Calibration, Verdict, logarithms
 from prism_jax.weights import file_sha256, load_pretrained

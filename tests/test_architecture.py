@@ -27,7 +27,7 @@ LAYERS = (
     "prism_jax.evidence",
     "prism_jax.selection prism_jax.trust",
     "prism_jax.trees",
-    "prism_jax.simulation",
+    "experiments.simulation",
     "prism_jax.presets",
     "prism_jax.training",
     "prism_jax.adaptation",
@@ -171,7 +171,7 @@ def test_packages_that_make_data_are_imported_by_the_simulator_alone():
     """What reads with one of them asks for it when it does (`io.errors.require`)."""
     faults = []
     for name, tree in TREES.items():
-        if not name.startswith(("prism_jax.simulation", "experiments")):
+        if not name.startswith(("experiments.simulation", "experiments")):
             roots = {target.split(".")[0] for target in imported(tree)}
             faults += [name] if roots & MAKERS else []
     assert not faults

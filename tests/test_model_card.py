@@ -5,11 +5,11 @@ import pathlib
 
 import pytest
 
+from experiments.simulation.roboarm.models import arms_of
 from prism_jax.data.datasets import parts_of
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io import InputError
 from prism_jax.model_card import model_card, released_scores, weights_table
-from prism_jax.simulation.roboarm.models import arms_of
 from prism_jax.weights import available_weights, read_metadata, save_weights
 
 README = pathlib.Path(__file__).resolve().parents[1] / "README.md"

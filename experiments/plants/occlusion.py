@@ -11,12 +11,12 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from experiments.simulation.raycast import Scene
+from experiments.simulation.surroundings import random_occluder
+from experiments.simulation.truncation import random_cut
 from prism_jax.data.crops import random_crop
 from prism_jax.observation.visibility import NUM_RAYS, REACH
 from prism_jax.selection import TOLERANCE, usual_spacing
-from prism_jax.simulation.raycast import Scene
-from prism_jax.simulation.surroundings import random_occluder
-from prism_jax.simulation.truncation import random_cut
 
 HIDDEN_SHARES = (0.1, 0.75)
 """Of the points: the least and the most that are hidden."""
@@ -50,8 +50,8 @@ def occluded(
     """A measured cloud behind a virtual occluder, cut off, or seen from elsewhere.
 
     In one case of three each: something stands between the sensor and the points
-    (`prism_jax.simulation.surroundings`); the image's edge, a half space or a box cuts
-    them off (`prism_jax.simulation.truncation`); a second sensor looks from another
+    (`simulation.surroundings`); the image's edge, a half space or a box cuts
+    them off (`experiments.simulation.truncation`); a second sensor looks from another
     side, and what its own view of the points hides is hidden. What is nearest to a
     random viewpoint goes (`prism_jax.data.crops`) where none of these hides a share of
     `HIDDEN_SHARES`, and where the eye is None. Fewer than four points raise ValueError.

@@ -16,8 +16,8 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import read_ply
 from tests import launching
+from tests.experiments.simulation.roboarm.conftest import urdf
 from tests.fake_completer import FakeCompleter
-from tests.simulation.roboarm.conftest import urdf
 
 __all__ = ["urdf"]
 

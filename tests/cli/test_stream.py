@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from experiments.simulation.roboarm.sequences import make_frame, make_sequence
 from prism_jax.cli import complete
 from prism_jax.cli import stream as command
 from prism_jax.data.recordings import LABELS
@@ -21,10 +22,9 @@ from prism_jax.io.clouds import read_points
 from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import write_ply
 from prism_jax.io.streams import open_stream
-from prism_jax.simulation.roboarm.sequences import make_frame, make_sequence
 from prism_jax.weights import save_weights
+from tests.experiments.simulation.roboarm.conftest import model, small, urdf
 from tests.launching import run
-from tests.simulation.roboarm.conftest import model, small, urdf
 
 __all__ = ["model", "small", "urdf"]
 
@@ -174,7 +174,7 @@ def test_a_known_robot_from_end_to_end(
     weights, model, urdf, small, tmp_path, monkeypatch, capsys
 ):
     """By joint states of an MCAP, and by the files beside the same frames."""
-    recording = pytest.importorskip("prism_jax.simulation.roboarm.recording")
+    recording = pytest.importorskip("experiments.simulation.roboarm.recording")
     pytest.importorskip("mcap")
     plyfile = pytest.importorskip("plyfile")
     rng = np.random.default_rng(0)

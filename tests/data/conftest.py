@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
+from experiments.simulation.shapes.build import ShapesConfig, build_shapes
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,11 @@ import numpy as np
 import pytest
 
 from experiments.assets import CELLS
+from experiments.simulation import build_dataset as building_by_name
+from experiments.simulation.build_dataset import build_dataset, build_if_missing
+from experiments.simulation.building import write_manifest
+from experiments.simulation.recorder import write_frame
+from experiments.simulation.shapes import build as shapes_build
 from prism_jax.data import datasets
 from prism_jax.data.datasets import (
     DATASETS,
@@ -18,11 +23,6 @@ from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
-from prism_jax.simulation import build_dataset as building_by_name
-from prism_jax.simulation.build_dataset import build_dataset, build_if_missing
-from prism_jax.simulation.building import write_manifest
-from prism_jax.simulation.recorder import write_frame
-from prism_jax.simulation.shapes import build as shapes_build
 from tests.data.test_holdout import Views, names
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from experiments.simulation.views import make_views
 from prism_jax.data.augmentation import Augmentation
 from prism_jax.data.pipeline import Framing, frame_example, stack
 from prism_jax.data.source import Example
 from prism_jax.geometry.visibility import SURFACE, look_up, nothing_known, seen_by
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
-from prism_jax.simulation.views import make_views
 
 FRAMING = Framing(64, 128, 1.4)
 

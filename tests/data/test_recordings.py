@@ -9,6 +9,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from experiments.assets import CELLS
+from experiments.simulation.recorder import has_frame, write_frame
 from prism_jax.data.manifest import MANIFEST, hash_files
 from prism_jax.data.recordings import (
     DEPTH_SCALE,
@@ -22,7 +23,6 @@ from prism_jax.data.source import Source
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import NEARER, SURFACE, UNKNOWN, look_up
 from prism_jax.io.errors import InputError
-from prism_jax.simulation.recorder import has_frame, write_frame
 
 HEIGHT, WIDTH, FOCAL = 24, 32, 30.0
 

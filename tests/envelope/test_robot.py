@@ -15,7 +15,7 @@ from prism_jax.envelope.robot import (
 )
 from prism_jax.io.errors import InputError
 from prism_jax.robots.urdf import Linkage
-from tests.simulation.roboarm.conftest import model, urdf
+from tests.experiments.simulation.roboarm.conftest import model, urdf
 
 __all__ = ["model", "urdf"]
 POSITIONS = {"yaw": 0.4, "shoulder": 0.9, "elbow": -1.2}

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from experiments.simulation.shapes.build import ShapesConfig, build_shapes
 from prism_jax.evaluation import bootstrap
-from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
 
 
 @pytest.fixture(scope="module", autouse=True)

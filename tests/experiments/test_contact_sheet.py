@@ -4,7 +4,7 @@ from PIL import Image
 
 from experiments import contact_sheet
 from tests import launching
-from tests.simulation.objects.conftest import catalogue_dir, write_catalogue
+from tests.experiments.simulation.objects.conftest import catalogue_dir, write_catalogue
 
 __all__ = ["catalogue_dir", "write_catalogue"]
 

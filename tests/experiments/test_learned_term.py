@@ -8,9 +8,9 @@ import pytest
 
 from experiments import learned_term
 from experiments.learned_term import HELD_OUT, LOSSES, ORACLE, Views, fitted
+from experiments.simulation.shapes.build import ShapesConfig, build_shapes
 from prism_jax.losses.learned import NAMES
 from prism_jax.models.error_head import log_errors
-from prism_jax.simulation.shapes.build import ShapesConfig, build_shapes
 from prism_jax.weights import load_pretrained, read_metadata, save_weights
 from tests import launching
 from tests.trees import bitwise

@@ -6,8 +6,8 @@ import pytest
 import trimesh
 
 from experiments import make_data
+from experiments.simulation.build_dataset import BUILDERS, settings_of
 from prism_jax.data.datasets import open_dataset
-from prism_jax.simulation.build_dataset import BUILDERS, settings_of
 from tests import launching
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments import segmentation
 from tests import launching
-from tests.simulation.scenes.conftest import scenes_dir
+from tests.experiments.simulation.scenes.conftest import scenes_dir
 
 __all__ = ["scenes_dir"]
 

@@ -3,11 +3,11 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
+from experiments.simulation.roboarm.models import ArmModel
+from experiments.simulation.roboarm.robots import Robot
 from prism_jax.io.errors import InputError
 from prism_jax.robots.xacro import plain_urdf
-from prism_jax.simulation.roboarm.models import ArmModel
-from prism_jax.simulation.roboarm.robots import Robot
-from tests.simulation.roboarm import conftest as boxes
+from tests.experiments.simulation.roboarm import conftest as boxes
 
 HEAD = '<?xml version="1.0"?><robot name="r" xmlns:xacro="http://wiki.ros.org/xacro">'
 

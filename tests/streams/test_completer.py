@@ -15,7 +15,7 @@ from prism_jax.observation import observation
 from prism_jax.observation.accumulation import Accumulator
 from prism_jax.robots.urdf import Linkage
 from prism_jax.streams.completer import FrameCompleter
-from tests.simulation.roboarm.conftest import urdf
+from tests.experiments.simulation.roboarm.conftest import urdf
 
 __all__ = ["urdf"]
 

@@ -48,7 +48,7 @@ def test_a_thing_in_the_way_leaves_what_it_does_not_touch(monkeypatch):
     """A plate before the points with x > 0."""
     import trimesh
 
-    from prism_jax.simulation.raycast import Scene
+    from experiments.simulation.raycast import Scene
 
     plate = trimesh.creation.box(bounds=[(0.0, -5.01, -9), (9.0, -5.0, 9)])
     monkeypatch.setattr(occlusion, "random_occluder", lambda *_: Scene(plate))

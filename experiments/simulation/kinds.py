@@ -1,0 +1,175 @@
+"""Partial views by the name of their kind, with what their sensor knows of the rest.
+
+The kinds of `partials` are points alone. Those made here are named after what they
+have, several things joined by plus signs:
+
+    clear      what one exact depth camera sees, with nothing in the way
+    occluded   something stands between sensor and object
+    truncated  the image's edge or somebody's workspace cuts the object off
+    rings      a spinning lidar of 16 to 128 beams, metres away
+    noisy      a depth camera with the noise of an L515, objects of 0.2 to 3 m
+    stations   the object is seen from two to four places
+
+All stand on a floor, before a wall, or in the open, at random.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Float64
+
+from experiments.simulation.partials import PARTIALS, make_partial
+from experiments.simulation.raycast import Scene
+from experiments.simulation.readings import World, camera_rays
+from experiments.simulation.stations import Sensor, random_camera, random_lidar
+from experiments.simulation.surroundings import (
+    HIDDEN_SHARES,
+    Surroundings,
+    random_occluder,
+    random_planes,
+)
+from experiments.simulation.truncation import NO_CUT, random_cut
+from experiments.simulation.visibility import map_of, map_rays
+from prism_jax.geometry.framing import framing_camera
+from prism_jax.geometry.visibility import Visibility
+
+MIXTURE: Mapping[str, float] = {
+    "clear": 0.10,
+    "occluded": 0.14,
+    "truncated": 0.12,
+    "rings": 0.12,
+    "noisy": 0.10,
+    "stations": 0.08,
+    "occluded+truncated": 0.06,
+    "occluded+rings": 0.04,
+    "occluded+noisy": 0.10,
+    "truncated+noisy": 0.08,
+    "occluded+truncated+noisy": 0.04,
+    "noisy+stations": 0.02,
+}
+"""How often "mixed" draws each kind."""
+
+KINDS = (*PARTIALS, *MIXTURE, "mixed")
+"""What a data set can be asked for."""
+
+
+def has_maps(kind: str) -> bool:
+    """Whether views of a kind come with what their sensor knows."""
+    return kind not in PARTIALS
+
+
+EVERY = 4
+"""One ray in so many, each way, tells whether an occluder stands in the way."""
+
+
+class View(NamedTuple):
+    """What was measured of an object.
+
+    Attributes:
+      points: as measured, not resampled; there may be none.
+      eye: where the sensor stood; of several stations, the one that saw most.
+      kind: one of `KINDS`, but not "mixed".
+      visibility: what the sensor at `eye` knows; None for the kinds of `partials`.
+    """
+
+    points: Float64[np.ndarray, "N 3"]
+    eye: Float64[np.ndarray, "3"]
+    kind: str
+    visibility: Visibility | None = None
+
+
+def draw_kind(rng: np.random.Generator, mixture: Mapping[str, float] = MIXTURE) -> str:
+    """A kind at random, by weights that need not sum to one."""
+    weights = np.array(list(mixture.values()))
+    return str(rng.choice(list(mixture), p=weights / weights.sum()))
+
+
+def make_view(
+    kind: str,
+    scene: Scene,
+    complete: Float[np.ndarray, "M 3"],
+    rng: np.random.Generator,
+    num_points: int,
+    other: trimesh.Trimesh | None = None,
+) -> View:
+    """One view of a kind that is not "mixed"; scene and cloud as for `make_partial`.
+
+    `other` is a mesh of any size, copies of which may stand in the way; the object's
+    own where it is None. A view that came to nothing, being out of range or hidden too
+    much or too little, has no points. An unknown kind raises ValueError.
+    """
+    if kind in PARTIALS:
+        return View(*make_partial(kind, scene, complete, rng, num_points), kind)
+    if kind not in MIXTURE:
+        known = (*PARTIALS, *MIXTURE)
+        raise ValueError(f"unknown kind {kind!r}: choose one of {known}")
+    other = scene.mesh if other is None else other
+    sensed = _sensed(kind.split("+"), scene, other, rng)
+    if sensed is None:
+        return View(np.zeros((0, 3)), np.zeros(3), kind)
+    points, eye, visibility = sensed
+    return View(points, eye, kind, visibility)
+
+
+def _sensed(
+    traits: Sequence[str],
+    scene: Scene,
+    other: trimesh.Trimesh,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, Visibility] | None:
+    """Points, eye and map of a view that has these traits."""
+    sensor = _random_sensor(traits, scene, rng)
+    world = _random_world(traits, scene, sensor, other, rng)
+    if world is None:
+        return None
+    found = [
+        world.read(sensor.rays(scene, eye, rng), sensor.config, rng)
+        for eye in sensor.eyes
+    ]
+    first, seen = sensor.eyes[0], found[0].surface.points
+    least, most = HIDDEN_SHARES if "occluded" in traits else (0.0, 1.0)
+    if not (least <= found[0].hidden_share <= most and len(seen)):
+        return None
+    cut = random_cut(scene, first, seen, rng) if "truncated" in traits else NO_CUT
+    found = [cut.apply(*pair) for pair in zip(found, sensor.eyes, strict=True)]
+    measured = [readings.surface for readings in found]
+    points = np.concatenate([readings.points for readings in measured])
+    best = int(np.argmax([len(readings.points) for readings in measured]))
+    eye = sensor.eyes[best]
+    camera = framing_camera(points, eye)
+    if sensor.has_rings:
+        return points, eye, map_of(camera, [found[best]])
+    unmixed = dataclasses.replace(sensor.config, mixed_share=0.0)
+    own = cut.apply(world.read(map_rays(camera, eye), unmixed, rng), eye)
+    return points, eye, map_of(camera, [own, measured[best]])
+
+
+def _random_sensor(
+    traits: Sequence[str], scene: Scene, rng: np.random.Generator
+) -> Sensor:
+    num_eyes = int(rng.integers(2, 5)) if "stations" in traits else 1
+    if "rings" in traits:
+        return random_lidar(scene, num_eyes, rng)
+    return random_camera(scene, num_eyes, "noisy" in traits, rng)
+
+
+def _random_world(
+    traits: Sequence[str],
+    scene: Scene,
+    sensor: Sensor,
+    other: trimesh.Trimesh,
+    rng: np.random.Generator,
+) -> World | None:
+    """None where nothing was found to stand in the way of the first eye."""
+    around = Surroundings(planes=random_planes(scene, sensor.eyes, rng))
+    if "occluded" in traits:
+        eye, directions = camera_rays(scene, sensor.eyes[0])
+        few = directions[::EVERY, ::EVERY].reshape(-1, 3)
+        occluder = random_occluder(eye, scene.cast(eye, few).points, rng, other)
+        if occluder is None:
+            return None
+        around = around._replace(occluders=occluder)
+    return World(scene, around, sensor.half_extent)

@@ -1,0 +1,148 @@
+"""Packs any folder of meshes: OBJ, OFF, PLY, STL and GLB, however deep they lie."""
+
+import hashlib
+import io
+import os
+import pathlib
+
+import numpy as np
+import trimesh
+from jaxtyping import Int
+
+from experiments.simulation.packing import PackConfig, pack
+from experiments.simulation.partials import make_partial
+from experiments.simulation.raycast import Scene
+from prism_jax.data.manifest import files_digest, hash_files
+from prism_jax.data.public.layout import sound_cloud
+from prism_jax.data.source import Example
+from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
+
+SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb")
+
+
+class Meshes:
+    """Meshes as clouds of their surface, each with one simulated partial view.
+
+    A mesh is moved and scaled so that its box is centred at the origin and the box's
+    longest side spans [-1, 1]; its axes stay as they are, so that the simulated camera,
+    which takes z for up, sees a mesh with y up from its side. `complete` has
+    `num_points` points, uniform on the whole surface, inner faces included. `partial`
+    is what one depth camera sees (`partials.make_partial`, "self_occlusion"), and `eye`
+    where it stood. Points and view are drawn with a seed made of the path below `root`:
+    another place or order of the folder changes nothing. The category is the first
+    folder below `root`, "mesh" for files that lie in none.
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike,
+        num_points: int = 16384,
+        partial_points: int = 2048,
+    ):
+        self.root = pathlib.Path(root)
+        self.num_points = num_points
+        self.partial_points = partial_points
+        below = [path.relative_to(self.root) for path in _find(self.root)]
+        self._files = [(path.as_posix(), _category(path)) for path in below]
+        self.categories = tuple(sorted({category for _, category in self._files}))
+
+    @property
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Each mesh is one."""
+        return np.arange(len(self))
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __getitem__(self, index: int) -> Example:
+        name, category = self._files[range(len(self))[index]]
+        path = self.root / name
+        mesh = _read(path)
+        digest = hashlib.sha256(name.encode()).digest()
+        rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+        surface = trimesh.sample.sample_surface(mesh, self.num_points, seed=rng)[0]
+        complete = np.asarray(surface, np.float64)
+        partial, eye = make_partial(
+            "self_occlusion", Scene(mesh), complete, rng, self.partial_points
+        )
+        return Example(
+            sound_cloud(complete, path),
+            sound_cloud(partial, path),
+            eye.astype(np.float32),
+            category,
+            name,
+        )
+
+
+def build_meshes(
+    root: str | os.PathLike,
+    folder: str | os.PathLike,
+    num_workers: int | None = None,
+    progress: bool = True,
+) -> pathlib.Path:
+    """Packs all meshes below `root` into `folder`, which opens as a split of "packed".
+
+    A mesh that cannot be read raises InputError; all else as in `packing.pack`.
+    """
+    source = Meshes(root)
+    digests = {"meshes": files_digest(hash_files(source.root))}
+    config = PackConfig(source.partial_points, source.num_points)
+    return pack({"meshes": source}, folder, config, num_workers, progress, digests)
+
+
+def _find(base: pathlib.Path) -> list[pathlib.Path]:
+    """All mesh files below a folder, in the order of their paths."""
+    if not base.is_dir():
+        raise InputError(base, "no such folder", "name a folder of meshes")
+    found = [
+        pathlib.Path(folder, name)
+        for folder, _, names in os.walk(base)
+        for name in names
+        if pathlib.Path(name).suffix.lower() in SUFFIXES
+    ]
+    if not found:
+        fault = f"holds no mesh ({' '.join(SUFFIXES)})"
+        raise InputError(base, fault, "name a folder of meshes")
+    return sorted(found)
+
+
+def _category(path: pathlib.Path) -> str:
+    return path.parts[0] if len(path.parts) > 1 else "mesh"
+
+
+def _read(path: pathlib.Path) -> trimesh.Trimesh:
+    """A file's mesh, normalised."""
+    return normalised(parse_mesh(read_bytes(path), path.suffix[1:].lower(), path))
+
+
+def parse_mesh(
+    data: bytes, file_type: str, subject: str | os.PathLike
+) -> trimesh.Trimesh:
+    """The triangles of a file's bytes as one mesh, without stray vertices.
+
+    `file_type` is one of `SUFFIXES` without its dot. Nothing beside the bytes is read.
+    What cannot be read, has no area or is not finite raises InputError about the
+    subject.
+    """
+    remedy = "export it again as a mesh of triangles, or take it away"
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=file_type, process=False)
+        mesh.remove_unreferenced_vertices()
+        sound = len(mesh.faces) > 0 and bool(np.isfinite(mesh.triangles).all())
+    except Exception as error:  # trimesh's parsers raise of every kind
+        fault = f"cannot be read as a mesh ({error})"
+        raise InputError(subject, fault, remedy) from None
+    if not sound or not mesh.area > 0:
+        raise InputError(subject, "has no surface, or one that is not finite", remedy)
+    return mesh
+
+
+def normalised(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with its box centred at the origin, the longest side spanning [-1, 1].
+
+    It is the given mesh, moved and scaled.
+    """
+    lower, upper = mesh.bounds
+    mesh.vertices = (mesh.vertices - (lower + upper) / 2) / ((upper - lower).max() / 2)
+    return mesh

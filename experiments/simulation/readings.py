@@ -1,0 +1,149 @@
+"""What a sensor reads of an object and of what stands around it, ray by ray.
+
+In the object's frame, its longest side spanning [-1, 1]; what goes wrong with a range
+is told in metres (`sensors.RangeConfig`).
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float64, UInt8
+
+from experiments.simulation.raycast import Hits, Scene
+from experiments.simulation.sensors import (
+    OusterConfig,
+    RangeConfig,
+    measure,
+)
+from experiments.simulation.surroundings import Surroundings
+from prism_jax.geometry.framing import camera_axes
+from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE
+
+RAYS = 160 * 160
+PIXEL = np.tan(np.radians(35.0)) / 320
+"""Tangent of a pixel of a depth camera of 640 pixels over 70 degrees, as the L515's."""
+
+
+class Rays(NamedTuple):
+    """A grid of rays from one place.
+
+    Directions are as long as one unit of what the sensor counts: one unit of depth
+    along the optical axis for a camera, of range for a lidar.
+    """
+
+    eye: Float64[np.ndarray, "3"]
+    directions: Float64[np.ndarray, "R C 3"]
+
+
+class Readings(NamedTuple):
+    """What a sensor knows, ray by ray.
+
+    Attributes:
+      state: one of the four states of `geometry.visibility`.
+      points: where it was measured; anywhere on the ray where nothing is known.
+      hidden_share: of the rays that the object alone would stop, those that something
+        else stops before it.
+    """
+
+    state: UInt8[np.ndarray, " N"]
+    points: Float64[np.ndarray, "N 3"]
+    hidden_share: float
+
+    @property
+    def surface(self) -> "Readings":
+        """Those of the object."""
+        chosen = self.state == SURFACE
+        return self._replace(state=self.state[chosen], points=self.points[chosen])
+
+
+@dataclasses.dataclass(frozen=True)
+class World:
+    """An object and what stands around it; `half_extent` is its unit in metres."""
+
+    scene: Scene
+    around: Surroundings
+    half_extent: float
+
+    def read(
+        self, rays: Rays, config: RangeConfig, rng: np.random.Generator
+    ) -> Readings:
+        """What each ray measures, row by row.
+
+        The returns of the object and those of all else are spoiled apart, as if whoever
+        cut the object out had dropped the points that fly between the two.
+        """
+        grid = rays.directions.shape[0], rays.directions.shape[1]
+        directions = rays.directions.reshape(-1, 3)
+        own = self.scene.cast(rays.eye, directions)
+        other = self.around.cast(rays.eye, directions)
+        first = np.full((2, len(directions)), np.inf)
+        first[0, own.ray], first[1, other.ray] = own.distances, other.distances
+        of_object = first[0] <= first[1]
+        hidden = 1 - of_object[own.ray].sum() / max(len(own.ray), 1)
+
+        state = np.zeros(len(directions), np.uint8)
+        points = rays.eye + directions
+        for hits, kept in (own, of_object[own.ray]), (other, ~of_object[other.ray]):
+            metres = hits._replace(distances=hits.distances * self.half_extent)
+            kept_hits = Hits(*(array[kept] for array in metres))
+            found, ranges = measure(self.scene, kept_hits, grid, rng, config)
+            along = directions[found.ray]
+            steps = np.linalg.norm(along, axis=1) * config.quantum
+            reach = np.rint(ranges / steps) * config.quantum / self.half_extent
+            points[found.ray] = rays.eye + reach[:, None] * along
+            beyond = np.where(found.faces < 0, BACKGROUND, NEARER)
+            state[found.ray] = SURFACE if hits is own else beyond
+        return Readings(state, points, float(hidden))
+
+
+def camera_rays(scene: Scene, eye: Float[np.ndarray, "3"]) -> Rays:
+    """Of a depth camera's pixels those that the object lies on.
+
+    It looks at the middle of the object, z up. Of an object that fills more than `RAYS`
+    pixels of `PIXEL` only every second, third and so on is taken, in either direction.
+    """
+    axes = camera_axes(scene.center - eye)
+    in_camera = (np.asarray(scene.mesh.vertices) - eye) @ axes.T
+    tangents = in_camera[:, :2] / in_camera[:, 2:]
+    area = np.prod(np.ptp(tangents, axis=0))
+    grid = pixel_grid(tangents, PIXEL * max(1, np.ceil(np.sqrt(area / RAYS) / PIXEL)))
+    return Rays(eye, (grid.reshape(-1, 3) @ axes).reshape(grid.shape))
+
+
+def ring_rays(
+    scene: Scene, eye: Float[np.ndarray, "3"], config: OusterConfig, pitch: float
+) -> Rays:
+    """Of a spinning lidar's beams those that pass the object or close by.
+
+    The sensor is tilted about a level axis until the middle of the object is `pitch`
+    radians above its equator.
+    """
+    right, down, forward = camera_axes(scene.center - eye)
+    ahead = np.cos(pitch) * forward + np.sin(pitch) * down
+    axis = np.sin(pitch) * forward - np.cos(pitch) * down
+    sine = scene.radius / np.linalg.norm(scene.center - eye)
+    reach = min(np.arctan(2 * np.tan(np.arcsin(min(sine, 0.9)))), np.radians(80))
+    elevations = np.radians(np.linspace(*config.elevation_degrees, config.beams))[::-1]
+    elevations = elevations[np.abs(elevations - pitch) <= reach][:, None]
+    step = 2 * np.pi / config.columns
+    last = int(min(reach / np.cos(pitch), np.pi / 2) / step)
+    azimuths = step * np.arange(-last, last + 1)
+    x, y = np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths)
+    z = np.broadcast_to(np.sin(elevations), x.shape)
+    axes = np.stack([ahead, -right, axis])
+    directions = np.stack([x, y, z], axis=-1).reshape(-1, 3) @ axes
+    return Rays(eye, directions.reshape(*x.shape, 3))
+
+
+def pixel_grid(
+    tangents: Float[np.ndarray, "N 2"], pitch: float
+) -> Float64[np.ndarray, "R C 3"]:
+    """Directions (x, y, 1) at the centres of square pixels in the tangents' box."""
+    lower, upper = tangents.min(axis=0), tangents.max(axis=0)
+    columns, rows = (
+        np.arange(low + pitch / 2, high, pitch)
+        for low, high in zip(lower, upper, strict=True)
+    )
+    x, y = np.meshgrid(columns, rows)
+    return np.stack([x, y, np.ones_like(x)], axis=-1)

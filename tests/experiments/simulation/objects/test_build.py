@@ -1,0 +1,162 @@
+"""The models on disk, and as a source."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.simulation.build_dataset import build_dataset
+from experiments.simulation.objects import build
+from experiments.simulation.objects.build import (
+    NUM_VIEWS,
+    ObjectsConfig,
+    build_objects,
+    model_views,
+    told_counts,
+)
+from experiments.simulation.objects.catalogues import CATALOGUES, PACKAGE
+from experiments.simulation.objects.categories import CATEGORIES
+from experiments.simulation.objects.survey import survey
+from prism_jax.data.datasets import DATASETS, folder_of, mesh_licences, open_dataset
+from prism_jax.io.errors import InputError
+from tests.experiments.simulation.objects.conftest import entry, knobbed
+
+
+@pytest.fixture(scope="module")
+def built(catalogue_dir, tmp_path_factory):
+    data_dir = tmp_path_factory.mktemp("built")
+    settings = {"num_views": 2, "catalogue_dir": str(catalogue_dir)}
+    build_dataset("objects", "train", data_dir, 0, **settings)
+    return data_dir
+
+
+def test_items_are_the_views_of_model_after_model(built, catalogue_dir):
+    source = open_dataset("objects", "train", built)
+    assert source.objects.tolist() == [0, 0, 1, 1]
+    assert source.categories == CATEGORIES
+    config = ObjectsConfig("train", 2)
+    for number, (model, _) in enumerate(survey(["train"], catalogue_dir).models):
+        partials, complete, eyes, *_ = model_views(config, model)
+        for view in range(2):
+            example = source[2 * number + view]
+            np.testing.assert_array_equal(example.partial, partials[view])
+            np.testing.assert_array_equal(example.complete, complete)
+            np.testing.assert_array_equal(example.eye, eyes[view])
+            assert example.name == f"{model.identity}/{view:02d}"
+            assert example.ordered and not example.any_heading
+    assert [source[0].category, source[2].category] == ["tool", "cabinet"]
+
+
+def test_clouds_are_of_the_outside_and_upright(built):
+    """The locker's knob is on its front, y, at the top."""
+    locker = open_dataset("objects", "train", built)[2]
+    assert locker.complete.shape == (16384, 3) and locker.partial.shape == (2048, 3)
+    np.testing.assert_allclose(np.ptp(locker.complete, axis=0)[1], 2, atol=1e-3)
+    knob = locker.complete[locker.complete[:, 1] > 0.5]
+    assert knob[:, 2].min() > -0.01 and knob[:, 0].max() < 0.01
+    body = locker.complete[locker.complete[:, 1] < 0.4]
+    middle = np.abs(body[:, [0, 2]]).max(axis=1) < 0.6
+    assert set(np.round(body[middle, 1], 1)) <= {-1.0, 0.4}
+
+
+def test_the_manifest_names_makers_and_what_is_left_out(built):
+    told = json.loads(
+        (folder_of("objects", "train", built) / "manifest.json").read_text()
+    )
+    assert told["package"] == PACKAGE
+    assert [known["version"] for known in told["catalogues"]] == ["1.8", "1.8"]
+    cone, locker = told["models"]
+    assert cone["licence"] == "CC0 1.0" and locker["licence"] == "CC BY 3.0"
+    assert (locker["creator"], locker["title"]) == ("Bob", "Locked locker")
+    assert (locker["catalogue"], locker["name"]) == ("BlendSwap-CC-BY", "locker")
+    assert len(cone["digest"]) == 12
+    assert told["left_out"]["BlendSwap-CC-0/panel"] == "is a slab"
+
+
+def test_reasons_are_counted(catalogue_dir):
+    assert told_counts(survey(["test"], catalogue_dir)) == (
+        "2 models are taken; left out: 1 looks like another"
+    )
+    counted = told_counts(survey(["validation"], catalogue_dir))
+    assert counted.startswith("1 models are taken; left out: 1 belongs to a door or")
+
+
+@pytest.mark.parametrize("num_workers", [0, 2])
+def test_bytes_depend_neither_on_workers_nor_on_runs(
+    catalogue_dir, tmp_path, digests, monkeypatch, num_workers
+):
+    """In shards of one model, broken off after the first."""
+    monkeypatch.setattr(build, "SHARD_MODELS", 1)
+    config, place = ObjectsConfig("test"), {"catalogue_dir": catalogue_dir}
+    whole = build_objects(config, tmp_path / "a", 0, progress=False, **place)
+    folder = folder_of("objects", "test", tmp_path / "b")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(build, "model_views", broken_after(1))
+        build_objects(config, tmp_path / "b", 0, progress=False, **place)
+    assert (folder / "shard-00000.names.json").exists()
+    assert not (folder / "shard-00001.names.json").exists()
+    build_objects(config, tmp_path / "b", num_workers, progress=False, **place)
+    assert digests(folder) == digests(whole)
+    assert len(digests(whole)) == 2 * 6 + 1
+
+
+def broken_after(count):
+    """`model_views`, which a user breaks off."""
+    make, calls = build.model_views, []
+
+    def views(config, model):
+        calls.append(model)
+        if len(calls) > count:
+            raise KeyboardInterrupt
+        return make(config, model)
+
+    return views
+
+
+def test_a_models_clouds_follow_from_itself_and_the_seed(
+    catalogue_dir, tmp_path, write_catalogue
+):
+    fridge = entry("fridge", knobbed(), "Fridge")
+    other = entry("tower", knobbed((1, 5, 1)), "Tower")
+    write_catalogue(tmp_path, "Scopia", [other, fridge])
+    (_, (alone, _)), ((among, _), _) = (
+        survey(["test"], folder).models for folder in (tmp_path, catalogue_dir)
+    )
+    first, again, reseeded = (
+        model_views(ObjectsConfig("test", seed=seed), model)
+        for seed, model in ((0, alone), (0, among), (1, alone))
+    )
+    for array, same in zip(first, again, strict=True):
+        np.testing.assert_array_equal(array, same)
+    # What kind of views they are does not hang on the seed.
+    for array, differs in zip(first[:3], reseeded[:3], strict=True):
+        assert not np.array_equal(array, differs)
+
+
+def test_splits_are_those_that_can_be_opened():
+    known = DATASETS["objects"]
+    assert {*known.splits} == {*NUM_VIEWS} == {entry.split for entry in CATALOGUES}
+    assert known.scored == ("validation", "test") and known.validation == "validation"
+    assert ObjectsConfig("train").num_views == 8
+
+
+def test_what_weights_say_of_the_training_meshes():
+    told = mesh_licences("objects")
+    assert PACKAGE in told
+    for known in CATALOGUES:
+        if known.split == "train":
+            assert known.licence in told
+
+
+def test_settings_that_make_no_sense(tmp_path):
+    for settings, told in (
+        ({"split": "unseen"}, "use one of train"),
+        ({"split": "test", "partial": "half"}, "unknown value 'half'"),
+        ({"split": "test", "num_views": -1}, "num_views: -1 is not within 1"),
+        ({"split": "test", "seed": -1}, "seed: -1 is not within 0"),
+    ):
+        with pytest.raises(InputError, match=told):
+            ObjectsConfig(**settings)
+    with pytest.raises(InputError, match="apt-get install sweethome3d-furniture"):
+        build_objects(ObjectsConfig("test"), tmp_path, 0, catalogue_dir=tmp_path)
+    assert not list(folder_of("objects", "test", tmp_path).iterdir())

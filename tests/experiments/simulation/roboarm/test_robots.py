@@ -1,0 +1,235 @@
+import importlib.metadata
+import importlib.util
+import io
+import re
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+import yourdfpy
+
+from experiments.simulation.roboarm.models import (
+    ARMS,
+    CELL_ARMS,
+    INDUSTRIAL_PACKAGE,
+    ArmModel,
+    arms_of,
+    urdf_path,
+)
+from experiments.simulation.roboarm.robots import Robot
+from prism_jax.io.errors import InputError
+from prism_jax.robots.xacro import plain_urdf
+from tests.experiments.simulation.roboarm import conftest as boxes
+
+BY_SPLIT = {split: {*arms, *CELL_ARMS.get(split, ())} for split, arms in ARMS.items()}
+INDUSTRIAL = [
+    pytest.param(
+        model,
+        id=model.name,
+        marks=pytest.mark.skipif(
+            importlib.util.find_spec("rtbdata") is None,
+            reason="needs rtb-data: pip install '.[robots]'",
+        ),
+    )
+    for arms in CELL_ARMS.values()
+    for model in arms
+    if model.package == INDUSTRIAL_PACKAGE
+]
+OTHERS = [
+    pytest.param(model, id=model.name) for arms in ARMS.values() for model in arms
+]
+
+
+def variant(tmp_path, *changes, root=None):
+    text = boxes.URDF
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "variant.urdf"
+    path.write_text(text)
+    return ArmModel("variant", "test", str(path), root)
+
+
+def test_links_are_where_trigonometry_puts_them(model):
+    robot = Robot(model)
+    assert robot.joints == ("yaw", "shoulder", "elbow")
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(robot.lower, robot.upper, (20, 3))
+    poses = robot.link_poses(positions)
+    yaw, first, second = positions.T
+    for tip, reach in ((0.0, boxes.UPPER), (boxes.LOWER, boxes.UPPER)):
+        across = reach * np.sin(first) + tip * np.sin(first + second)
+        expected = np.stack(
+            [
+                across * np.cos(yaw),
+                across * np.sin(yaw),
+                boxes.SHOULDER + reach * np.cos(first) + tip * np.cos(first + second),
+            ],
+            axis=1,
+        )
+        found = poses[:, 3, :3, 3] + tip * poses[:, 3, :3, 2]
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_the_mesh_is_the_links_boxes_in_their_poses(model):
+    robot = Robot(model)
+    positions = np.array([0.3, -0.8, 1.1])
+    mesh = robot.mesh(positions)
+    assert len(robot.faces_link) == len(mesh.faces) == 4 * 12
+    poses = robot.link_poses(positions[None])[0]
+    for index, (size, height) in enumerate(boxes.BOXES.values()):
+        corners = mesh.vertices[mesh.faces[robot.faces_link == index]].reshape(-1, 3)
+        own = (corners - poses[index, :3, 3]) @ poses[index, :3, :3]
+        np.testing.assert_allclose(np.abs(own - (0, 0, height)) * 2, size + own * 0)
+
+
+def test_probes_lie_on_the_posed_mesh(model):
+    robot = Robot(model)
+    positions = np.array([0.3, -0.8, 1.1])
+    probes = robot.probe_points(positions[None])[0]
+    _, distance, _ = trimesh.proximity.closest_point_naive(
+        robot.mesh(positions), probes
+    )
+    assert distance.max() < 1e-9
+    assert robot.probe_weights.sum() == pytest.approx(1)
+
+
+def test_an_arm_can_be_taken_off_a_robot(tmp_path, model):
+    """From the turret on, with its joint: the same motions, the base left out."""
+    whole, part = Robot(model), Robot(variant(tmp_path, root="turret"))
+    assert part.joints == whole.joints
+    positions = np.array([[0.4, 0.9, -1.2]])
+    down = whole.link_poses(positions)[:, 1:], part.link_poses(positions)
+    shift = down[1][0, 0, :3, 3] - down[0][0, 0, :3, 3]
+    moved = down[0].copy()
+    moved[..., :3, 3] += shift
+    np.testing.assert_allclose(down[1], moved, atol=1e-12)
+    assert part.mesh(np.zeros(3)).bounds[0, 2] == pytest.approx(0)
+
+
+def test_a_mimic_follows_and_belongs_to_the_part_that_carries_it(tmp_path):
+    mimic = '<mimic joint="shoulder" multiplier="-0.5" offset="0.1"/>'
+    elbow = ('<axis xyz="0 1 0"/><limit', f'<axis xyz="0 1 0"/>{mimic}<limit')
+    text = boxes.URDF
+    start = text.index('name="elbow"')
+    path = tmp_path / "mimic.urdf"
+    path.write_text(text[:start] + text[start:].replace(*elbow))
+    robot = Robot(ArmModel("mimic", "test", str(path)))
+    assert robot.joints == ("yaw", "shoulder")
+    assert robot.bodies.tolist() == [0, 1, 2, 2]
+    pose = robot.link_poses(np.array([[0.0, 0.8]]))[0, 3]
+    angle = np.arctan2(pose[0, 2], pose[2, 2])
+    assert angle == pytest.approx(0.8 + 0.1 - 0.5 * 0.8)
+
+
+def test_a_mesh_is_found_beside_the_file_and_by_its_package(tmp_path):
+    folder = tmp_path / "some_robot"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "urdf").mkdir()
+    trimesh.creation.icosphere(1, 0.1).export(folder / "meshes" / "ball.stl")
+    box = '<box size="0.05 0.05 0.3"/>'
+    for name in ("package://some_robot/meshes/ball.stl", "../meshes/ball.stl"):
+        mesh = f'<mesh filename="{name}" scale="2 2 2"/>'
+        path = folder / "urdf" / "a.urdf"
+        path.write_text(boxes.URDF.replace(box, mesh))
+        robot = Robot(ArmModel("a", "test", str(path)))
+        np.testing.assert_allclose(robot.meshes[3].bounds[1], 0.2 + 0.15 * np.eye(3)[2])
+
+
+def test_a_mesh_in_inches_is_read_in_metres(tmp_path):
+    mesh = trimesh.creation.box((1.0, 2.0, 3.0))
+    text = trimesh.exchange.dae.export_collada(mesh).decode()
+    assert '<unit name="meter" meter="1"' in text or "<unit" not in text
+    unit = '<asset><unit name="inch" meter="0.0254"/>'
+    text = re.sub(r"<unit[^>]*/>", "", text).replace("<asset>", unit, 1)
+    (tmp_path / "box.dae").write_text(text)
+    change = '<box size="0.05 0.05 0.3"/>', '<mesh filename="box.dae"/>'
+    robot = Robot(variant(tmp_path, change))
+    np.testing.assert_allclose(
+        np.ptp(robot.meshes[3].vertices, axis=0), 0.0254 * np.array([1, 2, 3])
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("<box", "<bx"), "not a URDF|mesh"),
+        (('<?xml version="1.0"?>', "<!DOCTYPE a><!ENTITY b>"), "entities"),
+        (('lower="-2" upper="2"', 'lower="2" upper="-2"'), "limits its joint"),
+        (('lower="-2" upper="2"', 'lower="nan" upper="2"'), "limits its joint"),
+        (('<child link="lower"/>', '<child link="gone"/>'), "gap|root"),
+        (('<child link="lower"/>', '<child link="turret"/>'), "loop|root"),
+        (('<box size="0.05 0.05 0.3"/>', '<mesh filename="a.stl"/>'), "not there"),
+        (
+            ('<box size="0.05 0.05 0.3"/>', '<mesh filename="http://a/b.stl"/>'),
+            "http",
+        ),
+    ],
+)
+def test_a_bad_file_is_named(tmp_path, change, message):
+    model = variant(tmp_path, change)
+    with pytest.raises(InputError, match=message):
+        Robot(model)
+
+
+def test_a_root_or_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match="root link hand"):
+        Robot(variant(tmp_path, root="hand"))
+    with pytest.raises(InputError, match="no such file"):
+        urdf_path(ArmModel("a", "test", str(tmp_path / "none.urdf")))
+    with pytest.raises(InputError, match="unknown value"):
+        arms_of("dev")
+
+
+def test_no_family_of_arms_is_in_two_splits():
+    families = [{model.family for model in arms} for arms in BY_SPLIT.values()]
+    assert sum(map(len, families)) == len(set.union(*families))
+    every = [model for arms in BY_SPLIT.values() for model in arms]
+    assert len({m.urdf for m in every}) == len({m.name for m in every}) == len(every)
+    test = [model.name for model in ARMS["test"]]
+    assert test == ["panda", "ur5", "jaco", "xarm7", "baxter", "z1", "ur10"]
+
+
+@pytest.mark.parametrize("model", [*OTHERS, *INDUSTRIAL])
+def test_every_arm_moves_as_yourdfpy_says_and_hangs_together(model):
+    robot = Robot(model)
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(robot.lower, robot.upper, (2, len(robot.joints)))
+    path = urdf_path(model)
+    file = io.BytesIO(plain_urdf(path)) if path.suffix == ".xacro" else str(path)
+    oracle = yourdfpy.URDF.load(file, load_meshes=False)
+    oracle.update_cfg(dict(zip(robot.joints, positions[0].tolist(), strict=True)))
+    poses = robot.link_poses(positions)
+    links = list(robot.link_names)
+    for name, pose in zip(links, poses[0], strict=True):
+        expected = oracle.get_transform(name, links[0])
+        np.testing.assert_allclose(
+            np.linalg.inv(poses[0, 0]) @ pose, expected, atol=1e-9
+        )
+    probes = robot.probe_points(positions)
+    bodies, reach = (
+        robot.bodies[robot.probe_links],
+        np.linalg.norm(probes, axis=-1).max(),
+    )
+    for body in set(robot.bodies.tolist()) - {min(robot.bodies)}:
+        own, others = probes[:, bodies == body], probes[:, bodies < body]
+        gaps = np.linalg.norm(own[:, :, None] - others[:, None], axis=-1)
+        assert gaps.min(axis=(1, 2)).max() < 0.1 * max(1, reach)
+    assert 0.25 < reach < 3.8
+
+
+def test_the_extra_is_named_where_it_is_not_installed(model, monkeypatch):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(importlib.metadata, "files", missing)
+        with pytest.raises(InputError, match=r"not installed.*prism_jax\[robots\]"):
+            urdf_path(ARMS["test"][0])
+        with pytest.raises(InputError, match=r"rtb-data: is not installed.*\[robots\]"):
+            urdf_path(CELL_ARMS["train"][-1])
+        assert urdf_path(model).is_file()
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    with pytest.raises(InputError, match=r"yourdfpy: is not installed.*\[robots\]"):
+        Robot(model)

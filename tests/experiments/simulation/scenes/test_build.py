@@ -1,0 +1,194 @@
+"""Scenes on disk, as things one by one, and whole."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from experiments.simulation.build_dataset import build_dataset
+from experiments.simulation.scenes import build
+from experiments.simulation.scenes.build import (
+    MIN_RETURNS,
+    ScenesConfig,
+    build_scenes,
+    make_scene,
+)
+from experiments.simulation.scenes.things import DEFAULT_SOURCES, pools_of
+from experiments.simulation.shapes import NOVEL_CATEGORIES, TRAIN_CATEGORIES
+from prism_jax.data.datasets import folder_of, open_dataset
+from prism_jax.data.scenes import Scenes
+from prism_jax.data.source import Source
+from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
+from prism_jax.io.errors import InputError
+from prism_jax.observation.maps import in_free_space
+from prism_jax.observation.scene import LEFT_OVER, SUPPORT
+from tests.data.conftest import digests
+from tests.experiments.simulation.objects.conftest import catalogue_dir, write_catalogue
+from tests.experiments.simulation.scenes.conftest import CONFIG
+
+__all__ = ["catalogue_dir", "digests", "write_catalogue"]
+
+
+@pytest.fixture(scope="module")
+def source(scenes_dir) -> Scenes:
+    found = open_dataset("scenes", "validation", scenes_dir)
+    assert isinstance(found, Scenes) and isinstance(found, Source)
+    return found
+
+
+def test_a_scene_is_read_as_it_was_made(source):
+    assert source.num_scenes == 3
+    for number in (0, 2):
+        made = make_scene(CONFIG, pools_of("validation"), number)
+        scene = source.scene(number)
+        assert scene.name == f"{number:06d}" and scene.traits == made.traits
+        np.testing.assert_array_equal(scene.labels, made.measured.labels)
+        step = np.ptp(made.measured.points, axis=0).max() / 2**16
+        np.testing.assert_allclose(scene.points, made.measured.points, atol=step)
+        np.testing.assert_allclose(scene.complete, made.complete, atol=1e-4)
+        np.testing.assert_array_equal(scene.eye, made.sensor.rays.eye)
+        np.testing.assert_array_equal(scene.rotation, made.sensor.rotation)
+        assert scene.categories == tuple(thing.category for thing in made.things)
+    with pytest.raises(IndexError):
+        source.scene(3)
+
+
+def test_every_thing_is_measured_and_on_its_own_surface(source):
+    for number in range(source.num_scenes):
+        scene = source.scene(number)
+        counts = np.bincount(scene.labels[scene.labels >= 0])
+        assert 2 <= len(counts) == len(scene.complete) <= 8
+        assert counts.min() >= MIN_RETURNS
+        assert {*np.unique(scene.labels)} >= {SUPPORT, LEFT_OVER, 0}
+        assert scene.complete[..., 2].min() > -1e-3
+        for thing, complete in enumerate(scene.complete):
+            apart, _ = KDTree(complete).query(scene.points[scene.labels == thing])
+            assert np.median(apart) < 0.02 * np.ptp(complete, axis=0).max() + 0.02
+
+
+def test_what_the_sensor_knows_of_a_thing_is_told_by_the_whole_scene(source):
+    """Nothing that was measured lies where it says that there is nothing."""
+    states = set()
+    for index, number in enumerate(source.objects):
+        known = source[index].visibility
+        scene = source.scene(int(number))
+        np.testing.assert_allclose(known.camera.position, scene.eye, atol=1e-5)
+        assert not in_free_space(scene.points.astype(float), known, 1e-3).any()
+        states |= set(known.state.ravel())
+    assert states == {UNKNOWN, SURFACE, NEARER, BACKGROUND}
+
+
+def test_items_are_the_things_and_a_scene_counts_as_one_object(source):
+    counts = [len(source.scene(number).complete) for number in range(3)]
+    assert source.objects.tolist() == np.repeat(range(3), counts).tolist()
+    scene = source.scene(1)
+    for thing in range(counts[1]):
+        example = source[counts[0] + thing]
+        assert example.name == f"000001/{thing}"
+        assert example.category == scene.categories[thing]
+        assert example.ordered and example.any_heading
+        np.testing.assert_array_equal(example.complete, scene.complete[thing])
+        np.testing.assert_allclose(example.eye, scene.eye, rtol=1e-6)
+        measured = KDTree(scene.points[scene.labels == thing])
+        assert measured.query(example.partial)[0].max() < 1e-3
+
+
+def test_in_its_own_axes_the_sensor_is_at_the_origin_and_looks_along_z(source):
+    scene = source.scene(0)
+    own = scene.in_sensor_axes()
+    assert own.points[:, 2].min() > 0
+    np.testing.assert_array_equal(own.eye, np.zeros(3))
+    back = own.points @ scene.rotation + scene.eye
+    np.testing.assert_allclose(back, scene.points, atol=1e-5)
+    back = own.complete @ scene.rotation + scene.eye
+    np.testing.assert_allclose(back, scene.complete, atol=1e-5)
+    np.testing.assert_array_equal(own.labels, scene.labels)
+
+
+def test_two_workers_write_the_same_bytes(scenes_dir, tmp_path, digests):
+    build_scenes(CONFIG, tmp_path, 2, progress=False)
+    other = digests(folder_of("scenes", "validation", tmp_path))
+    assert other == digests(folder_of("scenes", "validation", scenes_dir))
+
+
+def test_what_was_broken_off_goes_on(scenes_dir, tmp_path, digests, monkeypatch):
+    made = []
+
+    def one_shard(config, pools, index):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(index)
+        return make_scene(config, pools, index)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(build, "make_scene", one_shard)
+        build_scenes(CONFIG, tmp_path, 0, progress=False)
+    with pytest.raises(InputError, match=r"broken off; .* --dataset=scenes"):
+        open_dataset("scenes", "validation", tmp_path)
+    build_scenes(CONFIG, tmp_path, 0, progress=False)
+    whole = folder_of("scenes", "validation", scenes_dir)
+    assert digests(folder_of("scenes", "validation", tmp_path)) == digests(whole)
+
+
+def test_splits_and_seeds_make_other_scenes():
+    made = [
+        make_scene(config, pools_of(config.split), 0).measured.points
+        for config in (ScenesConfig("validation", seed=1), ScenesConfig("train"))
+    ]
+    assert made[0].shape != made[1].shape
+
+
+def test_the_manifest_states_the_content(scenes_dir):
+    folder = folder_of("scenes", "validation", scenes_dir)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["num_scenes"] == 3 and manifest["sources"] == ["shapes", "open"]
+    assert manifest["source_versions"].keys() == {*DEFAULT_SOURCES}
+    assert {*manifest["categories"]} == {*TRAIN_CATEGORIES, *NOVEL_CATEGORIES}
+
+
+def test_things_are_of_the_sources_own_splits(catalogue_dir):
+    assert len(pools_of("train").pools) == 2
+    assert len(pools_of("validation").pools) == 2
+    assert not {*NOVEL_CATEGORIES} & {*pools_of("test").categories}
+    assert "open" in pools_of("train").categories
+    assert "open" not in pools_of("test").categories
+    models = pools_of("test", ("objects",), catalogue_dir, progress=False)
+    assert models.digests and all(name.startswith("Scopia/") for name in models.digests)
+    thing = models.draw(np.random.default_rng(0))
+    assert thing.two_sided and thing.category in models.categories
+
+
+@pytest.mark.parametrize(
+    ("setting", "fault"),
+    [
+        ({"num_scenes": -1}, "num_scenes: -1 is not within 1"),
+        ({"seed": -1}, "seed: -1 is not within 0"),
+        ({"split": "novel"}, "split: unknown value 'novel'"),
+        ({"sources": ("cars",)}, "sources: unknown value 'cars'"),
+        ({"sources": ("open",)}, "sources: open cannot stand in scenes of validation"),
+    ],
+)
+def test_settings_without_sense_are_named(setting, fault):
+    with pytest.raises(InputError, match=fault):
+        ScenesConfig(**({"split": "validation"} | setting))
+
+
+def test_a_missing_catalogue_is_one_line(tmp_path):
+    settings = {"sources": ("objects",), "catalogue_dir": str(tmp_path)}
+    with pytest.raises(InputError, match="apt-get install sweethome3d-furniture"):
+        build_dataset("scenes", "test", tmp_path, 0, num_scenes=1, **settings)
+
+
+def test_by_name_the_defaults_are_those_of_the_configuration(tmp_path, monkeypatch):
+    asked = []
+
+    def ask(config, *_, **__):
+        asked.append(config)
+        return tmp_path
+
+    monkeypatch.setattr(build, "build_scenes", ask)
+    build_dataset("scenes", "train", tmp_path)
+    assert asked == [ScenesConfig("train")]
+    assert dataclasses.asdict(asked[0])["num_scenes"] == 2000

@@ -1,0 +1,198 @@
+"""Folders that are built in parts, by several processes, and checked."""
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import time
+
+import pytest
+
+from experiments.simulation import building
+from experiments.simulation.shapes.build import ShapesConfig, build_shapes
+from prism_jax.data import manifest
+from prism_jax.io.errors import InputError
+
+CONTENT = {"generator": "squares", "size": [2, 3]}
+SIZES = [2, 2, 1]
+
+
+class Squares:
+    """A build of small files, that can be broken off."""
+
+    def __init__(self, folder, fails_at=None):
+        self.folder, self.fails_at, self.built = folder, fails_at, []
+
+    def path(self, number):
+        return self.folder / f"{number}.bin"
+
+    def build_item(self, number):
+        if number == self.fails_at:
+            raise KeyboardInterrupt
+        self.built.append(number)
+        self.path(number).write_bytes(bytes([number**2]))
+
+    def build(self, content=CONTENT, progress=False):
+        return building.build(
+            self.folder,
+            content,
+            SIZES,
+            lambda number: self.path(number).exists(),
+            self.build_item,
+            "square",
+            num_workers=0,
+            progress=progress,
+        )
+
+
+@pytest.fixture
+def squares(tmp_path):
+    """A finished build."""
+    made = Squares(tmp_path / "squares")
+    assert made.build() == made.folder
+    return made
+
+
+def test_bytes_depend_neither_on_workers_nor_on_runs(tmp_path, digests, monkeypatch):
+    """Three shapes in shards of their own."""
+    config = ShapesConfig("test", num_shapes=3, shard_shapes=1)
+
+    def run(name, num_workers):
+        return build_shapes(config, tmp_path / name, num_workers, progress=False)
+
+    expected = digests(run("here", 0))
+    assert len(expected) == 3 * 6 + 1
+    assert digests(run("two", 2)) == expected
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(building, "_run", _first_only)
+        run("broken", 0)
+    folder = tmp_path / "broken" / "shapes-test"
+    found = digests(folder)
+    assert len(found) == 6 + 1
+    assert found.pop("manifest.json") != expected["manifest.json"]
+    assert found.items() < expected.items()
+    assert digests(run("broken", 1)) == expected
+
+
+def _first_only(build_item, items, num_workers):
+    build_item(items[0])
+    yield items[0]
+    raise KeyboardInterrupt
+
+
+def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squares):
+    broken = Squares(tmp_path / "broken", fails_at=1)
+    with pytest.raises(KeyboardInterrupt):
+        broken.build()
+    names = {path.name for path in broken.folder.iterdir()}
+    assert names == {"manifest.json", "0.bin"}
+    with pytest.raises(InputError, match="was broken off; build it"):
+        manifest.read_manifest(broken.folder, "build it")
+    resumed = Squares(tmp_path / "broken")
+    resumed.build()
+    assert resumed.built == [1, 2]
+    for path in squares.folder.iterdir():
+        assert (broken.folder / path.name).read_bytes() == path.read_bytes()
+
+
+def test_what_is_finished_is_not_built_again(squares):
+    before = (squares.folder / "manifest.json").read_bytes()
+    again = Squares(squares.folder)
+    again.build()
+    assert again.built == []
+    assert (squares.folder / "manifest.json").read_bytes() == before
+
+
+def test_but_what_was_deleted_is(squares):
+    """As the remedy for a damaged file says."""
+    expected = (squares.folder / "manifest.json").read_bytes()
+    squares.path(1).unlink()
+    again = Squares(squares.folder)
+    again.build()
+    assert again.built == [1]
+    assert (squares.folder / "manifest.json").read_bytes() == expected
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_other_content_is_refused(tmp_path, finished):
+    made = Squares(tmp_path, fails_at=None if finished else 2)
+    if finished:
+        made.build()
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            made.build()
+    other = {"generator": "squares", "size": [2, 4], "seed": 1}
+    with pytest.raises(InputError, match=r"other settings \(seed, size\)"):
+        Squares(tmp_path).build(other)
+
+
+def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="is not empty"):
+        Squares(tmp_path).build()
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "{}", '"a"', "null"])
+def test_a_manifest_that_is_none_is_named(squares, text):
+    (squares.folder / "manifest.json").write_text(text)
+    with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
+        manifest.read_manifest(squares.folder, "build it")
+    with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
+        Squares(squares.folder).build()
+
+
+def test_the_manifest_tells_content_and_files(squares, digests):
+    written = json.loads((squares.folder / "manifest.json").read_text())
+    files = digests(squares.folder)
+    del files["manifest.json"]
+    assert written == {**CONTENT, "files": files}
+    assert manifest.read_manifest(squares.folder, "") == written
+
+
+def test_a_line_tells_the_rate(tmp_path, capsys):
+    Squares(tmp_path).build(progress=True)
+    told = capsys.readouterr()
+    assert "5 squares in 0 s" in told.err and not told.out
+
+
+_WAITING = """
+import functools, os, pathlib, sys, time
+from experiments.simulation import building
+
+def wait(folder, number):
+    (folder / f"{os.getpid()}.pid").touch()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    folder = pathlib.Path(sys.argv[1])
+    build = functools.partial(wait, folder)
+    building.build(folder, {}, [1], lambda number: False, build, "item", 1)
+"""
+"""An item that leaves its process's number and never ends."""
+
+
+def test_workers_end_with_a_build_that_is_killed(tmp_path):
+    script = tmp_path / "build.py"
+    script.write_text(_WAITING)
+    folder, root = tmp_path / "items", pathlib.Path(__file__).parents[3]
+    parent = subprocess.Popen(
+        [sys.executable, script, folder], env={**os.environ, "PYTHONPATH": str(root)}
+    )
+    try:
+        worker = _until(lambda: next(iter(folder.glob("*.pid")), None))
+    finally:
+        parent.kill()
+        parent.wait()
+    number = int(worker.stem)
+    assert _until(lambda: not pathlib.Path(f"/proc/{number}/fd").exists())
+
+
+def _until(found, seconds=60):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if result := found():
+            return result
+        time.sleep(0.1)
+    raise TimeoutError

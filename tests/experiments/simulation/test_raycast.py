@@ -1,0 +1,275 @@
+import numpy as np
+import pytest
+import trimesh
+
+from experiments.simulation.raycast import VIEWPOINT_DIRECTIONS, Scene, sample_outside
+
+
+def moeller_trumbore(
+    triangles: np.ndarray, origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance and index of each ray's first triangle, by plain NumPy; inf, -1: none.
+
+    Moeller and Trumbore, Fast, Minimum Storage Ray/Triangle Intersection (1997).
+    """
+    directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    first, second = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
+    across = np.cross(directions[:, None], second)
+    scale = np.einsum("tk,rtk->rt", first, across)
+    scale = np.where(np.abs(scale) < 1e-14, np.nan, scale)
+    offset = origins[:, None] - triangles[:, 0]
+    u = np.einsum("rtk,rtk->rt", offset, across) / scale
+    other = np.cross(offset, first)
+    v = np.einsum("rtk,rk->rt", other, directions) / scale
+    distance = np.einsum("rtk,tk->rt", other, second) / scale
+    inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+    distance = np.where(inside, distance, np.inf)
+    nearest = distance.min(axis=1)
+    return nearest, np.where(np.isfinite(nearest), distance.argmin(axis=1), -1)
+
+
+def soup(seed: int = 0, count: int = 40) -> trimesh.Trimesh:
+    """Loose random triangles."""
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(count, 1, 3)) + 0.4 * rng.normal(size=(count, 3, 3))
+    return trimesh.Trimesh(
+        corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), process=False
+    )
+
+
+def hollow_box() -> trimesh.Trimesh:
+    """A closed box of side 2 with a closed cavity of side 1 in it."""
+    inner = trimesh.creation.box((1, 1, 1))
+    inner.invert()
+    return trimesh.util.concatenate([trimesh.creation.box((2, 2, 2)), inner])
+
+
+@pytest.mark.parametrize("shift", [0.0, 40.0, 1e4])
+def test_first_hits_are_those_of_plain_numpy(shift):
+    rng = np.random.default_rng(1)
+    mesh = soup().apply_translation((shift, 0, -shift))
+    origins = rng.uniform(-3, 3, (600, 3)) + [shift, 0, -shift]
+    aims = mesh.triangles_center[rng.integers(len(mesh.faces), size=600)]
+    directions = aims + rng.normal(scale=0.3, size=(600, 3)) - origins
+    hits = Scene(mesh).cast(origins, directions)
+    expected, faces = moeller_trumbore(mesh.triangles, origins, directions)
+    np.testing.assert_array_equal(hits.ray, np.flatnonzero(faces >= 0))
+    assert 200 < len(hits.ray) < 500
+    np.testing.assert_array_equal(hits.faces, faces[hits.ray])
+    # Embree finds where by float32 barycentric coordinates of triangles of size 1.
+    np.testing.assert_allclose(hits.distances, expected[hits.ray], atol=2e-5)
+    assert off_plane(mesh, hits) < 1e-9
+
+
+def off_plane(mesh: trimesh.Trimesh, hits) -> float:
+    """The greatest distance of a hit from the plane of its triangle."""
+    corners = mesh.triangles[hits.faces]
+    normals = trimesh.triangles.normals(corners)[0]
+    return np.abs(np.sum((hits.points - corners[:, 0]) * normals, axis=1)).max()
+
+
+def test_a_sphere_and_a_box_have_closed_forms():
+    directions = np.random.default_rng(2).normal(size=(2000, 3))
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    box = Scene(trimesh.creation.box((2, 4, 6))).cast(np.zeros(3), directions)
+    extent = np.min(np.array([1, 2, 3]) / np.abs(unit), axis=1)
+    np.testing.assert_allclose(box.distances, extent, rtol=1e-6)
+    np.testing.assert_allclose(box.points, unit * extent[:, None], atol=2e-6)
+    wall = np.argmin(np.array([1, 2, 3]) / np.abs(unit), axis=1)
+    cosine = np.abs(np.take_along_axis(unit, wall[:, None], axis=1)[:, 0])
+    np.testing.assert_allclose(box.cosines, cosine, atol=1e-12)
+
+    sphere = Scene(trimesh.creation.icosphere(5))
+    eye = np.array([0.0, -3.0, 0.0])
+    toward = unit * [0.5, 0, 0.5] + [0, 1, 0]
+    hits = sphere.cast(eye, toward)
+    heading = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    along = heading @ -eye
+    half_chord = along**2 - 8
+    clear = np.abs(half_chord) > 0.05
+    assert set(hits.ray[clear[hits.ray]]) == set(np.flatnonzero(clear * half_chord > 0))
+    inner = clear[hits.ray]
+    distance = along[hits.ray] - np.sqrt(np.maximum(half_chord[hits.ray], 0))
+    np.testing.assert_allclose(hits.distances[inner], distance[inner], atol=5e-3)
+
+
+def test_rays_that_miss_or_have_no_direction_give_nothing():
+    scene = Scene(trimesh.creation.box((1, 1, 1)))
+    away = scene.cast(np.array([0.0, 0.0, 2.0]), np.array([[0.0, 0.0, 1.0]]))
+    none = scene.cast(np.array([0.0, 0.0, 2.0]), np.zeros((0, 3)))
+    still = scene.cast(np.array([0.0, 0.0, 2.0]), np.zeros((1, 3)))
+    for hits in (away, none, still):
+        assert [len(array) for array in hits] == [0] * 5
+        assert hits.points.shape == (0, 3)
+
+
+def test_rays_at_and_along_edges_neither_slip_through_nor_leave_the_surface():
+    mesh = trimesh.creation.box((1, 1, 1))
+    scene = Scene(mesh)
+    corners = np.asarray(mesh.vertices)
+    middles = corners[mesh.edges_unique].mean(axis=1)
+    targets = np.concatenate([corners, middles])
+    start = np.array([0.1, -0.2, 0.15])
+    inside = scene.cast(start, targets - start)
+    np.testing.assert_array_equal(inside.ray, np.arange(len(targets)))
+    np.testing.assert_allclose(inside.points, targets, atol=1e-6)
+    along = scene.cast(np.array([0.5, -2.0, 0.5]), np.array([[0.0, 1.0, 0.0]]))
+    assert np.all(np.abs(along.points) <= 0.5 + 1e-6)
+
+
+def test_a_single_triangle_is_seen_from_both_sides():
+    triangle = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], np.float64)
+    scene = Scene(trimesh.Trimesh(triangle[0], [[0, 1, 2]], process=False))
+    for height in (1.0, -1.0):
+        hits = scene.cast(np.array([0.2, 0.3, height]), np.array([[0, 0, -height]]))
+        np.testing.assert_allclose(hits.points, [[0.2, 0.3, 0.0]], atol=1e-7)
+        assert hits.distances == pytest.approx(1) and hits.cosines == pytest.approx(1)
+
+
+def test_a_triangle_without_area_changes_nothing():
+    box = trimesh.creation.box((1, 1, 1))
+    faces = np.concatenate([box.faces, [[0, 0, 1], [2, 2, 2]]])
+    scene = Scene(trimesh.Trimesh(box.vertices, faces, process=False))
+    points = sample_outside(scene, 500, np.random.default_rng(0))
+    np.testing.assert_allclose(np.abs(points).max(axis=1), 0.5, atol=1e-12)
+    hits = scene.cast(np.zeros(3), np.random.default_rng(1).normal(size=(200, 3)))
+    assert len(hits.ray) == 200 and np.isfinite(hits.cosines).all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_or_not_there_is_refused(bad):
+    scene = Scene(trimesh.creation.box((1, 1, 1)))
+    with pytest.raises(ValueError, match="finite"):
+        scene.cast(np.zeros(3), np.array([[0.0, bad, 1.0]]))
+    with pytest.raises(ValueError, match="finite"):
+        scene.cast(np.array([bad, 0.0, 0.0]), np.ones((1, 3)))
+    broken = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, bad], [0, 1, 0]], [[0, 1, 2]], process=False
+    )
+    with pytest.raises(ValueError, match="corners"):
+        Scene(broken)
+    with pytest.raises(ValueError, match="triangles"):
+        Scene(trimesh.Trimesh())
+
+
+def test_a_cavity_is_not_seen_and_the_outside_is():
+    scene = Scene(hollow_box())
+    points, faces = trimesh.sample.sample_surface(scene.mesh, 4000, seed=0)
+    seen = scene.seen_from_outside(np.asarray(points), scene.mesh.face_normals[faces])
+    outer = np.abs(points).max(axis=1) > 0.9
+    np.testing.assert_array_equal(seen, outer)
+
+
+def turned_over(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """With every other triangle wound the other way."""
+    faces = np.array(mesh.faces)
+    faces[::2] = faces[::2, ::-1]
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def test_winding_does_not_matter_where_both_sides_count():
+    mesh = hollow_box()
+    points, faces = trimesh.sample.sample_surface(mesh, 4000, seed=0)
+    points, outer = np.asarray(points), np.abs(points).max(axis=1) > 0.9
+    scene = Scene(turned_over(mesh))
+    normals = scene.normals[faces]
+    both = scene.seen_from_outside(points, normals, two_sided=True)
+    np.testing.assert_array_equal(both, outer)
+    assert 0.2 < scene.seen_from_outside(points, normals)[outer].mean() < 0.8
+
+
+def test_an_open_sheet_is_seen_whole():
+    sheet = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    points = sample_outside(Scene(sheet), 300, np.random.default_rng(0), True)
+    assert points.shape == (300, 3) and np.ptp(points[:, :2], axis=0).min() > 0.9
+
+
+def test_all_of_a_convex_body_is_seen_wherever_it_stands():
+    for shift in (0.0, 1000.0):
+        mesh = trimesh.creation.icosphere(3, radius=0.01)
+        scene = Scene(mesh.apply_translation((shift, shift, 0)))
+        points, faces = trimesh.sample.sample_surface(mesh, 2000, seed=1)
+        normals = mesh.face_normals[faces]
+        assert scene.seen_from_outside(np.asarray(points), normals).all()
+
+
+def slit(width: float) -> tuple[np.ndarray, np.ndarray, Scene]:
+    """The walls that two boxes of side 1 turn to each other across a gap."""
+    boxes = [
+        trimesh.creation.box((1, 1, 1)).apply_translation(
+            (side * (1 + width) / 2, 0, 0)
+        )
+        for side in (-1, 1)
+    ]
+    rng = np.random.default_rng(2)
+    points = np.column_stack(
+        [np.full(1000, -width / 2), rng.uniform(-0.5, 0.5, (1000, 2))]
+    )
+    return (
+        points,
+        np.tile([1.0, 0.0, 0.0], (1000, 1)),
+        Scene(trimesh.util.concatenate(boxes)),
+    )
+
+
+def test_walls_in_a_crack_are_hidden_and_a_wide_gap_is_open():
+    points, normals, crack = slit(5e-5)
+    assert not crack.seen_from_outside(points, normals).any()
+    points, normals, gap = slit(0.5)
+    assert gap.seen_from_outside(points, normals).all()
+    points, normals, narrow = slit(0.002)
+    assert 0.05 < narrow.seen_from_outside(points, normals).mean() < 0.95
+
+
+def cup() -> tuple[np.ndarray, np.ndarray, Scene]:
+    wall = trimesh.creation.annulus(0.5, 0.6, 1.4)
+    floor = trimesh.creation.cylinder(0.55, 0.1).apply_translation((0, 0, -0.65))
+    scene = Scene(trimesh.util.concatenate([wall, floor]))
+    points, faces = trimesh.sample.sample_surface(scene.mesh, 60, seed=3)
+    return np.asarray(points), scene.mesh.face_normals[faces], scene
+
+
+@pytest.mark.parametrize("make", [cup, lambda: slit(0.002)])
+def test_seen_agrees_with_plain_numpy(make):
+    """For each point, lines to all viewpoints against every triangle."""
+    points, normals, scene = make()
+    points, normals = points[:60], normals[:60]
+    seen = scene.seen_from_outside(points, normals)
+    eyes = scene.center + 3 * scene.radius * VIEWPOINT_DIRECTIONS
+    for point, normal, is_seen in zip(points, normals, seen, strict=True):
+        start = np.tile(point + 1e-4 * scene.radius * normal, (len(eyes), 1))
+        _, blocked = moeller_trumbore(scene.triangles, start, eyes - start)
+        assert is_seen == np.any(blocked < 0)
+    assert 5 < seen.sum() < 60
+
+
+@pytest.mark.parametrize("two_sided", [False, True])
+def test_samples_are_uniform_on_what_is_seen(two_sided):
+    """Faces of a hollow box get points by area, none inside: a chi-square test."""
+    mesh = turned_over(hollow_box()) if two_sided else hollow_box()
+    points = sample_outside(Scene(mesh), 12000, np.random.default_rng(4), two_sided)
+    assert points.shape == (12000, 3)
+    largest = np.abs(points).argmax(axis=1)
+    np.testing.assert_allclose(np.abs(points).max(axis=1), 1, atol=1e-12)
+    sides = 2 * largest + (np.take_along_axis(points, largest[:, None], 1)[:, 0] > 0)
+    across = np.take_along_axis(points, (largest[:, None] + 1) % 3, 1)[:, 0] > 0.3
+    counts = np.bincount(2 * sides + across, minlength=12).reshape(6, 2)
+    expected = 2000 * np.array([0.65, 0.35])
+    assert np.sum((counts - expected) ** 2 / expected) < 31.3  # 11 degrees, p = 0.001
+
+
+def test_samples_depend_on_the_generator_alone():
+    scene = Scene(trimesh.creation.annulus(0.3, 0.6, 0.5))
+    first, again, other = (
+        sample_outside(scene, 300, np.random.default_rng(seed)) for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_a_surface_that_nobody_sees_is_refused():
+    inverted = trimesh.creation.box((1, 1, 1))
+    inverted.invert()
+    with pytest.raises(ValueError, match="seen"):
+        sample_outside(Scene(inverted), 100, np.random.default_rng(0))
+    assert len(sample_outside(Scene(inverted), 100, np.random.default_rng(0), True))
