@@ -159,7 +159,7 @@ def assemble(
         accepted=bool(completion.accepted),
         losses={
             name: np.asarray(values, np.float64).tolist()
-            for name, values in completion.losses.named().items()
+            for name, values in completion.losses._asdict().items()
         },
         weights=np.asarray(completion.weights),
         workspace=seen.workspace,

@@ -1,34 +1,26 @@
 """Named configurations."""
 
 import dataclasses
+from typing import Annotated
 
 from prism_jax.adaptation.config import AdaptConfig, MetaConfig, PrismConfig
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
-from prism_jax.models.ranges import check_ranges
+from prism_jax.models.ranges import Checked
 from prism_jax.training.config import MetaTrainConfig, PhaseConfig, PretrainConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Preset:
-    """Everything that a run depends on, apart from its seed.
+class Preset(Checked):
+    """Everything that a run depends on, apart from its seed."""
 
-    Attributes:
-      model: the networks.
-      adapt: how they adapt to a frame.
-      pretrain: how they are trained first.
-      meta: how they then learn to adapt.
-      num_shapes: procedural shapes that are built for it alone, or 0 for the corpus
-        that all share.
-    """
-
+    # The networks, and how they adapt to a frame.
     model: ModelConfig
     adapt: AdaptConfig
+    # How they are trained first, and how they then learn to adapt.
     pretrain: PretrainConfig
     meta: MetaTrainConfig
-    num_shapes: int = 0
-
-    def __post_init__(self):
-        check_ranges(self, num_shapes=(0, 10**9))
+    # Procedural shapes that are built for it alone, or 0 for the corpus that all share.
+    num_shapes: Annotated[int, 0, 10**9] = 0
 
     @property
     def config(self) -> PrismConfig:
@@ -148,27 +140,6 @@ _PAPER_PRETRAIN = PretrainConfig(
 
 _PAPER_META = MetaTrainConfig(MetaConfig(remat=True), at_once=4)
 
-# The paper's sizes and samples with what helped `small` on validation, and with a
-# decoder that reads the depth stream: the place to try that at length.
-_PLUS = Preset(
-    ModelConfig(
-        dataclasses.replace(
-            _PAPER, seeds_from_patches=True, reads_visibility=True, reads_depth=True
-        ),
-        AuxiliaryConfig(max_coordinate=2.0),
-    ),
-    _SMALL_ADAPT,
-    dataclasses.replace(_PAPER_PRETRAIN, average_decay=0.999),
-    dataclasses.replace(
-        _SMALL_META,
-        method=dataclasses.replace(_SMALL_META.method, remat=True),
-        num_samples=_PAPER_META.num_samples,
-        at_once=_PAPER_META.at_once,
-        num_complete=_PAPER_META.num_complete,
-        validate_every=_PAPER_META.validate_every,
-    ),
-)
-
 PRESETS = {
     "tiny": Preset(
         ModelConfig(_TINY, _TINY_AUXILIARY, depth_pixels=32, consistency_pixels=16),
@@ -201,5 +172,4 @@ PRESETS = {
         _SMALL_META,
     ),
     "paper": Preset(ModelConfig(_PAPER), AdaptConfig(), _PAPER_PRETRAIN, _PAPER_META),
-    "plus": _PLUS,
 }

@@ -4,10 +4,12 @@ The metadata hold the configuration, the training data, the seed, the commit and
 measured scores as JSON. Nothing is ever unpickled.
 """
 
+import copy
 import dataclasses
 import functools
 import hashlib
 import json
+import operator
 import pathlib
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +25,6 @@ from prism_jax.assets import asset
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
-from prism_jax.models.error_head import LEARNED, term_shapes, with_term
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
 from prism_jax.point_errors import PointErrors
@@ -32,7 +33,15 @@ from prism_jax.trust import Calibration
 
 SUFFIX = ".safetensors"
 NOT_OURS = "it holds no prism_jax configuration"
-_TERM = f"params/{LEARNED}/"
+RETIRED = {
+    "model.backbone.reads_depth": False,
+    "adapt.visibility_weight": 0.0,
+    "adapt.keep_weight": 0.0,
+    "adapt.learned_weight": 0.0,
+    "adapt.balance": False,
+}
+"""Fields that configurations once had, with the value at which they changed nothing:
+files that name them load if they have that value."""
 
 
 def available_weights() -> list[str]:
@@ -50,10 +59,11 @@ def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables
     metadata, arrays = read_file(path)
     try:
         config = config_from_dict(metadata["config"])
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, AttributeError):
         raise InputError(path, NOT_OURS, _remedy()) from None
     except ValueError as error:
-        raise InputError(path, f"{NOT_OURS}: {error}", _remedy()) from None
+        fault = f"its configuration cannot be used: {error}"
+        raise InputError(path, fault, _remedy()) from None
     if name_or_path in available_weights():
         return config, _tree(arrays)
     return config, _checked_tree(arrays, config, path)
@@ -163,8 +173,17 @@ def sha256(variables: Variables) -> str:
 
 
 def config_from_dict(fields: dict[str, Any]) -> PrismConfig:
-    """The configuration whose ``dataclasses.asdict`` went through JSON."""
-    model, adapt = dict(fields["model"]), fields["adapt"]
+    """The configuration whose ``dataclasses.asdict`` went through JSON.
+
+    A field of `RETIRED` at another value than the neutral one raises ValueError.
+    """
+    fields = copy.deepcopy(fields)
+    for name, neutral in RETIRED.items():
+        *path, field = name.split(".")
+        value = functools.reduce(operator.getitem, path, fields).pop(field, neutral)
+        if value != neutral:
+            raise ValueError(f"{name}={value} is no longer supported")
+    model, adapt = fields["model"], fields["adapt"]
     if unknown := fields.keys() - {"model", "adapt"}:
         raise TypeError(f"unknown settings {sorted(unknown)}")
     backbone = BackboneConfig(**_tuples(model.pop("backbone")))
@@ -221,8 +240,6 @@ def _checked_tree(
     except Exception as error:  # sizes that are in range and do not fit together
         fault = f"its configuration makes no network ({str(error)[:200]})"
         raise InputError(path, fault, _remedy()) from None
-    if config.adapt.learned_weight or any(k.startswith(_TERM) for k in arrays):
-        wanted = with_term(wanted, term_shapes())
     return checked_arrays(arrays, wanted, path)
 
 

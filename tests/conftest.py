@@ -193,7 +193,7 @@ def minimal_variables(minimal):
 @pytest.fixture(scope="session")
 def reading(minimal):
     """The configuration of `minimal` with a network that reads what is known."""
-    reads = ("reads_visibility", "seeds_read_visibility", "reads_depth")
+    reads = ("reads_visibility", "seeds_read_visibility")
     model = minimal.config.model
     backbone = dataclasses.replace(model.backbone, **dict.fromkeys(reads, True))
     model = dataclasses.replace(model, backbone=backbone)

@@ -12,7 +12,6 @@ from prism_jax.weights import load_pretrained
         ("tiny", 64, (32, 32, 64)),
         ("small", 512, (128, 256, 2048)),
         ("paper", 2048, (1024, 2048, 4096, 16384)),
-        ("plus", 2048, (1024, 2048, 4096, 16384)),
     ],
 )
 def test_sizes(name, num_points, stages):

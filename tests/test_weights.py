@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pathlib
 import pickle
 
 import jax
@@ -9,11 +10,14 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from experiments import weights
+from experiments.baselines.weights import load_network
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.assets import asset
 from prism_jax.io.errors import InputError
 from prism_jax.presets import PRESETS
 from prism_jax.weights import (
+    RETIRED,
     available_weights,
     config_from_dict,
     load_pretrained,
@@ -211,7 +215,8 @@ def crafted(tiny, tmp_path):
 @pytest.mark.parametrize("path", SETTINGS, ids="/".join)
 def test_a_setting_out_of_its_range_is_refused(crafted, path):
     for value in NEVER:
-        assert "it holds no prism_jax configuration" in crafted(path, value)
+        told = crafted(path, value)
+        assert "its configuration cannot be used" in told or "holds no prism" in told
 
 
 @pytest.mark.parametrize(
@@ -233,6 +238,33 @@ def test_a_setting_out_of_its_range_is_refused(crafted, path):
 )
 def test_settings_that_do_not_fit_are_refused(crafted, path, value, told):
     assert told in crafted(("model", *path.split("/")), value)
+
+
+COMPARED = pathlib.Path(weights.__file__).parent
+SHIPPED = [p for place in (asset(""), COMPARED) for p in place.glob("*.safetensors")]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_shipped_file_loads(path):
+    if "network" in read_metadata(str(path)):
+        module, variables = load_network(str(path))
+        assert module and variables
+    else:
+        load_pretrained(str(path))
+
+
+@pytest.mark.parametrize("name", RETIRED)
+def test_a_retired_field_loads_at_its_neutral_value_alone(tiny, name):
+    fields = json.loads(json.dumps(dataclasses.asdict(tiny)))
+    *path, field = name.split(".")
+    part = fields
+    for step in path:
+        part = part[step]
+    part[field] = RETIRED[name]
+    assert config_from_dict(fields) == tiny
+    part[field] = 1.0
+    with pytest.raises(ValueError, match=f"{name}=1.0 is no longer supported"):
+        config_from_dict(fields)
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"model": 1' + "0" * 5000 + "}"])

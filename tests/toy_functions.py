@@ -69,9 +69,8 @@ def toy_objective(variables, inputs, depth_weight):
         ]
     )
     weighted = weighted_auxiliary(weighting["logits"], terms, weighting["scales"])
-    learned = jnp.tanh(points * variables["params"]["learned"]["only"]).mean()
-    objective = depth_weight * (consistency + learned) + weighted
-    return Losses(objective, consistency, *terms, learned=learned), prediction
+    objective = depth_weight * consistency + weighted
+    return Losses(objective, consistency, *terms), prediction
 
 
 def toy_loss(stages, complete, norm):
@@ -129,7 +128,6 @@ def toy_inputs():
     variables = {"params": params, "batch_stats": {}, "weighting": weighting}
     inputs = ToyInput(numbers(CLOUDS, POINTS, 3), numbers(CLOUDS))
     complete = numbers(CLOUDS, 9, 3)
-    params["learned"] = {"only": numbers(3)}
     return variables, inputs, complete
 
 
@@ -218,10 +216,6 @@ def expected_gradients(toy, config, meta):
         for name in ENCODERS
     }
     params["decoder"] = whole["params"]["decoder"]
-    if not meta.learn_backbone:
-        params = {}
-    if meta.learn_term:
-        params["learned"] = whole["params"]["learned"]
     if meta.learn_auxiliary:
         params["auxiliary"] = whole["params"]["auxiliary"]
     if meta.learn_refiner:

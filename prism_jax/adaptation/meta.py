@@ -5,6 +5,7 @@ the weighted auxiliary losses (Eq. 11), and Eq. 10 of what they then encode, dec
 the shared decoder, is differentiated through those steps.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,12 +14,11 @@ from jaxtyping import Array, Float
 
 from prism_jax.adaptation.config import AdaptConfig, MetaConfig, PrismConfig
 from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
-from prism_jax.adaptation.objective import Losses, hold, test_time_objective
+from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
 from prism_jax.losses.weighting import update_scale, weighted_auxiliary
-from prism_jax.models.error_head import LEARNED
-from prism_jax.models.prism import decode_and_refine, encode, refine
+from prism_jax.models.prism import decode_and_refine, encode, hold_decoding, refine
 from prism_jax.models.variables import (
     ENCODERS,
     Variables,
@@ -82,8 +82,7 @@ def meta_loss(
     - decoder: from ``(1 - beta_0) L_pri(enc', dec)`` with the adapted encoders as
       given: the zero-step term of Eq. 12 names no decoder, and the inner loop, as at
       test time, holds it fixed. Without inner steps both terms are one, and it has all;
-    - auxiliary modules, learned term and log_steps: from L_pri(enc', dec), if they
-      learn;
+    - auxiliary modules and log_steps: from L_pri(enc', dec), if they learn;
     - logits: from L_aux (``weight_rule="auxiliary"``) or L_pri(enc', dec) (``"meta"``);
     - refiner: from Eq. 3 of the adapted completion alone, if it learns.
     """
@@ -154,8 +153,8 @@ def meta_gradients(
     and each cloud's decoding is held through its episode, as at test time.
     """
     if meta.num_steps:
-        inner = _descended(config, meta)
-        inputs = jax.vmap(lambda one: hold(variables, one, inner))(inputs)
+        hold = functools.partial(hold_decoding, config=config.model)
+        inputs = jax.vmap(hold, (None, 0))(variables, inputs)
     learned = learned_part(variables, meta)
     functions = network_functions(config, meta)
     gradient = jax.grad(meta_loss, has_aux=True)
@@ -185,22 +184,12 @@ def _descended(config: PrismConfig, meta: MetaConfig) -> PrismConfig:
     """The configuration whose objective the inner loop descends: Eq. 13 or Eq. 11."""
     if meta.rehearse_depth:
         return config
-    return config.with_adapt(
-        depth_weight=0.0,
-        auxiliary_weight=1.0,
-        visibility_weight=0.0,
-        keep_weight=0.0,
-        learned_weight=0.0,
-    )
+    return config.with_adapt(depth_weight=0.0, auxiliary_weight=1.0)
 
 
 def learned_part(variables: Variables, meta: MetaConfig) -> Variables:
     """What a meta-step learns: the part of the variables that has gradients."""
-    modules, weights = [], ["logits"]
-    if meta.learn_backbone:
-        modules += [*ENCODERS, "decoder"]
-    if meta.learn_term:
-        modules.append(LEARNED)
+    modules, weights = [*ENCODERS, "decoder"], ["logits"]
     if meta.learn_auxiliary:
         modules.append("auxiliary")
     if meta.learn_refiner:

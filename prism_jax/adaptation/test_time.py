@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.inner_loop import step_sizes, unroll
-from prism_jax.adaptation.objective import Losses, hold, test_time_objective
+from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.losses.weighting import loss_weights
@@ -88,7 +88,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         if config.model.poses > 1:
             others = in_other_poses(partial, camera, key, config.model, visibility)
         if settings.num_steps:
-            inputs = hold(variables, inputs, config)
+            inputs = hold_decoding(variables, inputs, config.model)
             if others is not None:
                 hold_each = functools.partial(hold_decoding, config=config.model)
                 others = jax.vmap(hold_each, (None, 0))(variables, others)

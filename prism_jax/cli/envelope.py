@@ -47,7 +47,6 @@ from prism_jax.envelope.surfaces import Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL, Carving
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
-from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.support import find_up
 from prism_jax.observation.upright import parse_up, upright
 from prism_jax.result import plain, software
@@ -85,9 +84,6 @@ def define_flags() -> None:
     )
     flags.DEFINE_string(
         "topic", None, "Which of a recording's topics or sensors, if it has several."
-    )
-    flags.DEFINE_float(
-        "accumulate", None, "Of recordings, as prism-stream has it.", lower_bound=1e-4
     )
     flags.DEFINE_enum(
         "pace", "max", ["max", "sensor"], "Of recordings, as prism-stream has it."
@@ -251,7 +247,6 @@ def envelope_of(source: str) -> dict[str, Any]:
         "weights_sha256": runs.weights,
         "sensor": sensor,
         "settings": dict(runs.settings),
-        "accumulate": FLAGS.accumulate,
         "calibration": {"file": FLAGS.calibration, "n": len(calibration.cells)},
         "alpha": alpha,
         "q": margin,
@@ -293,15 +288,9 @@ def envelope_of(source: str) -> dict[str, Any]:
 
 def _observed() -> dict[str, Any]:
     """How frames are observed (`FrameObserver`), but for the robot."""
-    if FLAGS.accumulate is not None:
-        line = "the margin was not calibrated with --accumulate; with it, it promises"
-        say(f"{line} nothing", NAME)
     return {
         "bounds": None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace),
         "up": None if FLAGS.up is None else parse_up(FLAGS.up),
-        "accumulator": None
-        if FLAGS.accumulate is None
-        else Accumulator(FLAGS.accumulate),
     }
 
 
@@ -395,9 +384,9 @@ def _read(
     joints: Joints | None,
 ) -> Scanned:
     """One scan, and what its sensor saw beside it."""
-    if FLAGS.topic is not None or FLAGS.accumulate is not None:
-        flag = "--topic" if FLAGS.topic is not None else "--accumulate"
-        raise io.InputError(flag, "is of a recording, not of a scan", "leave it out")
+    if FLAGS.topic is not None:
+        fault = "is of a recording, not of a scan"
+        raise io.InputError("--topic", fault, "leave it out")
     scan = io.read_scan(source, FLAGS.camera, max_points=FLAGS.max_points)
     depth_path = source if source.lower().endswith(".png") else FLAGS.depth
     camera, depth, everything = scan.camera, None, scan.points

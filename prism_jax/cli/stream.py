@@ -27,7 +27,6 @@ from prism_jax.io.streams import Joints, Stream, open_stream
 from prism_jax.io.streams.packed import EXTRA
 from prism_jax.io.streams.sinks import Sink, open_sink
 from prism_jax.models.config import MAX_POSES
-from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.upright import parse_up
 from prism_jax.result import plain
 from prism_jax.robots.urdf import Linkage
@@ -81,17 +80,10 @@ def define_flags() -> None:
     flags.DEFINE_integer(
         "poses",
         1,
-        "In how many poses each frame is completed, up to 4. One is quickest; scans of "
+        "In how many poses each frame is completed, up to 3. One is quickest; scans of "
         "prism-complete have those that their weights say.",
         1,
         MAX_POSES,
-    )
-    flags.DEFINE_float(
-        "accumulate",
-        None,
-        "Side of voxels in metres, some spacings of the points: what was measured in "
-        "earlier frames and is hidden now is kept. For sensors that stand still.",
-        lower_bound=1e-4,
     )
     define_robot_flags("that is told with each frame of the recording")
     flags.DEFINE_enum(
@@ -169,7 +161,6 @@ def main(words: Sequence[str]) -> None:
         density=FLAGS.density,
         background=FLAGS.background,
         poses=FLAGS.poses,
-        accumulate=FLAGS.accumulate,
         urdf=FLAGS.urdf,
         joints=FLAGS.joints,
         base=FLAGS.base,
@@ -193,7 +184,6 @@ def stream_file(
     density: float = 0.0,
     background: str = "unknown",
     poses: int = 1,
-    accumulate: float | None = None,
     urdf: str | None = None,
     joints: str | None = None,
     base: str | None = None,
@@ -218,7 +208,6 @@ def stream_file(
         "density": density,
         "background": background,
         "poses": poses,
-        "accumulate": accumulate,
         "urdf": urdf,
         "joints": joints,
         "base": base,
@@ -251,7 +240,6 @@ def stream_file(
         density=density,
         background=background,  # pyright: ignore
         poses=poses,
-        accumulator=None if accumulate is None else Accumulator(accumulate),
         robot=robot,
         robot_margin=robot_margin,
     )

@@ -74,11 +74,6 @@ def envelope_page(
 def promise(summary: Mapping[str, Any]) -> str:
     """What the margin is, and what it was measured on."""
     told, alpha = summary["calibration"], summary["alpha"]
-    if summary.get("accumulate") is not None:
-        return (
-            f"Surfaces are inflated by q = {number(summary['q'])}. It was not "
-            "calibrated with what earlier frames measured, and promises nothing here."
-        )
     unit = "times each point's expected error" if summary["scaled"] else "in its units"
     return (
         f"Surfaces are inflated by q = {number(summary['q'])}, {unit}, which was "

@@ -265,27 +265,6 @@ def free_depth(visibility: Visibility) -> Float[Array | np.ndarray, "H W"]:
     return xp.where(known, nearest, 0.0).astype(depth.dtype)
 
 
-def beside(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, " N"]:
-    """How far each point lies beside the outline of the measured surface, at its depth.
-
-    The last of the `clues`, from the border of the outermost pixels and without a
-    bound: 0 inside, and outside about the distance to the lines of sight that hit the
-    surface, in the unit of the points. Bilinear, so that its gradient leads back to the
-    surface. Without any surface, and beside the image, a point is as many pixels aside
-    as the image is high; one that is not in front of the camera is not aside.
-
-    One map and one cloud in one frame and unit. Continuous in the points, and
-    differentiable almost everywhere.
-    """
-    camera = visibility.camera
-    uv, z = camera.project(points)
-    beyond = jnp.array([camera.height], float)
-    read = interpolated(_pixels_aside(visibility)[..., None], uv, beyond)[:, 0]
-    # Half a pixel from the middle of the last one that was hit, the surface ends.
-    pixels = jnp.maximum(read - 0.5, 0.0)
-    return pixels * jnp.where(z > MIN_DEPTH, z, 0.0) / camera.intrinsics[0, 0]
-
-
 def _pixels_aside(visibility: Visibility) -> Float[Array, "H W"]:
     """How many pixels each is away from the measured surface, at most the height."""
     surface = jnp.asarray(visibility.state) == SURFACE

@@ -1,100 +1,83 @@
 """Sizes of the networks. Frozen and hashable, so static under ``jit``."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 from prism_jax.geometry.visibility import Background
-from prism_jax.models.ranges import check_ranges
+from prism_jax.models.ranges import Checked
 
 MAX_POINTS = 2**18
 """Of a cloud that the decoder makes."""
 
-MAX_POSES = 4
+MAX_POSES = 3
 """Of `prism_jax.models.poses`."""
 
-WIDTHS = (1, 4096)
-NEIGHBORS = (1, 64)
+Points = Annotated[int, 1, 2**16]
+Width = Annotated[int, 1, 4096]
+Neighbors = Annotated[int, 1, 64]
+Rate = Annotated[int, 1, 256]
+Pixels = Annotated[int, 1, 2048]
+Length = Annotated[float, 0, 1e3]
 
 
 @dataclasses.dataclass(frozen=True)
-class BackboneConfig:
-    """CRA-PCN. The defaults are the published network for PCN.
+class BackboneConfig(Checked):
+    """CRA-PCN. The defaults are the published network for PCN."""
 
-    Attributes:
-      num_points: points of the partial cloud.
-      patch_points: points left by the two set abstractions.
-      patch_features: hidden and output widths of the two set abstractions.
-      global_features: hidden and output widths of the global feature.
-      patch_neighbors: neighbours in set abstractions and in the seed generator.
-      features: width of per-point features in the transformers.
-      attention_features: width inside an attention.
-      attention_ratio: expansion of its hidden layer.
-      num_neighbors: neighbours per resolution, finest first.
-      encoder_rates: resolutions of the encoder's transformers, as divisors.
-      level_rates: the same for each up-sampling block.
-      seed_times: seeds per patch point.
-      seeds_from_patches: seeds are offsets from their patch points, and not absolute
-        coordinates as published; a short training gets further so.
-      num_initial: points sampled from seeds and partial, from which refinement starts.
-      up_factors: children per point of each up-sampling block.
-      use_norm: BatchNorm in the attentions and the up-sampling heads.
-      offset_init: standard deviation of the kernels that make coordinate offsets; a
-        small one starts training from the seeds and the partial themselves.
-      offset_reach: how far a child can lie from its parent along each axis, at the
-        most, in half sides of the workspace. Where truth goes on beyond what is
-        measured, blocks that can reach far throw single points after it instead of
-        leaving that to the seeds.
-      reads_visibility: every block reads, for each of its points, what the sensor knows
-        there (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
-      seeds_read_visibility: the global feature, and so the seeds, read it too, at a
-        lattice of points in and around the workspace. Needs `reads_visibility`.
-      reads_depth: every block reads, for each of its points, the depth stream's feature
-        maps at its projection (`prism_jax.models.depth_encoder.aligned`). In the paper
-        the streams meet in the losses alone.
-    """
-
-    num_points: int = 2048
-    patch_points: tuple[int, int] = (512, 128)
-    patch_features: tuple[tuple[int, int], tuple[int, int]] = ((64, 128), (128, 256))
-    global_features: tuple[int, int] = (512, 512)
-    patch_neighbors: int = 16
-    features: int = 128
-    attention_features: int = 64
-    attention_ratio: int = 4
-    num_neighbors: tuple[int, ...] = (16, 12, 8)
-    encoder_rates: tuple[int, ...] = (1, 2, 4)
-    level_rates: tuple[tuple[int, ...], ...] = ((1, 2, 4), (1, 2, 4), (1, 4, 8))
-    seed_times: int = 2
+    # Points of the partial cloud.
+    num_points: Points = 2048
+    # Points left by the two set abstractions, and their hidden and output widths.
+    patch_points: Annotated[tuple[int, int], 1, 2**16] = (512, 128)
+    patch_features: Annotated[tuple[tuple[int, int], tuple[int, int]], 1, 4096] = (
+        (64, 128),
+        (128, 256),
+    )
+    # Hidden and output widths of the global feature.
+    global_features: Annotated[tuple[int, int], 1, 4096] = (512, 512)
+    # Neighbours in set abstractions and in the seed generator.
+    patch_neighbors: Neighbors = 16
+    # Width of per-point features in the transformers.
+    features: Width = 128
+    # Width inside an attention, and expansion of its hidden layer.
+    attention_features: Width = 64
+    attention_ratio: Neighbors = 4
+    # Neighbours per resolution, finest first.
+    num_neighbors: Annotated[tuple[int, ...], 1, 64] = (16, 12, 8)
+    # Resolutions of the encoder's transformers, as divisors; and of each up-sampling
+    # block's.
+    encoder_rates: Annotated[tuple[int, ...], 1, 256] = (1, 2, 4)
+    level_rates: Annotated[tuple[tuple[int, ...], ...], 1, 256] = (
+        (1, 2, 4),
+        (1, 2, 4),
+        (1, 4, 8),
+    )
+    # Seeds per patch point.
+    seed_times: Rate = 2
+    # Whether seeds are offsets from their patch points, and not absolute coordinates as
+    # published; a short training gets further so.
     seeds_from_patches: bool = False
-    num_initial: int = 512
-    up_factors: tuple[int, ...] = (1, 4, 8)
+    # Points sampled from seeds and partial, from which refinement starts.
+    num_initial: Points = 512
+    # Children per point of each up-sampling block.
+    up_factors: Annotated[tuple[int, ...], 1, 256] = (1, 4, 8)
+    # Whether attentions and up-sampling heads have BatchNorm.
     use_norm: bool = True
-    offset_init: float = 0.01
-    offset_reach: float = 1.0
+    # Standard deviation of the kernels that make coordinate offsets; a small one starts
+    # training from the seeds and the partial themselves.
+    offset_init: Length = 0.01
+    # How far a child can lie from its parent along each axis, in half sides of the
+    # workspace. Where truth goes on beyond what is measured, blocks that can reach far
+    # throw single points after it instead of leaving that to the seeds.
+    offset_reach: Annotated[float, 1e-6, 1e3] = 1.0
+    # Whether every block reads, for each of its points, what the sensor knows there
+    # (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
     reads_visibility: bool = False
+    # Whether the global feature, and so the seeds, read it too, at a lattice of points
+    # in and around the workspace. Needs `reads_visibility`.
     seeds_read_visibility: bool = False
-    reads_depth: bool = False
 
     def __post_init__(self):
-        check_ranges(
-            self,
-            num_points=(1, 2**16),
-            patch_points=(1, 2**16),
-            patch_features=WIDTHS,
-            global_features=WIDTHS,
-            patch_neighbors=NEIGHBORS,
-            features=WIDTHS,
-            attention_features=WIDTHS,
-            attention_ratio=(1, 64),
-            num_neighbors=NEIGHBORS,
-            encoder_rates=(1, 256),
-            level_rates=(1, 256),
-            seed_times=(1, 256),
-            num_initial=(1, 2**16),
-            up_factors=(1, 256),
-            offset_init=(0, 1e3),
-            offset_reach=(1e-6, 1e3),
-        )
+        super().__post_init__()
         if self.seeds_read_visibility and not self.reads_visibility:
             raise ValueError("seeds_read_visibility needs reads_visibility")
         if max(self.stage_sizes) > MAX_POINTS:
@@ -115,85 +98,54 @@ class BackboneConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class AuxiliaryConfig:
-    """Depth stream, refiner and auxiliary branches. The defaults are the paper's sizes.
+class AuxiliaryConfig(Checked):
+    """Depth stream, refiner and auxiliary branches. The defaults are the paper's."""
 
-    Attributes:
-      depth_features: widths of the ResNet's stages; each but the first halves the map.
-      depth_blocks: residual blocks per stage.
-      num_tokens: tokens that the token integrator makes of a cloud (m).
-      token_features: width of the tokens of both streams (d).
-      hidden: hidden width of the refiner, the normal head and the denoiser.
-      max_offset: bound on the refiner's offsets, delta_max of Eq. 2.
-      max_coordinate: bound on refined coordinates. Eq. 2 has 1, which holds everything
-        where the complete cloud places the workspace; where the partial does, some of
-        the shape lies outside.
-      denoise_neighbors: neighbours that the denoiser sees of a point.
-    """
-
-    depth_features: tuple[int, ...] = (64, 128, 256, 512)
-    depth_blocks: int = 2
-    num_tokens: int = 64
-    token_features: int = 256
-    hidden: int = 128
-    max_offset: float = 0.1
-    max_coordinate: float = 1.0
-    denoise_neighbors: int = 8
-
-    def __post_init__(self):
-        check_ranges(
-            self,
-            depth_features=WIDTHS,
-            depth_blocks=(1, 16),
-            num_tokens=WIDTHS,
-            token_features=WIDTHS,
-            hidden=WIDTHS,
-            max_offset=(0, 1e3),
-            max_coordinate=(0, 1e3),
-            denoise_neighbors=NEIGHBORS,
-        )
+    # Widths of the ResNet's stages; each but the first halves the map.
+    depth_features: Annotated[tuple[int, ...], 1, 4096] = (64, 128, 256, 512)
+    # Residual blocks per stage.
+    depth_blocks: Annotated[int, 1, 16] = 2
+    # Tokens that the token integrator makes of a cloud (m), and the width of the tokens
+    # of both streams (d).
+    num_tokens: Width = 64
+    token_features: Width = 256
+    # Hidden width of the refiner, the normal head and the denoiser.
+    hidden: Width = 128
+    # Bound on the refiner's offsets, delta_max of Eq. 2.
+    max_offset: Length = 0.1
+    # Bound on refined coordinates. Eq. 2 has 1, which holds everything where the
+    # complete cloud places the workspace; where the partial does, some of the shape
+    # lies outside.
+    max_coordinate: Length = 1.0
+    # Neighbours that the denoiser sees of a point.
+    denoise_neighbors: Neighbors = 8
 
 
 @dataclasses.dataclass(frozen=True)
-class ModelConfig:
-    """The whole of PRISM's networks, and the frame that they work in.
-
-    Attributes:
-      margin: side of the workspace over the longest side of the partial's box.
-      heading: "level" if the workspace is turned about the vertical as
-        `prism_jax.observation.heading` says, in training and afterwards; "given" if the
-        weights know objects with their front along y, and get them as they come.
-      depth_pixels: side of the depth map that the depth stream reads.
-      consistency_pixels: side of the maps that Eq. 3 and Eq. 4 compare: few points
-        leave holes in a fine map, through which the far side of the shape shows.
-      background: what lies around a cloud that comes without a map, for a network that
-        reads visibility.
-      told: whether such a network is told what else the sensor measured in the same
-        scan, where that is known. Chosen on validation, for each set of weights.
-      poses: in how many poses a frame is completed, of those of
-        `prism_jax.models.poses`; what comes of each is laid together. Training looks
-        at one.
-    """
+class ModelConfig(Checked):
+    """The whole of PRISM's networks, and the frame that they work in."""
 
     backbone: BackboneConfig = BackboneConfig()
     auxiliary: AuxiliaryConfig = AuxiliaryConfig()
-    margin: float = 1.4
+    # Side of the workspace over the longest side of the partial's box.
+    margin: Annotated[float, 0.1, 100] = 1.4
+    # "level" if the workspace is turned about the vertical as
+    # `prism_jax.observation.heading` says, in training and afterwards; "given" if the
+    # weights know objects with their front along y, and get them as they come.
     heading: Literal["given", "level"] = "given"
-    depth_pixels: int = 128
-    consistency_pixels: int = 128
+    # Side of the depth map that the depth stream reads.
+    depth_pixels: Pixels = 128
+    # Side of the maps that Eq. 3 and Eq. 4 compare: few points leave holes in a fine
+    # map, through which the far side of the shape shows.
+    consistency_pixels: Pixels = 128
+    # What lies around a cloud that comes without a map, for a network that reads one.
     background: Background = "unknown"
+    # Whether such a network is given what else the sensor measured in the same scan,
+    # where that is known. Chosen on validation, for each set of weights.
     told: bool = False
-    poses: int = 1
-
-    def __post_init__(self):
-        pixels = (1, 2048)
-        check_ranges(
-            self,
-            margin=(0.1, 100),
-            depth_pixels=pixels,
-            consistency_pixels=pixels,
-            poses=(1, MAX_POSES),
-        )
+    # In how many poses of `prism_jax.models.poses` a frame is completed; the results
+    # are joined. Training looks at one.
+    poses: Annotated[int, 1, MAX_POSES] = 1
 
     @property
     def num_points(self) -> int:

@@ -11,7 +11,6 @@ from jaxtyping import Array, Float, Int
 from prism_jax.geometry.visibility import Visibility, clues
 from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.depth_encoder import DepthView, aligned
 from prism_jax.models.encoder import PointFeatures
 from prism_jax.models.layers import (
     MLP,
@@ -131,9 +130,8 @@ class UpsamplingBlock(nn.Module):
         intra: Pyramid,
         train: bool = False,
         visibility: Visibility | None = None,
-        depth: DepthView | None = None,
     ) -> tuple[Float[Array, "... M 3"], Float[Array, "... N C"], Array]:
-        x = self._point_features(xyz, global_feature, visibility, depth)
+        x = self._point_features(xyz, global_feature, visibility)
         transformer = self._transformer("inter")
         x = transformer(xyz, x, support.xyz, support.features, inter, train)
         x = self._transformer("intra")(xyz, x, xyz, x, intra, train)
@@ -141,11 +139,7 @@ class UpsamplingBlock(nn.Module):
         return repeat_in_place(xyz, self.times) + offsets, x, child_features
 
     def _point_features(
-        self,
-        xyz: Array,
-        global_feature: Array,
-        visibility: Visibility | None,
-        depth: DepthView | None,
+        self, xyz: Array, global_feature: Array, visibility: Visibility | None
     ) -> Array:
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
@@ -153,11 +147,6 @@ class UpsamplingBlock(nn.Module):
             told = over_batch(lambda cloud, known: clues(known, cloud))
             known = _given(visibility)
             x = x + self._reading("clues", width // 2)(told(xyz, known))
-        if self.config.reads_depth:
-            if depth is None:
-                raise ValueError("a decoder that reads depth needs its stream's maps")
-            seen = over_batch(lambda cloud, view: aligned(view, cloud))
-            x = x + self._reading("depth", width)(seen(xyz, depth))
         whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
         return mlp(x, whole, global_feature[..., None, :])
@@ -242,7 +231,6 @@ class Decoder(nn.Module):
                 *pair,
                 train,
                 visibility,
-                encoded.depth,
             )
             previous, xyz = Cloud(xyz, block_features), children
             stages.append(xyz)

@@ -6,40 +6,15 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from prism_jax.geometry.camera import MIN_DEPTH, Camera
-from prism_jax.geometry.visibility import interpolated
 from prism_jax.models.config import AuxiliaryConfig
 from prism_jax.models.layers import Conv, batch_norm
 
 
 class DepthFeatures(NamedTuple):
-    """The last feature map's cells as tokens, their mean, and every stage's map."""
+    """The last feature map's cells as tokens, and their mean."""
 
     tokens: Float[Array, "... n C"]
     pooled: Float[Array, "... C"]
-    maps: tuple[Float[Array, "... _ _ _"], ...] = ()
-
-
-class DepthView(NamedTuple):
-    """The depth stream's maps, finest first, with the view that they are of."""
-
-    camera: Camera
-    maps: tuple[Float[Array, "... _ _ _"], ...]
-
-
-def aligned(view: DepthView, points: Float[Array, "N 3"]) -> Float[Array, "N C"]:
-    """The features of all maps at the projections of points, side by side.
-
-    Bilinear between the middles of cells, so continuous in the points; 0 beside the
-    image and for points that are not in front of the camera. One view and one cloud in
-    one frame and unit.
-    """
-    read = []
-    for image in view.maps:
-        uv, z = view.camera.resized(*image.shape[:2]).project(points)
-        found = interpolated(image, uv, jnp.zeros(image.shape[-1]))
-        read.append(jnp.where((z > MIN_DEPTH)[:, None], found, 0.0))
-    return jnp.concatenate(read, axis=-1)
 
 
 class DepthEncoder(nn.Module):
@@ -64,15 +39,13 @@ class DepthEncoder(nn.Module):
         x = Conv(first, 7, 2, name="stem")(x)
         x = nn.relu(batch_norm(train)(x))
         x = nn.max_pool(x, (3, 3), strides=(2, 2), padding="SAME")
-        maps = []
         for stage, features in enumerate(self.config.depth_features):
             for block in range(self.config.depth_blocks):
                 strides = 2 if stage > 0 and block == 0 else 1
                 name = f"stage_{stage}_block_{block}"
                 x = ResidualBlock(features, strides, name=name)(x, train)
-            maps.append(x)
         tokens = x.reshape(*x.shape[:-3], -1, x.shape[-1])
-        return DepthFeatures(tokens, tokens.mean(-2), tuple(maps))
+        return DepthFeatures(tokens, tokens.mean(-2))
 
 
 class ResidualBlock(nn.Module):

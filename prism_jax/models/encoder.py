@@ -9,7 +9,6 @@ from jaxtyping import Array, Float, Int
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.depth_encoder import DepthView
 from prism_jax.models.layers import MLP, Dense, gather, highest, take
 from prism_jax.models.pyramid import (
     Pyramid,
@@ -38,7 +37,6 @@ class PointFeatures(NamedTuple):
     patch_features: Float[Array, "... M C"]
     global_feature: Float[Array, "... G"]
     patch_neighbors: Int[Array, "... M k"]
-    depth: DepthView | None = None
 
 
 def encoder_indices(

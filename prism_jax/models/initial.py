@@ -31,9 +31,8 @@ def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
 def init_auxiliary(
     key: PRNGKeyArray, backbone: Variables, config: ModelConfig
 ) -> Variables:
-    """A backbone's variables with fresh ones for all that reads it. The depth stream is
-    the backbone's own where its decoder reads it. Made on the CPU, as the backbone's
-    are: nothing depends on the backbone's values."""
+    """A backbone's variables with fresh ones for all that reads it. Made on
+    the CPU, as the backbone's are: nothing depends on the backbone's values."""
     sizes = config.auxiliary
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), backbone)
 
@@ -69,8 +68,6 @@ def init_auxiliary(
     with on_cpu():
         fresh = jax.jit(init)(key)
     depth = fresh.pop("depth_encoder")
-    if config.backbone.reads_depth:
-        depth = {kind: backbone[kind]["depth_encoder"] for kind in depth}
     params = {name: variables["params"] for name, variables in fresh.items()}
     params = {
         **backbone["params"],

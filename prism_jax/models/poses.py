@@ -20,12 +20,11 @@ POSES = np.array(
         np.eye(3),
         np.diag([-1, 1, 1]),
         [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
-        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
     ],
     np.float32,
 )
-"""As it is, its mirror image in x, a quarter turn about the vertical, and the mirror
-image of that. They take columns."""
+"""As it is, its mirror image in x, and a quarter turn about the vertical. They take
+columns."""
 
 posed = functools.partial(jnp.einsum, precision="highest")
 

@@ -12,7 +12,6 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Visibility, seen_by
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.denoise import perturb, upsample_midpoints
 from prism_jax.models.auxiliary import (
     Denoiser,
@@ -21,19 +20,13 @@ from prism_jax.models.auxiliary import (
     TokenIntegrator,
     Tokens,
 )
-from prism_jax.models.backbone import (
-    RenderedView,
-    decode,
-    encode_points,
-    with_depth,
-)
+from prism_jax.models.backbone import decode, encode_points
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.decoder import Decoded, DecoderIndices
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.encoder import EncoderIndices, PointFeatures, encoder_indices
 from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, apply, part
-from prism_jax.observation.observation import observe
 
 
 class NetworkInput(NamedTuple):
@@ -50,10 +43,7 @@ class NetworkInput(NamedTuple):
       perturbed, perturbed_neighbors: A(P) of Eq. 6 and its neighbour graph.
       upsampled: U(P) of Eq. 6.
       decoding: samples and neighbours of the decoder, where they are held.
-      visibility: what the sensor knows, for networks that read it, and for losses.
-      kept, kept_mask: the completion before adaptation, where the adapted one has to
-        cover it, and which of its points count.
-      norms: by which the terms of the objective are divided, where they are balanced.
+      visibility: what the sensor knows, for networks that read it.
     """
 
     partial: Float[Array, "N 3"]
@@ -68,9 +58,6 @@ class NetworkInput(NamedTuple):
     upsampled: Float[Array, "M 3"]
     decoding: DecoderIndices | None = None
     visibility: Visibility | None = None
-    kept: Float[Array, "K 3"] | None = None
-    kept_mask: Bool[Array, " K"] | None = None
-    norms: Float[Array, " T"] | None = None
 
 
 class Prediction(NamedTuple):
@@ -112,14 +99,16 @@ def prepare_input(
     partial, camera = jax.lax.stop_gradient((partial, camera))
     if visibility is None and config.backbone.reads_visibility:
         visibility = seen_by(partial, camera.position, config.background)
-    rendered = rendered_view(partial, camera, config)
+    pixels = config.depth_pixels
+    depth, mask = render_depth(partial, camera.resized(pixels, pixels))
+    center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
     view = camera.resized(config.consistency_pixels, config.consistency_pixels)
     perturbed = perturb(key, partial, camera.position)
     return NetworkInput(
         partial,
         encoder_indices(partial, config.backbone) if indices is None else indices,
-        rendered.depth,
-        rendered.mask,
+        jnp.where(mask, depth - center_depth, 0.0),
+        mask,
         view,
         *render_depth(partial, view),
         perturbed,
@@ -127,25 +116,6 @@ def prepare_input(
         upsample_midpoints(partial),
         visibility=visibility,
     )
-
-
-def rendered_view(
-    partial: Float[Array, "N 3"], camera: Camera, config: ModelConfig
-) -> RenderedView:
-    """What the depth stream reads: depth relative to the workspace's centre."""
-    depth_view = camera.resized(config.depth_pixels, config.depth_pixels)
-    depth, mask = render_depth(partial, depth_view)
-    center_depth = camera.to_camera(jnp.zeros((1, 3)))[0, 2]
-    return RenderedView(depth_view, jnp.where(mask, depth - center_depth, 0.0), mask)
-
-
-def view_from(
-    partial: Float[Array, "N 3"], eye: Float[Array, "3"], config: ModelConfig
-) -> RenderedView:
-    """What the depth stream reads of a cloud in the unit workspace, from where its
-    sensor stood."""
-    camera = observe(partial, eye, Workspace.unit()).camera
-    return rendered_view(partial, camera, config)
 
 
 def hold_decoding(
@@ -180,11 +150,9 @@ def predict(
 def encode(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> PointFeatures:
-    """The point stream, and the depth stream for a decoder that reads it."""
+    """The point stream."""
     cloud, rows = inputs.partial, inputs.indices
-    encoded = encode_points(variables, config.backbone, cloud, rows)
-    view = RenderedView(inputs.view, inputs.depth, inputs.depth_mask)
-    return with_depth(encoded, variables, config, view)
+    return encode_points(variables, config.backbone, cloud, rows)
 
 
 def decode_and_refine(

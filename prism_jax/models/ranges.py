@@ -1,32 +1,34 @@
 """Types and ranges of a configuration's fields, checked when it is made."""
 
 import dataclasses
+from collections.abc import Sequence
 from types import UnionType
-from typing import Any, Literal, get_args, get_origin
-
-Range = tuple[int | float, int | float]
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 MAX_LENGTH = 8
 """Of a tuple of any length: resolutions, stages and blocks are few."""
 
 
-def check_ranges(config: Any, **ranges: Range) -> None:
-    """Raises a ValueError that names the first field of a wrong type or value.
+class Checked:
+    """Base of configurations. ``Annotated[int, 1, 64]`` is a whole number from 1 to 64.
 
     Fields are numbers, words of a `Literal`, switches, inner configurations, tuples of
-    these, or one of them or None. ``ranges`` are the least and the greatest value of
-    each field of numbers, or of all numbers in a field of tuples. Numbers must be
+    these, or one of them or None. A range holds for all numbers of a field. A field of
+    a wrong type or value raises a ValueError that names the first one. Numbers must be
     finite.
     """
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        fault = _fault(value, field.type, ranges.get(field.name, (0, 0)))
-        if fault:
-            name = f"{type(config).__name__}.{field.name}"
-            raise ValueError(f"{name} must be {fault}, not {str(value)[:50]}")
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):  # pyright: ignore
+            value, kind, within = getattr(self, field.name), field.type, (0, 0)
+            if get_origin(kind) is Annotated:
+                kind, *within = get_args(kind)
+            if fault := _fault(value, kind, within):
+                name = f"{type(self).__name__}.{field.name}"
+                raise ValueError(f"{name} must be {fault}, not {str(value)[:50]}")
 
 
-def _fault(value: Any, kind: Any, within: Range) -> str:
+def _fault(value: Any, kind: Any, within: Sequence[int | float]) -> str:
     """What the value should be, or nothing if it is."""
     if get_origin(kind) is tuple:
         kinds = get_args(kind)

@@ -31,8 +31,6 @@ class CompletedFrame:
         the predicted points where nothing was measured, and points on the surface of a
         robot that is known.
       label: OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
-      remembered: how many of the observed points, the last ones, were measured in
-        earlier frames and are hidden now. 0 without an accumulator.
       workspace: the cube that was completed.
       timestamp: the measurement's, in nanoseconds.
       seconds: spent on "observe", "network" and "assemble".
@@ -43,7 +41,6 @@ class CompletedFrame:
     workspace: Workspace
     timestamp: int
     seconds: dict[str, float]
-    remembered: int = 0
 
     @property
     def observed(self) -> Bool[np.ndarray, " M"]:
@@ -63,9 +60,8 @@ class FrameCompleter(FrameObserver):
     their weights say; in equally many the points are the same, bit for bit. ``adapt``
     "off" takes the network as it is, "every" adapts it to each frame, and "first" to
     the first, whose encoders are then kept. ``density`` and ``background`` are as for
-    `Completer.complete`, the rest as for `FrameObserver`: what is remembered is not
-    predicted again, and a known robot is put back as points on its surface, with
-    nothing predicted within its margin.
+    `Completer.complete`, the rest as for `FrameObserver`: a known robot is put back as
+    points on its surface, with nothing predicted within its margin.
     """
 
     def __init__(
@@ -90,7 +86,7 @@ class FrameCompleter(FrameObserver):
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
         start = time.perf_counter()
-        points, remembered, robot, up, around = self.observe(frame)
+        points, robot, up, around = self.observe(frame)
         if self.robot is not None:
             check_cloud(points, "the frame without its robot")
         task = self._completer.task(
@@ -114,7 +110,6 @@ class FrameCompleter(FrameObserver):
         return CompletedFrame(
             points=placed,
             label=label,
-            remembered=int(task.seen.inside[len(points) - remembered :].sum()),
             workspace=task.seen.workspace,
             timestamp=frame.timestamp,
             seconds={

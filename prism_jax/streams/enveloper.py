@@ -145,12 +145,11 @@ class FrameEnveloper(FrameObserver):
     def complete(self, frame: Frame) -> MadeEnvelope:
         """The envelope of a frame. One that has too little raises InputError."""
         start = time.perf_counter()
-        points, remembered, robot, up, _ = self.observe(frame)
-        place = len(points) - remembered
+        points, robot, up, _ = self.observe(frame)
         camera = standing(frame.depth, frame.camera, self.eye)
         scan = Scanned(
             points=points,
-            everything=np.concatenate([frame.points, points[place:]]),
+            everything=frame.points,
             view=view_from(frame.points, frame.depth, camera, self.method.background),
             camera=camera,
             named=frame.camera,

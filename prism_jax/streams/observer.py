@@ -17,7 +17,6 @@ from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.io.scan import Bounds, in_own_axes, parted
 from prism_jax.io.streams.frame import Frame
-from prism_jax.observation.accumulation import Accumulator
 from prism_jax.observation.support import find_up
 from prism_jax.robots.urdf import Linkage
 
@@ -25,14 +24,12 @@ from prism_jax.robots.urdf import Linkage
 class Observed(NamedTuple):
     """What a frame holds for completing.
 
-    `points` are measured inside the bounds and not the robot's; the last `remembered`
-    of them were measured in earlier frames and are hidden now. `robot` are points on
+    `points` are measured inside the bounds and not the robot's. `robot` are points on
     the surface of a robot that is known, of which there are else none. `around` is what
     was measured besides, if bounds or a known robot set anything apart.
     """
 
     points: Float[np.ndarray, "N 3"]
-    remembered: int
     robot: Float[np.ndarray, "R 3"]
     up: str | Vector
     around: Float[np.ndarray, "S 3"] | None
@@ -43,10 +40,8 @@ class FrameObserver(abc.ABC):
 
     ``bounds`` crop each frame first. Without an ``up`` it is -y for a depth image in
     its camera's axes and else z; "auto" looks for it in the first frame and keeps it.
-    With an ``accumulator``, for a sensor that does not move, a frame also has what
-    earlier ones measured where something hides it now. Of a ``robot`` that is known,
-    points within ``robot_margin`` of where the frame's joints put it are cut out; so
-    they are never remembered.
+    Of a ``robot`` that is known, points within ``robot_margin`` of where the frame's
+    joints put it are cut out.
     """
 
     def __init__(
@@ -54,13 +49,11 @@ class FrameObserver(abc.ABC):
         *,
         bounds: Bounds | None = None,
         up: str | Vector | None = None,
-        accumulator: Accumulator | None = None,
         robot: Linkage | None = None,
         robot_margin: float = MARGIN,
     ):
         self.bounds = bounds
         self.up = up
-        self.accumulator = accumulator
         self.robot = robot
         self.robot_margin = robot_margin
 
@@ -69,12 +62,8 @@ class FrameObserver(abc.ABC):
         """What is made of a frame. One that has too little raises InputError."""
 
     def warm_up(self, frame: Frame) -> Any:
-        """The same of a first frame, which nothing is remembered of."""
-        accumulator, self.accumulator = self.accumulator, None
-        try:
-            return self.complete(frame)
-        finally:
-            self.accumulator = accumulator
+        """The same of a first frame, for what it compiles."""
+        return self.complete(frame)
 
     def observe(self, frame: Frame) -> Observed:
         """The frame's points, those of its robot apart; InputError if it has none, or
@@ -89,13 +78,8 @@ class FrameObserver(abc.ABC):
             # Seen or not: what is told must not depend on it, or more is compiled.
             apart = [points[own]] if around is None else [around, points[own]]
             around = np.concatenate(apart)
-        points, remembered = points[~own], 0
-        if self.accumulator is not None:
-            lacking = self.accumulator.add(points, frame.points, eye_of(frame))
-            lacking = lacking[~of_robot(lacking, robot, self.robot_margin)]
-            points = np.concatenate([points, lacking.astype(points.dtype)])
-            remembered = len(lacking)
-        return Observed(points, remembered, robot, self._up(frame, points), around)
+        points = points[~own]
+        return Observed(points, robot, self._up(frame, points), around)
 
     def _surface(self, frame: Frame) -> Float[np.ndarray, "R 3"]:
         if self.robot is None:

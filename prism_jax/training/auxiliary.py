@@ -17,7 +17,6 @@ from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.weighting import BRANCHES, update_scale
-from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
 from prism_jax.models.prism import (
     NetworkInput,
@@ -32,18 +31,14 @@ from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import Phase, TrainState, steps_of
 
-
-def trained_parts(model: ModelConfig) -> tuple[str, ...]:
-    """The parts that learn. A depth stream that the decoder reads is the backbone's."""
-    own = () if model.backbone.reads_depth else ("depth_encoder",)
-    return ("refiner", *own, "auxiliary")
+TRAINED = ("refiner", "depth_encoder", "auxiliary")
+"""The parts that learn."""
 
 
 def auxiliary_phase(
     variables: Variables, config: PrismConfig, training: PretrainConfig, seed: int
 ) -> Phase:
     """Everything but the backbone, on the losses of Eq. 3, 5, 6 and 9."""
-    names = trained_parts(config.model)
     num_steps = steps_of("auxiliary", training.auxiliary_samples, training.batch_size)
     adam = optimiser(
         "adam",
@@ -56,9 +51,9 @@ def auxiliary_phase(
     # The refiner's gradient is clipped on its own.
     both = optax.partition(
         {"refiner": adam, "branches": adam},
-        {name: "refiner" if name == "refiner" else "branches" for name in names},
+        {name: "refiner" if name == "refiner" else "branches" for name in TRAINED},
     )
-    trained = {name: variables["params"][name] for name in names}
+    trained = {name: variables["params"][name] for name in TRAINED}
     start = TrainState(jnp.int32(0), variables, both.init(trained))
     key = jax.random.key(seed)
     return Phase(
@@ -95,7 +90,7 @@ def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyA
     def step(state: TrainState, batch: Batch):
         variables = state.variables
         params, weighting = variables["params"], variables["weighting"]
-        trained = {name: params[name] for name in trained_parts(config.model)}
+        trained = {name: params[name] for name in TRAINED}
         grads, (terms, measured, statistics) = jax.grad(loss_fn, has_aux=True)(
             trained, variables, batch, jax.random.fold_in(key, state.step)
         )

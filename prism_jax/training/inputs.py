@@ -7,9 +7,8 @@ from jaxtyping import Array, Key
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.visibility import Visibility, seen_by, surface_alone
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.models.backbone import RenderedView
 from prism_jax.models.config import ModelConfig
-from prism_jax.models.prism import NetworkInput, prepare_input, view_from
+from prism_jax.models.prism import NetworkInput, prepare_input
 from prism_jax.observation.observation import observe
 
 
@@ -28,12 +27,6 @@ def inputs_of(
     known = visibility_of(batch) if config.backbone.reads_visibility else None
     over = jax.vmap(inputs, in_axes=(0, 0, 0, 0, 0 if key.ndim else None))
     return over(*arrays, known, key)
-
-
-def view_of(batch: Batch, config: ModelConfig) -> RenderedView:
-    """What the depth stream reads of a batch."""
-    arrays = jnp.asarray(batch.partial), jnp.asarray(batch.eye)
-    return jax.vmap(lambda *one: view_from(*one, config))(*arrays)
 
 
 def visibility_of(batch: Batch) -> Visibility:

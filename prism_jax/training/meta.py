@@ -9,7 +9,7 @@ import optax
 from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from prism_jax.adaptation.config import Moves, PrismConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.meta import (
     MetaTerms,
     learned_part,
@@ -17,14 +17,13 @@ from prism_jax.adaptation.meta import (
     meta_gradients,
     put_learned,
 )
-from prism_jax.adaptation.objective import COMMON
+from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.weighting import BRANCHES, entropy, loss_weights
-from prism_jax.models.error_head import LEARNED
 from prism_jax.models.variables import Variables
 from prism_jax.observation.observation import observe
 from prism_jax.training.config import MetaTrainConfig
@@ -35,15 +34,13 @@ from prism_jax.training.phase import Phase, TrainState, steps_of
 
 TERMS = (
     "zero_step",
-    *COMMON,
+    *Losses._fields,
     "refined",
     *(f"weight_{name}" for name in BRANCHES),
     "weight_entropy",
     "adapted",
 )
 SCORES = ("unadapted", "accepted", "adapted")
-GLOBAL = ("point_encoder", "global")
-"""Where the module that makes the global feature lies among the encoders."""
 
 
 def meta_phase(
@@ -51,21 +48,18 @@ def meta_phase(
 ) -> Phase:
     """Episodes from these variables on (Eq. 11, 12).
 
-    Encoders and decoder, refiner, auxiliary modules, learned term, logits and step
-    sizes each have an optimiser of their own, where they learn; all else stays as it
+    Encoders and decoder, refiner, auxiliary modules, logits and step sizes each have an
+    optimiser of their own, where they learn; all else stays as it
     is, bit for bit, but for the scales of Eq. 11, which are measured anew: what the
     branches' own training left had not settled. The score is CD-L2 of the completion
     after test-time adaptation, in the unit of the scores (`Batch.scale`).
     """
     check_meta(training)
-    check_term(variables, config, training)
     optimisers = _optimisers(training)
     counts = jnp.array([name in training.method.branches for name in BRANCHES])
     logits = jnp.where(counts, variables["weighting"]["logits"], -jnp.inf)
     scales = jnp.zeros(len(BRANCHES))
-    steps = _moving(variables["weighting"]["log_steps"], training.method.moves)
-    weighting = {"logits": logits, "scales": scales, "log_steps": steps}
-    weighting = {**variables["weighting"], **weighting}
+    weighting = {**variables["weighting"], "logits": logits, "scales": scales}
     variables = {**variables, "weighting": weighting}
     learned = learned_part(variables, training.method)
     average = variables if training.average_decay else None
@@ -90,45 +84,11 @@ def check_meta(training: MetaTrainConfig) -> None:
     learned = {
         "weight_rule=meta": method.weight_rule == "meta",
         "learn_auxiliary": method.learn_auxiliary,
-        "learn_term": method.learn_term,
     }
     for name, needs_second in learned.items():
         if method.first_order and needs_second:
             fault = f"constant inner gradients teach nothing to {name}"
             raise InputError("meta.method.first_order", fault, "leave one of them out")
-    if method.learn_term and not method.rehearse_depth:
-        fault = "the inner loop of Eq. 11 has no learned term to teach"
-        raise InputError("meta.method.learn_term", fault, "rehearse_depth=True has it")
-
-
-def check_term(
-    variables: Variables, config: PrismConfig, training: MetaTrainConfig
-) -> None:
-    """Raises InputError if a learned term is to be descended or to learn and there is
-    none, or if it is to learn and has no weight."""
-    weight, learns = config.adapt.learned_weight, training.method.learn_term
-    if (weight or learns) and LEARNED not in variables["params"]:
-        fault = "the weights have no learned term"
-        remedy = "fit one with experiments.learned_term and start from its weights"
-        raise InputError("adapt.learned_weight", fault, remedy)
-    if learns and not weight:
-        fault = "a term without a weight moves nothing and learns nothing"
-        raise InputError("adapt.learned_weight", fault, "give it one above zero")
-
-
-def _moving(log_steps: Variables, moves: Moves) -> Variables:
-    """The steps of what does not move are none, and never learn to be any."""
-    if moves == "encoders":
-        return log_steps
-    return {
-        encoder: {
-            module: step
-            if (encoder, module) == GLOBAL
-            else jnp.full_like(step, -jnp.inf)
-            for module, step in modules.items()
-        }
-        for encoder, modules in log_steps.items()
-    }
 
 
 def _optimisers(training: MetaTrainConfig) -> optax.GradientTransformation:
@@ -150,14 +110,13 @@ def _optimisers(training: MetaTrainConfig) -> optax.GradientTransformation:
         {
             "backbone": network(training.learning_rate),
             "auxiliary": network(training.auxiliary_rate),
-            LEARNED: network(training.auxiliary_rate),
             "refiner": network(training.refiner_rate),
             "logits": make(training.weight_rate),
             "log_steps": optax.adam(training.step_rate),
         },
         lambda learned: {
             "params": {
-                name: name if name in ("auxiliary", "refiner", LEARNED) else "backbone"
+                name: name if name in ("auxiliary", "refiner") else "backbone"
                 for name in learned["params"]
             },
             "weighting": {name: name for name in learned["weighting"]},
@@ -241,8 +200,7 @@ def _averaged(
 def _measured(terms: MetaTerms, variables: Variables) -> Float[Array, " L"]:
     """In the order of `TERMS`."""
     weights = loss_weights(variables["weighting"]["logits"])
-    seen = (getattr(terms.losses, name) for name in COMMON)
-    losses = (terms.zero_step, *seen, terms.refined)
+    losses = (terms.zero_step, *terms.losses, terms.refined)
     return jnp.stack([*losses, *weights, entropy(weights), terms.adapted])
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.adaptation.objective import COMMON
+from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
@@ -101,7 +101,7 @@ def test_terms_are_the_losses_of_their_equations(evaluated, frame, config, quick
         )
 
     expected = terms(prediction.points, seen)
-    found = [getattr(losses, name) for name in COMMON[1:]]
+    found = [getattr(losses, name) for name in Losses._fields[1:]]
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     assert min(expected) > 0
 
@@ -114,8 +114,8 @@ def test_objective_is_the_weighted_sum(evaluated):
     expected = LAMBDAS["depth_weight"] * losses.depth_consistency
     expected += (weights * terms / SCALES).sum()
     np.testing.assert_allclose(losses.objective, expected, rtol=1e-12)
-    assert all(np.ndim(term) == 0 for term in losses.named().values())
-    assert set(losses.named()) == set(COMMON)
+    assert all(np.ndim(term) == 0 for term in losses._asdict().values())
+    assert set(losses._asdict()) == set(Losses._fields)
 
 
 @pytest.mark.parametrize("moving", ["point_encoder", "depth_encoder"])

@@ -102,7 +102,7 @@ def test_every_frame_gets_better_by_its_own_objective(adapted):
 
 def test_losses_of_every_step_and_after_the_last(adapted):
     for completion in adapted:
-        for term in completion.losses.named().values():
+        for term in completion.losses._asdict().values():
             assert term.shape == (NUM_STEPS + 1,)
             assert np.isfinite(term).all()
     np.testing.assert_allclose(adapted[0].weights, [1 / 3, 1 / 3, 1 / 3], rtol=1e-6)
@@ -131,9 +131,9 @@ def test_both_encoders_move_and_nothing_else_does(
         losses, prediction = decoded_by(completion.encoders, *frame)
         # Two programs: XLA fuses, and so rounds, each in its own way.
         np.testing.assert_allclose(prediction.points, completion.points, atol=1e-5)
-        named = completion.losses.named()
-        assert losses.named().keys() == named.keys()
-        for a, b in zip(losses.named().values(), named.values(), strict=True):
+        named = completion.losses._asdict()
+        assert losses._asdict().keys() == named.keys()
+        for a, b in zip(losses._asdict().values(), named.values(), strict=True):
             np.testing.assert_allclose(a, b[-1], rtol=1e-5)
 
 
@@ -195,7 +195,7 @@ def test_mapped_over_frames_it_is_the_loop(
         assert one.accepted == alone.accepted
         np.testing.assert_allclose(one.points, alone.points, atol=5e-5)
         np.testing.assert_allclose(one.before, alone.before, atol=5e-6)
-        for name in one.losses.named():
+        for name in one.losses._asdict():
             a, b = getattr(one.losses, name), getattr(alone.losses, name)
             rtol = 1e-3 if name == "normal" else 1e-5
             np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-5)
@@ -213,7 +213,7 @@ def test_without_steps_nothing_is_adapted(unadapted, minimal_fresh, frames, adap
     assert not completion.accepted
     assert bitwise(completion.points, completion.before)
     assert bitwise(completion.encoders, pop_encoders(minimal_fresh)[0])
-    assert all(term.shape == (1,) for term in completion.losses.named().values())
+    assert all(term.shape == (1,) for term in completion.losses._asdict().values())
     np.testing.assert_allclose(completion.points, adapted[0].before, atol=1e-5)
     first = adapted[0].losses.objective[0]
     np.testing.assert_allclose(completion.losses.objective[0], first, rtol=1e-5)
@@ -264,7 +264,7 @@ def test_an_objective_that_rose_is_refused(
     config = minimal.config.with_adapt(num_steps=1, step_size=-1e-3)
     completion = quick_jit(make_adapt(config))(minimal_variables, *frames[1])
     objective = np.asarray(completion.losses.objective)
-    assert np.isfinite(np.stack(list(completion.losses.named().values()))).all()
+    assert np.isfinite(np.stack(list(completion.losses._asdict().values()))).all()
     assert objective[-1] > 1.01 * objective[0]
     assert refused(completion, minimal_variables)
     assert np.isfinite(completion.points).all()
@@ -281,7 +281,7 @@ def test_degenerate_frames_stay_finite(adapt, minimal_fresh, frames, kind):
         camera = dataclasses.replace(camera, translation=-camera.translation)
     completion = adapt(minimal_fresh, partial, camera)
     assert np.isfinite(completion.points).all()
-    assert np.isfinite(np.stack(list(completion.losses.named().values()))).all()
+    assert np.isfinite(np.stack(list(completion.losses._asdict().values()))).all()
     leaves = jax.tree.leaves(completion.encoders)
     assert all(np.isfinite(leaf).all() for leaf in leaves)
     if kind == "out of view":

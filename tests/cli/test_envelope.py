@@ -288,28 +288,6 @@ def test_a_recording_that_is_broken_off_leaves_whole_files(
     assert not json.loads((out / "stream.json").read_text())["whole"]
 
 
-def test_what_is_remembered_is_measured(stream, tmp_path, capsys):
-    """In the last frame a box hides half of the cell."""
-    folder = tmp_path / "clouds"
-    points = np.load(folder / "0.npy")
-    for number in range(1, 4):
-        np.save(folder / f"{number}.npy", points)
-    eye, middle = np.array([2.0, 0, 1.5]), points.mean(axis=0)
-    seen = points[points[:, 1] > middle[1]]
-    hiding = eye + 0.3 * (points[points[:, 1] <= middle[1]] - eye)
-    np.save(folder / "4.npy", np.concatenate([seen, hiding]))
-    camera = asked_camera(eye, middle, tmp_path)
-    kept = [flag for flag in stream if not flag.startswith("--eye")]
-    counts = []
-    for more in ([], ["--accumulate=0.05"]):
-        assert launching.run(envelope, *kept, camera, *more) == 0
-        counts.append(lines_in(tmp_path / "out")[-1]["points"]["measured"])
-    assert counts[1] > counts[0] + 50
-    assert "was not calibrated with --accumulate" in capsys.readouterr().err
-    page = (tmp_path / "out" / "envelope.html").read_text()
-    assert "promises nothing here" in page and "clouds, frame 4" in page
-
-
 def asked_camera(eye, target, folder):
     camera = Camera.look_at(eye, target.astype(float), height=48, width=64)
     (folder / "c.json").write_text(json.dumps(camera_to_dict(camera)))

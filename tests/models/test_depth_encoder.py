@@ -5,11 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
 
-from prism_jax.geometry.camera import Camera
 from prism_jax.models.config import AuxiliaryConfig
-from prism_jax.models.depth_encoder import DepthEncoder, DepthView, aligned
+from prism_jax.models.depth_encoder import DepthEncoder
 
 CONFIG = AuxiliaryConfig(depth_features=(4, 8), depth_blocks=2)
 RNG = np.random.default_rng(0)
@@ -60,64 +58,6 @@ def test_tokens_are_the_cells_of_the_last_map(variables):
 def test_an_empty_view_is_finite(variables):
     features = encode(variables, DEPTH, jnp.zeros_like(MASK))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(features))
-
-
-VIEW = DepthView(
-    Camera.fixed_view().resized(32, 32),
-    tuple(jnp.asarray(RNG.normal(size=(n, n, n)), jnp.float32) for n in (8, 4)),
-)
-"""Two maps of other sizes than the camera's own."""
-
-
-def inside(count):
-    """Points of the workspace, all of which the camera sees."""
-    return RNG.uniform(-0.5, 0.5, (count, 3)).astype(np.float32)
-
-
-def test_features_at_points_are_scipys_interpolation():
-    """Beside the image there is nothing, nor behind the camera."""
-    eye = np.asarray(VIEW.camera.position)
-    beside = 0.5 * eye + 3.0 * RNG.normal(size=(20, 3))
-    points = np.concatenate([inside(50), beside, [2.0 * eye]]).astype(np.float32)
-    found = jax.jit(lambda points: aligned(VIEW, points))(points)
-    expected = []
-    for image in VIEW.maps:
-        uv, z = VIEW.camera.resized(*image.shape[:2]).project(points)
-        place = np.asarray(uv)[:, ::-1].T
-        read = [
-            map_coordinates(channel, place, order=1, mode="grid-constant")
-            for channel in np.moveaxis(image, -1, 0)
-        ]
-        expected.append(np.where(np.asarray(z) > 0, read, 0.0))
-    expected = np.concatenate(expected).T
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-    assert (expected[:50] != 0).all() and (expected[-1] == 0).all()
-    assert aligned(VIEW, jnp.asarray(points[:1])).shape == (1, 12)
-    mapped = jax.jit(lambda clouds: jax.vmap(aligned, (None, 0))(VIEW, clouds))
-    several = mapped(points[:70].reshape(7, 10, 3))
-    np.testing.assert_allclose(several.reshape(70, 12), found[:70], atol=1e-5)
-
-
-def test_features_at_points_have_their_derivatives(x64):
-    """In the points and in the maps."""
-    points, weights = jnp.asarray(inside(30), float), RNG.normal(size=12)
-    step, other = RNG.normal(size=points.shape), RNG.normal(size=VIEW.maps[1].shape)
-
-    @jax.jit
-    def total(points, coarse):
-        return (
-            aligned(VIEW._replace(maps=(VIEW.maps[0], coarse)), points) @ weights
-        ).sum()
-
-    def along(t):
-        return total(points + t * step, VIEW.maps[1] + t * other)
-
-    slope = jax.jvp(along, (0.0,), (1.0,))[1]
-    by_steps = (along(1e-7) - along(-1e-7)) / 2e-7
-    np.testing.assert_allclose(slope, by_steps, rtol=1e-5)
-    gradients = jax.grad(total, argnums=(0, 1))(points, VIEW.maps[1])
-    backwards = (gradients[0] * step).sum() + (gradients[1] * other).sum()
-    np.testing.assert_allclose(backwards, slope, rtol=1e-5)
 
 
 def test_statistics_move_in_training_alone(variables):

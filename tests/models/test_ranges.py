@@ -2,35 +2,28 @@
 
 import dataclasses
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 
-from prism_jax.models.ranges import check_ranges
+from prism_jax.models.ranges import Checked
 
 
 @dataclasses.dataclass(frozen=True)
-class Sizes:
-    count: int = 3
-    rate: float = 0.5
-    pair: tuple[int, int] = (1, 2)
-    levels: tuple[tuple[int, ...], ...] = ((1, 2), (1,))
+class Sizes(Checked):
+    count: Annotated[int, 1, 9] = 3
+    rate: Annotated[float, 0, 1] = 0.5
+    pair: Annotated[tuple[int, int], 1, 9] = (1, 2)
+    levels: Annotated[tuple[tuple[int, ...], ...], 1, 9] = ((1, 2), (1,))
     switch: bool = True
     word: Literal["near", "far"] = "near"
     words: tuple[Literal["near", "far"], ...] = ("far",)
-    some: int | None = None
-
-    def __post_init__(self):
-        numbers = dict.fromkeys(("count", "pair", "levels", "some"), (1, 9))
-        check_ranges(self, rate=(0, 1), **numbers)
+    some: Annotated[int | None, 1, 9] = None
 
 
 @dataclasses.dataclass(frozen=True)
-class Holder:
+class Holder(Checked):
     sizes: Sizes = Sizes()
-
-    def __post_init__(self):
-        check_ranges(self)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A decoder that reads what the sensor knows, and what the depth stream made of it."""
+"""A decoder that reads what the sensor knows."""
 
 import chex
 import jax
@@ -12,7 +12,6 @@ from prism_jax.geometry.visibility import (
     BACKGROUND,
     SURFACE,
     UNKNOWN,
-    nothing_known,
     seen_by,
 )
 from prism_jax.models.backbone import (
@@ -20,10 +19,9 @@ from prism_jax.models.backbone import (
     encode_points,
     init_backbone,
     partial_indices,
-    with_depth,
 )
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.prism import predict, prepare_input, view_from
+from prism_jax.models.prism import predict, prepare_input
 from prism_jax.training.inputs import inputs_of, visibility_of
 
 
@@ -45,7 +43,7 @@ def trained(untrained):
     rng = np.random.default_rng(0)
     params = untrained["params"]
     block = params["decoder"]["block_0"]
-    reading = {name: block[name] for name in ("clues", "depth")}
+    reading = {"clues": block["clues"]}
     pooling = params["decoder"]["visibility_pooling"]
     reading, pooling = jax.tree.map(
         lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype),
@@ -113,8 +111,6 @@ def test_the_seeds_know_of_it(model, trained, frame, quick_jit):
     def seeds(partial, known):
         indices = partial_indices(partial, model.backbone)
         encoded = encode_points(trained, model.backbone, partial, indices)
-        view = view_from(frame[0], camera.position, model)
-        encoded = with_depth(encoded, trained, model, view)
         decoded = decode(trained, model.backbone, partial, encoded, None, known)
         return decoded.stages[0]
 
@@ -127,17 +123,6 @@ def test_the_seeds_know_of_it(model, trained, frame, quick_jit):
 def test_the_seeds_do_not_read_what_the_blocks_do_not():
     with pytest.raises(ValueError, match="needs reads_visibility"):
         BackboneConfig(seeds_read_visibility=True)
-
-
-def test_the_depth_stream_has_a_say(untrained, trained, complete, frame):
-    """With a decoder that has learned to read it, as adaptation moves it."""
-    partial, camera = frame
-    for variables, moves in ((untrained, False), (trained, True)):
-        params = variables["params"]
-        other = jax.tree.map(lambda leaf: 1.5 * leaf, params["depth_encoder"])
-        changed = {**variables, "params": {**params, "depth_encoder": other}}
-        found = [complete(v, partial, camera, None)[0] for v in (variables, changed)]
-        assert (np.abs(found[0] - found[1]).max() > 1e-3) == moves
 
 
 def test_every_other_row_of_a_training_knows_the_surface_alone(model, tiny_frames):
@@ -160,7 +145,7 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(model, tiny_frame
     np.testing.assert_array_equal(inputs.visibility.state, known.state)
 
 
-def test_a_decoder_that_reads_needs_a_map_and_a_view(model, trained, frame):
+def test_a_decoder_that_reads_needs_a_map(model, trained, frame):
     def decoded(partial, known):
         indices = partial_indices(partial, model.backbone)
         encoded = encode_points(trained, model.backbone, partial, indices)
@@ -168,5 +153,3 @@ def test_a_decoder_that_reads_needs_a_map_and_a_view(model, trained, frame):
 
     with pytest.raises(ValueError, match="needs a map"):
         jax.eval_shape(decoded, frame[0], None)
-    with pytest.raises(ValueError, match="needs its stream's maps"):
-        jax.eval_shape(decoded, frame[0], nothing_known())

@@ -12,7 +12,6 @@ from prism_jax.io.ply import KNOWN
 from prism_jax.io.scan import parse_bounds, read_scan
 from prism_jax.io.streams import Frame
 from prism_jax.observation import observation
-from prism_jax.observation.accumulation import Accumulator
 from prism_jax.robots.urdf import Linkage
 from prism_jax.streams.completer import FrameCompleter
 from tests.experiments.simulation.roboarm.conftest import urdf
@@ -114,25 +113,6 @@ def test_up_is_looked_for_once(completer):
     np.testing.assert_allclose(stream.up, [0, 0, 1], atol=1e-6)
 
 
-def test_what_is_hidden_now_is_kept_and_not_predicted_again(completer):
-    """A half of the box is hidden from the fifth frame on."""
-    points = shell(3)
-    visible = points[:, 1] < 0
-    stream = FrameCompleter(completer, accumulator=Accumulator(0.1))
-    plain = FrameCompleter(completer)
-    for _ in range(4):
-        done = stream.complete(Frame(points, 0))
-        assert done.remembered == 0
-        whole = plain.complete(Frame(points, 0))
-        np.testing.assert_array_equal(done.points, whole.points)
-    done = stream.complete(Frame(points[visible], 0))
-    measured = done.points[done.observed]
-    np.testing.assert_array_equal(measured[: visible.sum()], points[visible])
-    kept = measured[visible.sum() :]
-    assert len(kept) == done.remembered > 50
-    assert {*map(tuple, kept)} <= {*map(tuple, points[~visible])}
-
-
 def test_adapting_to_the_first_frame_or_to_each(completer):
     points, other = shell(0), shell(1)
     each = FrameCompleter(completer, adapt="every")
@@ -165,21 +145,17 @@ def test_nothing_is_compiled_once_it_is_warm(completer):
 
 
 def test_a_known_robot_is_cut_out_and_put_back(completer, urdf):
-    """It stands in front of the box, and moves on when it has been seen often."""
+    """It stands in front of the box, and moves."""
     robot, base = Linkage(urdf), np.eye(4)
     base[0, 3] = 1.5
     poses = [{"yaw": 0.0, "shoulder": s, "elbow": 0.3} for s in (1.2, -1.2)]
     surfaces = [robot_surface(robot, pose, base) for pose in poses]
     joints = [{"positions": pose, "base": base.tolist()} for pose in poses]
     box = shell(3)
-    accumulator = Accumulator(0.1)
-    stream = FrameCompleter(
-        completer, robot=robot, robot_margin=0.05, accumulator=accumulator
-    )
+    stream = FrameCompleter(completer, robot=robot, robot_margin=0.05)
     noisy = surfaces[0] + RNG.normal(0, 0.005, surfaces[0].shape)
     points = np.concatenate([box, noisy]).astype(np.float32)
-    for _ in range(4):
-        done = stream.complete(Frame(points, 0, joints=joints[0]))
+    done = stream.complete(Frame(points, 0, joints=joints[0]))
     np.testing.assert_array_equal(done.points[done.observed], box)
     known = done.points[done.label == KNOWN]
     np.testing.assert_array_equal(known, surfaces[0].astype(np.float32))
@@ -188,15 +164,12 @@ def test_a_known_robot_is_cut_out_and_put_back(completer, urdf):
     predicted = alone.points[~alone.observed]
     predicted = predicted[~of_robot(predicted, surfaces[0], 0.05)]
     np.testing.assert_array_equal(done.points[done.label == 1], predicted)
-    # Nothing was remembered of where it was.
     done = stream.complete(Frame(box, 0, joints=joints[1]))
-    assert done.remembered == 0
     np.testing.assert_array_equal(done.points[done.observed], box)
     np.testing.assert_array_equal(
         done.points[done.label == KNOWN], surfaces[1].astype(np.float32)
     )
     with pytest.raises(InputError, match="has no joint positions"):
         stream.complete(Frame(box, 0))
-    stream.accumulator = None
     with pytest.raises(InputError, match="without its robot: has no points"):
         stream.complete(Frame(noisy, 0, joints=joints[0]))

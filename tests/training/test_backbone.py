@@ -9,13 +9,9 @@ import numpy as np
 import optax
 import pytest
 
-from experiments.training import overlaid
-from prism_jax.adaptation.config import PrismConfig
 from prism_jax.data.holdout import Subset
 from prism_jax.data.pipeline import Framing, training_batches
-from prism_jax.io.errors import InputError
 from prism_jax.training import parallel
-from prism_jax.training.auxiliary import auxiliary_phase
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.indices import index_table
@@ -124,70 +120,6 @@ def test_the_whole_decoder_trains(stages, indexed):
     for kind in ("params", "batch_stats"):
         for name, tree in before[kind]["decoder"].items():
             assert not bitwise(tree, after[kind]["decoder"][name]), name
-
-
-@pytest.mark.slow
-def test_a_depth_stream_that_is_read_is_trained_with_the_backbone(
-    preset, batch, as_fresh
-):
-    """And what comes after leaves it alone."""
-    backbone = dataclasses.replace(preset.model.backbone, reads_depth=True)
-    model = dataclasses.replace(preset.model, backbone=backbone)
-    whole = as_fresh(model)
-    variables = parts_of(whole, "point_encoder", "depth_encoder", "decoder")
-    phase = backbone_phase(
-        variables, model, preset.pretrain.backbone[1], preset.pretrain
-    )
-    state = phase.start
-    for _ in range(3):
-        state, _ = phase.step_fn(state, batch)
-    after = state.variables
-    for kind in ("params", "batch_stats"):
-        assert not bitwise(
-            variables[kind]["depth_encoder"], after[kind]["depth_encoder"]
-        )
-    assert np.isfinite(phase.validate_fn(state.kept, batch)).all()
-    whole = overlaid(whole, after)
-    config = PrismConfig(model, preset.adapt)
-    training = dataclasses.replace(preset.pretrain, auxiliary_samples=8 * BATCH)
-    later = auxiliary_phase(whole, config, training, seed=0)
-    state = later.start
-    for _ in range(2):
-        state, _ = later.step_fn(state, batch)
-    for kind in ("params", "batch_stats"):
-        kept = state.variables[kind]["depth_encoder"]
-        assert bitwise(kept, after[kind]["depth_encoder"])
-    assert not bitwise(
-        state.variables["params"]["auxiliary"], whole["params"]["auxiliary"]
-    )
-
-
-@pytest.mark.slow
-def test_a_last_block_is_trained_alone(preset, batch, as_fresh):
-    """On a network that was trained without it."""
-    two = dataclasses.replace(
-        preset.model.backbone, up_factors=(2, 2), level_rates=((1,), (1,))
-    )
-    two = dataclasses.replace(preset.model, backbone=two)
-    variables = parts_of(as_fresh(two), "point_encoder", "decoder")
-    last = dataclasses.replace(preset.pretrain.backbone[1], first_block=1)
-    phase = backbone_phase(variables, two, last, preset.pretrain)
-    assert phase.terms == ("stage_2",)
-    state = phase.start
-    for _ in range(2):
-        state, losses = phase.step_fn(state, batch)
-    assert losses.shape == (1,)
-    for kind in ("params", "batch_stats"):
-        before, after = variables[kind], state.variables[kind]
-        assert bitwise(before["point_encoder"], after["point_encoder"])
-        for name, own in before["decoder"].items():
-            same = bitwise(own, after["decoder"][name])
-            assert same == (name != "block_1"), name
-    scores = phase.validate_fn(state.kept, batch)
-    assert scores.shape == (BATCH, 2)
-    with pytest.raises(InputError, match="trains no block: 2 of 2 stay"):
-        all_kept = dataclasses.replace(last, first_block=2)
-        backbone_phase(variables, two, all_kept, preset.pretrain)
 
 
 def test_indices_that_come_with_a_batch_are_those_that_are_used(stages, indexed):

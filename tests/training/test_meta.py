@@ -44,7 +44,7 @@ def variables():
 
     params = {
         name: {"only": {"kernel": numbers(2, 3), "bias": numbers(3)}}
-        for name in (*ENCODERS, "decoder", "refiner", "auxiliary", "learned")
+        for name in (*ENCODERS, "decoder", "refiner", "auxiliary")
     }
     steps = {name: {"only": numbers(), "global": numbers()} for name in ENCODERS}
     logits, scales = numbers(3), jnp.array([1.0, 2.0, 3.0])
@@ -200,46 +200,6 @@ def test_what_does_not_learn_stays(phase_of, batch, learn_steps, learn_refiner):
     expected |= {"refiner"} if learn_refiner else set()
     expected |= {"log_steps"} if learn_steps else set()
     assert changed(states[0].variables, states[2].variables) == expected
-
-
-TERM = dataclasses.replace(EVERYTHING, learn_backbone=False, learn_term=True)
-TERM = dataclasses.replace(TERM, learn_refiner=False, learn_auxiliary=False)
-WEIGHTED = PrismConfig().with_adapt(learned_weight=1.0)
-
-
-def test_a_term_learns_on_a_frozen_backbone(variables, batch, phase_of, quick_jit):
-    """At the rate of the auxiliary modules; the backbone stays bit for bit."""
-    training = MetaTrainConfig(TERM, 40, 4, auxiliary_rate=0.1)
-    phase = meta_phase(variables, WEIGHTED, training, 0)
-    phase = phase._replace(step_fn=quick_jit(phase.step_fn))
-    states, _ = steps(phase, batch, 2)
-    expected = {"learned", "logits", "log_steps", "scales"}
-    assert changed(states[0].variables, states[2].variables) == expected
-    moved = moves(states, "params", "learned")
-    np.testing.assert_allclose(moved, 0.1 * slope_of(batch), rtol=1e-4)
-
-
-def test_steps_of_the_global_feature_alone(phase_of, batch):
-    """All others are none, however long their sizes learn."""
-    method = dataclasses.replace(EVERYTHING, moves="global")
-    states, _ = steps(phase_of(MetaTrainConfig(method, 40, 4)), batch, 3)
-    for state in states:
-        found = state.variables["weighting"]["log_steps"]
-        point, depth = (jax.device_get(found[name]) for name in ENCODERS)
-        assert np.isfinite(point.pop("global"))
-        assert [*point.values(), *depth.values()] == [-np.inf] * 3
-
-
-@pytest.mark.parametrize("lacks", ["term", "weight"])
-def test_a_term_that_cannot_learn_is_refused(variables, lacks):
-    config, had = WEIGHTED, variables
-    if lacks == "term":
-        params = {k: v for k, v in variables["params"].items() if k != "learned"}
-        had = {**variables, "params": params}
-    else:
-        config = PrismConfig()
-    with pytest.raises(InputError, match=lacks):
-        meta_phase(had, config, MetaTrainConfig(TERM, 40, 4), 0)
 
 
 def test_branches_that_do_not_count_never_have_a_weight(phase_of, batch):
@@ -506,8 +466,6 @@ def test_validation_scores(phase_of, batch, variables, measured):
     [
         ({"first_order": True, "weight_rule": "meta"}, "teach nothing to weight_rule"),
         ({"first_order": True, "learn_auxiliary": True}, "teach nothing to learn_aux"),
-        ({"first_order": True, "learn_term": True}, "teach nothing to learn_term"),
-        ({"learn_term": True}, "Eq. 11 has no learned term"),
     ],
 )
 def test_settings_under_which_nothing_is_learned_are_refused(changes, fault):
