@@ -32,7 +32,7 @@ from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 TOLERANCE = 2.0
 """In spacings of the network's input: a predicted point that much nearer than all that
 was measured about its pixel would have hidden it. Chosen on `novel`
-(docs/experiments.md)."""
+(docs/findings.md)."""
 
 BALANCED = ("depth_consistency", *BRANCHES, "visibility")
 """The terms that have a norm of their own (`AdaptConfig.balance`); after them the
