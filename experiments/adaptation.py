@@ -70,7 +70,7 @@ NEW = {
     "balance": False,
 }
 """The settings of adaptation that were chosen on every other shape of `novel`
-(docs/experiments.md)."""
+(docs/findings.md)."""
 
 BLIND, BLIND_REMOVED = "blind", "blind, removed"
 TOLD, TOLD_REMOVED = "told", "told, removed"

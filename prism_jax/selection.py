@@ -13,7 +13,7 @@ from prism_jax.observation.visibility import in_front, looked_through
 STRAY = 0.35
 """Of a predicted point that is no stray so many others (`company`), predicted or
 measured, are no farther off, in the unit workspace. Chosen on validation
-(docs/experiments.md), as that number is."""
+(docs/findings.md), as that number is."""
 
 TOLERANCE = 4.0
 """In spacings of the network's input: a point that much nearer to the sensor than all

@@ -56,7 +56,7 @@ def test_flags_of_the_script_are_its_own_or_the_trainings():
         for text in texts
         for rest in re.findall(r"train_release\.sh((?:\s+--[^\s`]+)+)", text)
     ]
-    assert len(given) > 4
+    assert len(given) > 2
     script = (ROOT / "experiments" / "train_release.sh").read_text()
     own = re.findall(r"^    (--\w+=)\*\)", script, re.MULTILINE)
     own.remove("--preset=")

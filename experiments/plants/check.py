@@ -35,7 +35,7 @@ cells a network that came nearer to the truth had 2 % more, one that sprayed 9 %
 NEARER = 0.1
 """What was hidden has to come nearer by more than so much, for certain: below, other
 frames of test cells got worse though it did, and of validation cells better though it
-did not (docs/experiments.md, Training on frames without truth)."""
+did not (docs/findings.md, Adaptation)."""
 
 FEWEST_GROUPS = 5
 """Sequences that an interval over sequences takes; else it is over frames."""

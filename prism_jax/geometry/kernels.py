@@ -31,7 +31,7 @@ def nearest_indices(
     """Index of each query's nearest support point; ties go to the lowest.
 
     No kernel of ours: XLA reduces the distances as it makes them and keeps none
-    (docs/experiments.md, "On a GPU").
+    (docs/findings.md, "Speed and numbers").
     """
     squared = ((query[:, None] - support) ** 2).sum(-1)
     return jax.lax.argmin(squared, 1, jnp.int32)
