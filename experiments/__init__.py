@@ -8,7 +8,7 @@ from prism_jax.io.errors import InputError
 
 EXTRAS = {
     "train": ("grain", "optax", "orbax"),
-    "data": ("embreex", "fpsample", "h5py", "manifold3d", "trimesh"),
+    "data": ("embreex", "fpsample", "manifold3d", "trimesh"),
 }
 """Packages that launchers import as they start, by the extra that installs them."""
 

@@ -72,7 +72,7 @@ ONLY = {
 NO_FLAX = tuple(
     f"prism_jax.{name}" for name in ["geometry", "losses", "io", "observation", "data"]
 )
-MAKERS = {"trimesh", "manifold3d", "embreex", "fpsample", "h5py", "grain"}
+MAKERS = {"trimesh", "manifold3d", "embreex", "fpsample", "grain"}
 UNPICKLERS = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "shelve"}
 
 

@@ -19,7 +19,7 @@ from prism_jax.weights import save_weights
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
-UNTESTED = {"test", "cuda", "torch", "ouster", "view"}
+UNTESTED = {"test", "cuda", "torch", "ouster"}
 """Extras that are large, or pin others' versions: tests that want them skip."""
 
 CORE = """

@@ -93,7 +93,6 @@ def define_flags() -> None:
         "max: as fast as it goes. sensor: as recorded, and frames that come too late "
         "are dropped.",
     )
-    flags.DEFINE_bool("view", False, "Show frames as they are completed (rerun).")
     flags.DEFINE_string(
         "output",
         "prism_stream",
@@ -166,7 +165,6 @@ def main(words: Sequence[str]) -> None:
         base=FLAGS.base,
         robot_margin=FLAGS.robot_margin,
         pace=FLAGS.pace,
-        view=FLAGS.view,
         output=FLAGS.output,
     )
     print(outcome(summary, FLAGS.output))
@@ -189,7 +187,6 @@ def stream_file(
     base: str | None = None,
     robot_margin: float = MARGIN,
     pace: str = "max",
-    view: bool = False,
     output: str = "prism_stream",
 ) -> dict[str, Any]:
     """Completes a recording; the arguments are the flags of the command.
@@ -227,7 +224,6 @@ def stream_file(
     io.make_output_dir(place.parent if beside else place)
     if beside:
         require("mcap.writer", EXTRA)
-    viewers: list[Sink] = [_open_view()] if view else []
     # Imported this late, so that a wrong recording is refused in a moment.
     from prism_jax.cli.complete import load_completer
     from prism_jax.streams.completer import FrameCompleter
@@ -243,8 +239,7 @@ def stream_file(
         robot=robot,
         robot_margin=robot_margin,
     )
-    sinks = [open_sink(place), *viewers]
-    return follow(stream, completer, sinks, asked, report_path, say)
+    return follow(stream, completer, [open_sink(place)], asked, report_path, say)
 
 
 def follow(
@@ -314,12 +309,6 @@ def told_frames(summary: dict[str, Any]) -> str:
 def say(text: str) -> None:
     """One line to the user, on stderr."""
     print(f"{NAME}: {text}", file=sys.stderr, flush=True)
-
-
-def _open_view() -> Sink:
-    from prism_jax.io.streams.view import RerunView
-
-    return RerunView()
 
 
 def end_as_interrupted() -> None:

@@ -13,9 +13,7 @@ import numpy as np
 
 from prism_jax.data.holdout import Subset, hold_out
 from prism_jax.data.manifest import content_digest, read_manifest
-from prism_jax.data.public.completion3d import Completion3D
 from prism_jax.data.public.kitti import KITTI
-from prism_jax.data.public.mvp import MVP
 from prism_jax.data.public.pcn import PCN
 from prism_jax.data.public.shapenet import ProjectedShapeNet, ShapeNet
 from prism_jax.data.recordings import RecordedCells
@@ -161,8 +159,6 @@ DATASETS: Mapping[str, DataSet] = {
         partial(ProjectedShapeNet, "ShapeNet-Unseen21"), training=None
     ),
     "pcn": DataSet(PCN, validation="val", scored=("val", "test")),
-    "completion3d": DataSet(Completion3D, validation="val", scored=("val",)),
-    "mvp": DataSet(MVP),
     "kitti": DataSet(KITTI, training=None, scored=()),
 }
 """Public sets are named last. Nothing is downloaded: a set is put in place by whoever
@@ -179,7 +175,7 @@ def open_dataset(
     `data_dir` holds the set: the folder given to `make_data` or to `experiments.pack`,
     or the root of recordings or of a public set in its published layout. Recordings
     have the one split "all". `options` are the set's own, such as ShapeNet's
-    `difficulty` or MVP's `num_points`. Anything that is not there, or not as it should
+    `difficulty`. Anything that is not there, or not as it should
     be, raises InputError.
     """
     known = DATASETS[choose("data set", name, DATASETS)]

@@ -7,8 +7,6 @@ import pathlib
 import stat
 import sys
 import tempfile
-import zipfile
-import zlib
 from typing import Any
 
 from prism_jax.io.errors import InputError
@@ -85,34 +83,6 @@ def read_json(path: str | os.PathLike, remedy: str) -> dict[str, Any]:
     if type(content) is not dict:
         raise InputError(path, "is not a JSON object", remedy)
     return content
-
-
-def read_member(path: str | os.PathLike, name: str, max_bytes: int) -> bytes:
-    """All bytes of one member of a zip archive.
-
-    Nothing is unpacked to disk. The archive's claim of the member's size is compared
-    with `max_bytes` before it is read, and no more than is claimed is decompressed. An
-    archive or a member that is missing, damaged, too large, encrypted or empty raises
-    an InputError.
-    """
-    subject, remedy = f"{os.fspath(path)}: {name}", "put the archive in place again"
-    try:
-        with zipfile.ZipFile(path) as archive:
-            member = archive.getinfo(name)
-            if not 0 < member.file_size <= max_bytes:
-                size = f"{member.file_size:,} bytes"
-                fault = f"claims {size}, which is not within 1 to {max_bytes:,}"
-                raise InputError(subject, fault, remedy)
-            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise InputError(subject, "is not stored or deflated", remedy)
-            return archive.read(member)
-    except FileNotFoundError:
-        raise InputError(path, "no such file", "check the path") from None
-    except KeyError:
-        raise InputError(subject, "is not in the archive", remedy) from None
-    except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-        fault = f"cannot be read ({error})"
-        raise InputError(subject, fault, remedy) from None
 
 
 def default_cache_dir() -> pathlib.Path:

@@ -127,13 +127,6 @@ def test_weights_that_are_none_leave_no_file(scans, capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_view_without_rerun_is_a_hint(scans, capsys, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    output = f"--output={tmp_path / 'out'}"
-    assert run(command, str(scans / "scans"), "--view", output) == 2
-    assert 'pip install "prism_jax[view]"' in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGKILL])
 def test_a_stream_that_is_ended_leaves_whole_files(ending, scans, weights, tmp_path):
     """In the middle of forty seconds of recording."""

@@ -84,8 +84,7 @@ def test_splits_that_can_be_scored():
     assert scored_splits("shapes") == ("validation", "test", "unseen", "novel")
     assert scored_splits("roboarm") == ("validation", "test")
     assert scored_splits("pcn") == ("val", "test")
-    assert scored_splits("completion3d") == ("val",)
-    assert scored_splits("mvp") == ("test",)
+    assert scored_splits("shapenet55") == ("test",)
     assert scored_splits("packed") == ("validation",)
     for name in ("recordings", "kitti", "open"):
         with pytest.raises(InputError, match=f"{name}: has no split with ground truth"):
@@ -123,18 +122,19 @@ def opened(monkeypatch):
     return found
 
 
-@pytest.mark.parametrize(("name", "split"), [("mvp", "train"), ("recordings", "all")])
+@pytest.mark.parametrize(
+    ("name", "split"), [("shapenet55", "train"), ("recordings", "all")]
+)
 def test_of_another_some_objects_are_held_out(opened, name, split):
     train, validation = open_training(name, "folder")
     assert (len(train), len(validation)) == (72, 4)
     assert opened == [(name, split, "folder")]
 
 
-@pytest.mark.parametrize("name", ["pcn", "completion3d"])
-def test_public_sets_are_validated_on_their_own_split(opened, name):
-    train, validation = open_training(name, "folder", 7)
+def test_pcn_is_validated_on_its_own_split(opened):
+    train, validation = open_training("pcn", "folder", 7)
     assert (len(train), len(validation)) == (80, 7)
-    assert opened == [(name, "train", "folder"), (name, "val", "folder")]
+    assert opened == [("pcn", "train", "folder"), ("pcn", "val", "folder")]
 
 
 @pytest.mark.parametrize(
@@ -169,8 +169,8 @@ def test_sets_without_a_training_split_are_refused(name, tmp_path):
 def test_what_there_is_not_is_refused(tmp_path):
     with pytest.raises(InputError, match="unknown value 'shapez'; use one of shapes"):
         open_dataset("shapez", "train")
-    with pytest.raises(InputError, match="unknown value 'mvp'; use one of shapes"):
-        build_dataset("mvp", "train", tmp_path)
+    with pytest.raises(InputError, match="unknown value 'pcn'; use one of shapes"):
+        build_dataset("pcn", "train", tmp_path)
     for name in sorted({*DATASETS} - {*GENERATED}):
         with pytest.raises(InputError, match="name its folder with --data_dir"):
             open_dataset(name, "train")

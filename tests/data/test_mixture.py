@@ -105,11 +105,11 @@ def test_every_set_is_trained_on_and_validated_where_it_can_be(monkeypatch):
     monkeypatch.setattr(
         mixture, "validation_rows", lambda name, data_dir, count: Named(name, count)
     )
-    train, validation = open_mixture({"shapes": 1, "mvp": 1}, "here", 4)
-    assert opened == [("shapes", "train", "here"), ("mvp", "train", "here")]
+    train, validation = open_mixture({"shapes": 1, "shapenet55": 1}, "here", 4)
+    assert opened == [("shapes", "train", "here"), ("shapenet55", "train", "here")]
     assert len(train) == 24
     assert names(validation) == [f"shapes/{row}" for row in range(8)]
     with pytest.raises(InputError, match="validation split"):
-        open_mixture({"mvp": 1})
+        open_mixture({"shapenet55": 1})
     with pytest.raises(InputError, match="shells"):
         open_mixture({"shells": 1})

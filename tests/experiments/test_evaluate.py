@@ -184,7 +184,7 @@ def test_the_published_test_of_pcn_prints_its_columns(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        (["--dataset=mvp"], "no published protocol of mvp's split 'test'"),
+        (["--dataset=kitti"], "no published protocol of kitti's split 'test'"),
         (["--dataset=pcn", "--split=val"], "no published protocol of pcn's split"),
         (["--dataset=pcn", "--limit=3"], "the published protocol is of the whole test"),
     ],

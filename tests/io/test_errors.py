@@ -31,10 +31,12 @@ def test_is_one_printable_line_whatever_the_file_is_called():
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):
     assert require("json", "data") is json
-    monkeypatch.setitem(sys.modules, "h5py", None)
+    monkeypatch.setitem(sys.modules, "fpsample", None)
     with pytest.raises(InputError) as error:
-        require("h5py", "data")
-    told = 'h5py: is not installed; install the extra: pip install "prism_jax[data]"'
+        require("fpsample", "data")
+    told = (
+        'fpsample: is not installed; install the extra: pip install "prism_jax[data]"'
+    )
     assert str(error.value) == told
 
 

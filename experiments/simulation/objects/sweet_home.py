@@ -16,10 +16,10 @@ import numpy as np
 import trimesh
 
 from experiments.simulation.meshes import parse_mesh
+from experiments.simulation.objects.archive import read_member
 from experiments.simulation.objects.categories import NO_OBJECTS
 from experiments.simulation.objects.models import Model
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_member
 
 PROPERTIES = "PluginFurnitureCatalog.properties"
 MAX_PROPERTIES_BYTES = 2**22

@@ -9,8 +9,8 @@ import os
 import pathlib
 import re
 
+from experiments.simulation.roboarm.packages import robots_folder
 from prism_jax.io.errors import InputError, choose
-from prism_jax.robots.packages import robots_folder
 
 PACKAGE, INDUSTRIAL_PACKAGE = "example-robot-data", "rtb-data"
 OWN = "own"

@@ -3,17 +3,14 @@
 import os
 import pathlib
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
 from experiments.simulation.recorder import write_frame
 from prism_jax.data.recordings import DEPTH_SCALE, Frame
-from prism_jax.io.streams.mcap_output import (
-    McapOutput,
-    camera_message,
-    depth_message,
-    joints_message,
-)
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.streams.mcap_output import Maker, McapOutput, header
 
 START = 1_700_000_000_000_000_000
 """Nanoseconds of the first frame: some day in 2023."""
@@ -64,3 +61,61 @@ def write_mcap(
         image = depth_message(counts, time)
         output.write(DEPTH_TOPIC, "sensor_msgs/msg/Image", time, image)
     output.close()
+
+
+def depth_message(counts: np.ndarray, time: int, frame_id: str = "camera") -> Maker:
+    """An Image of depth: 16UC1 in millimetres, or 32FC1 in metres."""
+    encoding = "16UC1" if counts.dtype == np.uint16 else "32FC1"
+    height, width = counts.shape
+    rows = np.ascontiguousarray(counts).view(np.uint8).reshape(height, -1)
+
+    def make(types: Any) -> Any:
+        return types["sensor_msgs/msg/Image"](
+            header=header(types, time, frame_id),
+            height=height,
+            width=width,
+            encoding=encoding,
+            is_bigendian=0,
+            step=rows.shape[1],
+            data=rows.ravel(),
+        )
+
+    return make
+
+
+def camera_message(camera: Camera, time: int, frame_id: str = "camera") -> Maker:
+    """A CameraInfo without distortion."""
+    matrix = np.asarray(camera.intrinsics, np.float64)
+
+    def make(types: Any) -> Any:
+        region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        return types["sensor_msgs/msg/CameraInfo"](
+            header=header(types, time, frame_id),
+            height=camera.height,
+            width=camera.width,
+            distortion_model="plumb_bob",
+            d=np.zeros(5),
+            k=matrix.ravel(),
+            r=np.eye(3).ravel(),
+            p=np.hstack([matrix, np.zeros((3, 1))]).ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=region,
+        )
+
+    return make
+
+
+def joints_message(positions: dict[str, float], time: int) -> Maker:
+    """A JointState of positions alone, in radians or metres, by joint."""
+
+    def make(types: Any) -> Any:
+        return types["sensor_msgs/msg/JointState"](
+            header=header(types, time, ""),
+            name=list(positions),
+            position=np.array(list(positions.values()), np.float64),
+            velocity=np.zeros(0),
+            effort=np.zeros(0),
+        )
+
+    return make

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError, require
 from prism_jax.io.streams.packed import EXTRA
 
@@ -120,64 +119,6 @@ def cloud_message(
             row_step=step * len(points),
             data=rows.ravel(),
             is_dense=True,
-        )
-
-    return make
-
-
-def depth_message(counts: np.ndarray, time: int, frame_id: str = "camera") -> Maker:
-    """An Image of depth: 16UC1 in millimetres, or 32FC1 in metres."""
-    encoding = "16UC1" if counts.dtype == np.uint16 else "32FC1"
-    height, width = counts.shape
-    rows = np.ascontiguousarray(counts).view(np.uint8).reshape(height, -1)
-
-    def make(types: Any) -> Any:
-        return types["sensor_msgs/msg/Image"](
-            header=header(types, time, frame_id),
-            height=height,
-            width=width,
-            encoding=encoding,
-            is_bigendian=0,
-            step=rows.shape[1],
-            data=rows.ravel(),
-        )
-
-    return make
-
-
-def camera_message(camera: Camera, time: int, frame_id: str = "camera") -> Maker:
-    """A CameraInfo without distortion."""
-    matrix = np.asarray(camera.intrinsics, np.float64)
-
-    def make(types: Any) -> Any:
-        region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        return types["sensor_msgs/msg/CameraInfo"](
-            header=header(types, time, frame_id),
-            height=camera.height,
-            width=camera.width,
-            distortion_model="plumb_bob",
-            d=np.zeros(5),
-            k=matrix.ravel(),
-            r=np.eye(3).ravel(),
-            p=np.hstack([matrix, np.zeros((3, 1))]).ravel(),
-            binning_x=0,
-            binning_y=0,
-            roi=region,
-        )
-
-    return make
-
-
-def joints_message(positions: dict[str, float], time: int) -> Maker:
-    """A JointState of positions alone, in radians or metres, by joint."""
-
-    def make(types: Any) -> Any:
-        return types["sensor_msgs/msg/JointState"](
-            header=header(types, time, ""),
-            name=list(positions),
-            position=np.array(list(positions.values()), np.float64),
-            velocity=np.zeros(0),
-            effort=np.zeros(0),
         )
 
     return make

@@ -5,7 +5,6 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -30,11 +29,7 @@ def write() -> Callable[..., Path]:
 
     def to_file(path: Path, content) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix == ".h5":
-            with h5py.File(path, "w") as file:
-                for name, array in content.items():
-                    file[name] = array
-        elif path.suffix == ".json":
+        if path.suffix == ".json":
             path.write_text(json.dumps(content))
         elif isinstance(content, str):
             path.write_text(content)

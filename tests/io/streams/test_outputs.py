@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
+from experiments.simulation.roboarm.recording import (
+    camera_message,
+    depth_message,
+    joints_message,
+)
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import read_points
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams import open_stream
 from prism_jax.io.streams.mcap_output import (
     McapOutput,
-    camera_message,
-    depth_message,
-    joints_message,
 )
 from prism_jax.io.streams.sinks import TOPIC, Labelled, open_sink
 
