@@ -22,7 +22,7 @@ from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError, choose
-from prism_jax.models.variables import Variables, pop_encoders, put_encoders
+from prism_jax.models.variables import Variables
 from prism_jax.observation.maps import seen_among, some_of
 from prism_jax.observation.observation import Observation, observe
 from prism_jax.observation.scene import Scene, split_scene
@@ -255,16 +255,6 @@ class Completer:
         found = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
         return found, {"compile": compiled - start, "run": done - compiled}
-
-    def with_encoders(self, encoders: Variables) -> "Completer":
-        """The same with encoders that were adapted to a frame (`Completion.encoders`).
-
-        What is compiled is shared.
-        """
-        _, rest = pop_encoders(self.variables)
-        other = copy.copy(self)
-        other.variables = put_encoders(encoders, rest)
-        return other
 
     def in_poses(self, count: int) -> "Completer":
         """The same, which completes in so many poses (`ModelConfig.poses`); what is

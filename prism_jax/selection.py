@@ -57,11 +57,6 @@ class Selection(NamedTuple):
     looked_through: Bool[np.ndarray, " P"]
     known: Bool[np.ndarray, " P"]
 
-    @property
-    def believable(self) -> Bool[np.ndarray, " P"]:
-        """Neither outside nor a stray, and allowed by the view; new or not."""
-        return ~(self.outside | self.stray | self.in_front | self.looked_through)
-
 
 def added_points(
     prediction: Float[np.ndarray, "P 3"],

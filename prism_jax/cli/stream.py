@@ -51,12 +51,7 @@ def define_flags() -> None:
         "workspace", None, "Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres."
     )
     flags.DEFINE_string("weights", "small", "Name of released weights, or a file.")
-    flags.DEFINE_enum(
-        "adapt",
-        "off",
-        ["off", "first", "every"],
-        "off: the network as it is. first: adapted to the first frame. every: to each.",
-    )
+    flags.DEFINE_bool("adapt", False, "Adapt the network to each frame first.")
     flags.DEFINE_string(
         "up",
         None,
@@ -177,7 +172,7 @@ def stream_file(
     camera: str | None = None,
     workspace: str | None = None,
     weights: str = "small",
-    adapt: str = "off",
+    adapt: bool = False,
     up: str | None = None,
     density: float = 0.0,
     background: str = "unknown",
@@ -231,7 +226,7 @@ def stream_file(
     completer: Any = FrameCompleter(
         load_completer(weights),
         bounds=bounds,
-        adapt=adapt,  # pyright: ignore
+        adapt=adapt,
         up=direction,
         density=density,
         background=background,  # pyright: ignore

@@ -6,10 +6,9 @@ it is scored, so that results of several normalisations have the same unit.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float32
+from jaxtyping import Float32
 
 from prism_jax import metrics
 from prism_jax.data.ordering import first_points
@@ -33,7 +32,6 @@ UNITS = {
 """What scores can be in, and in words."""
 
 NUM_COMPLETE = 2048
-"""Points of the truth that bounds are found with (`Told`)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,12 +56,8 @@ class Protocol:
       heading: which one the completer knows objects in; the partial decides on it.
       background: whether what lies around a partial is known to be empty, and predicted
         points there are left away.
-      told: whether the completer gets `Told` beside partials and sensors, and a map
-        that an example has speaks against what is added to the measured points.
-      removes: whether those of the network's points that contradict the view, or lie
-        alone or outside the workspace, are left away before it is scored
-        (`prism_jax.selection.Selection.believable`). Where the example has a map, what
-        it says of what lies around counts, and `background` does not.
+      told: whether the completer gets the examples' visibility maps beside partials
+        and sensors, and the maps filter what is added to the measured points.
     """
 
     num_partial: int
@@ -75,25 +69,12 @@ class Protocol:
     heading: Heading = "given"
     background: Background = "unknown"
     told: bool = False
-    removes: bool = False
 
     def __post_init__(self):
         if self.normalisation not in NORMALISATIONS:
             raise ValueError(f"normalisation must be one of {NORMALISATIONS}")
         if self.unit not in UNITS:
             raise ValueError(f"unit must be one of {tuple(UNITS)}")
-
-
-class Told(NamedTuple):
-    """What a completer can be told of an example beside its partial, in the workspace.
-
-    Attributes:
-      visibility: what the sensor knows; None where the source has no maps.
-      complete: some of the truth. Only a bound may look at it.
-    """
-
-    visibility: Visibility | None
-    complete: Float32[Array | np.ndarray, "*batch M 3"]
 
 
 def workspace_for(example: Example, protocol: Protocol) -> Workspace:
@@ -152,15 +133,6 @@ def side_by_side(
     partials = np.stack([seen.partial for seen in observations])
     eyes = np.stack([seen.eye for seen in observations])
     return partials.astype(np.float32), eyes.astype(np.float32)
-
-
-def told(example: Example, protocol: Protocol) -> Told:
-    """What there is to be told of an example."""
-    assert example.complete is not None
-    workspace = workspace_for(example, protocol)
-    few = first_points(example.complete, NUM_COMPLETE, example.ordered)
-    complete = np.asarray(workspace.to_unit(few), np.float32)
-    return Told(map_of(example, workspace), complete)
 
 
 def map_of(example: Example, workspace: Workspace) -> Visibility | None:

@@ -21,20 +21,19 @@ from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import (
     UNITS,
     Protocol,
-    Told,
     into_scored,
     map_of,
     observed,
     side_by_side,
-    told,
     workspace_for,
 )
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
+from prism_jax.geometry.visibility import Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
-from prism_jax.observation.observation import Observation, observe
-from prism_jax.selection import added_points, select
+from prism_jax.observation.observation import observe
+from prism_jax.selection import added_points
 
 
 class Predictions(NamedTuple):
@@ -54,15 +53,15 @@ class Predictions(NamedTuple):
 
 CompleteFn = Callable[..., Predictions]
 """What is scored: a function of partial clouds (B, N, 3) and the sensors' positions
-(B, 3), both in the unit workspace, and, if the protocol says so, of what else is told
-of them (`Told`). It may be jitted."""
+(B, 3), both in the unit workspace, and, if the protocol says so, of their visibility
+maps (None where the source has none). It may be jitted."""
 
 
 def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     """PRISM with its test-time adaptation, jitted; compiled for each batch size.
 
-    With ``num_steps=0`` it returns ``network`` alone. It takes the maps of what it is
-    told; without, it has what the clouds say.
+    With ``num_steps=0`` it returns ``network`` alone. Without maps it has what the
+    clouds say.
     """
     adapt = make_adapt(config)
 
@@ -78,9 +77,8 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     def complete(
         partials: np.ndarray | Array,
         eyes: np.ndarray | Array,
-        told: Told | None = None,
+        known: Visibility | None = None,
     ) -> Predictions:
-        known = None if told is None else told.visibility
         return Predictions(*batched(variables, partials, eyes, known))
 
     return complete
@@ -158,11 +156,11 @@ def _complete(
         examples = [with_partial(source[int(row)]) for row in rows]
         seen = [observed(example, protocol) for example in examples]
         partials, eyes = side_by_side(seen)
-        beside: list[Told] = []
+        maps: list[Visibility | None] = []
         if protocol.told:
-            each = [told(example, protocol) for example in examples]
-            beside = [jax.tree.map(lambda *rows: np.stack(rows), *each)]
-        predictions = jax.device_get(complete_fn(partials, eyes, *beside))
+            each = [map_of(one, workspace_for(one, protocol)) for one in examples]
+            maps = [jax.tree.map(lambda *rows: np.stack(rows), *each)]
+        predictions = jax.device_get(complete_fn(partials, eyes, *maps))
         yield [
             _Item(examples[i], partials[i], _one(predictions, i))
             for i in range(min(batch_size, count - start))
@@ -194,7 +192,7 @@ def scored_clouds(
     )
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
     known = None
-    if protocol.told or protocol.removes:
+    if protocol.told:
         known = map_of(example, workspace_for(example, protocol))
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:
@@ -207,10 +205,7 @@ def scored_clouds(
             clouds |= {f"{k}{suffix}": v for k, v in clouds.items() if k != "partial"}
             continue
         network = np.asarray(output, np.float64)
-        cloud = network
-        if protocol.removes:
-            cloud = network[believable(network, example, seen, partial, protocol)]
-        clouds[f"network{suffix}"] = from_workspace(cloud)
+        clouds[f"network{suffix}"] = from_workspace(network)
         if protocol.with_measured:
             new, _ = added_points(
                 network,
@@ -223,29 +218,6 @@ def scored_clouds(
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud
     return clouds
-
-
-def believable(
-    prediction: Float[np.ndarray, "P 3"],
-    example: Example,
-    seen: Observation,
-    partial: Float[np.ndarray, "N 3"],
-    protocol: Protocol,
-) -> Bool[np.ndarray, " P"]:
-    """Which predicted points the view allows (`Protocol.removes`); all, if none is.
-
-    `seen` is all that was measured of the example, and `partial` what was read of it.
-    """
-    known = map_of(example, workspace_for(example, protocol))
-    allowed = select(
-        prediction,
-        np.asarray(seen.partial),
-        partial,
-        np.asarray(seen.eye) if seen.sensor_known else None,
-        protocol.background if known is None else "unknown",
-        known,
-    ).believable
-    return allowed if allowed.any() else np.ones(len(prediction), bool)
 
 
 def _score(item: _Item, protocol: Protocol) -> ExampleScores:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -18,8 +18,6 @@ from prism_jax.io.streams.frame import Frame
 from prism_jax.io.streams.sinks import Labelled
 from prism_jax.observation.observation import compile_sampling
 from prism_jax.streams.observer import FrameObserver
-
-Adapt = Literal["off", "first", "every"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,8 +56,7 @@ class FrameCompleter(FrameObserver):
     There is no verdict, no depth map and, unless ``density`` asks for it, no
     resampling. ``poses`` is one for speed, while scans are completed in as many as
     their weights say; in equally many the points are the same, bit for bit. ``adapt``
-    "off" takes the network as it is, "every" adapts it to each frame, and "first" to
-    the first, whose encoders are then kept. ``density`` and ``background`` are as for
+    adapts the network to each frame first. ``density`` and ``background`` are as for
     `Completer.complete`, the rest as for `FrameObserver`: a known robot is put back as
     points on its surface, with nothing predicted within its margin.
     """
@@ -68,20 +65,19 @@ class FrameCompleter(FrameObserver):
         self,
         completer: Completer,
         *,
-        adapt: Adapt = "off",
+        adapt: bool = False,
         density: float = 0.0,
         background: Background = "unknown",
         poses: int = 1,
         **observed: Any,
     ):
         super().__init__(**observed)
-        self.adapt: Adapt = adapt
+        self.adapt = adapt
         self.density = density
         self.background: Background = background
         self._completer = completer
         if completer.config.model.poses != poses:
             self._completer = completer.in_poses(poses)
-        self._adapted = False
 
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
@@ -93,14 +89,10 @@ class FrameCompleter(FrameObserver):
             points, frame.camera, None, up, around, self.background
         )
         observed = time.perf_counter()
-        steps = self.adapt == "every" or (self.adapt == "first" and not self._adapted)
         reads = self.background, *self._completer.reads(task)
-        if steps:
+        if self.adapt:
             completion, seconds = self._completer.run(True, *reads)
             predicted = completion.points
-            if self.adapt == "first":
-                self._completer = self._completer.with_encoders(completion.encoders)
-                self._adapted = True
         else:
             predicted, seconds = self._completer.predict(*reads)
         ran = time.perf_counter()
