@@ -7,7 +7,6 @@ import dataclasses
 import importlib
 import inspect
 import json
-import pathlib
 
 from absl import flags
 
@@ -43,7 +42,7 @@ def define_flags() -> None:
         "Preset (training, memory), weights (evaluation, stream) or either (adapt); "
         "small if not given, paper for memory.",
     )
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
 
 
 def main():
@@ -53,16 +52,13 @@ def main():
     given = [] if FLAGS.of is None else [FLAGS.of]
     if given and not inspect.signature(suite).parameters:
         raise InputError("--of", f"{FLAGS.suite} has no network", "leave it out")
-    rows, lines = [], [HEADER]
+    rows = []
     print(HEADER, flush=True)
     for row in suite(*given):
         rows.append(dataclasses.asdict(row))
-        lines.append(markdown(row))
-        print(lines[-1], flush=True)
+        print(markdown(row), flush=True)
     if FLAGS.output is not None:
-        path = pathlib.Path(FLAGS.output)
-        write_bytes(path, json.dumps(rows, indent=1).encode())
-        write_bytes(path.with_suffix(".md"), ("\n".join(lines) + "\n").encode())
+        write_bytes(FLAGS.output, json.dumps(rows, indent=1).encode())
 
 
 def markdown(row: Row) -> str:

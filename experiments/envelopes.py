@@ -98,7 +98,7 @@ def define_flags() -> None:
     flags.DEFINE_bool("choices", False, "Compare settings on validation instead.")
     flags.DEFINE_string("cell_dir", None, "Where cells are kept; the user's cache.")
     flags.DEFINE_integer("num_workers", 2, "Processes that make cells.", 1)
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
 
 
 def main() -> None:

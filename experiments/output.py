@@ -10,7 +10,7 @@ def prepare_output(path: str | None, suffix: str, flag: str = "--output") -> Non
     """Makes the folder of an output, which `flag` names.
 
     Raises InputError for one that could not be written at the end, or whose name does
-    not end in ``suffix``: what is written beside it has the same name with another end.
+    not end in ``suffix``.
     """
     if path is None:
         return

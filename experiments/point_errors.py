@@ -113,7 +113,7 @@ def define_flags() -> None:
     flags.DEFINE_string("weights", "small", "A name, or a file.")
     flags.DEFINE_integer("limit", 120, "Views of each set, evenly spaced.", 8)
     flags.DEFINE_integer("points", 100, "Points of each view.", lower_bound=10)
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
 
 
 def main() -> None:

@@ -44,7 +44,7 @@ def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("data_dir", "../shared/real", "Folder of the real scans.")
     flags.DEFINE_multi_string("weights", ["small"], "Names or files; one or several.")
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
     flags.DEFINE_string(
         "picture", None, "PNG to write, a row for each scan that may be shown."
     )

@@ -9,16 +9,20 @@ docs/tables that another command wrote.
 import json
 import pathlib
 import re
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jinja2
 
-from prism_jax.evaluation.tables import interval_text, percent
+from prism_jax.evaluation.tables import COLUMNS, percent, table_lines
 from prism_jax.io.atomic import write_bytes
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 TABLES = ROOT / "docs" / "tables"
+WIDTH = 110
+SHORT = ("cd_l2", "cd_l1", "f_score")
+AS_IT_IS = ("#", "|", "![", "```", "<!--")
 SHOWN = re.compile(
     r"(<!-- (\w+): python -m experiments\.results -->\n).*?(<!-- end -->)", re.DOTALL
 )
@@ -40,65 +44,71 @@ def pages() -> dict[pathlib.Path, str]:
         lstrip_blocks=True,
     )
     template = environment.get_template("results.md.jinja")
-    results = {path.stem: json.loads(path.read_text()) for path in tables()}
     shown = {
-        **results,
-        "table": table,
-        "effect": effect,
+        **{path.stem: json.loads(path.read_text()) for path in TABLES.glob("*.json")},
+        "head": lambda *heads: "\n".join(table_lines(heads, [])),
+        "scores": scores,
         "pair": pair,
-        "score": score,
         "change": lambda found: percent(found["change"], found["interval"]),
-        "interval": interval_text,
-        "carrier": lambda found: found["carried_by"]["category"],
-        "without": without,
+        "commit": lambda result: result["commit"][:7] + result["commit"][40:],
     }
 
     def block(match: re.Match) -> str:
         context = template.new_context(shown)
-        return match[1] + "".join(template.blocks[match[2]](context)) + match[3]
+        text = "".join(template.blocks[match[2]](context))
+        return match[1] + filled(text) + "\n" + match[3]
 
     readme = ROOT / "README.md"
     return {
-        ROOT / "docs" / "results.md": template.render(shown).strip() + "\n",
+        ROOT / "docs" / "results.md": filled(template.render(shown)) + "\n",
         readme: SHOWN.sub(block, readme.read_text()),
     }
 
 
-def tables() -> list[pathlib.Path]:
-    """The results that the pages are made from."""
-    return sorted(TABLES.glob("*.json"))
+def scores(row: Mapping[str, Any], metrics: Sequence[str] = SHORT) -> str:
+    """Cells of a table: means in the units of `COLUMNS`, with their intervals."""
+    cells = []
+    for column in COLUMNS:
+        metric, factor = column.metric, column.factor
+        if column.statistic != "mean" or metric not in metrics:
+            continue
+        digits = ".3f" if metric == "f_score" else ".4g"
+        values = row["mean"][metric], *row["intervals"][metric]
+        mean, low, high = (format(factor * value, digits) for value in values)
+        cells.append(f"{mean} [{low}, {high}]")
+    return " | ".join(cells)
 
 
-def table(name: str) -> str:
-    """The Markdown that was written beside a result."""
-    return (TABLES / f"{name}.md").read_text().strip()
-
-
-def score(result: Mapping[str, Any], cloud: str, metric: str = "cd_l2") -> str:
-    """The mean of a cloud's scores, in the unit of the tables."""
-    factor = {"cd_l2": 1e4, "hausdorff": 1e2, "f_score": 1.0}[metric]
-    return f"{factor * result['clouds'][cloud]['mean'][metric]:.4g}"
-
-
-def effect(result: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What adaptation changes in the CD-L2 of the network's own output."""
-    return result["adaptation"]["network"]["cd_l2"]
-
-
-def pair(
-    result: Mapping[str, Any], row: str, against: str, measure: str = "cd_l2"
-) -> Mapping[str, Any]:
-    """What changes from one row of a comparison to another."""
+def pair(result: Mapping[str, Any], row: str, against: str) -> Mapping[str, Any]:
+    """How CD-L2 changes from one row of a comparison to another."""
     for found in result["pairs"]:
         if (found["row"], found["against"]) == (row, against):
-            return found["change"][measure]
+            return found["change"]["cd_l2"]
     raise KeyError(f"{row} against {against}")
 
 
-def without(found: Mapping[str, Any]) -> str:
-    """What is left of a change without the category that carries it."""
-    rest = found["carried_by"]
-    return percent(rest["change_without"], rest["interval_without"])
+def filled(text: str) -> str:
+    """The text with its paragraphs and lists filled to `WIDTH`."""
+    parts = re.split(r"\n\s*\n", text.strip())
+    return "\n\n".join(
+        part if part.startswith(AS_IT_IS) else _fill(part) for part in parts
+    )
+
+
+def _fill(paragraph: str) -> str:
+    items = re.split(r"\n(?=- )", paragraph)
+    lines = textwrap.TextWrapper(
+        WIDTH,
+        subsequent_indent="  " if paragraph.startswith("- ") else "",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    # Code and intervals stay in one line.
+    glued = [
+        re.sub(r"`[^`]*`|\[[^]]*\]", lambda m: m[0].replace(" ", "\0"), item)
+        for item in (" ".join(item.split()) for item in items)
+    ]
+    return "\n".join(lines.fill(item) for item in glued).replace("\0", " ")
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def define_flags() -> None:
     flags.DEFINE_multi_string(
         "set", [], "Changes to the weights' settings, as model.heading=given."
     )
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
 
 
 def main() -> None:
@@ -101,7 +101,7 @@ def main() -> None:
             row = _summary([waiting.result() for waiting in scores])
             rows[name] = {"views": len(views), "commit": made_at, **row}
             result["shifts"] = {name: rows[name] for name in SHIFTS if name in rows}
-            write_result(result, robustness_markdown(result))
+            write_result(result)
     print(robustness_markdown(result))
 
 

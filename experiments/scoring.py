@@ -1,7 +1,6 @@
 """What the commands that score share: flags, how examples are framed, output."""
 
 import json
-import pathlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -36,7 +35,7 @@ def define_scoring_flags(split: str | None, dataset: str = "shapes") -> None:
     """The flags of a command that scores; the arguments are defaults."""
     define_frame_flags(split, dataset)
     flags.DEFINE_integer("batch_size", 20, "Examples completed at once.", 1)
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
 
 
 def define_frame_flags(
@@ -151,15 +150,12 @@ def describe_run(protocol: Protocol) -> dict[str, Any]:
 
 
 def print_and_write(result: Mapping[str, Any], table: str | None = None) -> None:
-    """Prints the table; with --output, writes the result and the table beside it."""
-    table = comparison_markdown(result) if table is None else table
-    print(table)
-    write_result(result, table)
+    """Prints the table; with --output, writes the result."""
+    print(comparison_markdown(result) if table is None else table)
+    write_result(result)
 
 
-def write_result(result: Mapping[str, Any], table: str) -> None:
-    """With --output, writes the result and the table beside it."""
+def write_result(result: Mapping[str, Any]) -> None:
+    """With --output, writes the result."""
     if FLAGS.output is not None:
-        path = pathlib.Path(FLAGS.output)
-        write_bytes(path, json.dumps(result, indent=1).encode())
-        write_bytes(path.with_suffix(".md"), table.encode())
+        write_bytes(FLAGS.output, json.dumps(result, indent=1).encode())

@@ -88,7 +88,7 @@ def define_flags() -> None:
     flags.DEFINE_integer("training", 1000, "Training views that say what is familiar.")
     flags.DEFINE_string("data_dir", None, "Folder of the sets.")
     flags.DEFINE_bool("adapt", False, "Adapt to each view.")
-    flags.DEFINE_string("output", None, "JSON file to write; Markdown goes beside it.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
 
 
 def main() -> None:

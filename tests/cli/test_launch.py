@@ -6,8 +6,7 @@ from experiments import evaluate, make_data, pretrain
 from tests.launching import run
 
 
-def test_an_output_that_would_overwrite_itself_is_refused(tmp_path, capsys):
-    """Markdown goes beside the JSON, under the name with another end."""
+def test_an_output_that_is_no_json_is_refused(tmp_path, capsys):
     path = tmp_path / "new" / "scores.md"
     assert run(evaluate, f"--output={path}") == 2
     message = capsys.readouterr().err.splitlines()[-1]

@@ -97,7 +97,7 @@ def test_two_sources_and_none_are_refused(minimal, minimal_fresh, tmp_path, caps
         assert "one of them, is needed" in error and error.count("\n") == 1
 
 
-def test_other_sequences_are_scored(minimal, minimal_fresh, tmp_path):
+def test_other_sequences_are_scored(minimal, minimal_fresh, tmp_path, capsys):
     """The fake network returns the partial, and so do both rows."""
     output = tmp_path / "plant.json"
     with pytest.MonkeyPatch.context() as patch:
@@ -122,7 +122,7 @@ def test_other_sequences_are_scored(minimal, minimal_fresh, tmp_path):
     assert network["rows"]["adapted"]["change"]["truth_to_prediction"]["change"] == 0
     assert len(trained_on) == 13
     assert (result["passed"], result["frames"], result["sequences"]) == (True, 13, 20)
-    table = output.with_suffix(".md").read_text()
+    table = capsys.readouterr().out
     assert "7 steps on 13 frames" in table and "It passed." in table
     assert "| network, truth to prediction | +0.0 % [+0.0, +0.0]" in table
     assert "| completed, CD-L2 |" in table

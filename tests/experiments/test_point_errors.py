@@ -83,7 +83,9 @@ def test_a_view_to_which_nothing_is_added_is_left_out():
     assert fitted_and_measured(views, 30)["views"] == {"fitted": 8, "held_out": 8}
 
 
-def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_fresh):
+def test_the_command_fits_and_measures(
+    tmp_path, monkeypatch, minimal, minimal_fresh, capsys
+):
     """On boxes, with a network of few points; errors are distances to the truth."""
     weights = tmp_path / "weights.safetensors"
     config = minimal.config.with_model(poses=3)
@@ -119,7 +121,7 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
     assert result["weights_sha256"] == file_sha256(str(weights))
     assert sum(result["views"].values()) == len([one for one in noted if len(one.kept)])
     PointErrors.from_dict(result["point_errors"])
-    assert "| novel, fitted without | " in output.with_suffix(".md").read_text()
+    assert "| novel, fitted without | " in capsys.readouterr().out
     first, view = noted[0], views("", 0, "")[0]
     assert first.clues.shape == (len(first.kept), COUNT)
     # Of one view in two sets, turned by nothing, the same is said.

@@ -119,8 +119,8 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
         # Neither the car nor the airplane is drawn.
         assert sheet.size == (2 * (3 * 32 + 4) - 4, 4 * (32 + 15))
 
-    text = output.with_suffix(".md").read_text()
-    assert text in told.out and text == command.real_markdown(result)
+    text = command.real_markdown(result)
+    assert text in told.out
     cells = "| 200 | 1 | 100 | 0 | 1 | 1 fair | 0.25 |"
     assert f"| bunny, scan_000 | `small` {cells}" in text
     assert "| bunny, scan_000 | `other` | 200 | 1 | 100 | 0 | 1 | - | - |" in text

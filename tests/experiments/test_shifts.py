@@ -107,7 +107,9 @@ def test_the_table_has_a_row_for_each_shift(view, completer):
     assert "| heading 0 | 1 | " in text and f"{shown:.4g}" in text
 
 
-def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypatch):
+def test_shifts_are_added_to_those_of_the_same_weights(
+    view, tmp_path, monkeypatch, capsys
+):
     """Each is written as soon as it is done."""
     completers = []
     monkeypatch.setattr(
@@ -142,11 +144,11 @@ def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypat
     assert run(1.0, "noise 1 %", more=more) == ["noise 1 %"], "of other settings"
     assert completers[-1].config.poses == 2
     assert run(1.0, "heading 45", more=more) == ["heading 45", "noise 1 %"]
-    assert "`small`, poses=2, commit" in output.with_suffix(".md").read_text()
+    assert "`small`, poses=2, commit" in capsys.readouterr().out
     assert run(1.0, "heading 0") == ["heading 0"], "of the weights' own settings"
     assert run(1.0, "noise 1 %", more=["--background=empty"]) == ["noise 1 %"]
     assert set(backgrounds[:-1]) == {"unknown"} and backgrounds[-1] == "empty"
-    assert "`small`, background empty, commit" in output.with_suffix(".md").read_text()
+    assert "`small`, background empty, commit" in capsys.readouterr().out
 
 
 def view_as_it_is(view):

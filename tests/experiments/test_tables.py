@@ -1,5 +1,7 @@
 """The launchers of Tables I to III. The networks are fakes, or adapt by none."""
 
+import contextlib
+import io
 import json
 
 import jax.numpy as jnp
@@ -44,8 +46,9 @@ def run(module, output, *arguments):
     place += ["--split=all", f"--output={output}"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "prism_completer", fake)
-        assert launching.run(module, *place, *arguments) == 0
-    return json.loads(output.read_text()), output.with_suffix(".md").read_text()
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            assert launching.run(module, *place, *arguments) == 0
+    return json.loads(output.read_text()), printed.getvalue()
 
 
 def quick_networks(module, variables):
