@@ -146,24 +146,21 @@ def training_batches(
     batch_size: int,
     seed: int,
     num_workers: int = 0,
-    shard: tuple[int, int] = (0, 1),
     indices: Any = None,
     start: int = 0,
 ) -> Iterator[Batch]:
     """Endless batches: each example once per epoch, freshly shuffled and augmented.
 
     What the n-th batch holds is a function of the source, the framing, the size, the
-    seed, the shard and n alone; `start` is the n of the first. `num_workers` processes
-    read ahead, 0 for threads of this one. `shard` is (this process, number of
-    processes) where several train together: each then sees its own share.
-    `indices`, a tree of arrays with a row for each item, come with the batches; they
-    must not change under mirroring, turning and the framing's augmentation. A source
-    that does not fill one batch, and a missing package grain, raise InputError.
+    seed and n alone; `start` is the n of the first. `num_workers` processes read ahead,
+    0 for threads of this one. `indices`, a tree of arrays with a row for each item,
+    come with the batches; they must not change under mirroring, turning and the
+    framing's augmentation. A source that does not fill one batch, and a missing package
+    grain, raise InputError.
     """
     grain = require("grain", "train")
-    number, count = shard
-    if len(source) < batch_size * count:
-        fault = f"{len(source)} examples do not fill a batch of {batch_size * count}"
+    if len(source) < batch_size:
+        fault = f"{len(source)} examples do not fill a batch of {batch_size}"
         raise InputError("data", fault, "use more data, or a smaller batch")
     dataset = (
         grain.MapDataset.source(_WithIndices(source, indices))
@@ -171,7 +168,6 @@ def training_batches(
         .shuffle()
         .repeat()
         .random_map(functools.partial(_framed, framing))
-        .slice(slice(number, None, count))
         .batch(batch_size, batch_fn=stack)
         .slice(slice(start, None))
     )

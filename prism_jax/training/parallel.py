@@ -1,11 +1,8 @@
-"""Data parallel training: the batch over all devices of all processes, the state on
-each of them."""
+"""Data parallel training: the batch over all devices, the state on each of them."""
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
-import numpy as np
-from jax.experimental import multihost_utils
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from prism_jax.io.errors import InputError
@@ -17,7 +14,7 @@ DATA = "data"
 
 
 def data_mesh() -> Mesh:
-    """All devices of all processes in a row."""
+    """All devices in a row."""
     kinds = (AxisType.Auto,)
     return jax.make_mesh((jax.device_count(),), (DATA,), axis_types=kinds)
 
@@ -37,40 +34,6 @@ def replicate(tree: Tree, mesh: Mesh) -> Tree:
 
 
 def share(batch: Tree, mesh: Mesh) -> Tree:
-    """One batch of all processes' own examples, along the data axis."""
+    """A batch along the data axis."""
     sharding = NamedSharding(mesh, PartitionSpec(DATA))
-
-    def place(rows: np.ndarray) -> jax.Array:
-        return jax.make_array_from_process_local_data(sharding, np.asarray(rows))
-
-    return jax.tree.map(place, batch)
-
-
-def shard() -> tuple[int, int]:
-    """This process's number, and how many there are: what it reads of the data."""
-    return jax.process_index(), jax.process_count()
-
-
-def is_first() -> bool:
-    """Whether this process writes what all of them know."""
-    return jax.process_index() == 0
-
-
-def as_the_first(found: bool) -> bool:
-    """What the first process found, in every process, when all have come here."""
-    if jax.process_count() == 1:
-        return found
-    return bool(multihost_utils.broadcast_one_to_all(np.array(found)))
-
-
-def wait_for_all(what: str) -> None:
-    """Returns when every process has come here."""
-    if jax.process_count() > 1:
-        multihost_utils.sync_global_devices(what)
-
-
-def gather(rows: Any) -> np.ndarray:
-    """An array that lies along the data axis, whole, in every process."""
-    if jax.process_count() == 1:
-        return np.asarray(rows)
-    return np.asarray(multihost_utils.process_allgather(rows, tiled=True))
+    return jax.tree.map(lambda rows: jax.device_put(rows, sharding), batch)

@@ -110,7 +110,6 @@ def train_phase(
     data: Data,
     folder: pathlib.Path,
     max_steps: int | None = None,
-    tensorboard: bool = False,
 ) -> Trained:
     """Trains a phase to its end, or to step ``max_steps``.
 
@@ -119,11 +118,11 @@ def train_phase(
     that runs, no more, so that the bar is where the work is. The log's ``data_wait`` is
     the share of the time in which the loop waited for batches.
 
-    A batch lies over all devices of all processes, each of which reads its own share.
-    A loss or a variable that is not a number raises FloatingPointError, and the
-    checkpoint before it stays. The state is saved at every validation, every
-    `SAVE_SECONDS`, and where ``max_steps`` ends the phase. Only what is validated can
-    be the best, so a phase that was interrupted keeps what an unbroken one keeps.
+    A batch lies over all devices. A loss or a variable that is not a number raises
+    FloatingPointError, and the checkpoint before it stays. The state is saved at every
+    validation, every `SAVE_SECONDS`, and where ``max_steps`` ends the phase. Only what
+    is validated can be the best, so a phase that was interrupted keeps what an unbroken
+    one keeps.
     """
     parallel.check_batch(phase.batch_size)
     mesh = parallel.data_mesh()
@@ -133,20 +132,16 @@ def train_phase(
     num_steps = steps_of(phase.name, phase.num_samples, phase.batch_size)
     step = int(state.step)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
-    shard = parallel.shard()
     batches = training_batches(
         data.train,
         data.framing(phase.num_complete),
-        phase.batch_size // shard[1],
+        phase.batch_size,
         order_seed(data.seed, phase.name),
         data.num_workers,
-        shard,
         data.indices,
         step,
     )
-    log = Log(
-        folder, phase.name, phase.num_samples, step, phase.batch_size, tensorboard
-    )
+    log = Log(folder, phase.name, phase.num_samples, step, phase.batch_size)
     validate_steps = max(1, data.validate_every // phase.batch_size)
     recent, before = [], None
     saved = time.monotonic()
@@ -165,9 +160,7 @@ def train_phase(
             recent.clear()
             log.write(step, losses=_named(phase.terms, mean))
             log.show(**{phase.terms[-1]: float(mean[-1])})
-        is_due = step % LOG_EVERY == 0 and parallel.as_the_first(
-            time.monotonic() - saved > SAVE_SECONDS
-        )
+        is_due = step % LOG_EVERY == 0 and time.monotonic() - saved > SAVE_SECONDS
         if not (at_validation or is_due or step == last):
             continue
         _check_numbers(state.variables, phase.name, step)
@@ -225,19 +218,17 @@ def validate(phase: Phase, data: Data, variables: Variables) -> np.ndarray:
     """Mean scores over the validation examples, in batches of the training's size.
 
     A last batch that would be short goes on from the first example, and what was scored
-    before is left out. Each process frames its own share of a batch.
+    before is left out.
     """
     count, size = len(data.validation), phase.batch_size
-    mesh, (process, processes) = parallel.data_mesh(), parallel.shard()
+    mesh = parallel.data_mesh()
     framing = data.framing(VALIDATION_COMPLETE)
     scores = []
     for start in range(0, count, size):
         rows = np.arange(start, start + size) % count
-        examples = [
-            data.validation[int(row)] for row in np.split(rows, processes)[process]
-        ]
-        batch = stack([frame_example(example, framing) for example in examples])
-        batch = parallel.share(batch, mesh)
-        scored = parallel.gather(phase.validate_fn(variables, batch))
-        scores.append(scored[: count - start])
+        batch = stack(
+            [frame_example(data.validation[int(row)], framing) for row in rows]
+        )
+        scored = phase.validate_fn(variables, parallel.share(batch, mesh))
+        scores.append(np.asarray(scored)[: count - start])
     return np.concatenate(scores).mean(0)

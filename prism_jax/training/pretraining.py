@@ -21,7 +21,6 @@ def pretrain(
     folder: pathlib.Path,
     seed: int,
     max_steps: int | None = None,
-    tensorboard: bool = False,
     start: Variables | None = None,
 ) -> Variables | None:
     """Trains the backbone phase by phase, then all that reads it (gap 4).
@@ -49,7 +48,7 @@ def pretrain(
         if not each.num_samples:
             continue
         phase = backbone_phase(variables, config.model, each, training)
-        trained = train_phase(phase, data, folder, max_steps, tensorboard)
+        trained = train_phase(phase, data, folder, max_steps)
         if not trained.done:
             return None
         variables = trained.best
@@ -59,7 +58,7 @@ def pretrain(
     if not training.auxiliary_samples:
         return fresh
     phase = auxiliary_phase(fresh, config, training, seed)
-    trained = train_phase(phase, data, folder, max_steps, tensorboard)
+    trained = train_phase(phase, data, folder, max_steps)
     return _better_refiner(phase, data, trained.best, fresh) if trained.done else None
 
 

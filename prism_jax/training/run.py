@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import pathlib
 import subprocess
 import time
@@ -13,7 +12,6 @@ from tqdm import tqdm
 
 from prism_jax.io.atomic import make_output_dir, remove_unfinished, write_bytes
 from prism_jax.io.errors import InputError
-from prism_jax.training.parallel import as_the_first, is_first
 
 _SHOWN = 3
 
@@ -28,16 +26,8 @@ def open_run(
     configuration and seed may go on in it.
     """
     folder = make_output_dir(pathlib.Path(workdir))
-    refused = None
-    if is_first():
-        try:
-            _check_in(folder, config, seed, resume)
-            remove_unfinished(folder)
-        except InputError as error:
-            refused = error
-    if not as_the_first(refused is None):
-        remedy = "its message says why"
-        raise refused or InputError(folder, "process 0 refused the run", remedy)
+    _check_in(folder, config, seed, resume)
+    remove_unfinished(folder)
     return folder
 
 
@@ -108,8 +98,7 @@ def commit() -> str | None:
 class Log:
     """One JSON object a line in ``metrics.jsonl``, and a progress bar on stderr.
 
-    Lines that a run wrote after the step that it goes on from are dropped. Of several
-    processes the first writes.
+    Lines that a run wrote after the step that it goes on from are dropped.
     """
 
     def __init__(
@@ -119,14 +108,12 @@ class Log:
         total: int,
         step: int,
         batch_size: int,
-        tensorboard: bool = False,
     ):
         done = step * batch_size
-        path = folder / "metrics.jsonl" if is_first() else pathlib.Path(os.devnull)
-        if path.exists() and is_first():
+        path = folder / "metrics.jsonl"
+        if path.exists():
             _drop_after(path, name, step)
         self._file = path.open("a")
-        self._board = _board(folder) if tensorboard and is_first() else None
         self._name = name
         self._start, self._done_at_start = time.monotonic(), done
         self._waited = 0.0
@@ -136,7 +123,6 @@ class Log:
             desc=name,
             unit="sample",
             mininterval=2.0,
-            disable=not is_first(),
         )
 
     def advance(self, samples: int) -> None:
@@ -165,11 +151,6 @@ class Log:
         line |= {"data_wait": round(self._waited / seconds, 4), **values}
         self._file.write(json.dumps(line) + "\n")
         self._file.flush()
-        if self._board is not None:
-            for kind, terms in values.items():
-                for term, value in terms.items():
-                    tag = f"{self._name}/{kind}/{term}"
-                    self._board.add_scalar(tag, value, line["samples"])
 
     def _seconds(self) -> float:
         return time.monotonic() - self._start
@@ -178,17 +159,6 @@ class Log:
         """Ends the bar and the file."""
         self._bar.close()
         self._file.close()
-        if self._board is not None:
-            self._board.close()
-
-
-def _board(folder: pathlib.Path) -> Any:
-    try:
-        from tensorboardX import SummaryWriter  # pyright: ignore
-    except ImportError:
-        remedy = "pip install 'prism_jax[tensorboard]'"
-        raise InputError("--tensorboard", "tensorboardX is missing", remedy) from None
-    return SummaryWriter(str(folder / "tensorboard"))
 
 
 def _drop_after(path: pathlib.Path, name: str, step: int) -> None:

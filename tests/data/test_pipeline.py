@@ -128,20 +128,6 @@ def test_and_so_it_does_where_another_process_reads(shapes_dir):
         assert equal(next(batches), batch)
 
 
-@pytest.mark.parametrize("count", [20, 21])
-def test_shares_of_two_processes_are_the_whole_of_one(count):
-    """Example by example, in turn; so disjoint within an epoch, and complete."""
-    source = Numbered(count)
-    shares = [batches_of(source, 2, 20, shard=(i, 2)) for i in range(2)]
-    together = np.stack([rows(share) for share in shares], -1).ravel()
-    mirrors = np.stack([mirrored(share) for share in shares], -1).ravel()
-    whole = batches_of(source, 4, 20)
-    assert np.array_equal(together, rows(whole))
-    assert np.array_equal(mirrors, mirrored(whole))
-    assert np.array_equal(np.sort(together[:count]), np.arange(count))
-
-
-@pytest.mark.parametrize(("size", "shard"), [(8, (0, 1)), (4, (1, 2))])
-def test_too_few_examples_for_one_batch(size, shard):
+def test_too_few_examples_for_one_batch():
     with pytest.raises(InputError, match="7 examples do not fill a batch of 8"):
-        batches_of(Numbered(7), size, 1, shard=shard)
+        batches_of(Numbered(7), 8, 1)

@@ -1,4 +1,4 @@
-"""One training, on however many devices of however many processes."""
+"""One training, on however many devices."""
 
 import json
 import os
@@ -40,7 +40,6 @@ def test_a_batch_is_shared_as_it_is(mesh):
         expected = jnp.asarray(rows)
         assert shared[name].dtype == expected.dtype
         assert np.array_equal(shared[name], expected)
-        assert np.array_equal(parallel.gather(shared[name]), expected)
 
 
 def test_what_is_not_there_is_shared_as_that(mesh):
@@ -58,18 +57,6 @@ def test_a_state_is_the_same_on_every_device(mesh, place):
         assert np.array_equal(before, after)
     again = parallel.replicate(placed, mesh)
     assert np.array_equal(again.kept["params"]["w"], [1.0, 2.0])
-
-
-def test_gathered_rows_are_of_numpy(mesh):
-    rows = parallel.gather(jax.jit(lambda x: 2 * x)(parallel.share(np.ones(8), mesh)))
-    assert isinstance(rows, np.ndarray)
-    assert np.array_equal(rows, np.full(8, 2.0))
-
-
-def test_one_process_is_the_first_and_waits_for_none():
-    assert parallel.shard() == (0, 1)
-    assert parallel.is_first()
-    parallel.wait_for_all("nobody")
 
 
 @pytest.fixture
@@ -116,9 +103,9 @@ def runs(minimal, minimal_variables, tmp_path_factory):
     return folder
 
 
-def left(runs, name, process=0, step=5):
+def left(runs, name, step=5):
     """Best variables, last state and more, by their place in `Trained`."""
-    with np.load(runs / f"{name}.{process}.{step}.npz") as arrays:
+    with np.load(runs / f"{name}.{step}.npz") as arrays:
         return dict(arrays)
 
 
@@ -157,11 +144,10 @@ def test_five_steps_move_what_learns_by_more_than_the_tolerance(
 
 
 @pytest.mark.slow
-def test_four_devices_of_two_processes_broken_off_and_resumed_train_as_one(runs):
+def test_four_devices_broken_off_and_resumed_train_as_one(runs):
     assert left(runs, "four", step=2)[".last.step"] == 2
     assert not left(runs, "four", step=2)[".done"]
-    for process in (0, 1):
-        same(left(runs, "four", process), left(runs, "one"))
+    same(left(runs, "four"), left(runs, "one"))
 
 
 @pytest.mark.slow
@@ -177,13 +163,3 @@ def test_they_log_the_same(runs):
         for a, b in zip(found, expected, strict=True):
             told = pytest.approx(b.get(kind, {}), rel=1e-4, abs=TOLERANCE)
             assert a.get(kind, {}) == told
-
-
-@pytest.mark.slow
-def test_the_first_process_alone_writes_config_and_metrics(runs):
-    def wrote(process, step):
-        names = json.loads((runs / f"four.{process}.{step}.json").read_text())
-        return {"config" if "config.json" in name else name for name in names}
-
-    assert wrote(0, 2) == {"config", "metrics.jsonl"}
-    assert wrote(1, 2) == wrote(1, 5) == set()
