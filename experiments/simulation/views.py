@@ -25,6 +25,12 @@ BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
 """That shards store these clouds in: what is stored is exactly what was made."""
 SURFACE_POINTS = 16384
 PARTIAL_POINTS = 2048
+STORED = {
+    "partial_points": PARTIAL_POINTS,
+    "complete_points": SURFACE_POINTS,
+    "quantum": QUANTUM,
+}
+"""What manifests say of the clouds."""
 MIN_RETURNS = 16
 """A view of fewer points, of a slender shape or through dropouts, is drawn again."""
 MAX_DRAWS = 100

@@ -6,13 +6,14 @@ import json
 import os
 import pathlib
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from experiments.simulation.building import build
+from experiments.simulation.configs import SetConfig, shards_of
 from experiments.simulation.objects.catalogues import FOLDER
 from experiments.simulation.raycast import Scene, sample_outside
 from experiments.simulation.roboarm.furnishings import together
@@ -57,10 +58,6 @@ from prism_jax.data.scenes import SCENE_ARRAYS, TRAITS, LabelledScene
 from prism_jax.data.shards import FORMAT_VERSION, shard_file
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import make_output_dir, write_bytes
-from prism_jax.io.errors import InputError, choose
-
-NUM_SCENES = {"train": 2_000, "validation": 120, "test": 120}
-"""Of a split, unless told otherwise."""
 
 NUM_THINGS = (2, 8)
 MIN_RETURNS = 64
@@ -78,34 +75,23 @@ VERSIONS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class ScenesConfig:
-    """What a split is made of. What makes no sense raises InputError.
+class ScenesConfig(SetConfig):
+    """What a split of the scenes is made of."""
 
-    Attributes:
-      split: one of `NUM_SCENES`.
-      num_scenes: how many; every prefix of them is the same. 0 for the split's own
-        number.
-      sources: sets that things are drawn from (`things.SOURCES`). The default is what
-        every machine has.
-      seed: of the whole set.
-      shard_scenes: scenes in a shard.
-    """
+    SIZES: ClassVar = {
+        "train": {"num_scenes": 2_000},
+        "validation": {"num_scenes": 120},
+        "test": {"num_scenes": 120},
+    }
 
-    split: str
     num_scenes: int = 0
-    sources: tuple[str, ...] = DEFAULT_SOURCES
-    seed: int = 0
+    sources: tuple[str, ...] = DEFAULT_SOURCES  # of `things.SOURCES`
+    seed: int = 0  # of the whole set
     shard_scenes: int = 20
 
     def __post_init__(self):
-        choose("split", self.split, NUM_SCENES)
+        super().__post_init__()
         check_sources(self.sources, self.split)
-        if self.num_scenes == 0:
-            object.__setattr__(self, "num_scenes", NUM_SCENES[self.split])
-        for name, lowest in (("num_scenes", 1), ("shard_scenes", 1), ("seed", 0)):
-            if not lowest <= getattr(self, name) < 2**31:
-                fault = f"{getattr(self, name)} is not within {lowest} to {2**31 - 1}"
-                raise InputError(name, fault, "choose another number")
 
 
 class MadeScene(NamedTuple):
@@ -142,22 +128,19 @@ def build_scenes(
     """
     folder = make_output_dir(folder_of("scenes", config.split, data_dir))
     pools = pools_of(config.split, config.sources, catalogue_dir, progress)
-    content = {
-        "format_version": FORMAT_VERSION,
-        "generator": "prism_jax scenes",
-        "generator_version": SCENES_VERSION,
-        **dataclasses.asdict(config),
-        "source_versions": {name: VERSIONS[name] for name in config.sources},
-        "models": pools.digests,
-        "categories": pools.categories,
-        "partial_points": PARTIAL_POINTS,
-        "complete_points": SURFACE_POINTS,
-    }
-    scenes, step = range(config.num_scenes), config.shard_scenes
-    shards = [scenes[start : start + step] for start in scenes[::step]]
+    content = config.content(
+        "scenes",
+        SCENES_VERSION,
+        source_versions={name: VERSIONS[name] for name in config.sources},
+        models=pools.digests,
+        categories=pools.categories,
+        partial_points=PARTIAL_POINTS,
+        complete_points=SURFACE_POINTS,
+    )
+    shards = shards_of(config.num_scenes, config.shard_scenes)
     return build(
         folder,
-        content,
+        {"format_version": FORMAT_VERSION, **content},
         [len(shard) for shard in shards],
         lambda number: is_written(folder, number),
         functools.partial(_build_shard, folder, config, pools, shards),
@@ -173,7 +156,7 @@ def make_scene(config: ScenesConfig, pools: Pools, index: int) -> MadeScene:
     Things that the sensor sees less of than `MIN_RETURNS` are taken away, and a scene
     with fewer than two left is drawn anew.
     """
-    split = list(NUM_SCENES).index(config.split)
+    split = list(config.SIZES).index(config.split)
     rng = category_rng("scenes", config.seed, split, index)
     for _ in range(MAX_DRAWS):
         made = _drawn(pools, rng)
