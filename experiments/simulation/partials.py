@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Float64
 
-from experiments.simulation.raycast import Scene
+from experiments.simulation.raycast import Scene, direction
 from experiments.simulation.readings import RAYS, pixel_grid
 from experiments.simulation.sensors import (
     L515Config,
@@ -69,13 +69,7 @@ def random_viewpoint(
     side spanning [-1, 1]: uniform azimuth, elevation and distance."""
     azimuth = rng.uniform(0.0, 2 * np.pi)
     elevation = np.radians(rng.uniform(*elevation_degrees))
-    horizontal = np.cos(elevation)
-    direction = (
-        horizontal * np.cos(azimuth),
-        horizontal * np.sin(azimuth),
-        np.sin(elevation),
-    )
-    return rng.uniform(*distance) * np.array(direction)
+    return rng.uniform(*distance) * direction(azimuth, elevation)
 
 
 def self_occlusion(

@@ -178,6 +178,14 @@ def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", first, second)
 
 
+def direction(
+    azimuth: float | np.ndarray, elevation: float | np.ndarray
+) -> Float64[np.ndarray, "*shape 3"]:
+    """Unit vectors by their angles in radians, z up."""
+    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    return np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], axis=-1)
+
+
 def sphere_directions(count: int) -> np.ndarray:
     """Unit vectors spread over the sphere: a Fibonacci lattice."""
     index = np.arange(count) + 0.5

@@ -10,11 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float64, UInt8
 
-from experiments.simulation.raycast import Hits, Scene
+from experiments.simulation.raycast import Hits, Scene, direction
 from experiments.simulation.sensors import (
     OusterConfig,
     RangeConfig,
+    Rays,
     measure,
+    measured_points,
 )
 from experiments.simulation.surroundings import Surroundings
 from prism_jax.geometry.framing import camera_axes
@@ -25,29 +27,13 @@ PIXEL = np.tan(np.radians(35.0)) / 320
 """Tangent of a pixel of a depth camera of 640 pixels over 70 degrees, as the L515's."""
 
 
-class Rays(NamedTuple):
-    """A grid of rays from one place.
-
-    Directions are as long as one unit of what the sensor counts: one unit of depth
-    along the optical axis for a camera, of range for a lidar.
-    """
-
-    eye: Float64[np.ndarray, "3"]
-    directions: Float64[np.ndarray, "R C 3"]
-
-
 class Readings(NamedTuple):
-    """What a sensor knows, ray by ray.
+    """What a sensor knows, ray by ray."""
 
-    Attributes:
-      state: one of the four states of `geometry.visibility`.
-      points: where it was measured; anywhere on the ray where nothing is known.
-      hidden_share: of the rays that the object alone would stop, those that something
-        else stops before it.
-    """
-
-    state: UInt8[np.ndarray, " N"]
+    state: UInt8[np.ndarray, " N"]  # of the four of `geometry.visibility`
+    # Where it was measured; anywhere on the ray where nothing is known.
     points: Float64[np.ndarray, "N 3"]
+    # Of the rays that the object alone would stop, those that something else stops.
     hidden_share: float
 
     @property
@@ -88,10 +74,9 @@ class World:
             metres = hits._replace(distances=hits.distances * self.half_extent)
             kept_hits = Hits(*(array[kept] for array in metres))
             found, ranges = measure(self.scene, kept_hits, grid, rng, config)
-            along = directions[found.ray]
-            steps = np.linalg.norm(along, axis=1) * config.quantum
-            reach = np.rint(ranges / steps) * config.quantum / self.half_extent
-            points[found.ray] = rays.eye + reach[:, None] * along
+            points[found.ray] = measured_points(
+                rays, found, ranges, config.quantum, self.half_extent
+            )
             beyond = np.where(found.faces < 0, BACKGROUND, NEARER)
             state[found.ray] = SURFACE if hits is own else beyond
         return Readings(state, points, float(hidden))
@@ -129,11 +114,9 @@ def ring_rays(
     step = 2 * np.pi / config.columns
     last = int(min(reach / np.cos(pitch), np.pi / 2) / step)
     azimuths = step * np.arange(-last, last + 1)
-    x, y = np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths)
-    z = np.broadcast_to(np.sin(elevations), x.shape)
     axes = np.stack([ahead, -right, axis])
-    directions = np.stack([x, y, z], axis=-1).reshape(-1, 3) @ axes
-    return Rays(eye, directions.reshape(*x.shape, 3))
+    beams = direction(azimuths, elevations)
+    return Rays(eye, (beams.reshape(-1, 3) @ axes).reshape(beams.shape))
 
 
 def pixel_grid(

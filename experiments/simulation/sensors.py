@@ -12,39 +12,35 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int, Int32, UInt16
 
-from experiments.simulation.raycast import Hits, Scene
+from experiments.simulation.raycast import Hits, Scene, direction
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
 class RangeConfig:
-    """What goes wrong with a range that is measured along a ray.
+    """What goes wrong with a range that is measured along a ray; by default an L515's.
 
-    Noise is Gaussian and along the ray; `noise` lists (range, standard deviation),
-    linear in between and constant beyond. A return is lost with probability `dropout`
-    anyway; with one that grows linearly from 0 to `grazing_dropout` while the angle
-    between ray and normal grows over `grazing_degrees`; and on glossy faces, which
-    mirror the beam away, likewise by `gloss_dropout` and `gloss_degrees`. The three are
-    independent. Beyond its last angle a share stays as it is.
-
-    A footprint straddles an edge where the exact range of one of the four neighbouring
-    pixels or beams differs by more than `edge_step`; with probability `mixed_share` its
-    range then lies anywhere between the two surfaces, uniformly. Ranges outside
-    `min_range` to `max_range` are no returns. Impossible numbers raise InputError.
+    Three losses are independent: `dropout`, at grazing angles between ray and normal,
+    and on glossy faces, which mirror the beam away. A footprint straddles an edge where
+    the exact range of one of the four neighbouring pixels or beams differs by more than
+    `edge_step`; its range then may lie anywhere between the two surfaces, uniformly.
+    Impossible numbers raise InputError.
     """
 
-    min_range: float
-    max_range: float
-    quantum: float
-    noise: tuple[tuple[float, float], ...]
-    dropout: float
-    grazing_degrees: tuple[float, float]
-    grazing_dropout: float
-    gloss_degrees: tuple[float, float]
-    gloss_dropout: float
-    edge_step: float
-    mixed_share: float
+    min_range: float = 0.25  # ranges outside these two are no returns
+    max_range: float = 9.0
+    quantum: float = 0.00025
+    # (range, standard deviation along the ray), linear in between, constant beyond
+    noise: tuple[tuple[float, float], ...] = ((1.0, 0.0025), (9.0, 0.0155))
+    dropout: float = 0.005
+    # Shares that grow linearly from 0 between two angles, and stay beyond.
+    grazing_degrees: tuple[float, float] = (65.0, 88.0)
+    grazing_dropout: float = 1.0
+    gloss_degrees: tuple[float, float] = (10.0, 45.0)
+    gloss_dropout: float = 0.9
+    edge_step: float = 0.05
+    mixed_share: float = 0.25  # of the footprints across an edge
 
     def __post_init__(self):
         for name in ("dropout", "grazing_dropout", "gloss_dropout", "mixed_share"):
@@ -84,18 +80,6 @@ class L515Config(RangeConfig):
     14 mm that is not modelled. The shares of lost and mixed pixels are our assumption.
     """
 
-    min_range: float = 0.25
-    max_range: float = 9.0
-    quantum: float = 0.00025
-    noise: tuple[tuple[float, float], ...] = ((1.0, 0.0025), (9.0, 0.0155))
-    dropout: float = 0.005
-    grazing_degrees: tuple[float, float] = (65.0, 88.0)
-    grazing_dropout: float = 1.0
-    gloss_degrees: tuple[float, float] = (10.0, 45.0)
-    gloss_dropout: float = 0.9
-    edge_step: float = 0.05
-    mixed_share: float = 0.25
-
     def __post_init__(self):
         super().__post_init__()
         if self.max_range / self.quantum > np.iinfo(np.uint16).max:
@@ -122,11 +106,7 @@ class OusterConfig(RangeConfig):
     max_range: float = 100.0
     quantum: float = 0.001
     noise: tuple[tuple[float, float], ...] = ((20.0, 0.015), (100.0, 0.03))
-    dropout: float = 0.005
     grazing_degrees: tuple[float, float] = (70.0, 89.0)
-    grazing_dropout: float = 1.0
-    gloss_degrees: tuple[float, float] = (10.0, 45.0)
-    gloss_dropout: float = 0.9
     edge_step: float = 0.1
     mixed_share: float = 0.5
 
@@ -134,6 +114,17 @@ class OusterConfig(RangeConfig):
         super().__post_init__()
         if self.beams < 1 or self.columns < 1:
             raise InputError("beams", "no beams or columns", "choose one or more")
+
+
+class Rays(NamedTuple):
+    """A grid of rays from one place.
+
+    Directions are as long as one unit of what the sensor counts: one unit of depth
+    along the optical axis for a camera, of range for a lidar.
+    """
+
+    eye: Float64[np.ndarray, "3"]
+    directions: Float64[np.ndarray, "R C 3"]
 
 
 class Returns(NamedTuple):
@@ -201,16 +192,9 @@ def l515_depth(
     pixels and pose (`Camera.l515` has the L515's 640x480 over 70x55 degrees); the scene
     is in metres. A mixed pixel names the face that its centre sees.
     """
-    rotation, translation, intrinsics = (
-        np.asarray(array, np.float64)
-        for array in (camera.rotation, camera.translation, camera.intrinsics)
-    )
-    height, width = camera.height, camera.width
-    # Broadcast sums: a threaded product with a 3x3 matrix is far slower.
-    right, down, corner = np.linalg.inv(intrinsics).T @ rotation
-    columns, rows = np.arange(width)[:, None], np.arange(height)[:, None, None]
-    rays = (rows * down + (columns * right + corner)).reshape(-1, 3)
-    hits = scene.cast(-translation @ rotation, rays)
+    height, width, rays = camera.height, camera.width, pixel_rays(camera)
+    rotation = np.asarray(camera.rotation, np.float64)
+    hits = scene.cast(-np.asarray(camera.translation, np.float64) @ rotation, rays)
     hits, ranges = measure(scene, hits, (height, width), rng, config, glossy)
     depth = ranges / np.linalg.norm(rays[hits.ray], axis=1)
     counts = np.zeros(height * width, np.uint16)
@@ -218,6 +202,17 @@ def l515_depth(
     counts[hits.ray] = np.rint(depth / config.quantum)
     faces[hits.ray] = hits.faces
     return counts.reshape(height, width), faces.reshape(height, width)
+
+
+def pixel_rays(camera: Camera) -> Float64[np.ndarray, "P 3"]:
+    """The rays of all pixels, row by row, one unit of depth long."""
+    rotation = np.asarray(camera.rotation, np.float64)
+    # Broadcast sums: a threaded product with a 3x3 matrix is far slower.
+    inverse = np.linalg.inv(np.asarray(camera.intrinsics, np.float64))
+    right, down, corner = inverse.T @ rotation
+    columns = np.arange(camera.width)[:, None]
+    rows = np.arange(camera.height)[:, None, None]
+    return (rows * down + (columns * right + corner)).reshape(-1, 3)
 
 
 def ouster_scan(
@@ -247,9 +242,7 @@ def _beam_directions(config: OusterConfig) -> np.ndarray:
     lowest, highest = np.radians(config.elevation_degrees)
     elevation = np.linspace(highest, lowest, config.beams)[:, None]
     azimuth = 2 * np.pi * np.arange(config.columns) / config.columns
-    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
-    z = np.broadcast_to(np.sin(elevation), x.shape)
-    directions = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    directions = direction(azimuth, elevation).reshape(-1, 3)
     directions.flags.writeable = False
     return directions
 
@@ -288,6 +281,16 @@ def measure(
     returned = rng.random(len(ranges)) < kept
     returned &= (ranges >= config.min_range) & (ranges <= config.max_range)
     return Hits(*(array[returned] for array in hits)), ranges[returned]
+
+
+def measured_points(
+    rays: Rays, hits: Hits, ranges: np.ndarray, quantum: float, unit: float = 1.0
+) -> Float64[np.ndarray, "R 3"]:
+    """Where ranges in metres are, rounded to what a sensor counts; in units of so many
+    metres."""
+    along = rays.directions.reshape(-1, 3)[hits.ray]
+    steps = np.linalg.norm(along, axis=1) * quantum
+    return rays.eye + (np.rint(ranges / steps) * quantum / unit)[:, None] * along
 
 
 def _step_to_neighbours(hits: Hits, grid: tuple[int, int], wraps: bool) -> np.ndarray:

@@ -4,15 +4,20 @@ In the object's frame, z up, its longest side spanning [-1, 1].
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Float64
 
 from experiments.simulation.partials import HALF_EXTENT, random_viewpoint
 from experiments.simulation.raycast import Scene
-from experiments.simulation.readings import Rays, camera_rays, ring_rays
-from experiments.simulation.sensors import L515Config, OusterConfig, RangeConfig
+from experiments.simulation.readings import camera_rays, ring_rays
+from experiments.simulation.sensors import (
+    L515Config,
+    OusterConfig,
+    RangeConfig,
+    Rays,
+)
 
 BEAMS: Mapping[int, tuple[float, float]] = {
     16: (-15.0, 15.0),
@@ -40,16 +45,10 @@ CAMERA_SIDES, LIDAR_SIDES = (0.2, 3.0), (0.5, 5.0)
 
 @dataclasses.dataclass(frozen=True)
 class Sensor:
-    """One kind of sensor, in one place or in several.
+    """One kind of sensor, in one place or in several."""
 
-    Attributes:
-      config: what goes wrong with its ranges; an `OusterConfig` is a lidar's.
-      half_extent: metres that the object's unit stands for.
-      eyes: its places.
-    """
-
-    config: RangeConfig
-    half_extent: float
+    config: RangeConfig  # an `OusterConfig` is a lidar's
+    half_extent: float  # metres that the object's unit stands for
     eyes: tuple[Float64[np.ndarray, "3"], ...]
 
     @property
@@ -67,10 +66,27 @@ class Sensor:
         """
         if not isinstance(self.config, OusterConfig):
             return camera_rays(scene, eye)
-        low, high = np.radians(self.config.elevation_degrees)
-        return ring_rays(
-            scene, eye, self.config, low + rng.uniform(0.1, 0.9) * (high - low)
-        )
+        return tilted_rays(scene, eye, self.config, (0.1, 0.9), rng)
+
+
+def tilted_rays(
+    scene: Scene,
+    eye: Float[np.ndarray, "3"],
+    config: OusterConfig,
+    inner: tuple[float, float],
+    rng: np.random.Generator,
+) -> Rays:
+    """`ring_rays` with the object's middle in this inner part of what beams span."""
+    low, high = np.radians(config.elevation_degrees)
+    return ring_rays(scene, eye, config, low + rng.uniform(*inner) * (high - low))
+
+
+def random_ouster(
+    rng: np.random.Generator, counts: Sequence[int] = tuple(BEAMS)
+) -> OusterConfig:
+    """A spinning lidar of one of these numbers of beams, with an Ouster's noise."""
+    beams, columns = int(rng.choice(counts)), int(rng.choice(COLUMNS))
+    return OusterConfig(beams=beams, columns=columns, elevation_degrees=BEAMS[beams])
 
 
 def random_camera(
@@ -89,11 +105,9 @@ def random_camera(
 
 
 def random_lidar(scene: Scene, num_eyes: int, rng: np.random.Generator) -> Sensor:
-    """A spinning lidar of one of `BEAMS`, with an Ouster's noise."""
+    """A spinning lidar of one of `BEAMS`."""
     half_extent = 0.5 * _log_uniform(*LIDAR_SIDES, rng)
-    beams = int(rng.choice(list(BEAMS)))
-    columns = int(rng.choice(COLUMNS))
-    config = OusterConfig(beams=beams, columns=columns, elevation_degrees=BEAMS[beams])
+    config = random_ouster(rng)
     least, most = (metres / half_extent for metres in LIDAR_METRES)
     return Sensor(config, half_extent, _random_eyes(scene, num_eyes, least, most, rng))
 

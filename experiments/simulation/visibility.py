@@ -6,7 +6,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from experiments.simulation.readings import Rays, Readings
+from experiments.simulation.readings import Readings
+from experiments.simulation.sensors import Rays
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import (
     MAP_SIZE,

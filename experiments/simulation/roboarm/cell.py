@@ -13,6 +13,7 @@ import trimesh
 from jaxtyping import Float, Float64
 from manifold3d import Manifold
 
+from experiments.simulation.raycast import direction
 from experiments.simulation.roboarm.clutter import GAP, Bench, draw_clutter
 from experiments.simulation.roboarm.furnishings import (
     FIXTURES,
@@ -131,15 +132,10 @@ def _aim(sweep: np.ndarray, rng: Rng, camera: Camera) -> Camera:
     distance = rng.uniform(0.8, 1.05) * radius / np.sin(_HALF_FIELD)
     distance = np.clip(distance, *CAMERA_DISTANCE)
     azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 0.6)
-    direction = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
     target = center + rng.normal(0, 0.04, 3) * radius
-    rotation, translation = look_at(center + distance * direction, target)
+    rotation, translation = look_at(
+        center + distance * direction(azimuth, elevation), target
+    )
     return dataclasses.replace(
         camera,
         rotation=rotation,

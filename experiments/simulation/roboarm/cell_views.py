@@ -9,8 +9,8 @@ from experiments.simulation.raycast import Scene, sample_outside
 from experiments.simulation.readings import Readings
 from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.roboarm.sequences import flying_pixels
-from experiments.simulation.roboarm.workcells import PARTS, Workcell, scene_of
-from experiments.simulation.sensors import L515Config, l515_depth
+from experiments.simulation.roboarm.workcells import Workcell, scene_of
+from experiments.simulation.sensors import L515Config, l515_depth, pixel_rays
 from experiments.simulation.truncation import NO_CUT, random_cut
 from experiments.simulation.views import PARTIAL_POINTS, SURFACE_POINTS
 from experiments.simulation.visibility import map_of
@@ -27,13 +27,8 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.observation.maps import box_exit
 
-LABELS_OF = dict(
-    zip(
-        PARTS,
-        ("robot", "fixture", "clutter", "clutter", "clutter", "person"),
-        strict=True,
-    )
-)
+KINDS = ("robot", "fixture", "clutter", "clutter", "clutter", "person")
+"""Labels of `PARTS`."""
 OPEN_PARTS = ("robot", "fixture", "support", "room")
 """What stands there when the truth is surveyed: no clutter, nobody."""
 FEW = 4000
@@ -50,22 +45,14 @@ would make it unknown."""
 
 
 class CellView(NamedTuple):
-    """A frame of a varied cell; metres, the cell's frame.
+    """A frame of a varied cell; metres, the cell's frame."""
 
-    Attributes:
-      partial, complete: of robot and fixtures, in farthest-point order.
-      eye: where the camera stood.
-      visibility: what it knows.
-      cut: whether the partial cloud is cut off beside what the image's own edges do.
-      depth, labels, camera: the whole image; counts of `DEPTH_SCALE`, and `LABELS`.
-    """
-
-    partial: Float32[np.ndarray, "N 3"]
+    partial: Float32[np.ndarray, "N 3"]  # of robot and fixtures, farthest first
     complete: Float32[np.ndarray, "M 3"]
     eye: Float32[np.ndarray, "3"]
     visibility: Visibility
-    cut: bool
-    depth: UInt16[np.ndarray, "H W"]
+    cut: bool  # whether more than the image's own edges cuts the partial cloud off
+    depth: UInt16[np.ndarray, "H W"]  # counts of `DEPTH_SCALE`
     labels: UInt8[np.ndarray, "H W"]
     camera: Camera
 
@@ -82,12 +69,12 @@ def make_cell_view(
     """Frame `number` of a cell; ValueError where next to nothing of it is seen."""
     parts = cell.parts(number)
     scene, sizes = scene_of(parts)
-    part_labels = np.array([LABELS[LABELS_OF[name]] for name in PARTS], np.uint8)
+    part_labels = np.array([LABELS[kind] for kind in KINDS], np.uint8)
     face_labels = np.repeat(part_labels, sizes)
     shiny = _glossy_faces(cell, sizes)
     counts, faces = l515_depth(scene, cell.camera, rng, sensor, shiny)
     labels = np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
-    rays, depth = _pixel_rays(cell.camera), (counts * DEPTH_SCALE).reshape(-1)
+    rays, depth = pixel_rays(cell.camera), (counts * DEPTH_SCALE).reshape(-1)
     eye = np.asarray(cell.camera.position)
     measured = _measured(depth, labels, rays, cell)
 
@@ -137,16 +124,6 @@ def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
     shiny[len(links) : sizes[0]] = cell.glossy[-2]
     shiny[sizes[0] : sizes[0] + sizes[1]] = cell.glossy[-1]
     return shiny
-
-
-def _pixel_rays(camera: Camera) -> Float64[np.ndarray, "P 3"]:
-    """The rays of all pixels, row by row, one unit of depth long."""
-    rotation = np.asarray(camera.rotation)
-    # Broadcast sums: a threaded product with a 3x3 matrix is far slower.
-    right, down, corner = np.linalg.inv(camera.intrinsics).T @ rotation
-    columns = np.arange(camera.width)[:, None]
-    rows = np.arange(camera.height)[:, None, None]
-    return (rows * down + (columns * right + corner)).reshape(-1, 3)
 
 
 def _measured(

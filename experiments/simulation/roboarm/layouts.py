@@ -8,6 +8,7 @@ import trimesh
 from jaxtyping import Float64
 from manifold3d import Manifold
 
+from experiments.simulation.raycast import direction
 from experiments.simulation.roboarm.cell import look_at
 from experiments.simulation.roboarm.clutter import are_hidden
 from experiments.simulation.roboarm.furnishings import (
@@ -140,11 +141,7 @@ def aim_camera(
         away = rng.uniform(*DISTANCES) * radius / np.sin(_HALF_FIELD)
         away = np.clip(away, NEAREST, FARTHEST)
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 0.9)
-        across = np.cos(elevation)
-        direction = np.array(
-            [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
-        )
-        eye = center + away * direction
+        eye = center + away * direction(azimuth, elevation)
         seen = center + rng.normal(0, 0.12, 3) * radius
         nearest = np.linalg.norm(layout.sweep - eye, axis=1).min()
         if eye[2] > 0.3 and nearest > 0.4 and not layout.covers(eye, 0.3):

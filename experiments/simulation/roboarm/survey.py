@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from experiments.simulation.raycast import Scene
+from experiments.simulation.raycast import Scene, direction
 from experiments.simulation.sensors import OusterConfig, ouster_scan
 from prism_jax.data.ordering import farthest_point_order
 
@@ -65,14 +65,8 @@ def _stations(center, radius: float, count: int, rng: np.random.Generator):
     for index in range(count):
         azimuth = start + 2 * np.pi * (index + rng.uniform(-0.2, 0.2)) / count
         elevation = (-0.3, 0.25, 0.8)[index % 3] + rng.uniform(-0.1, 0.1)
-        direction = np.array(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ]
-        )
-        position = center + rng.uniform(1.3, 1.6) * radius * direction
+        away = rng.uniform(1.3, 1.6) * radius
+        position = center + away * direction(azimuth, elevation)
         position[2] = max(position[2], 0.15)
         forward = center - position
         forward /= np.linalg.norm(forward)
