@@ -127,10 +127,7 @@ def build_dataset(
 
 
 def build_if_missing(
-    name: str,
-    split: str,
-    data_dir: str | os.PathLike | None = None,
-    **settings: Any,
+    name: str, split: str, data_dir: str | os.PathLike | None = None, **settings: Any
 ) -> None:
     """Builds a generated set's split, or goes on with what was broken off, unless one
     is finished there, of whatever settings.

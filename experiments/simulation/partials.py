@@ -73,9 +73,7 @@ def random_viewpoint(
 
 
 def self_occlusion(
-    scene: Scene,
-    viewpoint: Float[np.ndarray, "3"],
-    min_points: int = 2048,
+    scene: Scene, viewpoint: Float[np.ndarray, "3"], min_points: int = 2048
 ) -> Float64[np.ndarray, "N 3"]:
     """First hits of a regular grid of rays from `viewpoint`, row by row, exactly.
 

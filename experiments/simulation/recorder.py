@@ -10,13 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from prism_jax.data.recordings import (
-    DEPTH_SCALE,
-    NEEDED,
-    OPTIONAL,
-    Frame,
-    frame_file,
-)
+from prism_jax.data.recordings import DEPTH_SCALE, NEEDED, OPTIONAL, Frame, frame_file
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import write_ply

@@ -69,11 +69,7 @@ def tube(
 
 
 def bar(
-    start: Vector,
-    end: Vector,
-    width: float,
-    depth: float,
-    end_scale: float = 1.0,
+    start: Vector, end: Vector, width: float, depth: float, end_scale: float = 1.0
 ) -> Manifold:
     """Rectangular beam from `start` to `end`; its end section is `end_scale` times
     the start's. The width lies along x where the beam is upright."""
@@ -221,8 +217,7 @@ def _strips(rings: np.ndarray) -> np.ndarray:
 
 def _closed(points: np.ndarray, faces: np.ndarray) -> Manifold:
     mesh = Mesh64(
-        np.ascontiguousarray(points, np.float64),
-        np.ascontiguousarray(faces, np.uint64),
+        np.ascontiguousarray(points, np.float64), np.ascontiguousarray(faces, np.uint64)
     )
     return Manifold(mesh)
 

@@ -12,12 +12,7 @@ from jaxtyping import Float, Float64
 from experiments.simulation.partials import HALF_EXTENT, random_viewpoint
 from experiments.simulation.raycast import Scene
 from experiments.simulation.readings import camera_rays, ring_rays
-from experiments.simulation.sensors import (
-    L515Config,
-    OusterConfig,
-    RangeConfig,
-    Rays,
-)
+from experiments.simulation.sensors import L515Config, OusterConfig, RangeConfig, Rays
 
 BEAMS: Mapping[int, tuple[float, float]] = {
     16: (-15.0, 15.0),

@@ -47,9 +47,7 @@ class Views(NamedTuple):
     visibilities: tuple[Visibility | None, ...]
 
 
-def rounded(
-    points: Float[np.ndarray, "*shape 3"],
-) -> Float32[np.ndarray, "*shape 3"]:
+def rounded(points: Float[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
     """Nearest multiples of `QUANTUM`; coordinates beyond +-1.99 raise ValueError."""
     if not np.all(np.abs(points) < 1.99):
         raise ValueError("coordinates must be finite and within +-1.99")

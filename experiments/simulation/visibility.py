@@ -9,12 +9,7 @@ from jaxtyping import Float
 from experiments.simulation.readings import Readings
 from experiments.simulation.sensors import Rays
 from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.visibility import (
-    MAP_SIZE,
-    SURFACE,
-    UNKNOWN,
-    Visibility,
-)
+from prism_jax.geometry.visibility import MAP_SIZE, SURFACE, UNKNOWN, Visibility
 
 
 def map_rays(camera: Camera, eye: Float[np.ndarray, "3"]) -> Rays:

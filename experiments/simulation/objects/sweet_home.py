@@ -82,10 +82,7 @@ def _model(path: pathlib.Path, licence: str, entry: Mapping[str, str]) -> Model:
 
 
 def _load(
-    path: pathlib.Path,
-    member: str,
-    turn: tuple[float, ...],
-    size: tuple[float, ...],
+    path: pathlib.Path, member: str, turn: tuple[float, ...], size: tuple[float, ...]
 ) -> trimesh.Trimesh:
     mesh = parse_mesh(
         read_member(path, member, MAX_MODEL_BYTES),

@@ -67,11 +67,7 @@ TABLE_SHARE, LIDAR_SHARE = 0.55, 0.35
 """Of all scenes those on tables, and of those on floors those that a lidar sees; its
 noise is as large as what stands on tables."""
 
-VERSIONS = {
-    "shapes": SHAPES_VERSION,
-    "open": OPEN_VERSION,
-    "objects": OBJECTS_VERSION,
-}
+VERSIONS = {"shapes": SHAPES_VERSION, "open": OPEN_VERSION, "objects": OBJECTS_VERSION}
 
 
 @dataclasses.dataclass(frozen=True)

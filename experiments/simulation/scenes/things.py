@@ -25,11 +25,7 @@ SOURCES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "test": ("test", "unseen"),
     },
     "open": {"train": ("train",)},
-    "objects": {
-        "train": ("train",),
-        "validation": ("validation",),
-        "test": ("test",),
-    },
+    "objects": {"train": ("train",), "validation": ("validation",), "test": ("test",)},
 }
 """Splits of each source, by the split of the scenes that they stand in."""
 

@@ -7,14 +7,7 @@ that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    assembled,
-    bar,
-    box,
-    prism,
-    rod,
-    tube_along,
-)
+from experiments.simulation.solids import assembled, bar, box, prism, rod, tube_along
 
 Rng = np.random.Generator
 

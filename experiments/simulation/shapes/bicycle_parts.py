@@ -27,10 +27,7 @@ def wheel(rng: Rng, kind: str, radius: float, tyre: float) -> list[Manifold]:
         count, wire = int(rng.choice([6, 8, 9])), 0.0028
         for side in (-1, 1):
             spoke = rod(
-                (0.8 * hub, 0, side * 0.03),
-                ((inner - 0.01), 0, 0),
-                wire,
-                segments=6,
+                (0.8 * hub, 0, side * 0.03), ((inner - 0.01), 0, 0), wire, segments=6
             )
             solids += ring_of(spoke, count, 90 * side / count)
     elif style < 0.92 or kind == "town":

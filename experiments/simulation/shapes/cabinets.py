@@ -7,13 +7,7 @@ frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in 
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    assembled,
-    box,
-    corners,
-    rod,
-    torus,
-)
+from experiments.simulation.solids import assembled, box, corners, rod, torus
 
 Rng = np.random.Generator
 

@@ -10,13 +10,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.shapes.drives import motor
-from experiments.simulation.solids import (
-    assembled,
-    bar,
-    box,
-    capsule,
-    rod,
-)
+from experiments.simulation.solids import assembled, bar, box, capsule, rod
 
 Rng = np.random.Generator
 

@@ -7,14 +7,7 @@ frame is that of `solids`: z up, front along +y, floor at z = 0.
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    ball,
-    bar,
-    box,
-    lathe,
-    rod,
-    tube_along,
-)
+from experiments.simulation.solids import ball, bar, box, lathe, rod, tube_along
 
 Rng = np.random.Generator
 

@@ -29,12 +29,7 @@ Rng = np.random.Generator
 def tank(rng: Rng) -> list[Manifold]:
     """Upright vessels on legs or a skirt, lying ones on saddles, hoppers in a frame,
     caged containers; with nozzles, manholes, ladders, gauges and agitators."""
-    kinds = {
-        "upright": _upright,
-        "lying": _lying,
-        "hopper": hopper,
-        "caged": _caged,
-    }
+    kinds = {"upright": _upright, "lying": _lying, "hopper": hopper, "caged": _caged}
     kind = str(rng.choice(list(kinds), p=[0.36, 0.28, 0.2, 0.16]))
     return assembled(kinds[kind](rng))
 
