@@ -66,19 +66,12 @@ EVERY = 4
 
 
 class View(NamedTuple):
-    """What was measured of an object.
+    """What was measured of an object."""
 
-    Attributes:
-      points: as measured, not resampled; there may be none.
-      eye: where the sensor stood; of several stations, the one that saw most.
-      kind: one of `KINDS`, but not "mixed".
-      visibility: what the sensor at `eye` knows; None for the kinds of `partials`.
-    """
-
-    points: Float64[np.ndarray, "N 3"]
-    eye: Float64[np.ndarray, "3"]
-    kind: str
-    visibility: Visibility | None = None
+    points: Float64[np.ndarray, "N 3"]  # not resampled; there may be none
+    eye: Float64[np.ndarray, "3"]  # of several stations, the one that saw most
+    kind: str  # one of `KINDS`, but not "mixed"
+    visibility: Visibility | None = None  # at `eye`; None for the kinds of `partials`
 
 
 def draw_kind(rng: np.random.Generator, mixture: Mapping[str, float] = MIXTURE) -> str:

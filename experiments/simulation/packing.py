@@ -23,16 +23,11 @@ _Group = tuple[str, list[int]]
 
 @dataclasses.dataclass(frozen=True)
 class PackConfig:
-    """Points kept of each cloud, and examples taken of each source.
+    """Points kept of each cloud, and examples taken of each source."""
 
-    Attributes:
-      num_partial, num_complete: farthest points; a smaller cloud is repeated.
-      limit: the most examples of a source, evenly spaced through it; 0 for all.
-    """
-
-    num_partial: int = 2048
+    num_partial: int = 2048  # farthest points; a smaller cloud is repeated
     num_complete: int = 16_384
-    limit: int = 0
+    limit: int = 0  # the most of a source, evenly spaced through it; 0 for all
 
 
 def pack(

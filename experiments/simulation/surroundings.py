@@ -25,14 +25,10 @@ _Solid = tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "F 3"]]
 
 
 class Surroundings(NamedTuple):
-    """What a ray may hit beside the object.
+    """What a ray may hit beside the object."""
 
-    Attributes:
-      occluders: things between sensor and object.
-      planes: a unit normal and a distance from the origin each; `n x > d` is free.
-    """
-
-    occluders: Scene | None = None
+    occluders: Scene | None = None  # things between sensor and object
+    # A unit normal and a distance from the origin each; `n x > d` is free.
     planes: Float64[np.ndarray, "P 4"] = NO_PLANES
 
     def cast(

@@ -16,16 +16,11 @@ KEPT_SHARES = (0.25, 0.85)
 
 
 class Cut(NamedTuple):
-    """The convex part of space that is kept.
+    """The convex part of space that is kept."""
 
-    Attributes:
-      planes: a normal and an offset each; `n x <= d` is kept.
-      known: whether what was measured outside is known all the same, as where points
-        are cut to a workspace and the depth image is not. It is no part of the object
-        then.
-    """
-
-    planes: Float64[np.ndarray, "K 4"]
+    planes: Float64[np.ndarray, "K 4"]  # normal and offset each; `n x <= d` is kept
+    # Whether what was measured outside is known all the same, as where points are cut
+    # to a workspace and the depth image is not. It is no part of the object then.
     known: bool = False
 
     def apply(self, readings: Readings, eye: Float[np.ndarray, "3"]) -> Readings:

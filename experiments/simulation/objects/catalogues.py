@@ -18,17 +18,11 @@ FOLDER = pathlib.Path("/usr/share/sweethome3d/furniture")
 
 
 class Catalogue(NamedTuple):
-    """A file of models by one maker, or from one place.
+    """A file of models by one maker, or from one place."""
 
-    Attributes:
-      name: of the file, without `.sh3f`.
-      split: what all its models belong to.
-      licence: of its models, as the package's copyright file and its own give it.
-    """
-
-    name: str
-    split: str
-    licence: str
+    name: str  # of the file, without `.sh3f`
+    split: str  # what all its models belong to
+    licence: str  # as the package's copyright file and its own give it
 
 
 CATALOGUES = (

@@ -8,26 +8,16 @@ import trimesh
 
 @dataclasses.dataclass(frozen=True)
 class Model:
-    """A mesh that somebody made, with whom to thank for it.
-
-    Attributes:
-      catalogue: name of the catalogue that it is in.
-      name: what tells it from the catalogue's others.
-      title: what it shows, in English.
-      creator: who made it.
-      licence: under which it may be used.
-      load: its mesh, z up and front along +y, in any unit; InputError where it cannot
-        be read. Can be pickled.
-      fault: why it is no object, if its catalogue says so; else None.
-    """
+    """A mesh that somebody made, with whom to thank for it."""
 
     catalogue: str
-    name: str
-    title: str
+    name: str  # tells it from the catalogue's others
+    title: str  # what it shows, in English
     creator: str
     licence: str
+    # Its mesh, z up, front along +y, in any unit; InputError where it cannot be read.
     load: Callable[[], trimesh.Trimesh]
-    fault: str | None = None
+    fault: str | None = None  # why it is no object, if its catalogue says so
 
     @property
     def identity(self) -> str:

@@ -36,17 +36,11 @@ ROUNDING = 200
 
 @dataclasses.dataclass(frozen=True)
 class Survey:
-    """The models of one or more splits.
+    """The models of one or more splits."""
 
-    Attributes:
-      versions: of its catalogues, by name.
-      models: those that are taken, with the digests of their meshes.
-      left_out: why the others are not, by identity.
-    """
-
-    versions: dict[str, str]
-    models: list[tuple[Model, str]]
-    left_out: dict[str, str]
+    versions: dict[str, str]  # of the catalogues, by name
+    models: list[tuple[Model, str]]  # those taken, with the digests of their meshes
+    left_out: dict[str, str]  # why the others are not, by identity
 
 
 def survey(

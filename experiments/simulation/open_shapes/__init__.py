@@ -2,7 +2,9 @@
 
 What a network learns of completing from such shapes is not bound to a list of kinds.
 z is up, the floor at z = 0; many are the same on their left and right. Each is one
-closed solid in one piece. Lengths are in an arbitrary unit of the order of one.
+closed solid in one piece. Lengths are in an arbitrary unit of the order of one. A part
+is drawn from a NumPy generator and fills, or nearly, a box of the given size about the
+origin.
 Sources: D. Xie et al., LRM-Zero, 2024; H. Jiang et al., MegaSynth, 2025: reconstruction
 trained on random primitives alone comes close to training on collected models.
 """

@@ -1,8 +1,4 @@
-"""Random frames of bars, square and round, in a box.
-
-Every function draws from a NumPy generator and fills a box of the given size about the
-origin, in whatever unit that is, or nearly. Each is in one piece.
-"""
+"""Random frames of bars, square and round, in a box."""
 
 import itertools
 

@@ -58,8 +58,7 @@ def _skyline(rng: Rng) -> Outline:
     if rng.random() < 0.6:
         heights, widths = (np.append(a, a[-2::-1]) for a in (heights, widths))
     edges = np.append(0.0, np.cumsum(widths))
-    steps = np.repeat(edges, 2)[1:-1]
-    roof = np.stack([steps, np.repeat(heights, 2)], axis=1)[::-1]
+    roof = np.stack([np.repeat(edges, 2)[1:-1], np.repeat(heights, 2)], axis=1)[::-1]
     if rng.random() < 0.4:
         return np.concatenate([roof, (roof * (1, -1))[::-1]])
     return np.concatenate([roof, [[0.0, 0.0], [edges[-1], 0.0]]])

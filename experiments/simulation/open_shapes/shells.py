@@ -1,8 +1,4 @@
-"""Random shells: thin walls around a hollow that is open on a side, in a box.
-
-Every function draws from a NumPy generator and fills a box of the given size about the
-origin, in whatever unit that is, or nearly.
-"""
+"""Random shells: thin walls around a hollow that is open on a side, in a box."""
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold

@@ -33,8 +33,7 @@ def legs(rng: Rng, body: Manifold) -> list[Manifold]:
     splay = 1.0 if rng.random() < 0.6 else rng.uniform(0.8, 1.5)
     tops, feet = [], []
     for share in ring:
-        aim = middle + np.append(share * (sides[:2] / 2 - thick), 0)
-        hit = touched(body, aim, UP)
+        hit = touched(body, middle + np.append(share * (sides[:2] / 2 - thick), 0), UP)
         if hit is not None:
             tops.append(hit.point + min(hit.depth / 2, thick) * UP)
             foot = middle[:2] + splay * (hit.point[:2] - middle[:2])
@@ -87,8 +86,7 @@ def pedestal(rng: Rng, body: Manifold) -> list[Manifold]:
     hit = touched(body, middle, UP)
     if hit is None:
         return []
-    tall = sides.max() * np.exp(rng.uniform(-2.0, 0.3))
-    low = middle[2] - sides[2] / 2 - tall
+    low = middle[2] - sides[2] / 2 - (sides.max() * np.exp(rng.uniform(-2.0, 0.3)))
     foot = np.array([middle[0], middle[1], low])
     thick = sides.max() * np.exp(rng.uniform(np.log(0.015), np.log(0.12)))
     top = hit.point + min(hit.depth / 2, thick) * UP

@@ -1,8 +1,5 @@
 """Random structures: many like parts together, and the table of all that is not one
 simple solid.
-
-Every function draws from a NumPy generator and fills a box of the given size about the
-origin, in whatever unit that is, or nearly.
 """
 
 import itertools
@@ -126,8 +123,7 @@ def beads(rng: Rng, size: Size) -> Manifold:
     if rng.random() < 0.5:
         line = np.array([(0, 0, -0.5), (0, 0, 0.5)]) * size
     thick = thickness(rng, size) / 2
-    gaps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    along = np.append(0.0, np.cumsum(gaps))
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
     count = int(rng.integers(3, 8))
     steps = np.linspace(along[-1] * 0.08, along[-1] * 0.92, count)
     spots = np.stack([np.interp(steps, along, c) for c in line.T], axis=1)

@@ -30,17 +30,11 @@ class Anchor(NamedTuple):
 
 
 class Hoses(NamedTuple):
-    """Hoses along an arm, which are clamped to some of its links.
+    """Hoses along an arm, which are clamped to some of its links."""
 
-    Attributes:
-      strands: the anchors of each hose, from the foot to the tool.
-      radius: metres.
-      slack: how far a hose bows out between anchors; 1 is a smooth curve.
-    """
-
-    strands: Sequence[Sequence[Anchor]]
-    radius: float
-    slack: float
+    strands: Sequence[Sequence[Anchor]]  # of each hose, from the foot to the tool
+    radius: float  # metres
+    slack: float  # how far a hose bows out between anchors; 1 is a smooth curve
 
     def mesh(self, robot: Robot, positions: Float[np.ndarray, " J"]) -> trimesh.Trimesh:
         """The hoses in one pose, in the robot's frame."""

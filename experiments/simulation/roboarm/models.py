@@ -19,32 +19,22 @@ OWN = "own"
 
 @dataclasses.dataclass(frozen=True)
 class ArmModel:
-    """An arm: `family` is its maker's line; no family is in two splits.
-
-    Attributes:
-      urdf: path of the file, URDF or xacro; a relative one lies in the package's folder
-        of robots.
-      root: the first link of the arm, which is bolted down by the joint above it; what
-        is not below it is left out. By default the whole robot.
-      roll_pitch_yaw: how the root's frame is turned on the pedestal, in degrees.
-      spacer: metres between the pedestal and the root's lowest point, for a shoulder
-        whose next link hangs lower.
-      tool_link: a two-finger gripper is put on this link of an arm without a hand,
-        pointing along the link's `tool_axis`.
-      licence: of its meshes, as `example-robot-data` gives it, or those who wrote what
-        is in `rtb-data`.
-      package: whose folder of robots it is in.
-    """
+    """An arm that stands in cells."""
 
     name: str
-    family: str
-    urdf: str
+    family: str  # its maker's line; none is in two splits
+    urdf: str  # URDF or xacro; a relative path is in the package's folder of robots
+    # The first link of the arm, which is bolted down by the joint above it; what is not
+    # below it is left out. By default the whole robot.
     root: str | None = None
-    roll_pitch_yaw: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    roll_pitch_yaw: tuple[float, float, float] = (0.0, 0.0, 0.0)  # degrees, of the root
+    # Metres between the pedestal and the root's lowest point, for a shoulder whose next
+    # link hangs lower.
     spacer: float = 0.0
+    # A two-finger gripper is put on this link of an arm without a hand.
     tool_link: str | None = None
-    tool_axis: str = "z"
-    licence: str = "its owner's"
+    tool_axis: str = "z"  # of that link, along which the gripper points
+    licence: str = "its owner's"  # of its meshes
     package: str = PACKAGE
 
 

@@ -27,22 +27,15 @@ SMALL, LARGE = 0.8, 1.7
 
 
 class Mount(NamedTuple):
-    """What an arm stands on.
+    """What an arm stands on."""
 
-    Attributes:
-      kind: one of `MOUNTS`.
-      bases: where the arm's foot is, frame by frame: a linear axis moves it.
-      support: what is neither robot nor fixture: tables, pedestals, plates.
-      track: what of a linear axis stands still, a fixture.
-      carriage: what of it moves with the arm, in the frame of the foot, a fixture.
-      top: corners (x, y) and height of a table top that fixtures may stand on.
-    """
-
-    kind: str
-    bases: Float64[np.ndarray, "T 3"]
-    support: Sequence[Manifold] = ()
-    track: Sequence[Manifold] = ()
+    kind: str  # one of `MOUNTS`
+    bases: Float64[np.ndarray, "T 3"]  # the arm's foot by frame: a linear axis moves it
+    support: Sequence[Manifold] = ()  # tables, pedestals, plates
+    track: Sequence[Manifold] = ()  # what of a linear axis stands still, a fixture
+    # What of it moves with the arm, in the frame of the foot, a fixture.
     carriage: Sequence[Manifold] = ()
+    # Corners (x, y) and height of a table top that fixtures may stand on.
     top: tuple[np.ndarray, np.ndarray, float] | None = None
 
 

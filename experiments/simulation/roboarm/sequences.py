@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 import trimesh
-from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8, UInt16
+from jaxtyping import Bool, Float, Float32, Float64, UInt8, UInt16
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.cell import Cell, make_cell
@@ -111,7 +111,7 @@ def make_frame(
     shiny[sizes[0] : sizes[0] + sizes[1]] = glossy[-1]
     whole = Scene(together(parts))
     counts, faces = l515_depth(whole, cell.camera, rng, config.depth_sensor, shiny)
-    labels = _pixel_labels(faces, face_labels)
+    labels = np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
 
     open_faces = sum(sizes[:3])
     uncluttered = Scene(together(parts[:3]))
@@ -167,12 +167,6 @@ def _partial(
 
 def _rounded(points: Float64[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
     return (np.round(points / CLOUD_STEP) * CLOUD_STEP).astype(np.float32)
-
-
-def _pixel_labels(
-    faces: Int32[np.ndarray, "H W"], face_labels: UInt8[np.ndarray, " F"]
-) -> UInt8[np.ndarray, "H W"]:
-    return np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
 
 
 def _hidden_share(

@@ -23,17 +23,11 @@ CHANGER_SHARE, WORKPIECE_SHARE = 0.5, 0.6
 
 
 class Tool(NamedTuple):
-    """A tool on a flange, with what it holds.
+    """A tool on a flange, with what it holds."""
 
-    Attributes:
-      mesh: in the flange's frame.
-      size: metres; about its length.
-      kind: one of `TOOLS`.
-    """
-
-    mesh: trimesh.Trimesh
-    size: float
-    kind: str
+    mesh: trimesh.Trimesh  # in the flange's frame
+    size: float  # metres; about its length
+    kind: str  # one of `TOOLS`
 
 
 def random_tool(reach: float, rng: Rng) -> Tool:

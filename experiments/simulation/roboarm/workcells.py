@@ -66,12 +66,7 @@ def arm_of(model: ArmModel) -> Arm:
 
 @dataclasses.dataclass(frozen=True)
 class Workcell:
-    """A cell and the poses that an arm takes in it.
-
-    Attributes:
-      lower, upper: of robot and fixtures in all poses.
-      glossy: which links are, then whether tool and hoses are, and fixtures.
-    """
+    """A cell and the poses that an arm takes in it."""
 
     arm: Arm
     positions: Float64[np.ndarray, "T J"]
@@ -84,9 +79,9 @@ class Workcell:
     clutter: trimesh.Trimesh
     people: trimesh.Trimesh
     camera: Camera
-    lower: Float64[np.ndarray, "3"]
+    lower: Float64[np.ndarray, "3"]  # of robot and fixtures in all poses
     upper: Float64[np.ndarray, "3"]
-    glossy: Bool[np.ndarray, " K"]
+    glossy: Bool[np.ndarray, " K"]  # links, then tool with hoses, then fixtures
 
     def parts(self, number: int) -> dict[str, trimesh.Trimesh]:
         """The meshes of a frame in the world frame, by the names of `PARTS`."""

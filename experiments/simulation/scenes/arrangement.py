@@ -44,18 +44,12 @@ class Part(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What things stand on, and what is around them.
-
-    Attributes:
-      support: what it is.
-      parts: the table's top, the floor and the wall are `SUPPORT`; the table's legs
-        `LEFT_OVER`.
-      has_wall: whether there is one, at the side of +y.
-    """
+    """What things stand on, and what is around them."""
 
     support: Literal["table", "floor"]
+    # The table's top, the floor and the wall are `SUPPORT`, the legs `LEFT_OVER`.
     parts: tuple[Part, ...]
-    has_wall: bool
+    has_wall: bool  # at the side of +y
 
 
 def arranged(

@@ -91,23 +91,14 @@ class ScenesConfig(SetConfig):
 
 
 class MadeScene(NamedTuple):
-    """A scene before it is stored.
+    """A scene before it is stored."""
 
-    Attributes:
-      things: with their meshes in their places.
-      parts: what is around them.
-      sensor: what it is seen by.
-      measured: points, and whose they are.
-      complete: of each thing, in farthest-point order.
-      traits: as in `LabelledScene`.
-    """
-
-    things: tuple[Thing, ...]
-    parts: tuple[Part, ...]
+    things: tuple[Thing, ...]  # with their meshes in their places
+    parts: tuple[Part, ...]  # what is around them
     sensor: Sensor
     measured: Measured
-    complete: Float64[np.ndarray, "K 16384 3"]
-    traits: tuple[str, ...]
+    complete: Float64[np.ndarray, "K 16384 3"]  # of each thing, farthest points first
+    traits: tuple[str, ...]  # as in `LabelledScene`
 
 
 def build_scenes(

@@ -46,17 +46,11 @@ Pool = Callable[[np.random.Generator], Thing]
 
 
 class Pools(NamedTuple):
-    """Where the things of a split's scenes are drawn from, each as often as the others.
+    """What the things of a split's scenes are drawn from, each as often as others."""
 
-    Attributes:
-      pools: one for each split of each source.
-      categories: of all of them.
-      digests: of the meshes of models that people made, by their identity.
-    """
-
-    pools: tuple[Pool, ...]
+    pools: tuple[Pool, ...]  # one for each split of each source
     categories: tuple[str, ...]
-    digests: dict[str, str]
+    digests: dict[str, str]  # of the meshes of models that people made, by identity
 
     def draw(self, rng: np.random.Generator) -> Thing:
         """A thing of any of them."""

@@ -1,8 +1,9 @@
 """Procedural object meshes by category and seed.
 
-Canonical pose, never rotated at random: z up, front along +y. Each mesh is the
-boolean union of closed solids, so it is watertight and a point sampled on it lies on
-the outer surface. Lengths are in arbitrary units of the order of one.
+Each category has a function that draws one object from a NumPy generator and returns
+its solids. Canonical pose, never rotated at random: z up, front along +y, floor at
+z = 0; mostly in metres. Each mesh is the boolean union of closed solids, so it is
+watertight and a point sampled on it lies on the outer surface.
 """
 
 import zlib

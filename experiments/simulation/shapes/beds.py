@@ -1,8 +1,4 @@
-"""Procedural beds.
-
-`bed` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural beds."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -82,12 +78,10 @@ def _bedding(
 ) -> list[Manifold]:
     """Mattress, pillows at -y, and a blanket or a folded one in some."""
     top = low + thick
-    size = (width, length, thick)
-    solids = [box((0, 0, low + thick / 2), size, 0.04)]
+    solids = [box((0, 0, low + thick / 2), (width, length, thick), 0.04)]
     count = 1 if width < 1.3 else 2
     wide, lean = min(width / count * 0.86, 0.75), rng.uniform(0, 45)
-    rows = int(rng.integers(1, 3))
-    for row in range(rows):
+    for row in range(int(rng.integers(1, 3))):
         for index in range(count):
             x = (index + 0.5 - count / 2) * width / count
             pillow = box((0, 0.2, 0.06), (wide * (1 - 0.15 * row), 0.4, 0.15), 0.055)

@@ -1,7 +1,4 @@
-"""Parts of procedural bicycles: wheels, mudguards, the drive and the carrier.
-
-The frame is that of `bicycles`: z up, riding to the front, +y. Lengths are in metres.
-"""
+"""Parts of procedural bicycles: wheels, mudguards, the drive and the carrier."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold

@@ -1,8 +1,4 @@
-"""Procedural bicycles.
-
-`bicycle` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, riding to the front, +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural bicycles, riding to the front."""
 
 from typing import NamedTuple
 
@@ -172,8 +168,7 @@ def _handlebar(rng: Rng, kind: str, shape: Geometry, pipe: float) -> list[Manifo
     elif kind == "mountain":
         bends = [(0.2, 0, 0), (0.35, 0, 0.03), (1, -0.03, 0.03)]
     else:
-        back = rng.uniform(0.08, 0.22)
-        bends = [(0.3, 0.03, 0.02), (0.8, 0, 0.05), (1, -back, 0.03)]
+        bends = [(0.3, 0.03, 0.02), (0.8, 0, 0.05), (1, -rng.uniform(0.08, 0.22), 0.03)]
     right = np.array([(half * x, y, z) for x, y, z in bends])
     points = clamp + np.concatenate([right[::-1] * (-1, 1, 1), [(0, 0, 0)], right])
     solids += tube_along(points, 0.8 * pipe, 10)

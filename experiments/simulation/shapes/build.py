@@ -58,8 +58,7 @@ def shape_seed(config: ShapesConfig, index: int) -> int:
     position = list(config.SIZES).index(config.split)
     if position >= FIRST_SPLITS:
         return (position << 96) + (config.seed << 32) + index
-    block = config.seed * FIRST_SPLITS + position
-    return (block << 32) + index
+    return ((config.seed * FIRST_SPLITS + position) << 32) + index
 
 
 def build_shapes(

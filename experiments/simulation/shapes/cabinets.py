@@ -1,8 +1,4 @@
-"""Procedural control cabinets.
-
-`control_cabinet` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural control cabinets."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -35,8 +31,7 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
         hinge = -1 if index % 2 == 0 else 1
         door = _column_of_doors(rng, pitch, height, hinge, rows)
         if index == opened:
-            size = (pitch * 0.92, depth, height * 0.92)
-            body -= box((x, 0.03, height / 2), size)
+            body -= box((x, 0.03, height / 2), (pitch * 0.92, depth, height * 0.92))
             plate = [box((0, 0, 0), (pitch, 0.02, height * 0.95))]
             plate += _mounting(rng, pitch * 0.8, height * 0.84)
             back = (x, -depth / 2 + 0.05, height / 2)
@@ -46,8 +41,7 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
     solids += [body, *_outside(rng, width, depth, height)]
     if kind == "tall":
         if rng.random() < 0.7:
-            plinth = (width * 0.97, depth * 0.94, 0.2)
-            solids.append(box((0, 0, 0), plinth))
+            solids.append(box((0, 0, 0), (width * 0.97, depth * 0.94, 0.2)))
     elif rng.random() < 0.6:
         post, low = 0.09, rng.uniform(0.6, 1.0)
         solids.append(box((0, 0, -low / 2), (post, post, low + 0.05)))
@@ -103,8 +97,7 @@ def _door(rng: Rng, width: float, height: float, hinge: int) -> list[Manifold]:
         if rng.random() < 0.65 and (height > 0.6 or z > 0):
             z = z * height if height > 0.6 else 0.0
             center = np.array((0.03 * hinge * width, 0.027, z))
-            size = min(0.55 * width, 0.3, 0.9 * height)
-            solids += _fitting(str(kind), center, size)
+            solids += _fitting(str(kind), center, min(0.55 * width, 0.3, 0.9 * height))
     return solids
 
 
@@ -125,8 +118,7 @@ def _fitting(kind: str, center: np.ndarray, wide: float) -> list[Manifold]:
         ]
     if kind == "screen":
         panel = box(center, (wide, 0.04, 0.7 * wide), 0.006)
-        glass = box(center + (0, 0.02, 0), (0.84 * wide, 0.016, 0.54 * wide))
-        return [panel - glass]
+        return [panel - box(center + (0, 0.02, 0), (0.84 * wide, 0.016, 0.54 * wide))]
     if kind == "meters":
         size = (0.3 * wide, 0.03, 0.3 * wide)
         return [box(center + (s * wide, 0, 0), size, 0.006) for s in (-0.4, 0, 0.4)]

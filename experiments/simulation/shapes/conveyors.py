@@ -1,8 +1,4 @@
-"""Procedural conveyors.
-
-`conveyor` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural conveyors."""
 
 import itertools
 
@@ -41,8 +37,7 @@ def conveyor(rng: Rng) -> list[Manifold]:
             solids.append(rod(place - half, place + half, 0.4 * pitch, segments=10))
         elif kind == "cleats":
             top = place + (0, 0, 0.5 * thick)
-            cleat = bar(top - 0.95 * half, top + 0.95 * half, 0.02, 0.09)
-            solids.append(cleat)
+            solids.append(bar(top - 0.95 * half, top + 0.95 * half, 0.02, 0.09))
     for k in (0, -1):
         half = (width / 2 + 0.01) * across[k]
         ends = middle[k] - half, middle[k] + half

@@ -1,8 +1,4 @@
-"""Procedural gearboxes, and the electric motor that other machines borrow.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural gearboxes, and the electric motor that other machines borrow."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
@@ -115,8 +111,7 @@ def _inline(rng: Rng) -> list[Manifold]:
         ]
         for hole in holes:
             foot -= hole
-        web = box((0, 0.15 * long, low / 2), (wide, 0.7 * long, -low))
-        return [*solids, foot, web]
+        return [*solids, foot, box((0, 0.15 * long, low / 2), (wide, 0.7 * long, -low))]
     ring = disc(1.5 * radius, 0.0, 0.04) - disc(0.3 * radius, -1.0, 1.0)
     drilled = bolts(6, 1.3 * radius, 0.1 * radius, -0.02, 0.06)
     return [*solids, *_along_y([ring, *drilled], (0, 0.72 * long, 0))]
@@ -137,8 +132,7 @@ def _split_housing(rng: Rng) -> list[Manifold]:
             roof.append((x * long, y, lower + upper * (1 - drop)))
     solids.append(Manifold.hull_points(np.array(roof) * (1, 0.48, 1)))
     rim = box((0, 0, lower), (long + 0.1, wide + 0.1, 0.05), 0.008)
-    base = box((0, 0, 0.02), (long + 0.06, wide + 0.16, 0.045))
-    solids += [rim, base]
+    solids += [rim, box((0, 0, 0.02), (long + 0.06, wide + 0.16, 0.045))]
     for x in np.linspace(-0.5, 0.5, 5) * (long + 0.04):
         for y in (-wide / 2 - 0.025, wide / 2 + 0.025):
             low, high = (x, y, lower - 0.04), (x, y, lower + 0.045)
@@ -199,8 +193,7 @@ def _right_angle(rng: Rng) -> list[Manifold]:
         solids += [part.rotate((-90, 0, turn)) for part in parts]
     foot = rng.random() < 0.6
     if foot:
-        slab = box((0, 0, -0.62 * side), (1.35 * side, 1.35 * side, 0.045))
-        solids.append(slab)
+        solids.append(box((0, 0, -0.62 * side), (1.35 * side, 1.35 * side, 0.045)))
         solids.append(box((0, 0, -0.5 * side), (side * 0.9, side * 0.9, 0.26 * side)))
         for point in corners(0.59 * side, 0.59 * side):
             low = point - (0, 0, 0.62 * side)

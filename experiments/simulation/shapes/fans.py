@@ -1,8 +1,4 @@
-"""Procedural fans.
-
-`fan` draws one object from a NumPy generator and returns its solids; the frame is that
-of `solids`: z up, blowing to the front, +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural fans, blowing to the front."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
@@ -101,8 +97,7 @@ def _desk(rng: Rng) -> list[Manifold]:
     level = radius * rng.uniform(1.15, 1.5)
     head = _aimed(_head(rng, radius), tilt, (0, -0.35 * radius, level))
     neck, top = radius * rng.uniform(0.08, 0.16), (0, -0.35 * radius, level)
-    foot = (0, -0.1 * radius, 0.02)
-    solids = [*head, capsule(foot, top, 1.4 * neck, neck)]
+    solids = [*head, capsule((0, -0.1 * radius, 0.02), top, 1.4 * neck, neck)]
     wide = radius * rng.uniform(0.6, 0.85)
     style = str(rng.choice(["disc", "dome", "block", "clip"], p=[0.4, 0.25, 0.2, 0.15]))
     if style == "disc":
@@ -113,8 +108,7 @@ def _desk(rng: Rng) -> list[Manifold]:
     elif style == "block":
         solids.append(box((0, 0, 0.03), (1.6 * wide, 1.3 * wide, 0.06), 0.015))
         for x in np.linspace(-0.5, 0.5, int(rng.integers(3, 6))) * wide:
-            button = (x, 0.62 * wide, 0.06)
-            solids.append(box(button, (0.16 * wide, 0.12 * wide, 0.02)))
+            solids.append(box((x, 0.62 * wide, 0.06), (0.16 * wide, 0.12 * wide, 0.02)))
     else:
         solids.append(box((0, 0, 0.0), (0.5 * wide, 1.2 * wide, 0.02)))
         solids.append(box((0, 0.1 * wide, -0.07), (0.5 * wide, wide, 0.02)))
@@ -139,12 +133,10 @@ def _pedestal(rng: Rng) -> list[Manifold]:
     if style == "plate":
         solids.append(rod((0, 0, 0), (0, 0, 0.03), wide, 0.8 * wide, 32))
     elif style == "cross":
-        foot = bar((-wide, 0, 0.015), (wide, 0, 0.015), 0.03, 0.05)
-        solids += ring_of(foot, 2, 45.0)
+        solids += ring_of(bar((-wide, 0, 0.015), (wide, 0, 0.015), 0.03, 0.05), 2, 45.0)
         solids.append(rod((0, 0, 0), (0, 0, 0.07), 0.05, 0.03))
     else:
-        leg = bar((0, 0, 0.22), (1.2 * wide, 0, 0.01), 0.02, 0.03)
-        solids += ring_of(leg, 3, 90.0)
+        solids += ring_of(bar((0, 0, 0.22), (1.2 * wide, 0, 0.01), 0.02, 0.03), 3, 90.0)
     return solids
 
 

@@ -1,7 +1,4 @@
-"""What is fitted to procedural tanks: nozzles, manholes and ladders.
-
-The frame is that of `solids`: z up, front along +y. Lengths are in metres.
-"""
+"""What is fitted to procedural tanks: nozzles, manholes and ladders."""
 
 import numpy as np
 from manifold3d import Manifold

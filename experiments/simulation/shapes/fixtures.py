@@ -1,9 +1,4 @@
-"""Procedural workholding fixtures.
-
-`fixture` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. The unit is about
-half a metre.
-"""
+"""Procedural workholding fixtures. The unit is about half a metre."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -150,8 +145,7 @@ def _vice(rng: Rng) -> list[Manifold]:
     top = bed + jaw
     solids.append(box((back, 0, top / 2), (0.17, wide, top), 0.01))
     front = back + 0.085 + gap
-    moving = (0.2, wide, jaw + 0.02)
-    solids.append(box((front + 0.1, 0, bed + jaw / 2), moving, 0.015))
+    solids.append(box((front + 0.1, 0, bed + jaw / 2), (0.2, wide, jaw + 0.02), 0.015))
     for x in (back + 0.08, front + 0.005):
         solids.append(box((x, 0, top - 0.4 * jaw), (0.03, 1.1 * wide, 0.75 * jaw)))
     end, axis = long / 2 + 0.08, bed + 0.3 * jaw
@@ -230,8 +224,7 @@ def _tombstone(rng: Rng) -> list[Manifold]:
     sides, tall = int(rng.choice([4, 4, 6])), rng.uniform(0.6, 0.9)
     radius, flat = rng.uniform(0.2, 0.3), 180 / sides
     apothem = radius * np.cos(np.radians(flat))
-    column = rod((0, 0, 0), (0, 0, tall), radius, segments=sides).rotate((0, 0, flat))
-    solids = [column]
+    solids = [rod((0, 0, 0), (0, 0, tall), radius, segments=sides).rotate((0, 0, flat))]
     if rng.random() < 0.5:
         solids.append(rod((0, 0, -0.08), (0, 0, 0.01), 1.7 * radius, segments=36))
     else:
@@ -277,11 +270,9 @@ def _chuck(rng: Rng) -> list[Manifold]:
         top = deep + rng.uniform(0.2, 0.5)
         solids.append(rod((0, 0, 0.2 * deep), (0, 0, top), open_at + 0.01, segments=24))
     if rng.random() < 0.5:
-        solids.append(box((0, 0, -0.03), (2.5 * radius, 2.5 * radius, 0.08), 0.01))
-        return solids
+        return [*solids, box((0, 0, -0.03), (2.5 * radius, 2.5 * radius, 0.08), 0.01)]
     solids = [solid.rotate((-90, 0, 0)) for solid in solids]
     low = -1.25 * radius
     solids.append(box((0, -0.05, low / 2), (1.3 * radius, 0.14, -low)))
     solids.append(box((0, 0, low), (2.2 * radius, 0.5, 0.08), 0.01))
-    solids.append(rod((0, -0.2, 0), (0, 0.02, 0), 0.7 * radius, segments=28))
-    return solids
+    return [*solids, rod((0, -0.2, 0), (0, 0.02, 0), 0.7 * radius, segments=28)]

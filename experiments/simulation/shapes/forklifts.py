@@ -1,8 +1,4 @@
-"""Procedural forklifts, stackers and pallet trucks.
-
-`forklift` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, forks to the front, +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural forklifts, stackers and pallet trucks, forks to the front."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -66,8 +62,7 @@ def _mast(
         for share in (0.97, 0.5) if stage == 0 else (0.97, 0.05):
             beam = (0, shift - 0.5 * thick, bottom + share * tall)
             solids.append(box(beam, (2 * inner, 0.7 * thick, thick)))
-    cylinders = [-0.4 * half, 0.4 * half] if rng.random() < 0.6 else [0.0]
-    for x in cylinders:
+    for x in [-0.4 * half, 0.4 * half] if rng.random() < 0.6 else [0.0]:
         foot, joint = (x, y - 0.05, low + 0.02), (x, y - 0.05, low + 0.6 * tall)
         solids.append(rod(foot, joint, 0.035, segments=14))
         solids.append(rod(joint, (x, y - 0.05, low + 0.95 * tall), 0.02, segments=10))
@@ -86,8 +81,7 @@ def _carriage(
     if rng.random() < 0.6:
         tall = rng.uniform(0.5, 0.8)
         for x in np.linspace(-0.92, 0.92, int(rng.integers(4, 8))) * half:
-            size = (0.025, 0.03, tall)
-            solids.append(box((x, y, level + 0.4 + tall / 2), size))
+            solids.append(box((x, y, level + 0.4 + tall / 2), (0.025, 0.03, tall)))
         solids.append(box((0, y, level + 0.4 + tall), (1.9 * half, 0.035, 0.05)))
     return solids
 
@@ -126,8 +120,7 @@ def _seated(rng: Rng) -> list[Manifold]:
     for x in (-half + 0.06, half - 0.06):
         solids += _wheel(np.array((x, front - 0.15, wheel)), wheel, 0.18)
         solids += _wheel(np.array((x * 0.94, back + 0.32, rear)), rear, 0.15)
-        arch = (x, front - 0.2, 2 * wheel + 0.02)
-        solids.append(box(arch, (0.2, 2.1 * wheel, 0.04)))
+        solids.append(box((x, front - 0.2, 2 * wheel + 0.02), (0.2, 2.1 * wheel, 0.04)))
     solids.append(rod((-half, front - 0.15, wheel), (half, front - 0.15, wheel), 0.07))
     solids.append(rod((-half, back + 0.32, rear), (half, back + 0.32, rear), 0.05))
     mast, tall = front + 0.16, rng.uniform(1.8, 2.2)
@@ -270,5 +263,4 @@ def _hand_truck(rng: Rng) -> list[Manifold]:
         solids += _wheel(center, 0.09, 0.05, 22)
     tilt, root = rng.uniform(0.05, 1.0), pump + (0, 0, 0.24)
     solids.append(box(root, (0.12, 0.09, 0.1), 0.01))
-    solids += _tiller(rng, root, tilt, rng.uniform(0.75, 0.95), 0.1)
-    return solids
+    return solids + _tiller(rng, root, tilt, rng.uniform(0.75, 0.95), 0.1)

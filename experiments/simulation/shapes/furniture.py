@@ -1,8 +1,4 @@
-"""Procedural chairs and tables.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0.
-"""
+"""Procedural chairs and tables."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -22,8 +18,7 @@ def chair(rng: Rng) -> list[Manifold]:
         solids = [seat.translate((0, 0, height - thick))]
     else:
         chamfer = rng.uniform(0, 0.4) * thick
-        center = (0, 0, height - thick / 2)
-        solids = [box(center, (width, depth, thick), chamfer)]
+        solids = [box((0, 0, height - thick / 2), (width, depth, thick), chamfer)]
     under = height - thick / 2
     spread = 0.36 if round_seat else 0.46
     solids += _support(rng, width * 2 * spread, depth * 2 * spread, under)
@@ -79,8 +74,7 @@ def _support(
         solids = []
         for side in (-x, x):
             corners = [(side, -y, top), (side, -y, thick), (side, y, thick)]
-            path = np.array([*corners, (side, y, top)])
-            solids += tube_along(path, thick * 0.7)
+            solids += tube_along(np.array([*corners, (side, y, top)]), thick * 0.7)
         return solids
     return _four_legs(rng, x, y, top, thick, shelf)
 
@@ -170,8 +164,7 @@ def _chair_arms(rng: Rng, width: float, depth: float, height: float) -> list[Man
         if closed:
             low = height - 0.04
             center = (side, (front + back) / 2, (low + height + rise) / 2)
-            size = (thick, front - back, height + rise - low)
-            solids.append(box(center, size))
+            solids.append(box(center, (thick, front - back, height + rise - low)))
             continue
         center = (side, (front + back) / 2, height + rise)
         solids.append(box(center, (thick * 1.3, front - back, thick * 0.6)))

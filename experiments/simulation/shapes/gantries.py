@@ -1,8 +1,4 @@
-"""Procedural gantries.
-
-`gantry` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural gantries."""
 
 import itertools
 
@@ -130,8 +126,7 @@ def _upright_axis(
         for side in (-0.07, 0.07):
             solids.append(box((x + side, front, low - 0.1), (0.03, 0.06, 0.18)))
     elif tool == "cup":
-        plate = box((x, front, low), (0.3, 0.2, 0.03))
-        solids.append(plate)
+        solids.append(box((x, front, low), (0.3, 0.2, 0.03)))
         for point in corners(0.11, 0.06):
             foot = point + (x, front, low - 0.1)
             solids.append(rod(foot, foot + (0, 0, 0.1), 0.035, 0.012, 12))
@@ -175,5 +170,4 @@ def _router(rng: Rng) -> list[Manifold]:
     top, tip = (x, front + 0.08, level + 0.22), bed + rng.uniform(0.04, 0.15)
     solids.append(rod((x, front + 0.08, tip + 0.08), top, 0.055, segments=20))
     solids.append(rod((x, front + 0.08, tip), top, 0.018, segments=10))
-    solids.append(rod((x, front, level + 0.1), (x, front, level + 0.3), 0.045))
-    return solids
+    return [*solids, rod((x, front, level + 0.1), (x, front, level + 0.3), 0.045)]

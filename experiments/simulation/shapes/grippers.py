@@ -1,8 +1,6 @@
-"""Procedural grippers.
+"""Procedural grippers, in decimetres.
 
-`gripper` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in decimetres. The
-tool hangs from its flange, as from an arm: the fingertips touch the floor.
+The tool hangs from its flange, as from an arm: the fingertips touch the floor.
 """
 
 import numpy as np
@@ -117,8 +115,7 @@ def _centric(rng: Rng) -> list[Manifold]:
     solids, jaws = [lathe(profile, 36)], int(rng.choice([2, 3, 3, 4]))
     open_at, long = rng.uniform(0.15, 0.6) * radius, rng.uniform(0.4, 0.9)
     style = rng.choice(["block", "pin", "hook"])
-    slide = box((open_at + 0.2, 0, -tall - 0.05), (0.5, 0.3, 0.22), 0.02)
-    finger = [slide]
+    finger = [box((open_at + 0.2, 0, -tall - 0.05), (0.5, 0.3, 0.22), 0.02)]
     if style == "block":
         finger.append(box((open_at + 0.1, 0, -tall - long / 2), (0.2, 0.26, long)))
     elif style == "pin":
@@ -230,8 +227,7 @@ def _soft(rng: Rng) -> list[Manifold]:
         rod((0, 0, -tall - 0.08), (0, 0, -tall + 0.02), radius * 1.15, segments=28)
     )
     if count == 2:
-        size = (2.5 * radius, 0.5, 0.2)
-        solids = [solids[0], box((0, 0, -tall), size, 0.04)]
+        solids = [solids[0], box((0, 0, -tall), (2.5 * radius, 0.5, 0.2), 0.04)]
     long, ribs = rng.uniform(1.0, 1.5), int(rng.integers(5, 9))
     step, point = long / ribs, np.array((radius, 0.0, -tall))
     wide, thick, angle = rng.uniform(0.2, 0.3), 0.2, rng.uniform(0.0, 0.4)
@@ -270,8 +266,7 @@ def _hand(rng: Rng) -> list[Manifold]:
     thumb = _digit(np.array((0.0, 0, 0)), bend * 0.7, 0.36, 1.1 * radius)[:-1]
     turned = [part.rotate((35, 0, 0)).rotate((0, 0, 75)) for part in thumb]
     solids += [part.translate((0.45 * wide, 0.12, -0.5 * palm)) for part in turned]
-    solids.append(ball((0.42 * wide, 0.1, -0.5 * palm), 1.5 * radius, 14))
-    return solids
+    return [*solids, ball((0.42 * wide, 0.1, -0.5 * palm), 1.5 * radius, 14)]
 
 
 def _digit(root: np.ndarray, bend: float, step: float, radius: float) -> list[Manifold]:

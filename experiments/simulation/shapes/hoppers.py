@@ -1,8 +1,4 @@
-"""Procedural hoppers, one of the kinds of tanks.
-
-`hopper` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural hoppers, one of the kinds of tanks."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -63,8 +59,7 @@ def hopper(rng: Rng) -> list[Manifold]:
         solids.append(box(spot + (0, 0, 0.012), (2 * post, 2 * post, 0.024)))
     for level in (top - post, 0.3 * free) if rng.random() < 0.6 else (top - post,):
         for side in (-reach, reach):
-            beam = (2 * reach, post, post)
-            solids.append(box((0, side, level), beam))
+            solids.append(box((0, side, level), (2 * reach, post, post)))
             solids.append(box((side, 0, level), (post, 2 * reach, post)))
     if is_round:
         for angle in (0, 90):

@@ -1,8 +1,4 @@
-"""Procedural sofas, cabinets and lamps.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0.
-"""
+"""Procedural sofas, cabinets and lamps."""
 
 import numpy as np
 from manifold3d import Manifold

@@ -1,9 +1,4 @@
-"""Procedural ladders and steps.
-
-`ladder` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, climbed from the front, +y, floor at z = 0. Lengths are in
-metres.
-"""
+"""Procedural ladders and steps, climbed from the front."""
 
 from typing import NamedTuple
 
@@ -131,8 +126,7 @@ def _hoop(half: float, low: float, tall: float, radius: float) -> Manifold:
     arc = np.linspace(0, np.pi / 2, 6)
     turn = rounding * np.stack([1 - np.cos(arc), np.sin(arc)], axis=1)
     rise = np.array((-half, low + tall - rounding)) + turn
-    right = (rise * (-1, 1))[::-1]
-    line = np.concatenate([[(-half, low)], rise, right, [(half, low)]])
+    line = np.concatenate([[(-half, low)], rise, (rise * (-1, 1))[::-1], [(half, low)]])
     path = np.column_stack([line[:, 0], np.zeros(len(line)), line[:, 1]])
     angle = 2 * np.pi * np.arange(10) / 10
     return sweep(path, radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
@@ -182,8 +176,7 @@ def _platform(rng: Rng) -> list[Manifold]:
     solids.append(box((0, 0, tall), (2 * half + 0.04, deep + 0.03, 0.04)))
     posts = [spot * (1, 0.95, 1) for spot in corners(half, edge)]
     solids += [rod(spot, spot + (0, 0, tall), tube, segments=12) for spot in posts]
-    levels = (0.12, 0.55) if rng.random() < 0.7 else (0.12,)
-    for level in levels:
+    for level in (0.12, 0.55) if rng.random() < 0.7 else (0.12,):
         for first, second in ((0, 1), (0, 2), (1, 3), (2, 3)):
             if (first, second) != (1, 3) or level < 0.3:
                 start, end = (posts[k] + (0, 0, level * tall) for k in (first, second))

@@ -1,8 +1,4 @@
-"""Procedural machine frames, and the beams that gantries borrow.
-
-`machine_frame` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural machine frames, and the beams that gantries borrow."""
 
 import itertools
 
@@ -123,8 +119,7 @@ def _cage(
     """Uprights on the grid of columns and rows, rails around it at every level."""
     solids, bottom = [], 0.0 if levels[0] < 0.4 else levels[0]
     for x, y in itertools.product(columns, dict.fromkeys(rows)):
-        upright = beam((x, y, bottom), (x, y, levels[-1] + size / 2), size, kind)
-        solids.append(upright)
+        solids.append(beam((x, y, bottom), (x, y, levels[-1] + size / 2), size, kind))
     for z in levels:
         for y in dict.fromkeys(rows):
             solids.append(beam((columns[0], y, z), (columns[-1], y, z), size, kind))

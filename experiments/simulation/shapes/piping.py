@@ -1,8 +1,4 @@
-"""Procedural pipe runs.
-
-`pipe_run` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural pipe runs."""
 
 import itertools
 
@@ -64,10 +60,9 @@ def _is_clear(way: np.ndarray, gap: float) -> bool:
     share = np.linspace(0, 1, 9)[:, None]
     lines = [a + share * (b - a) for a, b in itertools.pairwise(way)]
     for i, j in itertools.combinations(range(len(lines)), 2):
-        if j > i + 1:
-            apart = np.linalg.norm(lines[i][:, None] - lines[j][None], axis=-1)
-            if apart.min() < gap:
-                return False
+        gaps = np.linalg.norm(lines[i][:, None] - lines[j][None], axis=-1)
+        if j > i + 1 and gaps.min() < gap:
+            return False
     return True
 
 
@@ -208,8 +203,7 @@ def _rack(rng: Rng, radius: float) -> list[Manifold]:
             drop = ends[1] + (0.12, 0, 0)
             way = np.array([ends[0], drop, drop * (1, 1, 0) + (0, 0, 0.12)])
         elif rng.random() < 0.3:
-            rise = ends[1] + (0, 0, rng.uniform(0.25, 0.5))
-            way = np.array([ends[0], ends[1], rise])
+            way = np.array([ends[0], ends[1], ends[1] + (0, 0, rng.uniform(0.25, 0.5))])
         else:
             way = ends
         solids += _pipe(rng, way, float(size))
@@ -258,8 +252,7 @@ def _header(rng: Rng, radius: float) -> list[Manifold]:
     for x in (-0.3 * long, 0.3 * long):
         solids.append(box((x, 0, height / 2), (0.06, 0.8 * radius, height)))
         solids.append(box((x, 0, 0.01), (0.16, 2.4 * radius, 0.02)))
-        saddle = (0.06, 1.9 * radius, radius)
-        solids.append(box((x, 0, height - 0.8 * radius), saddle))
+        solids.append(box((x, 0, height - 0.8 * radius), (0.06, 1.9 * radius, radius)))
     return solids
 
 

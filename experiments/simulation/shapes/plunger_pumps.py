@@ -1,8 +1,4 @@
-"""Procedural plunger pumps with a belt drive, and the feet that other pumps borrow.
-
-Every function draws one object from a NumPy generator and returns its solids; the frame
-is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural plunger pumps with a belt drive, and the feet that other pumps borrow."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -76,8 +72,7 @@ def _belt(rng: Rng, shaft: np.ndarray, drive: np.ndarray) -> list[Manifold]:
     wide, middle = np.array((0.07, 0.0, 0.0)), shaft + (0.085, 0, 0)
     spoke = rod((0, 0, 0), (0.9 * wheel, 0, 0), 0.014, segments=8)
     solids = [p.rotate((0, 90, 0)).translate(middle) for p in ring_of(spoke, 5)]
-    rim = shaft + side, shaft + side + wide
-    solids.append(tube(*rim, wheel, 0.8 * wheel, 30))
+    solids.append(tube(shaft + side, shaft + side + wide, wheel, 0.8 * wheel, 30))
     solids.append(rod(shaft * (0, 1, 1), shaft + (0.14, 0, 0), 0.025))
     solids.append(rod(drive + side, drive + side + wide, 0.4 * wheel, segments=22))
     solids.append(rod(drive - (0.1, 0, 0), drive + side + wide, 0.02))

@@ -1,8 +1,4 @@
-"""Procedural pumps, each with what drives it.
-
-`pump` draws one object from a NumPy generator and returns its solids; the frame is that
-of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural pumps, each with what drives it."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
@@ -64,8 +60,7 @@ def _volute(rng: Rng, radius: float, deep: float) -> list[Manifold]:
     end = (0, 0, suction + 0.4 * pipe)
     solids += flange(end, (0, 0, -1), 1.75 * inlet, 0.4 * pipe, count)
     holes = rod((0, 0, suction - pipe), (0, 0, suction + 0.8 * radius), 0.75 * inlet)
-    mouth = rod((x, 0.6 * out, 0), (x, 2 * out, 0), 0.7 * pipe)
-    return [union(solids) - holes - mouth]
+    return [union(solids) - holes - rod((x, 0.6 * out, 0), (x, 2 * out, 0), 0.7 * pipe)]
 
 
 def _to_front(parts: list[Manifold], point: tuple) -> list[Manifold]:
@@ -100,8 +95,7 @@ def _on_base(rng: Rng) -> list[Manifold]:
     )
     total, low = gap + 0.11 + long, 0.1
     solids += foot((0, 0.35, level - 0.4 * radius), (1.6 * radius, 0.12), low)
-    bearing = 0.35 - 0.85 * reach
-    solids += foot((0, bearing, level - 0.25 * radius), (radius, 0.06), low)
+    solids += foot((0, 0.35 - 0.85 * reach, level - 0.25 * radius), (radius, 0.06), low)
     middle = 0.35 - gap - 0.11 - 0.42 * long
     for y in (middle - 0.2 * long, middle + 0.2 * long):
         solids += foot((0, y, level - 0.7 * size), (2.1 * size, 0.05), low)
@@ -111,8 +105,7 @@ def _on_base(rng: Rng) -> list[Manifold]:
         solids.append(box((0, center, 0.05), (2 * half, long_base, 0.1), 0.01))
     else:
         for x in (-half, half):
-            rail = (0.05, long_base, 0.1)
-            solids.append(box((0.85 * x, center, 0.05), rail))
+            solids.append(box((0.85 * x, center, 0.05), (0.05, long_base, 0.1)))
         for y in np.linspace(-0.48, 0.48, 4) * long_base:
             solids.append(box((0, center + y, 0.06), (1.7 * half, 0.06, 0.09)))
         solids.append(box((0, center, 0.098), (1.75 * half, long_base, 0.014)))
@@ -229,13 +222,11 @@ def _diaphragm(rng: Rng) -> list[Manifold]:
     for side in (-1, 1):
         turned = [part.rotate((0, 90 * side, 0)) for part in parts]
         solids += [part.translate((side * gap / 2, 0, level)) for part in turned]
-    size = (gap + 0.02, 1.1 * radius, 1.5 * radius)
-    solids.append(box((0, 0, level), size, 0.03))
+    solids.append(box((0, 0, level), (gap + 0.02, 1.1 * radius, 1.5 * radius), 0.03))
     out = gap / 2 + 0.25 * radius
     for sign in (-1, 1):
         height = level + sign * 1.18 * radius
-        ends = (-out, 0, height), (out, 0, height)
-        solids.append(capsule(*ends, pipe, segments=14))
+        solids.append(capsule((-out, 0, height), (out, 0, height), pipe, segments=14))
         for x in (-out, out):
             solids.append(rod((x, 0, level), (x, 0, height), 1.15 * pipe))
         port = (0, 0.9 * radius, height)
@@ -250,6 +241,5 @@ def _diaphragm(rng: Rng) -> list[Manifold]:
     if rng.random() < 0.6:
         case = (0, -0.6 * radius, level + 0.2 * radius)
         solids.append(box(case, (0.7 * gap, 0.5 * radius, 0.5 * radius), 0.02))
-        valve = rod(case, np.add(case, (0, -0.5 * radius, 0)), 0.12 * radius)
-        solids.append(valve)
+        solids.append(rod(case, np.add(case, (0, -0.5 * radius, 0)), 0.12 * radius))
     return solids

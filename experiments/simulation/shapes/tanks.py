@@ -1,8 +1,4 @@
-"""Procedural tanks.
-
-`tank` draws one object from a NumPy generator and returns its solids; the frame is that
-of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural tanks."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -86,8 +82,7 @@ def _upright(rng: Rng) -> list[Manifold]:
         band = torus(radius, 0.018, segments=36, around=6)
         solids.append(band.translate((0, 0, free + level)))
     solids += _sides(rng, radius, free, high)
-    solids += _roof(rng, radius, high, above)
-    return solids
+    return solids + _roof(rng, radius, high, above)
 
 
 def _legs(rng: Rng, radius: float, tall: float, count: int) -> list[Manifold]:
@@ -175,8 +170,7 @@ def _lying(rng: Rng) -> list[Manifold]:
     solids = [shell.translate((0, 0, level))]
     wide, thick = radius * rng.uniform(0.8, 0.95), rng.uniform(0.08, 0.14)
     for x in np.linspace(-0.34, 0.34, 2 if rng.random() < 0.8 else 3) * long:
-        web = (x, 0, level / 2)
-        solids.append(box(web, (0.5 * thick, 2 * wide, level)))
+        solids.append(box((x, 0, level / 2), (0.5 * thick, 2 * wide, level)))
         solids.append(box((x, 0, 0.02), (1.8 * thick, 2.2 * wide, 0.04)))
         half = box((x, 0, level - 0.6 * radius), (thick, 2.2 * radius, 1.0 * radius))
         ring = rod(
@@ -193,8 +187,7 @@ def _lying(rng: Rng) -> list[Manifold]:
         if rng.random() < 0.7:
             solids += manhole(spot, up, rng.uniform(0.18, 0.24))
         else:
-            dome = ball(spot, (0.5 * radius, 0.5 * radius, 0.45 * radius), 24)
-            solids.append(dome)
+            solids.append(ball(spot, (0.5 * radius, 0.5 * radius, 0.45 * radius), 24))
             solids += nozzle(rng, spot + (0, 0, 0.42 * radius), up, 0.05, 0.12)
     end = np.array((long / 2 + 0.9 * above, 0.0, level))
     if rng.random() < 0.6:
@@ -227,8 +220,7 @@ def _catwalk(rng: Rng, radius: float, long: float, level: float) -> list[Manifol
     for side in (-0.16, 0.16):
         foot = np.array((x + side, -1.12 * radius, 0.0))
         solids.append(rod(foot, foot + (0, 0, high), 0.017, segments=8))
-        knee = foot + (0, 0, high)
-        solids.append(rod(knee, (x + side, y, high), 0.017, segments=8))
+        solids.append(rod(foot + (0, 0, high), (x + side, y, high), 0.017, segments=8))
     for rung in np.arange(0.2, high, 0.27):
         ends = (x - 0.16, -1.12 * radius, rung), (x + 0.16, -1.12 * radius, rung)
         solids.append(rod(*ends, 0.013, segments=8))
@@ -260,20 +252,17 @@ def _caged(rng: Rng) -> list[Manifold]:
             spots = (share * half_x, side * half_y), (side * half_x, share * half_y)
             for x, y in spots:
                 solids.append(rod((x, y, low - 0.02), (x, y, high), pipe, segments=6))
-    size = (2 * half_x + 0.06, 2 * half_y + 0.06, 0.035)
-    solids.append(box((0, 0, low), size))
+    solids.append(box((0, 0, low), (2 * half_x + 0.06, 2 * half_y + 0.06, 0.035)))
     if rng.random() < 0.5:
         for x in np.linspace(-0.9, 0.9, 3) * half_x:
-            runner = (0.12, 2 * half_y, 0.025)
-            solids.append(box((x, 0, 0.0125), runner))
+            solids.append(box((x, 0, 0.0125), (0.12, 2 * half_y, 0.025)))
             for y in np.linspace(-0.9, 0.9, 3) * half_y:
                 solids.append(box((x, y, low / 2), (0.12, 0.12, low)))
     else:
         for spot in (*corners(0.92 * half_x, 0.92 * half_y), np.zeros(3)):
             solids.append(bar(spot, spot + (0, 0, low), 0.14, 0.14, 0.7))
     outlet = np.array((0.0, 0.93 * half_y, low + 0.09))
-    front = np.array((0.0, 1.0, 0.0))
-    solids += nozzle(rng, outlet, front, 0.04, 0.2)
+    solids += nozzle(rng, outlet, np.array((0.0, 1.0, 0.0)), 0.04, 0.2)
     solids.append(bar(outlet + (0, 0.1, 0.02), outlet + (0.1, 0.12, 0.09), 0.03, 0.015))
     if rng.random() < 0.6:
         plate = (rng.uniform(-0.3, 0.3) * half_x, half_y, low + 0.55 * tall)

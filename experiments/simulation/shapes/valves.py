@@ -1,8 +1,6 @@
 """Procedural valves, and the flanges and hand wheels that pipe runs borrow.
 
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-A valve's pipe lies along x, its stem points up.
+The pipe lies along x, the stem points up.
 """
 
 import numpy as np
@@ -101,8 +99,7 @@ def _body(
     across = rod((-half, 0, 0), (half, 0, 0), wide)
     if kind == "butterfly":
         outer, thick = 2.4 * bore, 0.5 * bore
-        disc = rod((-thick, 0, 0), (thick, 0, 0), outer, segments=32)
-        solids = [disc]
+        solids = [rod((-thick, 0, 0), (thick, 0, 0), outer, segments=32)]
         if rng.random() < 0.6:
             lug = rod(
                 (-1.15 * thick, 0, 0), (1.15 * thick, 0, 0), 0.4 * bore, segments=12

@@ -1,8 +1,4 @@
-"""Procedural airplanes and cars.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y (nose, bonnet).
-"""
+"""Procedural airplanes and cars, nose or bonnet to the front."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -94,8 +90,7 @@ def _wings(
         for share, scale in ((-0.02, 1.0), (1.0, taper)):
             lead = np.add(root, (side * span * share, -sweep * share, dihedral * share))
             depth, half = chord * scale, thick * scale / 2
-            offsets = [(0, 0.2), (-0.05, 1), (-0.35, 1), (-1, 0.2)]
-            for y, height in offsets:
+            for y, height in [(0, 0.2), (-0.05, 1), (-0.35, 1), (-1, 0.2)]:
                 sections.append(np.add(lead, (0, y * depth, height * half)))
                 sections.append(np.add(lead, (0, y * depth, -height * half)))
         solids.append(Manifold.hull_points(np.array(sections)))
@@ -118,8 +113,7 @@ def _tail(rng: Rng, style: str, radius: float, length: float) -> list[Manifold]:
                 corners += [np.add(point, (x, 0, 0)), np.add(point, (x, -depth, 0))]
         solids.append(Manifold.hull_points(np.array(corners)))
     level = tall * 0.97 if is_t else rng.uniform(-0.05, 0.1) * radius
-    shift = lean * 0.97 if is_t else 0.0
-    root = np.add(base, (0, -shift, level))
+    root = np.add(base, (0, -(lean * 0.97 if is_t else 0.0), level))
     span, sweep = rng.uniform(0.26, 0.4), rng.uniform(0.05, 0.2)
     size = chord * (0.6 if is_t else 0.9)
     return solids + _wings(root, span, size, 0.55, sweep, 0.0, 0.025)
@@ -163,8 +157,7 @@ def _engines(
 
 
 def _nacelle(front: np.ndarray, radius: float, length: float) -> list[Manifold]:
-    back = front - (0, length, 0)
-    body = rod(back, front, radius * 0.65, radius)
+    body = rod(front - (0, length, 0), front, radius * 0.65, radius)
     return [body - rod(front - (0, 0.05, 0), np.add(front, (0, 0.01, 0)), radius * 0.8)]
 
 
@@ -276,8 +269,7 @@ def _car_details(
             solids.append(box((x, y, belt + 0.02), (0.2, 0.05, 0.06), 0.01))
     for y in (-half, half):
         if rng.random() < 0.6:
-            size = (width * 0.94, 0.07, 0.07)
-            solids.append(box((0, y, floor + 0.08), size, 0.02))
+            solids.append(box((0, y, floor + 0.08), (width * 0.94, 0.07, 0.07), 0.02))
     if style == "sports" and rng.random() < 0.6:
         y, level = -half * 0.92, belt + 0.08
         solids.append(box((0, y, level), (width * 0.9, 0.12, 0.02)))

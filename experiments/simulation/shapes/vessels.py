@@ -1,8 +1,4 @@
-"""Procedural bottles, mugs and bowls.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y.
-"""
+"""Procedural bottles, mugs and bowls."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -133,8 +129,7 @@ def _mug_handle(rng: Rng, tall: float, radius_at) -> list[Manifold]:
             axis=1,
         )
     solids = tube_along(np.array([(x, 0.0, z) for x, z in path]), thick)
-    flat = rng.uniform(0.9, 1.7)
-    return [union(solids).scale((1, flat, 1))]
+    return [union(solids).scale((1, rng.uniform(0.9, 1.7), 1))]
 
 
 def bowl(rng: Rng) -> list[Manifold]:
@@ -161,8 +156,7 @@ def bowl(rng: Rng) -> list[Manifold]:
     hollow = np.interp(floor / tall + level * (1 - floor / tall), level, outer) - wall
     inside = [*zip(hollow, floor + (tall - floor) * level, strict=True)]
     inside.append((hollow[-1], tall + 0.1))
-    sides = {"square": 4, "sides": int(rng.integers(5, 9)), "fluted": 72}
-    count = sides.get(kind, 40)
+    count = {"square": 4, "sides": int(rng.integers(5, 9)), "fluted": 72}.get(kind, 40)
     cup = lathe(outside, count) - lathe(inside, count)
     parts = [cup, *_bowl_foot(rng, foot, count)]
     if kind == "square":
@@ -203,8 +197,7 @@ def _bowl_foot(rng: Rng, foot: float, count: int) -> list[Manifold]:
         profile += [(slim, deep), (foot * 0.9, deep + 0.02)]
         return [lathe(profile, count).translate((0, 0, -deep))]
     if style == "feet":
-        knob = ball((foot * 0.8, 0, -0.02), 0.045, 12)
-        return ring_of(knob, 3, 90.0)
+        return ring_of(ball((foot * 0.8, 0, -0.02), 0.045, 12), 3, 90.0)
     return []
 
 
