@@ -53,8 +53,7 @@ def build(
     ) as bar:
         for number in _run(build_item, missing, num_workers):
             bar.update(sizes[number])
-    seconds = time.perf_counter() - start
-    files = hash_files(folder)
+    seconds, files = time.perf_counter() - start, hash_files(folder)
     for name in sorted(set(listed) - set(files)):
         fault = "is missing from what was finished"
         raise InputError(folder / name, fault, "delete the folder and build again")
@@ -68,8 +67,7 @@ def build(
 
 def write_manifest(folder: pathlib.Path, content: Mapping[str, Any]) -> None:
     """Writes a folder's manifest, whole or not at all."""
-    text = json.dumps(content, indent=1) + "\n"
-    write_bytes(folder / MANIFEST, text.encode())
+    write_bytes(folder / MANIFEST, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def _begun(folder: pathlib.Path, content: dict[str, Any]) -> list[str]:

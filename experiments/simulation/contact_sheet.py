@@ -67,8 +67,7 @@ def draw_clouds(
         colors = np.broadcast_to(color, points.shape)[far_first]
         pixels = seen @ np.asarray(camera.intrinsics).T
         columns, rows = np.round(pixels[:, :2] / pixels[:, 2:]).astype(int).T
-        nearest = seen[-1, 2]
-        shade = 1 - 0.5 * (seen[:, 2] - nearest) / max(np.ptp(seen[:, 2]), 1e-9)
+        shade = 1 - 0.5 * (seen[:, 2] - seen[-1, 2]) / max(np.ptp(seen[:, 2]), 1e-9)
         for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
             row = np.clip(rows + down, 0, camera.height - 1)
             column = np.clip(columns + right, 0, camera.width - 1)
@@ -102,6 +101,5 @@ def contact_sheet(
         x, y = block * across, line * down
         pen.text((x + 4, y), row.label, "black", font)
         for column, picture in enumerate(row.pictures):
-            corner = (x + column * size, y + label_height)
-            sheet.paste(Image.fromarray(picture), corner)
+            sheet.paste(Image.fromarray(picture), (x + column * size, y + label_height))
     return sheet

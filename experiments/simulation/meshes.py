@@ -58,8 +58,7 @@ class Meshes:
     def __getitem__(self, index: int) -> Example:
         name, category = self._files[range(len(self))[index]]
         path = self.root / name
-        mesh = _read(path)
-        digest = hashlib.sha256(name.encode()).digest()
+        mesh, digest = _read(path), hashlib.sha256(name.encode()).digest()
         rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
         surface = trimesh.sample.sample_surface(mesh, self.num_points, seed=rng)[0]
         complete = np.asarray(surface, np.float64)

@@ -56,8 +56,7 @@ def make_partial(
         return self_occlusion(scene, viewpoint, num_points), viewpoint
     if kind == "sparse":
         return sparse(scene, viewpoint, rng), viewpoint
-    view = l515 if kind == "l515" else ouster
-    return view(scene, viewpoint, rng), viewpoint
+    return (l515 if kind == "l515" else ouster)(scene, viewpoint, rng), viewpoint
 
 
 def random_viewpoint(
@@ -118,13 +117,11 @@ def l515(
     back to the mesh's frame, row by row. A viewpoint inside the mesh's bounding sphere
     raises ValueError.
     """
-    axes = _axes_outside(scene, viewpoint)
-    camera = l515_camera(axes, viewpoint * HALF_EXTENT)
+    camera = l515_camera(_axes_outside(scene, viewpoint), viewpoint * HALF_EXTENT)
     metric = _in_metres(scene)
     camera = cropped_to(camera, np.asarray(metric.mesh.vertices))
     counts, _ = l515_depth(metric, camera, rng, config)
-    points = points_from_depth(counts * config.quantum, counts > 0, camera)
-    return points / HALF_EXTENT
+    return points_from_depth(counts * config.quantum, counts > 0, camera) / HALF_EXTENT
 
 
 def ouster(

@@ -123,8 +123,7 @@ class Scene:
                 break
             start = lifted[hidden]
             toward = eyes[order[hidden, column]] - start
-            blocked = self._embree.run(start, toward, query="OCCLUDED")
-            hidden = hidden[blocked >= 0]
+            hidden = hidden[self._embree.run(start, toward, query="OCCLUDED") >= 0]
         seen = np.ones(len(points), bool)
         seen[hidden] = False
         return seen
@@ -149,8 +148,7 @@ def sample_outside(
     only stand in the way. A surface of which less than `MIN_SEEN` is seen raises
     ValueError.
     """
-    areas = scene.areas if wanted is None else scene.areas * wanted
-    cumulative = np.cumsum(areas)
+    cumulative = np.cumsum(scene.areas if wanted is None else scene.areas * wanted)
     kept, missing = [], num_points
     drawn, seen_of_drawn = 0, 0
     while missing > 0:
@@ -189,8 +187,7 @@ def direction(
 def sphere_directions(count: int) -> np.ndarray:
     """Unit vectors spread over the sphere: a Fibonacci lattice."""
     index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    azimuth = np.pi * (1 + np.sqrt(5)) * index
+    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
     ring = np.sqrt(1 - z**2)
     return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
 

@@ -164,8 +164,7 @@ def cropped_to(camera: Camera, points: Float[np.ndarray, "N 3"]) -> Camera:
 
     Points are in the world and in front of the camera; the part is one pixel at least.
     """
-    in_camera = np.asarray(camera.to_camera(points))
-    pixels = in_camera @ np.asarray(camera.intrinsics).T
+    pixels = np.asarray(camera.to_camera(points)) @ np.asarray(camera.intrinsics).T
     pixels = pixels[:, :2] / pixels[:, 2:]
     size = np.array([camera.width, camera.height])
     first = np.clip(np.floor(pixels.min(axis=0)), 0, size - 1).astype(int)
@@ -270,8 +269,7 @@ def measure(
     deviation = np.interp(ranges, *np.array(config.noise).T)
     ranges = ranges + deviation * rng.standard_normal(len(ranges))
 
-    degrees = np.degrees(np.arccos(hits.cosines))
-    kept = 1 - config.dropout
+    degrees, kept = np.degrees(np.arccos(hits.cosines)), 1 - config.dropout
     kept *= 1 - np.interp(degrees, config.grazing_degrees, (0, config.grazing_dropout))
     if glossy is not None:
         if len(glossy) != len(scene.triangles):

@@ -6,7 +6,7 @@ so that a shape is one single boolean operation.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import trimesh
@@ -265,6 +265,15 @@ def assembled(solids: Sequence[Manifold]) -> list[Manifold]:
     if len(parts) > 1:
         whole = union([part for part in parts if part.volume() > SPLINTER])
     return [whole]
+
+
+def one_of(
+    rng: np.random.Generator,
+    makers: Sequence[Callable[[np.random.Generator], list[Manifold]]],
+    shares: Sequence[float],
+) -> list[Manifold]:
+    """What one of some functions draws, chosen by these shares."""
+    return makers[rng.choice(len(makers), p=shares)](rng)
 
 
 def as_mesh(solid: Manifold) -> trimesh.Trimesh:

@@ -51,8 +51,7 @@ class Surroundings(NamedTuple):
             distances[ray], cosines[ray] = hits.distances[nearer], hits.cosines[nearer]
             faces[ray] = hits.faces[nearer]
         ray = np.flatnonzero(np.isfinite(distances))
-        steps = (distances[ray] / lengths[ray])[:, None]
-        points = eye + steps * directions[ray]
+        points = eye + (distances[ray] / lengths[ray])[:, None] * directions[ray]
         return Hits(ray, points, faces[ray], distances[ray], cosines[ray])
 
 
@@ -66,8 +65,7 @@ def random_planes(
     out.
     """
     floor, wall = rng.random(2) < (0.5, 0.4)
-    corners = np.asarray(scene.mesh.vertices)
-    planes = []
+    corners, planes = np.asarray(scene.mesh.vertices), []
     if floor:
         gap = rng.choice([0.0, rng.uniform(0.0, 1.5)], p=[0.7, 0.3])
         planes.append((0.0, 0.0, 1.0, corners[:, 2].min() - gap))
@@ -104,8 +102,7 @@ def random_occluder(
         corners = corners * (rng.uniform(0.3, 1.1) * width * depth)
         corners = (corners + aim * (depth / aim[2])) @ axes + eye
         scene = Scene(trimesh.Trimesh(corners, faces, process=False))
-        hidden = _hidden_share(scene, eye, seen)
-        if HIDDEN_SHARES[0] <= hidden <= HIDDEN_SHARES[1]:
+        if HIDDEN_SHARES[0] <= _hidden_share(scene, eye, seen) <= HIDDEN_SHARES[1]:
             return scene
     return None
 
@@ -135,8 +132,7 @@ def _random_solid(rng: np.random.Generator, other: trimesh.Trimesh | None) -> _S
 def _bars(rng: np.random.Generator) -> _Solid:
     """One to four in parallel, longer than what they stand in front of."""
     thickness = rng.uniform(0.06, 0.3)
-    pitch = thickness * rng.uniform(2.0, 4.0)
-    count = rng.integers(1, 5)
+    pitch, count = thickness * rng.uniform(2.0, 4.0), rng.integers(1, 5)
     offsets = pitch * (np.arange(count) - (count - 1) / 2)
     scale = np.array([thickness, 12.0, thickness])
     bars = [_BOX.vertices * scale + (offset, 0, 0) for offset in offsets]

@@ -50,8 +50,7 @@ class Cut(NamedTuple):
             meets = room / slopes
         entry = np.where(slopes < 0, meets, 1.0).max(axis=1, initial=1.0)
         leave = np.where(slopes > 0, meets, np.inf).min(axis=1, initial=np.inf)
-        beside = ((slopes == 0) & (room < 0)).any(axis=1)
-        return (entry < leave) & ~beside
+        return (entry < leave) & ~((slopes == 0) & (room < 0)).any(axis=1)
 
 
 NO_CUT = Cut(np.zeros((0, 4)))
@@ -70,8 +69,7 @@ def random_cut(
     box, two to four of whose sides cut the object and the others stand clear of it.
     What a half space or a box leaves away is known half of the time.
     """
-    share = rng.uniform(*KEPT_SHARES)
-    kind = rng.integers(3)
+    share, kind = rng.uniform(*KEPT_SHARES), rng.integers(3)
     if kind == 0:
         right, down, forward = camera_axes(scene.center - eye)
         sides = rng.permutation([right, -right, down, -down])[: rng.integers(1, 3)]

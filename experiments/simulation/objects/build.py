@@ -115,8 +115,7 @@ def model_views(config: ObjectsConfig, model: Model) -> Views:
     They follow from the seed, the model's identity and its mesh: what else there is in
     its catalogue, and in which order, changes nothing.
     """
-    name = f"{config.seed}/{model.identity}".encode()
-    digest = hashlib.sha256(name).digest()
+    digest = hashlib.sha256(f"{config.seed}/{model.identity}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
     return views_of(model.load(), rng, config.num_views, config.partial, two_sided=True)
 

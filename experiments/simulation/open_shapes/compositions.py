@@ -28,8 +28,7 @@ from experiments.simulation.solids import place, union
 def composition(rng: Rng) -> Manifold:
     """A body in one piece, of the order of one large: on a stand or its own underside,
     upright or lying any way."""
-    body = composite(rng, sides(rng, 1.0), 2)
-    posture = rng.random()
+    body, posture = composite(rng, sides(rng, 1.0), 2), rng.random()
     if posture < 0.1:
         body = place(body, any_rotation(rng), np.zeros(3))
     elif posture < 0.25:

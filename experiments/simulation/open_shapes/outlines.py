@@ -75,8 +75,7 @@ def _gear(rng: Rng) -> Outline:
 def _blob(rng: Rng) -> Outline:
     """A smooth closed curve around the middle."""
     points = circle(28)
-    angle = np.arctan2(points[:, 1], points[:, 0])
-    orders = np.arange(2, 5)
+    angle, orders = np.arctan2(points[:, 1], points[:, 0]), np.arange(2, 5)
     sizes = rng.uniform(-0.5, 0.5, 3) / orders
     phases = rng.uniform(0, 2 * np.pi, 3) * (rng.random() < 0.5)
     waves = sizes * np.cos(angle[:, None] * orders + phases)
@@ -154,8 +153,7 @@ def _walk(rng: Rng) -> np.ndarray:
 
 def _rounded_legs(corners: np.ndarray) -> np.ndarray:
     """Straight but for a bend at each corner, a quadratic curve."""
-    share = np.linspace(0, 1, 7)[:, None]
-    line = [corners[0]]
+    share, line = np.linspace(0, 1, 7)[:, None], [corners[0]]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
         start, end = 0.65 * corner + 0.35 * before, 0.65 * corner + 0.35 * after
         first, second = (

@@ -112,8 +112,7 @@ def cage(rng: Rng, size: Size) -> Manifold:
     levels = [-1, 1] if rng.random() < 0.6 else [-1, 0, 1]
     room = size[2] / 2 - plate.bounding_box()[5]
     solids = [plate.translate((0, 0, level * room)) for level in levels]
-    for x, y in spots:
-        solids.append(rod((x, y, -room), (x, y, room), thick, segments=10))
+    solids += [rod((x, y, -room), (x, y, room), thick, segments=10) for x, y in spots]
     return union(solids)
 
 

@@ -69,8 +69,7 @@ def make_cell_view(
     """Frame `number` of a cell; ValueError where next to nothing of it is seen."""
     parts = cell.parts(number)
     scene, sizes = scene_of(parts)
-    part_labels = np.array([LABELS[kind] for kind in KINDS], np.uint8)
-    face_labels = np.repeat(part_labels, sizes)
+    face_labels = np.repeat(np.array([LABELS[kind] for kind in KINDS], np.uint8), sizes)
     shiny = _glossy_faces(cell, sizes)
     counts, faces = l515_depth(scene, cell.camera, rng, sensor, shiny)
     labels = np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
@@ -118,8 +117,7 @@ def _hit_share(
 
 
 def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
-    shiny = np.zeros(sum(sizes), bool)
-    links = cell.arm.robot.faces_link
+    shiny, links = np.zeros(sum(sizes), bool), cell.arm.robot.faces_link
     shiny[: len(links)] = cell.glossy[links]
     shiny[len(links) : sizes[0]] = cell.glossy[-2]
     shiny[sizes[0] : sizes[0] + sizes[1]] = cell.glossy[-1]
@@ -138,8 +136,7 @@ def _measured(
     measured = (
         wanted & (depth > 0) & ~flying_pixels(depth.reshape(labels.shape)).ravel()
     )
-    eye = np.asarray(cell.camera.position)
-    points = eye + depth[measured, None] * rays[measured]
+    points = np.asarray(cell.camera.position) + depth[measured, None] * rays[measured]
     lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
     measured[measured] = np.all((points > lower) & (points < upper), axis=1)
     return measured
@@ -165,8 +162,7 @@ def _readings(
     own = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
     state[measured] = SURFACE
     state[(own & ~measured) | (depth == 0)] = UNKNOWN
-    points = eye + np.where(depth > 0, depth, 1.0)[:, None] * rays
-    return Readings(state, points, 0.0)
+    return Readings(state, eye + np.where(depth > 0, depth, 1.0)[:, None] * rays, 0.0)
 
 
 def _thinned(

@@ -74,11 +74,9 @@ def draw_clutter(
     """
     best, least = [], np.inf
     for _ in range(_TRIES):
-        solids = _draw(bench, eye, rng)
-        shares = np.zeros(1)
+        solids, shares = _draw(bench, eye, rng), np.zeros(1)
         if solids:
-            hidden = are_hidden(to_mesh(solids), sweep, eye)
-            shares = hidden @ weights
+            shares = are_hidden(to_mesh(solids), sweep, eye) @ weights
         excess = max(
             HIDDEN_SHARE[0] - shares.mean(),
             shares.mean() - HIDDEN_SHARE[1],
@@ -99,8 +97,7 @@ def are_hidden(
 ) -> Bool[np.ndarray, "T N"]:
     """Which points the clutter stands in front of."""
     rays = (points - eye).reshape(-1, 3)
-    hits = Scene(clutter).cast(eye, rays)
-    hidden = np.zeros(len(rays), bool)
+    hits, hidden = Scene(clutter).cast(eye, rays), np.zeros(len(rays), bool)
     hidden[hits.ray] = hits.distances < np.linalg.norm(rays[hits.ray], axis=1)
     return hidden.reshape(points.shape[:2])
 
@@ -163,5 +160,4 @@ def _fence(where: np.ndarray, eye: np.ndarray, rng: Rng) -> Manifold:
 def _is_off(solid: Manifold, eye: np.ndarray) -> bool:
     """Whether the camera has room before the solid."""
     bounds = np.array(solid.bounding_box())
-    gap = np.maximum(bounds[:3] - eye, eye - bounds[3:])
-    return bool(np.any(gap > ROOM))
+    return bool(np.any(np.maximum(bounds[:3] - eye, eye - bounds[3:]) > ROOM))

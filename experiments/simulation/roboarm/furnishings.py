@@ -85,8 +85,7 @@ def fixture(kind: str, size: float, rng: Rng) -> Manifold:
         for side in (-1, 1):
             at = side * 0.38 * width
             base += rod((at, 0, 0.01), (at, 0, tall), 0.06 * size, segments=16)
-        bar = box((0, 0, 0.85 * tall), (width, 0.1 * size, 0.1 * size))
-        return base + bar
+        return base + box((0, 0, 0.85 * tall), (width, 0.1 * size, 0.1 * size))
     if kind == "vise":
         base = box((0, 0, 0.1 * size), (width, depth / 2, 0.2 * size))
         jaw = (0.15 * size, depth / 2, 0.35 * size)
@@ -94,8 +93,7 @@ def fixture(kind: str, size: float, rng: Rng) -> Manifold:
         for side in (-1, 1):
             base += box((side * (opening + jaw[0] / 2), 0, 0.35 * size), jaw)
         return base + rod((0, 0, 0.1 * size), (0.7 * width, 0, 0.1 * size), 0.04 * size)
-    tall = size * rng.uniform(0.25, 0.5)
-    wall = 0.03 * size
+    tall, wall = size * rng.uniform(0.25, 0.5), 0.03 * size
     hollow = box((0, 0, wall + tall / 2), (width - 2 * wall, depth - 2 * wall, tall))
     return box((0, 0, tall / 2), (width, depth, tall)) - hollow
 
@@ -108,8 +106,7 @@ def fence(width: float, height: float, rng: Rng) -> Manifold:
         box((side * width / 2, 0, height / 2), (2 * post, 2 * post, height))
         for side in (-1, 1)
     ]
-    for z in (foot, height - rail):
-        solids.append(box((0, 0, z), (width, rail, 2 * rail)))
+    solids += [box((0, 0, z), (width, rail, 2 * rail)) for z in (foot, height - rail)]
     pitch, radius = rng.uniform(0.06, 0.14), rng.uniform(0.004, 0.01)
     for x in np.arange(-width / 2 + pitch, width / 2, pitch):
         solids.append(rod((x, 0, foot), (x, 0, height - rail), radius, segments=8))

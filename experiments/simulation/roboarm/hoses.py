@@ -81,8 +81,7 @@ def random_hoses(
     out, forward = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([0, 0, 1.0])
     rim = tool.size * (0.4 * out + 0.12 * forward)
     places.append((Anchor(tool_frame, rim, forward, out), np.cross(forward, out)))
-    strands = []
-    count = int(rng.choice([1, 2, 3], p=[0.5, 0.35, 0.15]))
+    strands, count = [], int(rng.choice([1, 2, 3], p=[0.5, 0.35, 0.15]))
     for number in range(count):
         shift = 2.2 * radius * (number - (count - 1) / 2)
         strands.append(
@@ -111,14 +110,12 @@ def _beside(
     near = np.abs(seen @ along) < max(0.25 * length, 2 * radius)
     near &= np.abs(seen @ across) < 0.35 * np.ptp(seen @ across)
     reach = (seen[near] if near.any() else seen) @ out
-    point = middle + (reach.max() + 1.2 * radius) * out
-    return Anchor(link, point, along, out), across
+    return Anchor(link, middle + (reach.max() + 1.2 * radius) * out, along, out), across
 
 
 def _in_robot(anchor: Anchor, robot: Robot, positions: np.ndarray) -> Anchor:
     pose = robot.frame_pose(anchor.link, positions)
-    turned = (pose[:3, :3] @ np.asarray(vector) for vector in anchor[1:])
-    point, along, out = turned
+    point, along, out = (pose[:3, :3] @ np.asarray(vector) for vector in anchor[1:])
     return Anchor(anchor.link, point + pose[:3, 3], along, out)
 
 

@@ -85,8 +85,7 @@ def draw_tables(layout: Layout, mount: Mount, rng: Rng) -> list[Top]:
         if len(found) == wanted:
             break
         half = layout.reach * rng.uniform(0.2, 0.45, 2)
-        half = np.clip(half, 0.2, 0.9)
-        angle = rng.uniform(0, 2 * np.pi)
+        half, angle = np.clip(half, 0.2, 0.9), rng.uniform(0, 2 * np.pi)
         away = layout.reach * rng.uniform(0.3, 0.9) + half.max()
         middle = away * np.array([np.cos(angle), np.sin(angle)])
         height = float(np.clip(mount.bases[0, 2] + rng.uniform(-0.4, 0.4), 0.2, 1.0))
@@ -158,16 +157,13 @@ def draw_in_the_way(
     clutter: list[Manifold] = []
     people: list[Manifold] = []
     pieces = int(rng.integers(0, 5))
-    persons = int(rng.choice(len(PERSON_SHARES), p=PERSON_SHARES))
-    for number in range(pieces + persons):
+    for number in range(pieces + int(rng.choice(len(PERSON_SHARES), p=PERSON_SHARES))):
         for _ in range(6):
-            is_person = number >= pieces
-            where = _place(layout, eye, rng)
+            is_person, where = number >= pieces, _place(layout, eye, rng)
             made = _person(where, rng) if is_person else _piece(where, eye, rng)
             if not layout.is_clear(made) or any(_near(s, eye) for s in made):
                 continue
-            whole = to_mesh([*clutter, *people, *made])
-            few = swept[:, ::4]
+            whole, few = to_mesh([*clutter, *people, *made]), swept[:, ::4]
             if are_hidden(whole, few, eye).mean(axis=1).max() > HIDDEN:
                 continue
             layout.add(made)
@@ -227,8 +223,7 @@ def draw_room(target: np.ndarray, eye: np.ndarray, rng: Rng) -> trimesh.Trimesh:
         bearing = toward + side * rng.uniform(0.1, 0.7)
         normal = np.array([np.cos(bearing), np.sin(bearing), 0.0])
         along = np.array([-normal[1], normal[0], 0.0])
-        offset = (target @ normal).min() - rng.uniform(0.1, 2.0)
-        middle = offset * normal
+        middle = ((target @ normal).min() - rng.uniform(0.1, 2.0)) * normal
         wall = [
             middle + x * ROOM * along + (0, 0, z)
             for x, z in ((-1, 0), (1, 0), (1, 4), (-1, 4))

@@ -90,8 +90,7 @@ def _rail(reach: float, half: float, num_frames: int, rng: Rng) -> Mount:
     """A linear axis along x or y with the arm at some places on it."""
     length = reach * rng.uniform(0.7, 1.7) + 3 * half
     width, height = 2.2 * half, reach * rng.uniform(0.08, 0.2)
-    plate = 0.04 + 0.05 * half
-    room = length / 2 - 1.3 * half
+    plate, room = 0.04 + 0.05 * half, length / 2 - 1.3 * half
     places = rng.uniform(-room, room, num_frames)
     gauge, rail = 0.38 * width, 0.05 * width
     middle = -places[0]

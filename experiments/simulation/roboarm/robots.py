@@ -37,8 +37,7 @@ class Robot(Linkage):
 
     def __init__(self, model: ArmModel):
         self.name, self.spacer = model.name, model.spacer
-        path = urdf_path(model)
-        mount = np.eye(4)
+        path, mount = urdf_path(model), np.eye(4)
         mount[:3, :3] = Rotation.from_euler(
             "xyz", model.roll_pitch_yaw, degrees=True
         ).as_matrix()
@@ -62,8 +61,7 @@ class Robot(Linkage):
         while body not in bodies:
             bodies.insert(0, body)
             body = self.parents[body]
-        areas = np.array([mesh.area for mesh in self.meshes])
-        chain = []
+        areas, chain = np.array([mesh.area for mesh in self.meshes]), []
         for body in bodies:
             links = np.flatnonzero(self.bodies == body)
             if len(links):

@@ -83,8 +83,7 @@ PARTS = ("robot", "fixture", "support", "floor", "box")
 
 def scene_parts(sequence: Sequence, number: int) -> dict[str, trimesh.Trimesh]:
     """The meshes of a frame in the world frame, by the names of `PARTS`."""
-    cell = sequence.cell
-    arm = sequence.robot.mesh(sequence.positions[number])
+    cell, arm = sequence.cell, sequence.robot.mesh(sequence.positions[number])
     arm.apply_translation((0.0, 0.0, cell.base_height))
     meshes = (arm, cell.fixtures, cell.support, cell.floor, cell.clutter)
     return dict(zip(PARTS, meshes, strict=True))
@@ -113,8 +112,7 @@ def make_frame(
     counts, faces = l515_depth(whole, cell.camera, rng, config.depth_sensor, shiny)
     labels = np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
 
-    open_faces = sum(sizes[:3])
-    uncluttered = Scene(together(parts[:3]))
+    open_faces, uncluttered = sum(sizes[:3]), Scene(together(parts[:3]))
     wanted = face_labels[:open_faces] != LABELS["clutter"]
     complete = survey(
         uncluttered,

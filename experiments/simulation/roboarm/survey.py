@@ -72,7 +72,6 @@ def _stations(center, radius: float, count: int, rng: np.random.Generator):
         forward /= np.linalg.norm(forward)
         side = np.cross((0.0, 0.0, 1.0), forward)
         side /= np.linalg.norm(side)
-        up = np.cross(forward, side)
-        roll = rng.uniform(-0.3, 0.3)
+        up, roll = np.cross(forward, side), rng.uniform(-0.3, 0.3)
         turned = np.cos(roll) * side + np.sin(roll) * up
         yield position, np.stack([forward, turned, np.cross(forward, turned)], axis=1)

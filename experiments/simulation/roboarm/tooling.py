@@ -36,8 +36,7 @@ def random_tool(reach: float, rng: Rng) -> Tool:
     size = float(np.clip(reach * rng.uniform(0.09, 0.17), *TOOL_SIZES))
     solids, front = [], 0.0
     if rng.random() < CHANGER_SHARE:
-        solids = _changer(size, rng)
-        front = 0.3 * size
+        solids, front = _changer(size, rng), 0.3 * size
     kind = str(rng.choice(TOOLS))
     makers = {
         "parallel": _parallel,
@@ -84,8 +83,7 @@ def _three_fingers(size: float, holds: bool, rng: Rng) -> list[Manifold]:
     for turn in (0.0, 2.1, 4.2):
         along = np.array([np.cos(turn), np.sin(turn), 0])
         foot, knee = 0.28 * size * along, (opening + 0.15 * size) * along
-        knuckle = knee + (0, 0, 0.7 * size)
-        tip = opening * along + (0, 0, size)
+        knuckle, tip = knee + (0, 0, 0.7 * size), opening * along + (0, 0, size)
         solids.append(capsule(foot + (0, 0, palm), knuckle, 0.06 * size, segments=10))
         solids.append(capsule(knuckle, tip, 0.05 * size, segments=10))
     return [*solids, *_held(holds, 2 * opening, size, rng)]
@@ -95,8 +93,7 @@ def _held(holds: bool, width: float, size: float, rng: Rng) -> list[Manifold]:
     """Something of this width between the fingers' tips."""
     if not holds:
         return []
-    tall = size * rng.uniform(0.2, 0.9)
-    length = size * rng.uniform(0.3, 1.4)
+    tall, length = size * rng.uniform(0.2, 0.9), size * rng.uniform(0.3, 1.4)
     middle = (0, 0, 0.85 * size + 0.35 * tall)
     kind = rng.integers(3)
     if kind == 0:
@@ -125,8 +122,7 @@ def _suction(size: float, holds: bool, rng: Rng) -> list[Manifold]:
     ]
     for x, y in itertools.product((-1, 1), (-1, 1)):
         top = np.array([x * width / 2, y * (depth / 2 - bar), 0.4 * size])
-        end = top + (0, 0, cup)
-        solids.append(rod(top, end, 0.04 * size, 0.1 * size, segments=12))
+        solids.append(rod(top, top + (0, 0, cup), 0.04 * size, 0.1 * size, segments=12))
     if holds:
         tall = size * (0.04 if rng.random() < 0.4 else rng.uniform(0.3, 1.2))
         extent = np.array([width, depth]) * rng.uniform(1.05, 1.4, 2)

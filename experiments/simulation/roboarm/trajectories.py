@@ -95,8 +95,7 @@ def _unconnected_pairs(robot: Robot) -> list[tuple[int, int]]:
     near = np.eye(len(robot.parents), dtype=int)
     for body, carrier in enumerate(robot.parents):
         near[body, carrier] = near[carrier, body] = 1
-    near = near @ near
-    with_mesh = sorted(set(robot.bodies.tolist()))
+    near, with_mesh = near @ near, sorted(set(robot.bodies.tolist()))
     return [(a, b) for a in with_mesh for b in with_mesh if a < b and not near[a, b]]
 
 

@@ -129,8 +129,7 @@ def make_workcell(
     tables = draw_tables(layout, mount, rng)
     tops = [mount.top] if mount.top is not None else tables
     high = float(mount.bases[0, 2]) > 0.6 and len(tables) > 0
-    on_floor = mount.top is None and not high
-    fixtures = draw_fixtures(layout, tops, on_floor, rng)
+    fixtures = draw_fixtures(layout, tops, mount.top is None and not high, rng)
     support = [*mount.support]
     for lower, upper, height in tables:
         support += table(lower, upper, height)

@@ -71,8 +71,7 @@ def arranged(
             angle = rng.uniform(0, 2 * np.pi)
             along = np.array([np.cos(angle), np.sin(angle)])
             start = hulls[rng.integers(len(hulls))].mean(axis=0)
-            gap = size * float(np.exp(rng.uniform(*np.log(GAPS))))
-            shift = start
+            gap, shift = size * float(np.exp(rng.uniform(*np.log(GAPS)))), start
             while any(separation(hull + shift, other) < gap for other in hulls):
                 shift = shift + STEP * size * along
             hull, corners = hull + shift, corners + (*shift, 0.0)
@@ -101,8 +100,7 @@ def separation(one: Float[np.ndarray, "N 2"], other: Float[np.ndarray, "M 2"]) -
         normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         # Corners go round anticlockwise, so that normals point outwards.
-        reach = (first * normals).sum(axis=1)
-        apart = (second @ normals.T).min(axis=0) - reach
+        apart = (second @ normals.T).min(axis=0) - (first * normals).sum(axis=1)
         widest = max(widest, float(apart.max()))
     return widest
 

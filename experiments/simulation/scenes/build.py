@@ -158,8 +158,7 @@ def _drawn(pools: Pools, rng: np.random.Generator) -> MadeScene | None:
     count = rng.integers(NUM_THINGS[0], NUM_THINGS[1] + 1)
     things = [pools.draw(rng) for _ in range(count)]
     meshes = arranged([thing.mesh for thing in things], support, rng)
-    room = random_room(meshes, support, rng)
-    heading = rng.uniform(0, 360)
+    room, heading = random_room(meshes, support, rng), rng.uniform(0, 360)
     turn = Rotation.from_euler("z", heading, degrees=True).as_matrix()
     things = [
         thing._replace(mesh=turned(mesh, turn))
@@ -200,8 +199,7 @@ def _world(
 
 
 def _complete(thing: Thing, rng: np.random.Generator) -> Float64[np.ndarray, "16384 3"]:
-    scene = Scene(thing.mesh)
-    surface = sample_outside(scene, SURFACE_POINTS, rng, thing.two_sided)
+    surface = sample_outside(Scene(thing.mesh), SURFACE_POINTS, rng, thing.two_sided)
     return farthest_point_order(surface, SURFACE_POINTS)
 
 

@@ -73,8 +73,7 @@ def random_camera(
     roll = Rotation.from_euler("z", rng.normal(scale=ROLL), degrees=True)
     axes = roll.as_matrix() @ camera_axes(things.center - eye)
     across, down = np.tan(HALF_FIELD)
-    corners = np.array([(-across, -down), (across, down)])
-    grid = pixel_grid(corners, 2 * across / width)
+    grid = pixel_grid(np.array([(-across, -down), (across, down)]), 2 * across / width)
     directions = (grid.reshape(-1, 3) @ axes).reshape(grid.shape)
     return Sensor("camera", L515Config(), axes, Rays(eye, directions))
 

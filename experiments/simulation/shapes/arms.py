@@ -64,8 +64,7 @@ def _forward(
 ) -> Chain:
     """Forward kinematics of random joint angles, in radians."""
     rotation = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
-    point = np.array([0.0, 0.0, height])
-    rows = []
+    point, rows = np.array([0.0, 0.0, height]), []
     for index, (length, step) in enumerate(zip(lengths, steps, strict=True)):
         pitch = rng.uniform(-0.9, 0.9) if index == 0 else rng.uniform(-2.1, 2.1)
         roll = rng.choice([0.0, rng.uniform(-np.pi, np.pi)]) if index > 1 else 0.0

@@ -96,8 +96,7 @@ def _bedding(
         band, y = rng.uniform(0.3, 0.6), length * rng.uniform(0.15, 0.3)
         solids.append(box((0, y, top - 0.1), (width + 0.05, band, 0.25), 0.02))
     elif style == "cover":
-        share = rng.uniform(0.55, 0.75)
-        deep = rng.uniform(0.5, 0.95) * thick
+        share, deep = rng.uniform(0.55, 0.75), rng.uniform(0.5, 0.95) * thick
         y, z = length / 2 - share * length / 2 + 0.02, top + 0.03 - deep / 2
         solids.append(box((0, y, z), (width + over, share * length, deep), 0.03))
         fold = (0, y - share * length / 2 + 0.1, z + 0.02)
@@ -185,8 +184,7 @@ def _bunk_bed(rng: Rng) -> list[Manifold]:
     upper, post = rng.uniform(1.2, 1.5), rng.uniform(0.05, 0.09)
     tall, x, y = upper + rng.uniform(0.35, 0.5), width / 2, length / 2
     feet, solids = corners(x, y), []
-    for foot in feet:
-        solids.append(box(foot + (0, 0, tall / 2), (post, post, tall)))
+    solids += [box(foot + (0, 0, tall / 2), (post, post, tall)) for foot in feet]
     is_loft = rng.random() < 0.35
     for deck in [upper] if is_loft else [rng.uniform(0.25, 0.4), upper]:
         solids.append(box((0, 0, deck - 0.06), (width, length, 0.12)))
@@ -202,8 +200,7 @@ def _bunk_bed(rng: Rng) -> list[Manifold]:
     middle = np.array((x + 0.06, y * 0.6, 0) if at_side else (0, y + 0.06, 0))
     along = np.array((0, 0.2, 0) if at_side else (0.2, 0, 0))
     out = np.array((0.25, 0, 0) if at_side else (0, 0.25, 0))
-    out = out * rng.choice([0.0, 1.0])
-    head = middle + (0, 0, upper + 0.25)
+    out, head = out * rng.choice([0.0, 1.0]), middle + (0, 0, upper + 0.25)
     for side in (-1, 1):
         start, end = middle + side * along + out, head + side * along
         solids.append(bar(start, end, 0.045, 0.045))

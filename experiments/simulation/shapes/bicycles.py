@@ -97,8 +97,7 @@ def _frame(rng: Rng, kind: str, shape: Geometry, pipe: float) -> list[Manifold]:
     share = rng.uniform(0.1, 0.4)
     join = low + share * (high - low)
     if kind in ("folding", "child", "cargo") or (kind == "town" and share < 0.2):
-        thick = 1.7 * pipe
-        knee = bracket + (0, 0.08, 0.03)
+        thick, knee = 1.7 * pipe, bracket + (0, 0.08, 0.03)
         if kind == "cargo":
             knee = np.array((0.0, shape.front[1] - 1.3 * shape.wheel, bracket[2]))
             join = low + 0.5 * (high - low)
@@ -213,8 +212,7 @@ def _extras(rng: Rng, kind: str, shape: Geometry) -> list[Manifold]:
         solids.append(rod(root, (-0.2, root[1] - 0.06, 0.0), 0.009, segments=8))
     if kind in ("road", "mountain") and rng.random() < 0.6:
         along = shape.head_low - bracket
-        start = bracket + 0.35 * along
-        along = along / np.linalg.norm(along)
+        start, along = bracket + 0.35 * along, along / np.linalg.norm(along)
         start = start + 0.045 * np.array((0, -along[2], along[1]))
         solids.append(rod(start, start + 0.17 * along, 0.034, segments=16))
     return solids

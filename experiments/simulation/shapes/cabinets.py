@@ -24,8 +24,7 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
         depth = rng.uniform(0.18, 0.32)
     opened = int(rng.integers(doors)) if rows == 1 and rng.random() < 0.4 else -1
     body = box((0, 0, height / 2), (width, depth, height), 0.008)
-    pitch = width / doors
-    solids = []
+    pitch, solids = width / doors, []
     for index in range(doors):
         x = (index + 0.5) * pitch - width / 2
         hinge = -1 if index % 2 == 0 else 1
@@ -167,8 +166,7 @@ def _outside(rng: Rng, width: float, depth: float, height: float) -> list[Manifo
             solids.append(rod(low, low + (0, 0, 0.062), 0.036, segments=16))
             solids.append(rod(low, low + (0, 0, 0.072), 0.026, segments=12))
     elif kind == "conduits":
-        count = int(rng.integers(2, 6))
-        tall = rng.uniform(0.15, 0.4)
+        count, tall = int(rng.integers(2, 6)), rng.uniform(0.15, 0.4)
         for x in np.linspace(-0.35, 0.35, count) * width:
             foot = np.array((x, -0.2 * depth, height - 0.01))
             solids.append(rod(foot, foot + (0, 0, tall), 0.025, segments=12))

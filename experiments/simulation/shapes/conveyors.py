@@ -20,8 +20,7 @@ def conveyor(rng: Rng) -> list[Manifold]:
     points = {s: middle + s * (width / 2) * across for s in (-1, 1)}
     rows = list(itertools.pairwise(range(len(middle))))
     kind = str(rng.choice(["belt", "rollers", "cleats"], p=[0.4, 0.42, 0.18]))
-    frame = rng.uniform(0.8, 1.6) * thick
-    solids = []
+    frame, solids = rng.uniform(0.8, 1.6) * thick, []
     for first, last in rows:
         for side in points.values():
             ends = side[first] - (0, 0, 0.1 * frame), side[last] - (0, 0, 0.1 * frame)

@@ -3,7 +3,15 @@
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
-from experiments.simulation.solids import assembled, box, corners, ring_of, rod, torus
+from experiments.simulation.solids import (
+    assembled,
+    box,
+    corners,
+    one_of,
+    ring_of,
+    rod,
+    torus,
+)
 
 Rng = np.random.Generator
 
@@ -51,15 +59,8 @@ def motor(rng: Rng, radius: float, length: float) -> list[Manifold]:
 def gearbox(rng: Rng) -> list[Manifold]:
     """In-line, parallel-shaft, right-angle, worm and planetary; feet or flange;
     with and without a motor."""
-    kinds = {
-        "inline": _inline,
-        "split": _split_housing,
-        "angle": _right_angle,
-        "worm": _worm,
-        "planetary": _planetary,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.2, 0.27, 0.18, 0.2, 0.15]))
-    return assembled(kinds[kind](rng))
+    makers = _inline, _split_housing, _right_angle, _worm, _planetary
+    return assembled(one_of(rng, makers, (0.2, 0.27, 0.18, 0.2, 0.15)))
 
 
 def _shaft(rng: Rng, radius: float, start: float, end: float) -> list[Manifold]:
@@ -248,8 +249,7 @@ def _worm(rng: Rng) -> list[Manifold]:
 def _planetary(rng: Rng) -> list[Manifold]:
     """Coaxial drums of one to four stages standing on the output's flange or lying."""
     radius, level, parts = rng.uniform(0.13, 0.2), 0.0, []
-    flange = rng.uniform(1.2, 1.5) * radius
-    square = rng.random() < 0.4
+    flange, square = rng.uniform(1.2, 1.5) * radius, rng.random() < 0.4
     if square:
         side = 2.1 * radius
         parts.append(box((0, 0, 0.025), (side, side, 0.05), 0.01))

@@ -9,6 +9,7 @@ from experiments.simulation.solids import (
     bar,
     box,
     capsule,
+    one_of,
     ring_of,
     rod,
     sweep,
@@ -23,9 +24,8 @@ TURN = (-90, 0, 0)
 
 def fan(rng: Rng) -> list[Manifold]:
     """Desk and pedestal fans, clip fans, box fans, and drums on a yoke."""
-    kinds = {"desk": _desk, "pedestal": _pedestal, "box": _box_fan, "drum": _drum}
-    kind = str(rng.choice(list(kinds), p=[0.3, 0.32, 0.18, 0.2]))
-    return assembled(kinds[kind](rng))
+    makers = _desk, _pedestal, _box_fan, _drum
+    return assembled(one_of(rng, makers, (0.3, 0.32, 0.18, 0.2)))
 
 
 def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> list[Manifold]:
@@ -35,8 +35,7 @@ def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> list[Manifold
     angle = np.linspace(0, 2 * np.pi, 18, endpoint=False)
     swell = 1 + rng.uniform(-0.2, 0.5) * np.cos(angle)
     outline = np.stack([0.5 * long * np.cos(angle), wide * swell * np.sin(angle)], 1)
-    section = CrossSection([outline])
-    thick = 0.025 * radius
+    section, thick = CrossSection([outline]), 0.025 * radius
     lean = rng.uniform(18, 38) if pitch is None else pitch
     blade = section.extrude(thick).translate((0, 0, -thick / 2)).rotate((lean, 0, 0))
     blades = ring_of(blade.translate((0.5 * hub + 0.5 * long, 0, 0)), count)
@@ -52,8 +51,7 @@ def _guard(
     solids = [torus(radius, 1.4 * wire, segments=32, around=6)]
     count, style = int(rng.choice([10, 12, 16])), rng.random()
     for depth in (front, -back):
-        middle = radius * rng.uniform(0.18, 0.28)
-        share = np.linspace(0, 1, 5)
+        middle, share = radius * rng.uniform(0.18, 0.28), np.linspace(0, 1, 5)
         reach = middle + (radius - middle) * share
         height = depth * np.sqrt(np.clip(1 - share**2.5, 0, 1))
         swirl = (0.0 if style < 0.6 else 0.5) * share
@@ -143,8 +141,7 @@ def _pedestal(rng: Rng) -> list[Manifold]:
 def _box_fan(rng: Rng) -> list[Manifold]:
     """A square case with grilles on both sides, on feet, with a handle."""
     half, deep = rng.uniform(0.2, 0.28), rng.uniform(0.1, 0.16)
-    radius = 0.92 * half
-    round_hole = rng.random() < 0.5
+    radius, round_hole = 0.92 * half, rng.random() < 0.5
     case = box((0, 0, 0), (2 * half, deep, 2 * half), 0.1 * half)
     if round_hole:
         case -= rod((0, -1, 0), (0, 1, 0), radius, segments=40)

@@ -13,8 +13,7 @@ def nozzle(
     rng: Rng, root: np.ndarray, out: np.ndarray, size: float, reach: float
 ) -> list[Manifold]:
     """A short pipe with a flange at its end, blind, open, or with a hand wheel."""
-    end = root + reach * out
-    count = int(rng.choice([0, 4, 6]))
+    end, count = root + reach * out, int(rng.choice([0, 4, 6]))
     bore = 0.7 * size * (rng.random() < 0.5)
     solids = [rod(root - 0.5 * reach * out, end - 0.4 * size * out, size, segments=14)]
     solids += flange(end - 0.5 * size * out, out, 1.9 * size, 0.5 * size, count, bore)
@@ -59,8 +58,7 @@ def rungs(
         start, reach = base + (0, 0, level), wide * side
         solids.append(rod(start - reach, start + reach, 0.013, segments=8))
     if caged and high - low > 1.5:
-        arc = np.linspace(-0.5, 0.5, 7) * 1.3 * np.pi
-        ring = base + 0.26 * out
+        arc, ring = np.linspace(-0.5, 0.5, 7) * 1.3 * np.pi, base + 0.26 * out
         points = [ring + 0.3 * (np.cos(a) * out + np.sin(a) * side) for a in arc]
         for level in np.linspace(low + 1.1, high, 4):
             stiles = base - wide * side, base + wide * side

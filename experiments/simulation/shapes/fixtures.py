@@ -7,6 +7,7 @@ from experiments.simulation.solids import (
     assembled,
     box,
     corners,
+    one_of,
     rod,
     side_profile,
     torus,
@@ -20,15 +21,8 @@ Rng = np.random.Generator
 def fixture(rng: Rng) -> list[Manifold]:
     """What holds a workpiece: a drilled plate with clamps and stops, a vice, an angle
     plate, a tombstone, a three-jaw chuck."""
-    kinds = {
-        "plate": _clamping_plate,
-        "vice": _vice,
-        "angle": _angle_plate,
-        "tombstone": _tombstone,
-        "chuck": _chuck,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.34, 0.2, 0.16, 0.14, 0.16]))
-    return assembled(kinds[kind](rng))
+    makers = _clamping_plate, _vice, _angle_plate, _tombstone, _chuck
+    return assembled(one_of(rng, makers, (0.34, 0.2, 0.16, 0.14, 0.16)))
 
 
 def _base_plate(rng: Rng, width: float, depth: float, thick: float) -> Manifold:

@@ -8,6 +8,7 @@ from experiments.simulation.solids import (
     bar,
     box,
     capsule,
+    one_of,
     rod,
     side_profile,
     tube_along,
@@ -18,9 +19,8 @@ Rng = np.random.Generator
 
 def forklift(rng: Rng) -> list[Manifold]:
     """Trucks with a seat and a counterweight, walked stackers, hand pallet trucks."""
-    kinds = {"seated": _seated, "stacker": _stacker, "hand": _hand_truck}
-    kind = str(rng.choice(list(kinds), p=[0.46, 0.27, 0.27]))
-    return assembled(kinds[kind](rng))
+    makers = _seated, _stacker, _hand_truck
+    return assembled(one_of(rng, makers, (0.46, 0.27, 0.27)))
 
 
 def _wheel(
@@ -103,8 +103,7 @@ def _seated(rng: Rng) -> list[Manifold]:
         ]
     )
     solids = [side_profile(weight, 2 * half)]
-    seat = back + rng.uniform(0.65, 0.8)
-    cowl = front - 0.12
+    seat, cowl = back + rng.uniform(0.65, 0.8), front - 0.12
     solids.append(
         box((0, back + 0.6, (hood + 0.15) / 2), (1.7 * half, 0.5, hood - 0.15))
     )
@@ -143,8 +142,7 @@ def _guard(
     """Posts and a barred roof over the driver, or a closed cab's walls."""
     roof, thick = rng.uniform(2.0, 2.2), rng.uniform(0.045, 0.06)
     half, rear = 0.86 * half, back + 0.35
-    lean = rng.uniform(0.05, 0.3)
-    solids = []
+    lean, solids = rng.uniform(0.05, 0.3), []
     for x in (-half, half):
         solids.append(bar((x, cowl, hood - 0.1), (x, cowl - lean, roof), thick, thick))
         solids.append(bar((x, rear, hood - 0.1), (x, rear + 0.1, roof), thick, thick))
@@ -173,8 +171,7 @@ def _tiller(
     """A steering bar that leans back from its foot, and the loop at its end."""
     along = np.array((0.0, -np.sin(tilt), np.cos(tilt)))
     end = root + long * along
-    solids = [rod(root, end, 0.022, segments=12)]
-    loop = 0.16 * along
+    solids, loop = [rod(root, end, 0.022, segments=12)], 0.16 * along
     points = [end, end + (-wide, 0, 0) + 0.4 * loop, end + (-wide, 0, 0) + loop]
     points += [end + (wide, 0, 0) + loop, end + (wide, 0, 0) + 0.4 * loop, end]
     solids += tube_along(np.array(points), 0.016, 10)

@@ -191,8 +191,7 @@ def rounded_slab(
 def _drawers(rng: Rng, width: float, depth: float, top: float) -> list[Manifold]:
     wide, count = width * rng.uniform(0.22, 0.32), int(rng.integers(1, 4))
     tall = top * rng.uniform(0.35, 0.95)
-    sides = [(-1,), (1,), (-1, 1)][rng.integers(3)]
-    solids = []
+    sides, solids = [(-1,), (1,), (-1, 1)][rng.integers(3)], []
     for side in sides:
         x = side * (width - wide) / 2
         solids.append(box((x, 0, top - tall / 2), (wide, depth, tall)))

@@ -35,8 +35,7 @@ def _crane(rng: Rng) -> list[Manifold]:
     size, base = rng.uniform(0.08, 0.14), rng.uniform(0.7, 1.2)
     over, girders = rng.choice([0.0, 0.3]), int(rng.integers(1, 3))
     rows = [0.0] if girders == 1 else [-0.16, 0.16]
-    ends = span / 2 + over
-    kind = str(rng.choice(["square", "channel"]))
+    ends, kind = span / 2 + over, str(rng.choice(["square", "channel"]))
     solids = []
     for y in rows:
         start, end = (-ends, y, tall), (ends, y, tall)
@@ -60,8 +59,7 @@ def _crane(rng: Rng) -> list[Manifold]:
         solids.append(beam((x, -0.3 * base, tall), (x, 0.3 * base, tall), size))
         level, reach = 0.45 * tall, 0.6 * low + 0.4 * head
         solids.append(beam((x, -reach, level), (x, reach, level), 0.5 * size))
-    x = rng.uniform(-0.3, 0.3) * span
-    drop = tall * rng.uniform(0.3, 0.7)
+    x, drop = rng.uniform(-0.3, 0.3) * span, tall * rng.uniform(0.3, 0.7)
     solids.append(box((x, 0, tall + 0.06), (0.3, 0.36 + rows[-1], 0.16), 0.01))
     solids.append(box((x, 0, tall - 0.14), (0.22, 0.2, 0.3), 0.02))
     solids.append(rod((x, 0, tall - 0.1), (x, 0, drop), 0.018, segments=8))
@@ -105,8 +103,7 @@ def _cartesian(rng: Rng) -> list[Manifold]:
         for foot in corners(table[0] * 0.45, table[1] * 0.45):
             solids.append(box(foot + (0, 0, tall * 0.17), (0.05, 0.05, tall * 0.36)))
         # Joined to the posts, so that the shape stays in one piece.
-        for row in (-y, y):
-            solids.append(beam((-x, row, 0.03), (x, row, 0.03), 0.05))
+        solids += [beam((-x, row, 0.03), (x, row, 0.03), 0.05) for row in (-y, y)]
         for foot in (-table[0] * 0.45, table[0] * 0.45):
             solids.append(beam((foot, -y, 0.03), (foot, y, 0.03), 0.05))
     return solids
@@ -161,8 +158,7 @@ def _router(rng: Rng) -> list[Manifold]:
     outline.append((y - head + lean, high))
     for x in (-width / 2 - 0.05, width / 2 + 0.05):
         solids.append(side_profile(np.array(outline), 0.04).translate((x, 0, 0)))
-    level = high - 0.1
-    size = rng.uniform(0.1, 0.16)
+    level, size = high - 0.1, rng.uniform(0.1, 0.16)
     solids.append(box((0, y + lean, level), (width + 0.12, 0.1, size)))
     solids.append(box((0, y + lean + 0.055, level), (width, 0.03, size * 0.3)))
     x, front = rng.uniform(-0.3, 0.3) * width, y + lean + 0.1

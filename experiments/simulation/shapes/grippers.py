@@ -235,8 +235,7 @@ def _soft(rng: Rng) -> list[Manifold]:
     for k in range(ribs):
         along = np.array((np.sin(angle), 0, -np.cos(angle)))
         out = np.array((np.cos(angle), 0, np.sin(angle)))
-        shrink = 1 - 0.4 * k / ribs
-        nxt = point + step * along
+        shrink, nxt = 1 - 0.4 * k / ribs, point + step * along
         finger.append(
             bar(point - 0.03 * along, nxt + 0.03 * along, thick * 0.5, wide * shrink)
         )
@@ -256,8 +255,7 @@ def _hand(rng: Rng) -> list[Manifold]:
     fingers, wide = int(rng.integers(3, 5)), rng.uniform(0.9, 1.2)
     palm = rng.uniform(0.8, 1.1)
     near = box((0, 0, -0.1), (0.6 * wide, 0.3, 0.2), 0.05)
-    far = box((0, 0, -palm), (wide, 0.34, 0.16), 0.05)
-    solids = [Manifold.batch_hull([near, far])]
+    solids = [Manifold.batch_hull([near, box((0, 0, -palm), (wide, 0.34, 0.16), 0.05)])]
     bend, radius = rng.uniform(0.05, 0.7), 0.34 * wide / fingers
     for k in range(fingers):
         x = ((k + 0.5) / fingers - 0.5) * wide * 0.96

@@ -14,8 +14,7 @@ def hopper(rng: Rng) -> list[Manifold]:
     """A round or square bin with a tapered outlet, in a frame of four posts."""
     half, tall = rng.uniform(0.4, 0.6), rng.uniform(0.5, 1.1)
     taper, mouth = rng.uniform(0.6, 1.0) * half * 1.3, rng.uniform(0.06, 0.12)
-    free = taper + rng.uniform(0.25, 0.6)
-    is_round = rng.random() < 0.5
+    free, is_round = taper + rng.uniform(0.25, 0.6), rng.random() < 0.5
     if is_round:
         profile = [(mouth, -taper), (half, 0), (half, tall), (0.96 * half, tall + 0.02)]
         shell = lathe(profile, 36)

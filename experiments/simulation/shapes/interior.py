@@ -17,8 +17,7 @@ def sofa(rng: Rng) -> list[Manifold]:
     width = inner + 2 * arm
     foot, base = rng.uniform(0.04, 0.15), rng.uniform(0.14, 0.25)
     back_height, back = rng.uniform(0.62, 0.95), rng.uniform(0.14, 0.24)
-    soft = rng.uniform(0.01, 0.05)
-    middle = foot + base / 2
+    soft, middle = rng.uniform(0.01, 0.05), foot + base / 2
     solids = [box((0, 0, middle), (width, depth, base), soft / 2)]
     center = (0, -depth / 2 + back / 2, (foot + back_height) / 2)
     solids.append(box(center, (width, back, back_height - foot), soft))
@@ -185,8 +184,7 @@ def lamp(rng: Rng) -> list[Manifold]:
 def _vase(rng: Rng, tall: float) -> tuple[list[Manifold], np.ndarray]:
     radii = rng.uniform(0.05, 0.2, 5)
     radii[-1] = 0.04
-    levels = np.linspace(0, tall, 5)
-    fine = np.linspace(0, tall, 17)
+    levels, fine = np.linspace(0, tall, 5), np.linspace(0, tall, 17)
     smooth = np.interp(fine, levels, radii)
     smooth = np.convolve(np.pad(smooth, 2, mode="edge"), np.ones(5) / 5, "valid")
     body = lathe(list(zip(smooth, fine, strict=True)), 28)
@@ -203,8 +201,7 @@ def _shade(rng: Rng, head: np.ndarray, stem: float, hanging: bool) -> list[Manif
     top = {"cone": rng.uniform(0.3, 0.75), "drum": 1.0, "dome": 0.25}[kind] * radius
     level = np.linspace(0, 1, 8 if kind == "dome" else 2)
     bow = np.sqrt(1 - level**2) if kind == "dome" else 1 - level
-    outer = top + (radius - top) * bow
-    wall = 0.015
+    outer, wall = top + (radius - top) * bow, 0.015
     shell = lathe(list(zip(outer, tall * level, strict=True)))
     inner = lathe(list(zip(outer - wall, tall * level * 0.96 - 0.01, strict=True)))
     low = head[2] - tall * (0.97 if hanging else rng.uniform(0.4, 0.8))

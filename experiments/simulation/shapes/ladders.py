@@ -11,6 +11,7 @@ from experiments.simulation.solids import (
     box,
     capsule,
     corners,
+    one_of,
     rod,
     sweep,
     tube_along,
@@ -38,14 +39,8 @@ class Flight(NamedTuple):
 
 def ladder(rng: Rng) -> list[Manifold]:
     """Step ladders, plain and extending ladders, steps to a platform, step stools."""
-    kinds = {
-        "folding": _folding,
-        "plain": _plain,
-        "platform": _platform,
-        "stool": _stool,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.36, 0.2, 0.26, 0.18]))
-    return assembled(kinds[kind](rng))
+    makers = _folding, _plain, _platform, _stool
+    return assembled(one_of(rng, makers, (0.36, 0.2, 0.26, 0.18)))
 
 
 def _stiles(flight: Flight, wide: float, deep: float, is_round: bool) -> list[Manifold]:
@@ -89,11 +84,9 @@ def _folding(rng: Rng) -> list[Manifold]:
     half, flare = rng.uniform(0.17, 0.24), rng.uniform(1.0, 1.5)
     spread = tall * rng.uniform(0.22, 0.34)
     wide, deep = rng.uniform(0.025, 0.035), rng.uniform(0.05, 0.09)
-    is_round = rng.random() < 0.25
-    top = np.array((0.0, 0.0, tall))
+    is_round, top = rng.random() < 0.25, np.array((0.0, 0.0, tall))
     front = Flight(np.array((0.0, spread, 0.0)), top, flare * half, half)
-    shares = (np.arange(count - 1) + 1) / count
-    tread = rng.uniform(0.08, 0.14)
+    shares, tread = (np.arange(count - 1) + 1) / count, rng.uniform(0.08, 0.14)
     solids = [*_stiles(front, wide, deep, is_round), *_shoes(front, wide, deep)]
     solids += _rungs(front, shares, tread, 0.03, False)
     behind = np.array((0.0, -spread * rng.uniform(0.8, 1.2), 0.0))
@@ -122,8 +115,7 @@ def _spreaders(front: Flight, back: Flight, share: float) -> list[Manifold]:
 
 def _hoop(half: float, low: float, tall: float, radius: float) -> Manifold:
     """A bent tube in the x, z plane, from one stile up and down to the other."""
-    rounding = min(0.1, 0.6 * half)
-    arc = np.linspace(0, np.pi / 2, 6)
+    rounding, arc = min(0.1, 0.6 * half), np.linspace(0, np.pi / 2, 6)
     turn = rounding * np.stack([1 - np.cos(arc), np.sin(arc)], axis=1)
     rise = np.array((-half, low + tall - rounding)) + turn
     line = np.concatenate([[(-half, low)], rise, (rise * (-1, 1))[::-1], [(half, low)]])

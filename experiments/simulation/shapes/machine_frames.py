@@ -42,8 +42,7 @@ def beam(start: Vector, end: Vector, size: float, kind: str = "square") -> Manif
 
 def feet(rng: Rng, points: list[np.ndarray], size: float) -> list[Manifold]:
     """Under each point, at z = 0: levelling feet, castors, plates or nothing."""
-    kind = rng.choice(["levelling", "castor", "plate", "none"])
-    solids = []
+    kind, solids = rng.choice(["levelling", "castor", "plate", "none"]), []
     for point in points:
         if kind == "levelling":
             solids.append(rod(point - (0, 0, 0.07), point, 0.18 * size, segments=8))

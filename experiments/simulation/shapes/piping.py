@@ -44,8 +44,7 @@ def _winding(rng: Rng, count: int, radius: float) -> np.ndarray:
         points, last = [np.array((0.0, 0.0, rng.uniform(0.3, 0.8)))], -1
         for _ in range(count):
             axis = int(rng.choice([a for a in range(3) if a != last]))
-            step = np.zeros(3)
-            sign = rng.choice([-1, 1], p=[0.3, 0.7])
+            step, sign = np.zeros(3), rng.choice([-1, 1], p=[0.3, 0.7])
             step[axis] = sign * rng.uniform(8, 18) * radius
             points.append(points[-1] + step)
             last = axis
@@ -71,8 +70,7 @@ def _pipe(rng: Rng, points: np.ndarray, radius: float) -> list[Manifold]:
     ends, which are open."""
     solids, trim = [], 2.6 * radius
     joint = str(rng.choice(["flange", "sleeve", "none"], p=[0.5, 0.3, 0.2]))
-    count = int(rng.choice([0, 0, 4]))
-    legs = []
+    count, legs = int(rng.choice([0, 0, 4])), []
     for index, (start, end) in enumerate(itertools.pairwise(points)):
         along = (end - start) / np.linalg.norm(end - start)
         first = start + trim * along * (index > 0)
@@ -120,8 +118,7 @@ def _supports(rng: Rng, points: np.ndarray, radius: float) -> list[Manifold]:
     """Stands under level lengths, with a saddle."""
     solids = []
     for start, end in itertools.pairwise(points):
-        middle = (start + end) / 2
-        level = start[2] == end[2]
+        middle, level = (start + end) / 2, start[2] == end[2]
         hidden = any(
             np.linalg.norm((a + b)[:2] / 2 - middle[:2]) < 4 * radius
             and (a + b)[2] / 2 < middle[2] - radius
@@ -216,8 +213,7 @@ def _rack(rng: Rng, radius: float) -> list[Manifold]:
         for row in (-middle - 0.03, middle + 0.03):
             solids.append(box((x, row, height / 2), (0.06, 0.06, height)))
             solids.append(box((x, row, 0.01), (0.14, 0.14, 0.02)))
-        for z in decks:
-            solids.append(box((x, 0, z), (0.06, 2 * middle + 0.06, 0.06)))
+        solids += [box((x, 0, z), (0.06, 2 * middle + 0.06, 0.06)) for z in decks]
     return solids
 
 

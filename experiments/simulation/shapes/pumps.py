@@ -13,6 +13,7 @@ from experiments.simulation.solids import (
     box,
     capsule,
     lathe,
+    one_of,
     ring_of,
     rod,
     tube,
@@ -25,16 +26,8 @@ Rng = np.random.Generator
 def pump(rng: Rng) -> list[Manifold]:
     """Volute pumps on a base or close to their motor, in-line and multistage ones,
     diaphragm pumps, plunger pumps."""
-    kinds = {
-        "base": _on_base,
-        "close": _close_coupled,
-        "multistage": _multistage,
-        "inline": _inline,
-        "diaphragm": _diaphragm,
-        "plunger": plunger_pump,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.28, 0.18, 0.16, 0.14, 0.12, 0.12]))
-    return assembled(kinds[kind](rng))
+    makers = _on_base, _close_coupled, _multistage, _inline, _diaphragm, plunger_pump
+    return assembled(one_of(rng, makers, (0.28, 0.18, 0.16, 0.14, 0.12, 0.12)))
 
 
 def _volute(rng: Rng, radius: float, deep: float) -> list[Manifold]:
@@ -50,8 +43,7 @@ def _volute(rng: Rng, radius: float, deep: float) -> list[Manifold]:
     pipe, out = 0.42 * deep, radius * rng.uniform(1.25, 1.6)
     x = 0.98 * radius - pipe
     neck = rod((x, 0, 0), (x, out, 0), 1.05 * pipe, 1.15 * pipe, 20)
-    count = int(rng.choice([0, 4, 6, 8]))
-    solids = [case, rounded, neck]
+    count, solids = int(rng.choice([0, 4, 6, 8])), [case, rounded, neck]
     solids += flange(
         (x, out - 0.25 * pipe, 0), (0, 1, 0), 1.9 * pipe, 0.4 * pipe, count
     )
@@ -116,8 +108,7 @@ def _close_coupled(rng: Rng) -> list[Manifold]:
     """The case on the motor's own flange; feet under the motor or the case."""
     radius, deep = rng.uniform(0.11, 0.16), rng.uniform(0.08, 0.12)
     size, long = radius * rng.uniform(0.75, 1.05), rng.uniform(0.28, 0.42)
-    lantern = radius * rng.uniform(0.3, 0.8)
-    parts = _volute(rng, radius, deep)
+    lantern, parts = radius * rng.uniform(0.3, 0.8), _volute(rng, radius, deep)
     parts.append(disc(0.85 * radius, 0.0, 0.7 * deep, 28))
     parts += bolts(8, 0.75 * radius, 0.01, 0.5 * deep, 0.8 * deep)
     if rng.random() < 0.5:
@@ -131,8 +122,7 @@ def _close_coupled(rng: Rng) -> list[Manifold]:
             *ring_of(arm, 4, 45.0),
             disc(size, deep + lantern - 0.02, deep + lantern),
         ]
-    drive = motor(rng, size, long)
-    start = deep + lantern - 0.005
+    drive, start = motor(rng, size, long), deep + lantern - 0.005
     parts += [p.rotate((0, 0, 90)).translate((0, 0, start)) for p in drive]
     level = 1.25 * max(radius, size)
     solids = _to_front(parts, (0, 0.2, level))
@@ -200,8 +190,7 @@ def _inline(rng: Rng) -> list[Manifold]:
     drive = motor(rng, size, long)
     parts += [part.translate((0, 0, 1.19 * radius)) for part in drive]
     if rng.random() < 0.35:
-        parts = [part.rotate((90, 0, 0)) for part in parts]
-        level = 1.5 * radius
+        parts, level = [part.rotate((90, 0, 0)) for part in parts], 1.5 * radius
     solids = [part.translate((0, 0, level)) for part in (*solids, *parts)]
     if rng.random() < 0.75:
         wide = rng.uniform(1.6, 2.4) * radius
@@ -227,8 +216,7 @@ def _diaphragm(rng: Rng) -> list[Manifold]:
     for sign in (-1, 1):
         height = level + sign * 1.18 * radius
         solids.append(capsule((-out, 0, height), (out, 0, height), pipe, segments=14))
-        for x in (-out, out):
-            solids.append(rod((x, 0, level), (x, 0, height), 1.15 * pipe))
+        solids += [rod((x, 0, level), (x, 0, height), 1.15 * pipe) for x in (-out, out)]
         port = (0, 0.9 * radius, height)
         solids.append(tube((0, 0, height), port, pipe, 0.7 * pipe, 18))
         start = (0, 0.9 * radius - 0.5 * pipe, height)

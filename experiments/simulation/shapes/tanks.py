@@ -14,6 +14,7 @@ from experiments.simulation.solids import (
     box,
     corners,
     lathe,
+    one_of,
     ring_of,
     rod,
     torus,
@@ -25,9 +26,8 @@ Rng = np.random.Generator
 def tank(rng: Rng) -> list[Manifold]:
     """Upright vessels on legs or a skirt, lying ones on saddles, hoppers in a frame,
     caged containers; with nozzles, manholes, ladders, gauges and agitators."""
-    kinds = {"upright": _upright, "lying": _lying, "hopper": hopper, "caged": _caged}
-    kind = str(rng.choice(list(kinds), p=[0.36, 0.28, 0.2, 0.16]))
-    return assembled(kinds[kind](rng))
+    makers = _upright, _lying, hopper, _caged
+    return assembled(one_of(rng, makers, (0.36, 0.28, 0.2, 0.16)))
 
 
 def _head_profile(radius: float, tall: float, style: str) -> list[tuple[float, float]]:
@@ -67,8 +67,7 @@ def _upright(rng: Rng) -> list[Manifold]:
     top = str(rng.choice(["dished", "cone", "flat"], p=[0.6, 0.25, 0.15]))
     shell, below, above = _vessel(rng, radius, long, bottom, top)
     free = 0.0 if support == "floor" else below + rng.uniform(0.15, 0.5)
-    solids = [shell.translate((0, 0, free))]
-    high = free + long
+    solids, high = [shell.translate((0, 0, free))], free + long
     if support == "legs":
         solids += _legs(rng, radius, free + 0.12 * long, int(rng.choice([3, 4, 4, 6])))
     elif support == "skirt":
@@ -99,8 +98,7 @@ def _legs(rng: Rng, radius: float, tall: float, count: int) -> list[Manifold]:
     plate = box((x, 0, 0.012), (4 * thick, 4 * thick, 0.024))
     solids += ring_of(plate, count, 180 / count)
     if rng.random() < 0.4:
-        level = rng.uniform(0.25, 0.5) * tall
-        turn = 2 * np.pi / count
+        level, turn = rng.uniform(0.25, 0.5) * tall, 2 * np.pi / count
         near = x * np.array((1, 0, 0)) + (0, 0, level)
         far = x * np.array((np.cos(turn), np.sin(turn), 0)) + (0, 0, level)
         solids += ring_of(rod(near, far, 0.022, segments=8), count, 180 / count)
@@ -163,8 +161,7 @@ def _roof(rng: Rng, radius: float, high: float, above: float) -> list[Manifold]:
 def _lying(rng: Rng) -> list[Manifold]:
     """A vessel along x on two or three saddles, fittings above and at its ends."""
     radius, slim = rng.uniform(0.35, 0.55), rng.uniform(2.2, 4.5)
-    long = radius * slim
-    level = radius + rng.uniform(0.12, 0.4)
+    long, level = radius * slim, radius + rng.uniform(0.12, 0.4)
     shell, _, above = _vessel(rng, radius, long, "dished", "dished")
     shell = shell.translate((0, 0, -long / 2)).rotate((0, 90, 0))
     solids = [shell.translate((0, 0, level))]

@@ -39,8 +39,7 @@ def flange(
 ) -> list[Manifold]:
     """Disc from `point` along `axis`, with so many bolts right through it and a hole
     of the radius `bore` where that is positive."""
-    start = np.asarray(point, float)
-    axis = np.asarray(axis, float)
+    start, axis = np.asarray(point, float), np.asarray(axis, float)
     solids = [tube(start, start + thick * axis, radius, bore, 16)]
     if count:
         low, high = (0.8 * radius, 0, -0.4 * thick), (0.8 * radius, 0, 1.4 * thick)
@@ -183,8 +182,7 @@ def _operator(rng: Rng, drive: str, bore: float, top: float) -> list[Manifold]:
     stem = rod((0, 0, top - bore), (0, 0, top + rise), 0.3 * bore, segments=14)
     level, turn = top + rise, float(rng.uniform(0, 360))
     if drive == "lever":
-        low = top + 0.4 * bore
-        reach = bore * rng.uniform(4.0, 6.5)
+        low, reach = top + 0.4 * bore, bore * rng.uniform(4.0, 6.5)
         start, knee = np.array((0, 0, low)), np.array((1.2 * bore, 0, low + 0.5 * bore))
         lever = [bar(start, knee, 0.5 * bore, 0.25 * bore)]
         lever.append(bar(knee, (reach, 0, knee[2]), 0.6 * bore, 0.22 * bore))

@@ -60,8 +60,7 @@ def _fuselage(rng: Rng, style: str, radius: float, length: float) -> list[Manifo
     ]
     for step in np.linspace(0, 0.96, 6):
         shrink = (1 - step**2) ** (0.5 * sharp) if sharp <= 1 else 1 - step
-        shrink = max(shrink, 0.08)
-        y = front - nose * length * (1 - step)
+        shrink, y = max(shrink, 0.08), front - nose * length * (1 - step)
         drop = -0.15 * radius * step
         sections.append(
             ellipse((0, y, drop), (radius * shrink, radius * flat * shrink))
@@ -102,12 +101,10 @@ def _tail(rng: Rng, style: str, radius: float, length: float) -> list[Manifold]:
     tall, lean = rng.uniform(0.24, 0.4), rng.uniform(0.05, 0.25)
     base = np.array([0.0, back + chord * 1.05, radius * 0.45])
     fins = [-0.6, 0.6] if style == "fighter" and rng.random() < 0.5 else [0.0]
-    is_t = style != "fighter" and rng.random() < 0.3
-    solids = []
+    is_t, solids = style != "fighter" and rng.random() < 0.3, []
     for fin in fins:
         foot = np.add(base, (fin * radius, 0, 0))
-        tip = np.add(foot, (fin * 0.12, -lean, tall))
-        corners = []
+        tip, corners = np.add(foot, (fin * 0.12, -lean, tall)), []
         for point, depth in ((foot, chord), (tip, chord * 0.55)):
             for x in (-0.012, 0.012):
                 corners += [np.add(point, (x, 0, 0)), np.add(point, (x, -depth, 0))]
@@ -183,8 +180,7 @@ def car(rng: Rng) -> list[Manifold]:
     )
     length = {"bus": 2.5, "van": 2.0, "hatchback": 1.65}.get(style, 1.9)
     length *= rng.uniform(0.92, 1.1)
-    width = rng.uniform(0.68, 0.82)
-    wheel = rng.uniform(0.13, 0.19)
+    width, wheel = rng.uniform(0.68, 0.82), rng.uniform(0.13, 0.19)
     floor = wheel * rng.uniform(0.55, 1.1) if style != "sports" else wheel * 0.5
     belt = floor + {"bus": 0.4, "van": 0.36, "sports": 0.24}.get(style, 0.31)
     roof = belt + {"bus": 0.38, "van": 0.34, "sports": 0.17}.get(style, 0.25)
@@ -235,8 +231,7 @@ def _cabin(
         style != "bus"
     )
     tuck, sink = rng.uniform(0.78, 0.92), 0.08
-    base = belt - sink
-    edge = roof - 0.03
+    base, edge = belt - sink, roof - 0.03
     corners = []
     for z, (rear, ahead), scale in (
         (base, (low_back, low_front), 0.97),

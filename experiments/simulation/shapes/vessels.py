@@ -77,8 +77,7 @@ def _pump(rng: Rng, neck: float, end: float) -> list[Manifold]:
 
 def _jug_handle(rng: Rng, radius: float, body: float) -> list[Manifold]:
     low, high = body * rng.uniform(0.25, 0.45), body * rng.uniform(0.8, 1.0)
-    out = radius + rng.uniform(0.08, 0.12)
-    inside = radius * 0.75
+    out, inside = radius + rng.uniform(0.08, 0.12), radius * 0.75
     path = [(inside, high), (out, high), (out, low), (inside, low)]
     return tube_along(np.array([(x, 0.0, z) for x, z in path]), 0.022)
 
@@ -95,8 +94,7 @@ def mug(rng: Rng) -> list[Manifold]:
     outside += list(zip(outer, foot + (tall - foot) * level, strict=True))
     inside = list(zip(outer - wall, floor + (tall - floor) * level, strict=True))
     inside.append((outer[-1] - wall, tall + 0.1))
-    cavity = lathe(inside, 48)
-    solids = [lathe(outside, 48)]
+    cavity, solids = lathe(inside, 48), [lathe(outside, 48)]
     if rng.random() < 0.92:
         solids += _mug_handle(rng, tall, lambda z: np.interp(z / tall, level, outer))
     cup = union(solids) - cavity
@@ -162,8 +160,7 @@ def bowl(rng: Rng) -> list[Manifold]:
     if kind == "square":
         parts = [part.rotate((0, 0, 45)) for part in parts]
     if kind != "fluted" and rng.random() < 0.2:
-        flat = np.cos(np.pi / count)
-        high = tall * rng.uniform(0.78, 0.9)
+        flat, high = np.cos(np.pi / count), tall * rng.uniform(0.78, 0.9)
         parts += _ears(rng, flat * np.interp(high / tall, level, outer), high, wall)
     if kind == "oval":
         flat = rng.uniform(0.55, 0.8)
