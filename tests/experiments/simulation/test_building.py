@@ -96,14 +96,6 @@ def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squa
         assert (broken.folder / path.name).read_bytes() == path.read_bytes()
 
 
-def test_what_is_finished_is_not_built_again(squares):
-    before = (squares.folder / "manifest.json").read_bytes()
-    again = Squares(squares.folder)
-    again.build()
-    assert again.built == []
-    assert (squares.folder / "manifest.json").read_bytes() == before
-
-
 def test_but_what_was_deleted_is(squares):
     """As the remedy for a damaged file says."""
     expected = (squares.folder / "manifest.json").read_bytes()
@@ -149,12 +141,6 @@ def test_the_manifest_tells_content_and_files(squares, digests):
     del files["manifest.json"]
     assert written == {**CONTENT, "files": files}
     assert manifest.read_manifest(squares.folder, "") == written
-
-
-def test_a_line_tells_the_rate(tmp_path, capsys):
-    Squares(tmp_path).build(progress=True)
-    told = capsys.readouterr()
-    assert "5 squares in 0 s" in told.err and not told.out
 
 
 _WAITING = """

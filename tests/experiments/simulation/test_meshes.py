@@ -89,20 +89,6 @@ def test_the_same_path_below_the_root_gives_the_same_bytes(root, tmp_path_factor
     np.testing.assert_array_equal(Meshes(root, 200)[0].complete, other.complete)
 
 
-def test_two_files_of_one_shape_get_different_points(root):
-    source = Meshes(root / "train", num_points=200)
-    assert not np.array_equal(source[1].complete, source[2].complete)
-
-
-def test_the_whole_folder_has_its_splits_as_categories(root):
-    source = Meshes(root)
-    assert (len(source), source.categories) == (7, ("test", "train"))
-    assert [example.name for example in (source[0], source[-1])] == [
-        "test/balls/one/model.STL",
-        "train/boxes/box.stl",
-    ]
-
-
 def test_a_folder_that_is_missing_or_holds_no_mesh_is_refused(root):
     with pytest.raises(InputError, match=r"val: no such folder"):
         Meshes(root / "val")

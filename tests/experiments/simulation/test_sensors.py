@@ -235,30 +235,6 @@ def test_what_is_too_near_or_too_far_gives_no_return():
         assert np.all((returns.ranges >= 0.3) & (returns.ranges <= 100))
 
 
-def test_an_empty_view_is_empty():
-    behind = wall(-3.0, size=1.0)
-    counts, faces = l515_depth(behind, small_camera(), np.random.default_rng(6))
-    assert counts.shape == (60, 60) and counts.dtype == np.uint16
-    assert not counts.any() and np.all(faces == -1)
-    above = Scene(trimesh.creation.box((1, 1, 1)).apply_translation((0, 0, 5)))
-    returns = ouster_scan(above, ORIGIN, np.random.default_rng(6))
-    assert [len(array) for array in returns] == [0, 0, 0]
-
-
-def test_the_same_generator_gives_the_same_measurement():
-    scene, camera = cluttered(), small_camera()
-    measured = [
-        (
-            l515_depth(scene, camera, np.random.default_rng(seed))[0],
-            ouster_scan(scene, ORIGIN, np.random.default_rng(seed)).points,
-        )
-        for seed in (0, 0, 1)
-    ]
-    for first, again, other in zip(*measured, strict=True):
-        np.testing.assert_array_equal(first, again)
-        assert first.shape != other.shape or not np.array_equal(first, other)
-
-
 def test_camera_is_the_packages_l515_and_its_points_come_back():
     axes = camera_axes(np.array([-1.0, 0.2, -0.4]))
     eye = np.array([2.0, -0.4, 0.8])
@@ -312,11 +288,3 @@ def test_a_cropped_image_is_a_part_of_the_whole():
 def test_impossible_configs_are_refused(change):
     with pytest.raises(InputError):
         dataclasses.replace(L515Config(), **change)
-
-
-def test_gloss_needs_every_face():
-    flags = np.ones(3, bool)
-    with pytest.raises(ValueError, match="glossy"):
-        l515_depth(wall(2.0), small_camera(), np.random.default_rng(0), glossy=flags)
-    with pytest.raises(InputError):
-        OusterConfig(beams=0)

@@ -1,12 +1,11 @@
 """Cuts: which points stay, and what becomes of pixels that looked at the others."""
 
 import numpy as np
-import pytest
 import trimesh
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.readings import Readings
-from experiments.simulation.truncation import KEPT_SHARES, NO_CUT, Cut, random_cut
+from experiments.simulation.truncation import KEPT_SHARES, Cut, random_cut
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 
 EYE = np.array([0.0, -5.0, 0.0])
@@ -47,12 +46,6 @@ def test_a_ray_along_a_side_enters_only_if_it_is_within():
         assert np.all(found.state == state)
 
 
-def test_nothing_is_cut_off_by_no_planes():
-    found = NO_CUT.apply(readings(), EYE)
-    np.testing.assert_array_equal(found.state, readings().state)
-    np.testing.assert_array_equal(found.points, readings().points)
-
-
 def test_random_cuts_leave_their_share_and_are_of_three_sorts():
     """Edges of an image pass through the eye; a half space is one plane, a box six."""
     scene = Scene(trimesh.creation.icosphere(3))
@@ -81,12 +74,3 @@ def test_random_cuts_leave_their_share_and_are_of_three_sorts():
     assert sorts == expected
     assert KEPT_SHARES[0] <= min(kept) < 0.35
     assert 0.75 < max(kept) <= KEPT_SHARES[1] + 1 / 30
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_of_few_points_one_stays(count):
-    scene, eye = Scene(trimesh.creation.icosphere(1)), np.array([0.0, 4.0, 0.0])
-    seen = scene.mesh.vertices[:count]
-    for seed in range(20):
-        cut = random_cut(scene, eye, seen, np.random.default_rng(seed))
-        assert cut.holds(seen).any()

@@ -2,14 +2,12 @@ import hashlib
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial import KDTree
 
 from experiments.simulation import views as examples
 from experiments.simulation.kinds import MIXTURE
 from experiments.simulation.partials import PARTIALS
-from experiments.simulation.shapes import category_rng, make_shape
-from experiments.simulation.views import QUANTUM, make_views, rounded, views_of
+from experiments.simulation.views import QUANTUM, make_views, rounded
 from prism_jax.geometry.visibility import SURFACE, look_up
 
 DIGESTS = {
@@ -88,12 +86,6 @@ def test_a_view_of_too_few_points_is_drawn_again(shape, monkeypatch):
         make_views("mug", 11)
 
 
-def test_kinds_of_partials_differ_and_the_shape_does_not(shape):
-    partials, complete = make_views("mug", 11, 1, "crop")[:2]
-    np.testing.assert_array_equal(complete, shape[1])
-    assert not np.array_equal(partials[0], shape[0][0])
-
-
 @pytest.mark.parametrize("kind", PARTIALS)
 def test_old_kinds_are_bit_for_bit_what_they_were(kind):
     found = []
@@ -126,43 +118,6 @@ def test_a_mixture_has_many_kinds_and_every_view_a_map():
         assert one is not None and other is not None
         np.testing.assert_array_equal(one.state, other.state)
         np.testing.assert_array_equal(one.depth, other.depth)
-
-
-def test_any_mesh_has_views_and_stays_as_it_is(shape):
-    mesh = make_shape("mug", 11)
-    before = mesh.vertices.copy()
-    made = views_of(mesh, category_rng("mug", 11, 1), 2)
-    for found, given in zip(made[:3], shape[:3], strict=True):
-        np.testing.assert_array_equal(found, given)
-    np.testing.assert_array_equal(mesh.vertices, before)
-
-
-def test_a_mesh_of_any_place_and_size_is_viewed_in_the_same_frame_and_left_alone():
-    mesh = trimesh.creation.box((1, 2, 4)).apply_translation((50, 60, 70))
-    before = mesh.vertices.copy()
-    partials, complete, *_ = views_of(mesh, np.random.default_rng(0), 2)
-    np.testing.assert_array_equal(mesh.vertices, before)
-    spans = np.ptp(complete, axis=0)
-    np.testing.assert_allclose(spans, (0.5, 1, 2), atol=0.01)
-    gaps, _ = KDTree(complete).query(partials.reshape(-1, 3))
-    assert gaps.max() < 0.06
-
-
-def test_example_uses_the_mesh_of_its_seed(shape):
-    extents = make_shape("mug", 11).extents
-    span = np.ptp(shape[1], axis=0)
-    np.testing.assert_allclose(span / span.max(), extents / extents.max(), atol=0.01)
-
-
-def test_any_mesh_has_views_and_stays_as_it_was():
-    box = trimesh.creation.box((3.0, 2.0, 1.0))
-    box.apply_translation((10.0, 0.0, -4.0))
-    before = box.vertices.copy()
-    partials, complete, *_ = views_of(box, np.random.default_rng(0))
-    np.testing.assert_array_equal(box.vertices, before)
-    faces = np.array([1.0, 2 / 3, 1 / 3])
-    for cloud in (complete, partials[0]):
-        np.testing.assert_allclose(np.abs(cloud / faces).max(axis=1), 1, atol=0.01)
 
 
 def test_coordinates_are_rounded_to_the_nearest_step_and_overflow_is_refused():

@@ -36,14 +36,6 @@ def test_the_camera_is_that_of_framing(eye):
     assert offset == pytest.approx(MAP_SIZE / 2 / MARGIN, rel=1e-3)
 
 
-def test_a_single_point_is_framed():
-    camera = framing_camera(np.array([(0.0, 0, 0)]), np.array([3.0, 0, 0]))
-    assert np.isfinite(camera.intrinsics).all()
-    uv, depth = camera.project(np.zeros((1, 3)))
-    np.testing.assert_allclose(uv, [[31.5, 31.5]], atol=1e-4)
-    np.testing.assert_allclose(depth, 3)
-
-
 def test_rays_pass_through_the_middle_and_the_corners_of_every_pixel():
     eye = np.array([2.0, -3.0, 1.0])
     camera = framing_camera(cloud(), eye)
@@ -108,9 +100,3 @@ def test_surface_that_was_measured_is_found_at_its_pixel():
     state, behind = look_up(map_of(camera, [readings]), points)
     assert np.all(state == SURFACE)
     assert behind.min() >= -1e-6
-
-
-def test_without_readings_nothing_is_known():
-    camera = framing_camera(cloud(), np.array([3.0, 0, 0]))
-    found = map_of(camera, [Readings(np.zeros(0, np.uint8), np.zeros((0, 3)), 0.0)])
-    assert not found.state.any() and not found.depth.any()

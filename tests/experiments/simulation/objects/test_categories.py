@@ -3,9 +3,6 @@
 import pytest
 
 from experiments.simulation.objects.categories import (
-    _WORDS,
-    CATEGORIES,
-    NO_OBJECTS,
     OTHER,
     category_of,
 )
@@ -34,10 +31,3 @@ from experiments.simulation.objects.categories import (
 )
 def test_the_longest_known_words_decide(title, category):
     assert category_of(title) == category
-
-
-def test_there_are_few_and_no_word_is_in_two():
-    assert len(CATEGORIES) == len({*CATEGORIES}) <= 25
-    assert not {*NO_OBJECTS} & {*CATEGORIES}
-    words = [word for words in _WORDS.values() for word in words.split()]
-    assert len(words) == len({*words})

@@ -1,7 +1,5 @@
 """Catalogues of Sweet Home 3D: what they say, and how their models stand."""
 
-import pickle
-
 import numpy as np
 import pytest
 import trimesh
@@ -44,13 +42,6 @@ def test_what_is_said_of_a_model_is_kept(read):
     assert read(entry("a", knobbed(), "A", doorOrWindow="true")).fault is not None
 
 
-def test_models_come_in_the_order_of_their_numbers(tmp_path, write_catalogue):
-    names = [f"m{number}" for number in range(12)]
-    entries = [entry(name, knobbed(), name) for name in names]
-    _, models = read_catalogue(write_catalogue(tmp_path, "shop", entries), "")
-    assert [model.name for model in models] == names
-
-
 def test_models_stand_with_z_up_and_face_along_y(read):
     """The knob is on the front, high, and to the left of who looks at the front: a turn
     of the box, not its mirror image."""
@@ -81,12 +72,6 @@ def test_models_are_stretched_to_the_size_of_the_catalogue(read):
     sheet = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
     told = entry("sheet", knobbed(), "Sheet")[0]
     assert read((told, sheet)).load().extents[1] == 0.0
-
-
-def test_a_model_goes_to_another_process(read):
-    model = read(entry("fridge", knobbed(), "Fridge"))
-    other = pickle.loads(pickle.dumps(model))
-    np.testing.assert_array_equal(other.load().vertices, model.load().vertices)
 
 
 @pytest.mark.parametrize(

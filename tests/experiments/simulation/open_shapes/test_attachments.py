@@ -2,11 +2,8 @@ import numpy as np
 import pytest
 
 from experiments.simulation.open_shapes.attachments import (
-    copies,
     cut_out,
-    extent,
     is_mirrored,
-    largest_piece,
     mirrored,
     set_onto,
     symmetry,
@@ -33,13 +30,6 @@ def test_a_line_touches_a_solid_where_it_enters():
     assert touched(torus(1.0, 0.2), np.zeros(3), UP) is None
 
 
-def test_the_largest_piece_is_kept_without_its_voids():
-    shell = box((0, 0, 0), (2, 2, 2)) - box((0, 0, 0), (1, 1, 1))
-    apart = box((5, 0, 0), (1, 1, 1))
-    kept = largest_piece(union([shell, apart]))
-    assert kept.volume() == pytest.approx(8)
-
-
 def test_symmetries_are_groups():
     """Any two of a symmetry's matrices make another of them."""
     for seed in range(20):
@@ -62,15 +52,6 @@ def test_a_mirrored_solid_is_its_right_half_twice():
     assert mirrored(left).volume() == left.volume()
     assert is_mirrored((np.eye(3), np.diag([-1.0, 1, 1])))
     assert not is_mirrored((np.eye(3), np.diag([1.0, -1, 1])))
-
-
-def test_copies_are_made_of_what_the_symmetry_moves(body):
-    mirror = np.eye(3), np.diag([-1.0, 1, 1])
-    (own,) = copies(body, np.array([0.0, 1, 2]), mirror)
-    assert own.volume() == pytest.approx(1)
-    first, second = copies(box((2, 0, 0), (1, 1, 1)), np.array([2.0, 0, 0]), mirror)
-    np.testing.assert_allclose(extent(first)[0], (2, 0, 0))
-    np.testing.assert_allclose(extent(second)[0], (-2, 0, 0))
 
 
 @pytest.mark.parametrize("is_round", [True, False])
@@ -115,10 +96,3 @@ def test_stands_hold_a_body_above_the_floor(body, kind):
 
 def lowest(solid) -> float:
     return solid.bounding_box()[2]
-
-
-def test_a_stand_without_a_hold_is_none():
-    """The lines upwards pass through the hole."""
-    ring = torus(1.0, 0.1)
-    for kind in (pedestal, plinth):
-        assert kind(np.random.default_rng(0), ring) == []

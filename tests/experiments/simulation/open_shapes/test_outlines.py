@@ -5,11 +5,8 @@ from scipy.interpolate import BSpline
 from scipy.spatial import KDTree
 
 from experiments.simulation.open_shapes.outlines import (
-    circle,
     convex_outline,
     outline,
-    path,
-    profile,
     smooth,
     tightest_bend,
 )
@@ -32,21 +29,6 @@ def test_outlines_are_simple_counter_clockwise_and_span_the_square(draw):
         assert area > 0.05
 
 
-def test_convex_outlines_are():
-    for seed in range(40):
-        points = convex_outline(np.random.default_rng(seed))
-        hull = CrossSection.hull_points(points)
-        assert CrossSection([points]).area() == pytest.approx(hull.area())
-
-
-def test_profiles_rise_from_0_to_1_and_are_1_wide_somewhere():
-    for seed in range(40):
-        radii, levels = profile(np.random.default_rng(seed)).T
-        assert radii.max() == 1 and radii.min() > 0
-        assert (levels[0], levels[-1]) == (0, pytest.approx(1))
-        assert np.all(np.diff(levels) >= 0)
-
-
 def test_corners_cut_again_and_again_tend_to_the_b_spline():
     corners = np.random.default_rng(0).normal(size=(6, 2))
     line = smooth(corners, 8)
@@ -57,16 +39,6 @@ def test_corners_cut_again_and_again_tend_to_the_b_spline():
     np.testing.assert_array_equal(line[[0, -1]], corners[[0, -1]])
 
 
-def test_paths_are_smooth_and_stay_within_the_cube():
-    for seed in range(60):
-        line = path(np.random.default_rng(seed))
-        assert np.ptp(line, axis=0).max() == pytest.approx(1)
-        assert np.abs(line).max() == pytest.approx(0.5)
-        steps = np.diff(line, axis=0)
-        steps /= np.linalg.norm(steps, axis=1, keepdims=True)
-        assert np.sum(steps[1:] * steps[:-1], axis=1).min() > 0.2
-
-
 def test_the_tightest_bend_is_the_smallest_radius():
     angle = np.linspace(0, 2, 200)[:, None]
     flat = np.zeros_like(angle)
@@ -75,9 +47,3 @@ def test_the_tightest_bend_is_the_smallest_radius():
     straight = np.linspace((0, 0, 0), (1, 2, 3), 5)
     assert tightest_bend(straight) > 1e6
     assert tightest_bend(straight[:2]) == np.inf
-
-
-def test_a_circle_is_a_regular_polygon():
-    np.testing.assert_allclose(
-        circle(4), [(1, 0), (0, 1), (-1, 0), (0, -1)], atol=1e-12
-    )

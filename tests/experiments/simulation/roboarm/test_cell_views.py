@@ -11,7 +11,6 @@ from experiments.simulation.roboarm.workcells import make_workcell
 from experiments.simulation.sensors import L515Config
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.geometry.visibility import (
-    BACKGROUND,
     NEARER,
     SURFACE,
     UNKNOWN,
@@ -114,24 +113,3 @@ def test_who_stands_before_the_cell_is_nearer(seen):
         assert gaps(view.complete, cell, "robot", "fixture").max() < 1e-5
     assert np.sum(np.concatenate(found)) > 100
     assert np.mean(np.concatenate(found)) > 0.4
-
-
-def test_the_floor_is_background(seen):
-    count = 0
-    for _, view in seen:
-        mask = (view.labels == LABELS["clutter"]) & (view.depth > 0)
-        points = points_from_depth(view.depth * DEPTH_SCALE, mask, view.camera)
-        points = points[points[:, 2] < 0.005]
-        state, behind = look_up(view.visibility, points)
-        state = state[np.abs(behind) < 0.02]
-        assert SURFACE not in state
-        assert NEARER not in state
-        count += np.count_nonzero(state == BACKGROUND)
-    assert count > 50
-
-
-def test_depth_and_labels_are_one_image(seen):
-    for _, view in seen:
-        assert view.depth.shape == view.labels.shape == (120, 160)
-        np.testing.assert_array_equal(view.labels == LABELS["nothing"], view.depth == 0)
-    assert any(np.any(view.labels == LABELS["person"]) for _, view in seen)

@@ -5,7 +5,6 @@ import pytest
 
 from experiments.simulation.roboarm.sequences import (
     CLOUD_STEP,
-    RoboArmConfig,
     flying_pixels,
     make_frame,
     make_sequence,
@@ -85,16 +84,6 @@ def test_the_ground_truth_is_robot_and_fixtures(sequence, frame):
     np.testing.assert_array_equal(frame.complete % CLOUD_STEP, 0)
 
 
-def test_joints_are_the_pose_and_what_is_hidden(sequence, frame):
-    joints = frame.joints
-    assert joints["robot"] == "boxes"
-    np.testing.assert_array_equal(
-        list(joints["positions"].values()), sequence.positions[1]
-    )
-    assert tuple(joints["positions"]) == sequence.robot.joints
-    assert 0 < joints["hidden_share"] < 1
-
-
 def test_hidden_share_is_that_of_pixels(sequence, frame, small):
     """Against a frame of the same cell without its clutter."""
     bare = dataclasses.replace(sequence.cell, clutter=sequence.cell.clutter.copy())
@@ -121,21 +110,3 @@ def test_flying_pixels_are_those_between_two_surfaces():
     for row, column in ((4, 15), (9, 14), (17, 20)):
         expected[row, column] = True
     np.testing.assert_array_equal(flying_pixels(depth), expected)
-
-
-def test_a_robot_out_of_sight_is_refused(sequence, small):
-    camera = dataclasses.replace(
-        sequence.cell.camera, translation=np.array([0.0, 0.0, -50.0])
-    )
-    cell = dataclasses.replace(sequence.cell, camera=camera)
-    lost = dataclasses.replace(sequence, cell=cell)
-    with pytest.raises(ValueError, match="the camera sees 0 points"):
-        make_frame(lost, 1, small, np.random.default_rng(0))
-
-
-def test_the_standard_camera_is_the_l515s(model):
-    config = RoboArmConfig()
-    camera = make_sequence(model, 2, config, np.random.default_rng(0)).cell.camera
-    assert (camera.width, camera.height) == (640, 480)
-    assert config.depth_sensor.quantum == DEPTH_SCALE
-    assert config.complete_points == 16384

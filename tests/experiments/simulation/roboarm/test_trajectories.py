@@ -64,16 +64,6 @@ def test_trajectories_stay_within_limits_and_clear(model):
     np.testing.assert_array_equal(path, again)
 
 
-def test_frames_are_evenly_spaced_in_time(model):
-    """Every fifth of 21 frames is one of 5 over the same way-points."""
-    robot = Robot(model)
-    fine, coarse = (
-        random_trajectory(robot, count, 3, np.random.default_rng(2))
-        for count in (21, 5)
-    )
-    np.testing.assert_allclose(fine[::5], coarse, atol=1e-12)
-
-
 def test_a_robot_without_a_free_pose_is_named(tmp_path):
     path = tmp_path / "buried.urdf"
     path.write_text(boxes.URDF.replace('"0 0 0.1"', '"0 0 -3"'))
