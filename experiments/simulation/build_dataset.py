@@ -1,8 +1,4 @@
-"""Builds the data sets that are made on the machine, by the name that flags use.
-
-What a builder needs is imported when it runs: a program that only opens data sets needs
-none of it.
-"""
+"""Builds the data sets that are made on the machine, by the name that flags use."""
 
 import os
 import pathlib
@@ -117,8 +113,7 @@ def build_dataset(
 ) -> pathlib.Path:
     """Builds what is missing of a set's split, and returns its folder.
 
-    A name that is not in `BUILDERS`, or a missing package, raises InputError. Meshes go
-    to the folder of the split, where they open as "packed".
+    A name that is not in `BUILDERS`, or a missing package, raises InputError.
     """
     builder, _ = _BUILDERS[choose("data set", name, BUILDERS)]
     for package in ("trimesh", "manifold3d", "embreex", "fpsample"):
@@ -130,9 +125,6 @@ def build_if_missing(
     name: str, split: str, data_dir: str | os.PathLike | None = None, **settings: Any
 ) -> None:
     """Builds a generated set's split, or goes on with what was broken off, unless one
-    is finished there, of whatever settings.
-
-    Sets that are not generated are left alone. `settings` as in `build_dataset`.
-    """
+    is finished there, of whatever settings. Other sets are left alone."""
     if name in GENERATED and digest_of(name, split, data_dir) is None:
         build_dataset(name, split, data_dir, **settings)

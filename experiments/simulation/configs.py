@@ -11,10 +11,8 @@ from prism_jax.io.errors import InputError, choose
 @dataclasses.dataclass(frozen=True)
 class SetConfig:
     """What a split is made of. The manifest holds it; what makes no sense raises
-    InputError. A number that is 0 becomes the split's own, of `SIZES`.
-
-    Every prefix of a set is the same, whatever its size.
-    """
+    InputError. A number that is 0 becomes the split's own, of `SIZES`. Every prefix of
+    a set is the same, whatever its size."""
 
     SIZES: ClassVar[Mapping[str, Mapping[str, int]]]
 

@@ -54,9 +54,7 @@ def draw_clouds(
     camera: Camera,
 ) -> UInt8[np.ndarray, "H W 3"]:
     """Points of 2 x 2 pixels, later clouds over earlier ones, darker farther away.
-
-    Each cloud has one colour, or one for every point.
-    """
+    Each cloud has one colour, or one for every point."""
     picture = np.ones((camera.height, camera.width, 3))
     for points, color in clouds:
         if not len(points):
@@ -84,10 +82,7 @@ def contact_sheet(
     rows: Sequence[Row], side_by_side: int = 2, label_height: int = 15
 ) -> Image.Image:
     """The rows under one another, so many of them side by side, labels above each.
-
-    A row may be shorter than others. No rows at all, or pictures of several sizes,
-    raise ValueError.
-    """
+    No rows at all, or pictures of several sizes, raise ValueError."""
     sizes = {picture.shape[0] for row in rows for picture in row.pictures}
     if len(sizes) != 1:
         raise ValueError(f"pictures must have one size, got {sorted(sizes)}")

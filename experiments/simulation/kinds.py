@@ -23,7 +23,7 @@ from jaxtyping import Float, Float64
 
 from experiments.simulation.partials import PARTIALS, make_partial
 from experiments.simulation.raycast import Scene
-from experiments.simulation.readings import World, camera_rays
+from experiments.simulation.readings import World, camera_rays, map_of, map_rays
 from experiments.simulation.stations import Sensor, random_camera, random_lidar
 from experiments.simulation.surroundings import (
     HIDDEN_SHARES,
@@ -32,7 +32,6 @@ from experiments.simulation.surroundings import (
     random_planes,
 )
 from experiments.simulation.truncation import NO_CUT, random_cut
-from experiments.simulation.visibility import map_of, map_rays
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import Visibility
 

@@ -24,14 +24,12 @@ SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb")
 class Meshes:
     """Meshes as clouds of their surface, each with one simulated partial view.
 
-    A mesh is moved and scaled so that its box is centred at the origin and the box's
-    longest side spans [-1, 1]; its axes stay as they are, so that the simulated camera,
-    which takes z for up, sees a mesh with y up from its side. `complete` has
-    `num_points` points, uniform on the whole surface, inner faces included. `partial`
-    is what one depth camera sees (`partials.make_partial`, "self_occlusion"), and `eye`
-    where it stood. Points and view are drawn with a seed made of the path below `root`:
-    another place or order of the folder changes nothing. The category is the first
-    folder below `root`, "mesh" for files that lie in none.
+    A mesh is `normalised`; its axes stay as they are, so that the simulated camera,
+    which takes z for up, sees a mesh with y up from its side. The complete cloud is
+    uniform on the whole surface, inner faces included. Points and view are drawn with a
+    seed made of the path below `root`: another place or order of the folder changes
+    nothing. The category is the first folder below `root`, "mesh" for files that lie in
+    none.
     """
 
     def __init__(
@@ -81,9 +79,7 @@ def build_meshes(
     progress: bool = True,
 ) -> pathlib.Path:
     """Packs all meshes below `root` into `folder`, which opens as a split of "packed".
-
-    A mesh that cannot be read raises InputError; all else as in `packing.pack`.
-    """
+    A mesh that cannot be read raises InputError."""
     source = Meshes(root)
     digests = {"meshes": files_digest(hash_files(source.root))}
     config = PackConfig(source.partial_points, source.num_points)
@@ -120,7 +116,6 @@ def parse_mesh(
 ) -> trimesh.Trimesh:
     """The triangles of a file's bytes as one mesh, without stray vertices.
 
-    `file_type` is one of `SUFFIXES` without its dot. Nothing beside the bytes is read.
     What cannot be read, has no area or is not finite raises InputError about the
     subject.
     """
@@ -138,10 +133,8 @@ def parse_mesh(
 
 
 def normalised(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with its box centred at the origin, the longest side spanning [-1, 1].
-
-    It is the given mesh, moved and scaled.
-    """
+    """The given mesh, moved and scaled: its box is centred at the origin, the longest
+    side spans [-1, 1]."""
     lower, upper = mesh.bounds
     mesh.vertices = (mesh.vertices - (lower + upper) / 2) / ((upper - lower).max() / 2)
     return mesh

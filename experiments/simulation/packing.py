@@ -40,11 +40,9 @@ def pack(
 ) -> pathlib.Path:
     """Packs sources, by the names that tell them apart, one after the other.
 
-    `digests` (`manifest.content_digest`), where given, tell that a folder was begun
-    with the same sources. What sensors know is kept if the first example of any source
-    has it; where others do not, nothing is known. An example without a partial or a
-    complete cloud raises InputError. The bytes do not depend on `num_workers`
-    (`building.build`).
+    `digests` (`manifest.content_digest`) tell that a folder was begun with the same
+    sources. What sensors know is kept if the first example of any source has it. An
+    example without a partial or a complete cloud raises InputError.
     """
     groups = [group for name in sources for group in _groups(name, sources, config)]
     content = {

@@ -1,7 +1,4 @@
-"""What a sensor measures of a mesh from one viewpoint, by the kind of sensor.
-
-Points are float64, in the frame of the mesh. Nothing here is differentiable.
-"""
+"""What a sensor measures of a mesh from one viewpoint, in the frame of the mesh."""
 
 import numpy as np
 import trimesh
@@ -42,10 +39,9 @@ def make_partial(
 
     The mesh's box is centred at the origin and its longest side spans [-1, 1];
     `complete` is a cloud of it. The cloud is not resampled: it has as many points as
-    the sensor measured, where `self_occlusion` aims at no fewer than `num_points`. It
-    may be empty. The viewpoint is `random_viewpoint`, except for `crop`, which takes
-    a random direction, as its published training does, and removes a random share from
-    the easiest to the hardest. An unknown kind raises ValueError.
+    the sensor measured, perhaps none, where `self_occlusion` aims at no fewer than
+    `num_points`. `crop` takes a random direction, as its published training does, and
+    removes a random share from the easiest to the hardest.
     """
     if kind not in PARTIALS:
         raise ValueError(f"unknown partial {kind!r}: choose one of {PARTIALS}")
@@ -76,10 +72,10 @@ def self_occlusion(
 ) -> Float64[np.ndarray, "N 3"]:
     """First hits of a regular grid of rays from `viewpoint`, row by row, exactly.
 
-    The camera looks at the middle of the mesh, z up, and its grid of square pixels
-    is the smallest that holds the projected mesh, like a detector's crop: `RAYS` rays,
-    and up to `MAX_RAYS` when a slender object catches fewer than `min_points` of them.
-    A viewpoint inside the mesh's bounding sphere raises ValueError.
+    The grid of square pixels is the smallest that holds the projected mesh, like a
+    detector's crop: `RAYS` rays, and up to `MAX_RAYS` when a slender object catches
+    fewer than `min_points` of them. A viewpoint inside the mesh's bounding sphere
+    raises ValueError.
     """
     axes = _axes_outside(scene, viewpoint)
     in_camera = (np.asarray(scene.mesh.vertices) - viewpoint) @ axes.T
@@ -111,12 +107,8 @@ def l515(
     rng: np.random.Generator,
     config: L515Config = L515Config(),
 ) -> Float64[np.ndarray, "N 3"]:
-    """What an L515 at `viewpoint` measures of the object, its longest side 1.2 m.
-
-    Of the image only the part that holds the object is computed. Points are scaled
-    back to the mesh's frame, row by row. A viewpoint inside the mesh's bounding sphere
-    raises ValueError.
-    """
+    """What an L515 at `viewpoint` measures of the object, its longest side 1.2 m, of
+    the part of the image that holds it; in the mesh's frame, row by row."""
     camera = l515_camera(_axes_outside(scene, viewpoint), viewpoint * HALF_EXTENT)
     metric = _in_metres(scene)
     camera = cropped_to(camera, np.asarray(metric.mesh.vertices))
@@ -130,12 +122,8 @@ def ouster(
     rng: np.random.Generator,
     config: OusterConfig = OusterConfig(),
 ) -> Float64[np.ndarray, "N 3"]:
-    """What an Ouster at `viewpoint` measures of the object, its longest side 1.2 m.
-
-    The sensor is tilted so that its middle beam at column 0 aims at the object's
-    centre. Points are scaled back to the mesh's frame. A viewpoint inside the mesh's
-    bounding sphere raises ValueError.
-    """
+    """What an Ouster at `viewpoint` measures of the object, its longest side 1.2 m, in
+    the mesh's frame. Its middle beam at column 0 aims at the object's centre."""
     right, down, forward = _axes_outside(scene, viewpoint)
     rotation = np.stack([forward, -right, -down], axis=1)
     position = viewpoint * HALF_EXTENT

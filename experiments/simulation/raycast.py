@@ -1,8 +1,7 @@
 """First hits of rays on a triangle mesh, and what of a surface is seen from outside.
 
 Embree searches in float32 and finds triangle and barycentric coordinates; the points
-are made of these and of the mesh's own float64 corners, so that they lie on the
-triangles to double precision. Lengths are those of the mesh; nothing is differentiable.
+are made of these and of the mesh's own float64 corners.
 """
 
 from typing import NamedTuple
@@ -36,10 +35,9 @@ class Hits(NamedTuple):
 
 
 class Scene:
-    """A mesh to cast rays at. The mesh must not change afterwards.
+    """A mesh to cast rays at, seen from both sides. It must not change afterwards.
 
-    Triangles are seen from both sides, also where the mesh is not closed. A mesh
-    without triangles, or with corners that are not finite, raises ValueError.
+    Without triangles, or with corners that are not finite, it raises ValueError.
     """
 
     def __init__(self, mesh: trimesh.Trimesh):
@@ -69,8 +67,8 @@ class Scene:
         """The first triangle along each ray, from one common origin or one a ray.
 
         Directions need no unit length; distances are Euclidean all the same. Cosines
-        are those of the angle between ray and normal, without sign. Origins or
-        directions that are not finite raise ValueError; a zero direction hits nothing.
+        are without sign. What is not finite raises ValueError; a zero direction hits
+        nothing.
         """
         if not (np.isfinite(origins).all() and np.isfinite(directions).all()):
             raise ValueError("rays must be finite")
@@ -94,14 +92,13 @@ class Scene:
     ) -> Bool[np.ndarray, " N"]:
         """Whether a straight line leads from each surface point to a viewpoint.
 
-        `normals` point away from the solid; of a mesh that is wound inconsistently, or
-        not closed, they may point to either side, and `two_sided` counts a point as
-        seen if it is on one of the two. A point is lifted by `CRACK` along its
-        normal and seen if nothing stands between it and one of `NUM_VIEWPOINTS` points
-        spread around the mesh. So the walls of a crack narrower than `CRACK` are not
-        seen, and those of a wider one as far as such lines reach into it; the inside
-        of a closed hollow body is not seen at all. What shows itself to less than about
-        1 / `NUM_VIEWPOINTS` of all directions, deep in a slit, may count as unseen.
+        `normals` point away from the solid; where they may point to either side,
+        `two_sided` counts a point as seen if it is on one of the two. A point is lifted
+        by `CRACK` along its normal and seen if nothing stands between it and one of
+        `NUM_VIEWPOINTS` points spread around the mesh. So the walls of a narrower crack
+        are not seen, nor the inside of a closed hollow body; what shows itself to less
+        than about 1 / `NUM_VIEWPOINTS` of all directions, deep in a slit, may count as
+        unseen.
         """
         seen = self._seen_along(points, normals)
         if two_sided:
@@ -109,9 +106,7 @@ class Scene:
             seen[rest] = self._seen_along(points[rest], -normals[rest])
         return seen
 
-    def _seen_along(
-        self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
-    ) -> Bool[np.ndarray, " N"]:
+    def _seen_along(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Of the side that normals point to."""
         around = VIEWPOINT_DISTANCE * self.radius * VIEWPOINT_DIRECTIONS
         eyes = _single(self.center + around - self._shift)
@@ -143,9 +138,8 @@ def sample_outside(
 ) -> Float64[np.ndarray, "num_points 3"]:
     """Points uniform on the area of the mesh that is seen from outside.
 
-    Normals are taken to point outward, as in a watertight mesh, unless `two_sided`
-    (`Scene.seen_from_outside`). Of a mesh some of whose faces are `wanted`, the others
-    only stand in the way. A surface of which less than `MIN_SEEN` is seen raises
+    `two_sided` as in `Scene.seen_from_outside`. Where some faces are `wanted`, the
+    others only stand in the way. A surface of which less than `MIN_SEEN` is seen raises
     ValueError.
     """
     cumulative = np.cumsum(scene.areas if wanted is None else scene.areas * wanted)

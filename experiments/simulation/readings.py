@@ -1,12 +1,15 @@
-"""What a sensor reads of an object and of what stands around it, ray by ray.
+"""What a sensor reads of an object and of what stands around it, ray by ray, and the
+maps of what it knows (`geometry.visibility`).
 
 In the object's frame, its longest side spanning [-1, 1]; what goes wrong with a range
-is told in metres (`sensors.RangeConfig`).
+is in metres (`sensors.RangeConfig`).
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float, Float64, UInt8
 
@@ -19,8 +22,16 @@ from experiments.simulation.sensors import (
     measured_points,
 )
 from experiments.simulation.surroundings import Surroundings
+from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import camera_axes
-from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE
+from prism_jax.geometry.visibility import (
+    BACKGROUND,
+    MAP_SIZE,
+    NEARER,
+    SURFACE,
+    UNKNOWN,
+    Visibility,
+)
 
 RAYS = 160 * 160
 PIXEL = np.tan(np.radians(35.0)) / 320
@@ -83,10 +94,9 @@ class World:
 
 
 def camera_rays(scene: Scene, eye: Float[np.ndarray, "3"]) -> Rays:
-    """Of a depth camera's pixels those that the object lies on.
+    """The pixels of a depth camera that looks at the object's middle and sees it.
 
-    It looks at the middle of the object, z up. Of an object that fills more than `RAYS`
-    pixels of `PIXEL` only every second, third and so on is taken, in either direction.
+    Of more than `RAYS` of `PIXEL` only every second, third and so on is taken.
     """
     axes = camera_axes(scene.center - eye)
     in_camera = (np.asarray(scene.mesh.vertices) - eye) @ axes.T
@@ -99,10 +109,8 @@ def camera_rays(scene: Scene, eye: Float[np.ndarray, "3"]) -> Rays:
 def ring_rays(
     scene: Scene, eye: Float[np.ndarray, "3"], config: OusterConfig, pitch: float
 ) -> Rays:
-    """Of a spinning lidar's beams those that pass the object or close by.
-
-    The sensor is tilted about a level axis until the middle of the object is `pitch`
-    radians above its equator.
+    """Of a spinning lidar's beams those that pass the object or close by. It is tilted
+    about a level axis until the object's middle is `pitch` radians above its equator.
     """
     right, down, forward = camera_axes(scene.center - eye)
     ahead = np.cos(pitch) * forward + np.sin(pitch) * down
@@ -130,3 +138,37 @@ def pixel_grid(
     )
     x, y = np.meshgrid(columns, rows)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def map_rays(camera: Camera, eye: Float[np.ndarray, "3"]) -> Rays:
+    """Five through every pixel of `framing_camera`: its middle and its corners."""
+    middles = np.arange(MAP_SIZE) - 0.5 * (MAP_SIZE - 1)
+    # Just inside, or rounding decides whose corners they are.
+    x, y = 0.499 * np.array([(0, 0), (-1, -1), (1, -1), (-1, 1), (1, 1)]).T
+    shape = MAP_SIZE, MAP_SIZE, len(x)
+    columns = np.broadcast_to(middles[:, None] + x, shape)
+    rows = np.broadcast_to(middles[:, None, None] + y, shape)
+    focal = camera.intrinsics[0, 0]
+    rays = np.stack([columns, rows, np.full(shape, focal)], axis=-1) / focal
+    return Rays(eye, rays.reshape(MAP_SIZE, -1, 3) @ np.asarray(camera.rotation))
+
+
+def map_of(camera: Camera, parts: Sequence[Readings]) -> Visibility:
+    """Each pixel by what the rays through it read, in float32.
+
+    One through which some of the object was measured is `SURFACE`, at the nearest
+    depth. Of all others one of whose rays nothing is known is `UNKNOWN`, and so is one
+    without rays. What is left is what was nearest. So a thin thing is seen, and no more
+    of a pixel is called free than was seen to be.
+    """
+    state = np.concatenate([readings.state for readings in parts])
+    pixel, depth = camera.pixel_of(np.concatenate([part.points for part in parts]))
+    depth = np.where(state == UNKNOWN, 0.0, depth)
+    # The last of those that fall on a pixel stays.
+    order = np.lexsort((-depth, state == UNKNOWN, state == SURFACE))
+    order = order[pixel[order] < MAP_SIZE**2]
+    states, depths = np.zeros(MAP_SIZE**2, np.uint8), np.zeros(MAP_SIZE**2, np.float32)
+    states[pixel[order]], depths[pixel[order]] = state[order], depth[order]
+    shape = MAP_SIZE, MAP_SIZE
+    camera = jax.tree.map(lambda array: np.asarray(array, np.float32), camera)
+    return Visibility(camera, states.reshape(shape), depths.reshape(shape))

@@ -17,10 +17,8 @@ from prism_jax.io.ply import write_ply
 
 
 def write_frame(folder: str | os.PathLike, number: int, frame: Frame) -> None:
-    """Writes a frame into a sequence's folder; its camera, and so the frame, last.
-
-    A frame of that number that is there already is replaced.
-    """
+    """Writes a frame into a sequence's folder, in the place of one that is there; its
+    camera, and so the frame, last."""
     path = make_output_dir(folder) / f"{number:06d}"
     for suffix in NEEDED + OPTIONAL:
         frame_file(path, suffix).unlink(missing_ok=True)

@@ -1,8 +1,7 @@
 """What two depth sensors measure of a mesh: an Intel RealSense L515 and an Ouster OS1.
 
 Both cast one ray a pixel or beam and then spoil the exact range in the same four ways:
-mixed pixels at depth edges, noise along the ray, lost returns, quantisation. Metres,
-and degrees where a name says so. The same generator state gives the same bytes.
+mixed pixels at depth edges, noise along the ray, lost returns, quantisation. Metres.
 """
 
 import dataclasses
@@ -117,10 +116,8 @@ class OusterConfig(RangeConfig):
 
 
 class Rays(NamedTuple):
-    """A grid of rays from one place.
-
-    Directions are as long as one unit of what the sensor counts: one unit of depth
-    along the optical axis for a camera, of range for a lidar.
+    """A grid of rays from one place. Directions are as long as one unit of what the
+    sensor counts: of depth along the optical axis for a camera, of range for a lidar.
     """
 
     eye: Float64[np.ndarray, "3"]
@@ -136,11 +133,8 @@ class Returns(NamedTuple):
 
 
 def l515_camera(axes: Float[np.ndarray, "3 3"], eye: Float[np.ndarray, "3"]) -> Camera:
-    """`Camera.l515` of float64 NumPy arrays: 640x480 pixels, 70 by 55 degrees.
-
-    Rows of `axes` are the camera's right, down and forward in the world. No array
-    touches JAX, so that processes that only make data start no device.
-    """
+    """`Camera.l515` of float64 NumPy arrays: no array touches JAX, so that processes
+    that only make data start no device. Rows of `axes` are right, down and forward."""
     height, width = 480, 640
     focal_x = 0.5 * width / np.tan(np.radians(35.0))
     focal_y = 0.5 * height / np.tan(np.radians(27.5))
@@ -160,10 +154,8 @@ def l515_camera(axes: Float[np.ndarray, "3 3"], eye: Float[np.ndarray, "3"]) -> 
 
 
 def cropped_to(camera: Camera, points: Float[np.ndarray, "N 3"]) -> Camera:
-    """The part of a camera's image that holds the points: same pose, same pixels.
-
-    Points are in the world and in front of the camera; the part is one pixel at least.
-    """
+    """The part of a camera's image that holds the points, which are in front of it; one
+    pixel at least."""
     pixels = np.asarray(camera.to_camera(points)) @ np.asarray(camera.intrinsics).T
     pixels = pixels[:, :2] / pixels[:, 2:]
     size = np.array([camera.width, camera.height])
@@ -187,9 +179,8 @@ def l515_depth(
     """A depth image in counts of `config.quantum`, and the face behind each pixel.
 
     Depth is along the camera's +z and is what is quantised; noise and the limits of
-    range apply along the ray. 0 is no return, and its face is -1. The camera gives
-    pixels and pose (`Camera.l515` has the L515's 640x480 over 70x55 degrees); the scene
-    is in metres. A mixed pixel names the face that its centre sees.
+    range apply along the ray. 0 is no return, and its face is -1. A mixed pixel names
+    the face that its centre sees.
     """
     height, width, rays = camera.height, camera.width, pixel_rays(camera)
     rotation = np.asarray(camera.rotation, np.float64)
@@ -292,11 +283,8 @@ def measured_points(
 
 
 def _step_to_neighbours(hits: Hits, grid: tuple[int, int], wraps: bool) -> np.ndarray:
-    """How much farther each hit's most different neighbour of four is (or nearer).
-
-    A neighbour that hit nothing, or lies outside the grid, does not count. The columns
-    of a sensor that turns close up.
-    """
+    """How much farther each hit's most different neighbour of four is (or nearer). One
+    that hit nothing, or lies outside the grid, does not count."""
     padded = np.full((grid[0] + 2, grid[1] + 2), np.nan)
     inner = padded[1:-1, 1:-1]
     rows, columns = np.divmod(hits.ray, grid[1])

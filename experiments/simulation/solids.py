@@ -1,8 +1,7 @@
 """Solid primitives for the procedural shapes: thin wrappers of manifold3d.
 
-Frame: z up, front along +y, lengths in the shape's own arbitrary unit. Angles are
-in radians. Every function returns a closed `Manifold`; unions are left to the caller,
-so that a shape is one single boolean operation.
+z is up, angles are in radians. Every function returns closed `Manifold`s; unions are
+left to the caller, so that a shape is one single boolean operation.
 """
 
 import itertools

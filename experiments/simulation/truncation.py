@@ -95,7 +95,7 @@ def _planes(
     share: float,
     eye: np.ndarray | None = None,
     forward: np.ndarray | None = None,
-) -> Float64[np.ndarray, "K 4"]:
+) -> np.ndarray:
     """Planes that cut the points from these sides, each as much, and leave this share.
 
     Normals are the sides; where an eye looks forward, the planes pass through it and

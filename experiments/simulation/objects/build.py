@@ -14,9 +14,8 @@ import numpy as np
 
 from experiments.simulation.configs import SetConfig, shards_of
 from experiments.simulation.kinds import has_maps
-from experiments.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE
+from experiments.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE, Model
 from experiments.simulation.objects.categories import CATEGORIES, category_of
-from experiments.simulation.objects.models import Model
 from experiments.simulation.objects.survey import ALIKE, Survey, survey
 from experiments.simulation.shard_writer import build_shards
 from experiments.simulation.views import BOX, STORED, Views, examples, views_of
@@ -52,9 +51,8 @@ def build_objects(
     """Builds what is missing of a split and returns its folder.
 
     The manifest names every model with its maker, licence and the digest of its mesh,
-    and every model that is left out with the reason. The bytes do not depend on
-    `num_workers` (`building.build`). A catalogue that is not in `catalogue_dir` raises
-    InputError.
+    and every model that is left out with the reason. A catalogue that is not in
+    `catalogue_dir` raises InputError.
     """
     folder = make_output_dir(folder_of("objects", config.split, data_dir))
     found = survey([config.split], catalogue_dir, progress)
@@ -110,11 +108,7 @@ def told_counts(found: Survey) -> str:
 
 
 def model_views(config: ObjectsConfig, model: Model) -> Views:
-    """`views_of` a model.
-
-    They follow from the seed, the model's identity and its mesh: what else there is in
-    its catalogue, and in which order, changes nothing.
-    """
+    """`views_of` a model, by the seed, the model's identity and its mesh alone."""
     digest = hashlib.sha256(f"{config.seed}/{model.identity}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
     return views_of(model.load(), rng, config.num_views, config.partial, two_sided=True)

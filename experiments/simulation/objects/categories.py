@@ -20,11 +20,8 @@ CATEGORIES = (*(name for name in _WORDS if name not in NO_OBJECTS), OTHER)
 
 
 def category_of(title: str) -> str:
-    """One of `CATEGORIES` or of `NO_OBJECTS` by a model's English title.
-
-    Of all words and phrases of the table that the title holds, the longest decides, and
-    of two that are as long the first. Where there is none, it is `OTHER`.
-    """
+    """One of `CATEGORIES` or of `NO_OBJECTS` by a model's English title: that of the
+    longest known word or phrase in it, of two as long the first; else `OTHER`."""
     told = f"-{re.sub('[^a-z0-9]+', '-', title.lower())}-"
     found = [
         (len(word), category)

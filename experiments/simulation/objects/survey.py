@@ -11,9 +11,13 @@ from jaxtyping import Float64, UInt8
 from tqdm import tqdm
 
 from experiments.simulation.meshes import normalised
-from experiments.simulation.objects.catalogues import CATALOGUES, FOLDER, read_installed
+from experiments.simulation.objects.catalogues import (
+    CATALOGUES,
+    FOLDER,
+    Model,
+    read_installed,
+)
 from experiments.simulation.objects.categories import NO_OBJECTS, category_of
-from experiments.simulation.objects.models import Model
 from prism_jax.io.errors import InputError
 
 MIN_TRIANGLES = 12

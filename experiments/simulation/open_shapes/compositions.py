@@ -11,6 +11,7 @@ from experiments.simulation.open_shapes.attachments import (
     largest_piece,
     mirrored,
     set_onto,
+    stand,
     symmetry,
 )
 from experiments.simulation.open_shapes.primitives import (
@@ -20,7 +21,6 @@ from experiments.simulation.open_shapes.primitives import (
     primitive,
     prism_of_outline,
 )
-from experiments.simulation.open_shapes.stands import stand
 from experiments.simulation.open_shapes.structures import grid, structure
 from experiments.simulation.solids import place, union
 

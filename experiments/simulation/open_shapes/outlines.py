@@ -1,8 +1,8 @@
 """Random lines that solids are made from: closed outlines to extrude, profiles to turn
 about an axis, and smooth paths to sweep along.
 
-Every function draws one line from a NumPy generator. Outlines are simple polygons,
-counter-clockwise, and span the square of side 1 about the origin.
+Outlines are simple polygons, counter-clockwise, that span the square of side 1 about
+the origin.
 """
 
 import numpy as np

@@ -10,11 +10,14 @@ from manifold3d import CrossSection, Manifold
 from experiments.simulation.open_shapes.attachments import touched
 from experiments.simulation.open_shapes.frames import (
     frame,
+    hollow_prism,
     lattice,
+    linkage,
     polygon_frame,
     thickness,
+    tub,
+    vase,
 )
-from experiments.simulation.open_shapes.linkages import linkage
 from experiments.simulation.open_shapes.outlines import circle, path
 from experiments.simulation.open_shapes.primitives import (
     Make,
@@ -29,7 +32,6 @@ from experiments.simulation.open_shapes.primitives import (
     pill,
     pipe_along,
 )
-from experiments.simulation.open_shapes.shells import hollow_prism, tub, vase
 from experiments.simulation.solids import ring_of, rod, union
 
 

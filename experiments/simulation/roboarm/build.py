@@ -44,8 +44,7 @@ def build_roboarm(
 ) -> pathlib.Path:
     """Builds what is missing of a split's recordings and returns their folder.
 
-    Sequence i has arm `i % len(arms)`, by default of the split's own. The bytes depend
-    neither on `num_workers` nor on interruptions (`building.build`).
+    Sequence i has arm `i % len(arms)`, by default of the split's own.
     """
     choose("split", split, SPLITS)
     arms = tuple(arms_of(split) if arms is None else arms)

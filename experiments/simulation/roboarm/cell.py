@@ -1,9 +1,8 @@
 """The layout of a robot cell, drawn around a trajectory that it must not touch.
 
 World frame: metres, z up, floor at z = 0; the robot stands on the z axis, its base at
-`base_height`. The robot is bolted on a table or on a pedestal behind a lower table;
-fixtures stand on the table; a camera looks at the whole; boxes and fences stand where
-they hide parts of the robot from it.
+`base_height`, on a table or on a pedestal behind a lower table. Boxes and fences stand
+where they hide parts of the robot from the camera.
 """
 
 import dataclasses
@@ -38,10 +37,7 @@ _TRIES = 40
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """What stands still in a sequence.
-
-    `lower` and `upper` bound the workspace: robot and fixtures, with some margin.
-    """
+    """What stands still in a sequence; `lower` and `upper` bound robot and fixtures."""
 
     base_height: float
     support: trimesh.Trimesh
@@ -61,10 +57,8 @@ class Cell:
 def make_cell(
     robot: Robot, positions: Float[np.ndarray, "T J"], rng: Rng, camera: Camera
 ) -> Cell:
-    """A cell for a robot that takes these joint positions.
-
-    `camera` gives the image size and field of view (`Camera.l515`), not the pose.
-    """
+    """A cell for a robot that takes these joint positions; `camera` gives the image
+    size and field of view, not the pose."""
     sweep = robot.probe_points(positions)
     reach = np.quantile(np.linalg.norm(sweep, axis=-1), 0.99)
     reach = float(np.clip(reach, 0.3, 1.2))
@@ -91,10 +85,8 @@ def make_cell(
 
 
 def _support(reach: float, rng: Rng):
-    """Table or pedestal and table, the base's height, and the table's corners.
-
-    The table is the first solid.
-    """
+    """Solids of table or pedestal and table, the table first; the base's height; and
+    the table's corners."""
     height = rng.uniform(0.55, 0.85)
     half = reach * np.array([rng.uniform(0.35, 0.5), rng.uniform(0.4, 0.6)])
     half = np.maximum(half, 0.3)

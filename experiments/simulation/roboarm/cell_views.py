@@ -3,17 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, UInt8, UInt16
+from jaxtyping import Float32, UInt8, UInt16
 
 from experiments.simulation.raycast import Scene, sample_outside
-from experiments.simulation.readings import Readings
+from experiments.simulation.readings import Readings, map_of
 from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.roboarm.sequences import flying_pixels
 from experiments.simulation.roboarm.workcells import Workcell, scene_of
 from experiments.simulation.sensors import L515Config, l515_depth, pixel_rays
 from experiments.simulation.truncation import NO_CUT, random_cut
 from experiments.simulation.views import PARTIAL_POINTS, SURFACE_POINTS
-from experiments.simulation.visibility import map_of
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.geometry.camera import Camera
@@ -109,14 +108,14 @@ def make_cell_view(
 
 
 def _hit_share(
-    scene: Scene, wanted_faces: int, eye: np.ndarray, rays: Float64[np.ndarray, "P 3"]
+    scene: Scene, wanted_faces: int, eye: np.ndarray, rays: np.ndarray
 ) -> float:
     """Of the rays, estimated by a few, those that hit one of the first faces."""
     few = rays[:: max(1, len(rays) // FEW)]
     return float(np.count_nonzero(scene.cast(eye, few).faces < wanted_faces) / len(few))
 
 
-def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
+def _glossy_faces(cell: Workcell, sizes: list[int]) -> np.ndarray:
     shiny, links = np.zeros(sum(sizes), bool), cell.arm.robot.faces_link
     shiny[: len(links)] = cell.glossy[links]
     shiny[len(links) : sizes[0]] = cell.glossy[-2]
@@ -125,11 +124,8 @@ def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
 
 
 def _measured(
-    depth: Float64[np.ndarray, " P"],
-    labels: UInt8[np.ndarray, "H W"],
-    rays: Float64[np.ndarray, "P 3"],
-    cell: Workcell,
-) -> Bool[np.ndarray, " P"]:
+    depth: np.ndarray, labels: np.ndarray, rays: np.ndarray, cell: Workcell
+) -> np.ndarray:
     """Pixels that measured robot or fixtures within the workspace, without those that
     lie between two surfaces."""
     wanted = np.isin(labels, (LABELS["robot"], LABELS["fixture"])).reshape(-1)
@@ -143,17 +139,14 @@ def _measured(
 
 
 def _readings(
-    depth: Float64[np.ndarray, " R"],
-    measured: Bool[np.ndarray, " R"],
-    labels: UInt8[np.ndarray, " R"],
-    rays: Float64[np.ndarray, "R 3"],
+    depth: np.ndarray,
+    measured: np.ndarray,
+    labels: np.ndarray,
+    rays: np.ndarray,
     cell: Workcell,
 ) -> Readings:
-    """What some pixels know.
-
-    What is neither robot nor fixture hides what is behind it where the workspace, the
-    box of robot and fixtures, goes on there, and is background where it does not.
-    """
+    """What some pixels know. Neither robot nor fixture hides what is behind it where
+    the workspace goes on there, and is background where it does not."""
     eye = np.asarray(cell.camera.position)
     lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
     lower[2] = cell.lower[2] + FLOOR_MARGIN
@@ -165,9 +158,7 @@ def _readings(
     return Readings(state, eye + np.where(depth > 0, depth, 1.0)[:, None] * rays, 0.0)
 
 
-def _thinned(
-    shape: tuple[int, int], camera: Camera, around: Camera
-) -> Int[np.ndarray, " R"]:
+def _thinned(shape: tuple[int, int], camera: Camera, around: Camera) -> np.ndarray:
     """Evenly spaced pixels of an image, about `RAYS_A_PIXEL` for each pixel of a map
     that sees more closely."""
     ratio = camera.intrinsics[0, 0] / around.intrinsics[0, 0]
@@ -177,7 +168,7 @@ def _thinned(
 
 def _complete(
     scene: Scene, wanted_faces: int, num_points: int, rng: np.random.Generator
-) -> Float64[np.ndarray, "M 3"]:
+) -> np.ndarray:
     """Robot and fixtures, which are the first faces, as far as they are seen from
     outside."""
     wanted = np.arange(len(scene.areas)) < wanted_faces

@@ -55,8 +55,8 @@ def build_cells(
 ) -> pathlib.Path:
     """Builds what is missing of a split and returns its folder.
 
-    The arms are by default the split's own; one whose files are not installed raises
-    InputError. The bytes do not depend on `num_workers` (`building.build`).
+    The arms are by default the split's own; one that is not installed raises
+    InputError.
     """
     arms = tuple(CELL_ARMS[config.split] if arms is None else arms)
     for model in arms:
@@ -81,10 +81,8 @@ def build_cells(
 def cell_views(
     config: CellsConfig, index: int, arms: Sequence[ArmModel] | None = None
 ) -> tuple[Workcell, list[CellView]]:
-    """A cell and its frames: a pure function of the arguments.
-
-    A draw of which too little is seen is drawn again.
-    """
+    """A cell and its frames: a pure function of the arguments. A draw of which too
+    little is seen is drawn again."""
     arms = CELL_ARMS[config.split] if arms is None else arms
     model = arms[index % len(arms)]
     split = list(config.SIZES).index(config.split)

@@ -1,7 +1,4 @@
-"""Boxes, screens and fences that hide parts of a robot from a camera.
-
-World frame of `cell`: metres, z up, floor at z = 0, the robot on the z axis.
-"""
+"""Boxes, screens and fences that hide parts of a robot of `cell` from a camera."""
 
 from collections.abc import Sequence
 
@@ -67,11 +64,9 @@ def draw_clutter(
     eye: Float64[np.ndarray, "3"],
     rng: Rng,
 ) -> list[Manifold]:
-    """Clutter between a camera and the robot's weighted points, frame by frame.
-
-    The first of many draws that hides as much as it should, else the one that comes
-    closest; it may be empty where nothing finds room.
-    """
+    """Clutter between a camera and the robot's weighted points, frame by frame: the
+    first of many draws that hides as much as it should, else the one that comes
+    closest."""
     best, least = [], np.inf
     for _ in range(_TRIES):
         solids, shares = _draw(bench, eye, rng), np.zeros(1)

@@ -15,12 +15,12 @@ from experiments.simulation.roboarm.furnishings import (
     FIXTURES,
     fence,
     fixture,
+    random_person,
     to_mesh,
     together,
     upright,
 )
 from experiments.simulation.roboarm.mounts import Mount
-from experiments.simulation.roboarm.people import random_person
 from experiments.simulation.sensors import l515_camera
 from experiments.simulation.solids import box
 from prism_jax.geometry.camera import Camera

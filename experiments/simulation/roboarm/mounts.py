@@ -48,8 +48,8 @@ def random_mount(
 ) -> Mount:
     """A mount for an arm of this reach.
 
-    `foot` is the lower and the upper corner (x, y) of its first link, around the
-    origin; where that has a `spacer` below it, a post takes its place.
+    `foot` is the lower and the upper corner (x, y) of its first link; a `spacer` below
+    it becomes a post.
     """
     size = "small" if reach < SMALL else "medium" if reach < LARGE else "large"
     kind = str(rng.choice(MOUNTS, p=SHARES[size]))
@@ -82,7 +82,7 @@ def random_mount(
     return mount
 
 
-def _still(height: float, num_frames: int) -> Float64[np.ndarray, "T 3"]:
+def _still(height: float, num_frames: int) -> np.ndarray:
     return np.tile([0.0, 0.0, height], (num_frames, 1))
 
 

@@ -35,9 +35,8 @@ def random_trajectory(
 ) -> Float64[np.ndarray, "T J"]:
     """Joint positions of `num_frames` frames, evenly spaced in time.
 
-    Way-points are uniform within the limits. A leg that would meet the ground or the
-    arm itself is shortened until it does not. A robot that is free in none of many
-    random poses raises ValueError, as do fewer than two way-points.
+    Way-points are uniform within the limits; a leg that would meet the ground or the
+    arm itself is shortened. A robot that is never free raises InputError.
     """
     if num_waypoints < 2:
         raise ValueError("a trajectory needs two way-points or more")
@@ -56,8 +55,8 @@ def random_trajectory(
 
 
 class Clearance:
-    """Tells which poses keep a robot clear of the ground (z = 0 of its frame, which the
-    root alone may touch) and of itself.
+    """Which poses keep a robot clear of itself and of the ground (z = 0 of its frame,
+    which the root alone may touch).
 
     Bodies may touch where one joint, or two in a row, connect them, and where they do
     in most poses: a short wrist's hand and forearm.
@@ -101,7 +100,7 @@ def _unconnected_pairs(robot: Robot) -> list[tuple[int, int]]:
 
 def _random_free_pose(
     robot: Robot, clearance: Clearance, rng: np.random.Generator
-) -> Float64[np.ndarray, " J"]:
+) -> np.ndarray:
     for _ in range(_MAX_DRAWS // _DRAWS):
         drawn = rng.uniform(robot.lower, robot.upper, (_DRAWS, len(robot.lower)))
         free = clearance.is_free(drawn)
@@ -113,10 +112,8 @@ def _random_free_pose(
 
 
 def _reachable(
-    clearance: Clearance,
-    start: Float[np.ndarray, " J"],
-    target: Float[np.ndarray, " J"],
-) -> Float64[np.ndarray, " J"]:
+    clearance: Clearance, start: np.ndarray, target: np.ndarray
+) -> np.ndarray:
     """The farthest way-point towards the target with a free leg; at worst the start."""
     steps = np.linspace(0, 1, CHECKS)
     for share in (1.0, 0.8, 0.6, 0.4, 0.2, 0.1):

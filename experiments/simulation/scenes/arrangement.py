@@ -55,11 +55,8 @@ class Room(NamedTuple):
 def arranged(
     meshes: Sequence[trimesh.Trimesh], support: str, rng: Rng
 ) -> list[trimesh.Trimesh]:
-    """The meshes scaled to some of `SIZES` and set down on z = 0, one beside another.
-
-    Each is turned about the vertical, half of them by quarters. Seen from above, their
-    convex hulls are apart. The given meshes stay as they are.
-    """
+    """The meshes scaled to some of `SIZES` and set down on z = 0, one beside another,
+    so that their convex hulls are apart seen from above."""
     placed: list[trimesh.Trimesh] = []
     hulls: list[np.ndarray] = []
     for mesh in meshes:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int
+from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from experiments.simulation.building import build
@@ -110,8 +110,7 @@ def build_scenes(
 ) -> pathlib.Path:
     """Builds what is missing of a split and returns its folder.
 
-    The bytes do not depend on `num_workers` (`building.build`). A catalogue of models
-    that is asked for and not in `catalogue_dir` raises InputError.
+    A catalogue of models that is asked for and not there raises InputError.
     """
     folder = make_output_dir(folder_of("scenes", config.split, data_dir))
     pools = pools_of(config.split, config.sources, catalogue_dir, progress)
@@ -138,11 +137,9 @@ def build_scenes(
 
 
 def make_scene(config: ScenesConfig, pools: Pools, index: int) -> MadeScene:
-    """A pure function of the seed, the split, the sources and the index.
-
-    Things that the sensor sees less of than `MIN_RETURNS` are taken away, and a scene
-    with fewer than two left is drawn anew.
-    """
+    """A pure function of the seed, the split, the sources and the index. Things of
+    fewer returns than `MIN_RETURNS` are taken away; with fewer than two it is drawn
+    anew."""
     split = list(config.SIZES).index(config.split)
     rng = category_rng("scenes", config.seed, split, index)
     for _ in range(MAX_DRAWS):
@@ -189,16 +186,14 @@ def _drawn(pools: Pools, rng: np.random.Generator) -> MadeScene | None:
     )
 
 
-def _world(
-    things: list[Thing], parts: tuple[Part, ...]
-) -> tuple[Scene, Int[np.ndarray, " F"]]:
+def _world(things: list[Thing], parts: tuple[Part, ...]) -> tuple[Scene, np.ndarray]:
     """All meshes as one, and the label of each of its faces."""
     meshes = [thing.mesh for thing in things] + [part.mesh for part in parts]
     labels = [*range(len(things)), *(part.label for part in parts)]
     return Scene(together(meshes)), np.repeat(labels, [len(m.faces) for m in meshes])
 
 
-def _complete(thing: Thing, rng: np.random.Generator) -> Float64[np.ndarray, "16384 3"]:
+def _complete(thing: Thing, rng: np.random.Generator) -> np.ndarray:
     surface = sample_outside(Scene(thing.mesh), SURFACE_POINTS, rng, thing.two_sided)
     return farthest_point_order(surface, SURFACE_POINTS)
 
@@ -258,8 +253,6 @@ def _build_shard(
     write_shard(folder, number, map(examples, scenes))
 
 
-def _frame(
-    scene: LabelledScene, box: Float32[np.ndarray, "4"]
-) -> Float64[np.ndarray, "17"]:
+def _frame(scene: LabelledScene, box: np.ndarray) -> np.ndarray:
     pose = scene.eye, scene.rotation.ravel()
     return np.concatenate([box, *pose, [len(scene.points)]]).astype(np.float64)

@@ -110,10 +110,8 @@ def measured(
     sensor: Sensor,
     rng: np.random.Generator,
 ) -> Measured:
-    """What the sensor measures of a scene whose faces have these labels.
-
-    A point that flies beside an edge belongs to nothing.
-    """
+    """What the sensor measures of a scene whose faces have these labels. A point that
+    flies beside an edge belongs to nothing."""
     rays, config = sensor.rays, sensor.config
     grid = rays.directions.shape[0], rays.directions.shape[1]
     directions = rays.directions.reshape(-1, 3)

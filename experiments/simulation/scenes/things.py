@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from experiments.simulation.objects.catalogues import FOLDER
+from experiments.simulation.objects.catalogues import FOLDER, Model
 from experiments.simulation.objects.categories import category_of
-from experiments.simulation.objects.models import Model
 from experiments.simulation.objects.survey import survey
 from experiments.simulation.open_shapes import CATEGORY, make_open_shape
 from experiments.simulation.open_shapes.build import OpenConfig
@@ -72,11 +71,8 @@ def pools_of(
     catalogue_dir: str | os.PathLike = FOLDER,
     progress: bool = True,
 ) -> Pools:
-    """What can stand in scenes of a split.
-
-    They are the very shapes and models that the sets of that name and split have, with
-    the seed 0. A catalogue that is not installed raises InputError.
-    """
+    """What can stand in scenes of a split: the very shapes and models that the sets of
+    that name and split have, with the seed 0."""
     check_sources(sources, split)
     pools: list[Pool] = []
     categories, digests = set(), {}

@@ -97,10 +97,7 @@ def category_rng(category: str, *seed: int) -> np.random.Generator:
 
 
 def make_shape(category: str, seed: int) -> trimesh.Trimesh:
-    """A watertight mesh, a pure function of the category and a non-negative seed.
-
-    An unknown category or a negative seed raises ValueError.
-    """
+    """A watertight mesh, a pure function of the category and a non-negative seed."""
     if category not in _BUILDERS:
         known = ", ".join(CATEGORIES)
         raise ValueError(f"unknown category {category!r}: choose one of {known}")

@@ -67,10 +67,7 @@ def build_shapes(
     num_workers: int | None = None,
     progress: bool = True,
 ) -> pathlib.Path:
-    """Builds what is missing of a split and returns its folder.
-
-    The bytes do not depend on `num_workers` (`building.build`).
-    """
+    """Builds what is missing of a split and returns its folder."""
     kind = ("shapes", "shapes", SHAPES_VERSION, config.categories)
     return build_procedural(kind, config, _views, data_dir, num_workers, progress)
 

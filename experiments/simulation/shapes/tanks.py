@@ -4,8 +4,13 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.shapes.drives import motor
-from experiments.simulation.shapes.fittings import around, manhole, nozzle, rungs
-from experiments.simulation.shapes.hoppers import hopper
+from experiments.simulation.shapes.tank_parts import (
+    around,
+    hopper,
+    manhole,
+    nozzle,
+    rungs,
+)
 from experiments.simulation.shapes.valves import flange
 from experiments.simulation.solids import (
     assembled,

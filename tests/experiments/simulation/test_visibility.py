@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.simulation.readings import Readings
-from experiments.simulation.visibility import map_of, map_rays
+from experiments.simulation.readings import Readings, map_of, map_rays
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (

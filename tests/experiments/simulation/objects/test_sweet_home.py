@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.objects import sweet_home
-from experiments.simulation.objects.sweet_home import read_catalogue
+from experiments.simulation.objects import catalogues
+from experiments.simulation.objects.catalogues import read_catalogue
 from prism_jax.io.errors import InputError
 from tests.experiments.simulation.objects.conftest import entry, knobbed
 
@@ -108,6 +108,6 @@ def test_a_mesh_that_is_missing_or_damaged_is_refused_when_it_is_loaded(read):
 
 def test_a_mesh_that_claims_too_much_is_not_read(read, monkeypatch):
     model = read(entry("fridge", knobbed(), "Fridge"))
-    monkeypatch.setattr(sweet_home, "MAX_MODEL_BYTES", 100)
+    monkeypatch.setattr(catalogues, "MAX_MODEL_BYTES", 100)
     with pytest.raises(InputError, match=r"fridge\.obj: claims .* 1 to 100"):
         model.load()

@@ -4,12 +4,14 @@ import pytest
 from experiments.simulation.open_shapes.attachments import (
     cut_out,
     is_mirrored,
+    legs,
     mirrored,
+    pedestal,
+    plinth,
     set_onto,
     symmetry,
     touched,
 )
-from experiments.simulation.open_shapes.stands import legs, pedestal, plinth
 from experiments.simulation.solids import ball, box, rod, torus, union
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -3,8 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments.simulation.roboarm.hoses import random_hoses
-from experiments.simulation.roboarm.tooling import random_tool
+from experiments.simulation.roboarm.tooling import random_hoses, random_tool
 from experiments.simulation.roboarm.workcells import arm_of
 
 

@@ -10,7 +10,6 @@ import yourdfpy
 from experiments.simulation.roboarm.models import (
     ARMS,
     CELL_ARMS,
-    INDUSTRIAL_PACKAGE,
     ArmModel,
     urdf_path,
 )
@@ -31,7 +30,7 @@ INDUSTRIAL = [
     )
     for arms in CELL_ARMS.values()
     for model in arms
-    if model.package == INDUSTRIAL_PACKAGE
+    if model.package == "rtb-data"
 ]
 OTHERS = [
     pytest.param(model, id=model.name) for arms in ARMS.values() for model in arms

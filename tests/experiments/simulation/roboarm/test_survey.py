@@ -5,7 +5,7 @@ import trimesh
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.furnishings import together
-from experiments.simulation.roboarm.survey import SURVEY, TURNS, survey
+from experiments.simulation.roboarm.sequences import SURVEY, TURNS, survey
 from experiments.simulation.sensors import OusterConfig
 
 EXACT = dataclasses.replace(SURVEY.exact(), beams=48, columns=384)

@@ -113,7 +113,11 @@ def test_arrays_are_mapped_not_read(train):
 
 
 def test_shape_seeds_of_splits_and_corpora_are_disjoint():
-    configs = [ShapesConfig(split, seed=seed) for split in ShapesConfig.SIZES for seed in range(3)]
+    configs = [
+        ShapesConfig(split, seed=seed)
+        for split in ShapesConfig.SIZES
+        for seed in range(3)
+    ]
     indices = (*range(500), 23999, 2**32 - 1)
     seeds = [shape_seed(config, index) for config in configs for index in indices]
     assert len(set(seeds)) == len(seeds)
