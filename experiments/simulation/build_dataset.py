@@ -95,8 +95,7 @@ _BUILDERS: Mapping[str, tuple[Callable[..., pathlib.Path], tuple[str, ...]]] = {
     "scenes": (_scenes, ("num_scenes", "sources", "seed", "catalogue_dir")),
     "meshes": (_meshes, ("mesh_dir",)),
 }
-BUILDERS = tuple(_BUILDERS)
-"""Names of what can be built."""
+BUILDERS = tuple(_BUILDERS)  # names of what can be built
 
 
 def settings_of(name: str) -> tuple[str, ...]:

@@ -1,22 +1,18 @@
-"""Pictures of meshes and clouds, and sheets of labelled rows of them."""
+"""Pictures of clouds, and sheets of labelled rows of pictures."""
 
 import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from experiments.simulation.raycast import Scene
 from prism_jax.geometry.camera import Camera
 from prism_jax.observation.scene import LEFT_OVER, SUPPORT
 
 Color = tuple[float, float, float]
-STEEL: Color = (0.55, 0.66, 0.8)
 GREYS: dict[int, Color] = {SUPPORT: (0.8, 0.8, 0.8), LEFT_OVER: (0.35, 0.35, 0.35)}
-TOWARD_VIEWER, TOWARD_LIGHT = np.array([3.2, 4.0, 2.5]), np.array([0.4, 0.3, 0.85])
 
 
 class Row(NamedTuple):
@@ -24,29 +20,6 @@ class Row(NamedTuple):
 
     label: str
     pictures: Sequence[UInt8[np.ndarray, "S S 3"]]
-
-
-def draw(
-    mesh: trimesh.Trimesh, size: int, color: Color = STEEL
-) -> UInt8[np.ndarray, "S S 3"]:
-    """A mesh on white, shaded, with the shadows of one light: z is up."""
-    scene = Scene(mesh)
-    corners = ((mesh.vertices - scene.center) / scene.radius).astype(np.float32)
-    scene = Scene(trimesh.Trimesh(corners, mesh.faces, process=False))
-    camera = Camera.framing(corners, TOWARD_VIEWER, 1.1, size, size)
-    rows, columns = np.indices((size, size))
-    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
-    rays = np.asarray(np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation)
-    hits = scene.cast(np.asarray(camera.position), rays)
-    normals = scene.normals[hits.faces]
-    normals[np.sum(normals * rays[hits.ray], axis=1) > 0] *= -1
-    lit = np.clip(normals @ TOWARD_LIGHT, 0, None)
-    toward = np.tile(TOWARD_LIGHT, (len(normals), 1))
-    lit[scene.cast(hits.points + 1e-3 * normals, toward).ray] = 0
-    picture = np.ones((len(rays), 3))
-    light = 0.35 + 0.25 * hits.cosines + 0.4 * lit
-    picture[hits.ray] = light[:, None] * np.array(color)
-    return to_bytes(picture.reshape(size, size, 3))
 
 
 def draw_clouds(

@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Float64
 
 from experiments.simulation.partials import PARTIALS, make_partial
@@ -51,8 +50,7 @@ MIXTURE: Mapping[str, float] = {
 }
 """How often "mixed" draws each kind."""
 
-KINDS = (*PARTIALS, *MIXTURE, "mixed")
-"""What a data set can be asked for."""
+KINDS = (*PARTIALS, *MIXTURE, "mixed")  # what a data set can be asked for
 
 
 def has_maps(kind: str) -> bool:
@@ -60,8 +58,7 @@ def has_maps(kind: str) -> bool:
     return kind not in PARTIALS
 
 
-EVERY = 4
-"""One ray in so many, each way, tells whether an occluder stands in the way."""
+EVERY = 4  # one ray in so many, each way, tells whether an occluder stands in the way
 
 
 class View(NamedTuple):
@@ -85,21 +82,18 @@ def make_view(
     complete: Float[np.ndarray, "M 3"],
     rng: np.random.Generator,
     num_points: int,
-    other: trimesh.Trimesh | None = None,
 ) -> View:
     """One view of a kind that is not "mixed"; scene and cloud as for `make_partial`.
 
-    `other` is a mesh of any size, copies of which may stand in the way; the object's
-    own where it is None. A view that came to nothing, being out of range or hidden too
-    much or too little, has no points. An unknown kind raises ValueError.
+    A view that came to nothing, being out of range or hidden too much or too little,
+    has no points. An unknown kind raises ValueError.
     """
     if kind in PARTIALS:
         return View(*make_partial(kind, scene, complete, rng, num_points), kind)
     if kind not in MIXTURE:
         known = (*PARTIALS, *MIXTURE)
         raise ValueError(f"unknown kind {kind!r}: choose one of {known}")
-    other = scene.mesh if other is None else other
-    sensed = _sensed(kind.split("+"), scene, other, rng)
+    sensed = _sensed(kind.split("+"), scene, rng)
     if sensed is None:
         return View(np.zeros((0, 3)), np.zeros(3), kind)
     points, eye, visibility = sensed
@@ -109,12 +103,11 @@ def make_view(
 def _sensed(
     traits: Sequence[str],
     scene: Scene,
-    other: trimesh.Trimesh,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, Visibility] | None:
     """Points, eye and map of a view that has these traits."""
     sensor = _random_sensor(traits, scene, rng)
-    world = _random_world(traits, scene, sensor, other, rng)
+    world = _random_world(traits, scene, sensor, rng)
     if world is None:
         return None
     found = [
@@ -152,7 +145,6 @@ def _random_world(
     traits: Sequence[str],
     scene: Scene,
     sensor: Sensor,
-    other: trimesh.Trimesh,
     rng: np.random.Generator,
 ) -> World | None:
     """None where nothing was found to stand in the way of the first eye."""
@@ -160,7 +152,7 @@ def _random_world(
     if "occluded" in traits:
         eye, directions = camera_rays(scene, sensor.eyes[0])
         few = directions[::EVERY, ::EVERY].reshape(-1, 3)
-        occluder = random_occluder(eye, scene.cast(eye, few).points, rng, other)
+        occluder = random_occluder(eye, scene.cast(eye, few).points, rng, scene.mesh)
         if occluder is None:
             return None
         around = around._replace(occluders=occluder)

@@ -14,8 +14,7 @@ from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
 
-SHARD_EXAMPLES = 100
-"""A shard is full once it has as many."""
+SHARD_EXAMPLES = 100  # a shard is full once it has as many
 
 _Group = tuple[str, list[int]]
 """A source's name, and the rows in it that show one object."""

@@ -18,8 +18,7 @@ from prism_jax.data.source import Example
 from prism_jax.geometry.visibility import nothing_known
 from prism_jax.io.atomic import write_bytes
 
-STEPS = 2**16 - 1
-"""Of a box's longest side: what a coordinate is rounded to."""
+STEPS = 2**16 - 1  # of a box's longest side: what a coordinate is rounded to
 
 Box = Float32[np.ndarray, "4"]
 MakeObject = Callable[[int], Iterable[Example]]

@@ -12,8 +12,7 @@ import trimesh
 from jaxtyping import Float
 from manifold3d import CrossSection, Manifold, Mesh64, OpType, triangulate
 
-SPLINTER = 1e-7
-"""Volume below which a separate piece is an artefact of touching faces."""
+SPLINTER = 1e-7  # volume below which a separate piece is an artefact of touching faces
 
 Vector = Sequence[float | int] | np.ndarray
 

@@ -22,18 +22,14 @@ BEAMS: Mapping[int, tuple[float, float]] = {
 }
 """Beams of spinning lidars and the degrees they span, as the data sheets of Velodyne's
 VLP-16, HDL-32E and HDL-64E and of Ouster's OS1 have it. Evenly spaced here."""
-COLUMNS = (1024, 2048)
-"""Of a turn."""
+COLUMNS = (1024, 2048)  # of a turn
 
-ELEVATIONS = (-15.0, 75.0)
-"""Degrees of a sensor above the object's middle."""
+ELEVATIONS = (-15.0, 75.0)  # degrees of a sensor above the object's middle
 CLEARANCE = 1.4
 """No sensor is closer to the object's middle, in radii of its bounding sphere."""
-FARTHEST = 7.0
-"""Nor is a camera farther away, in units of the object."""
+FARTHEST = 7.0  # nor is a camera farther away, in units of the object
 
-CAMERA_METRES, LIDAR_METRES = (0.3, 8.0), (2.0, 20.0)
-"""From sensor to object."""
+CAMERA_METRES, LIDAR_METRES = (0.3, 8.0), (2.0, 20.0)  # from sensor to object
 CAMERA_SIDES, LIDAR_SIDES = (0.2, 3.0), (0.5, 5.0)
 """The object's longest side in metres, where the sensor has noise."""
 

@@ -20,8 +20,7 @@ from experiments.simulation.objects.catalogues import (
 from experiments.simulation.objects.categories import NO_OBJECTS, category_of
 from prism_jax.io.errors import InputError
 
-MIN_TRIANGLES = 12
-"""As many as a box has."""
+MIN_TRIANGLES = 12  # as many as a box has
 MIN_THICKNESS = 0.01
 """Of the thinnest side, in longest ones: less is a picture or a rug."""
 MIN_SLAB = 0.1
@@ -31,11 +30,9 @@ MAX_OVERLAP = 0.8
 side of theirs differs by `MAX_SIDES` or more, they look alike."""
 MAX_SIDES = 0.05
 ALIKE = "looks like"
-CELLS = 24
-"""Along each side of a model's box."""
+CELLS = 24  # along each side of a model's box
 SAMPLES = 20_000
-ROUNDING = 200
-"""Steps of a unit to which corners are rounded for a mesh's digest."""
+ROUNDING = 200  # steps of a unit to which corners are rounded for a mesh's digest
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,8 +15,7 @@ from experiments.simulation.open_shapes.compositions import composition
 from experiments.simulation.shapes import category_rng
 from experiments.simulation.solids import as_mesh, on_floor
 
-CATEGORY = "open"
-"""Of all of them."""
+CATEGORY = "open"  # of all of them
 
 
 def make_open_shape(seed: int) -> trimesh.Trimesh:

@@ -23,8 +23,7 @@ from experiments.simulation.solids import (
 )
 
 Point = Float64[np.ndarray, "3"]
-Symmetry = tuple[np.ndarray, ...]
-"""3x3 matrices about the origin, the identity first."""
+Symmetry = tuple[np.ndarray, ...]  # 3x3 matrices about the origin, the identity first
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 FACES = np.concatenate([np.eye(3), -np.eye(3)])

@@ -30,8 +30,7 @@ KINDS = ("robot", "fixture", "clutter", "clutter", "clutter", "person")
 """Labels of `PARTS`."""
 OPEN_PARTS = ("robot", "fixture", "support", "room")
 """What stands there when the truth is surveyed: no clutter, nobody."""
-FEW = 4000
-"""Rays by which shares of an image are estimated."""
+FEW = 4000  # rays by which shares of an image are estimated
 MIN_POINTS, MIN_IMAGE, MIN_SHARE = 64, 0.003, 0.05
 """A frame shows at least so many points of robot and fixtures, on so much of the image,
 and so much of what the camera would see of them if nothing were in the way."""

@@ -15,12 +15,9 @@ Rng = np.random.Generator
 
 HIDDEN_SHARE = (0.2, 0.5)
 """Of the robot's surface, over a sequence, that clutter is to hide from the camera."""
-HIDDEN_IN_A_FRAME = (0.08, 0.65)
-"""Of the same, in every single frame."""
-GAP = 0.05
-"""Metres that everything keeps from the robot's sampled points."""
-ROOM = 0.3
-"""Metres that everything keeps from the camera."""
+HIDDEN_IN_A_FRAME = (0.08, 0.65)  # of the same, in every single frame
+GAP = 0.05  # metres that everything keeps from the robot's sampled points
+ROOM = 0.3  # metres that everything keeps from the camera
 _TRIES = 120
 
 

@@ -27,17 +27,13 @@ from prism_jax.geometry.camera import Camera
 
 Rng = np.random.Generator
 
-PERSON_SHARES = (0.45, 0.35, 0.2)
-"""How often nobody, one and two stand in a cell."""
+PERSON_SHARES = (0.45, 0.35, 0.2)  # how often nobody, one and two stand in a cell
 HIDDEN = 0.7
 """Of the arm's surface, what clutter and people hide at most from the camera."""
-DISTANCES = (0.6, 1.25)
-"""From camera to middle, in units of what shows the whole."""
+DISTANCES = (0.6, 1.25)  # from camera to middle, in units of what shows the whole
 NEAREST, FARTHEST = 0.6, 7.5
-ROOM = 7.0
-"""Half of the floor's side."""
-Top = tuple[np.ndarray, np.ndarray, float]
-"""Corners (x, y) and height of a table."""
+ROOM = 7.0  # half of the floor's side
+Top = tuple[np.ndarray, np.ndarray, float]  # corners (x, y) and height of a table
 _TRIES = 30
 _HALF_FIELD = np.radians(27.5)
 

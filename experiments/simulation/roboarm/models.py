@@ -13,8 +13,7 @@ import tomllib
 from prism_jax.io.errors import InputError, choose
 from prism_jax.robots.packages import robots_folder
 
-OWN = "own"
-"""The family of the user's arms."""
+OWN = "own"  # the family of the user's arms
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,8 +15,7 @@ from prism_jax.io.streams.mcap_output import (
     joints_message,
 )
 
-START = 1_700_000_000_000_000_000
-"""Nanoseconds of the first frame: some day in 2023."""
+START = 1_700_000_000_000_000_000  # nanoseconds of the first frame: some day in 2023
 
 DEPTH_TOPIC = "/camera/depth/image_rect_raw"
 INFO_TOPIC = "/camera/depth/camera_info"

@@ -19,8 +19,7 @@ from experiments.simulation.solids import axes_along, box, capsule, rod, sweep, 
 Rng = np.random.Generator
 
 TOOLS = ("parallel", "three_fingers", "suction", "torch", "spindle")
-TOOL_SIZES = (0.05, 0.32)
-"""Metres that a tool is about long, without what it holds."""
+TOOL_SIZES = (0.05, 0.32)  # metres that a tool is about long, without what it holds
 CHANGER_SHARE, WORKPIECE_SHARE = 0.5, 0.6
 
 

@@ -12,10 +12,8 @@ from prism_jax.io.errors import InputError
 
 FLOOR_GAP = 0.015
 """Metres above the plane it stands on that an arm keeps its moving parts."""
-SELF_GAP = 0.03
-"""Metres between the probes of bodies that no single joint connects."""
-CHECKS = 12
-"""Poses looked at on the way from one way-point to the next."""
+SELF_GAP = 0.03  # metres between the probes of bodies that no single joint connects
+CHECKS = 12  # poses looked at on the way from one way-point to the next
 _DRAWS = 32
 _MAX_DRAWS = 100 * _DRAWS
 

@@ -40,8 +40,7 @@ Rng = np.random.Generator
 
 PARTS = ("robot", "fixture", "support", "room", "clutter", "person")
 """What a frame's meshes are of."""
-HOSE_SHARE = 0.55
-"""How often an arm has a dress pack."""
+HOSE_SHARE = 0.55  # how often an arm has a dress pack
 _SURFACE = 1500
 _POSES = 48
 _TRIES = 30

@@ -18,18 +18,15 @@ Rng = np.random.Generator
 SIZES = {"table": (0.06, 0.4), "floor": (0.25, 1.6)}
 """The longest side of a thing, by what it stands on."""
 
-GAPS = (0.05, 0.8)
-"""Between a thing and its neighbour, in its own size."""
+GAPS = (0.05, 0.8)  # between a thing and its neighbour, in its own size
 
-STEP = 0.02
-"""In a thing's size, by which it moves away until it has room."""
+STEP = 0.02  # in a thing's size, by which it moves away until it has room
 
 MARGINS = (0.05, 0.7)
 """Between things and the border of what they stand on, in half their width."""
 
 TABLE_HEIGHTS, MIN_TABLE = (0.6, 0.9), 0.45
-FLOOR_REACH = (0.5, 2.5)
-"""How far a floor reaches beyond what stands on it."""
+FLOOR_REACH = (0.5, 2.5)  # how far a floor reaches beyond what stands on it
 
 WALL_SHARE, FLOOR_BELOW_SHARE = 0.4, 0.5
 WALL_HEIGHTS, WALL_REACH, WALL_GAP = (0.4, 2.0), (0.1, 1.5), (0.0, 0.3)

@@ -19,20 +19,15 @@ from experiments.simulation.stations import BEAMS, random_ouster, tilted_rays
 from prism_jax.geometry.framing import camera_axes
 from prism_jax.observation.scene import LEFT_OVER
 
-TILTS = (20.0, 60.0)
-"""Degrees by which a sensor looks down."""
+TILTS = (20.0, 60.0)  # degrees by which a sensor looks down
 
-ROLL = 3.0
-"""Standard deviation in degrees, of a camera that somebody holds."""
+ROLL = 3.0  # standard deviation in degrees, of a camera that somebody holds
 
-AZIMUTHS = 50.0
-"""Degrees to either side of straight on to a wall."""
+AZIMUTHS = 50.0  # degrees to either side of straight on to a wall
 
-HALF_FIELD = np.radians((35.0, 27.5))
-"""Of a depth camera as the L515, across and down."""
+HALF_FIELD = np.radians((35.0, 27.5))  # of a depth camera as the L515, across and down
 
-WIDTHS = (320, 640)
-"""Pixels of a depth camera's row."""
+WIDTHS = (320, 640)  # pixels of a depth camera's row
 
 FILLED, CAMERA_METRES = (0.6, 1.2), (0.35, 8.0)
 """A camera's distance, in that at which the things just fill the image; within limits.

@@ -18,8 +18,7 @@ from experiments.simulation.solids import (
 )
 
 Rng = np.random.Generator
-TURN = (-90, 0, 0)
-"""Degrees that take z to the front, +y."""
+TURN = (-90, 0, 0)  # degrees that take z to the front, +y
 
 
 def fan(rng: Rng) -> list[Manifold]:

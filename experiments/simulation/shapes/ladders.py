@@ -18,8 +18,7 @@ from experiments.simulation.solids import (
 )
 
 Rng = np.random.Generator
-RUNG = 0.28
-"""Metres between rungs, more or less."""
+RUNG = 0.28  # metres between rungs, more or less
 
 
 class Flight(NamedTuple):
