@@ -14,6 +14,8 @@ from manifold3d import CrossSection, Manifold, Mesh64, OpType, triangulate
 
 SPLINTER = 1e-7  # volume below which a separate piece is an artefact of touching faces
 
+Rng = np.random.Generator
+Solids = list[Manifold]
 Vector = Sequence[float | int] | np.ndarray
 
 
@@ -92,7 +94,7 @@ def capsule(
     )
 
 
-def tube_along(points: np.ndarray, radius: float, segments: int = 10) -> list[Manifold]:
+def tube_along(points: np.ndarray, radius: float, segments: int = 10) -> Solids:
     """Capsules between consecutive rows of `points`."""
     spheres = [ball(point, radius, segments) for point in points]
     return [
@@ -146,7 +148,7 @@ def ellipse(center: Vector, radii: Vector, segments: int = 24) -> np.ndarray:
     return np.stack(ring, axis=1) + np.asarray(center, float)
 
 
-def loft(sections: Sequence[np.ndarray]) -> list[Manifold]:
+def loft(sections: Sequence[np.ndarray]) -> Solids:
     """Convex hulls of consecutive sections, each a set of points."""
     return [
         Manifold.hull_points(np.concatenate([first, second]))
@@ -220,7 +222,7 @@ def _closed(points: np.ndarray, faces: np.ndarray) -> Manifold:
     return Manifold(mesh)
 
 
-def ring_of(solid: Manifold, count: int, start: float = 0.0) -> list[Manifold]:
+def ring_of(solid: Manifold, count: int, start: float = 0.0) -> Solids:
     """Copies of a solid turned about z by equal steps, the first by `start` degrees."""
     return [solid.rotate((0, 0, start + 360 * k / count)) for k in range(count)]
 
@@ -230,7 +232,7 @@ def corners(x: float, y: float) -> list[np.ndarray]:
     return [np.array((sx * x, sy * y, 0.0)) for sx in (-1, 1) for sy in (-1, 1)]
 
 
-def on_floor(solids: Sequence[Manifold]) -> list[Manifold]:
+def on_floor(solids: Sequence[Manifold]) -> Solids:
     """The solids, moved together along z until the lowest touches z = 0."""
     lowest = min(solid.bounding_box()[2] for solid in solids)
     return [solid.translate((0, 0, -lowest)) for solid in solids]
@@ -255,7 +257,7 @@ def union(solids: Sequence[Manifold]) -> Manifold:
     return Manifold.batch_boolean(list(solids), OpType.Add)
 
 
-def assembled(solids: Sequence[Manifold]) -> list[Manifold]:
+def assembled(solids: Sequence[Manifold]) -> Solids:
     """Their union, moved along z until it touches z = 0; enclosed voids are filled,
     and the splinters that touching faces leave behind are dropped."""
     whole = union(on_floor(solids))
@@ -266,10 +268,10 @@ def assembled(solids: Sequence[Manifold]) -> list[Manifold]:
 
 
 def one_of(
-    rng: np.random.Generator,
-    makers: Sequence[Callable[[np.random.Generator], list[Manifold]]],
+    rng: Rng,
+    makers: Sequence[Callable[[Rng], Solids]],
     shares: Sequence[float],
-) -> list[Manifold]:
+) -> Solids:
     """What one of some functions draws, chosen by these shares."""
     return makers[rng.choice(len(makers), p=shares)](rng)
 

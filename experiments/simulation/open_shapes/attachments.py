@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from experiments.simulation.open_shapes.outlines import circle
 from experiments.simulation.open_shapes.primitives import Rng, block
 from experiments.simulation.solids import (
+    Solids,
     axes_along,
     ball,
     bar,
@@ -87,9 +88,9 @@ def mirrored(solid: Manifold) -> Manifold:
     return right + right.mirror((1, 0, 0)) if right.volume() > 0 else solid
 
 
-def copies(solid: Manifold, point: Point, group: Symmetry) -> list[Manifold]:
+def copies(solid: Manifold, point: Point, group: Symmetry) -> Solids:
     """A solid at a point, and its copies under a symmetry that moves the point."""
-    made: list[Manifold] = []
+    made: Solids = []
     seen: list[Point] = []
     for matrix in group:
         moved = matrix @ point
@@ -125,9 +126,7 @@ def any_rotation(rng: Rng) -> np.ndarray:
     return Rotation.from_quat(rng.normal(size=4)).as_matrix()
 
 
-def set_onto(
-    rng: Rng, body: Manifold, part: Manifold, group: Symmetry
-) -> list[Manifold]:
+def set_onto(rng: Rng, body: Manifold, part: Manifold, group: Symmetry) -> Solids:
     """The part, set onto the body from one side, and its copies; nothing if no line
     meets both."""
     outward = FACES[rng.choice(6, p=(0.16, 0.13, 0.4, 0.1, 0.13, 0.08))]
@@ -170,13 +169,13 @@ def cut_out(rng: Rng, body: Manifold, tool: Manifold, group: Symmetry) -> Manifo
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def stand(rng: Rng, body: Manifold) -> list[Manifold]:
+def stand(rng: Rng, body: Manifold) -> Solids:
     """Legs, a pedestal or a plinth; nothing where they find no hold."""
     kind = (legs, pedestal, plinth)[rng.choice(3, p=(0.6, 0.2, 0.2))]
     return kind(rng, body)
 
 
-def legs(rng: Rng, body: Manifold) -> list[Manifold]:
+def legs(rng: Rng, body: Manifold) -> Solids:
     """Three to six legs, upright or splayed, on feet or wheels, tied together in some
     below or halfway, as runners and stretchers do."""
     middle, sides = extent(body)
@@ -209,7 +208,7 @@ def legs(rng: Rng, body: Manifold) -> list[Manifold]:
 
 def _ties(
     rng: Rng, tops: list[np.ndarray], feet: list[np.ndarray], thick: float
-) -> list[Manifold]:
+) -> Solids:
     """Bars from leg to leg, all around or in pairs, at one height."""
     if rng.random() < 0.5:
         return []
@@ -222,7 +221,7 @@ def _ties(
     return [bar(start, end, width, width) for start, end in pairs]
 
 
-def _feet(rng: Rng, feet: list[np.ndarray], thick: float) -> list[Manifold]:
+def _feet(rng: Rng, feet: list[np.ndarray], thick: float) -> Solids:
     """Pads, balls or wheels under legs, or none."""
     kind, size = rng.random(), thick * rng.uniform(1.5, 4.0)
     if kind < 0.5:
@@ -237,7 +236,7 @@ def _feet(rng: Rng, feet: list[np.ndarray], thick: float) -> list[Manifold]:
     return [rod(foot - axle, foot + axle, 1.5 * size) for foot in feet]
 
 
-def pedestal(rng: Rng, body: Manifold) -> list[Manifold]:
+def pedestal(rng: Rng, body: Manifold) -> Solids:
     """One column on a plate or on a star of feet."""
     middle, sides = extent(body)
     hit = touched(body, middle, UP)
@@ -257,7 +256,7 @@ def pedestal(rng: Rng, body: Manifold) -> list[Manifold]:
     return [*solids, *(toe.translate(foot) for toe in toes)]
 
 
-def plinth(rng: Rng, body: Manifold) -> list[Manifold]:
+def plinth(rng: Rng, body: Manifold) -> Solids:
     """A block under the body, narrower or wider than it."""
     middle, sides = extent(body)
     hit = touched(body, middle, UP)

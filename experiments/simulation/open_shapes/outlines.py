@@ -8,9 +8,8 @@ the origin.
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.simulation.solids import axes_along
+from experiments.simulation.solids import Rng, axes_along
 
-Rng = np.random.Generator
 Outline = Float64[np.ndarray, "N 2"]
 
 

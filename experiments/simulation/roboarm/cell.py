@@ -23,11 +23,9 @@ from experiments.simulation.roboarm.furnishings import (
     upright,
 )
 from experiments.simulation.roboarm.robots import Robot
-from experiments.simulation.solids import rod
+from experiments.simulation.solids import Rng, Solids, rod
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import camera_axes
-
-Rng = np.random.Generator
 
 CAMERA_DISTANCE = (1.2, 2.5)
 _HALF_FIELD = np.radians(27.5)
@@ -101,7 +99,7 @@ def _support(reach: float, rng: Rng):
     return table(lower, upper, top) + solids, height, lower, upper
 
 
-def _fixtures(bench: Bench, reach: float, rng: Rng) -> list[Manifold]:
+def _fixtures(bench: Bench, reach: float, rng: Rng) -> Solids:
     """One to four fixtures within reach, where the robot leaves room for them."""
     wanted = int(rng.integers(1, 5))
     for _ in range(_TRIES):

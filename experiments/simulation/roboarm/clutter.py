@@ -9,9 +9,7 @@ from manifold3d import Manifold
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.furnishings import fence, to_mesh, upright
-from experiments.simulation.solids import box, rod
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, Solids, box, rod
 
 HIDDEN_SHARE = (0.2, 0.5)
 """Of the robot's surface, over a sequence, that clutter is to hide from the camera."""
@@ -26,7 +24,7 @@ class Bench:
 
     def __init__(self, sweep, lower, upper, top: float):
         self.sweep, self.lower, self.upper, self.top = sweep, lower, upper, top
-        self.taken: list[Manifold] = []
+        self.taken: Solids = []
 
     def holds(self, solid: Manifold) -> bool:
         """Whether a solid's box lies over the table."""
@@ -60,7 +58,7 @@ def draw_clutter(
     weights: Float64[np.ndarray, " N"],
     eye: Float64[np.ndarray, "3"],
     rng: Rng,
-) -> list[Manifold]:
+) -> Solids:
     """Clutter between a camera and the robot's weighted points, frame by frame: the
     first of many draws that hides as much as it should, else the one that comes
     closest."""
@@ -94,9 +92,9 @@ def are_hidden(
     return hidden.reshape(points.shape[:2])
 
 
-def _draw(bench: Bench, eye: np.ndarray, rng: Rng) -> list[Manifold]:
+def _draw(bench: Bench, eye: np.ndarray, rng: Rng) -> Solids:
     """Two to four pieces, without those that find no room."""
-    placed: list[Manifold] = []
+    placed: Solids = []
     for _ in range(int(rng.integers(2, 5))):
         kind = rng.choice(["box", "screen", "fence"], p=[0.65, 0.15, 0.2])
         seen = bench.sweep[int(rng.integers(len(bench.sweep)))]
@@ -121,9 +119,7 @@ def _box(where: np.ndarray, ground: float, rng: Rng) -> Manifold:
     return upright(solid, np.array([*where[:2], ground]), rng.normal(0, 0.15))
 
 
-def _screen(
-    where: np.ndarray, ground: float, eye: np.ndarray, rng: Rng
-) -> list[Manifold]:
+def _screen(where: np.ndarray, ground: float, eye: np.ndarray, rng: Rng) -> Solids:
     """An operator's panel on a pole, its face more or less to the camera."""
     size = rng.uniform(0.2, 0.45), 0.03, rng.uniform(0.15, 0.35)
     low = where[2] - size[2] / 2

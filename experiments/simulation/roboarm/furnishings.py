@@ -9,9 +9,8 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold, OpType
 
-from experiments.simulation.solids import ball, box, capsule, rod
+from experiments.simulation.solids import Rng, Solids, ball, box, capsule, rod
 
-Rng = np.random.Generator
 FIXTURES = ("block", "jig", "posts", "vise", "bin", "step")
 _TOP = 0.04
 
@@ -40,7 +39,7 @@ def together(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     )
 
 
-def table(lower: np.ndarray, upper: np.ndarray, height: float) -> list[Manifold]:
+def table(lower: np.ndarray, upper: np.ndarray, height: float) -> Solids:
     """A slab on four legs: `lower` and `upper` are its corners (x, y)."""
     middle, size = (lower + upper) / 2, upper - lower
     slab = box((*middle, height - _TOP / 2), (*size, _TOP))
@@ -56,7 +55,7 @@ def table(lower: np.ndarray, upper: np.ndarray, height: float) -> list[Manifold]
     return [slab, *legs]
 
 
-def pedestal(height: float, radius: float) -> list[Manifold]:
+def pedestal(height: float, radius: float) -> Solids:
     """A column between a foot and a flange."""
     foot = box((0, 0, 0.01), (4 * radius, 4 * radius, 0.02))
     flange = rod((0, 0, height - 0.02), (0, 0, height), 1.25 * radius, segments=32)
@@ -126,7 +125,7 @@ def upright(solid: Manifold, place: np.ndarray, yaw: float) -> Manifold:
 HEIGHTS = (1.5, 1.95)
 
 
-def random_person(rng: np.random.Generator) -> list[Manifold]:
+def random_person(rng: np.random.Generator) -> Solids:
     """Legs, trunk, head and arms, each of which hangs or reaches out by itself."""
     height = rng.uniform(*HEIGHTS)
     hip, shoulder = 0.5 * height, 0.8 * height

@@ -22,10 +22,8 @@ from experiments.simulation.roboarm.furnishings import (
 )
 from experiments.simulation.roboarm.mounts import Mount
 from experiments.simulation.sensors import l515_camera
-from experiments.simulation.solids import box
+from experiments.simulation.solids import Rng, Solids, box
 from prism_jax.geometry.camera import Camera
-
-Rng = np.random.Generator
 
 PERSON_SHARES = (0.45, 0.35, 0.2)  # how often nobody, one and two stand in a cell
 HIDDEN = 0.7
@@ -47,11 +45,11 @@ class Layout:
         self.gap = 0.03 + 0.02 * reach
         self._boxes: list[np.ndarray] = []
 
-    def add(self, solids: list[Manifold]) -> None:
+    def add(self, solids: Solids) -> None:
         """Keeps others off what solids' boxes hold."""
         self._boxes += [np.array(solid.bounding_box()) for solid in solids]
 
-    def is_clear(self, solids: list[Manifold], gap: float | None = None) -> bool:
+    def is_clear(self, solids: Solids, gap: float | None = None) -> bool:
         """Whether solids keep off the arm, and off all that was added."""
         gap = self.gap if gap is None else gap
         return all(self._is_clear(np.array(s.bounding_box()), gap) for s in solids)
@@ -97,11 +95,9 @@ def block(lower: np.ndarray, upper: np.ndarray, height: float) -> Manifold:
     return box((*(lower + upper) / 2, height / 2), (*(upper - lower), height))
 
 
-def draw_fixtures(
-    layout: Layout, tops: list[Top], on_floor: bool, rng: Rng
-) -> list[Manifold]:
+def draw_fixtures(layout: Layout, tops: list[Top], on_floor: bool, rng: Rng) -> Solids:
     """Up to six fixtures on tables, or some of them on the floor within reach."""
-    placed: list[Manifold] = []
+    placed: Solids = []
     wanted = int(rng.integers(0, 7))
     for _ in range(_TRIES):
         if len(placed) >= wanted:
@@ -147,11 +143,11 @@ def aim_camera(
 
 def draw_in_the_way(
     layout: Layout, eye: np.ndarray, swept: np.ndarray, rng: Rng
-) -> tuple[list[Manifold], list[Manifold]]:
+) -> tuple[Solids, Solids]:
     """Clutter and people around the arm, many of them before it, who together do not
     hide more of it than `HIDDEN` in any frame."""
-    clutter: list[Manifold] = []
-    people: list[Manifold] = []
+    clutter: Solids = []
+    people: Solids = []
     pieces = int(rng.integers(0, 5))
     for number in range(pieces + int(rng.choice(len(PERSON_SHARES), p=PERSON_SHARES))):
         for _ in range(6):
@@ -177,13 +173,13 @@ def _place(layout: Layout, eye: np.ndarray, rng: Rng) -> np.ndarray:
     return np.array([away * np.cos(angle), away * np.sin(angle), part[2]])
 
 
-def _person(where: np.ndarray, rng: Rng) -> list[Manifold]:
+def _person(where: np.ndarray, rng: Rng) -> Solids:
     turn = (0.0, 0.0, float(rng.uniform(0, 360)))
     place = (float(where[0]), float(where[1]), 0.0)
     return [solid.rotate(turn).translate(place) for solid in random_person(rng)]
 
 
-def _piece(where: np.ndarray, eye: np.ndarray, rng: Rng) -> list[Manifold]:
+def _piece(where: np.ndarray, eye: np.ndarray, rng: Rng) -> Solids:
     """A box, a cabinet, a post or a fence on the floor, up to about `where`."""
     ground = np.array([*where[:2], 0.0])
     tall = max(where[2] + rng.uniform(-0.2, 0.2), 0.2)

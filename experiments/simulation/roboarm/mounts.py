@@ -11,9 +11,7 @@ from jaxtyping import Float64
 from manifold3d import Manifold
 
 from experiments.simulation.roboarm.furnishings import pedestal, table
-from experiments.simulation.solids import box, rod
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, box, rod
 
 MOUNTS = ("table", "pedestal", "plinth", "floor", "rail")
 SHARES = {

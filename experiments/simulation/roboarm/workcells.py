@@ -34,9 +34,8 @@ from experiments.simulation.roboarm.tooling import (
     random_tool,
 )
 from experiments.simulation.roboarm.trajectories import Clearance
+from experiments.simulation.solids import Rng
 from prism_jax.geometry.camera import Camera
-
-Rng = np.random.Generator
 
 PARTS = ("robot", "fixture", "support", "room", "clutter", "person")
 """What a frame's meshes are of."""

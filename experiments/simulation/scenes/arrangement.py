@@ -10,10 +10,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from experiments.simulation.roboarm.furnishings import table, to_mesh
-from experiments.simulation.solids import box
+from experiments.simulation.solids import Rng, box
 from prism_jax.observation.scene import LEFT_OVER, SUPPORT
-
-Rng = np.random.Generator
 
 SIZES = {"table": (0.06, 0.4), "floor": (0.25, 1.6)}
 """The longest side of a thing, by what it stands on."""

@@ -11,9 +11,8 @@ import numpy as np
 from manifold3d import Manifold
 from scipy.spatial.transform import Rotation
 
-from experiments.simulation.solids import ball, box, capsule, lathe, place, rod
+from experiments.simulation.solids import Rng, ball, box, capsule, lathe, place, rod
 
-Rng = np.random.Generator
 MAX_POSES = 60
 
 

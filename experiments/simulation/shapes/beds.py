@@ -1,9 +1,10 @@
 """Procedural beds."""
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     ball,
     bar,
@@ -15,10 +16,8 @@ from experiments.simulation.solids import (
     side_profile,
 )
 
-Rng = np.random.Generator
 
-
-def bed(rng: Rng) -> list[Manifold]:
+def bed(rng: Rng) -> Solids:
     """Single to king size on legs, plinth or drawers; head and foot boards of many
     kinds; four-posters, bunk and loft beds. The head is at -y."""
     if rng.random() < 0.17:
@@ -40,7 +39,7 @@ def bed(rng: Rng) -> list[Manifold]:
     return assembled(solids)
 
 
-def _bed_base(rng: Rng, width: float, length: float, deck: float) -> list[Manifold]:
+def _bed_base(rng: Rng, width: float, length: float, deck: float) -> Solids:
     wide, long = width + 0.06, length + 0.06
     style = rng.choice(["legs", "plinth", "drawers", "divan"], p=[0.45, 0.2, 0.2, 0.15])
     if style == "legs":
@@ -73,9 +72,7 @@ def _bed_base(rng: Rng, width: float, length: float, deck: float) -> list[Manifo
     return solids
 
 
-def _bedding(
-    rng: Rng, width: float, length: float, low: float, thick: float
-) -> list[Manifold]:
+def _bedding(rng: Rng, width: float, length: float, low: float, thick: float) -> Solids:
     """Mattress, pillows at -y, and a blanket or a folded one in some."""
     top = low + thick
     solids = [box((0, 0, low + thick / 2), (width, length, thick), 0.04)]
@@ -104,9 +101,7 @@ def _bedding(
     return solids
 
 
-def _bed_board(
-    rng: Rng, kind: str, y: float, width: float, tall: float
-) -> list[Manifold]:
+def _bed_board(rng: Rng, kind: str, y: float, width: float, tall: float) -> Solids:
     """A head board at negative y, a foot board at positive."""
     out, thick = float(np.sign(y)), rng.uniform(0.04, 0.08)
     y += out * 0.03
@@ -147,7 +142,7 @@ def _bed_board(
 
 def _open_board(
     rng: Rng, kind: str, y: float, width: float, tall: float, thick: float
-) -> list[Manifold]:
+) -> Solids:
     """Posts and a top rail, filled with upright bars or with slats across."""
     edge, low, solids = width / 2 - thick / 2, min(0.25, tall * 0.6), []
     for x in (-edge, edge):
@@ -165,7 +160,7 @@ def _open_board(
     return solids
 
 
-def _canopy(rng: Rng, width: float, length: float) -> list[Manifold]:
+def _canopy(rng: Rng, width: float, length: float) -> Solids:
     tall, post = rng.uniform(1.8, 2.2), rng.uniform(0.05, 0.09)
     x, y, z = width / 2, length / 2, tall - post / 2
     feet = corners(x, y)
@@ -178,7 +173,7 @@ def _canopy(rng: Rng, width: float, length: float) -> list[Manifold]:
     return solids
 
 
-def _bunk_bed(rng: Rng) -> list[Manifold]:
+def _bunk_bed(rng: Rng) -> Solids:
     """Two decks, or one above a desk; a ladder at the side or at the foot."""
     width, length = rng.uniform(0.8, 1.2), rng.uniform(1.9, 2.05)
     upper, post = rng.uniform(1.2, 1.5), rng.uniform(0.05, 0.09)

@@ -3,12 +3,12 @@
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import assembled, box, corners, rod, torus
+from experiments.simulation.solids import Solids, assembled, box, corners, rod, torus
 
 Rng = np.random.Generator
 
 
-def control_cabinet(rng: Rng) -> list[Manifold]:
+def control_cabinet(rng: Rng) -> Solids:
     """Switch cabinets of one to four doors, a desk, or a small box on a wall plate or
     a post; vents, screens, buttons, lamps; an open door shows what is mounted."""
     kind = rng.choice(["tall", "tall", "desk", "box"])
@@ -53,7 +53,7 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
 
 def _column_of_doors(
     rng: Rng, width: float, height: float, hinge: int, rows: int
-) -> list[Manifold]:
+) -> Solids:
     """So many doors above one another about the origin, their outsides at +y."""
     tall = height * 0.97 / rows
     return [
@@ -63,9 +63,7 @@ def _column_of_doors(
     ]
 
 
-def _opened(
-    rng: Rng, door: list[Manifold], edge: float, height: float
-) -> list[Manifold]:
+def _opened(rng: Rng, door: Solids, edge: float, height: float) -> Solids:
     """The door swung out about the upright axis at x = `edge`, and its hinges."""
     angle = -float(np.sign(edge)) * rng.uniform(60, 120)
     door = [part.translate((-edge, 0, 0)).rotate((0, 0, angle)) for part in door]
@@ -76,7 +74,7 @@ def _opened(
     return door
 
 
-def _door(rng: Rng, width: float, height: float, hinge: int) -> list[Manifold]:
+def _door(rng: Rng, width: float, height: float, hinge: int) -> Solids:
     """A door about the origin in the plane y = 0, its outside at +y, with hinges at
     the given side, a handle at the other, and what is set into it."""
     solids = [box((0, 0.012, 0), (width, 0.03, height), 0.004)]
@@ -100,7 +98,7 @@ def _door(rng: Rng, width: float, height: float, hinge: int) -> list[Manifold]:
     return solids
 
 
-def _fitting(kind: str, center: np.ndarray, wide: float) -> list[Manifold]:
+def _fitting(kind: str, center: np.ndarray, wide: float) -> Solids:
     """What is set into a door; the face there is at the centre's y."""
     if kind == "vent":
         return [
@@ -129,7 +127,7 @@ def _fitting(kind: str, center: np.ndarray, wide: float) -> list[Manifold]:
     return solids
 
 
-def _mounting(rng: Rng, width: float, height: float) -> list[Manifold]:
+def _mounting(rng: Rng, width: float, height: float) -> Solids:
     """Rows of devices and cable ducts in front of the plane y = 0."""
     rows = max(2, round(height / 0.28))
     pitch, solids = height / rows, []
@@ -147,7 +145,7 @@ def _mounting(rng: Rng, width: float, height: float) -> list[Manifold]:
     return solids
 
 
-def _outside(rng: Rng, width: float, depth: float, height: float) -> list[Manifold]:
+def _outside(rng: Rng, width: float, depth: float, height: float) -> Solids:
     """On the roof eyes, a fan, a signal tower, or conduits; a fan at the side."""
     solids = []
     kind = rng.choice(["eyes", "cooler", "tower", "conduits", "none"])
@@ -178,7 +176,7 @@ def _outside(rng: Rng, width: float, depth: float, height: float) -> list[Manifo
     return solids
 
 
-def _desk(rng: Rng) -> list[Manifold]:
+def _desk(rng: Rng) -> Solids:
     """A console with a sloping front full of buttons, a screen or more, and doors
     below."""
     width, y = rng.uniform(0.7, 1.6), rng.uniform(0.25, 0.35)
@@ -208,9 +206,7 @@ def _desk(rng: Rng) -> list[Manifold]:
     return solids + _desk_screens(rng, np.array(fold), np.array(roof), width)
 
 
-def _desk_screens(
-    rng: Rng, fold: np.ndarray, roof: np.ndarray, width: float
-) -> list[Manifold]:
+def _desk_screens(rng: Rng, fold: np.ndarray, roof: np.ndarray, width: float) -> Solids:
     """One to three screens on the leaning face between two edges, (y, z) pairs."""
     along, middle = roof - fold, np.array((0, *(fold + roof) / 2))
     lean = float(np.degrees(np.arctan2(-along[0], along[1])))

@@ -6,12 +6,10 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.shapes.drives import motor
-from experiments.simulation.solids import assembled, bar, box, capsule, rod
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, Solids, assembled, bar, box, capsule, rod
 
 
-def conveyor(rng: Rng) -> list[Manifold]:
+def conveyor(rng: Rng) -> Solids:
     """Belt, rollers or slats on a straight, rising, cranked or curved way, on legs;
     with guides, drives and goods in some."""
     width, thick = rng.uniform(0.3, 0.7), rng.uniform(0.06, 0.12)
@@ -101,7 +99,7 @@ def _stations(
     return places, across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
-def _legs(rng: Rng, way: tuple, width: float, thick: float) -> list[Manifold]:
+def _legs(rng: Rng, way: tuple, width: float, thick: float) -> Solids:
     """Pairs of legs with cross bars, or single columns on plates."""
     style, solids = rng.choice(["pairs", "pairs", "splayed", "column"]), []
     places, across = _stations(way, rng.uniform(0.6, 0.95))
@@ -128,7 +126,7 @@ def _legs(rng: Rng, way: tuple, width: float, thick: float) -> list[Manifold]:
     return solids
 
 
-def _guides(points: dict, thick: float) -> list[Manifold]:
+def _guides(points: dict, thick: float) -> Solids:
     """Rails along both sides above the goods' way, on posts."""
     solids = []
     for line in points.values():
@@ -143,7 +141,7 @@ def _guides(points: dict, thick: float) -> list[Manifold]:
 
 def _drive(
     rng: Rng, points: dict, middle: np.ndarray, across: np.ndarray, thick: float
-) -> list[Manifold]:
+) -> Solids:
     """Motor at the end's roller, or hung below the middle."""
     radius = rng.uniform(0.06, 0.09)
     if rng.random() < 0.6:
@@ -164,7 +162,7 @@ def _drive(
     return [box(center + (0, 0, 0.05), (0.34, 0.3, 0.2), 0.015), drum]
 
 
-def _goods(rng: Rng, way: tuple, width: float, rise: float) -> list[Manifold]:
+def _goods(rng: Rng, way: tuple, width: float, rise: float) -> Solids:
     """Boxes on the belt."""
     solids = []
     places, across = _stations(way, rng.uniform(0.45, 0.8))
@@ -177,7 +175,7 @@ def _goods(rng: Rng, way: tuple, width: float, rise: float) -> list[Manifold]:
     return solids
 
 
-def _tunnel(rng: Rng, way: tuple, width: float) -> list[Manifold]:
+def _tunnel(rng: Rng, way: tuple, width: float) -> Solids:
     """A hood or an inspection unit that goods pass through, on its own feet."""
     k = len(way[0]) // 2
     middle, axis = (way[0][k] + way[0][k - 1]) / 2, way[1][k]

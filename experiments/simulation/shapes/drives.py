@@ -4,6 +4,8 @@ import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     box,
     corners,
@@ -13,23 +15,19 @@ from experiments.simulation.solids import (
     torus,
 )
 
-Rng = np.random.Generator
-
 
 def disc(radius: float, low: float, high: float, segments: int = 28) -> Manifold:
     """Cylinder about z between two heights."""
     return rod((0, 0, low), (0, 0, high), radius, segments=segments)
 
 
-def bolts(
-    count: int, circle: float, radius: float, low: float, high: float
-) -> list[Manifold]:
+def bolts(count: int, circle: float, radius: float, low: float, high: float) -> Solids:
     """Hexagonal heads on a circle about z."""
     head = rod((circle, 0, low), (circle, 0, high), radius, segments=6)
     return ring_of(head, count, 180 / count)
 
 
-def motor(rng: Rng, radius: float, length: float) -> list[Manifold]:
+def motor(rng: Rng, radius: float, length: float) -> Solids:
     """Electric motor along +z from its flange at z = 0: ribbed, smooth or square (a
     servo), with fan cover and terminal box at +x."""
     kind = str(rng.choice(["ribbed", "ribbed", "smooth", "servo"]))
@@ -56,14 +54,14 @@ def motor(rng: Rng, radius: float, length: float) -> list[Manifold]:
     return [*solids, box(center, (0.6 * radius, 0.8 * radius, 0.3 * length), 0.01)]
 
 
-def gearbox(rng: Rng) -> list[Manifold]:
+def gearbox(rng: Rng) -> Solids:
     """In-line, parallel-shaft, right-angle, worm and planetary; feet or flange;
     with and without a motor."""
     makers = _inline, _split_housing, _right_angle, _worm, _planetary
     return assembled(one_of(rng, makers, (0.2, 0.27, 0.18, 0.2, 0.15)))
 
 
-def _shaft(rng: Rng, radius: float, start: float, end: float) -> list[Manifold]:
+def _shaft(rng: Rng, radius: float, start: float, end: float) -> Solids:
     """Shaft along z to `end`, with a shoulder and a keyway in some, or a hollow one."""
     if rng.random() < 0.2:
         hub = disc(1.7 * radius, start, start + 0.35 * (end - start))
@@ -76,16 +74,16 @@ def _shaft(rng: Rng, radius: float, start: float, end: float) -> list[Manifold]:
     return [*solids, disc(1.5 * radius, start, start + 0.25 * (end - start))]
 
 
-def _along_y(solids: list[Manifold], point: tuple) -> list[Manifold]:
+def _along_y(solids: Solids, point: tuple) -> Solids:
     """Turns the z axis to +y and moves the origin to a point."""
     return [solid.rotate((-90, 0, 0)).translate(point) for solid in solids]
 
 
-def _along_x(solids: list[Manifold], point: tuple, side: int = 1) -> list[Manifold]:
+def _along_x(solids: Solids, point: tuple, side: int = 1) -> Solids:
     return [solid.rotate((0, 90 * side, 0)).translate(point) for solid in solids]
 
 
-def _inline(rng: Rng) -> list[Manifold]:
+def _inline(rng: Rng) -> Solids:
     """Round stepped housing on feet, shaft to the front, motor behind."""
     radius, long = rng.uniform(0.13, 0.19), rng.uniform(0.28, 0.45)
     front = rng.uniform(0.6, 0.85) * radius
@@ -118,7 +116,7 @@ def _inline(rng: Rng) -> list[Manifold]:
     return [*solids, *_along_y([ring, *drilled], (0, 0.72 * long, 0))]
 
 
-def _split_housing(rng: Rng) -> list[Manifold]:
+def _split_housing(rng: Rng) -> Solids:
     """Cast halves bolted at the shafts' level, bearing caps, ribs and feet."""
     stages = int(rng.integers(2, 4))
     long, wide = 0.28 * stages + rng.uniform(0.1, 0.2), rng.uniform(0.26, 0.4)
@@ -162,9 +160,7 @@ def _split_housing(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _bearing_cap(
-    rng: Rng, radius: float, end: float, has_shaft: bool
-) -> list[Manifold]:
+def _bearing_cap(rng: Rng, radius: float, end: float, has_shaft: bool) -> Solids:
     """A bolted cover about z, as far as `end`, and the shaft through it in some."""
     cap = [disc(radius, 0.0, end - 0.02), disc(0.7 * radius, 0.0, end)]
     cap += bolts(6, 0.85 * radius, 0.01, 0.0, end - 0.008)
@@ -173,7 +169,7 @@ def _bearing_cap(
     )
 
 
-def _right_angle(rng: Rng) -> list[Manifold]:
+def _right_angle(rng: Rng) -> Solids:
     """Box with shafts out of two or three of its faces, each on a round flange."""
     side = rng.uniform(0.26, 0.36)
     solids = [box((0, 0, 0), (side, side, side * rng.uniform(0.9, 1.3)), 0.03)]
@@ -204,7 +200,7 @@ def _right_angle(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _worm(rng: Rng) -> list[Manifold]:
+def _worm(rng: Rng) -> Solids:
     """Round wheel case with the output through it, above or below the worm's barrel,
     which carries the motor or its shaft."""
     radius, deep = rng.uniform(0.15, 0.22), rng.uniform(0.14, 0.2)
@@ -246,7 +242,7 @@ def _worm(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _planetary(rng: Rng) -> list[Manifold]:
+def _planetary(rng: Rng) -> Solids:
     """Coaxial drums of one to four stages standing on the output's flange or lying."""
     radius, level, parts = rng.uniform(0.13, 0.2), 0.0, []
     flange, square = rng.uniform(1.2, 1.5) * radius, rng.random() < 0.4

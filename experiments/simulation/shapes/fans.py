@@ -1,9 +1,11 @@
 """Procedural fans, blowing to the front."""
 
 import numpy as np
-from manifold3d import CrossSection, Manifold
+from manifold3d import CrossSection
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     ball,
     bar,
@@ -17,17 +19,16 @@ from experiments.simulation.solids import (
     tube,
 )
 
-Rng = np.random.Generator
 TURN = (-90, 0, 0)  # degrees that take z to the front, +y
 
 
-def fan(rng: Rng) -> list[Manifold]:
+def fan(rng: Rng) -> Solids:
     """Desk and pedestal fans, clip fans, box fans, and drums on a yoke."""
     makers = _desk, _pedestal, _box_fan, _drum
     return assembled(one_of(rng, makers, (0.3, 0.32, 0.18, 0.2)))
 
 
-def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> list[Manifold]:
+def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> Solids:
     """Hub and blades about z, in the plane z = 0."""
     count, hub = int(rng.integers(3, 7)), radius * rng.uniform(0.14, 0.24)
     long, wide = radius - 0.5 * hub, radius * rng.uniform(0.35, 0.65) * 3 / (count + 1)
@@ -43,9 +44,7 @@ def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> list[Manifold
     return [rod((0, 0, -tall), (0, 0, 0.7 * tall), hub), nose, *blades]
 
 
-def _guard(
-    rng: Rng, radius: float, front: float, back: float, wire: float
-) -> list[Manifold]:
+def _guard(rng: Rng, radius: float, front: float, back: float, wire: float) -> Solids:
     """A cage of two dishes of wires about z and a band where they meet."""
     solids = [torus(radius, 1.4 * wire, segments=32, around=6)]
     count, style = int(rng.choice([10, 12, 16])), rng.random()
@@ -67,7 +66,7 @@ def _guard(
     return solids
 
 
-def _head(rng: Rng, radius: float) -> list[Manifold]:
+def _head(rng: Rng, radius: float) -> Solids:
     """Motor, rotor and guard along z; the joint that carries it is at the origin."""
     forward = radius * rng.uniform(0.35, 0.5)
     body = radius * rng.uniform(0.22, 0.34)
@@ -83,12 +82,12 @@ def _head(rng: Rng, radius: float) -> list[Manifold]:
     return [*motor, *(part.translate((0, 0, level)) for part in parts)]
 
 
-def _aimed(parts: list[Manifold], tilt: float, point: tuple) -> list[Manifold]:
+def _aimed(parts: Solids, tilt: float, point: tuple) -> Solids:
     """Turns z to the front, tilted up by so many degrees, the origin at a point."""
     return [part.rotate(TURN).rotate((tilt, 0, 0)).translate(point) for part in parts]
 
 
-def _desk(rng: Rng) -> list[Manifold]:
+def _desk(rng: Rng) -> Solids:
     """On a short neck over a foot, or on a clip."""
     radius, tilt = rng.uniform(0.16, 0.22), rng.uniform(-5, 25)
     level = radius * rng.uniform(1.15, 1.5)
@@ -113,7 +112,7 @@ def _desk(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _pedestal(rng: Rng) -> list[Manifold]:
+def _pedestal(rng: Rng) -> Solids:
     """On a telescopic pole over a plate, a cross or a tripod."""
     radius, tall = rng.uniform(0.18, 0.26), rng.uniform(0.85, 1.3)
     tilt, pole = rng.uniform(-8, 20), rng.uniform(0.012, 0.018)
@@ -137,7 +136,7 @@ def _pedestal(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _box_fan(rng: Rng) -> list[Manifold]:
+def _box_fan(rng: Rng) -> Solids:
     """A square case with grilles on both sides, on feet, with a handle."""
     half, deep = rng.uniform(0.2, 0.28), rng.uniform(0.1, 0.16)
     radius, round_hole = 0.92 * half, rng.random() < 0.5
@@ -168,7 +167,7 @@ def _box_fan(rng: Rng) -> list[Manifold]:
     return [*solids, rod(knob, np.add(knob, (0, 0.03, 0)), 0.08 * half)]
 
 
-def _drum(rng: Rng) -> list[Manifold]:
+def _drum(rng: Rng) -> Solids:
     """A short wide tube with a rotor in it, tilted in a yoke, on wheels in some."""
     radius, deep = rng.uniform(0.25, 0.42), rng.uniform(0.2, 0.3)
     wall, tilt = 0.035 * radius, rng.uniform(-5, 35)

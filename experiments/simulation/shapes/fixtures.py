@@ -4,6 +4,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     box,
     corners,
@@ -14,8 +15,6 @@ from experiments.simulation.solids import (
     tube,
     union,
 )
-
-Rng = np.random.Generator
 
 
 def fixture(rng: Rng) -> list[Manifold]:

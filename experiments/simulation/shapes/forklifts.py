@@ -1,9 +1,10 @@
 """Procedural forklifts, stackers and pallet trucks, forks to the front."""
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     bar,
     box,
@@ -14,10 +15,8 @@ from experiments.simulation.solids import (
     tube_along,
 )
 
-Rng = np.random.Generator
 
-
-def forklift(rng: Rng) -> list[Manifold]:
+def forklift(rng: Rng) -> Solids:
     """Trucks with a seat and a counterweight, walked stackers, hand pallet trucks."""
     makers = _seated, _stacker, _hand_truck
     return assembled(one_of(rng, makers, (0.46, 0.27, 0.27)))
@@ -25,7 +24,7 @@ def forklift(rng: Rng) -> list[Manifold]:
 
 def _wheel(
     center: np.ndarray, radius: float, wide: float, segments: int = 24
-) -> list[Manifold]:
+) -> Solids:
     """Tyre and hub about the x axis."""
     across = np.array((wide / 2, 0, 0))
     tyre = rod(center - across, center + across, radius, segments=segments)
@@ -37,7 +36,7 @@ def _wheel(
 
 def _forks(
     y: float, level: float, long: float, spread: float, wide: float, tall: float
-) -> list[Manifold]:
+) -> Solids:
     """Two tapered tines whose shanks rise from y."""
     tine = np.array(
         [(0, 0), (long, 0.012), (long, 0.022), (0.06, 0.05), (0.05, tall), (0, tall)]
@@ -48,7 +47,7 @@ def _forks(
 
 def _mast(
     rng: Rng, y: float, half: float, tall: float, stages: int, low: float = 0.08
-) -> tuple[list[Manifold], float, float]:
+) -> tuple[Solids, float, float]:
     """Nested uprights with cross members and lift cylinders, extended in some; half the
     distance between the innermost uprights, and the height of their feet."""
     solids, thick = [], rng.uniform(0.06, 0.08)
@@ -70,9 +69,7 @@ def _mast(
     return solids, inner, bottom
 
 
-def _carriage(
-    rng: Rng, y: float, level: float, half: float, inner: float
-) -> list[Manifold]:
+def _carriage(rng: Rng, y: float, level: float, half: float, inner: float) -> Solids:
     """Two plates across the mast, held by its innermost uprights at +-`inner`, and a
     load guard in some."""
     solids = [box((0, y, level + z), (2 * half, 0.05, 0.09)) for z in (0.06, 0.4)]
@@ -86,7 +83,7 @@ def _carriage(
     return solids
 
 
-def _seated(rng: Rng) -> list[Manifold]:
+def _seated(rng: Rng) -> Solids:
     """Body with counterweight, seat and steering wheel under a guard, mast in front."""
     half, long = rng.uniform(0.42, 0.55), rng.uniform(1.3, 1.7)
     wheel, rear = rng.uniform(0.24, 0.32), rng.uniform(0.18, 0.24)
@@ -136,9 +133,7 @@ def _seated(rng: Rng) -> list[Manifold]:
     return solids + _forks(fork, level, rng.uniform(0.9, 1.2), spread, 0.11, 0.5)
 
 
-def _guard(
-    rng: Rng, half: float, back: float, cowl: float, hood: float
-) -> list[Manifold]:
+def _guard(rng: Rng, half: float, back: float, cowl: float, hood: float) -> Solids:
     """Posts and a barred roof over the driver, or a closed cab's walls."""
     roof, thick = rng.uniform(2.0, 2.2), rng.uniform(0.045, 0.06)
     half, rear = 0.86 * half, back + 0.35
@@ -167,7 +162,7 @@ def _guard(
 
 def _tiller(
     rng: Rng, root: np.ndarray, tilt: float, long: float, wide: float
-) -> list[Manifold]:
+) -> Solids:
     """A steering bar that leans back from its foot, and the loop at its end."""
     along = np.array((0.0, -np.sin(tilt), np.cos(tilt)))
     end = root + long * along
@@ -181,7 +176,7 @@ def _tiller(
     return solids
 
 
-def _stacker(rng: Rng) -> list[Manifold]:
+def _stacker(rng: Rng) -> Solids:
     """A mast on a drive unit that is walked behind, over two outriggers."""
     half, deep = rng.uniform(0.36, 0.42), rng.uniform(0.45, 0.65)
     tall, hood = rng.uniform(1.6, 2.1), rng.uniform(0.7, 0.9)
@@ -224,7 +219,7 @@ def _stacker(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _hand_truck(rng: Rng) -> list[Manifold]:
+def _hand_truck(rng: Rng) -> Solids:
     """Low forks on rollers, a jack with a tiller; scissors under some."""
     long, spread = rng.uniform(0.95, 1.2), rng.uniform(0.18, 0.22)
     wide, level = rng.uniform(0.15, 0.18), rng.uniform(0.07, 0.16)

@@ -3,9 +3,7 @@
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import ball, bar, box, lathe, rod, tube_along
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, ball, bar, box, lathe, rod, tube_along
 
 
 def chair(rng: Rng) -> list[Manifold]:

@@ -3,10 +3,11 @@
 import itertools
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.shapes.machine_frames import beam
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     box,
     corners,
@@ -15,10 +16,8 @@ from experiments.simulation.solids import (
     torus,
 )
 
-Rng = np.random.Generator
 
-
-def gantry(rng: Rng) -> list[Manifold]:
+def gantry(rng: Rng) -> Solids:
     """A bridge over a space: portal crane, Cartesian robot on posts, router."""
     kind = rng.choice(["crane", "robot", "router"], p=[0.38, 0.34, 0.28])
     if kind == "crane":
@@ -28,7 +27,7 @@ def gantry(rng: Rng) -> list[Manifold]:
     return assembled(_router(rng))
 
 
-def _crane(rng: Rng) -> list[Manifold]:
+def _crane(rng: Rng) -> Solids:
     """One or two girders on A-shaped, straight or lattice legs with wheels; trolley
     and hook."""
     span, tall = rng.uniform(1.8, 3.2), rng.uniform(1.3, 2.2)
@@ -68,7 +67,7 @@ def _crane(rng: Rng) -> list[Manifold]:
     return [*solids, hook.translate((x, 0, drop - 0.12))]
 
 
-def _cartesian(rng: Rng) -> list[Manifold]:
+def _cartesian(rng: Rng) -> Solids:
     """Posts carry two rails along y; the bridge along x carries an upright axis."""
     width, depth = rng.uniform(1.2, 2.2), rng.uniform(1.0, 2.0)
     tall, size = rng.uniform(1.0, 1.6), rng.uniform(0.06, 0.11)
@@ -111,7 +110,7 @@ def _cartesian(rng: Rng) -> list[Manifold]:
 
 def _upright_axis(
     rng: Rng, x: float, y: float, level: float, size: float, tall: float
-) -> list[Manifold]:
+) -> Solids:
     """A carriage on the bridge, the axis through it, and a tool at its lower end."""
     low, long = level - tall * rng.uniform(0.2, 0.6), tall * rng.uniform(0.5, 0.8)
     front = y + 1.5 * size
@@ -134,7 +133,7 @@ def _upright_axis(
     return solids
 
 
-def _router(rng: Rng) -> list[Manifold]:
+def _router(rng: Rng) -> Solids:
     """A bed on a stand; side plates and a beam that travel along it; a spindle."""
     width, depth = rng.uniform(0.7, 1.2), rng.uniform(0.9, 1.6)
     stand, rise = rng.choice([0.0, rng.uniform(0.35, 0.7)]), rng.uniform(0.3, 0.5)

@@ -7,6 +7,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     ball,
     bar,
@@ -18,8 +19,6 @@ from experiments.simulation.solids import (
     rod,
     tube_along,
 )
-
-Rng = np.random.Generator
 
 
 def gripper(rng: Rng) -> list[Manifold]:

@@ -7,6 +7,7 @@ from manifold3d import CrossSection, Manifold
 
 from experiments.simulation.shapes.drives import motor
 from experiments.simulation.solids import (
+    Rng,
     Vector,
     assembled,
     axes_along,
@@ -15,8 +16,6 @@ from experiments.simulation.solids import (
     place,
     rod,
 )
-
-Rng = np.random.Generator
 
 
 def beam(start: Vector, end: Vector, size: float, kind: str = "square") -> Manifold:

@@ -4,6 +4,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     bar,
     box,
@@ -13,8 +14,6 @@ from experiments.simulation.solids import (
     side_profile,
     tube_along,
 )
-
-Rng = np.random.Generator
 
 
 def monitor(rng: Rng) -> list[Manifold]:

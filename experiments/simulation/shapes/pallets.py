@@ -3,9 +3,7 @@
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import assembled, bar, box, corners, rod, union
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, assembled, bar, box, corners, rod, union
 
 
 def pallet(rng: Rng) -> list[Manifold]:

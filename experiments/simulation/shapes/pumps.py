@@ -7,6 +7,7 @@ from experiments.simulation.shapes.drives import bolts, disc, motor
 from experiments.simulation.shapes.plunger_pumps import foot, plunger_pump
 from experiments.simulation.shapes.valves import flange
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     ball,
     bar,
@@ -19,8 +20,6 @@ from experiments.simulation.solids import (
     tube,
     union,
 )
-
-Rng = np.random.Generator
 
 
 def pump(rng: Rng) -> list[Manifold]:

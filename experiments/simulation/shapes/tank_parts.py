@@ -5,6 +5,8 @@ from manifold3d import Manifold
 
 from experiments.simulation.shapes.valves import flange, hand_wheel
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     bar,
     box,
     corners,
@@ -14,12 +16,10 @@ from experiments.simulation.solids import (
     tube_along,
 )
 
-Rng = np.random.Generator
-
 
 def nozzle(
     rng: Rng, root: np.ndarray, out: np.ndarray, size: float, reach: float
-) -> list[Manifold]:
+) -> Solids:
     """A short pipe with a flange at its end, blind, open, or with a hand wheel."""
     end, count = root + reach * out, int(rng.choice([0, 4, 6]))
     bore = 0.7 * size * (rng.random() < 0.5)
@@ -28,7 +28,7 @@ def nozzle(
     return solids
 
 
-def manhole(root: np.ndarray, out: np.ndarray, size: float) -> list[Manifold]:
+def manhole(root: np.ndarray, out: np.ndarray, size: float) -> Solids:
     """A wide bolted cover on a short neck, with a handle."""
     solids = [rod(root - 0.5 * size * out, root + 0.35 * size * out, 0.8 * size)]
     solids += flange(root + 0.3 * size * out, out, size, 0.12 * size, 10)
@@ -48,9 +48,7 @@ def around(angle: float, radius: float, level: float) -> tuple[np.ndarray, np.nd
     return radius * out + (0, 0, level), out
 
 
-def rungs(
-    angle: float, radius: float, low: float, high: float, caged: bool
-) -> list[Manifold]:
+def rungs(angle: float, radius: float, low: float, high: float, caged: bool) -> Solids:
     """A ladder up the side of a cylinder about z, in a cage in some."""
     wide, gap = 0.16, 0.1
     _, out = around(angle, 1.0, 0.0)
@@ -78,7 +76,7 @@ def rungs(
     return solids
 
 
-def hopper(rng: Rng) -> list[Manifold]:
+def hopper(rng: Rng) -> Solids:
     """A round or square bin with a tapered outlet, in a frame of four posts."""
     half, tall = rng.uniform(0.4, 0.6), rng.uniform(0.5, 1.1)
     taper, mouth = rng.uniform(0.6, 1.0) * half * 1.3, rng.uniform(0.06, 0.12)

@@ -13,6 +13,7 @@ from experiments.simulation.shapes.tank_parts import (
 )
 from experiments.simulation.shapes.valves import flange
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     ball,
     bar,
@@ -24,8 +25,6 @@ from experiments.simulation.solids import (
     rod,
     torus,
 )
-
-Rng = np.random.Generator
 
 
 def tank(rng: Rng) -> list[Manifold]:

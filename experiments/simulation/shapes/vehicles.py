@@ -4,6 +4,8 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     ball,
     bar,
     box,
@@ -15,10 +17,8 @@ from experiments.simulation.solids import (
     tube_along,
 )
 
-Rng = np.random.Generator
 
-
-def airplane(rng: Rng) -> list[Manifold]:
+def airplane(rng: Rng) -> Solids:
     """Airliner, propeller plane, jet fighter or glider-like; nose along +y."""
     style = rng.choice(["airliner", "propeller", "fighter"], p=[0.45, 0.3, 0.25])
     radius = {"airliner": 0.1, "propeller": 0.11, "fighter": 0.085}[style]
@@ -46,7 +46,7 @@ def airplane(rng: Rng) -> list[Manifold]:
     return solids + _engines(rng, style, radius, length, wing)
 
 
-def _fuselage(rng: Rng, style: str, radius: float, length: float) -> list[Manifold]:
+def _fuselage(rng: Rng, style: str, radius: float, length: float) -> Solids:
     """Convex hulls of ellipses from the tail to the nose."""
     nose, tail = rng.uniform(0.12, 0.25), rng.uniform(0.25, 0.45)
     sharp, flat = rng.uniform(0.5, 1.0), rng.uniform(0.85, 1.2)
@@ -81,7 +81,7 @@ def _wings(
     sweep: float,
     dihedral: float,
     thick: float,
-) -> list[Manifold]:
+) -> Solids:
     """A mirrored pair of convex wings; `root` is the middle of the leading edge."""
     solids = []
     for side in (-1, 1):
@@ -96,7 +96,7 @@ def _wings(
     return solids
 
 
-def _tail(rng: Rng, style: str, radius: float, length: float) -> list[Manifold]:
+def _tail(rng: Rng, style: str, radius: float, length: float) -> Solids:
     back, chord = -length / 2, rng.uniform(0.16, 0.26)
     tall, lean = rng.uniform(0.24, 0.4), rng.uniform(0.05, 0.25)
     base = np.array([0.0, back + chord * 1.05, radius * 0.45])
@@ -116,9 +116,7 @@ def _tail(rng: Rng, style: str, radius: float, length: float) -> list[Manifold]:
     return solids + _wings(root, span, size, 0.55, sweep, 0.0, 0.025)
 
 
-def _engines(
-    rng: Rng, style: str, radius: float, length: float, wing: tuple
-) -> list[Manifold]:
+def _engines(rng: Rng, style: str, radius: float, length: float, wing: tuple) -> Solids:
     root, span, chord, _, sweep, dihedral = wing
     if style == "fighter":
         nozzle, half = radius * 0.6, -length / 2
@@ -153,12 +151,12 @@ def _engines(
     return solids
 
 
-def _nacelle(front: np.ndarray, radius: float, length: float) -> list[Manifold]:
+def _nacelle(front: np.ndarray, radius: float, length: float) -> Solids:
     body = rod(front - (0, length, 0), front, radius * 0.65, radius)
     return [body - rod(front - (0, 0.05, 0), np.add(front, (0, 0.01, 0)), radius * 0.8)]
 
 
-def _propeller(rng: Rng, radius: float, length: float) -> list[Manifold]:
+def _propeller(rng: Rng, radius: float, length: float) -> Solids:
     nose = np.array((0.0, length / 2 - 0.01, -0.15 * radius))
     blade, count = rng.uniform(0.16, 0.26), int(rng.integers(2, 5))
     solids = [capsule(nose - (0, 0.05, 0), np.add(nose, (0, 0.03, 0)), 0.03, 0.012)]
@@ -173,7 +171,7 @@ def _propeller(rng: Rng, radius: float, length: float) -> list[Manifold]:
     return solids
 
 
-def car(rng: Rng) -> list[Manifold]:
+def car(rng: Rng) -> Solids:
     """Saloon, hatchback, estate, van, pickup, bus and sports car; bonnet along +y."""
     style = str(
         rng.choice(["saloon", "hatchback", "estate", "van", "pickup", "bus", "sports"])
@@ -215,7 +213,7 @@ def car(rng: Rng) -> list[Manifold]:
 
 def _cabin(
     rng: Rng, style: str, half: float, width: float, belt: float, roof: float
-) -> list[Manifold]:
+) -> Solids:
     """Greenhouse as a hull from the belt line to a narrower roof."""
     spans = {
         "saloon": ((-0.72, 0.38), (-0.42, 0.08)),
@@ -253,7 +251,7 @@ def _cabin(
 
 def _car_details(
     rng: Rng, style: str, half: float, width: float, belt: float, floor: float
-) -> list[Manifold]:
+) -> Solids:
     solids = []
     if rng.random() < 0.7:
         for side in (-1, 1):
@@ -275,7 +273,7 @@ def _car_details(
     return solids
 
 
-def _roof_rack(half: float, width: float, roof: float) -> list[Manifold]:
+def _roof_rack(half: float, width: float, roof: float) -> Solids:
     solids = []
     for x in (-width * 0.3, width * 0.3):
         path = np.array([(x, -half * 0.7, roof + 0.09), (x, half * 0.05, roof + 0.09)])
