@@ -6,6 +6,7 @@ python -m experiments.contact_sheet --dataset=open --output=docs/open_shapes.png
 
 import io
 
+import jax.numpy as jnp
 import numpy as np
 import trimesh
 from absl import flags
@@ -63,7 +64,7 @@ def draw(mesh: trimesh.Trimesh, size: int) -> UInt8[np.ndarray, "S S 3"]:
     scene = Scene(mesh)
     corners = ((mesh.vertices - scene.center) / scene.radius).astype(np.float32)
     scene = Scene(trimesh.Trimesh(corners, mesh.faces, process=False))
-    camera = Camera.framing(corners, TOWARD_VIEWER, 1.1, size, size)
+    camera = Camera.framing(jnp.asarray(corners), TOWARD_VIEWER, 1.1, size, size)
     rows, columns = np.indices((size, size))
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
     rays = np.asarray(np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation)

@@ -1,6 +1,5 @@
 """Folders that are built in parts, by several processes, and checked."""
 
-import json
 import os
 import pathlib
 import subprocess
@@ -133,14 +132,6 @@ def test_a_manifest_that_is_none_is_named(squares, text):
         manifest.read_manifest(squares.folder, "build it")
     with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
         Squares(squares.folder).build()
-
-
-def test_the_manifest_tells_content_and_files(squares, digests):
-    written = json.loads((squares.folder / "manifest.json").read_text())
-    files = digests(squares.folder)
-    del files["manifest.json"]
-    assert written == {**CONTENT, "files": files}
-    assert manifest.read_manifest(squares.folder, "") == written
 
 
 _WAITING = """

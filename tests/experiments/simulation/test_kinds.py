@@ -9,9 +9,7 @@ from experiments.simulation.kinds import MIXTURE, View, draw_kind, make_view
 from experiments.simulation.raycast import Scene, sample_outside
 from experiments.simulation.views import MAX_DRAWS, MIN_RETURNS
 from prism_jax.geometry.visibility import (
-    BACKGROUND,
     MAP_SIZE,
-    NEARER,
     SURFACE,
     UNKNOWN,
     look_up,
@@ -70,24 +68,6 @@ def test_points_lie_on_the_object_and_the_map_knows_them(ball, complete, kind):
             assert np.sum(front & (state != SURFACE)) <= 3
             broken = {"occluded", "truncated", "noisy"} & set(kind.split("+"))
             assert behind.min() > -0.05 - noise - (0.2 if broken else 0)
-
-
-def test_what_the_sensor_is_in_the_way_of(ball, complete):
-    """Something nearer is known where a view is occluded, and only there; a camera with
-    nothing behind the object knows nothing of the rest; a lidar has gaps."""
-    states = {kind: np.zeros(4) for kind in MIXTURE}
-    for kind in MIXTURE:
-        for seed in range(6):
-            known = drawn(kind, ball, complete, seed).visibility
-            assert known is not None
-            states[kind] += np.bincount(known.state.ravel(), minlength=4) / 6
-    for kind, found in states.items():
-        traits = kind.split("+")
-        assert found[SURFACE] > 0 and found[UNKNOWN] > 0
-        assert found[BACKGROUND] > 0
-        if "truncated" not in traits:
-            assert (found[NEARER] > 0) == ("occluded" in traits)
-    assert states["rings"][UNKNOWN] > 1.5 * states["clear"][UNKNOWN]
 
 
 def test_occluded_views_see_less_and_truncated_ones_are_cut(ball, complete):

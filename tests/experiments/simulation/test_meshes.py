@@ -1,8 +1,5 @@
 """Any folder of meshes."""
 
-import pickle
-import shutil
-
 import numpy as np
 import pytest
 import trimesh
@@ -60,33 +57,6 @@ def test_the_partial_is_what_the_eye_sees_of_a_ball(root):
     # From distance d, the unit ball is seen where p . eye >= 1.
     assert (example.partial @ example.eye).min() > 1 - 0.05 * distance
     assert len(example.partial) > 1000
-
-
-def test_a_vertex_of_no_face_takes_no_part(tmp_path):
-    """As exports of scans have them; it lies far from the ball."""
-    lines = BALL.export(file_type="off").splitlines()
-    count = len(BALL.vertices)
-    lines[1] = f"{count + 1} {len(BALL.faces)} 0"
-    lines.insert(2 + count, "50 60 -70")
-    for folder, content in (("with", lines), ("without", [])):
-        (tmp_path / folder).mkdir()
-        text = "\n".join(content) or BALL.export(file_type="off")
-        (tmp_path / folder / "ball.off").write_text(text)
-    found, expected = (Meshes(tmp_path / f, 500)[0] for f in ("with", "without"))
-    for array, other in zip(found[:3], expected[:3], strict=True):
-        np.testing.assert_array_equal(array, other)
-
-
-def test_the_same_path_below_the_root_gives_the_same_bytes(root, tmp_path_factory):
-    copy = tmp_path_factory.mktemp("elsewhere") / "meshes"
-    shutil.copytree(root, copy)
-    for below in ("test", "."):
-        first, second = (Meshes(folder / below, 200)[0] for folder in (root, copy))
-        assert first.name == second.name
-        for array, other in zip(first[:3], second[:3], strict=True):
-            np.testing.assert_array_equal(array, other)
-    other = pickle.loads(pickle.dumps(Meshes(root, 200)))[0]
-    np.testing.assert_array_equal(Meshes(root, 200)[0].complete, other.complete)
 
 
 def test_a_folder_that_is_missing_or_holds_no_mesh_is_refused(root):

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.assets import CELLS
-from experiments.simulation import packing
 from experiments.simulation.packing import PackConfig, pack
 from prism_jax.data import mixture
-from prism_jax.data.datasets import open_dataset, open_training
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.shards import Shards
@@ -139,13 +137,6 @@ def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path)
     np.testing.assert_array_equal(pickled[4].visibility.state, known.state)
 
 
-def test_recordings_keep_what_their_images_tell(folder):
-    given, found = RecordedCells(CELLS)[0].visibility, Shards(folder)[5].visibility
-    np.testing.assert_array_equal(found.state, given.state)
-    np.testing.assert_allclose(found.depth, given.depth, rtol=2e-4)
-    assert len(np.unique(given.state)) == 4
-
-
 def test_views_of_an_object_share_its_complete_cloud(tmp_path):
     """As far as it is the same: a robot moves while it is recorded."""
     sources = {"seen": Seen(), "balls": Balls(2)}
@@ -159,15 +150,6 @@ def test_views_of_an_object_share_its_complete_cloud(tmp_path):
         step = 1e-4 * np.ptp(given.complete)
         np.testing.assert_allclose(found.partial, given.partial[:64], atol=step)
         np.testing.assert_allclose(found.complete, given.complete[:128], atol=step)
-
-
-def test_objects_are_counted_through_all_shards(tmp_path, monkeypatch):
-    monkeypatch.setattr(packing, "SHARD_EXAMPLES", 2)
-    source = Shards(pack({"seen": Seen(), "b": Balls(3)}, tmp_path, CONFIG, 0, False))
-    assert source.objects.tolist() == [0, 0, 0, 1, 1, 1, 2, 3, 4]
-    names = [source[index].name for index in range(9)]
-    assert names == [*(f"seen/{i}" for i in range(6)), *(f"b/{i}" for i in range(3))]
-    assert len({path.name[:11] for path in tmp_path.glob("shard-*")}) == 4
 
 
 def test_a_limit_takes_evenly(tmp_path):
@@ -199,14 +181,6 @@ def test_one_point_and_a_flat_cloud(tmp_path):
     np.testing.assert_allclose(point.complete, np.full((4, 3), 7.0))
     np.testing.assert_allclose(flat.complete[:, 2], 5.0)
     assert np.ptp(flat.complete[:, 1]) == pytest.approx(2, abs=1e-4)
-
-
-def test_opens_as_a_data_set_and_for_a_training(folder, tmp_path):
-    pack({"balls": Balls(3)}, tmp_path / "validation", CONFIG, 0, False)
-    (tmp_path / "train").symlink_to(folder)
-    train, validation = open_training("packed", tmp_path)
-    assert (len(train), len(validation)) == (25, 3)
-    assert open_dataset("packed", "validation", tmp_path)[0].name == "balls/0"
 
 
 class OfKinds(Balls):

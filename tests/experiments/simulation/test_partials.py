@@ -8,7 +8,6 @@ from experiments.simulation.partials import (
     l515,
     make_partial,
     ouster,
-    random_viewpoint,
     self_occlusion,
     sparse,
 )
@@ -91,17 +90,6 @@ def test_random_crops_span_the_published_shares_from_the_unit_sphere(scene, comp
     assert np.all(np.abs(eyes.mean(axis=0)) < 4 / np.sqrt(3 * 60))
 
 
-def test_sparse_is_a_random_part_of_self_occlusion(scene):
-    eye = np.array([2.0, 2.0, 1.0])
-    dense = self_occlusion(scene, eye)
-    few = sparse(scene, eye, np.random.default_rng(2))
-    assert len(np.unique(few, axis=0)) == len(few) == 256
-    assert set(map(tuple, few)) <= set(map(tuple, dense))
-    assert len(sparse(scene, eye, np.random.default_rng(2), 10**6)) == len(dense)
-    other = sparse(scene, eye, np.random.default_rng(3))
-    assert not np.array_equal(few, other)
-
-
 @pytest.mark.parametrize(
     ("view", "config", "allowed"),
     [(l515, L515Config(), 0.00025), (ouster, OusterConfig(), 0.001)],
@@ -133,14 +121,3 @@ def test_sensors_see_the_object_in_metres(scene):
     config = OusterConfig().exact()
     returns = ouster_scan(in_metres, 0.6 * eye, rng, config, tilt)
     assert len(returns.ranges) == len(ouster(scene, eye, rng, config))
-
-
-def test_viewpoints_stay_in_their_ranges():
-    rng = np.random.default_rng(3)
-    eyes = np.array([random_viewpoint(rng) for _ in range(300)])
-    distance = np.linalg.norm(eyes, axis=1)
-    elevation = np.degrees(np.arcsin(eyes[:, 2] / distance))
-    assert 2.5 <= distance.min() < 2.6 and 3.9 < distance.max() <= 4.0
-    assert -10 <= elevation.min() < -7 and 57 < elevation.max() <= 60
-    octants = np.arctan2(eyes[:, 1], eyes[:, 0]) // (np.pi / 4)
-    assert len(np.unique(octants)) == 8

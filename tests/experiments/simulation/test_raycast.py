@@ -131,24 +131,6 @@ def test_a_cavity_is_not_seen_and_the_outside_is():
     np.testing.assert_array_equal(seen, outer)
 
 
-def turned_over(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """With every other triangle wound the other way."""
-    faces = np.array(mesh.faces)
-    faces[::2] = faces[::2, ::-1]
-    return trimesh.Trimesh(mesh.vertices, faces, process=False)
-
-
-def test_winding_does_not_matter_where_both_sides_count():
-    mesh = hollow_box()
-    points, faces = trimesh.sample.sample_surface(mesh, 4000, seed=0)
-    points, outer = np.asarray(points), np.abs(points).max(axis=1) > 0.9
-    scene = Scene(turned_over(mesh))
-    normals = scene.normals[faces]
-    both = scene.seen_from_outside(points, normals, two_sided=True)
-    np.testing.assert_array_equal(both, outer)
-    assert 0.2 < scene.seen_from_outside(points, normals)[outer].mean() < 0.8
-
-
 def slit(width: float) -> tuple[np.ndarray, np.ndarray, Scene]:
     """The walls that two boxes of side 1 turn to each other across a gap."""
     boxes = [

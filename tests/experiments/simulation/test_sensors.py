@@ -103,16 +103,6 @@ def test_exact_scan_agrees_with_plain_numpy():
     np.testing.assert_allclose(returns.points, expected, atol=1e-12)
 
 
-def test_measured_values_are_whole_quanta():
-    scene = cluttered()
-    returns = ouster_scan(scene, ORIGIN, np.random.default_rng(1))
-    millimetres = returns.ranges / 0.001
-    np.testing.assert_allclose(millimetres, np.rint(millimetres), atol=1e-6)
-    coarse = dataclasses.replace(L515Config().exact(), quantum=0.1)
-    counts, _ = l515_depth(wall(2.34), small_camera(), np.random.default_rng(1), coarse)
-    np.testing.assert_array_equal(counts, 23)
-
-
 @pytest.mark.parametrize("distance", [1.0, 5.0, 9.0])
 def test_l515_noise_is_that_of_the_data_sheet(distance):
     """2.5 mm at 1 m, 15.5 mm at 9 m, in a straight line between; Gaussian."""

@@ -29,13 +29,6 @@ def test_what_is_known_outside_hides_the_inside_or_lies_beyond():
     assert found.hidden_share == 0.25
 
 
-def test_what_was_cut_off_before_is_unknown():
-    found = Cut(SLAB).apply(readings(), EYE)
-    expected = [UNKNOWN, SURFACE] + [UNKNOWN] * 5
-    np.testing.assert_array_equal(found.state, expected)
-    np.testing.assert_array_equal(found.surface.points, [(0, 0, 0)])
-
-
 def test_a_ray_along_a_side_enters_only_if_it_is_within():
     """Parallel to the sides at |x| <= 2."""
     beside = Readings(np.full(2, SURFACE, np.uint8), np.array([(1.0, -3, 0)] * 2), 0.0)

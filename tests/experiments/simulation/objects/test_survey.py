@@ -8,10 +8,8 @@ from experiments.simulation.meshes import normalised
 from experiments.simulation.objects.survey import (
     digest_of,
     fault_of,
-    overlaps,
     survey,
 )
-from prism_jax.io.errors import InputError
 from tests.experiments.simulation.objects.conftest import entry, knobbed
 
 
@@ -41,17 +39,6 @@ def test_every_model_is_taken_or_left_out_with_a_reason(catalogue_dir):
     assert train.versions == {"BlendSwap-CC-0": "1.8", "BlendSwap-CC-BY": "1.8"}
 
 
-def test_a_split_needs_its_own_catalogues_and_those_before(
-    catalogue_dir, tmp_path, write_catalogue
-):
-    write_catalogue(tmp_path, "Scopia", [entry("fridge", knobbed(), "Fridge")])
-    assert names(survey(["test"], tmp_path)) == ["Scopia/fridge"]
-    told = "KatorLegaz.sh3f: no such .* install sweethome3d-furniture: apt-get install"
-    for split in ("validation", "train"):
-        with pytest.raises(InputError, match=told):
-            survey([split], tmp_path)
-
-
 @pytest.mark.parametrize(
     ("size", "fault"),
     [
@@ -77,14 +64,6 @@ def test_a_digest_tells_corners_and_nothing_else():
     assert digest_of(mesh) == digest_of(shuffled) == digest_of(nudged)
     mirrored = trimesh.Trimesh(mesh.vertices * (-1, 1, 1), mesh.faces, process=False)
     assert digest_of(mesh) != digest_of(mirrored)
-
-
-def test_overlap_is_the_share_of_common_cells():
-    """Boxes of whole cells: a floor, the same floor, and floor and ceiling."""
-    floor, both = np.zeros((2, 24, 24, 24), bool)
-    floor[:, :, 0] = both[:, :, 0] = both[:, :, -1] = True
-    packed = np.stack([np.packbits(cells) for cells in (floor, both, ~both)])
-    np.testing.assert_array_equal(overlaps(packed[0], packed), [1.0, 0.5, 0.0])
 
 
 def test_what_looks_alike_has_the_same_sides_and_cells(tmp_path, write_catalogue):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.objects import catalogues
 from experiments.simulation.objects.catalogues import read_catalogue
 from prism_jax.io.errors import InputError
 from tests.experiments.simulation.objects.conftest import entry, knobbed
@@ -27,19 +26,6 @@ def knob_of(mesh: trimesh.Trimesh) -> np.ndarray:
     """The middle of the smaller part, from the middle of the larger."""
     parts = sorted(mesh.split(only_watertight=False), key=lambda part: part.area)
     return parts[0].bounds.mean(axis=0) - parts[1].bounds.mean(axis=0)
-
-
-def test_what_is_said_of_a_model_is_kept(read):
-    told = {"creator": "Zo\\u00eb & Ann", "category": "Kitchen", "tags": "a=b"}
-    model = read(entry("fridge", knobbed(), "Large fridge", **told))
-    assert (model.catalogue, model.name, model.title) == (
-        "shop",
-        "fridge",
-        "Large fridge",
-    )
-    assert (model.creator, model.licence) == ("Zoë & Ann", "CC0 1.0")
-    assert model.identity == "shop/fridge" and model.fault is None
-    assert read(entry("a", knobbed(), "A", doorOrWindow="true")).fault is not None
 
 
 def test_models_stand_with_z_up_and_face_along_y(read):
@@ -104,10 +90,3 @@ def test_a_mesh_that_is_missing_or_damaged_is_refused_when_it_is_loaded(read):
         read((told, "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")).load()
     with pytest.raises(InputError, match=r"fridge\.obj: is not in the archive"):
         read((told, None)).load()
-
-
-def test_a_mesh_that_claims_too_much_is_not_read(read, monkeypatch):
-    model = read(entry("fridge", knobbed(), "Fridge"))
-    monkeypatch.setattr(catalogues, "MAX_MODEL_BYTES", 100)
-    with pytest.raises(InputError, match=r"fridge\.obj: claims .* 1 to 100"):
-        model.load()

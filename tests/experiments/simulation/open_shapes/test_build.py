@@ -7,7 +7,7 @@ from experiments.simulation.open_shapes import make_open_shape
 from experiments.simulation.open_shapes.build import OpenConfig, build_open_shapes
 from experiments.simulation.shapes import category_rng
 from experiments.simulation.views import views_of
-from prism_jax.data.datasets import DATASETS, open_dataset, open_training
+from prism_jax.data.datasets import open_dataset
 
 CONFIG = OpenConfig(num_shapes=3, num_views=2, shard_shapes=2)
 
@@ -34,9 +34,3 @@ def test_items_are_the_views_of_shape_after_shape(data_dir):
         assert example.name == f"000002/{view:02d}"
         assert example.category == "open"
         assert example.ordered and not example.any_heading
-
-
-def test_a_training_holds_some_out(data_dir):
-    assert DATASETS["open"].validation is None
-    train, validation = open_training("open", data_dir)
-    assert (len(train), len(validation)) == (4, 1)

@@ -3,10 +3,7 @@ import pytest
 import trimesh
 
 from experiments.simulation.roboarm.cell import make_cell
-from experiments.simulation.roboarm.clutter import HIDDEN_IN_A_FRAME, are_hidden
-from experiments.simulation.roboarm.furnishings import (
-    together,
-)
+from experiments.simulation.roboarm.clutter import are_hidden
 from experiments.simulation.roboarm.robots import Robot
 from experiments.simulation.roboarm.trajectories import random_trajectory
 from prism_jax.geometry.camera import Camera
@@ -51,36 +48,6 @@ def test_the_robot_touches_nothing_of_its_cell(cells):
             assert points[:, 2].min() > cell.base_height
 
 
-def test_everything_stands_on_something(cells):
-    """The robot and the fixtures on the support, the rest on the floor or on it too."""
-    _, made = cells
-    heights = set()
-    for _, cell in made:
-        assert cell.support.bounds[0, 2] == pytest.approx(0, abs=1e-9)
-        tops = np.unique(cell.support.vertices[:, 2].round(6))
-        assert np.isclose(tops, cell.base_height, atol=1e-5).any()
-        assert np.isclose(tops, cell.fixtures.bounds[0, 2], atol=1e-5).any()
-        assert (
-            cell.clutter.bounds[0, 2] == pytest.approx(0, abs=1e-5)
-            or np.isclose(tops, cell.clutter.bounds[0, 2], atol=1e-5).any()
-        )
-        heights.add(cell.base_height)
-    assert len(heights) == len(made)
-
-
-def test_clutter_hides_a_part_of_the_robot(cells):
-    robot, made = cells
-    shares = []
-    for positions, cell in made:
-        points = robot.probe_points(positions) + (0, 0, cell.base_height)
-        eye = np.asarray(cell.camera.position)
-        shares.append(are_hidden(cell.clutter, points, eye) @ robot.probe_weights)
-    low, high = HIDDEN_IN_A_FRAME
-    within = [((share >= low) & (share <= high)).all() for share in shares]
-    assert np.mean(within) > 0.6
-    assert 0.15 < np.mean(shares) < 0.55
-
-
 def test_hidden_is_what_a_wall_shades():
     """A wall one metre away, 1 x 1 m, before points two metres away."""
     wall = trimesh.creation.box((0.02, 1.0, 1.0))
@@ -93,12 +60,3 @@ def test_hidden_is_what_a_wall_shades():
     np.testing.assert_array_equal(found, expected.ravel())
     # Not what is before the wall.
     assert not are_hidden(wall, points[None] * 0.4, np.zeros(3)).any()
-
-
-def test_together_keeps_the_triangles_in_order():
-    cubes = [trimesh.creation.box((1, 1, size)) for size in (1, 2, 3)]
-    whole = together(cubes)
-    np.testing.assert_array_equal(
-        whole.triangles, np.concatenate([cube.triangles for cube in cubes])
-    )
-    assert len(together([]).faces) == 0

@@ -4,7 +4,6 @@ import io
 
 import numpy as np
 import pytest
-import trimesh
 import yourdfpy
 
 from experiments.simulation.roboarm.models import (
@@ -66,29 +65,6 @@ def test_links_are_where_trigonometry_puts_them(model):
         )
         found = poses[:, 3, :3, 3] + tip * poses[:, 3, :3, 2]
         np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_the_mesh_is_the_links_boxes_in_their_poses(model):
-    robot = Robot(model)
-    positions = np.array([0.3, -0.8, 1.1])
-    mesh = robot.mesh(positions)
-    assert len(robot.faces_link) == len(mesh.faces) == 4 * 12
-    poses = robot.link_poses(positions[None])[0]
-    for index, (size, height) in enumerate(boxes.BOXES.values()):
-        corners = mesh.vertices[mesh.faces[robot.faces_link == index]].reshape(-1, 3)
-        own = (corners - poses[index, :3, 3]) @ poses[index, :3, :3]
-        np.testing.assert_allclose(np.abs(own - (0, 0, height)) * 2, size + own * 0)
-
-
-def test_probes_lie_on_the_posed_mesh(model):
-    robot = Robot(model)
-    positions = np.array([0.3, -0.8, 1.1])
-    probes = robot.probe_points(positions[None])[0]
-    _, distance, _ = trimesh.proximity.closest_point_naive(
-        robot.mesh(positions), probes
-    )
-    assert distance.max() < 1e-9
-    assert robot.probe_weights.sum() == pytest.approx(1)
 
 
 def test_an_arm_can_be_taken_off_a_robot(tmp_path, model):

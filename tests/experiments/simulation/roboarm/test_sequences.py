@@ -10,7 +10,6 @@ from experiments.simulation.roboarm.sequences import (
     make_sequence,
 )
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
-from tests.experiments.simulation.roboarm import conftest as boxes
 
 
 @pytest.fixture(scope="module")
@@ -35,31 +34,6 @@ def pixel_points(frame):
     return (in_camera - camera.translation) @ camera.rotation
 
 
-def distance_to_robot(points, sequence, number):
-    """By the boxes that the robot was written as."""
-    poses = sequence.robot.link_poses(sequence.positions[number][None])[0].copy()
-    poses[:, 2, 3] += sequence.cell.base_height
-    distances = []
-    for pose, (size, height) in zip(poses, boxes.BOXES.values(), strict=True):
-        own = (points - pose[:3, 3]) @ pose[:3, :3] - (0, 0, height)
-        outside = np.maximum(np.abs(own) - np.array(size) / 2, 0)
-        inside = np.minimum((np.abs(own) - np.array(size) / 2).max(axis=-1), 0)
-        distances.append(np.linalg.norm(outside, axis=-1) - inside)
-    return np.min(distances, axis=0)
-
-
-def test_labels_say_what_a_pixel_sees(sequence, frame):
-    distance = distance_to_robot(pixel_points(frame), sequence, 1)
-    robot = frame.labels == LABELS["robot"]
-    assert np.count_nonzero(robot) > 50
-    assert distance[robot].max() < 2e-3
-    others = (frame.labels > 0) & ~robot
-    floor = pixel_points(frame)[..., 2] < 0.01
-    assert (frame.labels[floor & (frame.depth > 0)] == LABELS["clutter"]).all()
-    assert np.mean(distance[others] > 2e-3) > 0.99
-    np.testing.assert_array_equal(frame.labels == LABELS["nothing"], frame.depth == 0)
-
-
 def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
     wanted = np.isin(frame.labels, (LABELS["robot"], LABELS["fixture"]))
     rows = pixel_points(frame)[wanted].astype(np.float32)
@@ -70,18 +44,6 @@ def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
         position += int(np.argmax(gap <= CLOUD_STEP / 2 + 1e-6)) + 1
         assert gap.min() <= CLOUD_STEP / 2 + 1e-6
     assert len(frame.partial) > 0.8 * len(rows)
-
-
-def test_the_ground_truth_is_robot_and_fixtures(sequence, frame):
-    assert frame.complete.shape == (256, 3)
-    distance = distance_to_robot(frame.complete.astype(float), sequence, 1)
-    lower, upper = sequence.cell.fixtures.bounds
-    fixtures = np.all(
-        (frame.complete > lower - 0.01) & (frame.complete < upper + 0.01), axis=1
-    )
-    assert (distance[~fixtures] < 2e-3).all()
-    assert np.count_nonzero(~fixtures) > 50
-    np.testing.assert_array_equal(frame.complete % CLOUD_STEP, 0)
 
 
 def test_hidden_share_is_that_of_pixels(sequence, frame, small):

@@ -7,10 +7,8 @@ import trimesh
 from experiments.simulation.scenes.arrangement import (
     SIZES,
     arranged,
-    random_room,
     separation,
 )
-from prism_jax.observation.scene import LEFT_OVER, SUPPORT
 
 SQUARE = np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)])
 
@@ -43,26 +41,3 @@ def test_things_stand_beside_each_other_in_their_sizes(support, seed):
                 trimesh.convex.hull_points(t.vertices[:, :2]) for t in (thing, other)
             ]
             assert separation(*both) > 0
-
-
-@pytest.mark.parametrize("support", SIZES)
-def test_what_is_around_holds_all_and_hides_nothing(support):
-    things = [trimesh.creation.box((0.3, 0.2, 0.2)) for _ in range(2)]
-    things[1].apply_translation((0.5, 0.4, 0))
-    for thing in things:
-        thing.apply_translation((0, 0, 0.1))
-    walls = 0
-    for seed in range(12):
-        room = random_room(things, support, np.random.default_rng(seed))
-        labels = [part.label for part in room.parts]
-        assert room.support == support and labels[0] == SUPPORT
-        assert (LEFT_OVER in labels) == (support == "table")
-        top = room.parts[0].mesh
-        assert top.bounds[1, 2] == pytest.approx(0, abs=1e-6)
-        assert (top.bounds[0, :2] < (-0.15, -0.1)).all()
-        assert (top.bounds[1, :2] > (0.65, 0.5)).all()
-        for part in room.parts:
-            above = part.mesh.bounds[1, 2] > 1e-6
-            assert not above or part.mesh.bounds[0, 1] >= 0.5
-            walls += above
-    assert 0 < walls < 12

@@ -1,9 +1,7 @@
 """The procedural shapes on disk, and as a source."""
 
 import dataclasses
-import json
 import pickle
-import shutil
 
 import numpy as np
 import pytest
@@ -11,8 +9,8 @@ import pytest
 from experiments.simulation.shapes import TRAIN_CATEGORIES
 from experiments.simulation.shapes.build import ShapesConfig, build_shapes, shape_seed
 from experiments.simulation.views import make_views
-from prism_jax.data.datasets import DATASETS, folder_of, open_dataset
-from prism_jax.data.shards import FORMAT_VERSION, Shards
+from prism_jax.data.datasets import folder_of, open_dataset
+from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
 
@@ -41,14 +39,6 @@ def test_items_are_the_views_of_shape_after_shape(train, train_config):
             assert example.name == f"{shape:06d}/{view:02d}"
             assert example.category == category
             assert example.ordered
-
-
-def test_a_crop_was_seen_from_nowhere(tmp_path):
-    config = ShapesConfig("test", num_shapes=1, num_views=2, partial="crop")
-    build_shapes(config, tmp_path, 0, progress=False)
-    source = open_dataset("shapes", "test", tmp_path)
-    assert [source[index].eye for index in range(2)] == [None, None]
-    assert not np.array_equal(source[0].partial, source[1].partial)
 
 
 def test_a_mixture_keeps_what_the_sensors_knew_and_says_the_kinds(tmp_path, digests):
@@ -81,10 +71,6 @@ def test_a_mixture_keeps_what_the_sensors_knew_and_says_the_kinds(tmp_path, dige
                 np.testing.assert_array_equal(getattr(found.camera, name), expected)
 
 
-def test_where_no_maps_are_kept_nothing_is_said(train):
-    assert train[0].visibility is None
-
-
 def test_indices_count_as_those_of_a_list(train):
     assert equal(train[-1], train[7])
     for index in (8, -9):
@@ -104,12 +90,6 @@ def test_examples_are_the_callers_own(train):
     for array in train[2][:3]:
         array += 1
     assert equal(train[2], before)
-
-
-def test_arrays_are_mapped_not_read(train):
-    train[0]
-    arrays = [held for held in train._mapped.values() if not isinstance(held, list)]
-    assert all(isinstance(array, np.memmap) for array in arrays)
 
 
 def test_shape_seeds_of_splits_and_corpora_are_disjoint():
@@ -173,41 +153,3 @@ def test_what_is_not_built_says_how(tmp_path):
 def test_the_cache_folder_is_where_it_is_built_by_default(tmp_path, monkeypatch):
     monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path))
     assert folder_of("shapes", "train") == tmp_path / "shapes-train"
-
-
-def test_the_manifest_states_the_content(train_config, shapes_dir):
-    folder = folder_of("shapes", "train", shapes_dir)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    settings = dataclasses.asdict(train_config)
-    assert settings.items() <= manifest.items()
-    assert manifest["complete_points"] == 16384
-    names = [f"{name}.npy" for name in ("complete", "box", "partial", "eye", "views")]
-    files = {f"shard-0000{i}.{name}" for i in (0, 1) for name in (*names, "names.json")}
-    assert manifest["files"].keys() == files
-
-
-def test_a_shape_is_stored_once_whatever_its_views(shapes_dir):
-    folder = folder_of("shapes", "train", shapes_dir)
-    complete = np.load(folder / "shard-00000.complete.npy", mmap_mode="r")
-    partial = np.load(folder / "shard-00000.partial.npy", mmap_mode="r")
-    assert (complete.shape, complete.dtype) == ((3, 16384, 3), np.uint16)
-    assert (partial.shape, partial.dtype) == ((6, 2048, 3), np.uint16)
-
-
-def test_the_table_of_data_sets_has_the_same_splits():
-    assert DATASETS["shapes"].splits == tuple(ShapesConfig.SIZES)
-
-
-@pytest.mark.parametrize("key", ["format_version", "generator_version"])
-def test_folders_of_other_versions_are_to_be_built_anew(shapes_dir, tmp_path, key):
-    source = folder_of("shapes", "validation", shapes_dir)
-    folder = folder_of("shapes", "validation", tmp_path)
-    shutil.copytree(source, folder)
-    path = folder / "manifest.json"
-    manifest = json.loads(path.read_text())
-    assert manifest["format_version"] == FORMAT_VERSION
-    del manifest[key]
-    path.write_text(json.dumps(manifest))
-    told = "built by another version of prism_jax; delete it, then build it: python"
-    with pytest.raises(InputError, match=told):
-        open_dataset("shapes", "validation", tmp_path)
