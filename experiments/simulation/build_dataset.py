@@ -77,7 +77,7 @@ def _scenes(
 def _meshes(
     split: str, data_dir: _Place, num_workers: int | None, mesh_dir: str | None = None
 ):
-    from experiments.simulation.meshes import build_meshes
+    from experiments.simulation.packing import build_meshes
 
     if mesh_dir is None or data_dir is None:
         remedy = "name the folder of meshes with --mesh_dir, and --output_dir"

@@ -84,7 +84,7 @@ class World:
         for hits, kept in (own, of_object[own.ray]), (other, ~of_object[other.ray]):
             metres = hits._replace(distances=hits.distances * self.half_extent)
             kept_hits = Hits(*(array[kept] for array in metres))
-            found, ranges = measure(self.scene, kept_hits, grid, rng, config)
+            found, ranges = measure(kept_hits, grid, rng, config)
             points[found.ray] = measured_points(
                 rays, found, ranges, config.quantum, self.half_extent
             )

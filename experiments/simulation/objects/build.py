@@ -1,12 +1,10 @@
 """Builds splits of the models that people made."""
 
-import collections
 import dataclasses
 import functools
 import hashlib
 import os
 import pathlib
-import sys
 from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
@@ -16,7 +14,7 @@ from experiments.simulation.configs import SetConfig, shards_of
 from experiments.simulation.kinds import has_maps
 from experiments.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE, Model
 from experiments.simulation.objects.categories import CATEGORIES, category_of
-from experiments.simulation.objects.survey import ALIKE, Survey, survey
+from experiments.simulation.objects.survey import survey
 from experiments.simulation.shard_writer import build_shards
 from experiments.simulation.views import BOX, STORED, Views, examples, views_of
 from prism_jax.data.datasets import OBJECTS_VERSION, folder_of
@@ -57,8 +55,6 @@ def build_objects(
     folder = make_output_dir(folder_of("objects", config.split, data_dir))
     found = survey([config.split], catalogue_dir, progress)
     models = [model for model, _ in found.models]
-    if progress:
-        print(f"{folder.name}: {told_counts(found)}", file=sys.stderr)
     catalogues = [
         {**known._asdict(), "version": found.versions[known.name]}
         for known in CATALOGUES
@@ -95,16 +91,6 @@ def build_objects(
         BOX,
         maps=has_maps(config.partial),
     )
-
-
-def told_counts(found: Survey) -> str:
-    """How many models are taken, and how many are left out for which reason."""
-    kinds = collections.Counter(
-        f"{ALIKE} another" if reason.startswith(ALIKE) else reason
-        for reason in found.left_out.values()
-    )
-    left_out = ", ".join(f"{kinds[reason]} {reason}" for reason in sorted(kinds))
-    return f"{len(found.models)} models are taken; left out: {left_out or 'none'}"
 
 
 def model_views(config: ObjectsConfig, model: Model) -> Views:

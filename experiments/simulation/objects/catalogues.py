@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from experiments.simulation.meshes import parse_mesh
 from experiments.simulation.objects.categories import NO_OBJECTS
+from experiments.simulation.packing import parse_mesh
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_member
 

@@ -10,7 +10,6 @@ import trimesh
 from jaxtyping import Float64, UInt8
 from tqdm import tqdm
 
-from experiments.simulation.meshes import normalised
 from experiments.simulation.objects.catalogues import (
     CATALOGUES,
     FOLDER,
@@ -18,6 +17,7 @@ from experiments.simulation.objects.catalogues import (
     read_installed,
 )
 from experiments.simulation.objects.categories import NO_OBJECTS, category_of
+from experiments.simulation.packing import normalised
 from prism_jax.io.errors import InputError
 
 MIN_TRIANGLES = 12  # as many as a box has

@@ -9,8 +9,7 @@ from jaxtyping import Float64
 from manifold3d import Manifold
 
 from experiments.simulation.raycast import direction
-from experiments.simulation.roboarm.cell import look_at
-from experiments.simulation.roboarm.clutter import are_hidden
+from experiments.simulation.roboarm.cell import are_hidden, look_at
 from experiments.simulation.roboarm.furnishings import (
     FIXTURES,
     fence,

@@ -38,8 +38,7 @@ class ArmModel:
 
 
 def _read() -> dict[str, tuple[ArmModel, ...]]:
-    text = pathlib.Path(__file__).with_name("arms.toml").read_text()
-    arms = {}
+    text, arms = pathlib.Path(__file__).with_name("arms.toml").read_text(), {}
     for name, entries in tomllib.loads(text).items():
         for entry in entries:
             if "roll_pitch_yaw" in entry:

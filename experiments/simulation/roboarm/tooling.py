@@ -274,11 +274,9 @@ def _curve(start: Anchor, end: Anchor, slack: float) -> np.ndarray:
     pull = slack * np.linalg.norm(end.point - start.point) / 3
     share = np.linspace(0, 1, HOSE_STEPS)[:, None]
     rest = 1 - share
-    leaves = start.point + pull * (start.along + 0.8 * start.out)
-    arrives = end.point - pull * (end.along - 0.8 * end.out)
     return (
         rest**3 * start.point
-        + 3 * rest**2 * share * leaves
-        + 3 * rest * share**2 * arrives
+        + 3 * rest**2 * share * (start.point + pull * (start.along + 0.8 * start.out))
+        + 3 * rest * share**2 * (end.point - pull * (end.along - 0.8 * end.out))
         + share**3 * end.point
     )

@@ -36,8 +36,6 @@ def random_trajectory(
     Way-points are uniform within the limits; a leg that would meet the ground or the
     arm itself is shortened. A robot that is never free raises InputError.
     """
-    if num_waypoints < 2:
-        raise ValueError("a trajectory needs two way-points or more")
     clearance = Clearance(robot)
     waypoints = [_random_free_pose(robot, clearance, rng)]
     for _ in range(num_waypoints - 1):

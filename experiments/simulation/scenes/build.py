@@ -18,8 +18,13 @@ from experiments.simulation.objects.catalogues import FOLDER
 from experiments.simulation.raycast import Scene, sample_outside
 from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.scenes.arrangement import (
+    DEFAULT_SOURCES,
     Part,
+    Pools,
+    Thing,
     arranged,
+    check_sources,
+    pools_of,
     random_room,
     turned,
 )
@@ -29,13 +34,6 @@ from experiments.simulation.scenes.sensing import (
     measured,
     random_camera,
     random_lidar,
-)
-from experiments.simulation.scenes.things import (
-    DEFAULT_SOURCES,
-    Pools,
-    Thing,
-    check_sources,
-    pools_of,
 )
 from experiments.simulation.shapes import category_rng
 from experiments.simulation.shard_writer import (
@@ -215,10 +213,9 @@ def labelled(made: MadeScene, name: str) -> LabelledScene:
 def examples(scene: LabelledScene) -> Iterator[Example]:
     """The things of a scene one by one."""
     for number, complete in enumerate(scene.complete):
-        partial = scene.points[scene.labels == number]
         yield Example(
             complete,
-            farthest_point_order(partial, PARTIAL_POINTS),
+            farthest_point_order(scene.points[scene.labels == number], PARTIAL_POINTS),
             scene.eye.astype(np.float32),
             scene.categories[number],
             f"{scene.name}/{number}",

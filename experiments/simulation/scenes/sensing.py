@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 from scipy.spatial.transform import Rotation
 
+from experiments.simulation.kinds import BEAMS, random_ouster, tilted_rays
 from experiments.simulation.raycast import Scene, direction
 from experiments.simulation.readings import pixel_grid
 from experiments.simulation.sensors import (
@@ -15,7 +16,6 @@ from experiments.simulation.sensors import (
     measure,
     measured_points,
 )
-from experiments.simulation.stations import BEAMS, random_ouster, tilted_rays
 from prism_jax.geometry.framing import camera_axes
 from prism_jax.observation.scene import LEFT_OVER
 
@@ -110,7 +110,7 @@ def measured(
     rays, config = sensor.rays, sensor.config
     grid = rays.directions.shape[0], rays.directions.shape[1]
     directions = rays.directions.reshape(-1, 3)
-    hits, ranges = measure(scene, scene.cast(rays.eye, directions), grid, rng, config)
+    hits, ranges = measure(scene.cast(rays.eye, directions), grid, rng, config)
     points = measured_points(rays, hits, ranges, config.quantum)
     noise = np.interp(hits.distances, *np.array(config.noise).T)
     strays = np.abs(ranges - hits.distances) > STRAY * noise + config.quantum

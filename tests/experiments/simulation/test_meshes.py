@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from experiments.simulation.meshes import Meshes, build_meshes
+from experiments.simulation.packing import Meshes, build_meshes
 from prism_jax.data.datasets import open_dataset, parts_of
 from prism_jax.io import InputError
 

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.raycast import Scene
-from experiments.simulation.sensors import L515Config, OusterConfig
-from experiments.simulation.stations import (
+from experiments.simulation.kinds import (
     BEAMS,
     CAMERA_METRES,
     CLEARANCE,
@@ -15,6 +13,8 @@ from experiments.simulation.stations import (
     random_camera,
     random_lidar,
 )
+from experiments.simulation.raycast import Scene
+from experiments.simulation.sensors import L515Config, OusterConfig
 
 
 @pytest.fixture(scope="module")

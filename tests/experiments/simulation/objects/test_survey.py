@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.meshes import normalised
 from experiments.simulation.objects.survey import (
     digest_of,
     fault_of,
     survey,
 )
+from experiments.simulation.packing import normalised
 from tests.experiments.simulation.objects.conftest import entry, knobbed
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from experiments.simulation.open_shapes.attachments import extent
+from experiments.simulation.open_shapes.compositions import STRUCTURES
 from experiments.simulation.open_shapes.frames import tub, vase
 from experiments.simulation.open_shapes.primitives import (
     PRIMITIVES,
 )
-from experiments.simulation.open_shapes.structures import STRUCTURES
 from experiments.simulation.solids import as_mesh
 
 SIZE = np.array([0.5, 0.7, 0.9])

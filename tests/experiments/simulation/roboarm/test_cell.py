@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.roboarm.cell import make_cell
-from experiments.simulation.roboarm.clutter import are_hidden
+from experiments.simulation.roboarm.cell import are_hidden, make_cell
 from experiments.simulation.roboarm.robots import Robot
 from experiments.simulation.roboarm.trajectories import random_trajectory
 from prism_jax.geometry.camera import Camera

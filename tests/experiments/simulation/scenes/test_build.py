@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from experiments.simulation.scenes.arrangement import pools_of
 from experiments.simulation.scenes.build import (
     MIN_RETURNS,
     build_scenes,
     make_scene,
 )
-from experiments.simulation.scenes.things import pools_of
 from experiments.simulation.shapes import NOVEL_CATEGORIES
 from prism_jax.data.datasets import folder_of, open_dataset
 from prism_jax.data.scenes import Scenes
