@@ -13,7 +13,7 @@ from absl import flags
 from jaxtyping import UInt8
 
 from experiments.output import prepare_output
-from experiments.simulation.contact_sheet import Row, contact_sheet, to_bytes
+from experiments.sheets import Row, contact_sheet, to_bytes
 from experiments.simulation.open_shapes import make_open_shape
 from experiments.simulation.raycast import Scene
 from experiments.simulation.shapes import CATEGORIES, make_shape

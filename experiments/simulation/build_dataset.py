@@ -18,9 +18,10 @@ def _shapes(split: str, data_dir: _Place, num_workers: int | None, **settings: A
 
 
 def _open(split: str, data_dir: _Place, num_workers: int | None, **settings: Any):
-    from experiments.simulation.open_shapes.build import OpenConfig, build_open_shapes
+    from experiments.simulation.open_shapes.build import OpenConfig
+    from experiments.simulation.shapes.build import build_shapes
 
-    return build_open_shapes(OpenConfig(split, **settings), data_dir, num_workers)
+    return build_shapes(OpenConfig(split, **settings), data_dir, num_workers)
 
 
 def _roboarm(

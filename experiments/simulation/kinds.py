@@ -117,8 +117,7 @@ def random_camera(
     """A depth camera as an L515: with its noise, of an object of any of `CAMERA_SIDES`,
     or exact."""
     if noisy:
-        half_extent = 0.5 * _log_uniform(*CAMERA_SIDES, rng)
-        config = L515Config()
+        half_extent, config = 0.5 * _log_uniform(*CAMERA_SIDES, rng), L515Config()
     else:
         half_extent, config = HALF_EXTENT, L515Config().exact()
     least, most = (metres / half_extent for metres in CAMERA_METRES)
@@ -128,8 +127,7 @@ def random_camera(
 
 def random_lidar(scene: Scene, num_eyes: int, rng: np.random.Generator) -> Sensor:
     """A spinning lidar of one of `BEAMS`."""
-    half_extent = 0.5 * _log_uniform(*LIDAR_SIDES, rng)
-    config = random_ouster(rng)
+    half_extent, config = 0.5 * _log_uniform(*LIDAR_SIDES, rng), random_ouster(rng)
     least, most = (metres / half_extent for metres in LIDAR_METRES)
     return Sensor(config, half_extent, _random_eyes(scene, num_eyes, least, most, rng))
 
@@ -221,7 +219,11 @@ def _sensed(
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, Visibility] | None:
     """Points, eye and map of a view that has these traits."""
-    sensor = _random_sensor(traits, scene, rng)
+    num_eyes = int(rng.integers(2, 5)) if "stations" in traits else 1
+    if "rings" in traits:
+        sensor = random_lidar(scene, num_eyes, rng)
+    else:
+        sensor = random_camera(scene, num_eyes, "noisy" in traits, rng)
     world = _random_world(traits, scene, sensor, rng)
     if world is None:
         return None
@@ -245,15 +247,6 @@ def _sensed(
     unmixed = dataclasses.replace(sensor.config, mixed_share=0.0)
     own = cut.apply(world.read(map_rays(camera, eye), unmixed, rng), eye)
     return points, eye, map_of(camera, [own, measured[best]])
-
-
-def _random_sensor(
-    traits: Sequence[str], scene: Scene, rng: np.random.Generator
-) -> Sensor:
-    num_eyes = int(rng.integers(2, 5)) if "stations" in traits else 1
-    if "rings" in traits:
-        return random_lidar(scene, num_eyes, rng)
-    return random_camera(scene, num_eyes, "noisy" in traits, rng)
 
 
 def _random_world(

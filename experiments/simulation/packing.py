@@ -147,7 +147,10 @@ class Meshes:
         self.num_points = num_points
         self.partial_points = partial_points
         below = [path.relative_to(self.root) for path in _find(self.root)]
-        self._files = [(path.as_posix(), _category(path)) for path in below]
+        self._files = [
+            (path.as_posix(), path.parts[0] if len(path.parts) > 1 else "mesh")
+            for path in below
+        ]
         self.categories = tuple(sorted({category for _, category in self._files}))
 
     @property
@@ -161,7 +164,8 @@ class Meshes:
     def __getitem__(self, index: int) -> Example:
         name, category = self._files[range(len(self))[index]]
         path = self.root / name
-        mesh, digest = _read(path), hashlib.sha256(name.encode()).digest()
+        mesh = parse_mesh(read_bytes(path), path.suffix[1:].lower(), path)
+        mesh, digest = normalised(mesh), hashlib.sha256(name.encode()).digest()
         rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
         surface = trimesh.sample.sample_surface(mesh, self.num_points, seed=rng)[0]
         complete = np.asarray(surface, np.float64)
@@ -205,15 +209,6 @@ def _find(base: pathlib.Path) -> list[pathlib.Path]:
         fault = f"holds no mesh ({' '.join(SUFFIXES)})"
         raise InputError(base, fault, "name a folder of meshes")
     return sorted(found)
-
-
-def _category(path: pathlib.Path) -> str:
-    return path.parts[0] if len(path.parts) > 1 else "mesh"
-
-
-def _read(path: pathlib.Path) -> trimesh.Trimesh:
-    """A file's mesh, normalised."""
-    return normalised(parse_mesh(read_bytes(path), path.suffix[1:].lower(), path))
 
 
 def parse_mesh(

@@ -79,8 +79,7 @@ class World:
         of_object = first[0] <= first[1]
         hidden = 1 - of_object[own.ray].sum() / max(len(own.ray), 1)
 
-        state = np.zeros(len(directions), np.uint8)
-        points = rays.eye + directions
+        state, points = np.zeros(len(directions), np.uint8), rays.eye + directions
         for hits, kept in (own, of_object[own.ray]), (other, ~of_object[other.ray]):
             metres = hits._replace(distances=hits.distances * self.half_extent)
             kept_hits = Hits(*(array[kept] for array in metres))
@@ -122,8 +121,7 @@ def ring_rays(
     step = 2 * np.pi / config.columns
     last = int(min(reach / np.cos(pitch), np.pi / 2) / step)
     azimuths = step * np.arange(-last, last + 1)
-    axes = np.stack([ahead, -right, axis])
-    beams = direction(azimuths, elevations)
+    axes, beams = np.stack([ahead, -right, axis]), direction(azimuths, elevations)
     return Rays(eye, (beams.reshape(-1, 3) @ axes).reshape(beams.shape))
 
 

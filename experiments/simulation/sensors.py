@@ -66,12 +66,12 @@ class L515Config(RangeConfig):
 class OusterConfig(RangeConfig):
     """Ouster OS1: 128 evenly spaced beams over 45 degrees, 1,024 columns a turn.
 
-    Beams, columns and the standard deviation of 1.5 cm where the signal is strong and
-    3 cm where it is weaker (signal to noise 100) are the OS1 data sheet's; that the
-    former holds up to 20 m and the latter at 100 m is our reading. So are the shares
-    of lost and mixed returns: a beam 0.18 degrees wide (the sheet, at half maximum)
-    covers half the pitch of 0.35, so half the beams beside an edge touch it. The beams'
-    offsets from the axis of rotation, some centimetres, are not modelled.
+    Beams, columns and the standard deviation of 1.5 cm where the signal is strong and 3
+    cm where it is weaker (signal to noise 100) are the OS1 data sheet's; at which
+    ranges is our reading. So are the shares of lost and mixed returns: a beam 0.18
+    degrees wide covers half the pitch of 0.35, so half the beams beside an edge touch
+    it. The beams' offsets from the axis of rotation, some centimetres, are not
+    modelled.
     """
 
     beams: int = 128

@@ -160,8 +160,7 @@ def _plate(rng: np.random.Generator) -> _Solid:
 
 def _blob(rng: np.random.Generator) -> _Solid:
     """A ball with bumps, longer one way than another."""
-    waves = rng.normal(scale=2.5, size=(3, 3))
-    phases = rng.uniform(0, 2 * np.pi, 3)
+    waves, phases = rng.normal(scale=2.5, size=(3, 3)), rng.uniform(0, 2 * np.pi, 3)
     bumps = np.sin(_BALL.vertices @ waves + phases).mean(axis=1, keepdims=True)
     blob = _BALL.vertices * (1 + 0.6 * bumps) * rng.uniform(0.25, 0.6, 3)
     return _any_turn(rng).apply(blob), _BALL.faces

@@ -1,9 +1,8 @@
 """One mesh: its complete cloud and partial views of it.
 
-Frame: the bounding box of the 16,384-point complete cloud is centred at the origin and
-the box's longest side spans [-1, 1]. A network never sees this frame: its workspace is
-taken from the partial alone, later. Coordinates are multiples of `QUANTUM`, which 16
-bits hold up to +-2, and float32 exactly.
+The bounding box of the complete cloud is centred at the origin and its longest side
+spans [-1, 1]. A network never sees this frame. Coordinates are multiples of `QUANTUM`,
+which 16 bits hold up to +-2, and float32 exactly.
 """
 
 from collections.abc import Iterator
@@ -70,14 +69,13 @@ def views_of(
     partial: str = "self_occlusion",
     two_sided: bool = False,
 ) -> Views:
-    """Views of a mesh.
+    """Views of a mesh, of one of `kinds.KINDS`.
 
-    `partial` is one of `kinds.KINDS`. The complete cloud is of what can be seen
-    from outside (`sample_outside`, also for `two_sided`). All clouds are in
-    farthest-point order; a partial of fewer than 2,048 distinct points is repeated from
-    its start. More views begin with the same ones. A crop is seen by no sensor: its
-    viewpoint is NaN. A mesh of which almost nothing is seen from outside, or that gives
-    no view of `MIN_RETURNS` points, raises ValueError.
+    The complete cloud is of what can be seen from outside (`sample_outside`). All
+    clouds are in farthest-point order; a partial of fewer distinct points than 2,048 is
+    repeated from its start. More views begin with the same ones. The viewpoint of a
+    crop is NaN. A mesh of which almost nothing is seen, or that gives no view, raises
+    ValueError.
     """
     surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng, two_sided)
     lower, upper = surface.min(axis=0), surface.max(axis=0)

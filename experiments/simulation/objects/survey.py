@@ -114,9 +114,7 @@ def fault_of(mesh: trimesh.Trimesh) -> str | None:
         return f"has {len(mesh.faces)} triangles"
     if thin < MIN_THICKNESS * long:
         return "is flat"
-    if thin < MIN_SLAB * middle:
-        return "is a slab"
-    return None
+    return "is a slab" if thin < MIN_SLAB * middle else None
 
 
 def digest_of(mesh: trimesh.Trimesh) -> str:

@@ -116,9 +116,7 @@ def turned_outward(rng: Rng, outward: Point) -> np.ndarray:
     upright = Rotation.from_euler("z", spin, degrees=True).as_matrix()
     if kind < 0.25:
         return upright
-    if kind < 0.9:
-        return axes_along(outward) @ upright
-    return any_rotation(rng)
+    return axes_along(outward) @ upright if kind < 0.9 else any_rotation(rng)
 
 
 def any_rotation(rng: Rng) -> np.ndarray:
@@ -161,9 +159,7 @@ def cut_out(rng: Rng, body: Manifold, tool: Manifold, group: Symmetry) -> Manifo
     sunk = turned.translate(-middle).scale(stretch)
     sunk = sunk.translate(hit.point - 0.45 * deep * outward)
     left = body - union(copies(sunk, hit.point, group))
-    if left.volume() < 0.4 * body.volume():
-        return body
-    return largest_piece(left)
+    return body if left.volume() < 0.4 * body.volume() else largest_piece(left)
 
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -75,8 +75,7 @@ def lattice(rng: Rng, size: Size) -> Manifold:
     flat = section.extrude(deep).translate((0, 0, -deep / 2)).rotate((90, 0, 0))
     if size[1] < 4 * thick or rng.random() < 0.4:
         return flat
-    y = (size[1] - thick) / 2
-    flat = fitted(flat, np.array([size[0], thick, size[2]]))
+    y, flat = (size[1] - thick) / 2, fitted(flat, np.array([size[0], thick, size[2]]))
     ties = [
         box((x_tie, 0, z_tie), (thick, size[1] - thick, thick))
         for x_tie in x[[0, -1]]
@@ -153,7 +152,9 @@ def linkage(rng: Rng, size: Size) -> Manifold:
     for index, length in enumerate(lengths):
         bend = rng.uniform(-0.9, 0.9) if index == 0 else rng.uniform(-2.2, 2.2)
         roll = rng.uniform(-np.pi, np.pi) if rolls else 0.0
-        turned = [frame @ _turn(roll, angle) for angle in (bend, -bend)]
+        # About the link's own axis, z, then about its joint's, x.
+        turns = Rotation.from_euler("ZX", [(roll, bend), (roll, -bend)]).as_matrix()
+        turned = [frame @ turn for turn in turns]
         # Of the two ways to bend, the one that keeps off the floor.
         is_low = point[2] + length * turned[0][2, 2] < 0
         frame = turned[int(is_low)]
@@ -165,11 +166,6 @@ def linkage(rng: Rng, size: Size) -> Manifold:
         sink = foot.point + (0, 0, min(foot.depth, radii[-1]) / 2)
         solids.append(place(held.translate(-sink), frame, point))
     return _within(union(solids), size)
-
-
-def _turn(roll: float, bend: float) -> np.ndarray:
-    """About the link's own axis, z, then about its joint's, x."""
-    return Rotation.from_euler("ZX", (roll, bend)).as_matrix()
 
 
 def _link(

@@ -84,8 +84,7 @@ def cell_views(
     """A cell and its frames: a pure function of the arguments. A draw of which too
     little is seen is drawn again."""
     arms = CELL_ARMS[config.split] if arms is None else arms
-    model = arms[index % len(arms)]
-    split = list(config.SIZES).index(config.split)
+    model, split = arms[index % len(arms)], list(config.SIZES).index(config.split)
     for attempt in range(MAX_DRAWS):
         rng = np.random.default_rng((config.seed, split, index, attempt))
         try:

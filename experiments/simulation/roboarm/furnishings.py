@@ -42,8 +42,7 @@ def together(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
 def table(lower: np.ndarray, upper: np.ndarray, height: float) -> Solids:
     """A slab on four legs: `lower` and `upper` are its corners (x, y)."""
     middle, size = (lower + upper) / 2, upper - lower
-    slab = box((*middle, height - _TOP / 2), (*size, _TOP))
-    inner = size / 2 - 0.06
+    slab, inner = box((*middle, height - _TOP / 2), (*size, _TOP)), size / 2 - 0.06
     legs = [
         box(
             (middle[0] + x * inner[0], middle[1] + y * inner[1], (height - _TOP) / 2),
@@ -129,8 +128,7 @@ def random_person(rng: np.random.Generator) -> Solids:
     """Legs, trunk, head and arms, each of which hangs or reaches out by itself."""
     height = rng.uniform(*HEIGHTS)
     hip, shoulder = 0.5 * height, 0.8 * height
-    lean = height * rng.uniform(-0.03, 0.12)
-    breadth = height * rng.uniform(0.1, 0.13)
+    lean, breadth = height * rng.uniform(-0.03, 0.12), height * rng.uniform(0.1, 0.13)
     chest = np.array([lean, 0, shoulder])
     solids = [
         capsule((0, 0, hip), chest - (0, 0, 0.03), 0.075 * height, 0.085 * height),

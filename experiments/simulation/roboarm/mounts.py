@@ -50,8 +50,7 @@ def random_mount(
     it becomes a post.
     """
     size = "small" if reach < SMALL else "medium" if reach < LARGE else "large"
-    kind = str(rng.choice(MOUNTS, p=SHARES[size]))
-    half = float(np.abs(foot).max())
+    kind, half = str(rng.choice(MOUNTS, p=SHARES[size])), float(np.abs(foot).max())
     half = max(min(half, 0.35 * reach), 0.06)
     if kind == "rail":
         mount = _rail(reach, half, num_frames, rng)

@@ -23,16 +23,11 @@ class Robot(Linkage):
     """An arm: its links' meshes, its joints, and where joint positions put the links.
 
     `lower` and `upper` are the joints' limits (radians, metres), narrowed to
-    `MAX_TURN`. What the file has wrong raises InputError.
-
-    Attributes:
-      spacer: height of what the root stands on, which is not part of the meshes.
-      bodies: for each link, the number of the part that moves as one: 0 is the root's.
-        A joint that mimics another starts no part of its own.
-      parents: for each body, the one that carries it; the root's is 0.
-      probes: points on the links' surfaces, in the frames of the links
-        `probe_links`: what collisions are looked for with, as many on every link.
-      probe_weights: the share of the surface that each probe stands for.
+    `MAX_TURN`. `bodies` numbers the part that moves as one of each link, the root's 0;
+    a joint that mimics another starts none of its own. `parents` has the body that
+    carries each. Of `probes`, points in the frames of the links `probe_links`, as many
+    on every link, collisions are looked for; `probe_weights` is the share of the
+    surface of each.
     """
 
     def __init__(self, model: ArmModel):

@@ -221,8 +221,7 @@ def random_hoses(
         np.linalg.inv(own) @ after[:, 3] for own, after in itertools.pairwise(frames)
     ]
     lengths = np.array([np.linalg.norm(end[:3]) for end in ends])
-    longest = np.sort(1 + np.argsort(lengths[1:-1])[-2:])
-    side = rng.normal(size=3)
+    longest, side = np.sort(1 + np.argsort(lengths[1:-1])[-2:]), rng.normal(size=3)
     places = [
         _beside(robot, chain[index], ends[index][:3], side, radius)
         for index in (0, *longest)
@@ -248,8 +247,7 @@ def _beside(
 ) -> tuple[Anchor, np.ndarray]:
     """A place on a link's surface, half way to `end`, on a side; and the direction
     across it, along the surface."""
-    mesh = robot.meshes[robot.link_names.index(link)]
-    length = np.linalg.norm(end)
+    mesh, length = robot.meshes[robot.link_names.index(link)], np.linalg.norm(end)
     along = end / length if length > 0.02 else np.array([0, 0, 1.0])
     out = side - (side @ along) * along
     out /= np.linalg.norm(out)

@@ -61,7 +61,6 @@ def posed_chain(
 def _forward(
     rng: Rng, height: float, lengths: np.ndarray, radii: np.ndarray, steps: np.ndarray
 ) -> Chain:
-    """Forward kinematics of random joint angles, in radians."""
     rotation = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
     point, rows = np.array([0.0, 0.0, height]), []
     for index, (length, step) in enumerate(zip(lengths, steps, strict=True)):

@@ -102,7 +102,6 @@ def _bedding(rng: Rng, width: float, length: float, low: float, thick: float) ->
 
 
 def _bed_board(rng: Rng, kind: str, y: float, width: float, tall: float) -> Solids:
-    """A head board at negative y, a foot board at positive."""
     out, thick = float(np.sign(y)), rng.uniform(0.04, 0.08)
     y += out * 0.03
     if kind == "none":

@@ -273,7 +273,6 @@ def _handlebar(rng: Rng, kind: str, shape: Geometry, pipe: float) -> list[Manifo
 
 
 def _steered(parts: list[Manifold], shape: Geometry, degrees: float) -> list[Manifold]:
-    """Turned about the steering axis."""
     axis = shape.head_high - shape.head_low
     axis = axis / np.linalg.norm(axis)
     turn = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()

@@ -5,10 +5,9 @@ Shapes of different splits and seeds never share a seed of their own; the splits
 """
 
 import dataclasses
-import functools
 import os
 import pathlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from typing import ClassVar
 
 from experiments.simulation.configs import SetConfig, shards_of
@@ -40,6 +39,8 @@ class ShapesConfig(SetConfig):
         "novel": {"num_shapes": 132, "num_views": 1},
     }
 
+    SET: ClassVar = ("shapes", "shapes", SHAPES_VERSION)  # name, generator, version
+
     num_shapes: int = 0
     num_views: int = 0  # partial clouds of each shape
     partial: str = "self_occlusion"  # one of `kinds.KINDS`
@@ -51,6 +52,13 @@ class ShapesConfig(SetConfig):
         """Of the split's shapes."""
         own = {"unseen": UNSEEN_CATEGORIES, "novel": NOVEL_CATEGORIES}
         return own.get(self.split, TRAIN_CATEGORIES)
+
+    def examples(self, index: int) -> Iterator[Example]:
+        """The views of a shape."""
+        category = self.categories[index % len(self.categories)]
+        seed = shape_seed(self, index)
+        made = make_views(category, seed, self.num_views, self.partial)
+        return examples(made, category, f"{index:06d}")
 
 
 def shape_seed(config: ShapesConfig, index: int) -> int:
@@ -68,35 +76,15 @@ def build_shapes(
     progress: bool = True,
 ) -> pathlib.Path:
     """Builds what is missing of a split and returns its folder."""
-    kind = ("shapes", "shapes", SHAPES_VERSION, config.categories)
-    return build_procedural(kind, config, _views, data_dir, num_workers, progress)
-
-
-def build_procedural(
-    kind: tuple[str, str, int, Sequence[str]],
-    config: ShapesConfig,
-    make_object: Callable[[ShapesConfig, int], Iterator[Example]],
-    data_dir: str | os.PathLike | None,
-    num_workers: int | None,
-    progress: bool,
-) -> pathlib.Path:
-    """`build_shapes` of a kind of set: its name, what makes it, in which version, and
-    its categories."""
-    dataset, generator, version, categories = kind
+    dataset, generator, version = config.SET
+    categories = config.categories
     return build_shards(
         folder_of(dataset, config.split, data_dir),
         config.content(generator, version, categories=categories, **STORED),
         shards_of(config.num_shapes, config.shard_shapes),
-        functools.partial(make_object, config),
+        config.examples,
         num_workers,
         progress,
         BOX,
         maps=has_maps(config.partial),
     )
-
-
-def _views(config: ShapesConfig, index: int) -> Iterator[Example]:
-    category = config.categories[index % len(config.categories)]
-    seed = shape_seed(config, index)
-    made = make_views(category, seed, config.num_views, config.partial)
-    return examples(made, category, f"{index:06d}")

@@ -147,8 +147,7 @@ def _mounting(rng: Rng, width: float, height: float) -> Solids:
 
 def _outside(rng: Rng, width: float, depth: float, height: float) -> Solids:
     """On the roof eyes, a fan, a signal tower, or conduits; a fan at the side."""
-    solids = []
-    kind = rng.choice(["eyes", "cooler", "tower", "conduits", "none"])
+    solids, kind = [], rng.choice(["eyes", "cooler", "tower", "conduits", "none"])
     if kind == "eyes":
         eye = torus(0.035, 0.011, segments=14).rotate((90, 0, 0))
         for point in corners(width / 2 - 0.05, depth / 2 - 0.05):
@@ -220,6 +219,5 @@ def _desk_screens(rng: Rng, fold: np.ndarray, roof: np.ndarray, width: float) ->
 
 
 def _side_hull(side: list[tuple[float, float]], width: float) -> Manifold:
-    """Hull of (y, z) pairs, extruded along x."""
     points = [(s * width / 2, y, z) for y, z in side for s in (-1, 1)]
     return Manifold.hull_points(np.array(points))

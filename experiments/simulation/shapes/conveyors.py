@@ -163,7 +163,6 @@ def _drive(
 
 
 def _goods(rng: Rng, way: tuple, width: float, rise: float) -> Solids:
-    """Boxes on the belt."""
     solids = []
     places, across = _stations(way, rng.uniform(0.45, 0.8))
     for place, axis in zip(places, across, strict=True):

@@ -79,10 +79,6 @@ def _along_y(solids: Solids, point: tuple) -> Solids:
     return [solid.rotate((-90, 0, 0)).translate(point) for solid in solids]
 
 
-def _along_x(solids: Solids, point: tuple, side: int = 1) -> Solids:
-    return [solid.rotate((0, 90 * side, 0)).translate(point) for solid in solids]
-
-
 def _inline(rng: Rng) -> Solids:
     """Round stepped housing on feet, shaft to the front, motor behind."""
     radius, long = rng.uniform(0.13, 0.19), rng.uniform(0.28, 0.45)
@@ -228,7 +224,8 @@ def _worm(rng: Rng) -> Solids:
         worm += [part.rotate((0, 0, 180)).translate((0, 0, half)) for part in drive]
     else:
         worm += _shaft(rng, 0.32 * barrel, half, half + 0.14)
-    solids += _along_x(worm, (0, 0, float(offset)))
+    place = (0, 0, float(offset))
+    solids += [part.rotate((0, 90, 0)).translate(place) for part in worm]
     if hollow:
         bore = rod((0, -1, 0), (0, 1, 0), 0.3 * radius)
         solids = [solid - bore for solid in solids]

@@ -68,8 +68,7 @@ def _guard(rng: Rng, radius: float, front: float, back: float, wire: float) -> S
 
 def _head(rng: Rng, radius: float) -> Solids:
     """Motor, rotor and guard along z; the joint that carries it is at the origin."""
-    forward = radius * rng.uniform(0.35, 0.5)
-    body = radius * rng.uniform(0.22, 0.34)
+    forward, body = radius * rng.uniform(0.35, 0.5), radius * rng.uniform(0.22, 0.34)
     motor = [
         rod((0, 0, -0.5 * body), (0, 0, forward), body, 0.8 * body, 22),
         ball((0, 0, -0.5 * body), (body, body, 0.9 * body), 18),

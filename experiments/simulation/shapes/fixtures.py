@@ -191,17 +191,15 @@ def _angle_plate(rng: Rng) -> list[Manifold]:
         )
     else:
         radius = 0.5 * min(size)
-        solids.append(
+        solids += [
             rod(
                 (0, face - 0.01, 0.5 * tall),
                 (0, face + 0.16, 0.5 * tall),
                 radius,
                 segments=28,
-            )
-        )
-        solids.append(
-            rod((0, face, 0.5 * tall), (0, face + 0.28, 0.5 * tall), 0.45 * radius)
-        )
+            ),
+            rod((0, face, 0.5 * tall), (0, face + 0.28, 0.5 * tall), 0.45 * radius),
+        ]
         size = np.array((2 * radius, 2 * radius))
     for side in (-1, 1):
         pieces = _clamp(rng, "strap", size[0] / 2, 0.14)
@@ -264,8 +262,7 @@ def _chuck(rng: Rng) -> list[Manifold]:
         solids.append(rod((0, 0, 0.2 * deep), (0, 0, top), open_at + 0.01, segments=24))
     if rng.random() < 0.5:
         return [*solids, box((0, 0, -0.03), (2.5 * radius, 2.5 * radius, 0.08), 0.01)]
-    solids = [solid.rotate((-90, 0, 0)) for solid in solids]
-    low = -1.25 * radius
+    solids, low = [solid.rotate((-90, 0, 0)) for solid in solids], -1.25 * radius
     solids.append(box((0, -0.05, low / 2), (1.3 * radius, 0.14, -low)))
     solids.append(box((0, 0, low), (2.2 * radius, 0.5, 0.08), 0.01))
     return [*solids, rod((0, -0.2, 0), (0, 0.02, 0), 0.7 * radius, segments=28)]

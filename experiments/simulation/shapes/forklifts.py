@@ -18,14 +18,12 @@ from experiments.simulation.solids import (
 
 def forklift(rng: Rng) -> Solids:
     """Trucks with a seat and a counterweight, walked stackers, hand pallet trucks."""
-    makers = _seated, _stacker, _hand_truck
-    return assembled(one_of(rng, makers, (0.46, 0.27, 0.27)))
+    return assembled(one_of(rng, (_seated, _stacker, _hand_truck), (0.46, 0.27, 0.27)))
 
 
 def _wheel(
     center: np.ndarray, radius: float, wide: float, segments: int = 24
 ) -> Solids:
-    """Tyre and hub about the x axis."""
     across = np.array((wide / 2, 0, 0))
     tyre = rod(center - across, center + across, radius, segments=segments)
     dish = rod(center + 0.7 * across, center + 2 * across, 0.55 * radius)
@@ -126,8 +124,7 @@ def _seated(rng: Rng) -> Solids:
     for x in (-0.34, 0.34):
         ends = (x, front - 0.3, hood - 0.15), (x, mast - 0.02, hood + 0.1)
         solids.append(rod(*ends, 0.03, segments=10))
-    level = bottom + rng.choice([-0.04, rng.uniform(0.0, 0.6)])
-    fork = mast + 0.11
+    level, fork = bottom + rng.choice([-0.04, rng.uniform(0.0, 0.6)]), mast + 0.11
     solids += _carriage(rng, mast + 0.1, level, rng.uniform(0.42, 0.55), inner)
     spread = rng.uniform(0.2, 0.34)
     return solids + _forks(fork, level, rng.uniform(0.9, 1.2), spread, 0.11, 0.5)

@@ -40,8 +40,7 @@ def table(rng: Rng) -> list[Manifold]:
         disc = lathe([(0.5, 0), (0.5, thick)], 40).scale((width, depth, 1))
         solids, inset = [disc.translate((0, 0, height - thick))], 0.66
     elif style == "chamfered":
-        solids = [rounded_slab(width, depth, thick, 0.25 * depth, top)]
-        inset = 0.78
+        solids, inset = [rounded_slab(width, depth, thick, 0.25 * depth, top)], 0.78
     else:
         solids, inset = [box((0, 0, top), (width, depth, thick))], 0.94
     inner = width * inset * rng.uniform(0.85, 1.0), depth * inset
@@ -126,8 +125,7 @@ def _chair_back(rng: Rng, width: float, depth: float, height: float) -> list[Man
     """Panel, framed panel, slats or rungs, leaning backwards."""
     tall, lean = rng.uniform(0.3, 0.62), rng.uniform(0.0, 0.14)
     thick, wide = rng.uniform(0.025, 0.06), width * rng.uniform(0.8, 1.0)
-    style = rng.choice(["panel", "slats", "rungs", "pad"])
-    y = -depth / 2 + thick / 2
+    style, y = rng.choice(["panel", "slats", "rungs", "pad"]), -depth / 2 + thick / 2
 
     def at(x, level) -> np.ndarray:
         """Point of the leaning back plane; level 0 is the seat and 1 the top."""

@@ -22,9 +22,7 @@ def gantry(rng: Rng) -> Solids:
     kind = rng.choice(["crane", "robot", "router"], p=[0.38, 0.34, 0.28])
     if kind == "crane":
         return assembled(_crane(rng))
-    if kind == "robot":
-        return assembled(_cartesian(rng))
-    return assembled(_router(rng))
+    return assembled(_cartesian(rng)) if kind == "robot" else assembled(_router(rng))
 
 
 def _crane(rng: Rng) -> Solids:

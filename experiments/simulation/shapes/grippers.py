@@ -56,7 +56,6 @@ def _flange(rng: Rng) -> list[Manifold]:
 
 
 def _parallel(rng: Rng) -> list[Manifold]:
-    """Two jaws on a rail under a block."""
     wide, deep = rng.uniform(0.8, 1.5), rng.uniform(0.4, 0.7)
     tall = rng.uniform(0.5, 1.0)
     solids = [box((0, 0, -tall / 2), (wide, deep, tall), 0.04)]
@@ -149,8 +148,7 @@ def _linkage(rng: Rng) -> list[Manifold]:
         return reach * np.array((np.sin(angle), 0.0, -np.cos(angle)))
 
     root, finger = np.array((0.5 * wide, 0, -tall)), []
-    inner = root - (0.28 * wide, 0, 0.12)
-    knee = root + polar(opened + 0.5, long)
+    inner, knee = root - (0.28 * wide, 0, 0.12), root + polar(opened + 0.5, long)
     near = inner + polar(opened + 0.5, long)
     solids.append(box((0, 0, -tall - 0.1), (0.5 * wide, 0.5 * deep, 0.2)))
     for y in (-0.3 * deep, 0.3 * deep):

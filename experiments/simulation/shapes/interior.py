@@ -165,12 +165,11 @@ def lamp(rng: Rng) -> list[Manifold]:
             solids.append(rod(tip, knot, stem * 0.8, stem, 12))
     elif style == "arc":
         reach, turn = rng.uniform(0.35, 0.75), np.linspace(np.pi, 0.12 * np.pi, 10)
-        rise = tall - reach * 0.5
         path = np.stack(
             [
                 np.zeros(10),
                 reach * (np.cos(turn) + 1) / 2,
-                rise + reach * 0.5 * np.sin(turn),
+                (tall - reach * 0.5) + reach * 0.5 * np.sin(turn),
             ],
             axis=1,
         )
@@ -222,8 +221,7 @@ def _desk_lamp(rng: Rng) -> list[Manifold]:
     elbow = root + lower * np.array([0, np.sin(first), np.cos(first)])
     head = elbow + upper * np.array([0, np.sin(second), np.cos(second)])
     tilt = rng.uniform(0.1, 0.9)
-    aim = np.array([0, np.sin(tilt), -np.cos(tilt)])
-    wide = rng.uniform(0.09, 0.15)
+    aim, wide = np.array([0, np.sin(tilt), -np.cos(tilt)]), rng.uniform(0.09, 0.15)
     outer = rod(head - 0.06 * aim, head + 0.18 * aim, 0.035, wide, 28)
     inner = rod(head - 0.03 * aim, head + 0.19 * aim, 0.022, wide - 0.008, 28)
     if rng.random() < 0.5:

@@ -70,7 +70,6 @@ def _rungs(
 
 
 def _shoes(flight: Flight, wide: float, deep: float) -> list[Manifold]:
-    """A rubber shoe under each stile."""
     size = (1.5 * wide, 1.3 * deep, 0.05)
     sides = (-flight.half_foot, flight.half_foot)
     return [box(flight.foot + (x, 0, 0.01), size) for x in sides]
@@ -104,7 +103,6 @@ def _folding(rng: Rng) -> list[Manifold]:
 
 
 def _spreaders(front: Flight, back: Flight, share: float) -> list[Manifold]:
-    """A flat bar on each side that keeps the legs apart."""
     (first, half), (second, other) = front.at(share), back.at(share)
     return [
         bar(first + (side * half, 0, 0), second + (side * other, 0, 0), 0.012, 0.022)
@@ -130,8 +128,7 @@ def _plain(rng: Rng) -> list[Manifold]:
     along = np.array((0.0, -np.cos(lean), np.sin(lean)))
     half, flare = rng.uniform(0.17, 0.23), rng.uniform(1.0, 1.35)
     wide, deep = rng.uniform(0.025, 0.035), rng.uniform(0.06, 0.09)
-    is_round = rng.random() < 0.7
-    foot = np.array((0.0, long * np.cos(lean) / 2, 0.0))
+    is_round, foot = rng.random() < 0.7, np.array((0.0, long * np.cos(lean) / 2, 0.0))
     flight = Flight(foot, foot + long * along, flare * half, half)
     shares = (np.arange(count) + 0.5) / count
     solids = [*_stiles(flight, wide, deep, False), *_shoes(flight, wide, deep)]

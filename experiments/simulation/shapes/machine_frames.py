@@ -166,7 +166,6 @@ def _infill(
 
 
 def _panel(start: np.ndarray, end: np.ndarray) -> Manifold:
-    """A sheet between opposite corners."""
     return box((start + end) / 2, np.where(end == start, 0.012, end - start))
 
 

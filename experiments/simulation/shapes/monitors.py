@@ -65,7 +65,6 @@ def _pair(rng: Rng, head: list[Manifold], width: float, lift: float) -> list[Man
 
 
 def _panel(rng: Rng, kind: str, width: float, tall: float) -> list[Manifold]:
-    """A screen about the origin, its face sunk into the bezel."""
     bezel, chin = rng.uniform(0.008, 0.025), rng.choice([0.0, 0.015])
     thick = rng.uniform(0.02, 0.045)
     if kind == "curved":

@@ -115,7 +115,6 @@ def _bend(
 
 
 def _supports(rng: Rng, points: np.ndarray, radius: float) -> list[Manifold]:
-    """Stands under level lengths, with a saddle."""
     solids = []
     for start, end in itertools.pairwise(points):
         middle, level = (start + end) / 2, start[2] == end[2]

@@ -83,8 +83,7 @@ def hopper(rng: Rng) -> Solids:
     free, is_round = taper + rng.uniform(0.25, 0.6), rng.random() < 0.5
     if is_round:
         profile = [(mouth, -taper), (half, 0), (half, tall), (0.96 * half, tall + 0.02)]
-        shell = lathe(profile, 36)
-        rim = torus(half, 0.025, segments=36, around=6)
+        shell, rim = lathe(profile, 36), torus(half, 0.025, segments=36, around=6)
         solids = [shell, rim, rim.translate((0, 0, tall))]
     else:
         low = [p + (0, 0, -taper) for p in corners(mouth, mouth)]

@@ -180,8 +180,7 @@ def _lying(rng: Rng) -> list[Manifold]:
         solids.append(ring ^ half)
     up = np.array((0, 0, 1.0))
     for x in np.linspace(-0.4, 0.4, int(rng.integers(2, 6))) * long:
-        root = np.array((x, 0, level + radius - 0.02))
-        size = rng.uniform(0.03, 0.07)
+        root, size = np.array((x, 0, level + radius - 0.02)), rng.uniform(0.03, 0.07)
         solids += nozzle(rng, root, up, size, rng.uniform(0.1, 0.2))
     if rng.random() < 0.65:
         spot = np.array((rng.uniform(-0.2, 0.2) * long, 0.0, level + 0.96 * radius))
@@ -193,8 +192,7 @@ def _lying(rng: Rng) -> list[Manifold]:
     end = np.array((long / 2 + 0.9 * above, 0.0, level))
     if rng.random() < 0.6:
         solids += nozzle(rng, end, np.array((1.0, 0, 0)), 0.06, 0.18)
-    drain = np.array((-0.2 * long, 0.0, level - radius))
-    down = np.array((0, 0, -1.0))
+    drain, down = np.array((-0.2 * long, 0.0, level - radius)), np.array((0, 0, -1.0))
     solids += nozzle(rng, drain, down, 0.035, min(0.1, 0.6 * (level - radius)))
     if rng.random() < 0.35:
         solids += _catwalk(rng, radius, long, level)

@@ -248,7 +248,6 @@ def _actuator(rng: Rng, drive: str, bore: float, level: float) -> Solids:
 
 
 def _gear(rng: Rng, bore: float, level: float) -> Solids:
-    """Worm gear with a hand wheel at its side."""
     case = rod((0, 0, level), (0, 0, level + bore), 1.3 * bore, segments=28)
     middle = np.array((0, 1.1 * bore, level + 0.5 * bore))
     worm = rod(middle - (1.5 * bore, 0, 0), middle + (2.6 * bore, 0, 0), 0.4 * bore)
@@ -258,7 +257,6 @@ def _gear(rng: Rng, bore: float, level: float) -> Solids:
 
 
 def _electric(rng: Rng, bore: float, level: float) -> Solids:
-    """Electric drive: gear case, motor, terminal box and emergency wheel."""
     size = bore * rng.uniform(1.3, 1.8)
     high = level + size
     case = rod((0, 0, level), (0, 0, level + 2.2 * size), size, segments=28)

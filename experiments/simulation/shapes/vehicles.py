@@ -47,7 +47,6 @@ def airplane(rng: Rng) -> Solids:
 
 
 def _fuselage(rng: Rng, style: str, radius: float, length: float) -> Solids:
-    """Convex hulls of ellipses from the tail to the nose."""
     nose, tail = rng.uniform(0.12, 0.25), rng.uniform(0.25, 0.45)
     sharp, flat = rng.uniform(0.5, 1.0), rng.uniform(0.85, 1.2)
     if style == "fighter":

@@ -131,6 +131,13 @@ def test_a_cavity_is_not_seen_and_the_outside_is():
     np.testing.assert_array_equal(seen, outer)
 
 
+def turned_over(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """With every other triangle wound the other way."""
+    faces = np.array(mesh.faces)
+    faces[::2] = faces[::2, ::-1]
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
 def slit(width: float) -> tuple[np.ndarray, np.ndarray, Scene]:
     """The walls that two boxes of side 1 turn to each other across a gap."""
     boxes = [

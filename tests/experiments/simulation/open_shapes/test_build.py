@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.simulation.open_shapes import make_open_shape
-from experiments.simulation.open_shapes.build import OpenConfig, build_open_shapes
+from experiments.simulation.open_shapes.build import OpenConfig
 from experiments.simulation.shapes import category_rng
+from experiments.simulation.shapes.build import build_shapes
 from experiments.simulation.views import views_of
 from prism_jax.data.datasets import open_dataset
 
@@ -15,7 +16,7 @@ CONFIG = OpenConfig(num_shapes=3, num_views=2, shard_shapes=2)
 @pytest.fixture(scope="module")
 def data_dir(tmp_path_factory):
     folder = tmp_path_factory.mktemp("open")
-    build_open_shapes(CONFIG, folder, 0, progress=False)
+    build_shapes(CONFIG, folder, 0, progress=False)
     return folder
 
 
