@@ -56,8 +56,7 @@ VLP-16, HDL-32E and HDL-64E and of Ouster's OS1 have it. Evenly spaced here."""
 COLUMNS = (1024, 2048)  # of a turn
 
 ELEVATIONS = (-15.0, 75.0)  # degrees of a sensor above the object's middle
-CLEARANCE = 1.4
-"""No sensor is closer to the object's middle, in radii of its bounding sphere."""
+CLEARANCE = 1.4  # least distance from the object's middle, in radii of its sphere
 FARTHEST = 7.0  # nor is a camera farther away, in units of the object
 
 CAMERA_METRES, LIDAR_METRES = (0.3, 8.0), (2.0, 20.0)  # from sensor to object

@@ -27,8 +27,7 @@ from prism_jax.io.files import read_bytes
 
 SHARD_EXAMPLES = 100  # a shard is full once it has as many
 
-_Group = tuple[str, list[int]]
-"""A source's name, and the rows in it that show one object."""
+_Group = tuple[str, list[int]]  # a source's name, and its rows that show one object
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,8 +13,7 @@ from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float64, Int
 
 NUM_VIEWPOINTS = 96
-VIEWPOINT_DISTANCE = 3.0
-"""Radii of the bounding sphere from its centre to the viewpoints around it."""
+VIEWPOINT_DISTANCE = 3.0  # from the centre, in radii of the bounding sphere
 CRACK = 1e-4
 """Radii of the bounding sphere by which a point is lifted off its surface before it
 looks for a viewpoint. Walls that are closer together than this hide each other."""

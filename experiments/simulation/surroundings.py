@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from experiments.simulation.raycast import Hits, Scene
 from prism_jax.geometry.framing import camera_axes
 
-HIDDEN_SHARES = (0.1, 0.7)
-"""Of what would have been seen: the least and the most that an occluder hides."""
+HIDDEN_SHARES = (0.1, 0.7)  # least and most of the points that an occluder hides
 TRIES = 12
 NO_PLANES = np.zeros((0, 4))
 

@@ -11,8 +11,7 @@ from experiments.simulation.readings import Readings
 from prism_jax.geometry.framing import camera_axes
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 
-KEPT_SHARES = (0.25, 0.85)
-"""Of the points that would be measured, the least and the most that a cut leaves."""
+KEPT_SHARES = (0.25, 0.85)  # least and most of the points that a cut leaves
 
 
 class Cut(NamedTuple):

@@ -20,18 +20,17 @@ from prism_jax.data.source import Example
 from prism_jax.geometry.visibility import Visibility
 
 QUANTUM = 2.0**-14
+# What shards store in this box is exactly what was made.
 BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
-"""That shards store these clouds in: what is stored is exactly what was made."""
 SURFACE_POINTS = 16384
 PARTIAL_POINTS = 2048
+# What manifests say of the clouds.
 STORED = {
     "partial_points": PARTIAL_POINTS,
     "complete_points": SURFACE_POINTS,
     "quantum": QUANTUM,
 }
-"""What manifests say of the clouds."""
-MIN_RETURNS = 16
-"""A view of fewer points, of a slender shape or through dropouts, is drawn again."""
+MIN_RETURNS = 16  # a view of fewer points is drawn again
 MAX_DRAWS = 100
 
 

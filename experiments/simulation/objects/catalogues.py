@@ -119,8 +119,7 @@ def _load(
 
 
 PACKAGE = "sweethome3d-furniture"
-FOLDER = pathlib.Path("/usr/share/sweethome3d/furniture")
-"""Where Debian puts the catalogues."""
+FOLDER = pathlib.Path("/usr/share/sweethome3d/furniture")  # Debian's place
 
 
 class Catalogue(NamedTuple):

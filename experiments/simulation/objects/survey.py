@@ -21,10 +21,8 @@ from experiments.simulation.packing import normalised
 from prism_jax.io.errors import InputError
 
 MIN_TRIANGLES = 12  # as many as a box has
-MIN_THICKNESS = 0.01
-"""Of the thinnest side, in longest ones: less is a picture or a rug."""
-MIN_SLAB = 0.1
-"""Of the thinnest side, in middle ones: less is a slab that lies or hangs flat."""
+MIN_THICKNESS = 0.01  # thinnest side in longest ones: less is a picture or a rug
+MIN_SLAB = 0.1  # thinnest side in middle ones: less is a slab
 MAX_OVERLAP = 0.8
 """Share of the cells that either of two models is in: if more have both in them, and no
 side of theirs differs by `MAX_SIDES` or more, they look alike."""

@@ -26,8 +26,7 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.observation.maps import box_exit
 
-KINDS = ("robot", "fixture", "clutter", "clutter", "clutter", "person")
-"""Labels of `PARTS`."""
+KINDS = ("robot", "fixture", "clutter", "clutter", "clutter", "person")  # of `PARTS`
 OPEN_PARTS = ("robot", "fixture", "support", "room")
 """What stands there when the truth is surveyed: no clutter, nobody."""
 FEW = 4000  # rays by which shares of an image are estimated

@@ -25,8 +25,7 @@ from experiments.simulation.solids import Rng, Solids, box
 from prism_jax.geometry.camera import Camera
 
 PERSON_SHARES = (0.45, 0.35, 0.2)  # how often nobody, one and two stand in a cell
-HIDDEN = 0.7
-"""Of the arm's surface, what clutter and people hide at most from the camera."""
+HIDDEN = 0.7  # most of the arm that clutter and people hide from the camera
 DISTANCES = (0.6, 1.25)  # from camera to middle, in units of what shows the whole
 NEAREST, FARTHEST = 0.6, 7.5
 ROOM = 7.0  # half of the floor's side

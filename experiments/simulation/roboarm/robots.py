@@ -15,19 +15,17 @@ from prism_jax.io.errors import InputError
 from prism_jax.robots.urdf import REMEDY, Linkage, moves
 
 POINTS_PER_LINK = 80
-MAX_TURN = 2.5
-"""Radians to each side of the middle of its range that a joint is turned at most."""
+MAX_TURN = 2.5  # radians to each side of the middle of a joint's range
 
 
 class Robot(Linkage):
     """An arm: its links' meshes, its joints, and where joint positions put the links.
 
     `lower` and `upper` are the joints' limits (radians, metres), narrowed to
-    `MAX_TURN`. `bodies` numbers the part that moves as one of each link, the root's 0;
-    a joint that mimics another starts none of its own. `parents` has the body that
-    carries each. Of `probes`, points in the frames of the links `probe_links`, as many
-    on every link, collisions are looked for; `probe_weights` is the share of the
-    surface of each.
+    `MAX_TURN`. `bodies` has for each link the number of the part that moves as one, 0
+    for the root's, and `parents` for each part the one that carries it. Collisions are
+    looked for at `probes`, points in the frames of the links `probe_links`, as many on
+    every link; `probe_weights` is the share of the surface that each stands for.
     """
 
     def __init__(self, model: ArmModel):

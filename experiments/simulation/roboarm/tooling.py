@@ -168,8 +168,7 @@ def on_flange(tool: Tool, pose: Float[np.ndarray, "4 4"], axis: str) -> trimesh.
     )
 
 
-HOSE_SIDES, HOSE_STEPS = 8, 12
-"""Of a hose's section, and between two places that it is held at."""
+HOSE_SIDES, HOSE_STEPS = 8, 12  # of a section, and between two places that hold it
 
 
 class Anchor(NamedTuple):

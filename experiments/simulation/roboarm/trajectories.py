@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float, Float64
 from experiments.simulation.roboarm.robots import Robot
 from prism_jax.io.errors import InputError
 
-FLOOR_GAP = 0.015
-"""Metres above the plane it stands on that an arm keeps its moving parts."""
+FLOOR_GAP = 0.015  # metres of moving parts above the plane that an arm stands on
 SELF_GAP = 0.03  # metres between the probes of bodies that no single joint connects
 CHECKS = 12  # poses looked at on the way from one way-point to the next
 _DRAWS = 32

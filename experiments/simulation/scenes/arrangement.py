@@ -34,8 +34,7 @@ SOURCES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 }
 """Splits of each source, by the split of the scenes that they stand in."""
 
-DEFAULT_SOURCES = ("shapes", "open")
-"""Those that are procedural, which every machine has."""
+DEFAULT_SOURCES = ("shapes", "open")  # the procedural ones
 
 
 class Thing(NamedTuple):
@@ -142,7 +141,6 @@ class Part(NamedTuple):
 class Room(NamedTuple):
     """What things stand on, and what is around them."""
 
-    support: Literal["table", "floor"]
     # The table's top, the floor and the wall are `SUPPORT`, the legs `LEFT_OVER`.
     parts: tuple[Part, ...]
     has_wall: bool  # at the side of +y
@@ -229,7 +227,7 @@ def random_room(
         first = [lower[0] - sides[0], behind, ground]
         last = [upper[0] + sides[1], behind, rng.uniform(*WALL_HEIGHTS)]
         parts.append(Part(_slab(first, last), SUPPORT))
-    return Room(support, tuple(parts), has_wall)
+    return Room(tuple(parts), has_wall)
 
 
 def _slab(first: Sequence[float], last: Sequence[float]) -> trimesh.Trimesh:

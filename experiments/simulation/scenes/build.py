@@ -58,8 +58,7 @@ from prism_jax.data.source import Example
 from prism_jax.io.atomic import make_output_dir, write_bytes
 
 NUM_THINGS = (2, 8)
-MIN_RETURNS = 64
-"""Of a thing: what is hidden from the sensor more than that is taken away."""
+MIN_RETURNS = 64  # a thing of fewer is taken away
 MAX_DRAWS = 100
 TABLE_SHARE, LIDAR_SHARE = 0.55, 0.35
 """Of all scenes those on tables, and of those on floors those that a lidar sees; its

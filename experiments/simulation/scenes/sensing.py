@@ -37,8 +37,7 @@ LIDAR_BEAMS = tuple(beams for beams in BEAMS if beams >= 32)
 LIDAR_RADII, LIDAR_METRES = (1.2, 3.0), (2.0, 12.0)
 """A lidar's distance, in radii of the sphere around all things; within limits."""
 
-STRAY = 4.0
-"""Standard deviations from the surface: a point farther off flies beside an edge."""
+STRAY = 4.0  # deviations from the surface: a point farther off flies beside an edge
 
 
 class Sensor(NamedTuple):
