@@ -187,7 +187,7 @@ def composite(rng: Rng, size: Size, depth: int) -> Manifold:
     """A body, cut in some, with parts set onto it that are composites themselves, as
     deep as that; or rows of one composite on a plate."""
     if depth > 0 and rng.random() < 0.08:
-        return largest_piece(grid(rng, size, lambda *own: composite(*own, 0), 6))
+        return largest_piece(grid(rng, size, lambda r, own: composite(r, own, 0), 6))
     body = structure(rng, size) if rng.random() < 0.5 else primitive(rng, size)
     body, group = largest_piece(body), symmetry(rng)
     for _ in range(int(rng.choice([0, 0, 1, 2]))):

@@ -95,16 +95,6 @@ def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squa
         assert (broken.folder / path.name).read_bytes() == path.read_bytes()
 
 
-def test_but_what_was_deleted_is(squares):
-    """As the remedy for a damaged file says."""
-    expected = (squares.folder / "manifest.json").read_bytes()
-    squares.path(1).unlink()
-    again = Squares(squares.folder)
-    again.build()
-    assert again.built == [1]
-    assert (squares.folder / "manifest.json").read_bytes() == expected
-
-
 @pytest.mark.parametrize("finished", [True, False])
 def test_other_content_is_refused(tmp_path, finished):
     made = Squares(tmp_path, fails_at=None if finished else 2)

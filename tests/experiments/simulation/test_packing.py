@@ -168,21 +168,6 @@ def test_an_example_without_a_partial_is_refused(tmp_path):
         pack({"whole": Whole()}, tmp_path / "x", CONFIG, 0, False)
 
 
-def test_one_point_and_a_flat_cloud(tmp_path):
-    class Degenerate(Balls):
-        def __getitem__(self, index):
-            cloud = np.full((1, 3), 7.0, np.float32)
-            if index:
-                cloud = np.float32([[0, 0, 5], [1, 0, 5], [0, 2, 5]])
-            return Example(cloud, cloud[:1], None, "ball", f"{index}", ordered=False)
-
-    pack({"d": Degenerate(2)}, tmp_path / "x", PackConfig(4, 4), 0, False)
-    point, flat = Shards(tmp_path / "x")[0], Shards(tmp_path / "x")[1]
-    np.testing.assert_allclose(point.complete, np.full((4, 3), 7.0))
-    np.testing.assert_allclose(flat.complete[:, 2], 5.0)
-    assert np.ptp(flat.complete[:, 1]) == pytest.approx(2, abs=1e-4)
-
-
 class OfKinds(Balls):
     """Views whose names end in their kinds."""
 

@@ -15,11 +15,7 @@ from experiments.simulation.raycast import Scene, sample_outside
 from experiments.simulation.sensors import (
     L515Config,
     OusterConfig,
-    l515_camera,
-    l515_depth,
-    ouster_scan,
 )
-from prism_jax.geometry.framing import camera_axes
 from tests.experiments.simulation.test_raycast import moeller_trumbore
 
 
@@ -106,18 +102,3 @@ def test_exact_sensors_measure_the_near_side(scene, view, config, allowed):
     assert len(np.unique(points, axis=0)) == len(points) > 2048
     seen = self_occlusion(scene, eye)
     assert KDTree(points).query(seen)[0].max() < 0.06
-
-
-def test_sensors_see_the_object_in_metres(scene):
-    """As many returns as of a mesh of 1.2 m, measured without any help."""
-    eye = np.array([1.8, -2.0, 1.5])
-    in_metres = Scene(scene.mesh.copy().apply_scale(0.6))
-    camera = l515_camera(camera_axes(-eye), 0.6 * eye)
-    rng = np.random.default_rng(6)
-    counts, _ = l515_depth(in_metres, camera, rng, L515Config().exact())
-    assert np.sum(counts > 0) == len(l515(scene, eye, rng, L515Config().exact()))
-    right, down, forward = camera_axes(-eye)
-    tilt = np.stack([forward, -right, -down], axis=1)
-    config = OusterConfig().exact()
-    returns = ouster_scan(in_metres, 0.6 * eye, rng, config, tilt)
-    assert len(returns.ranges) == len(ouster(scene, eye, rng, config))

@@ -9,7 +9,6 @@ from experiments.simulation.surroundings import (
     HIDDEN_SHARES,
     Surroundings,
     random_occluder,
-    random_planes,
 )
 from tests.experiments.simulation.test_raycast import moeller_trumbore
 
@@ -54,20 +53,6 @@ def test_the_nearest_of_planes_and_occluders_is_hit(ball):
     # Under the floor nothing of the ball is left.
     sunk = Surroundings(ball, np.array([(0, 0, 1, 1.5)])).cast(eye + [0, 0, 3], rays)
     assert np.all(sunk.faces == -1) and len(sunk.ray) > 500
-
-
-def test_planes_stand_behind_the_object_and_before_every_eye(ball):
-    rng = np.random.default_rng(1)
-    counts = []
-    for _ in range(200):
-        eyes = list(rng.normal(size=(rng.integers(1, 4), 3)) * 3)
-        planes = random_planes(ball, eyes, rng)
-        counts.append(len(planes))
-        for *normal, offset in planes:
-            assert np.linalg.norm(normal) == pytest.approx(1)
-            assert np.min(ball.mesh.vertices @ normal) >= offset - 1e-12
-            assert all(eye @ normal > offset for eye in eyes)
-    assert set(counts) == {0, 1, 2}
 
 
 @pytest.mark.parametrize("other", [None, trimesh.creation.torus(1.0, 0.3)])

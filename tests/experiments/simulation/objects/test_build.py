@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.simulation.build_dataset import build_dataset
-from experiments.simulation.objects import build
 from experiments.simulation.objects.build import (
     ObjectsConfig,
-    build_objects,
     model_views,
 )
 from experiments.simulation.objects.catalogues import PACKAGE
@@ -56,38 +54,6 @@ def test_the_manifest_names_makers_and_what_is_left_out(built):
     assert (locker["catalogue"], locker["name"]) == ("BlendSwap-CC-BY", "locker")
     assert len(cone["digest"]) == 12
     assert told["left_out"]["BlendSwap-CC-0/panel"] == "is a slab"
-
-
-@pytest.mark.parametrize("num_workers", [0, 2])
-def test_bytes_depend_neither_on_workers_nor_on_runs(
-    catalogue_dir, tmp_path, digests, monkeypatch, num_workers
-):
-    """In shards of one model, broken off after the first."""
-    monkeypatch.setattr(build, "SHARD_MODELS", 1)
-    config, place = ObjectsConfig("test"), {"catalogue_dir": catalogue_dir}
-    whole = build_objects(config, tmp_path / "a", 0, progress=False, **place)
-    folder = folder_of("objects", "test", tmp_path / "b")
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(build, "model_views", broken_after(1))
-        build_objects(config, tmp_path / "b", 0, progress=False, **place)
-    assert (folder / "shard-00000.names.json").exists()
-    assert not (folder / "shard-00001.names.json").exists()
-    build_objects(config, tmp_path / "b", num_workers, progress=False, **place)
-    assert digests(folder) == digests(whole)
-    assert len(digests(whole)) == 2 * 6 + 1
-
-
-def broken_after(count):
-    """`model_views`, which a user breaks off."""
-    make, calls = build.model_views, []
-
-    def views(config, model):
-        calls.append(model)
-        if len(calls) > count:
-            raise KeyboardInterrupt
-        return make(config, model)
-
-    return views
 
 
 def test_a_models_clouds_follow_from_itself_and_the_seed(

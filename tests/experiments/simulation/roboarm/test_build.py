@@ -56,30 +56,6 @@ def test_a_build_is_recordings_with_a_manifest(built):
     assert len(set(found.values())) == len(found) - 2  # one camera a sequence
 
 
-def test_bytes_do_not_depend_on_the_number_of_workers(make, built, tmp_path):
-    assert digests(make(tmp_path / "two", num_workers=2)) == digests(built)
-
-
-def test_an_interrupted_build_goes_on(make, built, tmp_path, monkeypatch):
-    folder, write, written = tmp_path / "cells", build.write_frame, []
-
-    def stop_at_the_third(sequence, number, frame):
-        if len(written) == 2:
-            raise KeyboardInterrupt
-        written.append(number)
-        write(sequence, number, frame)
-
-    monkeypatch.setattr(build, "write_frame", stop_at_the_third)
-    with pytest.raises(KeyboardInterrupt):
-        make(folder)
-    with pytest.raises(InputError, match="not finished"):
-        RecordedCells(folder)
-    # As if the power had failed while the second frame was written.
-    (folder / "000-boxes" / "000001.camera.json").unlink()
-    monkeypatch.setattr(build, "write_frame", write)
-    assert digests(make(folder)) == digests(built)
-
-
 def test_ones_own_robot_stands_in_the_cells(model, small, tmp_path):
     file = tmp_path / "my robot.urdf"
     file.write_bytes(pathlib.Path(model.urdf).read_bytes())

@@ -1,10 +1,8 @@
 import dataclasses
-import hashlib
 
 import numpy as np
 import pytest
 
-from experiments.simulation.roboarm import cells
 from experiments.simulation.roboarm.cells import CellsConfig, build_cells, cell_views
 from prism_jax.data.datasets import open_dataset
 
@@ -43,13 +41,6 @@ def built(make, tmp_path_factory):
     return root
 
 
-def digests(root):
-    return {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in (root / "cells-train").iterdir()
-    }
-
-
 def test_a_built_set_opens_cell_by_cell(built, config, arms):
     source = open_dataset("cells", "train", built)
     assert source.objects.tolist() == [0, 0, 1, 1, 2, 2]
@@ -65,25 +56,3 @@ def test_a_built_set_opens_cell_by_cell(built, config, arms):
         np.testing.assert_allclose(example.complete, view.complete, atol=step)
         np.testing.assert_array_equal(example.eye, view.eye)
         np.testing.assert_array_equal(example.visibility.state, view.visibility.state)
-
-
-def test_bytes_do_not_depend_on_workers_nor_on_a_break(
-    make, built, tmp_path, monkeypatch
-):
-    assert digests(make(tmp_path / "two", num_workers=2).parent) == digests(built)
-    whole, made = cells.cell_views, []
-
-    def broken(config, index, arms):
-        if index == 2:
-            raise KeyboardInterrupt
-        made.append(index)
-        return whole(config, index, arms)
-
-    monkeypatch.setattr(cells, "SHARD_CELLS", 1)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(cells, "cell_views", broken)
-        make(tmp_path / "broken")
-    assert made == [0, 1]
-    make(tmp_path / "broken")
-    make(tmp_path / "unbroken")
-    assert digests(tmp_path / "broken") == digests(tmp_path / "unbroken")

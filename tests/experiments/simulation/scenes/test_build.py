@@ -7,11 +7,10 @@ from scipy.spatial import KDTree
 from experiments.simulation.scenes.arrangement import pools_of
 from experiments.simulation.scenes.build import (
     MIN_RETURNS,
-    build_scenes,
     make_scene,
 )
 from experiments.simulation.shapes import NOVEL_CATEGORIES
-from prism_jax.data.datasets import folder_of, open_dataset
+from prism_jax.data.datasets import open_dataset
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.source import Source
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
@@ -98,12 +97,6 @@ def test_in_its_own_axes_the_sensor_is_at_the_origin_and_looks_along_z(source):
     back = own.complete @ scene.rotation + scene.eye
     np.testing.assert_allclose(back, scene.complete, atol=1e-5)
     np.testing.assert_array_equal(own.labels, scene.labels)
-
-
-def test_two_workers_write_the_same_bytes(scenes_dir, tmp_path, digests):
-    build_scenes(CONFIG, tmp_path, 2, progress=False)
-    other = digests(folder_of("scenes", "validation", tmp_path))
-    assert other == digests(folder_of("scenes", "validation", scenes_dir))
 
 
 def test_things_are_of_the_sources_own_splits(catalogue_dir):
