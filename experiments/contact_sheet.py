@@ -1,108 +1,83 @@
-"""Draws a picture of shapes, views of them, scenes, robot cells, or people's models.
+"""Draws a picture of the procedural shapes, a row a category, or of open shapes:
 
 python -m experiments.contact_sheet --output=docs/shapes.png
-python -m experiments.contact_sheet --dataset=open --size=128 \
-    --output=docs/open_shapes.png
-python -m experiments.contact_sheet --dataset=roboarm --output=cells.png
-python -m experiments.contact_sheet --dataset=cells --split=train --columns=2 \
-    --output=docs/new_cells.png
-python -m experiments.contact_sheet --dataset=objects --columns=5 --output=objects.png
-python -m experiments.contact_sheet --dataset=scenes --split=validation --size=200 \
-    --columns=4 --colors=256 --output=docs/scenes.png
-python -m experiments.contact_sheet --dataset=views --output=docs/views.png \
-    --category=chair --category=gearbox --category=conveyor
+python -m experiments.contact_sheet --dataset=open --output=docs/open_shapes.png
 """
 
 import io
 
+import jax.numpy as jnp
 import numpy as np
+import trimesh
 from absl import flags
-from tqdm import tqdm
+from jaxtyping import UInt8
 
 from experiments.output import prepare_output
-from experiments.simulation.contact_sheet import Row, contact_sheet, open_row, shape_row
-from experiments.simulation.kinds import MIXTURE
-from experiments.simulation.objects.build import NUM_VIEWS
-from experiments.simulation.objects.catalogues import FOLDER
-from experiments.simulation.objects.pictures import credit, model_row
-from experiments.simulation.objects.survey import survey
-from experiments.simulation.roboarm.build import NUM_SEQUENCES, SPLITS
-from experiments.simulation.roboarm.cell_pictures import workcell_row
-from experiments.simulation.roboarm.pictures import cell_row
-from experiments.simulation.scenes.build import ScenesConfig
-from experiments.simulation.scenes.pictures import scene_row
-from experiments.simulation.scenes.things import pools_of
-from experiments.simulation.shapes import CATEGORIES
-from experiments.simulation.view_pictures import kind_row
+from experiments.sheets import Row, contact_sheet, to_bytes
+from experiments.simulation.open_shapes import make_open_shape
+from experiments.simulation.raycast import Scene
+from experiments.simulation.shapes import CATEGORIES, make_shape
 from prism_jax.cli.launch import launch
+from prism_jax.geometry.camera import Camera
 from prism_jax.io.atomic import write_bytes
 
 FLAGS = flags.FLAGS
 
+STEEL = np.array([0.55, 0.66, 0.8])
+TOWARD_VIEWER, TOWARD_LIGHT = np.array([3.2, 4.0, 2.5]), np.array([0.4, 0.3, 0.85])
+
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    known = ["shapes", "open", "views", "scenes", "roboarm", "cells", "objects"]
-    flags.DEFINE_enum("dataset", "shapes", known, "What to draw.")
+    flags.DEFINE_enum("dataset", "shapes", ["shapes", "open"], "What to draw.")
     flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
-    flags.DEFINE_enum("split", "test", SPLITS, "Whose robot cells or scenes.")
-    flags.DEFINE_integer("scenes", 20, "Scenes to draw.", 1)
-    flags.DEFINE_integer("sequences", NUM_SEQUENCES, "Robot cells to draw.", 1)
-    flags.DEFINE_integer("rows", 10, "Rows of open shapes.", 1)
-    flags.DEFINE_integer("models", 40, "Models to draw, evenly spaced through all.", 1)
-    flags.DEFINE_string("catalogue_dir", str(FOLDER), "Where the models are.")
     flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "Which shapes.")
-    flags.DEFINE_integer(
-        "seed", 0, "Seed of the cells, or the first of the seeds in a row.", 0
-    )
+    flags.DEFINE_integer("rows", 10, "Rows of open shapes.", 1)
     flags.DEFINE_integer("seeds", 4, "Shapes in a row.", 1)
     flags.DEFINE_integer("columns", 2, "Rows side by side.", 1)
     flags.DEFINE_integer("size", 96, "Pixels of a picture's side.", 16, 1024)
-    flags.DEFINE_integer("colors", 128, "Colours of the PNG's palette.", 2, 256)
 
 
 def main():
-    """One row a category, steel-blue ones for training; or rows of open shapes, seed
-    after seed; or one row a kind of view, a scene, a robot cell, or a model, whose
-    makers are printed."""
+    """Writes the sheet and prints its path."""
     prepare_output(FLAGS.output, ".png")
-    if FLAGS.dataset in ("roboarm", "cells"):
-        row = cell_row if FLAGS.dataset == "roboarm" else workcell_row
-        cells = tqdm(range(FLAGS.sequences), unit="cell")
-        rows = [row(FLAGS.split, i, FLAGS.seed, FLAGS.size) for i in cells]
-    elif FLAGS.dataset == "views":
-        shapes = FLAGS.category, FLAGS.seed, FLAGS.size
-        rows = [kind_row(kind, *shapes) for kind in MIXTURE]
-    elif FLAGS.dataset == "scenes":
-        config, pools = (
-            ScenesConfig(FLAGS.split, seed=FLAGS.seed),
-            pools_of(FLAGS.split),
-        )
-        scenes = range(FLAGS.scenes)
-        rows = [scene_row(config, pools, i, FLAGS.size) for i in scenes]
-    elif FLAGS.dataset == "objects":
-        rows = model_rows()
-    elif FLAGS.dataset == "open":
-        starts = range(FLAGS.seed, FLAGS.seed + FLAGS.rows * FLAGS.seeds, FLAGS.seeds)
-        rows = [open_row(range(s, s + FLAGS.seeds), FLAGS.size) for s in starts]
+    seeds, size = range(FLAGS.seeds), FLAGS.size
+    rows = []
+    if FLAGS.dataset == "shapes":
+        for name in FLAGS.category:
+            pictures = [draw(make_shape(name, seed), size) for seed in seeds]
+            rows.append(Row(name.replace("_", " "), pictures))
     else:
-        seeds = range(FLAGS.seed, FLAGS.seed + FLAGS.seeds)
-        rows = [shape_row(name, seeds, FLAGS.size) for name in FLAGS.category]
-    sheet = contact_sheet(rows, FLAGS.columns).quantize(FLAGS.colors)
+        for start in range(0, FLAGS.rows * FLAGS.seeds, FLAGS.seeds):
+            shapes = [make_open_shape(start + seed) for seed in seeds]
+            label = f"{start} to {start + seeds[-1]}"
+            rows.append(Row(label, [draw(shape, size) for shape in shapes]))
     buffer = io.BytesIO()
+    sheet = contact_sheet(rows, FLAGS.columns).quantize(128)
     sheet.save(buffer, "PNG", optimize=True)
     write_bytes(FLAGS.output, buffer.getvalue())
     print(FLAGS.output)
 
 
-def model_rows() -> list[Row]:
-    """The rows of some models; prints whom each is by."""
-    found = survey(list(NUM_VIEWS), FLAGS.catalogue_dir, progress=True).models
-    picks = np.unique(np.linspace(0, len(found) - 1, FLAGS.models, dtype=int))
-    models = [found[pick][0] for pick in picks]
-    for model in models:
-        print(credit(model))
-    return [model_row(model, FLAGS.seed, FLAGS.size) for model in models]
+def draw(mesh: trimesh.Trimesh, size: int) -> UInt8[np.ndarray, "S S 3"]:
+    """A mesh on white, shaded, with the shadows of one light: z is up."""
+    scene = Scene(mesh)
+    corners = ((mesh.vertices - scene.center) / scene.radius).astype(np.float32)
+    scene = Scene(trimesh.Trimesh(corners, mesh.faces, process=False))
+    camera = Camera.framing(jnp.asarray(corners), TOWARD_VIEWER, 1.1, size, size)
+    rows, columns = np.indices((size, size))
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+    rays = np.asarray(np.linalg.solve(camera.intrinsics, pixels.T).T @ camera.rotation)
+    hits = scene.cast(np.asarray(camera.position), rays)
+    normals = scene.normals[hits.faces]
+    normals[np.sum(normals * rays[hits.ray], axis=1) > 0] *= -1
+    lit = np.clip(normals @ TOWARD_LIGHT, 0, None)
+    toward = np.tile(TOWARD_LIGHT, (len(normals), 1))
+    lit[scene.cast(hits.points + 1e-3 * normals, toward).ray] = 0
+    picture = np.ones((len(rays), 3))
+    light = 0.35 + 0.25 * hits.cosines + 0.4 * lit
+    picture[hits.ray] = light[:, None] * STEEL
+    return to_bytes(picture.reshape(size, size, 3))
 
 
 def run():

@@ -17,7 +17,7 @@ from experiments.scoring import (
     make_protocol,
     open_split,
 )
-from experiments.simulation.contact_sheet import contact_sheet
+from experiments.sheets import contact_sheet
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.evaluation.protocol import UNITS

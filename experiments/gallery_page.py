@@ -11,7 +11,7 @@ from jaxtyping import Float
 from PIL import ImageColor
 from scipy.spatial import KDTree
 
-from experiments.simulation.contact_sheet import Color, Row, draw_clouds
+from experiments.sheets import Color, Row, draw_clouds
 from prism_jax import metrics
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source

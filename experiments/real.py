@@ -22,7 +22,7 @@ from experiments.output import prepare_output
 from experiments.real_pictures import picture_row
 from experiments.real_specs import CHECKS, SPECS, Done, Given, Spec, check_folder
 from experiments.scoring import print_and_write
-from experiments.simulation.contact_sheet import Row, contact_sheet
+from experiments.sheets import Row, contact_sheet
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completed import CompletedScan, CompletedScene

@@ -9,8 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from experiments.gallery_page import rgb_of
 from experiments.real_specs import Done
-from experiments.simulation.contact_sheet import Row, draw_clouds
-from experiments.simulation.scenes.pictures import GREYS
+from experiments.sheets import GREYS, Row, draw_clouds
 from prism_jax.completed import CompletedScene
 from prism_jax.figures import COMPLETED_COLOR, OBSERVED_COLOR
 from prism_jax.geometry.camera import Camera

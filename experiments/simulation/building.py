@@ -9,9 +9,7 @@ import json
 import multiprocessing
 import os
 import pathlib
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -35,7 +33,7 @@ def build(
     """Builds what is missing of a folder's items, and then its manifest.
 
     `content` is everything that the bytes depend on, as JSON. Item i has `sizes[i]`
-    units; with `progress` a bar counts them, and a line on stderr gives their rate.
+    units, which a bar counts with `progress`.
     Items are built in `num_workers` processes, by default one for every core, with 0 in
     this one; `build_item` is pickled for them. A folder with other content, or one that
     lost files of an item that `is_built` takes for built, raises InputError.
@@ -47,29 +45,22 @@ def build(
         return folder
     missing = [number for number in range(len(sizes)) if not is_built(number)]
     total, done = sum(sizes), sum(sizes) - sum(sizes[number] for number in missing)
-    start = time.perf_counter()
     with tqdm(
         total=total, initial=done, desc=folder.name, unit=unit, disable=not progress
     ) as bar:
         for number in _run(build_item, missing, num_workers):
             bar.update(sizes[number])
-    seconds = time.perf_counter() - start
     files = hash_files(folder)
     for name in sorted(set(listed) - set(files)):
         fault = "is missing from what was finished"
         raise InputError(folder / name, fault, "delete the folder and build again")
     write_manifest(folder, {**wanted, "files": files})
-    if progress and missing:
-        made = f"{total - done} {unit}s in {seconds:.0f} s"
-        rate = f"{(total - done) / seconds:.2f} a second"
-        print(f"{folder.name}: {made}, {rate}", file=sys.stderr)
     return folder
 
 
 def write_manifest(folder: pathlib.Path, content: Mapping[str, Any]) -> None:
     """Writes a folder's manifest, whole or not at all."""
-    text = json.dumps(content, indent=1) + "\n"
-    write_bytes(folder / MANIFEST, text.encode())
+    write_bytes(folder / MANIFEST, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def _begun(folder: pathlib.Path, content: dict[str, Any]) -> list[str]:

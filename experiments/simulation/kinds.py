@@ -18,13 +18,23 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Float64
 
-from experiments.simulation.partials import PARTIALS, make_partial
+from experiments.simulation.partials import (
+    HALF_EXTENT,
+    PARTIALS,
+    make_partial,
+    random_viewpoint,
+)
 from experiments.simulation.raycast import Scene
-from experiments.simulation.readings import World, camera_rays
-from experiments.simulation.stations import Sensor, random_camera, random_lidar
+from experiments.simulation.readings import (
+    World,
+    camera_rays,
+    map_of,
+    map_rays,
+    ring_rays,
+)
+from experiments.simulation.sensors import L515Config, OusterConfig, RangeConfig, Rays
 from experiments.simulation.surroundings import (
     HIDDEN_SHARES,
     Surroundings,
@@ -32,9 +42,109 @@ from experiments.simulation.surroundings import (
     random_planes,
 )
 from experiments.simulation.truncation import NO_CUT, random_cut
-from experiments.simulation.visibility import map_of, map_rays
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import Visibility
+
+BEAMS: Mapping[int, tuple[float, float]] = {
+    16: (-15.0, 15.0),
+    32: (-30.67, 10.67),
+    64: (-24.9, 2.0),
+    128: (-22.5, 22.5),
+}
+"""Beams of spinning lidars and the degrees they span, as the data sheets of Velodyne's
+VLP-16, HDL-32E and HDL-64E and of Ouster's OS1 have it. Evenly spaced here."""
+COLUMNS = (1024, 2048)  # of a turn
+
+ELEVATIONS = (-15.0, 75.0)  # degrees of a sensor above the object's middle
+CLEARANCE = 1.4  # least distance from the object's middle, in radii of its sphere
+FARTHEST = 7.0  # nor is a camera farther away, in units of the object
+
+CAMERA_METRES, LIDAR_METRES = (0.3, 8.0), (2.0, 20.0)  # from sensor to object
+CAMERA_SIDES, LIDAR_SIDES = (0.2, 3.0), (0.5, 5.0)
+"""The object's longest side in metres, where the sensor has noise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensor:
+    """One kind of sensor, in one place or in several."""
+
+    config: RangeConfig  # an `OusterConfig` is a lidar's
+    half_extent: float  # metres that the object's unit stands for
+    eyes: tuple[Float64[np.ndarray, "3"], ...]
+
+    @property
+    def has_rings(self) -> bool:
+        """Whether it is a lidar, whose beams leave gaps."""
+        return isinstance(self.config, OusterConfig)
+
+    def rays(
+        self, scene: Scene, eye: Float[np.ndarray, "3"], rng: np.random.Generator
+    ) -> Rays:
+        """Those of the sensor at an eye that may meet the object.
+
+        A camera looks at its middle. A lidar is tilted so that the middle lies anywhere
+        in the inner 80 % of what its beams span.
+        """
+        if not isinstance(self.config, OusterConfig):
+            return camera_rays(scene, eye)
+        return tilted_rays(scene, eye, self.config, (0.1, 0.9), rng)
+
+
+def tilted_rays(
+    scene: Scene,
+    eye: Float[np.ndarray, "3"],
+    config: OusterConfig,
+    inner: tuple[float, float],
+    rng: np.random.Generator,
+) -> Rays:
+    """`ring_rays` with the object's middle in this inner part of what beams span."""
+    low, high = np.radians(config.elevation_degrees)
+    return ring_rays(scene, eye, config, low + rng.uniform(*inner) * (high - low))
+
+
+def random_ouster(
+    rng: np.random.Generator, counts: Sequence[int] = tuple(BEAMS)
+) -> OusterConfig:
+    """A spinning lidar of one of these numbers of beams, with an Ouster's noise."""
+    beams, columns = int(rng.choice(counts)), int(rng.choice(COLUMNS))
+    return OusterConfig(beams=beams, columns=columns, elevation_degrees=BEAMS[beams])
+
+
+def random_camera(
+    scene: Scene, num_eyes: int, noisy: bool, rng: np.random.Generator
+) -> Sensor:
+    """A depth camera as an L515: with its noise, of an object of any of `CAMERA_SIDES`,
+    or exact."""
+    if noisy:
+        half_extent, config = 0.5 * _log_uniform(*CAMERA_SIDES, rng), L515Config()
+    else:
+        half_extent, config = HALF_EXTENT, L515Config().exact()
+    least, most = (metres / half_extent for metres in CAMERA_METRES)
+    eyes = _random_eyes(scene, num_eyes, least, min(most, FARTHEST), rng)
+    return Sensor(config, half_extent, eyes)
+
+
+def random_lidar(scene: Scene, num_eyes: int, rng: np.random.Generator) -> Sensor:
+    """A spinning lidar of one of `BEAMS`."""
+    half_extent, config = 0.5 * _log_uniform(*LIDAR_SIDES, rng), random_ouster(rng)
+    least, most = (metres / half_extent for metres in LIDAR_METRES)
+    return Sensor(config, half_extent, _random_eyes(scene, num_eyes, least, most, rng))
+
+
+def _random_eyes(
+    scene: Scene, count: int, least: float, most: float, rng: np.random.Generator
+) -> tuple[np.ndarray, ...]:
+    least = max(least, CLEARANCE * scene.radius)
+    distances = [_log_uniform(least, max(least, most), rng) for _ in range(count)]
+    return tuple(
+        scene.center + random_viewpoint(rng, ELEVATIONS, (distance, distance))
+        for distance in distances
+    )
+
+
+def _log_uniform(low: float, high: float, rng: np.random.Generator) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
 
 MIXTURE: Mapping[str, float] = {
     "clear": 0.10,
@@ -52,8 +162,7 @@ MIXTURE: Mapping[str, float] = {
 }
 """How often "mixed" draws each kind."""
 
-KINDS = (*PARTIALS, *MIXTURE, "mixed")
-"""What a data set can be asked for."""
+KINDS = (*PARTIALS, *MIXTURE, "mixed")  # what a data set can be asked for
 
 
 def has_maps(kind: str) -> bool:
@@ -61,24 +170,16 @@ def has_maps(kind: str) -> bool:
     return kind not in PARTIALS
 
 
-EVERY = 4
-"""One ray in so many, each way, tells whether an occluder stands in the way."""
+EVERY = 4  # one ray in so many, each way, tells whether an occluder stands in the way
 
 
 class View(NamedTuple):
-    """What was measured of an object.
+    """What was measured of an object."""
 
-    Attributes:
-      points: as measured, not resampled; there may be none.
-      eye: where the sensor stood; of several stations, the one that saw most.
-      kind: one of `KINDS`, but not "mixed".
-      visibility: what the sensor at `eye` knows; None for the kinds of `partials`.
-    """
-
-    points: Float64[np.ndarray, "N 3"]
-    eye: Float64[np.ndarray, "3"]
-    kind: str
-    visibility: Visibility | None = None
+    points: Float64[np.ndarray, "N 3"]  # not resampled; there may be none
+    eye: Float64[np.ndarray, "3"]  # of several stations, the one that saw most
+    kind: str  # one of `KINDS`, but not "mixed"
+    visibility: Visibility | None = None  # at `eye`; None for the kinds of `partials`
 
 
 def draw_kind(rng: np.random.Generator, mixture: Mapping[str, float] = MIXTURE) -> str:
@@ -93,21 +194,18 @@ def make_view(
     complete: Float[np.ndarray, "M 3"],
     rng: np.random.Generator,
     num_points: int,
-    other: trimesh.Trimesh | None = None,
 ) -> View:
     """One view of a kind that is not "mixed"; scene and cloud as for `make_partial`.
 
-    `other` is a mesh of any size, copies of which may stand in the way; the object's
-    own where it is None. A view that came to nothing, being out of range or hidden too
-    much or too little, has no points. An unknown kind raises ValueError.
+    A view that came to nothing, being out of range or hidden too much or too little,
+    has no points. An unknown kind raises ValueError.
     """
     if kind in PARTIALS:
         return View(*make_partial(kind, scene, complete, rng, num_points), kind)
     if kind not in MIXTURE:
         known = (*PARTIALS, *MIXTURE)
         raise ValueError(f"unknown kind {kind!r}: choose one of {known}")
-    other = scene.mesh if other is None else other
-    sensed = _sensed(kind.split("+"), scene, other, rng)
+    sensed = _sensed(kind.split("+"), scene, rng)
     if sensed is None:
         return View(np.zeros((0, 3)), np.zeros(3), kind)
     points, eye, visibility = sensed
@@ -117,12 +215,15 @@ def make_view(
 def _sensed(
     traits: Sequence[str],
     scene: Scene,
-    other: trimesh.Trimesh,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, Visibility] | None:
     """Points, eye and map of a view that has these traits."""
-    sensor = _random_sensor(traits, scene, rng)
-    world = _random_world(traits, scene, sensor, other, rng)
+    num_eyes = int(rng.integers(2, 5)) if "stations" in traits else 1
+    if "rings" in traits:
+        sensor = random_lidar(scene, num_eyes, rng)
+    else:
+        sensor = random_camera(scene, num_eyes, "noisy" in traits, rng)
+    world = _random_world(traits, scene, sensor, rng)
     if world is None:
         return None
     found = [
@@ -147,20 +248,10 @@ def _sensed(
     return points, eye, map_of(camera, [own, measured[best]])
 
 
-def _random_sensor(
-    traits: Sequence[str], scene: Scene, rng: np.random.Generator
-) -> Sensor:
-    num_eyes = int(rng.integers(2, 5)) if "stations" in traits else 1
-    if "rings" in traits:
-        return random_lidar(scene, num_eyes, rng)
-    return random_camera(scene, num_eyes, "noisy" in traits, rng)
-
-
 def _random_world(
     traits: Sequence[str],
     scene: Scene,
     sensor: Sensor,
-    other: trimesh.Trimesh,
     rng: np.random.Generator,
 ) -> World | None:
     """None where nothing was found to stand in the way of the first eye."""
@@ -168,7 +259,7 @@ def _random_world(
     if "occluded" in traits:
         eye, directions = camera_rays(scene, sensor.eyes[0])
         few = directions[::EVERY, ::EVERY].reshape(-1, 3)
-        occluder = random_occluder(eye, scene.cast(eye, few).points, rng, other)
+        occluder = random_occluder(eye, scene.cast(eye, few).points, rng, scene.mesh)
         if occluder is None:
             return None
         around = around._replace(occluders=occluder)

@@ -1,38 +1,42 @@
-"""Packs examples of any sources, put in farthest-point order once, into shards."""
+"""Packs examples of any sources, put in farthest-point order once, into shards; among
+them any folder of meshes: OBJ, OFF, PLY, STL and GLB, however deep they lie.
+"""
 
 import dataclasses
 import functools
+import hashlib
+import io
 import os
 import pathlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import trimesh
+from jaxtyping import Int
 
+from experiments.simulation.partials import make_partial
+from experiments.simulation.raycast import Scene
 from experiments.simulation.shard_writer import build_shards
+from prism_jax.data.manifest import files_digest, hash_files
 from prism_jax.data.ordering import first_points
+from prism_jax.data.public.layout import sound_cloud
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import read_bytes
 
-SHARD_EXAMPLES = 100
-"""A shard is full once it has as many."""
+SHARD_EXAMPLES = 100  # a shard is full once it has as many
 
-_Group = tuple[str, list[int]]
-"""A source's name, and the rows in it that show one object."""
+_Group = tuple[str, list[int]]  # a source's name, and its rows that show one object
 
 
 @dataclasses.dataclass(frozen=True)
 class PackConfig:
-    """Points kept of each cloud, and examples taken of each source.
+    """Points kept of each cloud, and examples taken of each source."""
 
-    Attributes:
-      num_partial, num_complete: farthest points; a smaller cloud is repeated.
-      limit: the most examples of a source, evenly spaced through it; 0 for all.
-    """
-
-    num_partial: int = 2048
+    num_partial: int = 2048  # farthest points; a smaller cloud is repeated
     num_complete: int = 16_384
-    limit: int = 0
+    limit: int = 0  # the most of a source, evenly spaced through it; 0 for all
 
 
 def pack(
@@ -45,11 +49,9 @@ def pack(
 ) -> pathlib.Path:
     """Packs sources, by the names that tell them apart, one after the other.
 
-    `digests` (`manifest.content_digest`), where given, tell that a folder was begun
-    with the same sources. What sensors know is kept if the first example of any source
-    has it; where others do not, nothing is known. An example without a partial or a
-    complete cloud raises InputError. The bytes do not depend on `num_workers`
-    (`building.build`).
+    `digests` (`manifest.content_digest`) tell that a folder was begun with the same
+    sources. What sensors know is kept if the first example of any source has it. An
+    example without a partial or a complete cloud raises InputError.
     """
     groups = [group for name in sources for group in _groups(name, sources, config)]
     content = {
@@ -112,10 +114,126 @@ def _examples(
         if ordered is None or not np.array_equal(given, example.complete):
             given = example.complete
             ordered = first_points(given, config.num_complete, example.ordered)
-        partial = first_points(example.partial, config.num_partial, example.ordered)
         yield example._replace(
             complete=ordered,
-            partial=partial,
+            partial=first_points(example.partial, config.num_partial, example.ordered),
             name=f"{name}/{example.name}",
             ordered=True,
         )
+
+
+SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb")
+
+
+class Meshes:
+    """Meshes as clouds of their surface, each with one simulated partial view.
+
+    A mesh is `normalised`; its axes stay as they are, so that the simulated camera,
+    which takes z for up, sees a mesh with y up from its side. The complete cloud is
+    uniform on the whole surface, inner faces included. Points and view are drawn with a
+    seed made of the path below `root`: another place or order of the folder changes
+    nothing. The category is the first folder below `root`, "mesh" for files that lie in
+    none.
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike,
+        num_points: int = 16384,
+        partial_points: int = 2048,
+    ):
+        self.root = pathlib.Path(root)
+        self.num_points = num_points
+        self.partial_points = partial_points
+        below = [path.relative_to(self.root) for path in _find(self.root)]
+        self._files = [
+            (path.as_posix(), path.parts[0] if len(path.parts) > 1 else "mesh")
+            for path in below
+        ]
+        self.categories = tuple(sorted({category for _, category in self._files}))
+
+    @property
+    def objects(self) -> Int[np.ndarray, " N"]:
+        """Each mesh is one."""
+        return np.arange(len(self))
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __getitem__(self, index: int) -> Example:
+        name, category = self._files[range(len(self))[index]]
+        path = self.root / name
+        mesh = parse_mesh(read_bytes(path), path.suffix[1:].lower(), path)
+        mesh, digest = normalised(mesh), hashlib.sha256(name.encode()).digest()
+        rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
+        surface = trimesh.sample.sample_surface(mesh, self.num_points, seed=rng)[0]
+        complete = np.asarray(surface, np.float64)
+        partial, eye = make_partial(
+            "self_occlusion", Scene(mesh), complete, rng, self.partial_points
+        )
+        return Example(
+            sound_cloud(complete, path),
+            sound_cloud(partial, path),
+            eye.astype(np.float32),
+            category,
+            name,
+        )
+
+
+def build_meshes(
+    root: str | os.PathLike,
+    folder: str | os.PathLike,
+    num_workers: int | None = None,
+    progress: bool = True,
+) -> pathlib.Path:
+    """Packs all meshes below `root` into `folder`, which opens as a split of "packed".
+    A mesh that cannot be read raises InputError."""
+    source = Meshes(root)
+    digests = {"meshes": files_digest(hash_files(source.root))}
+    config = PackConfig(source.partial_points, source.num_points)
+    return pack({"meshes": source}, folder, config, num_workers, progress, digests)
+
+
+def _find(base: pathlib.Path) -> list[pathlib.Path]:
+    """All mesh files below a folder, in the order of their paths."""
+    if not base.is_dir():
+        raise InputError(base, "no such folder", "name a folder of meshes")
+    found = [
+        pathlib.Path(folder, name)
+        for folder, _, names in os.walk(base)
+        for name in names
+        if pathlib.Path(name).suffix.lower() in SUFFIXES
+    ]
+    if not found:
+        fault = f"holds no mesh ({' '.join(SUFFIXES)})"
+        raise InputError(base, fault, "name a folder of meshes")
+    return sorted(found)
+
+
+def parse_mesh(
+    data: bytes, file_type: str, subject: str | os.PathLike
+) -> trimesh.Trimesh:
+    """The triangles of a file's bytes as one mesh, without stray vertices.
+
+    What cannot be read, has no area or is not finite raises InputError about the
+    subject.
+    """
+    remedy = "export it again as a mesh of triangles, or take it away"
+    try:
+        mesh = trimesh.load_mesh(io.BytesIO(data), file_type=file_type, process=False)
+        mesh.remove_unreferenced_vertices()
+        sound = len(mesh.faces) > 0 and bool(np.isfinite(mesh.triangles).all())
+    except Exception as error:  # trimesh's parsers raise of every kind
+        fault = f"cannot be read as a mesh ({error})"
+        raise InputError(subject, fault, remedy) from None
+    if not sound or not mesh.area > 0:
+        raise InputError(subject, "has no surface, or one that is not finite", remedy)
+    return mesh
+
+
+def normalised(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The given mesh, moved and scaled: its box is centred at the origin, the longest
+    side spans [-1, 1]."""
+    lower, upper = mesh.bounds
+    mesh.vertices = (mesh.vertices - (lower + upper) / 2) / ((upper - lower).max() / 2)
+    return mesh

@@ -1,13 +1,10 @@
-"""What a sensor measures of a mesh from one viewpoint, by the kind of sensor.
-
-Points are float64, in the frame of the mesh. Nothing here is differentiable.
-"""
+"""What a sensor measures of a mesh from one viewpoint, in the frame of the mesh."""
 
 import numpy as np
 import trimesh
 from jaxtyping import Float, Float64
 
-from experiments.simulation.raycast import Scene
+from experiments.simulation.raycast import Scene, direction
 from experiments.simulation.readings import RAYS, pixel_grid
 from experiments.simulation.sensors import (
     L515Config,
@@ -42,10 +39,9 @@ def make_partial(
 
     The mesh's box is centred at the origin and its longest side spans [-1, 1];
     `complete` is a cloud of it. The cloud is not resampled: it has as many points as
-    the sensor measured, where `self_occlusion` aims at no fewer than `num_points`. It
-    may be empty. The viewpoint is `random_viewpoint`, except for `crop`, which takes
-    a random direction, as its published training does, and removes a random share from
-    the easiest to the hardest. An unknown kind raises ValueError.
+    the sensor measured, perhaps none, where `self_occlusion` aims at no fewer than
+    `num_points`. `crop` takes a random direction, as its published training does, and
+    removes a random share from the easiest to the hardest.
     """
     if kind not in PARTIALS:
         raise ValueError(f"unknown partial {kind!r}: choose one of {PARTIALS}")
@@ -56,8 +52,7 @@ def make_partial(
         return self_occlusion(scene, viewpoint, num_points), viewpoint
     if kind == "sparse":
         return sparse(scene, viewpoint, rng), viewpoint
-    view = l515 if kind == "l515" else ouster
-    return view(scene, viewpoint, rng), viewpoint
+    return (l515 if kind == "l515" else ouster)(scene, viewpoint, rng), viewpoint
 
 
 def random_viewpoint(
@@ -69,26 +64,18 @@ def random_viewpoint(
     side spanning [-1, 1]: uniform azimuth, elevation and distance."""
     azimuth = rng.uniform(0.0, 2 * np.pi)
     elevation = np.radians(rng.uniform(*elevation_degrees))
-    horizontal = np.cos(elevation)
-    direction = (
-        horizontal * np.cos(azimuth),
-        horizontal * np.sin(azimuth),
-        np.sin(elevation),
-    )
-    return rng.uniform(*distance) * np.array(direction)
+    return rng.uniform(*distance) * direction(azimuth, elevation)
 
 
 def self_occlusion(
-    scene: Scene,
-    viewpoint: Float[np.ndarray, "3"],
-    min_points: int = 2048,
+    scene: Scene, viewpoint: Float[np.ndarray, "3"], min_points: int = 2048
 ) -> Float64[np.ndarray, "N 3"]:
     """First hits of a regular grid of rays from `viewpoint`, row by row, exactly.
 
-    The camera looks at the middle of the mesh, z up, and its grid of square pixels
-    is the smallest that holds the projected mesh, like a detector's crop: `RAYS` rays,
-    and up to `MAX_RAYS` when a slender object catches fewer than `min_points` of them.
-    A viewpoint inside the mesh's bounding sphere raises ValueError.
+    The grid of square pixels is the smallest that holds the projected mesh, like a
+    detector's crop: `RAYS` rays, and up to `MAX_RAYS` when a slender object catches
+    fewer than `min_points` of them. A viewpoint inside the mesh's bounding sphere
+    raises ValueError.
     """
     axes = _axes_outside(scene, viewpoint)
     in_camera = (np.asarray(scene.mesh.vertices) - viewpoint) @ axes.T
@@ -120,19 +107,13 @@ def l515(
     rng: np.random.Generator,
     config: L515Config = L515Config(),
 ) -> Float64[np.ndarray, "N 3"]:
-    """What an L515 at `viewpoint` measures of the object, its longest side 1.2 m.
-
-    Of the image only the part that holds the object is computed. Points are scaled
-    back to the mesh's frame, row by row. A viewpoint inside the mesh's bounding sphere
-    raises ValueError.
-    """
-    axes = _axes_outside(scene, viewpoint)
-    camera = l515_camera(axes, viewpoint * HALF_EXTENT)
+    """What an L515 at `viewpoint` measures of the object, its longest side 1.2 m, of
+    the part of the image that holds it; in the mesh's frame, row by row."""
+    camera = l515_camera(_axes_outside(scene, viewpoint), viewpoint * HALF_EXTENT)
     metric = _in_metres(scene)
     camera = cropped_to(camera, np.asarray(metric.mesh.vertices))
     counts, _ = l515_depth(metric, camera, rng, config)
-    points = points_from_depth(counts * config.quantum, counts > 0, camera)
-    return points / HALF_EXTENT
+    return points_from_depth(counts * config.quantum, counts > 0, camera) / HALF_EXTENT
 
 
 def ouster(
@@ -141,12 +122,8 @@ def ouster(
     rng: np.random.Generator,
     config: OusterConfig = OusterConfig(),
 ) -> Float64[np.ndarray, "N 3"]:
-    """What an Ouster at `viewpoint` measures of the object, its longest side 1.2 m.
-
-    The sensor is tilted so that its middle beam at column 0 aims at the object's
-    centre. Points are scaled back to the mesh's frame. A viewpoint inside the mesh's
-    bounding sphere raises ValueError.
-    """
+    """What an Ouster at `viewpoint` measures of the object, its longest side 1.2 m, in
+    the mesh's frame. Its middle beam at column 0 aims at the object's centre."""
     right, down, forward = _axes_outside(scene, viewpoint)
     rotation = np.stack([forward, -right, -down], axis=1)
     position = viewpoint * HALF_EXTENT

@@ -1,8 +1,7 @@
 """First hits of rays on a triangle mesh, and what of a surface is seen from outside.
 
 Embree searches in float32 and finds triangle and barycentric coordinates; the points
-are made of these and of the mesh's own float64 corners, so that they lie on the
-triangles to double precision. Lengths are those of the mesh; nothing is differentiable.
+are made of these and of the mesh's own float64 corners.
 """
 
 from typing import NamedTuple
@@ -14,8 +13,7 @@ from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float64, Int
 
 NUM_VIEWPOINTS = 96
-VIEWPOINT_DISTANCE = 3.0
-"""Radii of the bounding sphere from its centre to the viewpoints around it."""
+VIEWPOINT_DISTANCE = 3.0  # from the centre, in radii of the bounding sphere
 CRACK = 1e-4
 """Radii of the bounding sphere by which a point is lifted off its surface before it
 looks for a viewpoint. Walls that are closer together than this hide each other."""
@@ -36,10 +34,9 @@ class Hits(NamedTuple):
 
 
 class Scene:
-    """A mesh to cast rays at. The mesh must not change afterwards.
+    """A mesh to cast rays at, seen from both sides. It must not change afterwards.
 
-    Triangles are seen from both sides, also where the mesh is not closed. A mesh
-    without triangles, or with corners that are not finite, raises ValueError.
+    Without triangles, or with corners that are not finite, it raises ValueError.
     """
 
     def __init__(self, mesh: trimesh.Trimesh):
@@ -69,8 +66,8 @@ class Scene:
         """The first triangle along each ray, from one common origin or one a ray.
 
         Directions need no unit length; distances are Euclidean all the same. Cosines
-        are those of the angle between ray and normal, without sign. Origins or
-        directions that are not finite raise ValueError; a zero direction hits nothing.
+        are without sign. What is not finite raises ValueError; a zero direction hits
+        nothing.
         """
         if not (np.isfinite(origins).all() and np.isfinite(directions).all()):
             raise ValueError("rays must be finite")
@@ -94,14 +91,13 @@ class Scene:
     ) -> Bool[np.ndarray, " N"]:
         """Whether a straight line leads from each surface point to a viewpoint.
 
-        `normals` point away from the solid; of a mesh that is wound inconsistently, or
-        not closed, they may point to either side, and `two_sided` counts a point as
-        seen if it is on one of the two. A point is lifted by `CRACK` along its
-        normal and seen if nothing stands between it and one of `NUM_VIEWPOINTS` points
-        spread around the mesh. So the walls of a crack narrower than `CRACK` are not
-        seen, and those of a wider one as far as such lines reach into it; the inside
-        of a closed hollow body is not seen at all. What shows itself to less than about
-        1 / `NUM_VIEWPOINTS` of all directions, deep in a slit, may count as unseen.
+        `normals` point away from the solid; where they may point to either side,
+        `two_sided` counts a point as seen if it is on one of the two. A point is lifted
+        by `CRACK` along its normal and seen if nothing stands between it and one of
+        `NUM_VIEWPOINTS` points spread around the mesh. So the walls of a narrower crack
+        are not seen, nor the inside of a closed hollow body; what shows itself to less
+        than about 1 / `NUM_VIEWPOINTS` of all directions, deep in a slit, may count as
+        unseen.
         """
         seen = self._seen_along(points, normals)
         if two_sided:
@@ -109,9 +105,7 @@ class Scene:
             seen[rest] = self._seen_along(points[rest], -normals[rest])
         return seen
 
-    def _seen_along(
-        self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
-    ) -> Bool[np.ndarray, " N"]:
+    def _seen_along(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Of the side that normals point to."""
         around = VIEWPOINT_DISTANCE * self.radius * VIEWPOINT_DIRECTIONS
         eyes = _single(self.center + around - self._shift)
@@ -123,8 +117,7 @@ class Scene:
                 break
             start = lifted[hidden]
             toward = eyes[order[hidden, column]] - start
-            blocked = self._embree.run(start, toward, query="OCCLUDED")
-            hidden = hidden[blocked >= 0]
+            hidden = hidden[self._embree.run(start, toward, query="OCCLUDED") >= 0]
         seen = np.ones(len(points), bool)
         seen[hidden] = False
         return seen
@@ -144,13 +137,11 @@ def sample_outside(
 ) -> Float64[np.ndarray, "num_points 3"]:
     """Points uniform on the area of the mesh that is seen from outside.
 
-    Normals are taken to point outward, as in a watertight mesh, unless `two_sided`
-    (`Scene.seen_from_outside`). Of a mesh some of whose faces are `wanted`, the others
-    only stand in the way. A surface of which less than `MIN_SEEN` is seen raises
+    `two_sided` as in `Scene.seen_from_outside`. Where some faces are `wanted`, the
+    others only stand in the way. A surface of which less than `MIN_SEEN` is seen raises
     ValueError.
     """
-    areas = scene.areas if wanted is None else scene.areas * wanted
-    cumulative = np.cumsum(areas)
+    cumulative = np.cumsum(scene.areas if wanted is None else scene.areas * wanted)
     kept, missing = [], num_points
     drawn, seen_of_drawn = 0, 0
     while missing > 0:
@@ -178,11 +169,18 @@ def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", first, second)
 
 
+def direction(
+    azimuth: float | np.ndarray, elevation: float | np.ndarray
+) -> Float64[np.ndarray, "*shape 3"]:
+    """Unit vectors by their angles in radians, z up."""
+    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    return np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], axis=-1)
+
+
 def sphere_directions(count: int) -> np.ndarray:
     """Unit vectors spread over the sphere: a Fibonacci lattice."""
     index = np.arange(count) + 0.5
-    z = 1 - 2 * index / count
-    azimuth = np.pi * (1 + np.sqrt(5)) * index
+    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
     ring = np.sqrt(1 - z**2)
     return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
 

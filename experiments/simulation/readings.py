@@ -1,53 +1,50 @@
-"""What a sensor reads of an object and of what stands around it, ray by ray.
+"""What a sensor reads of an object and of what stands around it, ray by ray, and the
+maps of what it knows (`geometry.visibility`).
 
 In the object's frame, its longest side spanning [-1, 1]; what goes wrong with a range
-is told in metres (`sensors.RangeConfig`).
+is in metres (`sensors.RangeConfig`).
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float, Float64, UInt8
 
-from experiments.simulation.raycast import Hits, Scene
+from experiments.simulation.raycast import Hits, Scene, direction
 from experiments.simulation.sensors import (
     OusterConfig,
     RangeConfig,
+    Rays,
     measure,
+    measured_points,
 )
 from experiments.simulation.surroundings import Surroundings
+from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import camera_axes
-from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE
+from prism_jax.geometry.visibility import (
+    BACKGROUND,
+    MAP_SIZE,
+    NEARER,
+    SURFACE,
+    UNKNOWN,
+    Visibility,
+)
 
 RAYS = 160 * 160
 PIXEL = np.tan(np.radians(35.0)) / 320
 """Tangent of a pixel of a depth camera of 640 pixels over 70 degrees, as the L515's."""
 
 
-class Rays(NamedTuple):
-    """A grid of rays from one place.
-
-    Directions are as long as one unit of what the sensor counts: one unit of depth
-    along the optical axis for a camera, of range for a lidar.
-    """
-
-    eye: Float64[np.ndarray, "3"]
-    directions: Float64[np.ndarray, "R C 3"]
-
-
 class Readings(NamedTuple):
-    """What a sensor knows, ray by ray.
+    """What a sensor knows, ray by ray."""
 
-    Attributes:
-      state: one of the four states of `geometry.visibility`.
-      points: where it was measured; anywhere on the ray where nothing is known.
-      hidden_share: of the rays that the object alone would stop, those that something
-        else stops before it.
-    """
-
-    state: UInt8[np.ndarray, " N"]
+    state: UInt8[np.ndarray, " N"]  # of the four of `geometry.visibility`
+    # Where it was measured; anywhere on the ray where nothing is known.
     points: Float64[np.ndarray, "N 3"]
+    # Of the rays that the object alone would stop, those that something else stops.
     hidden_share: float
 
     @property
@@ -82,26 +79,23 @@ class World:
         of_object = first[0] <= first[1]
         hidden = 1 - of_object[own.ray].sum() / max(len(own.ray), 1)
 
-        state = np.zeros(len(directions), np.uint8)
-        points = rays.eye + directions
+        state, points = np.zeros(len(directions), np.uint8), rays.eye + directions
         for hits, kept in (own, of_object[own.ray]), (other, ~of_object[other.ray]):
             metres = hits._replace(distances=hits.distances * self.half_extent)
             kept_hits = Hits(*(array[kept] for array in metres))
-            found, ranges = measure(self.scene, kept_hits, grid, rng, config)
-            along = directions[found.ray]
-            steps = np.linalg.norm(along, axis=1) * config.quantum
-            reach = np.rint(ranges / steps) * config.quantum / self.half_extent
-            points[found.ray] = rays.eye + reach[:, None] * along
+            found, ranges = measure(kept_hits, grid, rng, config)
+            points[found.ray] = measured_points(
+                rays, found, ranges, config.quantum, self.half_extent
+            )
             beyond = np.where(found.faces < 0, BACKGROUND, NEARER)
             state[found.ray] = SURFACE if hits is own else beyond
         return Readings(state, points, float(hidden))
 
 
 def camera_rays(scene: Scene, eye: Float[np.ndarray, "3"]) -> Rays:
-    """Of a depth camera's pixels those that the object lies on.
+    """The pixels of a depth camera that looks at the object's middle and sees it.
 
-    It looks at the middle of the object, z up. Of an object that fills more than `RAYS`
-    pixels of `PIXEL` only every second, third and so on is taken, in either direction.
+    Of more than `RAYS` of `PIXEL` only every second, third and so on is taken.
     """
     axes = camera_axes(scene.center - eye)
     in_camera = (np.asarray(scene.mesh.vertices) - eye) @ axes.T
@@ -114,10 +108,8 @@ def camera_rays(scene: Scene, eye: Float[np.ndarray, "3"]) -> Rays:
 def ring_rays(
     scene: Scene, eye: Float[np.ndarray, "3"], config: OusterConfig, pitch: float
 ) -> Rays:
-    """Of a spinning lidar's beams those that pass the object or close by.
-
-    The sensor is tilted about a level axis until the middle of the object is `pitch`
-    radians above its equator.
+    """Of a spinning lidar's beams those that pass the object or close by. It is tilted
+    about a level axis until the object's middle is `pitch` radians above its equator.
     """
     right, down, forward = camera_axes(scene.center - eye)
     ahead = np.cos(pitch) * forward + np.sin(pitch) * down
@@ -129,11 +121,8 @@ def ring_rays(
     step = 2 * np.pi / config.columns
     last = int(min(reach / np.cos(pitch), np.pi / 2) / step)
     azimuths = step * np.arange(-last, last + 1)
-    x, y = np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths)
-    z = np.broadcast_to(np.sin(elevations), x.shape)
-    axes = np.stack([ahead, -right, axis])
-    directions = np.stack([x, y, z], axis=-1).reshape(-1, 3) @ axes
-    return Rays(eye, directions.reshape(*x.shape, 3))
+    axes, beams = np.stack([ahead, -right, axis]), direction(azimuths, elevations)
+    return Rays(eye, (beams.reshape(-1, 3) @ axes).reshape(beams.shape))
 
 
 def pixel_grid(
@@ -147,3 +136,37 @@ def pixel_grid(
     )
     x, y = np.meshgrid(columns, rows)
     return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def map_rays(camera: Camera, eye: Float[np.ndarray, "3"]) -> Rays:
+    """Five through every pixel of `framing_camera`: its middle and its corners."""
+    middles = np.arange(MAP_SIZE) - 0.5 * (MAP_SIZE - 1)
+    # Just inside, or rounding decides whose corners they are.
+    x, y = 0.499 * np.array([(0, 0), (-1, -1), (1, -1), (-1, 1), (1, 1)]).T
+    shape = MAP_SIZE, MAP_SIZE, len(x)
+    columns = np.broadcast_to(middles[:, None] + x, shape)
+    rows = np.broadcast_to(middles[:, None, None] + y, shape)
+    focal = camera.intrinsics[0, 0]
+    rays = np.stack([columns, rows, np.full(shape, focal)], axis=-1) / focal
+    return Rays(eye, rays.reshape(MAP_SIZE, -1, 3) @ np.asarray(camera.rotation))
+
+
+def map_of(camera: Camera, parts: Sequence[Readings]) -> Visibility:
+    """Each pixel by what the rays through it read, in float32.
+
+    One through which some of the object was measured is `SURFACE`, at the nearest
+    depth. Of all others one of whose rays nothing is known is `UNKNOWN`, and so is one
+    without rays. What is left is what was nearest. So a thin thing is seen, and no more
+    of a pixel is called free than was seen to be.
+    """
+    state = np.concatenate([readings.state for readings in parts])
+    pixel, depth = camera.pixel_of(np.concatenate([part.points for part in parts]))
+    depth = np.where(state == UNKNOWN, 0.0, depth)
+    # The last of those that fall on a pixel stays.
+    order = np.lexsort((-depth, state == UNKNOWN, state == SURFACE))
+    order = order[pixel[order] < MAP_SIZE**2]
+    states, depths = np.zeros(MAP_SIZE**2, np.uint8), np.zeros(MAP_SIZE**2, np.float32)
+    states[pixel[order]], depths[pixel[order]] = state[order], depth[order]
+    shape = MAP_SIZE, MAP_SIZE
+    camera = jax.tree.map(lambda array: np.asarray(array, np.float32), camera)
+    return Visibility(camera, states.reshape(shape), depths.reshape(shape))

@@ -1,8 +1,7 @@
 """What two depth sensors measure of a mesh: an Intel RealSense L515 and an Ouster OS1.
 
 Both cast one ray a pixel or beam and then spoil the exact range in the same four ways:
-mixed pixels at depth edges, noise along the ray, lost returns, quantisation. Metres,
-and degrees where a name says so. The same generator state gives the same bytes.
+mixed pixels at depth edges, noise along the ray, lost returns, quantisation. Metres.
 """
 
 import dataclasses
@@ -12,55 +11,33 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int, Int32, UInt16
 
-from experiments.simulation.raycast import Hits, Scene
+from experiments.simulation.raycast import Hits, Scene, direction
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
 class RangeConfig:
-    """What goes wrong with a range that is measured along a ray.
+    """What goes wrong with a range that is measured along a ray; by default an L515's.
 
-    Noise is Gaussian and along the ray; `noise` lists (range, standard deviation),
-    linear in between and constant beyond. A return is lost with probability `dropout`
-    anyway; with one that grows linearly from 0 to `grazing_dropout` while the angle
-    between ray and normal grows over `grazing_degrees`; and on glossy faces, which
-    mirror the beam away, likewise by `gloss_dropout` and `gloss_degrees`. The three are
-    independent. Beyond its last angle a share stays as it is.
-
-    A footprint straddles an edge where the exact range of one of the four neighbouring
-    pixels or beams differs by more than `edge_step`; with probability `mixed_share` its
-    range then lies anywhere between the two surfaces, uniformly. Ranges outside
-    `min_range` to `max_range` are no returns. Impossible numbers raise InputError.
+    Three losses are independent: `dropout`, at grazing angles between ray and normal,
+    and on glossy faces, which mirror the beam away. A footprint straddles an edge where
+    the exact range of one of the four neighbouring pixels or beams differs by more than
+    `edge_step`; its range then may lie anywhere between the two surfaces, uniformly.
     """
 
-    min_range: float
-    max_range: float
-    quantum: float
-    noise: tuple[tuple[float, float], ...]
-    dropout: float
-    grazing_degrees: tuple[float, float]
-    grazing_dropout: float
-    gloss_degrees: tuple[float, float]
-    gloss_dropout: float
-    edge_step: float
-    mixed_share: float
-
-    def __post_init__(self):
-        for name in ("dropout", "grazing_dropout", "gloss_dropout", "mixed_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(name, "is not a share", "choose 0 to 1")
-        for name in ("grazing_degrees", "gloss_degrees"):
-            first, last = getattr(self, name)
-            if not 0 <= first < last <= 90:
-                raise InputError(name, "does not grow", "choose two angles in 0 to 90")
-        if not 0 < self.quantum <= self.min_range < self.max_range < np.inf:
-            fault = "quantum, min_range, max_range are not positive and growing"
-            raise InputError("range", fault, "choose other numbers")
-        ranges, deviations = np.array(self.noise).reshape(-1, 2).T
-        if len(ranges) == 0 or np.any(np.diff(ranges) <= 0) or np.any(deviations < 0):
-            fault = "is no list of (growing range, deviation >= 0)"
-            raise InputError("noise", fault, "choose at least one pair")
+    min_range: float = 0.25  # ranges outside these two are no returns
+    max_range: float = 9.0
+    quantum: float = 0.00025
+    # (range, standard deviation along the ray), linear in between, constant beyond
+    noise: tuple[tuple[float, float], ...] = ((1.0, 0.0025), (9.0, 0.0155))
+    dropout: float = 0.005
+    # Shares that grow linearly from 0 between two angles, and stay beyond.
+    grazing_degrees: tuple[float, float] = (65.0, 88.0)
+    grazing_dropout: float = 1.0
+    gloss_degrees: tuple[float, float] = (10.0, 45.0)
+    gloss_dropout: float = 0.9
+    edge_step: float = 0.05
+    mixed_share: float = 0.25  # of the footprints across an edge
 
     def exact(self):
         """The same sensor without noise, lost returns or mixed pixels."""
@@ -84,35 +61,17 @@ class L515Config(RangeConfig):
     14 mm that is not modelled. The shares of lost and mixed pixels are our assumption.
     """
 
-    min_range: float = 0.25
-    max_range: float = 9.0
-    quantum: float = 0.00025
-    noise: tuple[tuple[float, float], ...] = ((1.0, 0.0025), (9.0, 0.0155))
-    dropout: float = 0.005
-    grazing_degrees: tuple[float, float] = (65.0, 88.0)
-    grazing_dropout: float = 1.0
-    gloss_degrees: tuple[float, float] = (10.0, 45.0)
-    gloss_dropout: float = 0.9
-    edge_step: float = 0.05
-    mixed_share: float = 0.25
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.max_range / self.quantum > np.iinfo(np.uint16).max:
-            fault = "has more counts of the quantum than 16 bits hold"
-            raise InputError("max_range", fault, "choose a shorter range")
-
 
 @dataclasses.dataclass(frozen=True)
 class OusterConfig(RangeConfig):
     """Ouster OS1: 128 evenly spaced beams over 45 degrees, 1,024 columns a turn.
 
-    Beams, columns and the standard deviation of 1.5 cm where the signal is strong and
-    3 cm where it is weaker (signal to noise 100) are the OS1 data sheet's; that the
-    former holds up to 20 m and the latter at 100 m is our reading. So are the shares
-    of lost and mixed returns: a beam 0.18 degrees wide (the sheet, at half maximum)
-    covers half the pitch of 0.35, so half the beams beside an edge touch it. The beams'
-    offsets from the axis of rotation, some centimetres, are not modelled.
+    Beams, columns and the standard deviation of 1.5 cm where the signal is strong and 3
+    cm where it is weaker (signal to noise 100) are the OS1 data sheet's; at which
+    ranges is our reading. So are the shares of lost and mixed returns: a beam 0.18
+    degrees wide covers half the pitch of 0.35, so half the beams beside an edge touch
+    it. The beams' offsets from the axis of rotation, some centimetres, are not
+    modelled.
     """
 
     beams: int = 128
@@ -122,18 +81,18 @@ class OusterConfig(RangeConfig):
     max_range: float = 100.0
     quantum: float = 0.001
     noise: tuple[tuple[float, float], ...] = ((20.0, 0.015), (100.0, 0.03))
-    dropout: float = 0.005
     grazing_degrees: tuple[float, float] = (70.0, 89.0)
-    grazing_dropout: float = 1.0
-    gloss_degrees: tuple[float, float] = (10.0, 45.0)
-    gloss_dropout: float = 0.9
     edge_step: float = 0.1
     mixed_share: float = 0.5
 
-    def __post_init__(self):
-        super().__post_init__()
-        if self.beams < 1 or self.columns < 1:
-            raise InputError("beams", "no beams or columns", "choose one or more")
+
+class Rays(NamedTuple):
+    """A grid of rays from one place. Directions are as long as one unit of what the
+    sensor counts: of depth along the optical axis for a camera, of range for a lidar.
+    """
+
+    eye: Float64[np.ndarray, "3"]
+    directions: Float64[np.ndarray, "R C 3"]
 
 
 class Returns(NamedTuple):
@@ -145,21 +104,16 @@ class Returns(NamedTuple):
 
 
 def l515_camera(axes: Float[np.ndarray, "3 3"], eye: Float[np.ndarray, "3"]) -> Camera:
-    """`Camera.l515` of float64 NumPy arrays: 640x480 pixels, 70 by 55 degrees.
-
-    Rows of `axes` are the camera's right, down and forward in the world. No array
-    touches JAX, so that processes that only make data start no device.
-    """
+    """`Camera.l515` of float64 NumPy arrays: no array touches JAX, so that processes
+    that only make data start no device. Rows of `axes` are right, down and forward."""
     height, width = 480, 640
-    focal_x = 0.5 * width / np.tan(np.radians(35.0))
-    focal_y = 0.5 * height / np.tan(np.radians(27.5))
     return Camera(
         rotation=axes,
         translation=-axes @ eye,
         intrinsics=np.array(
             [
-                [focal_x, 0.0, 0.5 * (width - 1)],
-                [0.0, focal_y, 0.5 * (height - 1)],
+                [0.5 * width / np.tan(np.radians(35.0)), 0.0, 0.5 * (width - 1)],
+                [0.0, 0.5 * height / np.tan(np.radians(27.5)), 0.5 * (height - 1)],
                 [0.0, 0.0, 1.0],
             ]
         ),
@@ -169,12 +123,9 @@ def l515_camera(axes: Float[np.ndarray, "3 3"], eye: Float[np.ndarray, "3"]) -> 
 
 
 def cropped_to(camera: Camera, points: Float[np.ndarray, "N 3"]) -> Camera:
-    """The part of a camera's image that holds the points: same pose, same pixels.
-
-    Points are in the world and in front of the camera; the part is one pixel at least.
-    """
-    in_camera = np.asarray(camera.to_camera(points))
-    pixels = in_camera @ np.asarray(camera.intrinsics).T
+    """The part of a camera's image that holds the points, which are in front of it; one
+    pixel at least."""
+    pixels = np.asarray(camera.to_camera(points)) @ np.asarray(camera.intrinsics).T
     pixels = pixels[:, :2] / pixels[:, 2:]
     size = np.array([camera.width, camera.height])
     first = np.clip(np.floor(pixels.min(axis=0)), 0, size - 1).astype(int)
@@ -197,27 +148,30 @@ def l515_depth(
     """A depth image in counts of `config.quantum`, and the face behind each pixel.
 
     Depth is along the camera's +z and is what is quantised; noise and the limits of
-    range apply along the ray. 0 is no return, and its face is -1. The camera gives
-    pixels and pose (`Camera.l515` has the L515's 640x480 over 70x55 degrees); the scene
-    is in metres. A mixed pixel names the face that its centre sees.
+    range apply along the ray. 0 is no return, and its face is -1. A mixed pixel names
+    the face that its centre sees.
     """
-    rotation, translation, intrinsics = (
-        np.asarray(array, np.float64)
-        for array in (camera.rotation, camera.translation, camera.intrinsics)
-    )
-    height, width = camera.height, camera.width
-    # Broadcast sums: a threaded product with a 3x3 matrix is far slower.
-    right, down, corner = np.linalg.inv(intrinsics).T @ rotation
-    columns, rows = np.arange(width)[:, None], np.arange(height)[:, None, None]
-    rays = (rows * down + (columns * right + corner)).reshape(-1, 3)
-    hits = scene.cast(-translation @ rotation, rays)
-    hits, ranges = measure(scene, hits, (height, width), rng, config, glossy)
+    height, width, rays = camera.height, camera.width, pixel_rays(camera)
+    rotation = np.asarray(camera.rotation, np.float64)
+    hits = scene.cast(-np.asarray(camera.translation, np.float64) @ rotation, rays)
+    hits, ranges = measure(hits, (height, width), rng, config, glossy)
     depth = ranges / np.linalg.norm(rays[hits.ray], axis=1)
     counts = np.zeros(height * width, np.uint16)
     faces = np.full(height * width, -1, np.int32)
     counts[hits.ray] = np.rint(depth / config.quantum)
     faces[hits.ray] = hits.faces
     return counts.reshape(height, width), faces.reshape(height, width)
+
+
+def pixel_rays(camera: Camera) -> Float64[np.ndarray, "P 3"]:
+    """The rays of all pixels, row by row, one unit of depth long."""
+    rotation = np.asarray(camera.rotation, np.float64)
+    # Broadcast sums: a threaded product with a 3x3 matrix is far slower.
+    inverse = np.linalg.inv(np.asarray(camera.intrinsics, np.float64))
+    right, down, corner = inverse.T @ rotation
+    columns = np.arange(camera.width)[:, None]
+    rows = np.arange(camera.height)[:, None, None]
+    return (rows * down + (columns * right + corner)).reshape(-1, 3)
 
 
 def ouster_scan(
@@ -236,7 +190,7 @@ def ouster_scan(
     directions = np.einsum("rj,ij->ri", _beam_directions(config), rotation)
     hits = scene.cast(position, directions)
     grid = (config.beams, config.columns)
-    hits, ranges = measure(scene, hits, grid, rng, config, glossy, wraps=True)
+    hits, ranges = measure(hits, grid, rng, config, glossy, wraps=True)
     ranges = np.rint(ranges / config.quantum) * config.quantum
     points = position + directions[hits.ray] * ranges[:, None]
     return Returns(points, hits.faces, ranges)
@@ -247,15 +201,12 @@ def _beam_directions(config: OusterConfig) -> np.ndarray:
     lowest, highest = np.radians(config.elevation_degrees)
     elevation = np.linspace(highest, lowest, config.beams)[:, None]
     azimuth = 2 * np.pi * np.arange(config.columns) / config.columns
-    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
-    z = np.broadcast_to(np.sin(elevation), x.shape)
-    directions = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    directions = direction(azimuth, elevation).reshape(-1, 3)
     directions.flags.writeable = False
     return directions
 
 
 def measure(
-    scene: Scene,
     hits: Hits,
     grid: tuple[int, int],
     rng: np.random.Generator,
@@ -277,12 +228,9 @@ def measure(
     deviation = np.interp(ranges, *np.array(config.noise).T)
     ranges = ranges + deviation * rng.standard_normal(len(ranges))
 
-    degrees = np.degrees(np.arccos(hits.cosines))
-    kept = 1 - config.dropout
+    degrees, kept = np.degrees(np.arccos(hits.cosines)), 1 - config.dropout
     kept *= 1 - np.interp(degrees, config.grazing_degrees, (0, config.grazing_dropout))
     if glossy is not None:
-        if len(glossy) != len(scene.triangles):
-            raise ValueError("glossy needs one entry a face of the scene")
         mirrored = np.interp(degrees, config.gloss_degrees, (0, config.gloss_dropout))
         kept *= 1 - glossy[hits.faces] * mirrored
     returned = rng.random(len(ranges)) < kept
@@ -290,12 +238,19 @@ def measure(
     return Hits(*(array[returned] for array in hits)), ranges[returned]
 
 
-def _step_to_neighbours(hits: Hits, grid: tuple[int, int], wraps: bool) -> np.ndarray:
-    """How much farther each hit's most different neighbour of four is (or nearer).
+def measured_points(
+    rays: Rays, hits: Hits, ranges: np.ndarray, quantum: float, unit: float = 1.0
+) -> Float64[np.ndarray, "R 3"]:
+    """Where ranges in metres are, rounded to what a sensor counts; in units of so many
+    metres."""
+    along = rays.directions.reshape(-1, 3)[hits.ray]
+    steps = np.linalg.norm(along, axis=1) * quantum
+    return rays.eye + (np.rint(ranges / steps) * quantum / unit)[:, None] * along
 
-    A neighbour that hit nothing, or lies outside the grid, does not count. The columns
-    of a sensor that turns close up.
-    """
+
+def _step_to_neighbours(hits: Hits, grid: tuple[int, int], wraps: bool) -> np.ndarray:
+    """How much farther each hit's most different neighbour of four is (or nearer). One
+    that hit nothing, or lies outside the grid, does not count."""
     padded = np.full((grid[0] + 2, grid[1] + 2), np.nan)
     inner = padded[1:-1, 1:-1]
     rows, columns = np.divmod(hits.ray, grid[1])

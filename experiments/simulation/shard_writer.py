@@ -18,8 +18,7 @@ from prism_jax.data.source import Example
 from prism_jax.geometry.visibility import nothing_known
 from prism_jax.io.atomic import write_bytes
 
-STEPS = 2**16 - 1
-"""Of a box's longest side: what a coordinate is rounded to."""
+STEPS = 2**16 - 1  # of a box's longest side: what a coordinate is rounded to
 
 Box = Float32[np.ndarray, "4"]
 MakeObject = Callable[[int], Iterable[Example]]
@@ -37,12 +36,11 @@ def build_shards(
 ) -> pathlib.Path:
     """Builds what is missing of a folder of shards, each with these objects.
 
-    `make_object` is pickled for the workers. It gives the views of one object, with
-    clouds in farthest-point order and all of one size; views in a row that have the
-    same complete cloud share it. A coordinate is rounded to 1 / `STEPS` of the longest
-    side of cloud and views, or to the steps of `box` if it is given. With `maps` what
-    the sensors know is kept too, in files of its own; a view that does not say knows
-    nothing. All else is as in `building.build`.
+    `make_object` gives the views of one object, with clouds in farthest-point order and
+    all of one size; views in a row that have the same complete cloud share it. A
+    coordinate is rounded to 1 / `STEPS` of the longest side of cloud and views, or to
+    the steps of `box`. With `maps` what the sensors know is kept too. All else is as in
+    `building.build`.
     """
     folder = pathlib.Path(folder)
     return build(

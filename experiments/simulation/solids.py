@@ -1,21 +1,21 @@
 """Solid primitives for the procedural shapes: thin wrappers of manifold3d.
 
-Frame: z up, front along +y, lengths in the shape's own arbitrary unit. Angles are
-in radians. Every function returns a closed `Manifold`; unions are left to the caller,
-so that a shape is one single boolean operation.
+z is up, angles are in radians. Every function returns closed `Manifold`s; unions are
+left to the caller, so that a shape is one single boolean operation.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import trimesh
 from jaxtyping import Float
 from manifold3d import CrossSection, Manifold, Mesh64, OpType, triangulate
 
-SPLINTER = 1e-7
-"""Volume below which a separate piece is an artefact of touching faces."""
+SPLINTER = 1e-7  # volume below which a separate piece is an artefact of touching faces
 
+Rng = np.random.Generator
+Solids = list[Manifold]
 Vector = Sequence[float | int] | np.ndarray
 
 
@@ -69,11 +69,7 @@ def tube(
 
 
 def bar(
-    start: Vector,
-    end: Vector,
-    width: float,
-    depth: float,
-    end_scale: float = 1.0,
+    start: Vector, end: Vector, width: float, depth: float, end_scale: float = 1.0
 ) -> Manifold:
     """Rectangular beam from `start` to `end`; its end section is `end_scale` times
     the start's. The width lies along x where the beam is upright."""
@@ -98,7 +94,7 @@ def capsule(
     )
 
 
-def tube_along(points: np.ndarray, radius: float, segments: int = 10) -> list[Manifold]:
+def tube_along(points: np.ndarray, radius: float, segments: int = 10) -> Solids:
     """Capsules between consecutive rows of `points`."""
     spheres = [ball(point, radius, segments) for point in points]
     return [
@@ -152,7 +148,7 @@ def ellipse(center: Vector, radii: Vector, segments: int = 24) -> np.ndarray:
     return np.stack(ring, axis=1) + np.asarray(center, float)
 
 
-def loft(sections: Sequence[np.ndarray]) -> list[Manifold]:
+def loft(sections: Sequence[np.ndarray]) -> Solids:
     """Convex hulls of consecutive sections, each a set of points."""
     return [
         Manifold.hull_points(np.concatenate([first, second]))
@@ -221,13 +217,12 @@ def _strips(rings: np.ndarray) -> np.ndarray:
 
 def _closed(points: np.ndarray, faces: np.ndarray) -> Manifold:
     mesh = Mesh64(
-        np.ascontiguousarray(points, np.float64),
-        np.ascontiguousarray(faces, np.uint64),
+        np.ascontiguousarray(points, np.float64), np.ascontiguousarray(faces, np.uint64)
     )
     return Manifold(mesh)
 
 
-def ring_of(solid: Manifold, count: int, start: float = 0.0) -> list[Manifold]:
+def ring_of(solid: Manifold, count: int, start: float = 0.0) -> Solids:
     """Copies of a solid turned about z by equal steps, the first by `start` degrees."""
     return [solid.rotate((0, 0, start + 360 * k / count)) for k in range(count)]
 
@@ -237,7 +232,7 @@ def corners(x: float, y: float) -> list[np.ndarray]:
     return [np.array((sx * x, sy * y, 0.0)) for sx in (-1, 1) for sy in (-1, 1)]
 
 
-def on_floor(solids: Sequence[Manifold]) -> list[Manifold]:
+def on_floor(solids: Sequence[Manifold]) -> Solids:
     """The solids, moved together along z until the lowest touches z = 0."""
     lowest = min(solid.bounding_box()[2] for solid in solids)
     return [solid.translate((0, 0, -lowest)) for solid in solids]
@@ -262,7 +257,7 @@ def union(solids: Sequence[Manifold]) -> Manifold:
     return Manifold.batch_boolean(list(solids), OpType.Add)
 
 
-def assembled(solids: Sequence[Manifold]) -> list[Manifold]:
+def assembled(solids: Sequence[Manifold]) -> Solids:
     """Their union, moved along z until it touches z = 0; enclosed voids are filled,
     and the splinters that touching faces leave behind are dropped."""
     whole = union(on_floor(solids))
@@ -270,6 +265,15 @@ def assembled(solids: Sequence[Manifold]) -> list[Manifold]:
     if len(parts) > 1:
         whole = union([part for part in parts if part.volume() > SPLINTER])
     return [whole]
+
+
+def one_of(
+    rng: Rng,
+    makers: Sequence[Callable[[Rng], Solids]],
+    shares: Sequence[float],
+) -> Solids:
+    """What one of some functions draws, chosen by these shares."""
+    return makers[rng.choice(len(makers), p=shares)](rng)
 
 
 def as_mesh(solid: Manifold) -> trimesh.Trimesh:

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from experiments.simulation.raycast import Hits, Scene
 from prism_jax.geometry.framing import camera_axes
 
-HIDDEN_SHARES = (0.1, 0.7)
-"""Of what would have been seen: the least and the most that an occluder hides."""
+HIDDEN_SHARES = (0.1, 0.7)  # least and most of the points that an occluder hides
 TRIES = 12
 NO_PLANES = np.zeros((0, 4))
 
@@ -25,14 +24,10 @@ _Solid = tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "F 3"]]
 
 
 class Surroundings(NamedTuple):
-    """What a ray may hit beside the object.
+    """What a ray may hit beside the object."""
 
-    Attributes:
-      occluders: things between sensor and object.
-      planes: a unit normal and a distance from the origin each; `n x > d` is free.
-    """
-
-    occluders: Scene | None = None
+    occluders: Scene | None = None  # things between sensor and object
+    # A unit normal and a distance from the origin each; `n x > d` is free.
     planes: Float64[np.ndarray, "P 4"] = NO_PLANES
 
     def cast(
@@ -55,8 +50,7 @@ class Surroundings(NamedTuple):
             distances[ray], cosines[ray] = hits.distances[nearer], hits.cosines[nearer]
             faces[ray] = hits.faces[nearer]
         ray = np.flatnonzero(np.isfinite(distances))
-        steps = (distances[ray] / lengths[ray])[:, None]
-        points = eye + steps * directions[ray]
+        points = eye + (distances[ray] / lengths[ray])[:, None] * directions[ray]
         return Hits(ray, points, faces[ray], distances[ray], cosines[ray])
 
 
@@ -70,8 +64,7 @@ def random_planes(
     out.
     """
     floor, wall = rng.random(2) < (0.5, 0.4)
-    corners = np.asarray(scene.mesh.vertices)
-    planes = []
+    corners, planes = np.asarray(scene.mesh.vertices), []
     if floor:
         gap = rng.choice([0.0, rng.uniform(0.0, 1.5)], p=[0.7, 0.3])
         planes.append((0.0, 0.0, 1.0, corners[:, 2].min() - gap))
@@ -108,8 +101,7 @@ def random_occluder(
         corners = corners * (rng.uniform(0.3, 1.1) * width * depth)
         corners = (corners + aim * (depth / aim[2])) @ axes + eye
         scene = Scene(trimesh.Trimesh(corners, faces, process=False))
-        hidden = _hidden_share(scene, eye, seen)
-        if HIDDEN_SHARES[0] <= hidden <= HIDDEN_SHARES[1]:
+        if HIDDEN_SHARES[0] <= _hidden_share(scene, eye, seen) <= HIDDEN_SHARES[1]:
             return scene
     return None
 
@@ -139,8 +131,7 @@ def _random_solid(rng: np.random.Generator, other: trimesh.Trimesh | None) -> _S
 def _bars(rng: np.random.Generator) -> _Solid:
     """One to four in parallel, longer than what they stand in front of."""
     thickness = rng.uniform(0.06, 0.3)
-    pitch = thickness * rng.uniform(2.0, 4.0)
-    count = rng.integers(1, 5)
+    pitch, count = thickness * rng.uniform(2.0, 4.0), rng.integers(1, 5)
     offsets = pitch * (np.arange(count) - (count - 1) / 2)
     scale = np.array([thickness, 12.0, thickness])
     bars = [_BOX.vertices * scale + (offset, 0, 0) for offset in offsets]
@@ -168,8 +159,7 @@ def _plate(rng: np.random.Generator) -> _Solid:
 
 def _blob(rng: np.random.Generator) -> _Solid:
     """A ball with bumps, longer one way than another."""
-    waves = rng.normal(scale=2.5, size=(3, 3))
-    phases = rng.uniform(0, 2 * np.pi, 3)
+    waves, phases = rng.normal(scale=2.5, size=(3, 3)), rng.uniform(0, 2 * np.pi, 3)
     bumps = np.sin(_BALL.vertices @ waves + phases).mean(axis=1, keepdims=True)
     blob = _BALL.vertices * (1 + 0.6 * bumps) * rng.uniform(0.25, 0.6, 3)
     return _any_turn(rng).apply(blob), _BALL.faces

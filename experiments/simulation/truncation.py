@@ -11,21 +11,15 @@ from experiments.simulation.readings import Readings
 from prism_jax.geometry.framing import camera_axes
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 
-KEPT_SHARES = (0.25, 0.85)
-"""Of the points that would be measured, the least and the most that a cut leaves."""
+KEPT_SHARES = (0.25, 0.85)  # least and most of the points that a cut leaves
 
 
 class Cut(NamedTuple):
-    """The convex part of space that is kept.
+    """The convex part of space that is kept."""
 
-    Attributes:
-      planes: a normal and an offset each; `n x <= d` is kept.
-      known: whether what was measured outside is known all the same, as where points
-        are cut to a workspace and the depth image is not. It is no part of the object
-        then.
-    """
-
-    planes: Float64[np.ndarray, "K 4"]
+    planes: Float64[np.ndarray, "K 4"]  # normal and offset each; `n x <= d` is kept
+    # Whether what was measured outside is known all the same, as where points are cut
+    # to a workspace and the depth image is not. It is no part of the object then.
     known: bool = False
 
     def apply(self, readings: Readings, eye: Float[np.ndarray, "3"]) -> Readings:
@@ -55,8 +49,7 @@ class Cut(NamedTuple):
             meets = room / slopes
         entry = np.where(slopes < 0, meets, 1.0).max(axis=1, initial=1.0)
         leave = np.where(slopes > 0, meets, np.inf).min(axis=1, initial=np.inf)
-        beside = ((slopes == 0) & (room < 0)).any(axis=1)
-        return (entry < leave) & ~beside
+        return (entry < leave) & ~((slopes == 0) & (room < 0)).any(axis=1)
 
 
 NO_CUT = Cut(np.zeros((0, 4)))
@@ -75,8 +68,7 @@ def random_cut(
     box, two to four of whose sides cut the object and the others stand clear of it.
     What a half space or a box leaves away is known half of the time.
     """
-    share = rng.uniform(*KEPT_SHARES)
-    kind = rng.integers(3)
+    share, kind = rng.uniform(*KEPT_SHARES), rng.integers(3)
     if kind == 0:
         right, down, forward = camera_axes(scene.center - eye)
         sides = rng.permutation([right, -right, down, -down])[: rng.integers(1, 3)]
@@ -102,7 +94,7 @@ def _planes(
     share: float,
     eye: np.ndarray | None = None,
     forward: np.ndarray | None = None,
-) -> Float64[np.ndarray, "K 4"]:
+) -> np.ndarray:
     """Planes that cut the points from these sides, each as much, and leave this share.
 
     Normals are the sides; where an eye looks forward, the planes pass through it and

@@ -1,9 +1,8 @@
 """One mesh: its complete cloud and partial views of it.
 
-Frame: the bounding box of the 16,384-point complete cloud is centred at the origin and
-the box's longest side spans [-1, 1]. A network never sees this frame: its workspace is
-taken from the partial alone, later. Coordinates are multiples of `QUANTUM`, which 16
-bits hold up to +-2, and float32 exactly.
+The bounding box of the complete cloud is centred at the origin and its longest side
+spans [-1, 1]. A network never sees this frame. Coordinates are multiples of `QUANTUM`,
+which 16 bits hold up to +-2, and float32 exactly.
 """
 
 from collections.abc import Iterator
@@ -21,12 +20,17 @@ from prism_jax.data.source import Example
 from prism_jax.geometry.visibility import Visibility
 
 QUANTUM = 2.0**-14
+# What shards store in this box is exactly what was made.
 BOX = np.array([-2.0, -2.0, -2.0, QUANTUM], np.float32)
-"""That shards store these clouds in: what is stored is exactly what was made."""
 SURFACE_POINTS = 16384
 PARTIAL_POINTS = 2048
-MIN_RETURNS = 16
-"""A view of fewer points, of a slender shape or through dropouts, is drawn again."""
+# What manifests say of the clouds.
+STORED = {
+    "partial_points": PARTIAL_POINTS,
+    "complete_points": SURFACE_POINTS,
+    "quantum": QUANTUM,
+}
+MIN_RETURNS = 16  # a view of fewer points is drawn again
 MAX_DRAWS = 100
 
 
@@ -41,9 +45,7 @@ class Views(NamedTuple):
     visibilities: tuple[Visibility | None, ...]
 
 
-def rounded(
-    points: Float[np.ndarray, "*shape 3"],
-) -> Float32[np.ndarray, "*shape 3"]:
+def rounded(points: Float[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
     """Nearest multiples of `QUANTUM`; coordinates beyond +-1.99 raise ValueError."""
     if not np.all(np.abs(points) < 1.99):
         raise ValueError("coordinates must be finite and within +-1.99")
@@ -66,14 +68,13 @@ def views_of(
     partial: str = "self_occlusion",
     two_sided: bool = False,
 ) -> Views:
-    """Views of a mesh.
+    """Views of a mesh, of one of `kinds.KINDS`.
 
-    `partial` is one of `kinds.KINDS`. The complete cloud is of what can be seen
-    from outside (`sample_outside`, also for `two_sided`). All clouds are in
-    farthest-point order; a partial of fewer than 2,048 distinct points is repeated from
-    its start. More views begin with the same ones. A crop is seen by no sensor: its
-    viewpoint is NaN. A mesh of which almost nothing is seen from outside, or that gives
-    no view of `MIN_RETURNS` points, raises ValueError.
+    The complete cloud is of what can be seen from outside (`sample_outside`). All
+    clouds are in farthest-point order; a partial of fewer distinct points than 2,048 is
+    repeated from its start. More views begin with the same ones. The viewpoint of a
+    crop is NaN. A mesh of which almost nothing is seen, or that gives no view, raises
+    ValueError.
     """
     surface = sample_outside(Scene(mesh), SURFACE_POINTS, rng, two_sided)
     lower, upper = surface.min(axis=0), surface.max(axis=0)

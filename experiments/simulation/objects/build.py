@@ -1,66 +1,42 @@
 """Builds splits of the models that people made."""
 
-import collections
 import dataclasses
 import functools
 import hashlib
 import os
 import pathlib
-import sys
 from collections.abc import Iterator, Sequence
+from typing import ClassVar
 
 import numpy as np
 
-from experiments.simulation.kinds import KINDS, has_maps
-from experiments.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE
+from experiments.simulation.configs import SetConfig, shards_of
+from experiments.simulation.kinds import has_maps
+from experiments.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE, Model
 from experiments.simulation.objects.categories import CATEGORIES, category_of
-from experiments.simulation.objects.models import Model
-from experiments.simulation.objects.survey import ALIKE, Survey, survey
+from experiments.simulation.objects.survey import survey
 from experiments.simulation.shard_writer import build_shards
-from experiments.simulation.views import (
-    BOX,
-    PARTIAL_POINTS,
-    QUANTUM,
-    SURFACE_POINTS,
-    Views,
-    examples,
-    views_of,
-)
+from experiments.simulation.views import BOX, STORED, Views, examples, views_of
 from prism_jax.data.datasets import OBJECTS_VERSION, folder_of
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import make_output_dir
-from prism_jax.io.errors import InputError, choose
 
-NUM_VIEWS = {"train": 8, "validation": 1, "test": 1}
-"""Views of each model, by split, unless told otherwise."""
 SHARD_MODELS = 20
 
 
 @dataclasses.dataclass(frozen=True)
-class ObjectsConfig:
-    """What a split is made of. What makes no sense raises InputError.
+class ObjectsConfig(SetConfig):
+    """What a split of the models is made of."""
 
-    Attributes:
-      split: one of `NUM_VIEWS`.
-      num_views: partial clouds of each model; 0 for the split's own number.
-      partial: one of `kinds.KINDS`.
-      seed: of the whole set.
-    """
+    SIZES: ClassVar = {
+        "train": {"num_views": 8},
+        "validation": {"num_views": 1},
+        "test": {"num_views": 1},
+    }
 
-    split: str
-    num_views: int = 0
-    partial: str = "self_occlusion"
-    seed: int = 0
-
-    def __post_init__(self):
-        choose("split", self.split, NUM_VIEWS)
-        choose("partial", self.partial, KINDS)
-        if self.num_views == 0:
-            object.__setattr__(self, "num_views", NUM_VIEWS[self.split])
-        for name, lowest in (("num_views", 1), ("seed", 0)):
-            if not lowest <= getattr(self, name) < 2**31:
-                fault = f"{getattr(self, name)} is not within {lowest} to {2**31 - 1}"
-                raise InputError(name, fault, "choose another number")
+    num_views: int = 0  # partial clouds of each model
+    partial: str = "self_occlusion"  # one of `kinds.KINDS`
+    seed: int = 0  # of the whole set
 
 
 def build_objects(
@@ -73,30 +49,25 @@ def build_objects(
     """Builds what is missing of a split and returns its folder.
 
     The manifest names every model with its maker, licence and the digest of its mesh,
-    and every model that is left out with the reason. The bytes do not depend on
-    `num_workers` (`building.build`). A catalogue that is not in `catalogue_dir` raises
-    InputError.
+    and every model that is left out with the reason. A catalogue that is not in
+    `catalogue_dir` raises InputError.
     """
     folder = make_output_dir(folder_of("objects", config.split, data_dir))
     found = survey([config.split], catalogue_dir, progress)
     models = [model for model, _ in found.models]
-    if progress:
-        print(f"{folder.name}: {told_counts(found)}", file=sys.stderr)
-    content = {
-        "generator": "prism_jax objects",
-        "generator_version": OBJECTS_VERSION,
-        **dataclasses.asdict(config),
-        "categories": CATEGORIES,
-        "partial_points": PARTIAL_POINTS,
-        "complete_points": SURFACE_POINTS,
-        "quantum": QUANTUM,
-        "package": PACKAGE,
-        "catalogues": [
-            {**known._asdict(), "version": found.versions[known.name]}
-            for known in CATALOGUES
-            if known.name in found.versions
-        ],
-        "models": [
+    catalogues = [
+        {**known._asdict(), "version": found.versions[known.name]}
+        for known in CATALOGUES
+        if known.name in found.versions
+    ]
+    content = config.content(
+        "objects",
+        OBJECTS_VERSION,
+        categories=CATEGORIES,
+        **STORED,
+        package=PACKAGE,
+        catalogues=catalogues,
+        models=[
             {
                 "catalogue": model.catalogue,
                 "name": model.name,
@@ -108,13 +79,12 @@ def build_objects(
             }
             for model, digest in found.models
         ],
-        "left_out": found.left_out,
-    }
-    numbers = range(len(models))
+        left_out=found.left_out,
+    )
     return build_shards(
         folder,
         content,
-        [numbers[start : start + SHARD_MODELS] for start in numbers[::SHARD_MODELS]],
+        shards_of(len(models), SHARD_MODELS),
         functools.partial(_examples, config, models),
         num_workers,
         progress,
@@ -123,24 +93,9 @@ def build_objects(
     )
 
 
-def told_counts(found: Survey) -> str:
-    """How many models are taken, and how many are left out for which reason."""
-    kinds = collections.Counter(
-        f"{ALIKE} another" if reason.startswith(ALIKE) else reason
-        for reason in found.left_out.values()
-    )
-    left_out = ", ".join(f"{kinds[reason]} {reason}" for reason in sorted(kinds))
-    return f"{len(found.models)} models are taken; left out: {left_out or 'none'}"
-
-
 def model_views(config: ObjectsConfig, model: Model) -> Views:
-    """`views_of` a model.
-
-    They follow from the seed, the model's identity and its mesh: what else there is in
-    its catalogue, and in which order, changes nothing.
-    """
-    name = f"{config.seed}/{model.identity}".encode()
-    digest = hashlib.sha256(name).digest()
+    """`views_of` a model, by the seed, the model's identity and its mesh alone."""
+    digest = hashlib.sha256(f"{config.seed}/{model.identity}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
     return views_of(model.load(), rng, config.num_views, config.partial, two_sided=True)
 

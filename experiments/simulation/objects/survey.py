@@ -10,47 +10,36 @@ import trimesh
 from jaxtyping import Float64, UInt8
 from tqdm import tqdm
 
-from experiments.simulation.meshes import normalised
 from experiments.simulation.objects.catalogues import (
     CATALOGUES,
     FOLDER,
+    Model,
     read_installed,
 )
 from experiments.simulation.objects.categories import NO_OBJECTS, category_of
-from experiments.simulation.objects.models import Model
+from experiments.simulation.packing import normalised
 from prism_jax.io.errors import InputError
 
-MIN_TRIANGLES = 12
-"""As many as a box has."""
-MIN_THICKNESS = 0.01
-"""Of the thinnest side, in longest ones: less is a picture or a rug."""
-MIN_SLAB = 0.1
-"""Of the thinnest side, in middle ones: less is a slab that lies or hangs flat."""
+MIN_TRIANGLES = 12  # as many as a box has
+MIN_THICKNESS = 0.01  # thinnest side in longest ones: less is a picture or a rug
+MIN_SLAB = 0.1  # thinnest side in middle ones: less is a slab
 MAX_OVERLAP = 0.8
 """Share of the cells that either of two models is in: if more have both in them, and no
 side of theirs differs by `MAX_SIDES` or more, they look alike."""
 MAX_SIDES = 0.05
 ALIKE = "looks like"
-CELLS = 24
-"""Along each side of a model's box."""
+CELLS = 24  # along each side of a model's box
 SAMPLES = 20_000
-ROUNDING = 200
-"""Steps of a unit to which corners are rounded for a mesh's digest."""
+ROUNDING = 200  # steps of a unit to which corners are rounded for a mesh's digest
 
 
 @dataclasses.dataclass(frozen=True)
 class Survey:
-    """The models of one or more splits.
+    """The models of one or more splits."""
 
-    Attributes:
-      versions: of its catalogues, by name.
-      models: those that are taken, with the digests of their meshes.
-      left_out: why the others are not, by identity.
-    """
-
-    versions: dict[str, str]
-    models: list[tuple[Model, str]]
-    left_out: dict[str, str]
+    versions: dict[str, str]  # of the catalogues, by name
+    models: list[tuple[Model, str]]  # those taken, with the digests of their meshes
+    left_out: dict[str, str]  # why the others are not, by identity
 
 
 def survey(
@@ -123,9 +112,7 @@ def fault_of(mesh: trimesh.Trimesh) -> str | None:
         return f"has {len(mesh.faces)} triangles"
     if thin < MIN_THICKNESS * long:
         return "is flat"
-    if thin < MIN_SLAB * middle:
-        return "is a slab"
-    return None
+    return "is a slab" if thin < MIN_SLAB * middle else None
 
 
 def digest_of(mesh: trimesh.Trimesh) -> str:

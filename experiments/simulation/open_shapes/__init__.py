@@ -1,10 +1,10 @@
 """Random shapes without a kind: primitives and structures cut, joined and repeated.
 
 What a network learns of completing from such shapes is not bound to a list of kinds.
-z is up, the floor at z = 0; many are the same on their left and right. Each is one
-closed solid in one piece. Lengths are in an arbitrary unit of the order of one.
-Sources: D. Xie et al., LRM-Zero, 2024; H. Jiang et al., MegaSynth, 2025: reconstruction
-trained on random primitives alone comes close to training on collected models.
+z is up, the floor at z = 0. Each is one closed solid in one piece; a part fills, or
+nearly, a box of the given size about the origin. Sources: D. Xie et al., LRM-Zero,
+2024; H. Jiang et al., MegaSynth, 2025: reconstruction trained on random primitives
+alone comes close to training on collected models.
 """
 
 import trimesh
@@ -13,8 +13,7 @@ from experiments.simulation.open_shapes.compositions import composition
 from experiments.simulation.shapes import category_rng
 from experiments.simulation.solids import as_mesh, on_floor
 
-CATEGORY = "open"
-"""Of all of them."""
+CATEGORY = "open"  # of all of them
 
 
 def make_open_shape(seed: int) -> trimesh.Trimesh:

@@ -1,16 +1,15 @@
 """Random lines that solids are made from: closed outlines to extrude, profiles to turn
 about an axis, and smooth paths to sweep along.
 
-Every function draws one line from a NumPy generator. Outlines are simple polygons,
-counter-clockwise, and span the square of side 1 about the origin.
+Outlines are simple polygons, counter-clockwise, that span the square of side 1 about
+the origin.
 """
 
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.simulation.solids import axes_along
+from experiments.simulation.solids import Rng, axes_along
 
-Rng = np.random.Generator
 Outline = Float64[np.ndarray, "N 2"]
 
 
@@ -58,8 +57,7 @@ def _skyline(rng: Rng) -> Outline:
     if rng.random() < 0.6:
         heights, widths = (np.append(a, a[-2::-1]) for a in (heights, widths))
     edges = np.append(0.0, np.cumsum(widths))
-    steps = np.repeat(edges, 2)[1:-1]
-    roof = np.stack([steps, np.repeat(heights, 2)], axis=1)[::-1]
+    roof = np.stack([np.repeat(edges, 2)[1:-1], np.repeat(heights, 2)], axis=1)[::-1]
     if rng.random() < 0.4:
         return np.concatenate([roof, (roof * (1, -1))[::-1]])
     return np.concatenate([roof, [[0.0, 0.0], [edges[-1], 0.0]]])
@@ -76,8 +74,7 @@ def _gear(rng: Rng) -> Outline:
 def _blob(rng: Rng) -> Outline:
     """A smooth closed curve around the middle."""
     points = circle(28)
-    angle = np.arctan2(points[:, 1], points[:, 0])
-    orders = np.arange(2, 5)
+    angle, orders = np.arctan2(points[:, 1], points[:, 0]), np.arange(2, 5)
     sizes = rng.uniform(-0.5, 0.5, 3) / orders
     phases = rng.uniform(0, 2 * np.pi, 3) * (rng.random() < 0.5)
     waves = sizes * np.cos(angle[:, None] * orders + phases)
@@ -155,8 +152,7 @@ def _walk(rng: Rng) -> np.ndarray:
 
 def _rounded_legs(corners: np.ndarray) -> np.ndarray:
     """Straight but for a bend at each corner, a quadratic curve."""
-    share = np.linspace(0, 1, 7)[:, None]
-    line = [corners[0]]
+    share, line = np.linspace(0, 1, 7)[:, None], [corners[0]]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
         start, end = 0.65 * corner + 0.35 * before, 0.65 * corner + 0.35 * after
         first, second = (

@@ -1,8 +1,4 @@
-"""Random primitives: one simple solid in a box.
-
-Every function draws from a NumPy generator and fills a box of the given size about the
-origin, in whatever unit that is, or nearly.
-"""
+"""Random primitives: one simple solid in a box."""
 
 from collections.abc import Callable
 
@@ -87,8 +83,7 @@ def prism_of_outline(rng: Rng, size: Size) -> Manifold:
         top = tuple(rng.uniform(0.4, 0.9, 2))
     elif style < 0.27:
         twist, steps = rng.uniform(-120, 120), 6
-    section = CrossSection([outline(rng)])
-    return fitted(section.extrude(1.0, steps, twist, top), size)
+    return fitted(CrossSection([outline(rng)]).extrude(1.0, steps, twist, top), size)
 
 
 def frustum(rng: Rng, size: Size) -> Manifold:
@@ -173,8 +168,7 @@ def bent_plate(rng: Rng, size: Size) -> Manifold:
     if rng.random() < 0.5:
         corners = np.array([(0.0, 0.0), (rng.uniform(-1, 1), 1.0), (1.0, 1.0)])
     line = smooth(corners, int(rng.choice([0, 2, 3])))
-    extent = np.maximum(np.ptp(line, axis=0), 1e-3)
-    line = (line - line.min(axis=0)) / extent - 0.5
+    line = (line - line.min(axis=0)) / np.maximum(np.ptp(line, axis=0), 1e-3) - 0.5
     way = np.column_stack([0 * line[:, 0], line * size[1:]])
     thick = size.max() * np.exp(rng.uniform(np.log(0.012), np.log(0.06)))
     thick = min(thick, tightest_bend(way))
@@ -205,8 +199,7 @@ def relief(rng: Rng, size: Size) -> Manifold:
     height = np.zeros_like(u)
     for _ in range(int(rng.integers(1, 5))):
         x, y = rng.uniform(-0.9, 0.9, 2)
-        spread = rng.uniform(0.15, 0.6)
-        bump = np.exp(-((u - x) ** 2 + (v - y) ** 2) / spread**2)
+        bump = np.exp(-((u - x) ** 2 + (v - y) ** 2) / rng.uniform(0.15, 0.6) ** 2)
         height += rng.uniform(-0.4, 1.0) * bump
     if rng.random() < 0.4:
         height = rng.uniform(0.3, 1.0) * np.cos(rng.uniform(2, 7) * u) + 0.3 * height

@@ -10,13 +10,12 @@ import functools
 import hashlib
 import os
 import pathlib
-import shutil
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from experiments.simulation.building import build, write_manifest
+from experiments.simulation.building import build
 from experiments.simulation.recorder import has_frame, write_frame
 from experiments.simulation.roboarm.models import OWN, ArmModel, arms_of, urdf_path
 from experiments.simulation.roboarm.robots import Robot
@@ -26,9 +25,6 @@ from experiments.simulation.roboarm.sequences import (
     make_sequence,
 )
 from prism_jax.data.datasets import DATASETS, ROBOARM_VERSION
-from prism_jax.data.manifest import hash_files, read_manifest
-from prism_jax.data.recordings import RecordedCells
-from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError, choose
 
 SPLITS = DATASETS["roboarm"].splits
@@ -48,11 +44,7 @@ def build_roboarm(
 ) -> pathlib.Path:
     """Builds what is missing of a split's recordings and returns their folder.
 
-    Sequence i has arm `i % len(arms)`, by default of the split's own. The bytes depend
-    on the other arguments alone, not on `num_workers` (by default the number of cores;
-    0 builds in this process) nor on interruptions: a frame appears whole or not at all,
-    and the manifest with every file's sha256 comes last. A folder that holds anything
-    else raises InputError.
+    Sequence i has arm `i % len(arms)`, by default of the split's own.
     """
     choose("split", split, SPLITS)
     arms = tuple(arms_of(split) if arms is None else arms)
@@ -65,9 +57,19 @@ def build_roboarm(
     names = [
         f"{index:03d}-{arms[index % len(arms)].name}" for index in range(num_sequences)
     ]
+    content = {
+        "generator": "prism_jax roboarm",
+        "generator_version": ROBOARM_VERSION,
+        "split": split,
+        "num_sequences": num_sequences,
+        "num_frames": num_frames,
+        "seed": seed,
+        "config": dataclasses.asdict(config),
+        "arms": [_arm_content(model) for model in arms],
+    }
     return build(
         folder,
-        _content(split, num_sequences, num_frames, seed, config, arms),
+        content,
         [num_frames] * num_sequences,
         lambda index: all(
             has_frame(folder / names[index], number) for number in range(num_frames)
@@ -79,26 +81,6 @@ def build_roboarm(
         num_workers,
         progress,
     )
-
-
-def copy_first_frames(
-    source: str | os.PathLike, output_dir: str | os.PathLike
-) -> pathlib.Path:
-    """A smaller set of the first frame of every sequence, with a manifest of its own.
-
-    `source` is a finished build; the output folder must be new or empty.
-    """
-    source, folder = pathlib.Path(source), make_output_dir(output_dir)
-    RecordedCells(source)
-    if any(folder.iterdir()):
-        raise InputError(folder, "is not empty", "name another folder")
-    content = read_manifest(source, "build it whole")
-    for name in content["files"]:
-        if pathlib.PurePath(name).name.startswith("000000."):
-            (folder / name).parent.mkdir(exist_ok=True)
-            shutil.copyfile(source / name, folder / name)
-    write_manifest(folder, content | {"num_frames": 1, "files": hash_files(folder)})
-    return folder
 
 
 def own_rng(split: str, seed: int, *indices: int) -> np.random.Generator:
@@ -127,20 +109,6 @@ def _build_sequence(
         write_frame(sequence, number, make_frame(made, number, config, rng))
 
 
-def _content(split, num_sequences, num_frames, seed, config, arms) -> dict[str, Any]:
-    """Everything that the bytes depend on."""
-    return {
-        "generator": "prism_jax roboarm",
-        "generator_version": ROBOARM_VERSION,
-        "split": split,
-        "num_sequences": num_sequences,
-        "num_frames": num_frames,
-        "seed": seed,
-        "config": dataclasses.asdict(config),
-        "arms": [_arm_content(model) for model in arms],
-    }
-
-
 def _arm_content(model: ArmModel) -> dict[str, Any]:
     """What tells an arm from others: the user's own also by its shape and joints."""
     content = dataclasses.asdict(model)
@@ -149,11 +117,9 @@ def _arm_content(model: ArmModel) -> dict[str, Any]:
     if model.family == OWN:
         robot = Robot(model)
         ends = robot.link_poses(np.stack([robot.lower, robot.upper]))
-        arrays = [robot.lower, robot.upper, ends]
-        for mesh in robot.meshes:
-            arrays += [mesh.vertices, mesh.faces]
+        meshes = [a for mesh in robot.meshes for a in (mesh.vertices, mesh.faces)]
         digest = hashlib.sha256()
-        for array in arrays:
+        for array in (robot.lower, robot.upper, ends, *meshes):
             digest.update(np.ascontiguousarray(array).tobytes())
         content["sha256"] = digest.hexdigest()
     return content

@@ -3,17 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, UInt8, UInt16
+from jaxtyping import Float32, UInt8, UInt16
 
 from experiments.simulation.raycast import Scene, sample_outside
-from experiments.simulation.readings import Readings
+from experiments.simulation.readings import Readings, map_of
 from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.roboarm.sequences import flying_pixels
-from experiments.simulation.roboarm.workcells import PARTS, Workcell, scene_of
-from experiments.simulation.sensors import L515Config, l515_depth
+from experiments.simulation.roboarm.workcells import Workcell, scene_of
+from experiments.simulation.sensors import L515Config, l515_depth, pixel_rays
 from experiments.simulation.truncation import NO_CUT, random_cut
 from experiments.simulation.views import PARTIAL_POINTS, SURFACE_POINTS
-from experiments.simulation.visibility import map_of
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.geometry.camera import Camera
@@ -27,17 +26,10 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.observation.maps import box_exit
 
-LABELS_OF = dict(
-    zip(
-        PARTS,
-        ("robot", "fixture", "clutter", "clutter", "clutter", "person"),
-        strict=True,
-    )
-)
+KINDS = ("robot", "fixture", "clutter", "clutter", "clutter", "person")  # of `PARTS`
 OPEN_PARTS = ("robot", "fixture", "support", "room")
 """What stands there when the truth is surveyed: no clutter, nobody."""
-FEW = 4000
-"""Rays by which shares of an image are estimated."""
+FEW = 4000  # rays by which shares of an image are estimated
 MIN_POINTS, MIN_IMAGE, MIN_SHARE = 64, 0.003, 0.05
 """A frame shows at least so many points of robot and fixtures, on so much of the image,
 and so much of what the camera would see of them if nothing were in the way."""
@@ -50,22 +42,14 @@ would make it unknown."""
 
 
 class CellView(NamedTuple):
-    """A frame of a varied cell; metres, the cell's frame.
+    """A frame of a varied cell; metres, the cell's frame."""
 
-    Attributes:
-      partial, complete: of robot and fixtures, in farthest-point order.
-      eye: where the camera stood.
-      visibility: what it knows.
-      cut: whether the partial cloud is cut off beside what the image's own edges do.
-      depth, labels, camera: the whole image; counts of `DEPTH_SCALE`, and `LABELS`.
-    """
-
-    partial: Float32[np.ndarray, "N 3"]
+    partial: Float32[np.ndarray, "N 3"]  # of robot and fixtures, farthest first
     complete: Float32[np.ndarray, "M 3"]
     eye: Float32[np.ndarray, "3"]
     visibility: Visibility
-    cut: bool
-    depth: UInt16[np.ndarray, "H W"]
+    cut: bool  # whether more than the image's own edges cuts the partial cloud off
+    depth: UInt16[np.ndarray, "H W"]  # counts of `DEPTH_SCALE`
     labels: UInt8[np.ndarray, "H W"]
     camera: Camera
 
@@ -82,12 +66,11 @@ def make_cell_view(
     """Frame `number` of a cell; ValueError where next to nothing of it is seen."""
     parts = cell.parts(number)
     scene, sizes = scene_of(parts)
-    part_labels = np.array([LABELS[LABELS_OF[name]] for name in PARTS], np.uint8)
-    face_labels = np.repeat(part_labels, sizes)
+    face_labels = np.repeat(np.array([LABELS[kind] for kind in KINDS], np.uint8), sizes)
     shiny = _glossy_faces(cell, sizes)
     counts, faces = l515_depth(scene, cell.camera, rng, sensor, shiny)
     labels = np.where(faces < 0, np.uint8(LABELS["nothing"]), face_labels[faces])
-    rays, depth = _pixel_rays(cell.camera), (counts * DEPTH_SCALE).reshape(-1)
+    rays, depth = pixel_rays(cell.camera), (counts * DEPTH_SCALE).reshape(-1)
     eye = np.asarray(cell.camera.position)
     measured = _measured(depth, labels, rays, cell)
 
@@ -123,63 +106,45 @@ def make_cell_view(
 
 
 def _hit_share(
-    scene: Scene, wanted_faces: int, eye: np.ndarray, rays: Float64[np.ndarray, "P 3"]
+    scene: Scene, wanted_faces: int, eye: np.ndarray, rays: np.ndarray
 ) -> float:
     """Of the rays, estimated by a few, those that hit one of the first faces."""
     few = rays[:: max(1, len(rays) // FEW)]
     return float(np.count_nonzero(scene.cast(eye, few).faces < wanted_faces) / len(few))
 
 
-def _glossy_faces(cell: Workcell, sizes: list[int]) -> Bool[np.ndarray, " F"]:
-    shiny = np.zeros(sum(sizes), bool)
-    links = cell.arm.robot.faces_link
+def _glossy_faces(cell: Workcell, sizes: list[int]) -> np.ndarray:
+    shiny, links = np.zeros(sum(sizes), bool), cell.arm.robot.faces_link
     shiny[: len(links)] = cell.glossy[links]
     shiny[len(links) : sizes[0]] = cell.glossy[-2]
     shiny[sizes[0] : sizes[0] + sizes[1]] = cell.glossy[-1]
     return shiny
 
 
-def _pixel_rays(camera: Camera) -> Float64[np.ndarray, "P 3"]:
-    """The rays of all pixels, row by row, one unit of depth long."""
-    rotation = np.asarray(camera.rotation)
-    # Broadcast sums: a threaded product with a 3x3 matrix is far slower.
-    right, down, corner = np.linalg.inv(camera.intrinsics).T @ rotation
-    columns = np.arange(camera.width)[:, None]
-    rows = np.arange(camera.height)[:, None, None]
-    return (rows * down + (columns * right + corner)).reshape(-1, 3)
-
-
 def _measured(
-    depth: Float64[np.ndarray, " P"],
-    labels: UInt8[np.ndarray, "H W"],
-    rays: Float64[np.ndarray, "P 3"],
-    cell: Workcell,
-) -> Bool[np.ndarray, " P"]:
+    depth: np.ndarray, labels: np.ndarray, rays: np.ndarray, cell: Workcell
+) -> np.ndarray:
     """Pixels that measured robot or fixtures within the workspace, without those that
     lie between two surfaces."""
     wanted = np.isin(labels, (LABELS["robot"], LABELS["fixture"])).reshape(-1)
     measured = (
         wanted & (depth > 0) & ~flying_pixels(depth.reshape(labels.shape)).ravel()
     )
-    eye = np.asarray(cell.camera.position)
-    points = eye + depth[measured, None] * rays[measured]
+    points = np.asarray(cell.camera.position) + depth[measured, None] * rays[measured]
     lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
     measured[measured] = np.all((points > lower) & (points < upper), axis=1)
     return measured
 
 
 def _readings(
-    depth: Float64[np.ndarray, " R"],
-    measured: Bool[np.ndarray, " R"],
-    labels: UInt8[np.ndarray, " R"],
-    rays: Float64[np.ndarray, "R 3"],
+    depth: np.ndarray,
+    measured: np.ndarray,
+    labels: np.ndarray,
+    rays: np.ndarray,
     cell: Workcell,
 ) -> Readings:
-    """What some pixels know.
-
-    What is neither robot nor fixture hides what is behind it where the workspace, the
-    box of robot and fixtures, goes on there, and is background where it does not.
-    """
+    """What some pixels know. Neither robot nor fixture hides what is behind it where
+    the workspace goes on there, and is background where it does not."""
     eye = np.asarray(cell.camera.position)
     lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
     lower[2] = cell.lower[2] + FLOOR_MARGIN
@@ -188,13 +153,10 @@ def _readings(
     own = np.isin(labels, (LABELS["robot"], LABELS["fixture"]))
     state[measured] = SURFACE
     state[(own & ~measured) | (depth == 0)] = UNKNOWN
-    points = eye + np.where(depth > 0, depth, 1.0)[:, None] * rays
-    return Readings(state, points, 0.0)
+    return Readings(state, eye + np.where(depth > 0, depth, 1.0)[:, None] * rays, 0.0)
 
 
-def _thinned(
-    shape: tuple[int, int], camera: Camera, around: Camera
-) -> Int[np.ndarray, " R"]:
+def _thinned(shape: tuple[int, int], camera: Camera, around: Camera) -> np.ndarray:
     """Evenly spaced pixels of an image, about `RAYS_A_PIXEL` for each pixel of a map
     that sees more closely."""
     ratio = camera.intrinsics[0, 0] / around.intrinsics[0, 0]
@@ -204,7 +166,7 @@ def _thinned(
 
 def _complete(
     scene: Scene, wanted_faces: int, num_points: int, rng: np.random.Generator
-) -> Float64[np.ndarray, "M 3"]:
+) -> np.ndarray:
     """Robot and fixtures, which are the first faces, as far as they are seen from
     outside."""
     wanted = np.arange(len(scene.areas)) < wanted_faces

@@ -5,65 +5,45 @@ import functools
 import os
 import pathlib
 from collections.abc import Iterator, Sequence
+from typing import ClassVar
 
 import numpy as np
 
+from experiments.simulation.configs import SetConfig, shards_of
 from experiments.simulation.roboarm.cell_views import CellView, make_cell_view
 from experiments.simulation.roboarm.models import CELL_ARMS, ArmModel, urdf_path
 from experiments.simulation.roboarm.workcells import Workcell, make_workcell
 from experiments.simulation.sensors import L515Config
 from experiments.simulation.shard_writer import build_shards
 from experiments.simulation.views import PARTIAL_POINTS, SURFACE_POINTS
-from prism_jax.data.datasets import CELLS_VERSION, DATASETS, folder_of
+from prism_jax.data.datasets import CELLS_VERSION, folder_of
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError
 
-SPLITS = DATASETS["cells"].splits
-NUM_CELLS = {"train": 4000, "validation": 100}
-"""Cells of a split, unless told otherwise."""
 SHARD_CELLS = 25
 MAX_DRAWS = 60
 _L515 = L515Config()
 
 
 @dataclasses.dataclass(frozen=True)
-class CellsConfig:
-    """What a split is made of. What makes no sense raises InputError.
+class CellsConfig(SetConfig):
+    """What a split of the cells is made of: cell i has arm `i % len(arms)`."""
 
-    Attributes:
-      split: one of `SPLITS`.
-      num_cells: cell i has arm `i % len(arms)`; 0 for the split's own number. Every
-        prefix of them is the same.
-      num_frames: poses of the arm in each cell, seen from one place.
-      seed: of the whole set.
-      width, height: pixels of the depth camera.
-      glossy_share: how often a link, a tool with its hoses, or all fixtures of a cell
-        mirror the beams.
-      truncated_share: how often a partial cloud is cut off by more than the image.
-      sensor: of the depth camera.
-      partial_points, complete_points: of the clouds.
-    """
+    SIZES: ClassVar = {"train": {"num_cells": 4000}, "validation": {"num_cells": 100}}
 
     split: str = "train"
     num_cells: int = 0
-    num_frames: int = 2
-    seed: int = 0
-    width: int = 640
+    num_frames: int = 2  # poses of the arm in each cell, seen from one place
+    seed: int = 0  # of the whole set
+    width: int = 640  # pixels of the depth camera
     height: int = 480
+    # How often a link, a tool with its hoses, or all fixtures mirror the beams.
     glossy_share: float = 0.15
+    # How often a partial cloud is cut off by more than the image.
     truncated_share: float = 0.2
     sensor: L515Config = _L515
     partial_points: int = PARTIAL_POINTS
     complete_points: int = SURFACE_POINTS
-
-    def __post_init__(self):
-        choose("split", self.split, SPLITS)
-        if self.num_cells == 0:
-            object.__setattr__(self, "num_cells", NUM_CELLS[self.split])
-        for name, lowest in (("num_cells", 1), ("num_frames", 1), ("seed", 0)):
-            if not lowest <= getattr(self, name) < 2**31:
-                fault = f"{getattr(self, name)} is not within {lowest} to {2**31 - 1}"
-                raise InputError(name, fault, "choose another number")
 
 
 def build_cells(
@@ -75,24 +55,22 @@ def build_cells(
 ) -> pathlib.Path:
     """Builds what is missing of a split and returns its folder.
 
-    The arms are by default the split's own; one whose files are not installed raises
-    InputError. The bytes do not depend on `num_workers` (`building.build`).
+    The arms are by default the split's own; one that is not installed raises
+    InputError.
     """
     arms = tuple(CELL_ARMS[config.split] if arms is None else arms)
     for model in arms:
         urdf_path(model)
-    cells = range(config.num_cells)
-    content = {
-        "generator": "prism_jax cells",
-        "generator_version": CELLS_VERSION,
-        **dataclasses.asdict(config),
-        "categories": [model.name for model in arms],
-        "arms": [dataclasses.asdict(model) for model in arms],
-    }
+    content = config.content(
+        "cells",
+        CELLS_VERSION,
+        categories=[model.name for model in arms],
+        arms=[dataclasses.asdict(model) for model in arms],
+    )
     return build_shards(
         folder_of("cells", config.split, data_dir),
         content,
-        [cells[start : start + SHARD_CELLS] for start in cells[::SHARD_CELLS]],
+        shards_of(config.num_cells, SHARD_CELLS),
         functools.partial(_examples, config, arms),
         num_workers,
         progress,
@@ -103,13 +81,10 @@ def build_cells(
 def cell_views(
     config: CellsConfig, index: int, arms: Sequence[ArmModel] | None = None
 ) -> tuple[Workcell, list[CellView]]:
-    """A cell and its frames: a pure function of the arguments.
-
-    A draw of which too little is seen is drawn again.
-    """
+    """A cell and its frames: a pure function of the arguments. A draw of which too
+    little is seen is drawn again."""
     arms = CELL_ARMS[config.split] if arms is None else arms
-    model = arms[index % len(arms)]
-    split = SPLITS.index(config.split)
+    model, split = arms[index % len(arms)], list(config.SIZES).index(config.split)
     for attempt in range(MAX_DRAWS):
         rng = np.random.default_rng((config.seed, split, index, attempt))
         try:

@@ -8,35 +8,28 @@ import trimesh
 from jaxtyping import Float64
 from manifold3d import Manifold
 
-from experiments.simulation.roboarm.cell import look_at
-from experiments.simulation.roboarm.clutter import are_hidden
+from experiments.simulation.raycast import direction
+from experiments.simulation.roboarm.cell import are_hidden, look_at
 from experiments.simulation.roboarm.furnishings import (
     FIXTURES,
     fence,
     fixture,
+    random_person,
     to_mesh,
     together,
     upright,
 )
 from experiments.simulation.roboarm.mounts import Mount
-from experiments.simulation.roboarm.people import random_person
 from experiments.simulation.sensors import l515_camera
-from experiments.simulation.solids import box
+from experiments.simulation.solids import Rng, Solids, box
 from prism_jax.geometry.camera import Camera
 
-Rng = np.random.Generator
-
-PERSON_SHARES = (0.45, 0.35, 0.2)
-"""How often nobody, one and two stand in a cell."""
-HIDDEN = 0.7
-"""Of the arm's surface, what clutter and people hide at most from the camera."""
-DISTANCES = (0.6, 1.25)
-"""From camera to middle, in units of what shows the whole."""
+PERSON_SHARES = (0.45, 0.35, 0.2)  # how often nobody, one and two stand in a cell
+HIDDEN = 0.7  # most of the arm that clutter and people hide from the camera
+DISTANCES = (0.6, 1.25)  # from camera to middle, in units of what shows the whole
 NEAREST, FARTHEST = 0.6, 7.5
-ROOM = 7.0
-"""Half of the floor's side."""
-Top = tuple[np.ndarray, np.ndarray, float]
-"""Corners (x, y) and height of a table."""
+ROOM = 7.0  # half of the floor's side
+Top = tuple[np.ndarray, np.ndarray, float]  # corners (x, y) and height of a table
 _TRIES = 30
 _HALF_FIELD = np.radians(27.5)
 
@@ -50,11 +43,11 @@ class Layout:
         self.gap = 0.03 + 0.02 * reach
         self._boxes: list[np.ndarray] = []
 
-    def add(self, solids: list[Manifold]) -> None:
+    def add(self, solids: Solids) -> None:
         """Keeps others off what solids' boxes hold."""
         self._boxes += [np.array(solid.bounding_box()) for solid in solids]
 
-    def is_clear(self, solids: list[Manifold], gap: float | None = None) -> bool:
+    def is_clear(self, solids: Solids, gap: float | None = None) -> bool:
         """Whether solids keep off the arm, and off all that was added."""
         gap = self.gap if gap is None else gap
         return all(self._is_clear(np.array(s.bounding_box()), gap) for s in solids)
@@ -84,8 +77,7 @@ def draw_tables(layout: Layout, mount: Mount, rng: Rng) -> list[Top]:
         if len(found) == wanted:
             break
         half = layout.reach * rng.uniform(0.2, 0.45, 2)
-        half = np.clip(half, 0.2, 0.9)
-        angle = rng.uniform(0, 2 * np.pi)
+        half, angle = np.clip(half, 0.2, 0.9), rng.uniform(0, 2 * np.pi)
         away = layout.reach * rng.uniform(0.3, 0.9) + half.max()
         middle = away * np.array([np.cos(angle), np.sin(angle)])
         height = float(np.clip(mount.bases[0, 2] + rng.uniform(-0.4, 0.4), 0.2, 1.0))
@@ -101,11 +93,9 @@ def block(lower: np.ndarray, upper: np.ndarray, height: float) -> Manifold:
     return box((*(lower + upper) / 2, height / 2), (*(upper - lower), height))
 
 
-def draw_fixtures(
-    layout: Layout, tops: list[Top], on_floor: bool, rng: Rng
-) -> list[Manifold]:
+def draw_fixtures(layout: Layout, tops: list[Top], on_floor: bool, rng: Rng) -> Solids:
     """Up to six fixtures on tables, or some of them on the floor within reach."""
-    placed: list[Manifold] = []
+    placed: Solids = []
     wanted = int(rng.integers(0, 7))
     for _ in range(_TRIES):
         if len(placed) >= wanted:
@@ -140,11 +130,7 @@ def aim_camera(
         away = rng.uniform(*DISTANCES) * radius / np.sin(_HALF_FIELD)
         away = np.clip(away, NEAREST, FARTHEST)
         azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 0.9)
-        across = np.cos(elevation)
-        direction = np.array(
-            [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
-        )
-        eye = center + away * direction
+        eye = center + away * direction(azimuth, elevation)
         seen = center + rng.normal(0, 0.12, 3) * radius
         nearest = np.linalg.norm(layout.sweep - eye, axis=1).min()
         if eye[2] > 0.3 and nearest > 0.4 and not layout.covers(eye, 0.3):
@@ -155,22 +141,19 @@ def aim_camera(
 
 def draw_in_the_way(
     layout: Layout, eye: np.ndarray, swept: np.ndarray, rng: Rng
-) -> tuple[list[Manifold], list[Manifold]]:
+) -> tuple[Solids, Solids]:
     """Clutter and people around the arm, many of them before it, who together do not
     hide more of it than `HIDDEN` in any frame."""
-    clutter: list[Manifold] = []
-    people: list[Manifold] = []
+    clutter: Solids = []
+    people: Solids = []
     pieces = int(rng.integers(0, 5))
-    persons = int(rng.choice(len(PERSON_SHARES), p=PERSON_SHARES))
-    for number in range(pieces + persons):
+    for number in range(pieces + int(rng.choice(len(PERSON_SHARES), p=PERSON_SHARES))):
         for _ in range(6):
-            is_person = number >= pieces
-            where = _place(layout, eye, rng)
+            is_person, where = number >= pieces, _place(layout, eye, rng)
             made = _person(where, rng) if is_person else _piece(where, eye, rng)
             if not layout.is_clear(made) or any(_near(s, eye) for s in made):
                 continue
-            whole = to_mesh([*clutter, *people, *made])
-            few = swept[:, ::4]
+            whole, few = to_mesh([*clutter, *people, *made]), swept[:, ::4]
             if are_hidden(whole, few, eye).mean(axis=1).max() > HIDDEN:
                 continue
             layout.add(made)
@@ -188,13 +171,13 @@ def _place(layout: Layout, eye: np.ndarray, rng: Rng) -> np.ndarray:
     return np.array([away * np.cos(angle), away * np.sin(angle), part[2]])
 
 
-def _person(where: np.ndarray, rng: Rng) -> list[Manifold]:
+def _person(where: np.ndarray, rng: Rng) -> Solids:
     turn = (0.0, 0.0, float(rng.uniform(0, 360)))
     place = (float(where[0]), float(where[1]), 0.0)
     return [solid.rotate(turn).translate(place) for solid in random_person(rng)]
 
 
-def _piece(where: np.ndarray, eye: np.ndarray, rng: Rng) -> list[Manifold]:
+def _piece(where: np.ndarray, eye: np.ndarray, rng: Rng) -> Solids:
     """A box, a cabinet, a post or a fence on the floor, up to about `where`."""
     ground = np.array([*where[:2], 0.0])
     tall = max(where[2] + rng.uniform(-0.2, 0.2), 0.2)
@@ -230,8 +213,7 @@ def draw_room(target: np.ndarray, eye: np.ndarray, rng: Rng) -> trimesh.Trimesh:
         bearing = toward + side * rng.uniform(0.1, 0.7)
         normal = np.array([np.cos(bearing), np.sin(bearing), 0.0])
         along = np.array([-normal[1], normal[0], 0.0])
-        offset = (target @ normal).min() - rng.uniform(0.1, 2.0)
-        middle = offset * normal
+        middle = ((target @ normal).min() - rng.uniform(0.1, 2.0)) * normal
         wall = [
             middle + x * ROOM * along + (0, 0, z)
             for x, z in ((-1, 0), (1, 0), (1, 4), (-1, 4))

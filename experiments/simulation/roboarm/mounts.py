@@ -11,9 +11,7 @@ from jaxtyping import Float64
 from manifold3d import Manifold
 
 from experiments.simulation.roboarm.furnishings import pedestal, table
-from experiments.simulation.solids import box, rod
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, box, rod
 
 MOUNTS = ("table", "pedestal", "plinth", "floor", "rail")
 SHARES = {
@@ -27,22 +25,15 @@ SMALL, LARGE = 0.8, 1.7
 
 
 class Mount(NamedTuple):
-    """What an arm stands on.
+    """What an arm stands on."""
 
-    Attributes:
-      kind: one of `MOUNTS`.
-      bases: where the arm's foot is, frame by frame: a linear axis moves it.
-      support: what is neither robot nor fixture: tables, pedestals, plates.
-      track: what of a linear axis stands still, a fixture.
-      carriage: what of it moves with the arm, in the frame of the foot, a fixture.
-      top: corners (x, y) and height of a table top that fixtures may stand on.
-    """
-
-    kind: str
-    bases: Float64[np.ndarray, "T 3"]
-    support: Sequence[Manifold] = ()
-    track: Sequence[Manifold] = ()
+    kind: str  # one of `MOUNTS`
+    bases: Float64[np.ndarray, "T 3"]  # the arm's foot by frame: a linear axis moves it
+    support: Sequence[Manifold] = ()  # tables, pedestals, plates
+    track: Sequence[Manifold] = ()  # what of a linear axis stands still, a fixture
+    # What of it moves with the arm, in the frame of the foot, a fixture.
     carriage: Sequence[Manifold] = ()
+    # Corners (x, y) and height of a table top that fixtures may stand on.
     top: tuple[np.ndarray, np.ndarray, float] | None = None
 
 
@@ -55,12 +46,11 @@ def random_mount(
 ) -> Mount:
     """A mount for an arm of this reach.
 
-    `foot` is the lower and the upper corner (x, y) of its first link, around the
-    origin; where that has a `spacer` below it, a post takes its place.
+    `foot` is the lower and the upper corner (x, y) of its first link; a `spacer` below
+    it becomes a post.
     """
     size = "small" if reach < SMALL else "medium" if reach < LARGE else "large"
-    kind = str(rng.choice(MOUNTS, p=SHARES[size]))
-    half = float(np.abs(foot).max())
+    kind, half = str(rng.choice(MOUNTS, p=SHARES[size])), float(np.abs(foot).max())
     half = max(min(half, 0.35 * reach), 0.06)
     if kind == "rail":
         mount = _rail(reach, half, num_frames, rng)
@@ -89,7 +79,7 @@ def random_mount(
     return mount
 
 
-def _still(height: float, num_frames: int) -> Float64[np.ndarray, "T 3"]:
+def _still(height: float, num_frames: int) -> np.ndarray:
     return np.tile([0.0, 0.0, height], (num_frames, 1))
 
 
@@ -97,8 +87,7 @@ def _rail(reach: float, half: float, num_frames: int, rng: Rng) -> Mount:
     """A linear axis along x or y with the arm at some places on it."""
     length = reach * rng.uniform(0.7, 1.7) + 3 * half
     width, height = 2.2 * half, reach * rng.uniform(0.08, 0.2)
-    plate = 0.04 + 0.05 * half
-    room = length / 2 - 1.3 * half
+    plate, room = 0.04 + 0.05 * half, length / 2 - 1.3 * half
     places = rng.uniform(-room, room, num_frames)
     gauge, rail = 0.38 * width, 0.05 * width
     middle = -places[0]

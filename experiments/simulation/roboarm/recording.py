@@ -12,8 +12,7 @@ from prism_jax.data.recordings import DEPTH_SCALE, Frame
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.streams.mcap_output import Maker, McapOutput, header
 
-START = 1_700_000_000_000_000_000
-"""Nanoseconds of the first frame: some day in 2023."""
+START = 1_700_000_000_000_000_000  # nanoseconds of the first frame: some day in 2023
 
 DEPTH_TOPIC = "/camera/depth/image_rect_raw"
 INFO_TOPIC = "/camera/depth/camera_info"
@@ -25,9 +24,9 @@ def record(
 ) -> pathlib.Path:
     """Writes frames as a camera's driver and a robot's record them (`write_mcap`).
 
-    What a user would not have lies beside the file, in a folder of its name: the same
-    frames in the layout of `prism_jax.data.recordings`, with the ground truth and the
-    camera's pose in the cell. Returns that folder.
+    Beside the file, in a folder of its name that is returned, lies what a user would
+    not have: the frames in the layout of `prism_jax.data.recordings`, with the ground
+    truth.
     """
     beside = pathlib.Path(path).with_suffix("")
 
@@ -43,11 +42,9 @@ def record(
 def write_mcap(
     path: str | os.PathLike, frames: Iterable[Frame], rate: float = 10.0
 ) -> None:
-    """Writes what sensors measure of frames as an MCAP file of ROS 2, whole or not.
-
-    It has depth images in millimetres, as 16UC1, in the camera's own axes; their
-    CameraInfo; and the joints' positions, ``rate`` times a second.
-    """
+    """Writes what sensors measure of frames as an MCAP file of ROS 2, whole or not:
+    depth in millimetres as 16UC1, CameraInfo, and the joints' positions, ``rate`` a
+    second."""
     output = McapOutput(path)
     for number, frame in enumerate(frames):
         time = START + round(number * 1e9 / rate)

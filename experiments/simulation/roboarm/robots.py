@@ -15,30 +15,22 @@ from prism_jax.io.errors import InputError
 from prism_jax.robots.urdf import REMEDY, Linkage, moves
 
 POINTS_PER_LINK = 80
-MAX_TURN = 2.5
-"""Radians to each side of the middle of its range that a joint is turned at most."""
+MAX_TURN = 2.5  # radians to each side of the middle of a joint's range
 
 
 class Robot(Linkage):
     """An arm: its links' meshes, its joints, and where joint positions put the links.
 
     `lower` and `upper` are the joints' limits (radians, metres), narrowed to
-    `MAX_TURN`. What the file has wrong raises InputError.
-
-    Attributes:
-      spacer: height of what the root stands on, which is not part of the meshes.
-      bodies: for each link, the number of the part that moves as one: 0 is the root's.
-        A joint that mimics another starts no part of its own.
-      parents: for each body, the one that carries it; the root's is 0.
-      probes: points on the links' surfaces, in the frames of the links
-        `probe_links`: what collisions are looked for with, as many on every link.
-      probe_weights: the share of the surface that each probe stands for.
+    `MAX_TURN`. `bodies` has for each link the number of the part that moves as one, 0
+    for the root's, and `parents` for each part the one that carries it. Collisions are
+    looked for at `probes`, points in the frames of the links `probe_links`, as many on
+    every link; `probe_weights` is the share of the surface that each stands for.
     """
 
     def __init__(self, model: ArmModel):
         self.name, self.spacer = model.name, model.spacer
-        path = urdf_path(model)
-        mount = np.eye(4)
+        path, mount = urdf_path(model), np.eye(4)
         mount[:3, :3] = Rotation.from_euler(
             "xyz", model.roll_pitch_yaw, degrees=True
         ).as_matrix()
@@ -62,8 +54,7 @@ class Robot(Linkage):
         while body not in bodies:
             bodies.insert(0, body)
             body = self.parents[body]
-        areas = np.array([mesh.area for mesh in self.meshes])
-        chain = []
+        areas, chain = np.array([mesh.area for mesh in self.meshes]), []
         for body in bodies:
             links = np.flatnonzero(self.bodies == body)
             if len(links):

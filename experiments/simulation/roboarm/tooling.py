@@ -1,39 +1,34 @@
-"""What arms carry: tool changers, grippers and other tools, and workpieces.
+"""What arms carry: tool changers, tools, workpieces, and hoses from foot to tool.
 
 A tool's frame is that of the flange it is on: metres, z forward.
 """
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from manifold3d import Manifold
 
 from experiments.simulation.roboarm.furnishings import to_mesh
-from experiments.simulation.solids import axes_along, box, capsule, rod, tube
+from experiments.simulation.roboarm.robots import Robot
+from experiments.simulation.solids import axes_along, box, capsule, rod, sweep, tube
 
 Rng = np.random.Generator
 
 TOOLS = ("parallel", "three_fingers", "suction", "torch", "spindle")
-TOOL_SIZES = (0.05, 0.32)
-"""Metres that a tool is about long, without what it holds."""
+TOOL_SIZES = (0.05, 0.32)  # metres that a tool is about long, without what it holds
 CHANGER_SHARE, WORKPIECE_SHARE = 0.5, 0.6
 
 
 class Tool(NamedTuple):
-    """A tool on a flange, with what it holds.
+    """A tool on a flange, with what it holds."""
 
-    Attributes:
-      mesh: in the flange's frame.
-      size: metres; about its length.
-      kind: one of `TOOLS`.
-    """
-
-    mesh: trimesh.Trimesh
-    size: float
-    kind: str
+    mesh: trimesh.Trimesh  # in the flange's frame
+    size: float  # metres; about its length
+    kind: str  # one of `TOOLS`
 
 
 def random_tool(reach: float, rng: Rng) -> Tool:
@@ -42,8 +37,7 @@ def random_tool(reach: float, rng: Rng) -> Tool:
     size = float(np.clip(reach * rng.uniform(0.09, 0.17), *TOOL_SIZES))
     solids, front = [], 0.0
     if rng.random() < CHANGER_SHARE:
-        solids = _changer(size, rng)
-        front = 0.3 * size
+        solids, front = _changer(size, rng), 0.3 * size
     kind = str(rng.choice(TOOLS))
     makers = {
         "parallel": _parallel,
@@ -90,8 +84,7 @@ def _three_fingers(size: float, holds: bool, rng: Rng) -> list[Manifold]:
     for turn in (0.0, 2.1, 4.2):
         along = np.array([np.cos(turn), np.sin(turn), 0])
         foot, knee = 0.28 * size * along, (opening + 0.15 * size) * along
-        knuckle = knee + (0, 0, 0.7 * size)
-        tip = opening * along + (0, 0, size)
+        knuckle, tip = knee + (0, 0, 0.7 * size), opening * along + (0, 0, size)
         solids.append(capsule(foot + (0, 0, palm), knuckle, 0.06 * size, segments=10))
         solids.append(capsule(knuckle, tip, 0.05 * size, segments=10))
     return [*solids, *_held(holds, 2 * opening, size, rng)]
@@ -101,8 +94,7 @@ def _held(holds: bool, width: float, size: float, rng: Rng) -> list[Manifold]:
     """Something of this width between the fingers' tips."""
     if not holds:
         return []
-    tall = size * rng.uniform(0.2, 0.9)
-    length = size * rng.uniform(0.3, 1.4)
+    tall, length = size * rng.uniform(0.2, 0.9), size * rng.uniform(0.3, 1.4)
     middle = (0, 0, 0.85 * size + 0.35 * tall)
     kind = rng.integers(3)
     if kind == 0:
@@ -131,8 +123,7 @@ def _suction(size: float, holds: bool, rng: Rng) -> list[Manifold]:
     ]
     for x, y in itertools.product((-1, 1), (-1, 1)):
         top = np.array([x * width / 2, y * (depth / 2 - bar), 0.4 * size])
-        end = top + (0, 0, cup)
-        solids.append(rod(top, end, 0.04 * size, 0.1 * size, segments=12))
+        solids.append(rod(top, top + (0, 0, cup), 0.04 * size, 0.1 * size, segments=12))
     if holds:
         tall = size * (0.04 if rng.random() < 0.4 else rng.uniform(0.3, 1.2))
         extent = np.array([width, depth]) * rng.uniform(1.05, 1.4, 2)
@@ -174,4 +165,115 @@ def on_flange(tool: Tool, pose: Float[np.ndarray, "4 4"], axis: str) -> trimesh.
     vertices = np.asarray(tool.mesh.vertices) @ turn.T
     return trimesh.Trimesh(
         vertices @ pose[:3, :3].T + pose[:3, 3], tool.mesh.faces, process=False
+    )
+
+
+HOSE_SIDES, HOSE_STEPS = 8, 12  # of a section, and between two places that hold it
+
+
+class Anchor(NamedTuple):
+    """Where a hose is held: in the frame of a link, with the direction it passes in and
+    the one that leads off the link there."""
+
+    link: str
+    point: Float64[np.ndarray, "3"]
+    along: Float64[np.ndarray, "3"]
+    out: Float64[np.ndarray, "3"]
+
+
+class Hoses(NamedTuple):
+    """Hoses along an arm, which are clamped to some of its links."""
+
+    strands: Sequence[Sequence[Anchor]]  # of each hose, from the foot to the tool
+    radius: float  # metres
+    slack: float  # how far a hose bows out between anchors; 1 is a smooth curve
+
+    def mesh(self, robot: Robot, positions: Float[np.ndarray, " J"]) -> trimesh.Trimesh:
+        """The hoses in one pose, in the robot's frame."""
+        angle = 2 * np.pi * np.arange(HOSE_SIDES) / HOSE_SIDES
+        outline = self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        solids = []
+        for anchors in self.strands:
+            held = [_in_robot(anchor, robot, positions) for anchor in anchors]
+            path = [held[0].point[None]]
+            for start, end in itertools.pairwise(held):
+                path.append(_curve(start, end, self.slack)[1:])
+            solids.append(sweep(np.concatenate(path), outline))
+            for _, point, along, _ in held[1:-1]:
+                half = 2.5 * self.radius * along
+                solids.append(rod(point - half, point + half, 1.5 * self.radius))
+        return to_mesh(solids)
+
+
+def random_hoses(
+    robot: Robot, tool_frame: str, tool: Tool, reach: float, rng: Rng
+) -> Hoses | None:
+    """One to three hoses beside each other from an arm's foot to its tool, clamped to
+    the two longest links between; None for an arm of fewer than four links in a row."""
+    chain = robot.chain_to(tool_frame)
+    if len(chain) < 4:
+        return None
+    radius = float(np.clip(reach * rng.uniform(0.007, 0.018), 0.004, 0.035))
+    middle = (robot.lower + robot.upper) / 2
+    frames = [robot.frame_pose(name, middle) for name in (*chain, tool_frame)]
+    ends = [
+        np.linalg.inv(own) @ after[:, 3] for own, after in itertools.pairwise(frames)
+    ]
+    lengths = np.array([np.linalg.norm(end[:3]) for end in ends])
+    longest, side = np.sort(1 + np.argsort(lengths[1:-1])[-2:]), rng.normal(size=3)
+    places = [
+        _beside(robot, chain[index], ends[index][:3], side, radius)
+        for index in (0, *longest)
+    ]
+    turn = rng.uniform(0, 2 * np.pi)
+    out, forward = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([0, 0, 1.0])
+    rim = tool.size * (0.4 * out + 0.12 * forward)
+    places.append((Anchor(tool_frame, rim, forward, out), np.cross(forward, out)))
+    strands, count = [], int(rng.choice([1, 2, 3], p=[0.5, 0.35, 0.15]))
+    for number in range(count):
+        shift = 2.2 * radius * (number - (count - 1) / 2)
+        strands.append(
+            [
+                anchor._replace(point=anchor.point + shift * across)
+                for anchor, across in places
+            ]
+        )
+    return Hoses(strands, radius, float(rng.uniform(0.7, 1.3)))
+
+
+def _beside(
+    robot: Robot, link: str, end: np.ndarray, side: np.ndarray, radius: float
+) -> tuple[Anchor, np.ndarray]:
+    """A place on a link's surface, half way to `end`, on a side; and the direction
+    across it, along the surface."""
+    mesh, length = robot.meshes[robot.link_names.index(link)], np.linalg.norm(end)
+    along = end / length if length > 0.02 else np.array([0, 0, 1.0])
+    out = side - (side @ along) * along
+    out /= np.linalg.norm(out)
+    across = np.cross(along, out)
+    lower, upper = mesh.bounds
+    middle = 0.5 * end if length > 0.02 else (lower + upper) / 2
+    seen = np.asarray(mesh.vertices) - middle
+    near = np.abs(seen @ along) < max(0.25 * length, 2 * radius)
+    near &= np.abs(seen @ across) < 0.35 * np.ptp(seen @ across)
+    reach = (seen[near] if near.any() else seen) @ out
+    return Anchor(link, middle + (reach.max() + 1.2 * radius) * out, along, out), across
+
+
+def _in_robot(anchor: Anchor, robot: Robot, positions: np.ndarray) -> Anchor:
+    pose = robot.frame_pose(anchor.link, positions)
+    point, along, out = (pose[:3, :3] @ np.asarray(vector) for vector in anchor[1:])
+    return Anchor(anchor.link, point + pose[:3, 3], along, out)
+
+
+def _curve(start: Anchor, end: Anchor, slack: float) -> np.ndarray:
+    """Cubic from one place to another, along their directions and a little off both."""
+    pull = slack * np.linalg.norm(end.point - start.point) / 3
+    share = np.linspace(0, 1, HOSE_STEPS)[:, None]
+    rest = 1 - share
+    return (
+        rest**3 * start.point
+        + 3 * rest**2 * share * (start.point + pull * (start.along + 0.8 * start.out))
+        + 3 * rest * share**2 * (end.point - pull * (end.along - 0.8 * end.out))
+        + share**3 * end.point
     )

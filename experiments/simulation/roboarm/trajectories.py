@@ -10,12 +10,9 @@ from jaxtyping import Bool, Float, Float64
 from experiments.simulation.roboarm.robots import Robot
 from prism_jax.io.errors import InputError
 
-FLOOR_GAP = 0.015
-"""Metres above the plane it stands on that an arm keeps its moving parts."""
-SELF_GAP = 0.03
-"""Metres between the probes of bodies that no single joint connects."""
-CHECKS = 12
-"""Poses looked at on the way from one way-point to the next."""
+FLOOR_GAP = 0.015  # metres of moving parts above the plane that an arm stands on
+SELF_GAP = 0.03  # metres between the probes of bodies that no single joint connects
+CHECKS = 12  # poses looked at on the way from one way-point to the next
 _DRAWS = 32
 _MAX_DRAWS = 100 * _DRAWS
 
@@ -35,12 +32,9 @@ def random_trajectory(
 ) -> Float64[np.ndarray, "T J"]:
     """Joint positions of `num_frames` frames, evenly spaced in time.
 
-    Way-points are uniform within the limits. A leg that would meet the ground or the
-    arm itself is shortened until it does not. A robot that is free in none of many
-    random poses raises ValueError, as do fewer than two way-points.
+    Way-points are uniform within the limits; a leg that would meet the ground or the
+    arm itself is shortened. A robot that is never free raises InputError.
     """
-    if num_waypoints < 2:
-        raise ValueError("a trajectory needs two way-points or more")
     clearance = Clearance(robot)
     waypoints = [_random_free_pose(robot, clearance, rng)]
     for _ in range(num_waypoints - 1):
@@ -56,8 +50,8 @@ def random_trajectory(
 
 
 class Clearance:
-    """Tells which poses keep a robot clear of the ground (z = 0 of its frame, which the
-    root alone may touch) and of itself.
+    """Which poses keep a robot clear of itself and of the ground (z = 0 of its frame,
+    which the root alone may touch).
 
     Bodies may touch where one joint, or two in a row, connect them, and where they do
     in most poses: a short wrist's hand and forearm.
@@ -95,14 +89,13 @@ def _unconnected_pairs(robot: Robot) -> list[tuple[int, int]]:
     near = np.eye(len(robot.parents), dtype=int)
     for body, carrier in enumerate(robot.parents):
         near[body, carrier] = near[carrier, body] = 1
-    near = near @ near
-    with_mesh = sorted(set(robot.bodies.tolist()))
+    near, with_mesh = near @ near, sorted(set(robot.bodies.tolist()))
     return [(a, b) for a in with_mesh for b in with_mesh if a < b and not near[a, b]]
 
 
 def _random_free_pose(
     robot: Robot, clearance: Clearance, rng: np.random.Generator
-) -> Float64[np.ndarray, " J"]:
+) -> np.ndarray:
     for _ in range(_MAX_DRAWS // _DRAWS):
         drawn = rng.uniform(robot.lower, robot.upper, (_DRAWS, len(robot.lower)))
         free = clearance.is_free(drawn)
@@ -114,10 +107,8 @@ def _random_free_pose(
 
 
 def _reachable(
-    clearance: Clearance,
-    start: Float[np.ndarray, " J"],
-    target: Float[np.ndarray, " J"],
-) -> Float64[np.ndarray, " J"]:
+    clearance: Clearance, start: np.ndarray, target: np.ndarray
+) -> np.ndarray:
     """The farthest way-point towards the target with a free leg; at worst the start."""
     steps = np.linspace(0, 1, CHECKS)
     for share in (1.0, 0.8, 0.6, 0.4, 0.2, 0.1):

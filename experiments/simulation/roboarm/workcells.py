@@ -2,9 +2,7 @@
 
 World frame: metres, z up, floor at z = 0; an arm's first place is above the origin. The
 clouds are of robot and fixtures: the arm with its tool and hoses, what is on tables and
-on the floor within its reach, and the linear axis that it may stand on. Tables,
-pedestals, floor and walls are support; fences, boxes and cabinets are clutter; people
-are people.
+on the floor within its reach, and the linear axis that it may stand on.
 """
 
 import dataclasses
@@ -16,7 +14,6 @@ from jaxtyping import Bool, Float64
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.furnishings import table, to_mesh, together
-from experiments.simulation.roboarm.hoses import Hoses, random_hoses
 from experiments.simulation.roboarm.layouts import (
     Layout,
     aim_camera,
@@ -29,16 +26,20 @@ from experiments.simulation.roboarm.layouts import (
 from experiments.simulation.roboarm.models import ArmModel
 from experiments.simulation.roboarm.mounts import Mount, random_mount
 from experiments.simulation.roboarm.robots import Robot
-from experiments.simulation.roboarm.tooling import Tool, on_flange, random_tool
+from experiments.simulation.roboarm.tooling import (
+    Hoses,
+    Tool,
+    on_flange,
+    random_hoses,
+    random_tool,
+)
 from experiments.simulation.roboarm.trajectories import Clearance
+from experiments.simulation.solids import Rng
 from prism_jax.geometry.camera import Camera
-
-Rng = np.random.Generator
 
 PARTS = ("robot", "fixture", "support", "room", "clutter", "person")
 """What a frame's meshes are of."""
-HOSE_SHARE = 0.55
-"""How often an arm has a dress pack."""
+HOSE_SHARE = 0.55  # how often an arm has a dress pack
 _SURFACE = 1500
 _POSES = 48
 _TRIES = 30
@@ -66,12 +67,7 @@ def arm_of(model: ArmModel) -> Arm:
 
 @dataclasses.dataclass(frozen=True)
 class Workcell:
-    """A cell and the poses that an arm takes in it.
-
-    Attributes:
-      lower, upper: of robot and fixtures in all poses.
-      glossy: which links are, then whether tool and hoses are, and fixtures.
-    """
+    """A cell and the poses that an arm takes in it."""
 
     arm: Arm
     positions: Float64[np.ndarray, "T J"]
@@ -84,9 +80,9 @@ class Workcell:
     clutter: trimesh.Trimesh
     people: trimesh.Trimesh
     camera: Camera
-    lower: Float64[np.ndarray, "3"]
+    lower: Float64[np.ndarray, "3"]  # of robot and fixtures in all poses
     upper: Float64[np.ndarray, "3"]
-    glossy: Bool[np.ndarray, " K"]
+    glossy: Bool[np.ndarray, " K"]  # links, then tool with hoses, then fixtures
 
     def parts(self, number: int) -> dict[str, trimesh.Trimesh]:
         """The meshes of a frame in the world frame, by the names of `PARTS`."""
@@ -106,10 +102,8 @@ def make_workcell(
     size: tuple[int, int] = (480, 640),
     glossy_share: float = 0.15,
 ) -> Workcell:
-    """A random cell; ValueError where a draw finds no room.
-
-    `size` is the camera's height and width in pixels.
-    """
+    """A random cell, for a camera of this height and width in pixels; ValueError where
+    a draw finds no room."""
     arm = arm_of(model)
     tool = random_tool(arm.reach, rng) if model.tool_link else None
     hoses = None
@@ -134,8 +128,7 @@ def make_workcell(
     tables = draw_tables(layout, mount, rng)
     tops = [mount.top] if mount.top is not None else tables
     high = float(mount.bases[0, 2]) > 0.6 and len(tables) > 0
-    on_floor = mount.top is None and not high
-    fixtures = draw_fixtures(layout, tops, on_floor, rng)
+    fixtures = draw_fixtures(layout, tops, mount.top is None and not high, rng)
     support = [*mount.support]
     for lower, upper, height in tables:
         support += table(lower, upper, height)
@@ -180,7 +173,7 @@ def _posed(
     return together(meshes)
 
 
-def _surface(mesh: trimesh.Trimesh, rng: Rng) -> Float64[np.ndarray, "N 3"]:
+def _surface(mesh: trimesh.Trimesh, rng: Rng) -> np.ndarray:
     """Points spread over a mesh."""
     triangles = np.asarray(mesh.vertices)[mesh.faces]
     edges = triangles[:, 1:] - triangles[:, :1]
@@ -191,7 +184,7 @@ def _surface(mesh: trimesh.Trimesh, rng: Rng) -> Float64[np.ndarray, "N 3"]:
     return u * corners[:, 0] + (v - u) * corners[:, 1] + (1 - v) * corners[:, 2]
 
 
-def _random_pose(arm: Arm, tool: Tool | None, rng: Rng) -> Float64[np.ndarray, " J"]:
+def _random_pose(arm: Arm, tool: Tool | None, rng: Rng) -> np.ndarray:
     """A pose in which the arm and its tool keep off the ground and off the arm."""
     robot = arm.robot
     for _ in range(_TRIES):

@@ -1,4 +1,1 @@
-"""Scenes: two to eight things on a table or a floor, seen by one sensor.
-
-Metres, z up, what things stand on at z = 0.
-"""
+"""Scenes: two to eight things on a table or a floor (z = 0), seen by one sensor."""

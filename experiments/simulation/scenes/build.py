@@ -6,19 +6,25 @@ import json
 import os
 import pathlib
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int
+from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from experiments.simulation.building import build
+from experiments.simulation.configs import SetConfig, shards_of
 from experiments.simulation.objects.catalogues import FOLDER
 from experiments.simulation.raycast import Scene, sample_outside
 from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.scenes.arrangement import (
+    DEFAULT_SOURCES,
     Part,
+    Pools,
+    Thing,
     arranged,
+    check_sources,
+    pools_of,
     random_room,
     turned,
 )
@@ -28,13 +34,6 @@ from experiments.simulation.scenes.sensing import (
     measured,
     random_camera,
     random_lidar,
-)
-from experiments.simulation.scenes.things import (
-    DEFAULT_SOURCES,
-    Pools,
-    Thing,
-    check_sources,
-    pools_of,
 )
 from experiments.simulation.shapes import category_rng
 from experiments.simulation.shard_writer import (
@@ -57,75 +56,46 @@ from prism_jax.data.scenes import SCENE_ARRAYS, TRAITS, LabelledScene
 from prism_jax.data.shards import FORMAT_VERSION, shard_file
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import make_output_dir, write_bytes
-from prism_jax.io.errors import InputError, choose
-
-NUM_SCENES = {"train": 2_000, "validation": 120, "test": 120}
-"""Of a split, unless told otherwise."""
 
 NUM_THINGS = (2, 8)
-MIN_RETURNS = 64
-"""Of a thing: what is hidden from the sensor more than that is taken away."""
+MIN_RETURNS = 64  # a thing of fewer is taken away
 MAX_DRAWS = 100
 TABLE_SHARE, LIDAR_SHARE = 0.55, 0.35
 """Of all scenes those on tables, and of those on floors those that a lidar sees; its
 noise is as large as what stands on tables."""
 
-VERSIONS = {
-    "shapes": SHAPES_VERSION,
-    "open": OPEN_VERSION,
-    "objects": OBJECTS_VERSION,
-}
+VERSIONS = {"shapes": SHAPES_VERSION, "open": OPEN_VERSION, "objects": OBJECTS_VERSION}
 
 
 @dataclasses.dataclass(frozen=True)
-class ScenesConfig:
-    """What a split is made of. What makes no sense raises InputError.
+class ScenesConfig(SetConfig):
+    """What a split of the scenes is made of."""
 
-    Attributes:
-      split: one of `NUM_SCENES`.
-      num_scenes: how many; every prefix of them is the same. 0 for the split's own
-        number.
-      sources: sets that things are drawn from (`things.SOURCES`). The default is what
-        every machine has.
-      seed: of the whole set.
-      shard_scenes: scenes in a shard.
-    """
+    SIZES: ClassVar = {
+        "train": {"num_scenes": 2_000},
+        "validation": {"num_scenes": 120},
+        "test": {"num_scenes": 120},
+    }
 
-    split: str
     num_scenes: int = 0
-    sources: tuple[str, ...] = DEFAULT_SOURCES
-    seed: int = 0
+    sources: tuple[str, ...] = DEFAULT_SOURCES  # of `things.SOURCES`
+    seed: int = 0  # of the whole set
     shard_scenes: int = 20
 
     def __post_init__(self):
-        choose("split", self.split, NUM_SCENES)
+        super().__post_init__()
         check_sources(self.sources, self.split)
-        if self.num_scenes == 0:
-            object.__setattr__(self, "num_scenes", NUM_SCENES[self.split])
-        for name, lowest in (("num_scenes", 1), ("shard_scenes", 1), ("seed", 0)):
-            if not lowest <= getattr(self, name) < 2**31:
-                fault = f"{getattr(self, name)} is not within {lowest} to {2**31 - 1}"
-                raise InputError(name, fault, "choose another number")
 
 
 class MadeScene(NamedTuple):
-    """A scene before it is stored.
+    """A scene before it is stored."""
 
-    Attributes:
-      things: with their meshes in their places.
-      parts: what is around them.
-      sensor: what it is seen by.
-      measured: points, and whose they are.
-      complete: of each thing, in farthest-point order.
-      traits: as in `LabelledScene`.
-    """
-
-    things: tuple[Thing, ...]
-    parts: tuple[Part, ...]
+    things: tuple[Thing, ...]  # with their meshes in their places
+    parts: tuple[Part, ...]  # what is around them
     sensor: Sensor
     measured: Measured
-    complete: Float64[np.ndarray, "K 16384 3"]
-    traits: tuple[str, ...]
+    complete: Float64[np.ndarray, "K 16384 3"]  # of each thing, farthest points first
+    traits: tuple[str, ...]  # as in `LabelledScene`
 
 
 def build_scenes(
@@ -137,27 +107,23 @@ def build_scenes(
 ) -> pathlib.Path:
     """Builds what is missing of a split and returns its folder.
 
-    The bytes do not depend on `num_workers` (`building.build`). A catalogue of models
-    that is asked for and not in `catalogue_dir` raises InputError.
+    A catalogue of models that is asked for and not there raises InputError.
     """
     folder = make_output_dir(folder_of("scenes", config.split, data_dir))
     pools = pools_of(config.split, config.sources, catalogue_dir, progress)
-    content = {
-        "format_version": FORMAT_VERSION,
-        "generator": "prism_jax scenes",
-        "generator_version": SCENES_VERSION,
-        **dataclasses.asdict(config),
-        "source_versions": {name: VERSIONS[name] for name in config.sources},
-        "models": pools.digests,
-        "categories": pools.categories,
-        "partial_points": PARTIAL_POINTS,
-        "complete_points": SURFACE_POINTS,
-    }
-    scenes, step = range(config.num_scenes), config.shard_scenes
-    shards = [scenes[start : start + step] for start in scenes[::step]]
+    content = config.content(
+        "scenes",
+        SCENES_VERSION,
+        source_versions={name: VERSIONS[name] for name in config.sources},
+        models=pools.digests,
+        categories=pools.categories,
+        partial_points=PARTIAL_POINTS,
+        complete_points=SURFACE_POINTS,
+    )
+    shards = shards_of(config.num_scenes, config.shard_scenes)
     return build(
         folder,
-        content,
+        {"format_version": FORMAT_VERSION, **content},
         [len(shard) for shard in shards],
         lambda number: is_written(folder, number),
         functools.partial(_build_shard, folder, config, pools, shards),
@@ -168,12 +134,10 @@ def build_scenes(
 
 
 def make_scene(config: ScenesConfig, pools: Pools, index: int) -> MadeScene:
-    """A pure function of the seed, the split, the sources and the index.
-
-    Things that the sensor sees less of than `MIN_RETURNS` are taken away, and a scene
-    with fewer than two left is drawn anew.
-    """
-    split = list(NUM_SCENES).index(config.split)
+    """A pure function of the seed, the split, the sources and the index. Things of
+    fewer returns than `MIN_RETURNS` are taken away; with fewer than two it is drawn
+    anew."""
+    split = list(config.SIZES).index(config.split)
     rng = category_rng("scenes", config.seed, split, index)
     for _ in range(MAX_DRAWS):
         made = _drawn(pools, rng)
@@ -188,8 +152,7 @@ def _drawn(pools: Pools, rng: np.random.Generator) -> MadeScene | None:
     count = rng.integers(NUM_THINGS[0], NUM_THINGS[1] + 1)
     things = [pools.draw(rng) for _ in range(count)]
     meshes = arranged([thing.mesh for thing in things], support, rng)
-    room = random_room(meshes, support, rng)
-    heading = rng.uniform(0, 360)
+    room, heading = random_room(meshes, support, rng), rng.uniform(0, 360)
     turn = Rotation.from_euler("z", heading, degrees=True).as_matrix()
     things = [
         thing._replace(mesh=turned(mesh, turn))
@@ -220,18 +183,15 @@ def _drawn(pools: Pools, rng: np.random.Generator) -> MadeScene | None:
     )
 
 
-def _world(
-    things: list[Thing], parts: tuple[Part, ...]
-) -> tuple[Scene, Int[np.ndarray, " F"]]:
+def _world(things: list[Thing], parts: tuple[Part, ...]) -> tuple[Scene, np.ndarray]:
     """All meshes as one, and the label of each of its faces."""
     meshes = [thing.mesh for thing in things] + [part.mesh for part in parts]
     labels = [*range(len(things)), *(part.label for part in parts)]
     return Scene(together(meshes)), np.repeat(labels, [len(m.faces) for m in meshes])
 
 
-def _complete(thing: Thing, rng: np.random.Generator) -> Float64[np.ndarray, "16384 3"]:
-    scene = Scene(thing.mesh)
-    surface = sample_outside(scene, SURFACE_POINTS, rng, thing.two_sided)
+def _complete(thing: Thing, rng: np.random.Generator) -> np.ndarray:
+    surface = sample_outside(Scene(thing.mesh), SURFACE_POINTS, rng, thing.two_sided)
     return farthest_point_order(surface, SURFACE_POINTS)
 
 
@@ -252,10 +212,9 @@ def labelled(made: MadeScene, name: str) -> LabelledScene:
 def examples(scene: LabelledScene) -> Iterator[Example]:
     """The things of a scene one by one."""
     for number, complete in enumerate(scene.complete):
-        partial = scene.points[scene.labels == number]
         yield Example(
             complete,
-            farthest_point_order(partial, PARTIAL_POINTS),
+            farthest_point_order(scene.points[scene.labels == number], PARTIAL_POINTS),
             scene.eye.astype(np.float32),
             scene.categories[number],
             f"{scene.name}/{number}",
@@ -290,8 +249,6 @@ def _build_shard(
     write_shard(folder, number, map(examples, scenes))
 
 
-def _frame(
-    scene: LabelledScene, box: Float32[np.ndarray, "4"]
-) -> Float64[np.ndarray, "17"]:
+def _frame(scene: LabelledScene, box: np.ndarray) -> np.ndarray:
     pose = scene.eye, scene.rotation.ravel()
     return np.concatenate([box, *pose, [len(scene.points)]]).astype(np.float64)

@@ -1,38 +1,33 @@
 """What one depth camera or lidar measures of a scene, and what each point is of."""
 
-import dataclasses
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int
 from scipy.spatial.transform import Rotation
 
-from experiments.simulation.raycast import Scene
-from experiments.simulation.readings import Rays, pixel_grid, ring_rays
+from experiments.simulation.kinds import BEAMS, random_ouster, tilted_rays
+from experiments.simulation.raycast import Scene, direction
+from experiments.simulation.readings import pixel_grid
 from experiments.simulation.sensors import (
     L515Config,
-    OusterConfig,
     RangeConfig,
+    Rays,
     measure,
+    measured_points,
 )
-from experiments.simulation.stations import BEAMS, COLUMNS
 from prism_jax.geometry.framing import camera_axes
 from prism_jax.observation.scene import LEFT_OVER
 
-TILTS = (20.0, 60.0)
-"""Degrees by which a sensor looks down."""
+TILTS = (20.0, 60.0)  # degrees by which a sensor looks down
 
-ROLL = 3.0
-"""Standard deviation in degrees, of a camera that somebody holds."""
+ROLL = 3.0  # standard deviation in degrees, of a camera that somebody holds
 
-AZIMUTHS = 50.0
-"""Degrees to either side of straight on to a wall."""
+AZIMUTHS = 50.0  # degrees to either side of straight on to a wall
 
-HALF_FIELD = np.radians((35.0, 27.5))
-"""Of a depth camera as the L515, across and down."""
+HALF_FIELD = np.radians((35.0, 27.5))  # of a depth camera as the L515, across and down
 
-WIDTHS = (320, 640)
-"""Pixels of a depth camera's row."""
+WIDTHS = (320, 640)  # pixels of a depth camera's row
 
 FILLED, CAMERA_METRES = (0.6, 1.2), (0.35, 8.0)
 """A camera's distance, in that at which the things just fill the image; within limits.
@@ -42,25 +37,16 @@ LIDAR_BEAMS = tuple(beams for beams in BEAMS if beams >= 32)
 LIDAR_RADII, LIDAR_METRES = (1.2, 3.0), (2.0, 12.0)
 """A lidar's distance, in radii of the sphere around all things; within limits."""
 
-STRAY = 4.0
-"""Standard deviations from the surface: a point farther off flies beside an edge."""
+STRAY = 4.0  # deviations from the surface: a point farther off flies beside an edge
 
 
-@dataclasses.dataclass(frozen=True)
-class Sensor:
-    """A sensor in its place.
-
-    Attributes:
-      name: what it is.
-      config: what goes wrong with its ranges.
-      rotation: rows are its right, down and forward in the world, as a camera's.
-      rays: one for each pixel, or each column and beam near the things.
-    """
+class Sensor(NamedTuple):
+    """A sensor in its place."""
 
     name: Literal["camera", "lidar"]
     config: RangeConfig
-    rotation: Float64[np.ndarray, "3 3"]
-    rays: Rays
+    rotation: Float64[np.ndarray, "3 3"]  # rows: right, down, forward in the world
+    rays: Rays  # one for each pixel, or each column and beam near the things
 
 
 class Measured(NamedTuple):
@@ -81,8 +67,7 @@ def random_camera(
     roll = Rotation.from_euler("z", rng.normal(scale=ROLL), degrees=True)
     axes = roll.as_matrix() @ camera_axes(things.center - eye)
     across, down = np.tan(HALF_FIELD)
-    corners = np.array([(-across, -down), (across, down)])
-    grid = pixel_grid(corners, 2 * across / width)
+    grid = pixel_grid(np.array([(-across, -down), (across, down)]), 2 * across / width)
     directions = (grid.reshape(-1, 3) @ axes).reshape(grid.shape)
     return Sensor("camera", L515Config(), axes, Rays(eye, directions))
 
@@ -92,13 +77,10 @@ def random_lidar(
 ) -> Sensor:
     """A spinning lidar, tilted so that its beams meet things; of each turn only what
     passes them or close by. Where it stands is as for `random_camera`."""
-    beams = int(rng.choice(LIDAR_BEAMS))
-    degrees, columns = BEAMS[beams], int(rng.choice(COLUMNS))
-    config = OusterConfig(beams=beams, columns=columns, elevation_degrees=degrees)
+    config = random_ouster(rng, LIDAR_BEAMS)
     distance = rng.uniform(*LIDAR_RADII) * things.radius
     eye = _eye(things, distance, LIDAR_METRES, faces_wall, heading, rng)
-    low, high = np.radians(degrees)
-    rays = ring_rays(things, eye, config, low + rng.uniform(0.3, 0.7) * (high - low))
+    rays = tilted_rays(things, eye, config, (0.3, 0.7), rng)
     return Sensor("lidar", config, camera_axes(things.center - eye), rays)
 
 
@@ -113,9 +95,7 @@ def _eye(
     spread = AZIMUTHS if faces_wall else 180.0
     azimuth = np.radians(heading - 90.0 + rng.uniform(-spread, spread))
     tilt = np.radians(rng.uniform(*TILTS))
-    toward = np.cos(tilt) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    toward[2] = np.sin(tilt)
-    return things.center + np.clip(distance, *limits) * toward
+    return things.center + np.clip(distance, *limits) * direction(azimuth, tilt)
 
 
 def measured(
@@ -124,17 +104,13 @@ def measured(
     sensor: Sensor,
     rng: np.random.Generator,
 ) -> Measured:
-    """What the sensor measures of a scene whose faces have these labels.
-
-    A point that flies beside an edge belongs to nothing.
-    """
+    """What the sensor measures of a scene whose faces have these labels. A point that
+    flies beside an edge belongs to nothing."""
     rays, config = sensor.rays, sensor.config
     grid = rays.directions.shape[0], rays.directions.shape[1]
     directions = rays.directions.reshape(-1, 3)
-    hits, ranges = measure(scene, scene.cast(rays.eye, directions), grid, rng, config)
-    along = directions[hits.ray]
-    steps = np.linalg.norm(along, axis=1) * config.quantum
-    points = rays.eye + (np.rint(ranges / steps) * config.quantum)[:, None] * along
+    hits, ranges = measure(scene.cast(rays.eye, directions), grid, rng, config)
+    points = measured_points(rays, hits, ranges, config.quantum)
     noise = np.interp(hits.distances, *np.array(config.noise).T)
     strays = np.abs(ranges - hits.distances) > STRAY * noise + config.quantum
     return Measured(points, np.where(strays, LEFT_OVER, owners[hits.faces]))

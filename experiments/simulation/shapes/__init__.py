@@ -1,8 +1,9 @@
 """Procedural object meshes by category and seed.
 
-Canonical pose, never rotated at random: z up, front along +y. Each mesh is the
-boolean union of closed solids, so it is watertight and a point sampled on it lies on
-the outer surface. Lengths are in arbitrary units of the order of one.
+Each category has a function that draws one object from a NumPy generator and returns
+its solids. Canonical pose, never rotated at random: z up, front along +y, floor at
+z = 0; mostly in metres. Each mesh is the boolean union of closed solids, so it is
+watertight and a point sampled on it lies on the outer surface.
 """
 
 import zlib
@@ -96,10 +97,7 @@ def category_rng(category: str, *seed: int) -> np.random.Generator:
 
 
 def make_shape(category: str, seed: int) -> trimesh.Trimesh:
-    """A watertight mesh, a pure function of the category and a non-negative seed.
-
-    An unknown category or a negative seed raises ValueError.
-    """
+    """A watertight mesh, a pure function of the category and a non-negative seed."""
     if category not in _BUILDERS:
         known = ", ".join(CATEGORIES)
         raise ValueError(f"unknown category {category!r}: choose one of {known}")

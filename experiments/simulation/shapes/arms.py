@@ -3,7 +3,6 @@
 The base yaws about z, the next two joints pitch, and the wrist mixes roll and pitch,
 as in the common industrial layouts. The pose is drawn within joint limits, and drawn
 again while a link reaches the floor or comes close to one that is not its neighbour.
-Frame as in `solids`: z up, floor at z = 0, the pedestal's axis at x = y = 0.
 """
 
 from typing import NamedTuple
@@ -12,9 +11,8 @@ import numpy as np
 from manifold3d import Manifold
 from scipy.spatial.transform import Rotation
 
-from experiments.simulation.solids import ball, box, capsule, lathe, place, rod
+from experiments.simulation.solids import Rng, ball, box, capsule, lathe, place, rod
 
-Rng = np.random.Generator
 MAX_POSES = 60
 
 
@@ -63,10 +61,8 @@ def posed_chain(
 def _forward(
     rng: Rng, height: float, lengths: np.ndarray, radii: np.ndarray, steps: np.ndarray
 ) -> Chain:
-    """Forward kinematics of random joint angles, in radians."""
     rotation = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
-    point = np.array([0.0, 0.0, height])
-    rows = []
+    point, rows = np.array([0.0, 0.0, height]), []
     for index, (length, step) in enumerate(zip(lengths, steps, strict=True)):
         pitch = rng.uniform(-0.9, 0.9) if index == 0 else rng.uniform(-2.1, 2.1)
         roll = rng.choice([0.0, rng.uniform(-np.pi, np.pi)]) if index > 1 else 0.0
@@ -111,8 +107,7 @@ def _base(rng: Rng, height: float, radius: float) -> list[Manifold]:
         return [rod((0, 0, 0), top, wide, radius * 1.1, 32)]
     tall = height * rng.uniform(0.5, 0.8)
     if style == "box":
-        size = (wide * 2, wide * 2, tall)
-        return [box((0, 0, tall / 2), size, 0.02), neck]
+        return [box((0, 0, tall / 2), (wide * 2, wide * 2, tall), 0.02), neck]
     plate = box((0, 0, 0.02), (wide * 2.2, wide * 2.2, 0.04))
     return [plate, rod((0, 0, 0.02), (0, 0, tall), wide * 0.9, segments=32), neck]
 
@@ -161,8 +156,7 @@ def _tool(rng: Rng, chain: Chain) -> list[Manifold]:
     palm, long = 1.5 * wide, rng.uniform(0.1, 0.17)
     if style == "two":
         opening = rng.uniform(0.025, 0.07)
-        size = (2 * opening + 0.07, 1.2 * wide, 0.05)
-        solids.append(box((0, 0, palm + 0.02), size))
+        solids.append(box((0, 0, palm + 0.02), (2 * opening + 0.07, 1.2 * wide, 0.05)))
         for side in (-1, 1):
             center = (side * (opening + 0.015), 0, palm + 0.02 + long / 2)
             solids.append(box(center, (0.028, 0.9 * wide, long)))

@@ -1,13 +1,10 @@
-"""Procedural beds.
-
-`bed` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural beds."""
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     ball,
     bar,
@@ -19,10 +16,8 @@ from experiments.simulation.solids import (
     side_profile,
 )
 
-Rng = np.random.Generator
 
-
-def bed(rng: Rng) -> list[Manifold]:
+def bed(rng: Rng) -> Solids:
     """Single to king size on legs, plinth or drawers; head and foot boards of many
     kinds; four-posters, bunk and loft beds. The head is at -y."""
     if rng.random() < 0.17:
@@ -44,7 +39,7 @@ def bed(rng: Rng) -> list[Manifold]:
     return assembled(solids)
 
 
-def _bed_base(rng: Rng, width: float, length: float, deck: float) -> list[Manifold]:
+def _bed_base(rng: Rng, width: float, length: float, deck: float) -> Solids:
     wide, long = width + 0.06, length + 0.06
     style = rng.choice(["legs", "plinth", "drawers", "divan"], p=[0.45, 0.2, 0.2, 0.15])
     if style == "legs":
@@ -77,17 +72,13 @@ def _bed_base(rng: Rng, width: float, length: float, deck: float) -> list[Manifo
     return solids
 
 
-def _bedding(
-    rng: Rng, width: float, length: float, low: float, thick: float
-) -> list[Manifold]:
+def _bedding(rng: Rng, width: float, length: float, low: float, thick: float) -> Solids:
     """Mattress, pillows at -y, and a blanket or a folded one in some."""
     top = low + thick
-    size = (width, length, thick)
-    solids = [box((0, 0, low + thick / 2), size, 0.04)]
+    solids = [box((0, 0, low + thick / 2), (width, length, thick), 0.04)]
     count = 1 if width < 1.3 else 2
     wide, lean = min(width / count * 0.86, 0.75), rng.uniform(0, 45)
-    rows = int(rng.integers(1, 3))
-    for row in range(rows):
+    for row in range(int(rng.integers(1, 3))):
         for index in range(count):
             x = (index + 0.5 - count / 2) * width / count
             pillow = box((0, 0.2, 0.06), (wide * (1 - 0.15 * row), 0.4, 0.15), 0.055)
@@ -102,8 +93,7 @@ def _bedding(
         band, y = rng.uniform(0.3, 0.6), length * rng.uniform(0.15, 0.3)
         solids.append(box((0, y, top - 0.1), (width + 0.05, band, 0.25), 0.02))
     elif style == "cover":
-        share = rng.uniform(0.55, 0.75)
-        deep = rng.uniform(0.5, 0.95) * thick
+        share, deep = rng.uniform(0.55, 0.75), rng.uniform(0.5, 0.95) * thick
         y, z = length / 2 - share * length / 2 + 0.02, top + 0.03 - deep / 2
         solids.append(box((0, y, z), (width + over, share * length, deep), 0.03))
         fold = (0, y - share * length / 2 + 0.1, z + 0.02)
@@ -111,10 +101,7 @@ def _bedding(
     return solids
 
 
-def _bed_board(
-    rng: Rng, kind: str, y: float, width: float, tall: float
-) -> list[Manifold]:
-    """A head board at negative y, a foot board at positive."""
+def _bed_board(rng: Rng, kind: str, y: float, width: float, tall: float) -> Solids:
     out, thick = float(np.sign(y)), rng.uniform(0.04, 0.08)
     y += out * 0.03
     if kind == "none":
@@ -154,7 +141,7 @@ def _bed_board(
 
 def _open_board(
     rng: Rng, kind: str, y: float, width: float, tall: float, thick: float
-) -> list[Manifold]:
+) -> Solids:
     """Posts and a top rail, filled with upright bars or with slats across."""
     edge, low, solids = width / 2 - thick / 2, min(0.25, tall * 0.6), []
     for x in (-edge, edge):
@@ -172,7 +159,7 @@ def _open_board(
     return solids
 
 
-def _canopy(rng: Rng, width: float, length: float) -> list[Manifold]:
+def _canopy(rng: Rng, width: float, length: float) -> Solids:
     tall, post = rng.uniform(1.8, 2.2), rng.uniform(0.05, 0.09)
     x, y, z = width / 2, length / 2, tall - post / 2
     feet = corners(x, y)
@@ -185,14 +172,13 @@ def _canopy(rng: Rng, width: float, length: float) -> list[Manifold]:
     return solids
 
 
-def _bunk_bed(rng: Rng) -> list[Manifold]:
+def _bunk_bed(rng: Rng) -> Solids:
     """Two decks, or one above a desk; a ladder at the side or at the foot."""
     width, length = rng.uniform(0.8, 1.2), rng.uniform(1.9, 2.05)
     upper, post = rng.uniform(1.2, 1.5), rng.uniform(0.05, 0.09)
     tall, x, y = upper + rng.uniform(0.35, 0.5), width / 2, length / 2
     feet, solids = corners(x, y), []
-    for foot in feet:
-        solids.append(box(foot + (0, 0, tall / 2), (post, post, tall)))
+    solids += [box(foot + (0, 0, tall / 2), (post, post, tall)) for foot in feet]
     is_loft = rng.random() < 0.35
     for deck in [upper] if is_loft else [rng.uniform(0.25, 0.4), upper]:
         solids.append(box((0, 0, deck - 0.06), (width, length, 0.12)))
@@ -208,8 +194,7 @@ def _bunk_bed(rng: Rng) -> list[Manifold]:
     middle = np.array((x + 0.06, y * 0.6, 0) if at_side else (0, y + 0.06, 0))
     along = np.array((0, 0.2, 0) if at_side else (0.2, 0, 0))
     out = np.array((0.25, 0, 0) if at_side else (0, 0.25, 0))
-    out = out * rng.choice([0.0, 1.0])
-    head = middle + (0, 0, upper + 0.25)
+    out, head = out * rng.choice([0.0, 1.0]), middle + (0, 0, upper + 0.25)
     for side in (-1, 1):
         start, end = middle + side * along + out, head + side * along
         solids.append(bar(start, end, 0.045, 0.045))

@@ -1,20 +1,9 @@
-"""Procedural benches.
-
-`bench` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural benches."""
 
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    assembled,
-    bar,
-    box,
-    prism,
-    rod,
-    tube_along,
-)
+from experiments.simulation.solids import assembled, bar, box, prism, rod, tube_along
 
 Rng = np.random.Generator
 
@@ -88,8 +77,7 @@ def _bench_support(style: str, depth: float, top: float) -> list[Manifold]:
             bar((0, -0.6 * s * y, top), (0, 1.1 * s * y, 0), 0.05, 0.06)
             for s in (-1, 1)
         ]
-        cross = box((0, 0, 0.15), (0.04, 1.2 * y, 0.05))
-        return [beam, cross, *legs]
+        return [beam, box((0, 0, 0.15), (0.04, 1.2 * y, 0.05)), *legs]
     if style == "loop":
         path = [(0, -y, top), (0, -y, 0.02), (0, y, 0.02), (0, y, top)]
         return [beam, *tube_along(np.array(path), 0.022, 8)]

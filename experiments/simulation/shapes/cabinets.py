@@ -1,24 +1,14 @@
-"""Procedural control cabinets.
-
-`control_cabinet` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural control cabinets."""
 
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    assembled,
-    box,
-    corners,
-    rod,
-    torus,
-)
+from experiments.simulation.solids import Solids, assembled, box, corners, rod, torus
 
 Rng = np.random.Generator
 
 
-def control_cabinet(rng: Rng) -> list[Manifold]:
+def control_cabinet(rng: Rng) -> Solids:
     """Switch cabinets of one to four doors, a desk, or a small box on a wall plate or
     a post; vents, screens, buttons, lamps; an open door shows what is mounted."""
     kind = rng.choice(["tall", "tall", "desk", "box"])
@@ -34,15 +24,13 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
         depth = rng.uniform(0.18, 0.32)
     opened = int(rng.integers(doors)) if rows == 1 and rng.random() < 0.4 else -1
     body = box((0, 0, height / 2), (width, depth, height), 0.008)
-    pitch = width / doors
-    solids = []
+    pitch, solids = width / doors, []
     for index in range(doors):
         x = (index + 0.5) * pitch - width / 2
         hinge = -1 if index % 2 == 0 else 1
         door = _column_of_doors(rng, pitch, height, hinge, rows)
         if index == opened:
-            size = (pitch * 0.92, depth, height * 0.92)
-            body -= box((x, 0.03, height / 2), size)
+            body -= box((x, 0.03, height / 2), (pitch * 0.92, depth, height * 0.92))
             plate = [box((0, 0, 0), (pitch, 0.02, height * 0.95))]
             plate += _mounting(rng, pitch * 0.8, height * 0.84)
             back = (x, -depth / 2 + 0.05, height / 2)
@@ -52,8 +40,7 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
     solids += [body, *_outside(rng, width, depth, height)]
     if kind == "tall":
         if rng.random() < 0.7:
-            plinth = (width * 0.97, depth * 0.94, 0.2)
-            solids.append(box((0, 0, 0), plinth))
+            solids.append(box((0, 0, 0), (width * 0.97, depth * 0.94, 0.2)))
     elif rng.random() < 0.6:
         post, low = 0.09, rng.uniform(0.6, 1.0)
         solids.append(box((0, 0, -low / 2), (post, post, low + 0.05)))
@@ -66,7 +53,7 @@ def control_cabinet(rng: Rng) -> list[Manifold]:
 
 def _column_of_doors(
     rng: Rng, width: float, height: float, hinge: int, rows: int
-) -> list[Manifold]:
+) -> Solids:
     """So many doors above one another about the origin, their outsides at +y."""
     tall = height * 0.97 / rows
     return [
@@ -76,9 +63,7 @@ def _column_of_doors(
     ]
 
 
-def _opened(
-    rng: Rng, door: list[Manifold], edge: float, height: float
-) -> list[Manifold]:
+def _opened(rng: Rng, door: Solids, edge: float, height: float) -> Solids:
     """The door swung out about the upright axis at x = `edge`, and its hinges."""
     angle = -float(np.sign(edge)) * rng.uniform(60, 120)
     door = [part.translate((-edge, 0, 0)).rotate((0, 0, angle)) for part in door]
@@ -89,7 +74,7 @@ def _opened(
     return door
 
 
-def _door(rng: Rng, width: float, height: float, hinge: int) -> list[Manifold]:
+def _door(rng: Rng, width: float, height: float, hinge: int) -> Solids:
     """A door about the origin in the plane y = 0, its outside at +y, with hinges at
     the given side, a handle at the other, and what is set into it."""
     solids = [box((0, 0.012, 0), (width, 0.03, height), 0.004)]
@@ -109,12 +94,11 @@ def _door(rng: Rng, width: float, height: float, hinge: int) -> list[Manifold]:
         if rng.random() < 0.65 and (height > 0.6 or z > 0):
             z = z * height if height > 0.6 else 0.0
             center = np.array((0.03 * hinge * width, 0.027, z))
-            size = min(0.55 * width, 0.3, 0.9 * height)
-            solids += _fitting(str(kind), center, size)
+            solids += _fitting(str(kind), center, min(0.55 * width, 0.3, 0.9 * height))
     return solids
 
 
-def _fitting(kind: str, center: np.ndarray, wide: float) -> list[Manifold]:
+def _fitting(kind: str, center: np.ndarray, wide: float) -> Solids:
     """What is set into a door; the face there is at the centre's y."""
     if kind == "vent":
         return [
@@ -131,8 +115,7 @@ def _fitting(kind: str, center: np.ndarray, wide: float) -> list[Manifold]:
         ]
     if kind == "screen":
         panel = box(center, (wide, 0.04, 0.7 * wide), 0.006)
-        glass = box(center + (0, 0.02, 0), (0.84 * wide, 0.016, 0.54 * wide))
-        return [panel - glass]
+        return [panel - box(center + (0, 0.02, 0), (0.84 * wide, 0.016, 0.54 * wide))]
     if kind == "meters":
         size = (0.3 * wide, 0.03, 0.3 * wide)
         return [box(center + (s * wide, 0, 0), size, 0.006) for s in (-0.4, 0, 0.4)]
@@ -144,7 +127,7 @@ def _fitting(kind: str, center: np.ndarray, wide: float) -> list[Manifold]:
     return solids
 
 
-def _mounting(rng: Rng, width: float, height: float) -> list[Manifold]:
+def _mounting(rng: Rng, width: float, height: float) -> Solids:
     """Rows of devices and cable ducts in front of the plane y = 0."""
     rows = max(2, round(height / 0.28))
     pitch, solids = height / rows, []
@@ -162,10 +145,9 @@ def _mounting(rng: Rng, width: float, height: float) -> list[Manifold]:
     return solids
 
 
-def _outside(rng: Rng, width: float, depth: float, height: float) -> list[Manifold]:
+def _outside(rng: Rng, width: float, depth: float, height: float) -> Solids:
     """On the roof eyes, a fan, a signal tower, or conduits; a fan at the side."""
-    solids = []
-    kind = rng.choice(["eyes", "cooler", "tower", "conduits", "none"])
+    solids, kind = [], rng.choice(["eyes", "cooler", "tower", "conduits", "none"])
     if kind == "eyes":
         eye = torus(0.035, 0.011, segments=14).rotate((90, 0, 0))
         for point in corners(width / 2 - 0.05, depth / 2 - 0.05):
@@ -181,8 +163,7 @@ def _outside(rng: Rng, width: float, depth: float, height: float) -> list[Manifo
             solids.append(rod(low, low + (0, 0, 0.062), 0.036, segments=16))
             solids.append(rod(low, low + (0, 0, 0.072), 0.026, segments=12))
     elif kind == "conduits":
-        count = int(rng.integers(2, 6))
-        tall = rng.uniform(0.15, 0.4)
+        count, tall = int(rng.integers(2, 6)), rng.uniform(0.15, 0.4)
         for x in np.linspace(-0.35, 0.35, count) * width:
             foot = np.array((x, -0.2 * depth, height - 0.01))
             solids.append(rod(foot, foot + (0, 0, tall), 0.025, segments=12))
@@ -194,7 +175,7 @@ def _outside(rng: Rng, width: float, depth: float, height: float) -> list[Manifo
     return solids
 
 
-def _desk(rng: Rng) -> list[Manifold]:
+def _desk(rng: Rng) -> Solids:
     """A console with a sloping front full of buttons, a screen or more, and doors
     below."""
     width, y = rng.uniform(0.7, 1.6), rng.uniform(0.25, 0.35)
@@ -224,9 +205,7 @@ def _desk(rng: Rng) -> list[Manifold]:
     return solids + _desk_screens(rng, np.array(fold), np.array(roof), width)
 
 
-def _desk_screens(
-    rng: Rng, fold: np.ndarray, roof: np.ndarray, width: float
-) -> list[Manifold]:
+def _desk_screens(rng: Rng, fold: np.ndarray, roof: np.ndarray, width: float) -> Solids:
     """One to three screens on the leaning face between two edges, (y, z) pairs."""
     along, middle = roof - fold, np.array((0, *(fold + roof) / 2))
     lean = float(np.degrees(np.arctan2(-along[0], along[1])))
@@ -240,6 +219,5 @@ def _desk_screens(
 
 
 def _side_hull(side: list[tuple[float, float]], width: float) -> Manifold:
-    """Hull of (y, z) pairs, extruded along x."""
     points = [(s * width / 2, y, z) for y, z in side for s in (-1, 1)]
     return Manifold.hull_points(np.array(points))

@@ -1,8 +1,4 @@
-"""Procedural conveyors.
-
-`conveyor` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural conveyors."""
 
 import itertools
 
@@ -10,18 +6,10 @@ import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.shapes.drives import motor
-from experiments.simulation.solids import (
-    assembled,
-    bar,
-    box,
-    capsule,
-    rod,
-)
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, Solids, assembled, bar, box, capsule, rod
 
 
-def conveyor(rng: Rng) -> list[Manifold]:
+def conveyor(rng: Rng) -> Solids:
     """Belt, rollers or slats on a straight, rising, cranked or curved way, on legs;
     with guides, drives and goods in some."""
     width, thick = rng.uniform(0.3, 0.7), rng.uniform(0.06, 0.12)
@@ -30,8 +18,7 @@ def conveyor(rng: Rng) -> list[Manifold]:
     points = {s: middle + s * (width / 2) * across for s in (-1, 1)}
     rows = list(itertools.pairwise(range(len(middle))))
     kind = str(rng.choice(["belt", "rollers", "cleats"], p=[0.4, 0.42, 0.18]))
-    frame = rng.uniform(0.8, 1.6) * thick
-    solids = []
+    frame, solids = rng.uniform(0.8, 1.6) * thick, []
     for first, last in rows:
         for side in points.values():
             ends = side[first] - (0, 0, 0.1 * frame), side[last] - (0, 0, 0.1 * frame)
@@ -47,8 +34,7 @@ def conveyor(rng: Rng) -> list[Manifold]:
             solids.append(rod(place - half, place + half, 0.4 * pitch, segments=10))
         elif kind == "cleats":
             top = place + (0, 0, 0.5 * thick)
-            cleat = bar(top - 0.95 * half, top + 0.95 * half, 0.02, 0.09)
-            solids.append(cleat)
+            solids.append(bar(top - 0.95 * half, top + 0.95 * half, 0.02, 0.09))
     for k in (0, -1):
         half = (width / 2 + 0.01) * across[k]
         ends = middle[k] - half, middle[k] + half
@@ -113,7 +99,7 @@ def _stations(
     return places, across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
-def _legs(rng: Rng, way: tuple, width: float, thick: float) -> list[Manifold]:
+def _legs(rng: Rng, way: tuple, width: float, thick: float) -> Solids:
     """Pairs of legs with cross bars, or single columns on plates."""
     style, solids = rng.choice(["pairs", "pairs", "splayed", "column"]), []
     places, across = _stations(way, rng.uniform(0.6, 0.95))
@@ -140,7 +126,7 @@ def _legs(rng: Rng, way: tuple, width: float, thick: float) -> list[Manifold]:
     return solids
 
 
-def _guides(points: dict, thick: float) -> list[Manifold]:
+def _guides(points: dict, thick: float) -> Solids:
     """Rails along both sides above the goods' way, on posts."""
     solids = []
     for line in points.values():
@@ -155,7 +141,7 @@ def _guides(points: dict, thick: float) -> list[Manifold]:
 
 def _drive(
     rng: Rng, points: dict, middle: np.ndarray, across: np.ndarray, thick: float
-) -> list[Manifold]:
+) -> Solids:
     """Motor at the end's roller, or hung below the middle."""
     radius = rng.uniform(0.06, 0.09)
     if rng.random() < 0.6:
@@ -176,8 +162,7 @@ def _drive(
     return [box(center + (0, 0, 0.05), (0.34, 0.3, 0.2), 0.015), drum]
 
 
-def _goods(rng: Rng, way: tuple, width: float, rise: float) -> list[Manifold]:
-    """Boxes on the belt."""
+def _goods(rng: Rng, way: tuple, width: float, rise: float) -> Solids:
     solids = []
     places, across = _stations(way, rng.uniform(0.45, 0.8))
     for place, axis in zip(places, across, strict=True):
@@ -189,7 +174,7 @@ def _goods(rng: Rng, way: tuple, width: float, rise: float) -> list[Manifold]:
     return solids
 
 
-def _tunnel(rng: Rng, way: tuple, width: float) -> list[Manifold]:
+def _tunnel(rng: Rng, way: tuple, width: float) -> Solids:
     """A hood or an inspection unit that goods pass through, on its own feet."""
     k = len(way[0]) // 2
     middle, axis = (way[0][k] + way[0][k - 1]) / 2, way[1][k]

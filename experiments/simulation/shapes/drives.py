@@ -1,22 +1,19 @@
-"""Procedural gearboxes, and the electric motor that other machines borrow.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural gearboxes, and the electric motor that other machines borrow."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     box,
     corners,
+    one_of,
     ring_of,
     rod,
     torus,
 )
-
-Rng = np.random.Generator
 
 
 def disc(radius: float, low: float, high: float, segments: int = 28) -> Manifold:
@@ -24,15 +21,13 @@ def disc(radius: float, low: float, high: float, segments: int = 28) -> Manifold
     return rod((0, 0, low), (0, 0, high), radius, segments=segments)
 
 
-def bolts(
-    count: int, circle: float, radius: float, low: float, high: float
-) -> list[Manifold]:
+def bolts(count: int, circle: float, radius: float, low: float, high: float) -> Solids:
     """Hexagonal heads on a circle about z."""
     head = rod((circle, 0, low), (circle, 0, high), radius, segments=6)
     return ring_of(head, count, 180 / count)
 
 
-def motor(rng: Rng, radius: float, length: float) -> list[Manifold]:
+def motor(rng: Rng, radius: float, length: float) -> Solids:
     """Electric motor along +z from its flange at z = 0: ribbed, smooth or square (a
     servo), with fan cover and terminal box at +x."""
     kind = str(rng.choice(["ribbed", "ribbed", "smooth", "servo"]))
@@ -59,21 +54,14 @@ def motor(rng: Rng, radius: float, length: float) -> list[Manifold]:
     return [*solids, box(center, (0.6 * radius, 0.8 * radius, 0.3 * length), 0.01)]
 
 
-def gearbox(rng: Rng) -> list[Manifold]:
+def gearbox(rng: Rng) -> Solids:
     """In-line, parallel-shaft, right-angle, worm and planetary; feet or flange;
     with and without a motor."""
-    kinds = {
-        "inline": _inline,
-        "split": _split_housing,
-        "angle": _right_angle,
-        "worm": _worm,
-        "planetary": _planetary,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.2, 0.27, 0.18, 0.2, 0.15]))
-    return assembled(kinds[kind](rng))
+    makers = _inline, _split_housing, _right_angle, _worm, _planetary
+    return assembled(one_of(rng, makers, (0.2, 0.27, 0.18, 0.2, 0.15)))
 
 
-def _shaft(rng: Rng, radius: float, start: float, end: float) -> list[Manifold]:
+def _shaft(rng: Rng, radius: float, start: float, end: float) -> Solids:
     """Shaft along z to `end`, with a shoulder and a keyway in some, or a hollow one."""
     if rng.random() < 0.2:
         hub = disc(1.7 * radius, start, start + 0.35 * (end - start))
@@ -86,16 +74,12 @@ def _shaft(rng: Rng, radius: float, start: float, end: float) -> list[Manifold]:
     return [*solids, disc(1.5 * radius, start, start + 0.25 * (end - start))]
 
 
-def _along_y(solids: list[Manifold], point: tuple) -> list[Manifold]:
+def _along_y(solids: Solids, point: tuple) -> Solids:
     """Turns the z axis to +y and moves the origin to a point."""
     return [solid.rotate((-90, 0, 0)).translate(point) for solid in solids]
 
 
-def _along_x(solids: list[Manifold], point: tuple, side: int = 1) -> list[Manifold]:
-    return [solid.rotate((0, 90 * side, 0)).translate(point) for solid in solids]
-
-
-def _inline(rng: Rng) -> list[Manifold]:
+def _inline(rng: Rng) -> Solids:
     """Round stepped housing on feet, shaft to the front, motor behind."""
     radius, long = rng.uniform(0.13, 0.19), rng.uniform(0.28, 0.45)
     front = rng.uniform(0.6, 0.85) * radius
@@ -122,14 +106,13 @@ def _inline(rng: Rng) -> list[Manifold]:
         ]
         for hole in holes:
             foot -= hole
-        web = box((0, 0.15 * long, low / 2), (wide, 0.7 * long, -low))
-        return [*solids, foot, web]
+        return [*solids, foot, box((0, 0.15 * long, low / 2), (wide, 0.7 * long, -low))]
     ring = disc(1.5 * radius, 0.0, 0.04) - disc(0.3 * radius, -1.0, 1.0)
     drilled = bolts(6, 1.3 * radius, 0.1 * radius, -0.02, 0.06)
     return [*solids, *_along_y([ring, *drilled], (0, 0.72 * long, 0))]
 
 
-def _split_housing(rng: Rng) -> list[Manifold]:
+def _split_housing(rng: Rng) -> Solids:
     """Cast halves bolted at the shafts' level, bearing caps, ribs and feet."""
     stages = int(rng.integers(2, 4))
     long, wide = 0.28 * stages + rng.uniform(0.1, 0.2), rng.uniform(0.26, 0.4)
@@ -144,8 +127,7 @@ def _split_housing(rng: Rng) -> list[Manifold]:
             roof.append((x * long, y, lower + upper * (1 - drop)))
     solids.append(Manifold.hull_points(np.array(roof) * (1, 0.48, 1)))
     rim = box((0, 0, lower), (long + 0.1, wide + 0.1, 0.05), 0.008)
-    base = box((0, 0, 0.02), (long + 0.06, wide + 0.16, 0.045))
-    solids += [rim, base]
+    solids += [rim, box((0, 0, 0.02), (long + 0.06, wide + 0.16, 0.045))]
     for x in np.linspace(-0.5, 0.5, 5) * (long + 0.04):
         for y in (-wide / 2 - 0.025, wide / 2 + 0.025):
             low, high = (x, y, lower - 0.04), (x, y, lower + 0.045)
@@ -174,9 +156,7 @@ def _split_housing(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _bearing_cap(
-    rng: Rng, radius: float, end: float, has_shaft: bool
-) -> list[Manifold]:
+def _bearing_cap(rng: Rng, radius: float, end: float, has_shaft: bool) -> Solids:
     """A bolted cover about z, as far as `end`, and the shaft through it in some."""
     cap = [disc(radius, 0.0, end - 0.02), disc(0.7 * radius, 0.0, end)]
     cap += bolts(6, 0.85 * radius, 0.01, 0.0, end - 0.008)
@@ -185,7 +165,7 @@ def _bearing_cap(
     )
 
 
-def _right_angle(rng: Rng) -> list[Manifold]:
+def _right_angle(rng: Rng) -> Solids:
     """Box with shafts out of two or three of its faces, each on a round flange."""
     side = rng.uniform(0.26, 0.36)
     solids = [box((0, 0, 0), (side, side, side * rng.uniform(0.9, 1.3)), 0.03)]
@@ -206,8 +186,7 @@ def _right_angle(rng: Rng) -> list[Manifold]:
         solids += [part.rotate((-90, 0, turn)) for part in parts]
     foot = rng.random() < 0.6
     if foot:
-        slab = box((0, 0, -0.62 * side), (1.35 * side, 1.35 * side, 0.045))
-        solids.append(slab)
+        solids.append(box((0, 0, -0.62 * side), (1.35 * side, 1.35 * side, 0.045)))
         solids.append(box((0, 0, -0.5 * side), (side * 0.9, side * 0.9, 0.26 * side)))
         for point in corners(0.59 * side, 0.59 * side):
             low = point - (0, 0, 0.62 * side)
@@ -217,7 +196,7 @@ def _right_angle(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _worm(rng: Rng) -> list[Manifold]:
+def _worm(rng: Rng) -> Solids:
     """Round wheel case with the output through it, above or below the worm's barrel,
     which carries the motor or its shaft."""
     radius, deep = rng.uniform(0.15, 0.22), rng.uniform(0.14, 0.2)
@@ -245,7 +224,8 @@ def _worm(rng: Rng) -> list[Manifold]:
         worm += [part.rotate((0, 0, 180)).translate((0, 0, half)) for part in drive]
     else:
         worm += _shaft(rng, 0.32 * barrel, half, half + 0.14)
-    solids += _along_x(worm, (0, 0, float(offset)))
+    place = (0, 0, float(offset))
+    solids += [part.rotate((0, 90, 0)).translate(place) for part in worm]
     if hollow:
         bore = rod((0, -1, 0), (0, 1, 0), 0.3 * radius)
         solids = [solid - bore for solid in solids]
@@ -259,11 +239,10 @@ def _worm(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _planetary(rng: Rng) -> list[Manifold]:
+def _planetary(rng: Rng) -> Solids:
     """Coaxial drums of one to four stages standing on the output's flange or lying."""
     radius, level, parts = rng.uniform(0.13, 0.2), 0.0, []
-    flange = rng.uniform(1.2, 1.5) * radius
-    square = rng.random() < 0.4
+    flange, square = rng.uniform(1.2, 1.5) * radius, rng.random() < 0.4
     if square:
         side = 2.1 * radius
         parts.append(box((0, 0, 0.025), (side, side, 0.05), 0.01))

@@ -1,18 +1,17 @@
-"""Procedural fans.
-
-`fan` draws one object from a NumPy generator and returns its solids; the frame is that
-of `solids`: z up, blowing to the front, +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural fans, blowing to the front."""
 
 import numpy as np
-from manifold3d import CrossSection, Manifold
+from manifold3d import CrossSection
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     ball,
     bar,
     box,
     capsule,
+    one_of,
     ring_of,
     rod,
     sweep,
@@ -20,27 +19,23 @@ from experiments.simulation.solids import (
     tube,
 )
 
-Rng = np.random.Generator
-TURN = (-90, 0, 0)
-"""Degrees that take z to the front, +y."""
+TURN = (-90, 0, 0)  # degrees that take z to the front, +y
 
 
-def fan(rng: Rng) -> list[Manifold]:
+def fan(rng: Rng) -> Solids:
     """Desk and pedestal fans, clip fans, box fans, and drums on a yoke."""
-    kinds = {"desk": _desk, "pedestal": _pedestal, "box": _box_fan, "drum": _drum}
-    kind = str(rng.choice(list(kinds), p=[0.3, 0.32, 0.18, 0.2]))
-    return assembled(kinds[kind](rng))
+    makers = _desk, _pedestal, _box_fan, _drum
+    return assembled(one_of(rng, makers, (0.3, 0.32, 0.18, 0.2)))
 
 
-def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> list[Manifold]:
+def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> Solids:
     """Hub and blades about z, in the plane z = 0."""
     count, hub = int(rng.integers(3, 7)), radius * rng.uniform(0.14, 0.24)
     long, wide = radius - 0.5 * hub, radius * rng.uniform(0.35, 0.65) * 3 / (count + 1)
     angle = np.linspace(0, 2 * np.pi, 18, endpoint=False)
     swell = 1 + rng.uniform(-0.2, 0.5) * np.cos(angle)
     outline = np.stack([0.5 * long * np.cos(angle), wide * swell * np.sin(angle)], 1)
-    section = CrossSection([outline])
-    thick = 0.025 * radius
+    section, thick = CrossSection([outline]), 0.025 * radius
     lean = rng.uniform(18, 38) if pitch is None else pitch
     blade = section.extrude(thick).translate((0, 0, -thick / 2)).rotate((lean, 0, 0))
     blades = ring_of(blade.translate((0.5 * hub + 0.5 * long, 0, 0)), count)
@@ -49,15 +44,12 @@ def _rotor(rng: Rng, radius: float, pitch: float | None = None) -> list[Manifold
     return [rod((0, 0, -tall), (0, 0, 0.7 * tall), hub), nose, *blades]
 
 
-def _guard(
-    rng: Rng, radius: float, front: float, back: float, wire: float
-) -> list[Manifold]:
+def _guard(rng: Rng, radius: float, front: float, back: float, wire: float) -> Solids:
     """A cage of two dishes of wires about z and a band where they meet."""
     solids = [torus(radius, 1.4 * wire, segments=32, around=6)]
     count, style = int(rng.choice([10, 12, 16])), rng.random()
     for depth in (front, -back):
-        middle = radius * rng.uniform(0.18, 0.28)
-        share = np.linspace(0, 1, 5)
+        middle, share = radius * rng.uniform(0.18, 0.28), np.linspace(0, 1, 5)
         reach = middle + (radius - middle) * share
         height = depth * np.sqrt(np.clip(1 - share**2.5, 0, 1))
         swirl = (0.0 if style < 0.6 else 0.5) * share
@@ -74,10 +66,9 @@ def _guard(
     return solids
 
 
-def _head(rng: Rng, radius: float) -> list[Manifold]:
+def _head(rng: Rng, radius: float) -> Solids:
     """Motor, rotor and guard along z; the joint that carries it is at the origin."""
-    forward = radius * rng.uniform(0.35, 0.5)
-    body = radius * rng.uniform(0.22, 0.34)
+    forward, body = radius * rng.uniform(0.35, 0.5), radius * rng.uniform(0.22, 0.34)
     motor = [
         rod((0, 0, -0.5 * body), (0, 0, forward), body, 0.8 * body, 22),
         ball((0, 0, -0.5 * body), (body, body, 0.9 * body), 18),
@@ -90,19 +81,18 @@ def _head(rng: Rng, radius: float) -> list[Manifold]:
     return [*motor, *(part.translate((0, 0, level)) for part in parts)]
 
 
-def _aimed(parts: list[Manifold], tilt: float, point: tuple) -> list[Manifold]:
+def _aimed(parts: Solids, tilt: float, point: tuple) -> Solids:
     """Turns z to the front, tilted up by so many degrees, the origin at a point."""
     return [part.rotate(TURN).rotate((tilt, 0, 0)).translate(point) for part in parts]
 
 
-def _desk(rng: Rng) -> list[Manifold]:
+def _desk(rng: Rng) -> Solids:
     """On a short neck over a foot, or on a clip."""
     radius, tilt = rng.uniform(0.16, 0.22), rng.uniform(-5, 25)
     level = radius * rng.uniform(1.15, 1.5)
     head = _aimed(_head(rng, radius), tilt, (0, -0.35 * radius, level))
     neck, top = radius * rng.uniform(0.08, 0.16), (0, -0.35 * radius, level)
-    foot = (0, -0.1 * radius, 0.02)
-    solids = [*head, capsule(foot, top, 1.4 * neck, neck)]
+    solids = [*head, capsule((0, -0.1 * radius, 0.02), top, 1.4 * neck, neck)]
     wide = radius * rng.uniform(0.6, 0.85)
     style = str(rng.choice(["disc", "dome", "block", "clip"], p=[0.4, 0.25, 0.2, 0.15]))
     if style == "disc":
@@ -113,8 +103,7 @@ def _desk(rng: Rng) -> list[Manifold]:
     elif style == "block":
         solids.append(box((0, 0, 0.03), (1.6 * wide, 1.3 * wide, 0.06), 0.015))
         for x in np.linspace(-0.5, 0.5, int(rng.integers(3, 6))) * wide:
-            button = (x, 0.62 * wide, 0.06)
-            solids.append(box(button, (0.16 * wide, 0.12 * wide, 0.02)))
+            solids.append(box((x, 0.62 * wide, 0.06), (0.16 * wide, 0.12 * wide, 0.02)))
     else:
         solids.append(box((0, 0, 0.0), (0.5 * wide, 1.2 * wide, 0.02)))
         solids.append(box((0, 0.1 * wide, -0.07), (0.5 * wide, wide, 0.02)))
@@ -122,7 +111,7 @@ def _desk(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _pedestal(rng: Rng) -> list[Manifold]:
+def _pedestal(rng: Rng) -> Solids:
     """On a telescopic pole over a plate, a cross or a tripod."""
     radius, tall = rng.uniform(0.18, 0.26), rng.uniform(0.85, 1.3)
     tilt, pole = rng.uniform(-8, 20), rng.uniform(0.012, 0.018)
@@ -139,20 +128,17 @@ def _pedestal(rng: Rng) -> list[Manifold]:
     if style == "plate":
         solids.append(rod((0, 0, 0), (0, 0, 0.03), wide, 0.8 * wide, 32))
     elif style == "cross":
-        foot = bar((-wide, 0, 0.015), (wide, 0, 0.015), 0.03, 0.05)
-        solids += ring_of(foot, 2, 45.0)
+        solids += ring_of(bar((-wide, 0, 0.015), (wide, 0, 0.015), 0.03, 0.05), 2, 45.0)
         solids.append(rod((0, 0, 0), (0, 0, 0.07), 0.05, 0.03))
     else:
-        leg = bar((0, 0, 0.22), (1.2 * wide, 0, 0.01), 0.02, 0.03)
-        solids += ring_of(leg, 3, 90.0)
+        solids += ring_of(bar((0, 0, 0.22), (1.2 * wide, 0, 0.01), 0.02, 0.03), 3, 90.0)
     return solids
 
 
-def _box_fan(rng: Rng) -> list[Manifold]:
+def _box_fan(rng: Rng) -> Solids:
     """A square case with grilles on both sides, on feet, with a handle."""
     half, deep = rng.uniform(0.2, 0.28), rng.uniform(0.1, 0.16)
-    radius = 0.92 * half
-    round_hole = rng.random() < 0.5
+    radius, round_hole = 0.92 * half, rng.random() < 0.5
     case = box((0, 0, 0), (2 * half, deep, 2 * half), 0.1 * half)
     if round_hole:
         case -= rod((0, -1, 0), (0, 1, 0), radius, segments=40)
@@ -180,7 +166,7 @@ def _box_fan(rng: Rng) -> list[Manifold]:
     return [*solids, rod(knob, np.add(knob, (0, 0.03, 0)), 0.08 * half)]
 
 
-def _drum(rng: Rng) -> list[Manifold]:
+def _drum(rng: Rng) -> Solids:
     """A short wide tube with a rotor in it, tilted in a yoke, on wheels in some."""
     radius, deep = rng.uniform(0.25, 0.42), rng.uniform(0.2, 0.3)
     wall, tilt = 0.035 * radius, rng.uniform(-5, 35)

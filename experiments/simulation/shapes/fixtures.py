@@ -1,17 +1,14 @@
-"""Procedural workholding fixtures.
-
-`fixture` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. The unit is about
-half a metre.
-"""
+"""Procedural workholding fixtures. The unit is about half a metre."""
 
 import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     box,
     corners,
+    one_of,
     rod,
     side_profile,
     torus,
@@ -19,21 +16,12 @@ from experiments.simulation.solids import (
     union,
 )
 
-Rng = np.random.Generator
-
 
 def fixture(rng: Rng) -> list[Manifold]:
     """What holds a workpiece: a drilled plate with clamps and stops, a vice, an angle
     plate, a tombstone, a three-jaw chuck."""
-    kinds = {
-        "plate": _clamping_plate,
-        "vice": _vice,
-        "angle": _angle_plate,
-        "tombstone": _tombstone,
-        "chuck": _chuck,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.34, 0.2, 0.16, 0.14, 0.16]))
-    return assembled(kinds[kind](rng))
+    makers = _clamping_plate, _vice, _angle_plate, _tombstone, _chuck
+    return assembled(one_of(rng, makers, (0.34, 0.2, 0.16, 0.14, 0.16)))
 
 
 def _base_plate(rng: Rng, width: float, depth: float, thick: float) -> Manifold:
@@ -150,8 +138,7 @@ def _vice(rng: Rng) -> list[Manifold]:
     top = bed + jaw
     solids.append(box((back, 0, top / 2), (0.17, wide, top), 0.01))
     front = back + 0.085 + gap
-    moving = (0.2, wide, jaw + 0.02)
-    solids.append(box((front + 0.1, 0, bed + jaw / 2), moving, 0.015))
+    solids.append(box((front + 0.1, 0, bed + jaw / 2), (0.2, wide, jaw + 0.02), 0.015))
     for x in (back + 0.08, front + 0.005):
         solids.append(box((x, 0, top - 0.4 * jaw), (0.03, 1.1 * wide, 0.75 * jaw)))
     end, axis = long / 2 + 0.08, bed + 0.3 * jaw
@@ -204,17 +191,15 @@ def _angle_plate(rng: Rng) -> list[Manifold]:
         )
     else:
         radius = 0.5 * min(size)
-        solids.append(
+        solids += [
             rod(
                 (0, face - 0.01, 0.5 * tall),
                 (0, face + 0.16, 0.5 * tall),
                 radius,
                 segments=28,
-            )
-        )
-        solids.append(
-            rod((0, face, 0.5 * tall), (0, face + 0.28, 0.5 * tall), 0.45 * radius)
-        )
+            ),
+            rod((0, face, 0.5 * tall), (0, face + 0.28, 0.5 * tall), 0.45 * radius),
+        ]
         size = np.array((2 * radius, 2 * radius))
     for side in (-1, 1):
         pieces = _clamp(rng, "strap", size[0] / 2, 0.14)
@@ -230,8 +215,7 @@ def _tombstone(rng: Rng) -> list[Manifold]:
     sides, tall = int(rng.choice([4, 4, 6])), rng.uniform(0.6, 0.9)
     radius, flat = rng.uniform(0.2, 0.3), 180 / sides
     apothem = radius * np.cos(np.radians(flat))
-    column = rod((0, 0, 0), (0, 0, tall), radius, segments=sides).rotate((0, 0, flat))
-    solids = [column]
+    solids = [rod((0, 0, 0), (0, 0, tall), radius, segments=sides).rotate((0, 0, flat))]
     if rng.random() < 0.5:
         solids.append(rod((0, 0, -0.08), (0, 0, 0.01), 1.7 * radius, segments=36))
     else:
@@ -277,11 +261,8 @@ def _chuck(rng: Rng) -> list[Manifold]:
         top = deep + rng.uniform(0.2, 0.5)
         solids.append(rod((0, 0, 0.2 * deep), (0, 0, top), open_at + 0.01, segments=24))
     if rng.random() < 0.5:
-        solids.append(box((0, 0, -0.03), (2.5 * radius, 2.5 * radius, 0.08), 0.01))
-        return solids
-    solids = [solid.rotate((-90, 0, 0)) for solid in solids]
-    low = -1.25 * radius
+        return [*solids, box((0, 0, -0.03), (2.5 * radius, 2.5 * radius, 0.08), 0.01)]
+    solids, low = [solid.rotate((-90, 0, 0)) for solid in solids], -1.25 * radius
     solids.append(box((0, -0.05, low / 2), (1.3 * radius, 0.14, -low)))
     solids.append(box((0, 0, low), (2.2 * radius, 0.5, 0.08), 0.01))
-    solids.append(rod((0, -0.2, 0), (0, 0.02, 0), 0.7 * radius, segments=28))
-    return solids
+    return [*solids, rod((0, -0.2, 0), (0, 0.02, 0), 0.7 * radius, segments=28)]

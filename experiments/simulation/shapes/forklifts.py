@@ -1,36 +1,29 @@
-"""Procedural forklifts, stackers and pallet trucks.
-
-`forklift` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, forks to the front, +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural forklifts, stackers and pallet trucks, forks to the front."""
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     bar,
     box,
     capsule,
+    one_of,
     rod,
     side_profile,
     tube_along,
 )
 
-Rng = np.random.Generator
 
-
-def forklift(rng: Rng) -> list[Manifold]:
+def forklift(rng: Rng) -> Solids:
     """Trucks with a seat and a counterweight, walked stackers, hand pallet trucks."""
-    kinds = {"seated": _seated, "stacker": _stacker, "hand": _hand_truck}
-    kind = str(rng.choice(list(kinds), p=[0.46, 0.27, 0.27]))
-    return assembled(kinds[kind](rng))
+    return assembled(one_of(rng, (_seated, _stacker, _hand_truck), (0.46, 0.27, 0.27)))
 
 
 def _wheel(
     center: np.ndarray, radius: float, wide: float, segments: int = 24
-) -> list[Manifold]:
-    """Tyre and hub about the x axis."""
+) -> Solids:
     across = np.array((wide / 2, 0, 0))
     tyre = rod(center - across, center + across, radius, segments=segments)
     dish = rod(center + 0.7 * across, center + 2 * across, 0.55 * radius)
@@ -41,7 +34,7 @@ def _wheel(
 
 def _forks(
     y: float, level: float, long: float, spread: float, wide: float, tall: float
-) -> list[Manifold]:
+) -> Solids:
     """Two tapered tines whose shanks rise from y."""
     tine = np.array(
         [(0, 0), (long, 0.012), (long, 0.022), (0.06, 0.05), (0.05, tall), (0, tall)]
@@ -52,7 +45,7 @@ def _forks(
 
 def _mast(
     rng: Rng, y: float, half: float, tall: float, stages: int, low: float = 0.08
-) -> tuple[list[Manifold], float, float]:
+) -> tuple[Solids, float, float]:
     """Nested uprights with cross members and lift cylinders, extended in some; half the
     distance between the innermost uprights, and the height of their feet."""
     solids, thick = [], rng.uniform(0.06, 0.08)
@@ -66,8 +59,7 @@ def _mast(
         for share in (0.97, 0.5) if stage == 0 else (0.97, 0.05):
             beam = (0, shift - 0.5 * thick, bottom + share * tall)
             solids.append(box(beam, (2 * inner, 0.7 * thick, thick)))
-    cylinders = [-0.4 * half, 0.4 * half] if rng.random() < 0.6 else [0.0]
-    for x in cylinders:
+    for x in [-0.4 * half, 0.4 * half] if rng.random() < 0.6 else [0.0]:
         foot, joint = (x, y - 0.05, low + 0.02), (x, y - 0.05, low + 0.6 * tall)
         solids.append(rod(foot, joint, 0.035, segments=14))
         solids.append(rod(joint, (x, y - 0.05, low + 0.95 * tall), 0.02, segments=10))
@@ -75,9 +67,7 @@ def _mast(
     return solids, inner, bottom
 
 
-def _carriage(
-    rng: Rng, y: float, level: float, half: float, inner: float
-) -> list[Manifold]:
+def _carriage(rng: Rng, y: float, level: float, half: float, inner: float) -> Solids:
     """Two plates across the mast, held by its innermost uprights at +-`inner`, and a
     load guard in some."""
     solids = [box((0, y, level + z), (2 * half, 0.05, 0.09)) for z in (0.06, 0.4)]
@@ -86,13 +76,12 @@ def _carriage(
     if rng.random() < 0.6:
         tall = rng.uniform(0.5, 0.8)
         for x in np.linspace(-0.92, 0.92, int(rng.integers(4, 8))) * half:
-            size = (0.025, 0.03, tall)
-            solids.append(box((x, y, level + 0.4 + tall / 2), size))
+            solids.append(box((x, y, level + 0.4 + tall / 2), (0.025, 0.03, tall)))
         solids.append(box((0, y, level + 0.4 + tall), (1.9 * half, 0.035, 0.05)))
     return solids
 
 
-def _seated(rng: Rng) -> list[Manifold]:
+def _seated(rng: Rng) -> Solids:
     """Body with counterweight, seat and steering wheel under a guard, mast in front."""
     half, long = rng.uniform(0.42, 0.55), rng.uniform(1.3, 1.7)
     wheel, rear = rng.uniform(0.24, 0.32), rng.uniform(0.18, 0.24)
@@ -109,8 +98,7 @@ def _seated(rng: Rng) -> list[Manifold]:
         ]
     )
     solids = [side_profile(weight, 2 * half)]
-    seat = back + rng.uniform(0.65, 0.8)
-    cowl = front - 0.12
+    seat, cowl = back + rng.uniform(0.65, 0.8), front - 0.12
     solids.append(
         box((0, back + 0.6, (hood + 0.15) / 2), (1.7 * half, 0.5, hood - 0.15))
     )
@@ -126,8 +114,7 @@ def _seated(rng: Rng) -> list[Manifold]:
     for x in (-half + 0.06, half - 0.06):
         solids += _wheel(np.array((x, front - 0.15, wheel)), wheel, 0.18)
         solids += _wheel(np.array((x * 0.94, back + 0.32, rear)), rear, 0.15)
-        arch = (x, front - 0.2, 2 * wheel + 0.02)
-        solids.append(box(arch, (0.2, 2.1 * wheel, 0.04)))
+        solids.append(box((x, front - 0.2, 2 * wheel + 0.02), (0.2, 2.1 * wheel, 0.04)))
     solids.append(rod((-half, front - 0.15, wheel), (half, front - 0.15, wheel), 0.07))
     solids.append(rod((-half, back + 0.32, rear), (half, back + 0.32, rear), 0.05))
     mast, tall = front + 0.16, rng.uniform(1.8, 2.2)
@@ -137,21 +124,17 @@ def _seated(rng: Rng) -> list[Manifold]:
     for x in (-0.34, 0.34):
         ends = (x, front - 0.3, hood - 0.15), (x, mast - 0.02, hood + 0.1)
         solids.append(rod(*ends, 0.03, segments=10))
-    level = bottom + rng.choice([-0.04, rng.uniform(0.0, 0.6)])
-    fork = mast + 0.11
+    level, fork = bottom + rng.choice([-0.04, rng.uniform(0.0, 0.6)]), mast + 0.11
     solids += _carriage(rng, mast + 0.1, level, rng.uniform(0.42, 0.55), inner)
     spread = rng.uniform(0.2, 0.34)
     return solids + _forks(fork, level, rng.uniform(0.9, 1.2), spread, 0.11, 0.5)
 
 
-def _guard(
-    rng: Rng, half: float, back: float, cowl: float, hood: float
-) -> list[Manifold]:
+def _guard(rng: Rng, half: float, back: float, cowl: float, hood: float) -> Solids:
     """Posts and a barred roof over the driver, or a closed cab's walls."""
     roof, thick = rng.uniform(2.0, 2.2), rng.uniform(0.045, 0.06)
     half, rear = 0.86 * half, back + 0.35
-    lean = rng.uniform(0.05, 0.3)
-    solids = []
+    lean, solids = rng.uniform(0.05, 0.3), []
     for x in (-half, half):
         solids.append(bar((x, cowl, hood - 0.1), (x, cowl - lean, roof), thick, thick))
         solids.append(bar((x, rear, hood - 0.1), (x, rear + 0.1, roof), thick, thick))
@@ -176,12 +159,11 @@ def _guard(
 
 def _tiller(
     rng: Rng, root: np.ndarray, tilt: float, long: float, wide: float
-) -> list[Manifold]:
+) -> Solids:
     """A steering bar that leans back from its foot, and the loop at its end."""
     along = np.array((0.0, -np.sin(tilt), np.cos(tilt)))
     end = root + long * along
-    solids = [rod(root, end, 0.022, segments=12)]
-    loop = 0.16 * along
+    solids, loop = [rod(root, end, 0.022, segments=12)], 0.16 * along
     points = [end, end + (-wide, 0, 0) + 0.4 * loop, end + (-wide, 0, 0) + loop]
     points += [end + (wide, 0, 0) + loop, end + (wide, 0, 0) + 0.4 * loop, end]
     solids += tube_along(np.array(points), 0.016, 10)
@@ -191,7 +173,7 @@ def _tiller(
     return solids
 
 
-def _stacker(rng: Rng) -> list[Manifold]:
+def _stacker(rng: Rng) -> Solids:
     """A mast on a drive unit that is walked behind, over two outriggers."""
     half, deep = rng.uniform(0.36, 0.42), rng.uniform(0.45, 0.65)
     tall, hood = rng.uniform(1.6, 2.1), rng.uniform(0.7, 0.9)
@@ -234,7 +216,7 @@ def _stacker(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _hand_truck(rng: Rng) -> list[Manifold]:
+def _hand_truck(rng: Rng) -> Solids:
     """Low forks on rollers, a jack with a tiller; scissors under some."""
     long, spread = rng.uniform(0.95, 1.2), rng.uniform(0.18, 0.22)
     wide, level = rng.uniform(0.15, 0.18), rng.uniform(0.07, 0.16)
@@ -270,5 +252,4 @@ def _hand_truck(rng: Rng) -> list[Manifold]:
         solids += _wheel(center, 0.09, 0.05, 22)
     tilt, root = rng.uniform(0.05, 1.0), pump + (0, 0, 0.24)
     solids.append(box(root, (0.12, 0.09, 0.1), 0.01))
-    solids += _tiller(rng, root, tilt, rng.uniform(0.75, 0.95), 0.1)
-    return solids
+    return solids + _tiller(rng, root, tilt, rng.uniform(0.75, 0.95), 0.1)

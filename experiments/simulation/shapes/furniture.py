@@ -1,22 +1,9 @@
-"""Procedural chairs and tables.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0.
-"""
+"""Procedural chairs and tables."""
 
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    ball,
-    bar,
-    box,
-    lathe,
-    rod,
-    tube_along,
-)
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, ball, bar, box, lathe, rod, tube_along
 
 
 def chair(rng: Rng) -> list[Manifold]:
@@ -29,8 +16,7 @@ def chair(rng: Rng) -> list[Manifold]:
         solids = [seat.translate((0, 0, height - thick))]
     else:
         chamfer = rng.uniform(0, 0.4) * thick
-        center = (0, 0, height - thick / 2)
-        solids = [box(center, (width, depth, thick), chamfer)]
+        solids = [box((0, 0, height - thick / 2), (width, depth, thick), chamfer)]
     under = height - thick / 2
     spread = 0.36 if round_seat else 0.46
     solids += _support(rng, width * 2 * spread, depth * 2 * spread, under)
@@ -54,8 +40,7 @@ def table(rng: Rng) -> list[Manifold]:
         disc = lathe([(0.5, 0), (0.5, thick)], 40).scale((width, depth, 1))
         solids, inset = [disc.translate((0, 0, height - thick))], 0.66
     elif style == "chamfered":
-        solids = [rounded_slab(width, depth, thick, 0.25 * depth, top)]
-        inset = 0.78
+        solids, inset = [rounded_slab(width, depth, thick, 0.25 * depth, top)], 0.78
     else:
         solids, inset = [box((0, 0, top), (width, depth, thick))], 0.94
     inner = width * inset * rng.uniform(0.85, 1.0), depth * inset
@@ -86,8 +71,7 @@ def _support(
         solids = []
         for side in (-x, x):
             corners = [(side, -y, top), (side, -y, thick), (side, y, thick)]
-            path = np.array([*corners, (side, y, top)])
-            solids += tube_along(path, thick * 0.7)
+            solids += tube_along(np.array([*corners, (side, y, top)]), thick * 0.7)
         return solids
     return _four_legs(rng, x, y, top, thick, shelf)
 
@@ -141,8 +125,7 @@ def _chair_back(rng: Rng, width: float, depth: float, height: float) -> list[Man
     """Panel, framed panel, slats or rungs, leaning backwards."""
     tall, lean = rng.uniform(0.3, 0.62), rng.uniform(0.0, 0.14)
     thick, wide = rng.uniform(0.025, 0.06), width * rng.uniform(0.8, 1.0)
-    style = rng.choice(["panel", "slats", "rungs", "pad"])
-    y = -depth / 2 + thick / 2
+    style, y = rng.choice(["panel", "slats", "rungs", "pad"]), -depth / 2 + thick / 2
 
     def at(x, level) -> np.ndarray:
         """Point of the leaning back plane; level 0 is the seat and 1 the top."""
@@ -177,8 +160,7 @@ def _chair_arms(rng: Rng, width: float, depth: float, height: float) -> list[Man
         if closed:
             low = height - 0.04
             center = (side, (front + back) / 2, (low + height + rise) / 2)
-            size = (thick, front - back, height + rise - low)
-            solids.append(box(center, size))
+            solids.append(box(center, (thick, front - back, height + rise - low)))
             continue
         center = (side, (front + back) / 2, height + rise)
         solids.append(box(center, (thick * 1.3, front - back, thick * 0.6)))
@@ -205,8 +187,7 @@ def rounded_slab(
 def _drawers(rng: Rng, width: float, depth: float, top: float) -> list[Manifold]:
     wide, count = width * rng.uniform(0.22, 0.32), int(rng.integers(1, 4))
     tall = top * rng.uniform(0.35, 0.95)
-    sides = [(-1,), (1,), (-1, 1)][rng.integers(3)]
-    solids = []
+    sides, solids = [(-1,), (1,), (-1, 1)][rng.integers(3)], []
     for side in sides:
         x = side * (width - wide) / 2
         solids.append(box((x, 0, top - tall / 2), (wide, depth, tall)))

@@ -1,16 +1,13 @@
-"""Procedural gantries.
-
-`gantry` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural gantries."""
 
 import itertools
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.shapes.machine_frames import beam
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     box,
     corners,
@@ -19,28 +16,23 @@ from experiments.simulation.solids import (
     torus,
 )
 
-Rng = np.random.Generator
 
-
-def gantry(rng: Rng) -> list[Manifold]:
+def gantry(rng: Rng) -> Solids:
     """A bridge over a space: portal crane, Cartesian robot on posts, router."""
     kind = rng.choice(["crane", "robot", "router"], p=[0.38, 0.34, 0.28])
     if kind == "crane":
         return assembled(_crane(rng))
-    if kind == "robot":
-        return assembled(_cartesian(rng))
-    return assembled(_router(rng))
+    return assembled(_cartesian(rng)) if kind == "robot" else assembled(_router(rng))
 
 
-def _crane(rng: Rng) -> list[Manifold]:
+def _crane(rng: Rng) -> Solids:
     """One or two girders on A-shaped, straight or lattice legs with wheels; trolley
     and hook."""
     span, tall = rng.uniform(1.8, 3.2), rng.uniform(1.3, 2.2)
     size, base = rng.uniform(0.08, 0.14), rng.uniform(0.7, 1.2)
     over, girders = rng.choice([0.0, 0.3]), int(rng.integers(1, 3))
     rows = [0.0] if girders == 1 else [-0.16, 0.16]
-    ends = span / 2 + over
-    kind = str(rng.choice(["square", "channel"]))
+    ends, kind = span / 2 + over, str(rng.choice(["square", "channel"]))
     solids = []
     for y in rows:
         start, end = (-ends, y, tall), (ends, y, tall)
@@ -64,8 +56,7 @@ def _crane(rng: Rng) -> list[Manifold]:
         solids.append(beam((x, -0.3 * base, tall), (x, 0.3 * base, tall), size))
         level, reach = 0.45 * tall, 0.6 * low + 0.4 * head
         solids.append(beam((x, -reach, level), (x, reach, level), 0.5 * size))
-    x = rng.uniform(-0.3, 0.3) * span
-    drop = tall * rng.uniform(0.3, 0.7)
+    x, drop = rng.uniform(-0.3, 0.3) * span, tall * rng.uniform(0.3, 0.7)
     solids.append(box((x, 0, tall + 0.06), (0.3, 0.36 + rows[-1], 0.16), 0.01))
     solids.append(box((x, 0, tall - 0.14), (0.22, 0.2, 0.3), 0.02))
     solids.append(rod((x, 0, tall - 0.1), (x, 0, drop), 0.018, segments=8))
@@ -74,7 +65,7 @@ def _crane(rng: Rng) -> list[Manifold]:
     return [*solids, hook.translate((x, 0, drop - 0.12))]
 
 
-def _cartesian(rng: Rng) -> list[Manifold]:
+def _cartesian(rng: Rng) -> Solids:
     """Posts carry two rails along y; the bridge along x carries an upright axis."""
     width, depth = rng.uniform(1.2, 2.2), rng.uniform(1.0, 2.0)
     tall, size = rng.uniform(1.0, 1.6), rng.uniform(0.06, 0.11)
@@ -109,8 +100,7 @@ def _cartesian(rng: Rng) -> list[Manifold]:
         for foot in corners(table[0] * 0.45, table[1] * 0.45):
             solids.append(box(foot + (0, 0, tall * 0.17), (0.05, 0.05, tall * 0.36)))
         # Joined to the posts, so that the shape stays in one piece.
-        for row in (-y, y):
-            solids.append(beam((-x, row, 0.03), (x, row, 0.03), 0.05))
+        solids += [beam((-x, row, 0.03), (x, row, 0.03), 0.05) for row in (-y, y)]
         for foot in (-table[0] * 0.45, table[0] * 0.45):
             solids.append(beam((foot, -y, 0.03), (foot, y, 0.03), 0.05))
     return solids
@@ -118,7 +108,7 @@ def _cartesian(rng: Rng) -> list[Manifold]:
 
 def _upright_axis(
     rng: Rng, x: float, y: float, level: float, size: float, tall: float
-) -> list[Manifold]:
+) -> Solids:
     """A carriage on the bridge, the axis through it, and a tool at its lower end."""
     low, long = level - tall * rng.uniform(0.2, 0.6), tall * rng.uniform(0.5, 0.8)
     front = y + 1.5 * size
@@ -130,8 +120,7 @@ def _upright_axis(
         for side in (-0.07, 0.07):
             solids.append(box((x + side, front, low - 0.1), (0.03, 0.06, 0.18)))
     elif tool == "cup":
-        plate = box((x, front, low), (0.3, 0.2, 0.03))
-        solids.append(plate)
+        solids.append(box((x, front, low), (0.3, 0.2, 0.03)))
         for point in corners(0.11, 0.06):
             foot = point + (x, front, low - 0.1)
             solids.append(rod(foot, foot + (0, 0, 0.1), 0.035, 0.012, 12))
@@ -142,7 +131,7 @@ def _upright_axis(
     return solids
 
 
-def _router(rng: Rng) -> list[Manifold]:
+def _router(rng: Rng) -> Solids:
     """A bed on a stand; side plates and a beam that travel along it; a spindle."""
     width, depth = rng.uniform(0.7, 1.2), rng.uniform(0.9, 1.6)
     stand, rise = rng.choice([0.0, rng.uniform(0.35, 0.7)]), rng.uniform(0.3, 0.5)
@@ -166,8 +155,7 @@ def _router(rng: Rng) -> list[Manifold]:
     outline.append((y - head + lean, high))
     for x in (-width / 2 - 0.05, width / 2 + 0.05):
         solids.append(side_profile(np.array(outline), 0.04).translate((x, 0, 0)))
-    level = high - 0.1
-    size = rng.uniform(0.1, 0.16)
+    level, size = high - 0.1, rng.uniform(0.1, 0.16)
     solids.append(box((0, y + lean, level), (width + 0.12, 0.1, size)))
     solids.append(box((0, y + lean + 0.055, level), (width, 0.03, size * 0.3)))
     x, front = rng.uniform(-0.3, 0.3) * width, y + lean + 0.1
@@ -175,5 +163,4 @@ def _router(rng: Rng) -> list[Manifold]:
     top, tip = (x, front + 0.08, level + 0.22), bed + rng.uniform(0.04, 0.15)
     solids.append(rod((x, front + 0.08, tip + 0.08), top, 0.055, segments=20))
     solids.append(rod((x, front + 0.08, tip), top, 0.018, segments=10))
-    solids.append(rod((x, front, level + 0.1), (x, front, level + 0.3), 0.045))
-    return solids
+    return [*solids, rod((x, front, level + 0.1), (x, front, level + 0.3), 0.045)]

@@ -1,14 +1,13 @@
-"""Procedural grippers.
+"""Procedural grippers, in decimetres.
 
-`gripper` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in decimetres. The
-tool hangs from its flange, as from an arm: the fingertips touch the floor.
+The tool hangs from its flange, as from an arm: the fingertips touch the floor.
 """
 
 import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     ball,
     bar,
@@ -20,8 +19,6 @@ from experiments.simulation.solids import (
     rod,
     tube_along,
 )
-
-Rng = np.random.Generator
 
 
 def gripper(rng: Rng) -> list[Manifold]:
@@ -59,7 +56,6 @@ def _flange(rng: Rng) -> list[Manifold]:
 
 
 def _parallel(rng: Rng) -> list[Manifold]:
-    """Two jaws on a rail under a block."""
     wide, deep = rng.uniform(0.8, 1.5), rng.uniform(0.4, 0.7)
     tall = rng.uniform(0.5, 1.0)
     solids = [box((0, 0, -tall / 2), (wide, deep, tall), 0.04)]
@@ -117,8 +113,7 @@ def _centric(rng: Rng) -> list[Manifold]:
     solids, jaws = [lathe(profile, 36)], int(rng.choice([2, 3, 3, 4]))
     open_at, long = rng.uniform(0.15, 0.6) * radius, rng.uniform(0.4, 0.9)
     style = rng.choice(["block", "pin", "hook"])
-    slide = box((open_at + 0.2, 0, -tall - 0.05), (0.5, 0.3, 0.22), 0.02)
-    finger = [slide]
+    finger = [box((open_at + 0.2, 0, -tall - 0.05), (0.5, 0.3, 0.22), 0.02)]
     if style == "block":
         finger.append(box((open_at + 0.1, 0, -tall - long / 2), (0.2, 0.26, long)))
     elif style == "pin":
@@ -153,8 +148,7 @@ def _linkage(rng: Rng) -> list[Manifold]:
         return reach * np.array((np.sin(angle), 0.0, -np.cos(angle)))
 
     root, finger = np.array((0.5 * wide, 0, -tall)), []
-    inner = root - (0.28 * wide, 0, 0.12)
-    knee = root + polar(opened + 0.5, long)
+    inner, knee = root - (0.28 * wide, 0, 0.12), root + polar(opened + 0.5, long)
     near = inner + polar(opened + 0.5, long)
     solids.append(box((0, 0, -tall - 0.1), (0.5 * wide, 0.5 * deep, 0.2)))
     for y in (-0.3 * deep, 0.3 * deep):
@@ -230,8 +224,7 @@ def _soft(rng: Rng) -> list[Manifold]:
         rod((0, 0, -tall - 0.08), (0, 0, -tall + 0.02), radius * 1.15, segments=28)
     )
     if count == 2:
-        size = (2.5 * radius, 0.5, 0.2)
-        solids = [solids[0], box((0, 0, -tall), size, 0.04)]
+        solids = [solids[0], box((0, 0, -tall), (2.5 * radius, 0.5, 0.2), 0.04)]
     long, ribs = rng.uniform(1.0, 1.5), int(rng.integers(5, 9))
     step, point = long / ribs, np.array((radius, 0.0, -tall))
     wide, thick, angle = rng.uniform(0.2, 0.3), 0.2, rng.uniform(0.0, 0.4)
@@ -239,8 +232,7 @@ def _soft(rng: Rng) -> list[Manifold]:
     for k in range(ribs):
         along = np.array((np.sin(angle), 0, -np.cos(angle)))
         out = np.array((np.cos(angle), 0, np.sin(angle)))
-        shrink = 1 - 0.4 * k / ribs
-        nxt = point + step * along
+        shrink, nxt = 1 - 0.4 * k / ribs, point + step * along
         finger.append(
             bar(point - 0.03 * along, nxt + 0.03 * along, thick * 0.5, wide * shrink)
         )
@@ -260,8 +252,7 @@ def _hand(rng: Rng) -> list[Manifold]:
     fingers, wide = int(rng.integers(3, 5)), rng.uniform(0.9, 1.2)
     palm = rng.uniform(0.8, 1.1)
     near = box((0, 0, -0.1), (0.6 * wide, 0.3, 0.2), 0.05)
-    far = box((0, 0, -palm), (wide, 0.34, 0.16), 0.05)
-    solids = [Manifold.batch_hull([near, far])]
+    solids = [Manifold.batch_hull([near, box((0, 0, -palm), (wide, 0.34, 0.16), 0.05)])]
     bend, radius = rng.uniform(0.05, 0.7), 0.34 * wide / fingers
     for k in range(fingers):
         x = ((k + 0.5) / fingers - 0.5) * wide * 0.96
@@ -270,8 +261,7 @@ def _hand(rng: Rng) -> list[Manifold]:
     thumb = _digit(np.array((0.0, 0, 0)), bend * 0.7, 0.36, 1.1 * radius)[:-1]
     turned = [part.rotate((35, 0, 0)).rotate((0, 0, 75)) for part in thumb]
     solids += [part.translate((0.45 * wide, 0.12, -0.5 * palm)) for part in turned]
-    solids.append(ball((0.42 * wide, 0.1, -0.5 * palm), 1.5 * radius, 14))
-    return solids
+    return [*solids, ball((0.42 * wide, 0.1, -0.5 * palm), 1.5 * radius, 14)]
 
 
 def _digit(root: np.ndarray, bend: float, step: float, radius: float) -> list[Manifold]:

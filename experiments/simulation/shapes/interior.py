@@ -1,21 +1,9 @@
-"""Procedural sofas, cabinets and lamps.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0.
-"""
+"""Procedural sofas, cabinets and lamps."""
 
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    ball,
-    bar,
-    box,
-    lathe,
-    rod,
-    tube_along,
-    union,
-)
+from experiments.simulation.solids import ball, bar, box, lathe, rod, tube_along, union
 
 Rng = np.random.Generator
 
@@ -29,8 +17,7 @@ def sofa(rng: Rng) -> list[Manifold]:
     width = inner + 2 * arm
     foot, base = rng.uniform(0.04, 0.15), rng.uniform(0.14, 0.25)
     back_height, back = rng.uniform(0.62, 0.95), rng.uniform(0.14, 0.24)
-    soft = rng.uniform(0.01, 0.05)
-    middle = foot + base / 2
+    soft, middle = rng.uniform(0.01, 0.05), foot + base / 2
     solids = [box((0, 0, middle), (width, depth, base), soft / 2)]
     center = (0, -depth / 2 + back / 2, (foot + back_height) / 2)
     solids.append(box(center, (width, back, back_height - foot), soft))
@@ -178,12 +165,11 @@ def lamp(rng: Rng) -> list[Manifold]:
             solids.append(rod(tip, knot, stem * 0.8, stem, 12))
     elif style == "arc":
         reach, turn = rng.uniform(0.35, 0.75), np.linspace(np.pi, 0.12 * np.pi, 10)
-        rise = tall - reach * 0.5
         path = np.stack(
             [
                 np.zeros(10),
                 reach * (np.cos(turn) + 1) / 2,
-                rise + reach * 0.5 * np.sin(turn),
+                (tall - reach * 0.5) + reach * 0.5 * np.sin(turn),
             ],
             axis=1,
         )
@@ -197,8 +183,7 @@ def lamp(rng: Rng) -> list[Manifold]:
 def _vase(rng: Rng, tall: float) -> tuple[list[Manifold], np.ndarray]:
     radii = rng.uniform(0.05, 0.2, 5)
     radii[-1] = 0.04
-    levels = np.linspace(0, tall, 5)
-    fine = np.linspace(0, tall, 17)
+    levels, fine = np.linspace(0, tall, 5), np.linspace(0, tall, 17)
     smooth = np.interp(fine, levels, radii)
     smooth = np.convolve(np.pad(smooth, 2, mode="edge"), np.ones(5) / 5, "valid")
     body = lathe(list(zip(smooth, fine, strict=True)), 28)
@@ -215,8 +200,7 @@ def _shade(rng: Rng, head: np.ndarray, stem: float, hanging: bool) -> list[Manif
     top = {"cone": rng.uniform(0.3, 0.75), "drum": 1.0, "dome": 0.25}[kind] * radius
     level = np.linspace(0, 1, 8 if kind == "dome" else 2)
     bow = np.sqrt(1 - level**2) if kind == "dome" else 1 - level
-    outer = top + (radius - top) * bow
-    wall = 0.015
+    outer, wall = top + (radius - top) * bow, 0.015
     shell = lathe(list(zip(outer, tall * level, strict=True)))
     inner = lathe(list(zip(outer - wall, tall * level * 0.96 - 0.01, strict=True)))
     low = head[2] - tall * (0.97 if hanging else rng.uniform(0.4, 0.8))
@@ -237,8 +221,7 @@ def _desk_lamp(rng: Rng) -> list[Manifold]:
     elbow = root + lower * np.array([0, np.sin(first), np.cos(first)])
     head = elbow + upper * np.array([0, np.sin(second), np.cos(second)])
     tilt = rng.uniform(0.1, 0.9)
-    aim = np.array([0, np.sin(tilt), -np.cos(tilt)])
-    wide = rng.uniform(0.09, 0.15)
+    aim, wide = np.array([0, np.sin(tilt), -np.cos(tilt)]), rng.uniform(0.09, 0.15)
     outer = rod(head - 0.06 * aim, head + 0.18 * aim, 0.035, wide, 28)
     inner = rod(head - 0.03 * aim, head + 0.19 * aim, 0.022, wide - 0.008, 28)
     if rng.random() < 0.5:

@@ -1,9 +1,4 @@
-"""Procedural ladders and steps.
-
-`ladder` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, climbed from the front, +y, floor at z = 0. Lengths are in
-metres.
-"""
+"""Procedural ladders and steps, climbed from the front."""
 
 from typing import NamedTuple
 
@@ -16,14 +11,14 @@ from experiments.simulation.solids import (
     box,
     capsule,
     corners,
+    one_of,
     rod,
     sweep,
     tube_along,
 )
 
 Rng = np.random.Generator
-RUNG = 0.28
-"""Metres between rungs, more or less."""
+RUNG = 0.28  # metres between rungs, more or less
 
 
 class Flight(NamedTuple):
@@ -43,14 +38,8 @@ class Flight(NamedTuple):
 
 def ladder(rng: Rng) -> list[Manifold]:
     """Step ladders, plain and extending ladders, steps to a platform, step stools."""
-    kinds = {
-        "folding": _folding,
-        "plain": _plain,
-        "platform": _platform,
-        "stool": _stool,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.36, 0.2, 0.26, 0.18]))
-    return assembled(kinds[kind](rng))
+    makers = _folding, _plain, _platform, _stool
+    return assembled(one_of(rng, makers, (0.36, 0.2, 0.26, 0.18)))
 
 
 def _stiles(flight: Flight, wide: float, deep: float, is_round: bool) -> list[Manifold]:
@@ -81,7 +70,6 @@ def _rungs(
 
 
 def _shoes(flight: Flight, wide: float, deep: float) -> list[Manifold]:
-    """A rubber shoe under each stile."""
     size = (1.5 * wide, 1.3 * deep, 0.05)
     sides = (-flight.half_foot, flight.half_foot)
     return [box(flight.foot + (x, 0, 0.01), size) for x in sides]
@@ -94,11 +82,9 @@ def _folding(rng: Rng) -> list[Manifold]:
     half, flare = rng.uniform(0.17, 0.24), rng.uniform(1.0, 1.5)
     spread = tall * rng.uniform(0.22, 0.34)
     wide, deep = rng.uniform(0.025, 0.035), rng.uniform(0.05, 0.09)
-    is_round = rng.random() < 0.25
-    top = np.array((0.0, 0.0, tall))
+    is_round, top = rng.random() < 0.25, np.array((0.0, 0.0, tall))
     front = Flight(np.array((0.0, spread, 0.0)), top, flare * half, half)
-    shares = (np.arange(count - 1) + 1) / count
-    tread = rng.uniform(0.08, 0.14)
+    shares, tread = (np.arange(count - 1) + 1) / count, rng.uniform(0.08, 0.14)
     solids = [*_stiles(front, wide, deep, is_round), *_shoes(front, wide, deep)]
     solids += _rungs(front, shares, tread, 0.03, False)
     behind = np.array((0.0, -spread * rng.uniform(0.8, 1.2), 0.0))
@@ -117,7 +103,6 @@ def _folding(rng: Rng) -> list[Manifold]:
 
 
 def _spreaders(front: Flight, back: Flight, share: float) -> list[Manifold]:
-    """A flat bar on each side that keeps the legs apart."""
     (first, half), (second, other) = front.at(share), back.at(share)
     return [
         bar(first + (side * half, 0, 0), second + (side * other, 0, 0), 0.012, 0.022)
@@ -127,12 +112,10 @@ def _spreaders(front: Flight, back: Flight, share: float) -> list[Manifold]:
 
 def _hoop(half: float, low: float, tall: float, radius: float) -> Manifold:
     """A bent tube in the x, z plane, from one stile up and down to the other."""
-    rounding = min(0.1, 0.6 * half)
-    arc = np.linspace(0, np.pi / 2, 6)
+    rounding, arc = min(0.1, 0.6 * half), np.linspace(0, np.pi / 2, 6)
     turn = rounding * np.stack([1 - np.cos(arc), np.sin(arc)], axis=1)
     rise = np.array((-half, low + tall - rounding)) + turn
-    right = (rise * (-1, 1))[::-1]
-    line = np.concatenate([[(-half, low)], rise, right, [(half, low)]])
+    line = np.concatenate([[(-half, low)], rise, (rise * (-1, 1))[::-1], [(half, low)]])
     path = np.column_stack([line[:, 0], np.zeros(len(line)), line[:, 1]])
     angle = 2 * np.pi * np.arange(10) / 10
     return sweep(path, radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
@@ -145,8 +128,7 @@ def _plain(rng: Rng) -> list[Manifold]:
     along = np.array((0.0, -np.cos(lean), np.sin(lean)))
     half, flare = rng.uniform(0.17, 0.23), rng.uniform(1.0, 1.35)
     wide, deep = rng.uniform(0.025, 0.035), rng.uniform(0.06, 0.09)
-    is_round = rng.random() < 0.7
-    foot = np.array((0.0, long * np.cos(lean) / 2, 0.0))
+    is_round, foot = rng.random() < 0.7, np.array((0.0, long * np.cos(lean) / 2, 0.0))
     flight = Flight(foot, foot + long * along, flare * half, half)
     shares = (np.arange(count) + 0.5) / count
     solids = [*_stiles(flight, wide, deep, False), *_shoes(flight, wide, deep)]
@@ -182,8 +164,7 @@ def _platform(rng: Rng) -> list[Manifold]:
     solids.append(box((0, 0, tall), (2 * half + 0.04, deep + 0.03, 0.04)))
     posts = [spot * (1, 0.95, 1) for spot in corners(half, edge)]
     solids += [rod(spot, spot + (0, 0, tall), tube, segments=12) for spot in posts]
-    levels = (0.12, 0.55) if rng.random() < 0.7 else (0.12,)
-    for level in levels:
+    for level in (0.12, 0.55) if rng.random() < 0.7 else (0.12,):
         for first, second in ((0, 1), (0, 2), (1, 3), (2, 3)):
             if (first, second) != (1, 3) or level < 0.3:
                 start, end = (posts[k] + (0, 0, level * tall) for k in (first, second))

@@ -1,8 +1,4 @@
-"""Procedural machine frames, and the beams that gantries borrow.
-
-`machine_frame` draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural machine frames, and the beams that gantries borrow."""
 
 import itertools
 
@@ -11,6 +7,7 @@ from manifold3d import CrossSection, Manifold
 
 from experiments.simulation.shapes.drives import motor
 from experiments.simulation.solids import (
+    Rng,
     Vector,
     assembled,
     axes_along,
@@ -19,8 +16,6 @@ from experiments.simulation.solids import (
     place,
     rod,
 )
-
-Rng = np.random.Generator
 
 
 def beam(start: Vector, end: Vector, size: float, kind: str = "square") -> Manifold:
@@ -46,8 +41,7 @@ def beam(start: Vector, end: Vector, size: float, kind: str = "square") -> Manif
 
 def feet(rng: Rng, points: list[np.ndarray], size: float) -> list[Manifold]:
     """Under each point, at z = 0: levelling feet, castors, plates or nothing."""
-    kind = rng.choice(["levelling", "castor", "plate", "none"])
-    solids = []
+    kind, solids = rng.choice(["levelling", "castor", "plate", "none"]), []
     for point in points:
         if kind == "levelling":
             solids.append(rod(point - (0, 0, 0.07), point, 0.18 * size, segments=8))
@@ -123,8 +117,7 @@ def _cage(
     """Uprights on the grid of columns and rows, rails around it at every level."""
     solids, bottom = [], 0.0 if levels[0] < 0.4 else levels[0]
     for x, y in itertools.product(columns, dict.fromkeys(rows)):
-        upright = beam((x, y, bottom), (x, y, levels[-1] + size / 2), size, kind)
-        solids.append(upright)
+        solids.append(beam((x, y, bottom), (x, y, levels[-1] + size / 2), size, kind))
     for z in levels:
         for y in dict.fromkeys(rows):
             solids.append(beam((columns[0], y, z), (columns[-1], y, z), size, kind))
@@ -173,7 +166,6 @@ def _infill(
 
 
 def _panel(start: np.ndarray, end: np.ndarray) -> Manifold:
-    """A sheet between opposite corners."""
     return box((start + end) / 2, np.where(end == start, 0.012, end - start))
 
 

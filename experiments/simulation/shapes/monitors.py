@@ -1,13 +1,10 @@
-"""Procedural monitors.
-
-`monitor` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural monitors."""
 
 import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     bar,
     box,
@@ -17,8 +14,6 @@ from experiments.simulation.solids import (
     side_profile,
     tube_along,
 )
-
-Rng = np.random.Generator
 
 
 def monitor(rng: Rng) -> list[Manifold]:
@@ -30,8 +25,7 @@ def monitor(rng: Rng) -> list[Manifold]:
             p=[0.22, 0.16, 0.16, 0.14, 0.1, 0.1, 0.12],
         )
     )
-    aspect = rng.choice([1.25, 1.33, 1.6, 1.78])
-    width = rng.uniform(0.42, 0.75)
+    aspect, width = rng.choice([1.25, 1.33, 1.6, 1.78]), rng.uniform(0.42, 0.75)
     if kind == "tube":
         return _tube_monitor(rng, rng.uniform(0.34, 0.46))
     if kind == "curved":
@@ -50,8 +44,7 @@ def monitor(rng: Rng) -> list[Manifold]:
         slope = np.sin(np.radians(tilt))
         for x in (-0.36 * width, 0.36 * width):
             knee = (x, 0.46 * tall * slope - 0.01, lift - 0.46 * tall)
-            for y in (-0.12, 0.1):
-                head.append(bar(knee, (x * 1.1, y, 0.008), 0.03, 0.014))
+            head += [bar(knee, (x * 1.1, y, 0.008), 0.03, 0.014) for y in (-0.12, 0.1)]
         return assembled(head)
     back = 0.03 if kind in ("flat", "portrait") else 0.06
     return assembled([*head, *_stand(rng, width, lift, back)])
@@ -72,7 +65,6 @@ def _pair(rng: Rng, head: list[Manifold], width: float, lift: float) -> list[Man
 
 
 def _panel(rng: Rng, kind: str, width: float, tall: float) -> list[Manifold]:
-    """A screen about the origin, its face sunk into the bezel."""
     bezel, chin = rng.uniform(0.008, 0.025), rng.choice([0.0, 0.015])
     thick = rng.uniform(0.02, 0.045)
     if kind == "curved":
@@ -99,8 +91,7 @@ def _panel(rng: Rng, kind: str, width: float, tall: float) -> list[Manifold]:
 def _stand(rng: Rng, width: float, lift: float, back: float) -> list[Manifold]:
     """Neck behind the panel and a foot: plate, disc, vee, arch or sheet."""
     y, reach = -back, width * rng.uniform(0.22, 0.32)
-    neck = rng.uniform(0.035, 0.1)
-    upper = np.array((0, y, lift))
+    neck, upper = rng.uniform(0.035, 0.1), np.array((0, y, lift))
     hub = box((0, (y - 0.028) / 2, lift), (neck, -y - 0.008, 0.03))
     kind = str(rng.choice(["plate", "disc", "vee", "arch", "sheet", "arm"]))
     if kind == "arm":

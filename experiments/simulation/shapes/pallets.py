@@ -1,22 +1,9 @@
-"""Procedural pallets.
-
-`pallet` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural pallets."""
 
 import numpy as np
 from manifold3d import Manifold
 
-from experiments.simulation.solids import (
-    assembled,
-    bar,
-    box,
-    corners,
-    rod,
-    union,
-)
-
-Rng = np.random.Generator
+from experiments.simulation.solids import Rng, assembled, bar, box, corners, rod, union
 
 
 def pallet(rng: Rng) -> list[Manifold]:
@@ -78,8 +65,7 @@ def _boards(
 def _moulded(rng: Rng, width: float, depth: float, height: float) -> list[Manifold]:
     """Plastic deck with slots and a rim, on nine feet or three runners."""
     thick, cells = 0.04, rng.integers(3, 8, 2)
-    deck = box((0, 0, height - thick / 2), (width, depth, thick), 0.008)
-    slots = []
+    deck, slots = box((0, 0, height - thick / 2), (width, depth, thick), 0.008), []
     if rng.random() < 0.75:
         for i, j in np.ndindex(*cells):
             x, y = ((k + 0.5) / n - 0.5 for k, n in ((i, cells[0]), (j, cells[1])))
@@ -137,9 +123,7 @@ def _load(
         level = rng.uniform(0.0, 0.7) * tall
         goods = box((0, 0, top + level / 2), (width - 0.03, depth - 0.03, level + 0.05))
         return [shell, goods]
-    if load == "cage":
-        return _cage(rng, width, depth, top)
-    return []
+    return _cage(rng, width, depth, top) if load == "cage" else []
 
 
 def _cartons(rng: Rng, width: float, depth: float, top: float) -> list[Manifold]:

@@ -1,8 +1,4 @@
-"""Procedural pipe runs.
-
-`pipe_run` draws one object from a NumPy generator and returns its solids; the frame is
-that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural pipe runs."""
 
 import itertools
 
@@ -48,8 +44,7 @@ def _winding(rng: Rng, count: int, radius: float) -> np.ndarray:
         points, last = [np.array((0.0, 0.0, rng.uniform(0.3, 0.8)))], -1
         for _ in range(count):
             axis = int(rng.choice([a for a in range(3) if a != last]))
-            step = np.zeros(3)
-            sign = rng.choice([-1, 1], p=[0.3, 0.7])
+            step, sign = np.zeros(3), rng.choice([-1, 1], p=[0.3, 0.7])
             step[axis] = sign * rng.uniform(8, 18) * radius
             points.append(points[-1] + step)
             last = axis
@@ -64,10 +59,9 @@ def _is_clear(way: np.ndarray, gap: float) -> bool:
     share = np.linspace(0, 1, 9)[:, None]
     lines = [a + share * (b - a) for a, b in itertools.pairwise(way)]
     for i, j in itertools.combinations(range(len(lines)), 2):
-        if j > i + 1:
-            apart = np.linalg.norm(lines[i][:, None] - lines[j][None], axis=-1)
-            if apart.min() < gap:
-                return False
+        gaps = np.linalg.norm(lines[i][:, None] - lines[j][None], axis=-1)
+        if j > i + 1 and gaps.min() < gap:
+            return False
     return True
 
 
@@ -76,8 +70,7 @@ def _pipe(rng: Rng, points: np.ndarray, radius: float) -> list[Manifold]:
     ends, which are open."""
     solids, trim = [], 2.6 * radius
     joint = str(rng.choice(["flange", "sleeve", "none"], p=[0.5, 0.3, 0.2]))
-    count = int(rng.choice([0, 0, 4]))
-    legs = []
+    count, legs = int(rng.choice([0, 0, 4])), []
     for index, (start, end) in enumerate(itertools.pairwise(points)):
         along = (end - start) / np.linalg.norm(end - start)
         first = start + trim * along * (index > 0)
@@ -122,11 +115,9 @@ def _bend(
 
 
 def _supports(rng: Rng, points: np.ndarray, radius: float) -> list[Manifold]:
-    """Stands under level lengths, with a saddle."""
     solids = []
     for start, end in itertools.pairwise(points):
-        middle = (start + end) / 2
-        level = start[2] == end[2]
+        middle, level = (start + end) / 2, start[2] == end[2]
         hidden = any(
             np.linalg.norm((a + b)[:2] / 2 - middle[:2]) < 4 * radius
             and (a + b)[2] / 2 < middle[2] - radius
@@ -208,8 +199,7 @@ def _rack(rng: Rng, radius: float) -> list[Manifold]:
             drop = ends[1] + (0.12, 0, 0)
             way = np.array([ends[0], drop, drop * (1, 1, 0) + (0, 0, 0.12)])
         elif rng.random() < 0.3:
-            rise = ends[1] + (0, 0, rng.uniform(0.25, 0.5))
-            way = np.array([ends[0], ends[1], rise])
+            way = np.array([ends[0], ends[1], ends[1] + (0, 0, rng.uniform(0.25, 0.5))])
         else:
             way = ends
         solids += _pipe(rng, way, float(size))
@@ -222,8 +212,7 @@ def _rack(rng: Rng, radius: float) -> list[Manifold]:
         for row in (-middle - 0.03, middle + 0.03):
             solids.append(box((x, row, height / 2), (0.06, 0.06, height)))
             solids.append(box((x, row, 0.01), (0.14, 0.14, 0.02)))
-        for z in decks:
-            solids.append(box((x, 0, z), (0.06, 2 * middle + 0.06, 0.06)))
+        solids += [box((x, 0, z), (0.06, 2 * middle + 0.06, 0.06)) for z in decks]
     return solids
 
 
@@ -258,8 +247,7 @@ def _header(rng: Rng, radius: float) -> list[Manifold]:
     for x in (-0.3 * long, 0.3 * long):
         solids.append(box((x, 0, height / 2), (0.06, 0.8 * radius, height)))
         solids.append(box((x, 0, 0.01), (0.16, 2.4 * radius, 0.02)))
-        saddle = (0.06, 1.9 * radius, radius)
-        solids.append(box((x, 0, height - 0.8 * radius), saddle))
+        solids.append(box((x, 0, height - 0.8 * radius), (0.06, 1.9 * radius, radius)))
     return solids
 
 

@@ -1,27 +1,23 @@
-"""Procedural plunger pumps with a belt drive, and the feet that other pumps borrow.
-
-Every function draws one object from a NumPy generator and returns its solids; the frame
-is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural plunger pumps with a belt drive, and the feet that other pumps borrow."""
 
 import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.shapes.drives import motor
 from experiments.simulation.shapes.valves import flange
-from experiments.simulation.solids import box, ring_of, rod, side_profile, tube
+from experiments.simulation.solids import Solids, box, ring_of, rod, side_profile, tube
 
 Rng = np.random.Generator
 
 
-def foot(center: tuple, size: tuple, low: float) -> list[Manifold]:
+def foot(center: tuple, size: tuple, low: float) -> Solids:
     """A plate on the floor `low`, sunk into it a little, and a web up to the centre."""
     x, y, z = center
     web = box((x, y, (z + low) / 2), (size[0] * 0.5, size[1] * 0.6, z - low))
     return [web, box((x, y, low + 0.01), (*size, 0.028))]
 
 
-def plunger_pump(rng: Rng) -> list[Manifold]:
+def plunger_pump(rng: Rng) -> Solids:
     """A crankcase with two to four plungers in a row before it, a motor behind."""
     count, pitch = int(rng.integers(2, 5)), rng.uniform(0.09, 0.13)
     wide, deep = count * pitch + 0.08, rng.uniform(0.26, 0.36)
@@ -49,9 +45,7 @@ def plunger_pump(rng: Rng) -> list[Manifold]:
     return [*solids, box(middle, (wide + 0.16, front - back, low))]
 
 
-def _fluid_end(
-    rng: Rng, count: int, pitch: float, deep: float, level: float
-) -> list[Manifold]:
+def _fluid_end(rng: Rng, count: int, pitch: float, deep: float, level: float) -> Solids:
     """Cylinders from the crankcase to a block of valves, and two pipes through that."""
     front, solids = deep / 2 + rng.uniform(0.14, 0.22) + 0.05, []
     for k in range(count):
@@ -69,15 +63,14 @@ def _fluid_end(
     return solids
 
 
-def _belt(rng: Rng, shaft: np.ndarray, drive: np.ndarray) -> list[Manifold]:
+def _belt(rng: Rng, shaft: np.ndarray, drive: np.ndarray) -> Solids:
     """A spoked pulley on the shaft, a small one on the drive, both at the case's side,
     and the belt around them."""
     wheel, side = rng.uniform(0.13, 0.19), np.array((0.05, 0.0, 0.0))
     wide, middle = np.array((0.07, 0.0, 0.0)), shaft + (0.085, 0, 0)
     spoke = rod((0, 0, 0), (0.9 * wheel, 0, 0), 0.014, segments=8)
     solids = [p.rotate((0, 90, 0)).translate(middle) for p in ring_of(spoke, 5)]
-    rim = shaft + side, shaft + side + wide
-    solids.append(tube(*rim, wheel, 0.8 * wheel, 30))
+    solids.append(tube(shaft + side, shaft + side + wide, wheel, 0.8 * wheel, 30))
     solids.append(rod(shaft * (0, 1, 1), shaft + (0.14, 0, 0), 0.025))
     solids.append(rod(drive + side, drive + side + wide, 0.4 * wheel, segments=22))
     solids.append(rod(drive - (0.1, 0, 0), drive + side + wide, 0.02))

@@ -1,8 +1,4 @@
-"""Procedural pumps, each with what drives it.
-
-`pump` draws one object from a NumPy generator and returns its solids; the frame is that
-of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural pumps, each with what drives it."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
@@ -11,34 +7,26 @@ from experiments.simulation.shapes.drives import bolts, disc, motor
 from experiments.simulation.shapes.plunger_pumps import foot, plunger_pump
 from experiments.simulation.shapes.valves import flange
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     ball,
     bar,
     box,
     capsule,
     lathe,
+    one_of,
     ring_of,
     rod,
     tube,
     union,
 )
 
-Rng = np.random.Generator
-
 
 def pump(rng: Rng) -> list[Manifold]:
     """Volute pumps on a base or close to their motor, in-line and multistage ones,
     diaphragm pumps, plunger pumps."""
-    kinds = {
-        "base": _on_base,
-        "close": _close_coupled,
-        "multistage": _multistage,
-        "inline": _inline,
-        "diaphragm": _diaphragm,
-        "plunger": plunger_pump,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.28, 0.18, 0.16, 0.14, 0.12, 0.12]))
-    return assembled(kinds[kind](rng))
+    makers = _on_base, _close_coupled, _multistage, _inline, _diaphragm, plunger_pump
+    return assembled(one_of(rng, makers, (0.28, 0.18, 0.16, 0.14, 0.12, 0.12)))
 
 
 def _volute(rng: Rng, radius: float, deep: float) -> list[Manifold]:
@@ -54,8 +42,7 @@ def _volute(rng: Rng, radius: float, deep: float) -> list[Manifold]:
     pipe, out = 0.42 * deep, radius * rng.uniform(1.25, 1.6)
     x = 0.98 * radius - pipe
     neck = rod((x, 0, 0), (x, out, 0), 1.05 * pipe, 1.15 * pipe, 20)
-    count = int(rng.choice([0, 4, 6, 8]))
-    solids = [case, rounded, neck]
+    count, solids = int(rng.choice([0, 4, 6, 8])), [case, rounded, neck]
     solids += flange(
         (x, out - 0.25 * pipe, 0), (0, 1, 0), 1.9 * pipe, 0.4 * pipe, count
     )
@@ -64,8 +51,7 @@ def _volute(rng: Rng, radius: float, deep: float) -> list[Manifold]:
     end = (0, 0, suction + 0.4 * pipe)
     solids += flange(end, (0, 0, -1), 1.75 * inlet, 0.4 * pipe, count)
     holes = rod((0, 0, suction - pipe), (0, 0, suction + 0.8 * radius), 0.75 * inlet)
-    mouth = rod((x, 0.6 * out, 0), (x, 2 * out, 0), 0.7 * pipe)
-    return [union(solids) - holes - mouth]
+    return [union(solids) - holes - rod((x, 0.6 * out, 0), (x, 2 * out, 0), 0.7 * pipe)]
 
 
 def _to_front(parts: list[Manifold], point: tuple) -> list[Manifold]:
@@ -100,8 +86,7 @@ def _on_base(rng: Rng) -> list[Manifold]:
     )
     total, low = gap + 0.11 + long, 0.1
     solids += foot((0, 0.35, level - 0.4 * radius), (1.6 * radius, 0.12), low)
-    bearing = 0.35 - 0.85 * reach
-    solids += foot((0, bearing, level - 0.25 * radius), (radius, 0.06), low)
+    solids += foot((0, 0.35 - 0.85 * reach, level - 0.25 * radius), (radius, 0.06), low)
     middle = 0.35 - gap - 0.11 - 0.42 * long
     for y in (middle - 0.2 * long, middle + 0.2 * long):
         solids += foot((0, y, level - 0.7 * size), (2.1 * size, 0.05), low)
@@ -111,8 +96,7 @@ def _on_base(rng: Rng) -> list[Manifold]:
         solids.append(box((0, center, 0.05), (2 * half, long_base, 0.1), 0.01))
     else:
         for x in (-half, half):
-            rail = (0.05, long_base, 0.1)
-            solids.append(box((0.85 * x, center, 0.05), rail))
+            solids.append(box((0.85 * x, center, 0.05), (0.05, long_base, 0.1)))
         for y in np.linspace(-0.48, 0.48, 4) * long_base:
             solids.append(box((0, center + y, 0.06), (1.7 * half, 0.06, 0.09)))
         solids.append(box((0, center, 0.098), (1.75 * half, long_base, 0.014)))
@@ -123,8 +107,7 @@ def _close_coupled(rng: Rng) -> list[Manifold]:
     """The case on the motor's own flange; feet under the motor or the case."""
     radius, deep = rng.uniform(0.11, 0.16), rng.uniform(0.08, 0.12)
     size, long = radius * rng.uniform(0.75, 1.05), rng.uniform(0.28, 0.42)
-    lantern = radius * rng.uniform(0.3, 0.8)
-    parts = _volute(rng, radius, deep)
+    lantern, parts = radius * rng.uniform(0.3, 0.8), _volute(rng, radius, deep)
     parts.append(disc(0.85 * radius, 0.0, 0.7 * deep, 28))
     parts += bolts(8, 0.75 * radius, 0.01, 0.5 * deep, 0.8 * deep)
     if rng.random() < 0.5:
@@ -138,8 +121,7 @@ def _close_coupled(rng: Rng) -> list[Manifold]:
             *ring_of(arm, 4, 45.0),
             disc(size, deep + lantern - 0.02, deep + lantern),
         ]
-    drive = motor(rng, size, long)
-    start = deep + lantern - 0.005
+    drive, start = motor(rng, size, long), deep + lantern - 0.005
     parts += [p.rotate((0, 0, 90)).translate((0, 0, start)) for p in drive]
     level = 1.25 * max(radius, size)
     solids = _to_front(parts, (0, 0.2, level))
@@ -207,8 +189,7 @@ def _inline(rng: Rng) -> list[Manifold]:
     drive = motor(rng, size, long)
     parts += [part.translate((0, 0, 1.19 * radius)) for part in drive]
     if rng.random() < 0.35:
-        parts = [part.rotate((90, 0, 0)) for part in parts]
-        level = 1.5 * radius
+        parts, level = [part.rotate((90, 0, 0)) for part in parts], 1.5 * radius
     solids = [part.translate((0, 0, level)) for part in (*solids, *parts)]
     if rng.random() < 0.75:
         wide = rng.uniform(1.6, 2.4) * radius
@@ -229,15 +210,12 @@ def _diaphragm(rng: Rng) -> list[Manifold]:
     for side in (-1, 1):
         turned = [part.rotate((0, 90 * side, 0)) for part in parts]
         solids += [part.translate((side * gap / 2, 0, level)) for part in turned]
-    size = (gap + 0.02, 1.1 * radius, 1.5 * radius)
-    solids.append(box((0, 0, level), size, 0.03))
+    solids.append(box((0, 0, level), (gap + 0.02, 1.1 * radius, 1.5 * radius), 0.03))
     out = gap / 2 + 0.25 * radius
     for sign in (-1, 1):
         height = level + sign * 1.18 * radius
-        ends = (-out, 0, height), (out, 0, height)
-        solids.append(capsule(*ends, pipe, segments=14))
-        for x in (-out, out):
-            solids.append(rod((x, 0, level), (x, 0, height), 1.15 * pipe))
+        solids.append(capsule((-out, 0, height), (out, 0, height), pipe, segments=14))
+        solids += [rod((x, 0, level), (x, 0, height), 1.15 * pipe) for x in (-out, out)]
         port = (0, 0.9 * radius, height)
         solids.append(tube((0, 0, height), port, pipe, 0.7 * pipe, 18))
         start = (0, 0.9 * radius - 0.5 * pipe, height)
@@ -250,6 +228,5 @@ def _diaphragm(rng: Rng) -> list[Manifold]:
     if rng.random() < 0.6:
         case = (0, -0.6 * radius, level + 0.2 * radius)
         solids.append(box(case, (0.7 * gap, 0.5 * radius, 0.5 * radius), 0.02))
-        valve = rod(case, np.add(case, (0, -0.5 * radius, 0)), 0.12 * radius)
-        solids.append(valve)
+        solids.append(rod(case, np.add(case, (0, -0.5 * radius, 0)), 0.12 * radius))
     return solids

@@ -1,42 +1,37 @@
-"""Procedural tanks.
-
-`tank` draws one object from a NumPy generator and returns its solids; the frame is that
-of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-"""
+"""Procedural tanks."""
 
 import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.shapes.drives import motor
-from experiments.simulation.shapes.fittings import around, manhole, nozzle, rungs
-from experiments.simulation.shapes.hoppers import hopper
+from experiments.simulation.shapes.tank_parts import (
+    around,
+    hopper,
+    manhole,
+    nozzle,
+    rungs,
+)
 from experiments.simulation.shapes.valves import flange
 from experiments.simulation.solids import (
+    Rng,
     assembled,
     ball,
     bar,
     box,
     corners,
     lathe,
+    one_of,
     ring_of,
     rod,
     torus,
 )
 
-Rng = np.random.Generator
-
 
 def tank(rng: Rng) -> list[Manifold]:
     """Upright vessels on legs or a skirt, lying ones on saddles, hoppers in a frame,
     caged containers; with nozzles, manholes, ladders, gauges and agitators."""
-    kinds = {
-        "upright": _upright,
-        "lying": _lying,
-        "hopper": hopper,
-        "caged": _caged,
-    }
-    kind = str(rng.choice(list(kinds), p=[0.36, 0.28, 0.2, 0.16]))
-    return assembled(kinds[kind](rng))
+    makers = _upright, _lying, hopper, _caged
+    return assembled(one_of(rng, makers, (0.36, 0.28, 0.2, 0.16)))
 
 
 def _head_profile(radius: float, tall: float, style: str) -> list[tuple[float, float]]:
@@ -76,8 +71,7 @@ def _upright(rng: Rng) -> list[Manifold]:
     top = str(rng.choice(["dished", "cone", "flat"], p=[0.6, 0.25, 0.15]))
     shell, below, above = _vessel(rng, radius, long, bottom, top)
     free = 0.0 if support == "floor" else below + rng.uniform(0.15, 0.5)
-    solids = [shell.translate((0, 0, free))]
-    high = free + long
+    solids, high = [shell.translate((0, 0, free))], free + long
     if support == "legs":
         solids += _legs(rng, radius, free + 0.12 * long, int(rng.choice([3, 4, 4, 6])))
     elif support == "skirt":
@@ -91,8 +85,7 @@ def _upright(rng: Rng) -> list[Manifold]:
         band = torus(radius, 0.018, segments=36, around=6)
         solids.append(band.translate((0, 0, free + level)))
     solids += _sides(rng, radius, free, high)
-    solids += _roof(rng, radius, high, above)
-    return solids
+    return solids + _roof(rng, radius, high, above)
 
 
 def _legs(rng: Rng, radius: float, tall: float, count: int) -> list[Manifold]:
@@ -109,8 +102,7 @@ def _legs(rng: Rng, radius: float, tall: float, count: int) -> list[Manifold]:
     plate = box((x, 0, 0.012), (4 * thick, 4 * thick, 0.024))
     solids += ring_of(plate, count, 180 / count)
     if rng.random() < 0.4:
-        level = rng.uniform(0.25, 0.5) * tall
-        turn = 2 * np.pi / count
+        level, turn = rng.uniform(0.25, 0.5) * tall, 2 * np.pi / count
         near = x * np.array((1, 0, 0)) + (0, 0, level)
         far = x * np.array((np.cos(turn), np.sin(turn), 0)) + (0, 0, level)
         solids += ring_of(rod(near, far, 0.022, segments=8), count, 180 / count)
@@ -173,15 +165,13 @@ def _roof(rng: Rng, radius: float, high: float, above: float) -> list[Manifold]:
 def _lying(rng: Rng) -> list[Manifold]:
     """A vessel along x on two or three saddles, fittings above and at its ends."""
     radius, slim = rng.uniform(0.35, 0.55), rng.uniform(2.2, 4.5)
-    long = radius * slim
-    level = radius + rng.uniform(0.12, 0.4)
+    long, level = radius * slim, radius + rng.uniform(0.12, 0.4)
     shell, _, above = _vessel(rng, radius, long, "dished", "dished")
     shell = shell.translate((0, 0, -long / 2)).rotate((0, 90, 0))
     solids = [shell.translate((0, 0, level))]
     wide, thick = radius * rng.uniform(0.8, 0.95), rng.uniform(0.08, 0.14)
     for x in np.linspace(-0.34, 0.34, 2 if rng.random() < 0.8 else 3) * long:
-        web = (x, 0, level / 2)
-        solids.append(box(web, (0.5 * thick, 2 * wide, level)))
+        solids.append(box((x, 0, level / 2), (0.5 * thick, 2 * wide, level)))
         solids.append(box((x, 0, 0.02), (1.8 * thick, 2.2 * wide, 0.04)))
         half = box((x, 0, level - 0.6 * radius), (thick, 2.2 * radius, 1.0 * radius))
         ring = rod(
@@ -190,22 +180,19 @@ def _lying(rng: Rng) -> list[Manifold]:
         solids.append(ring ^ half)
     up = np.array((0, 0, 1.0))
     for x in np.linspace(-0.4, 0.4, int(rng.integers(2, 6))) * long:
-        root = np.array((x, 0, level + radius - 0.02))
-        size = rng.uniform(0.03, 0.07)
+        root, size = np.array((x, 0, level + radius - 0.02)), rng.uniform(0.03, 0.07)
         solids += nozzle(rng, root, up, size, rng.uniform(0.1, 0.2))
     if rng.random() < 0.65:
         spot = np.array((rng.uniform(-0.2, 0.2) * long, 0.0, level + 0.96 * radius))
         if rng.random() < 0.7:
             solids += manhole(spot, up, rng.uniform(0.18, 0.24))
         else:
-            dome = ball(spot, (0.5 * radius, 0.5 * radius, 0.45 * radius), 24)
-            solids.append(dome)
+            solids.append(ball(spot, (0.5 * radius, 0.5 * radius, 0.45 * radius), 24))
             solids += nozzle(rng, spot + (0, 0, 0.42 * radius), up, 0.05, 0.12)
     end = np.array((long / 2 + 0.9 * above, 0.0, level))
     if rng.random() < 0.6:
         solids += nozzle(rng, end, np.array((1.0, 0, 0)), 0.06, 0.18)
-    drain = np.array((-0.2 * long, 0.0, level - radius))
-    down = np.array((0, 0, -1.0))
+    drain, down = np.array((-0.2 * long, 0.0, level - radius)), np.array((0, 0, -1.0))
     solids += nozzle(rng, drain, down, 0.035, min(0.1, 0.6 * (level - radius)))
     if rng.random() < 0.35:
         solids += _catwalk(rng, radius, long, level)
@@ -232,8 +219,7 @@ def _catwalk(rng: Rng, radius: float, long: float, level: float) -> list[Manifol
     for side in (-0.16, 0.16):
         foot = np.array((x + side, -1.12 * radius, 0.0))
         solids.append(rod(foot, foot + (0, 0, high), 0.017, segments=8))
-        knee = foot + (0, 0, high)
-        solids.append(rod(knee, (x + side, y, high), 0.017, segments=8))
+        solids.append(rod(foot + (0, 0, high), (x + side, y, high), 0.017, segments=8))
     for rung in np.arange(0.2, high, 0.27):
         ends = (x - 0.16, -1.12 * radius, rung), (x + 0.16, -1.12 * radius, rung)
         solids.append(rod(*ends, 0.013, segments=8))
@@ -265,20 +251,17 @@ def _caged(rng: Rng) -> list[Manifold]:
             spots = (share * half_x, side * half_y), (side * half_x, share * half_y)
             for x, y in spots:
                 solids.append(rod((x, y, low - 0.02), (x, y, high), pipe, segments=6))
-    size = (2 * half_x + 0.06, 2 * half_y + 0.06, 0.035)
-    solids.append(box((0, 0, low), size))
+    solids.append(box((0, 0, low), (2 * half_x + 0.06, 2 * half_y + 0.06, 0.035)))
     if rng.random() < 0.5:
         for x in np.linspace(-0.9, 0.9, 3) * half_x:
-            runner = (0.12, 2 * half_y, 0.025)
-            solids.append(box((x, 0, 0.0125), runner))
+            solids.append(box((x, 0, 0.0125), (0.12, 2 * half_y, 0.025)))
             for y in np.linspace(-0.9, 0.9, 3) * half_y:
                 solids.append(box((x, y, low / 2), (0.12, 0.12, low)))
     else:
         for spot in (*corners(0.92 * half_x, 0.92 * half_y), np.zeros(3)):
             solids.append(bar(spot, spot + (0, 0, low), 0.14, 0.14, 0.7))
     outlet = np.array((0.0, 0.93 * half_y, low + 0.09))
-    front = np.array((0.0, 1.0, 0.0))
-    solids += nozzle(rng, outlet, front, 0.04, 0.2)
+    solids += nozzle(rng, outlet, np.array((0.0, 1.0, 0.0)), 0.04, 0.2)
     solids.append(bar(outlet + (0, 0.1, 0.02), outlet + (0.1, 0.12, 0.09), 0.03, 0.015))
     if rng.random() < 0.6:
         plate = (rng.uniform(-0.3, 0.3) * half_x, half_y, low + 0.55 * tall)

@@ -1,14 +1,13 @@
 """Procedural valves, and the flanges and hand wheels that pipe runs borrow.
 
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y, floor at z = 0. Lengths are in metres.
-A valve's pipe lies along x, its stem points up.
+The pipe lies along x, the stem points up.
 """
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     Vector,
     assembled,
     axes_along,
@@ -25,7 +24,6 @@ from experiments.simulation.solids import (
     union,
 )
 
-Rng = np.random.Generator
 TURNING_DRIVES = {"lever": 0.4, "rack": 0.3, "motor": 0.15, "gear": 0.15}
 LIFTING_DRIVES = {"wheel": 0.4, "diaphragm": 0.22, "motor": 0.13, "rising": 0.25}
 """What moves the stem of which valves, and how often."""
@@ -38,11 +36,10 @@ def flange(
     thick: float,
     count: int = 0,
     bore: float = 0.0,
-) -> list[Manifold]:
+) -> Solids:
     """Disc from `point` along `axis`, with so many bolts right through it and a hole
     of the radius `bore` where that is positive."""
-    start = np.asarray(point, float)
-    axis = np.asarray(axis, float)
+    start, axis = np.asarray(point, float), np.asarray(axis, float)
     solids = [tube(start, start + thick * axis, radius, bore, 16)]
     if count:
         low, high = (0.8 * radius, 0, -0.4 * thick), (0.8 * radius, 0, 1.4 * thick)
@@ -51,9 +48,7 @@ def flange(
     return solids
 
 
-def hand_wheel(
-    rng: Rng, radius: float, level: float, segments: int = 20
-) -> list[Manifold]:
+def hand_wheel(rng: Rng, radius: float, level: float, segments: int = 20) -> Solids:
     """Rim, spokes and hub about z at a height."""
     thick, spokes = 0.1 * radius, int(rng.integers(3, 6))
     drop = rng.choice([0.0, 0.25 * radius])
@@ -64,7 +59,7 @@ def hand_wheel(
     return [rim, hub, *ring_of(spoke, spokes)]
 
 
-def valve(rng: Rng) -> list[Manifold]:
+def valve(rng: Rng) -> Solids:
     """Gate, globe, ball, butterfly, angle and three-way bodies with flanged, screwed
     or plain ends under wheels, levers and actuators."""
     bore = rng.uniform(0.05, 0.085)
@@ -93,16 +88,13 @@ def valve(rng: Rng) -> list[Manifold]:
     return assembled([union(solids) - union(holes)])
 
 
-def _body(
-    rng: Rng, kind: str, bore: float, half: float
-) -> tuple[list[Manifold], float]:
+def _body(rng: Rng, kind: str, bore: float, half: float) -> tuple[Solids, float]:
     """The housing about the origin, and the height of its top."""
     wide = 1.25 * bore
     across = rod((-half, 0, 0), (half, 0, 0), wide)
     if kind == "butterfly":
         outer, thick = 2.4 * bore, 0.5 * bore
-        disc = rod((-thick, 0, 0), (thick, 0, 0), outer, segments=32)
-        solids = [disc]
+        solids = [rod((-thick, 0, 0), (thick, 0, 0), outer, segments=32)]
         if rng.random() < 0.6:
             lug = rod(
                 (-1.15 * thick, 0, 0), (1.15 * thick, 0, 0), 0.4 * bore, segments=12
@@ -136,7 +128,7 @@ def _body(
     return solids, 3.3 * bore
 
 
-def _ball_body(rng: Rng, bore: float, half: float) -> list[Manifold]:
+def _ball_body(rng: Rng, bore: float, half: float) -> Solids:
     style = rng.choice(["round", "hex", "block"])
     if style == "round":
         body = ball((0, 0, 0), (1.7 * bore, 1.75 * bore, 1.75 * bore), 28)
@@ -147,7 +139,7 @@ def _ball_body(rng: Rng, bore: float, half: float) -> list[Manifold]:
     return [body, rod((0, 0, bore), (0, 0, 2.4 * bore), 0.6 * bore)]
 
 
-def _bonnet(rng: Rng, radius: float, level: float) -> list[Manifold]:
+def _bonnet(rng: Rng, radius: float, level: float) -> Solids:
     """Bolted cover, and the neck that carries the stem."""
     thick, count = 0.22 * radius, int(rng.choice([0, 4, 6, 8]))
     plates = flange((0, 0, level), (0, 0, 1), radius, thick, count)
@@ -162,7 +154,7 @@ def _bonnet(rng: Rng, radius: float, level: float) -> list[Manifold]:
     return [*plates, dome.translate((0, 0, level + thick - 0.002))]
 
 
-def _ends(rng: Rng, ports: list, bore: float, half: float) -> list[Manifold]:
+def _ends(rng: Rng, ports: list, bore: float, half: float) -> Solids:
     style = rng.choice(["flanged", "hex", "plain"], p=[0.6, 0.25, 0.15])
     solids, count = [], int(rng.choice([0, 4, 6, 8]))
     radius, thick = bore * rng.uniform(1.9, 2.4), 0.3 * bore
@@ -180,14 +172,13 @@ def _ends(rng: Rng, ports: list, bore: float, half: float) -> list[Manifold]:
     return solids
 
 
-def _operator(rng: Rng, drive: str, bore: float, top: float) -> list[Manifold]:
+def _operator(rng: Rng, drive: str, bore: float, top: float) -> Solids:
     """What turns or lifts the stem, from the height `top` up."""
     rise = bore * rng.uniform(1.0, 2.5)
     stem = rod((0, 0, top - bore), (0, 0, top + rise), 0.3 * bore, segments=14)
     level, turn = top + rise, float(rng.uniform(0, 360))
     if drive == "lever":
-        low = top + 0.4 * bore
-        reach = bore * rng.uniform(4.0, 6.5)
+        low, reach = top + 0.4 * bore, bore * rng.uniform(4.0, 6.5)
         start, knee = np.array((0, 0, low)), np.array((1.2 * bore, 0, low + 0.5 * bore))
         lever = [bar(start, knee, 0.5 * bore, 0.25 * bore)]
         lever.append(bar(knee, (reach, 0, knee[2]), 0.6 * bore, 0.22 * bore))
@@ -220,7 +211,7 @@ def _operator(rng: Rng, drive: str, bore: float, top: float) -> list[Manifold]:
     ]
 
 
-def _actuator(rng: Rng, drive: str, bore: float, level: float) -> list[Manifold]:
+def _actuator(rng: Rng, drive: str, bore: float, level: float) -> Solids:
     """Diaphragm case, rack-and-pinion cylinder, electric drive, or gear with wheel."""
     if drive == "diaphragm":
         radius = bore * rng.uniform(2.4, 3.4)
@@ -256,8 +247,7 @@ def _actuator(rng: Rng, drive: str, bore: float, level: float) -> list[Manifold]
     return (_gear if drive == "gear" else _electric)(rng, bore, level)
 
 
-def _gear(rng: Rng, bore: float, level: float) -> list[Manifold]:
-    """Worm gear with a hand wheel at its side."""
+def _gear(rng: Rng, bore: float, level: float) -> Solids:
     case = rod((0, 0, level), (0, 0, level + bore), 1.3 * bore, segments=28)
     middle = np.array((0, 1.1 * bore, level + 0.5 * bore))
     worm = rod(middle - (1.5 * bore, 0, 0), middle + (2.6 * bore, 0, 0), 0.4 * bore)
@@ -266,8 +256,7 @@ def _gear(rng: Rng, bore: float, level: float) -> list[Manifold]:
     return [case, worm, *(part.rotate((0, 90, 0)).translate(end) for part in wheel)]
 
 
-def _electric(rng: Rng, bore: float, level: float) -> list[Manifold]:
-    """Electric drive: gear case, motor, terminal box and emergency wheel."""
+def _electric(rng: Rng, bore: float, level: float) -> Solids:
     size = bore * rng.uniform(1.3, 1.8)
     high = level + size
     case = rod((0, 0, level), (0, 0, level + 2.2 * size), size, segments=28)

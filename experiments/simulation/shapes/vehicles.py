@@ -1,13 +1,11 @@
-"""Procedural airplanes and cars.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y (nose, bonnet).
-"""
+"""Procedural airplanes and cars, nose or bonnet to the front."""
 
 import numpy as np
 from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     ball,
     bar,
     box,
@@ -19,10 +17,8 @@ from experiments.simulation.solids import (
     tube_along,
 )
 
-Rng = np.random.Generator
 
-
-def airplane(rng: Rng) -> list[Manifold]:
+def airplane(rng: Rng) -> Solids:
     """Airliner, propeller plane, jet fighter or glider-like; nose along +y."""
     style = rng.choice(["airliner", "propeller", "fighter"], p=[0.45, 0.3, 0.25])
     radius = {"airliner": 0.1, "propeller": 0.11, "fighter": 0.085}[style]
@@ -50,8 +46,7 @@ def airplane(rng: Rng) -> list[Manifold]:
     return solids + _engines(rng, style, radius, length, wing)
 
 
-def _fuselage(rng: Rng, style: str, radius: float, length: float) -> list[Manifold]:
-    """Convex hulls of ellipses from the tail to the nose."""
+def _fuselage(rng: Rng, style: str, radius: float, length: float) -> Solids:
     nose, tail = rng.uniform(0.12, 0.25), rng.uniform(0.25, 0.45)
     sharp, flat = rng.uniform(0.5, 1.0), rng.uniform(0.85, 1.2)
     if style == "fighter":
@@ -64,8 +59,7 @@ def _fuselage(rng: Rng, style: str, radius: float, length: float) -> list[Manifo
     ]
     for step in np.linspace(0, 0.96, 6):
         shrink = (1 - step**2) ** (0.5 * sharp) if sharp <= 1 else 1 - step
-        shrink = max(shrink, 0.08)
-        y = front - nose * length * (1 - step)
+        shrink, y = max(shrink, 0.08), front - nose * length * (1 - step)
         drop = -0.15 * radius * step
         sections.append(
             ellipse((0, y, drop), (radius * shrink, radius * flat * shrink))
@@ -86,7 +80,7 @@ def _wings(
     sweep: float,
     dihedral: float,
     thick: float,
-) -> list[Manifold]:
+) -> Solids:
     """A mirrored pair of convex wings; `root` is the middle of the leading edge."""
     solids = []
     for side in (-1, 1):
@@ -94,40 +88,34 @@ def _wings(
         for share, scale in ((-0.02, 1.0), (1.0, taper)):
             lead = np.add(root, (side * span * share, -sweep * share, dihedral * share))
             depth, half = chord * scale, thick * scale / 2
-            offsets = [(0, 0.2), (-0.05, 1), (-0.35, 1), (-1, 0.2)]
-            for y, height in offsets:
+            for y, height in [(0, 0.2), (-0.05, 1), (-0.35, 1), (-1, 0.2)]:
                 sections.append(np.add(lead, (0, y * depth, height * half)))
                 sections.append(np.add(lead, (0, y * depth, -height * half)))
         solids.append(Manifold.hull_points(np.array(sections)))
     return solids
 
 
-def _tail(rng: Rng, style: str, radius: float, length: float) -> list[Manifold]:
+def _tail(rng: Rng, style: str, radius: float, length: float) -> Solids:
     back, chord = -length / 2, rng.uniform(0.16, 0.26)
     tall, lean = rng.uniform(0.24, 0.4), rng.uniform(0.05, 0.25)
     base = np.array([0.0, back + chord * 1.05, radius * 0.45])
     fins = [-0.6, 0.6] if style == "fighter" and rng.random() < 0.5 else [0.0]
-    is_t = style != "fighter" and rng.random() < 0.3
-    solids = []
+    is_t, solids = style != "fighter" and rng.random() < 0.3, []
     for fin in fins:
         foot = np.add(base, (fin * radius, 0, 0))
-        tip = np.add(foot, (fin * 0.12, -lean, tall))
-        corners = []
+        tip, corners = np.add(foot, (fin * 0.12, -lean, tall)), []
         for point, depth in ((foot, chord), (tip, chord * 0.55)):
             for x in (-0.012, 0.012):
                 corners += [np.add(point, (x, 0, 0)), np.add(point, (x, -depth, 0))]
         solids.append(Manifold.hull_points(np.array(corners)))
     level = tall * 0.97 if is_t else rng.uniform(-0.05, 0.1) * radius
-    shift = lean * 0.97 if is_t else 0.0
-    root = np.add(base, (0, -shift, level))
+    root = np.add(base, (0, -(lean * 0.97 if is_t else 0.0), level))
     span, sweep = rng.uniform(0.26, 0.4), rng.uniform(0.05, 0.2)
     size = chord * (0.6 if is_t else 0.9)
     return solids + _wings(root, span, size, 0.55, sweep, 0.0, 0.025)
 
 
-def _engines(
-    rng: Rng, style: str, radius: float, length: float, wing: tuple
-) -> list[Manifold]:
+def _engines(rng: Rng, style: str, radius: float, length: float, wing: tuple) -> Solids:
     root, span, chord, _, sweep, dihedral = wing
     if style == "fighter":
         nozzle, half = radius * 0.6, -length / 2
@@ -162,13 +150,12 @@ def _engines(
     return solids
 
 
-def _nacelle(front: np.ndarray, radius: float, length: float) -> list[Manifold]:
-    back = front - (0, length, 0)
-    body = rod(back, front, radius * 0.65, radius)
+def _nacelle(front: np.ndarray, radius: float, length: float) -> Solids:
+    body = rod(front - (0, length, 0), front, radius * 0.65, radius)
     return [body - rod(front - (0, 0.05, 0), np.add(front, (0, 0.01, 0)), radius * 0.8)]
 
 
-def _propeller(rng: Rng, radius: float, length: float) -> list[Manifold]:
+def _propeller(rng: Rng, radius: float, length: float) -> Solids:
     nose = np.array((0.0, length / 2 - 0.01, -0.15 * radius))
     blade, count = rng.uniform(0.16, 0.26), int(rng.integers(2, 5))
     solids = [capsule(nose - (0, 0.05, 0), np.add(nose, (0, 0.03, 0)), 0.03, 0.012)]
@@ -183,15 +170,14 @@ def _propeller(rng: Rng, radius: float, length: float) -> list[Manifold]:
     return solids
 
 
-def car(rng: Rng) -> list[Manifold]:
+def car(rng: Rng) -> Solids:
     """Saloon, hatchback, estate, van, pickup, bus and sports car; bonnet along +y."""
     style = str(
         rng.choice(["saloon", "hatchback", "estate", "van", "pickup", "bus", "sports"])
     )
     length = {"bus": 2.5, "van": 2.0, "hatchback": 1.65}.get(style, 1.9)
     length *= rng.uniform(0.92, 1.1)
-    width = rng.uniform(0.68, 0.82)
-    wheel = rng.uniform(0.13, 0.19)
+    width, wheel = rng.uniform(0.68, 0.82), rng.uniform(0.13, 0.19)
     floor = wheel * rng.uniform(0.55, 1.1) if style != "sports" else wheel * 0.5
     belt = floor + {"bus": 0.4, "van": 0.36, "sports": 0.24}.get(style, 0.31)
     roof = belt + {"bus": 0.38, "van": 0.34, "sports": 0.17}.get(style, 0.25)
@@ -226,7 +212,7 @@ def car(rng: Rng) -> list[Manifold]:
 
 def _cabin(
     rng: Rng, style: str, half: float, width: float, belt: float, roof: float
-) -> list[Manifold]:
+) -> Solids:
     """Greenhouse as a hull from the belt line to a narrower roof."""
     spans = {
         "saloon": ((-0.72, 0.38), (-0.42, 0.08)),
@@ -242,8 +228,7 @@ def _cabin(
         style != "bus"
     )
     tuck, sink = rng.uniform(0.78, 0.92), 0.08
-    base = belt - sink
-    edge = roof - 0.03
+    base, edge = belt - sink, roof - 0.03
     corners = []
     for z, (rear, ahead), scale in (
         (base, (low_back, low_front), 0.97),
@@ -265,7 +250,7 @@ def _cabin(
 
 def _car_details(
     rng: Rng, style: str, half: float, width: float, belt: float, floor: float
-) -> list[Manifold]:
+) -> Solids:
     solids = []
     if rng.random() < 0.7:
         for side in (-1, 1):
@@ -276,8 +261,7 @@ def _car_details(
             solids.append(box((x, y, belt + 0.02), (0.2, 0.05, 0.06), 0.01))
     for y in (-half, half):
         if rng.random() < 0.6:
-            size = (width * 0.94, 0.07, 0.07)
-            solids.append(box((0, y, floor + 0.08), size, 0.02))
+            solids.append(box((0, y, floor + 0.08), (width * 0.94, 0.07, 0.07), 0.02))
     if style == "sports" and rng.random() < 0.6:
         y, level = -half * 0.92, belt + 0.08
         solids.append(box((0, y, level), (width * 0.9, 0.12, 0.02)))
@@ -288,7 +272,7 @@ def _car_details(
     return solids
 
 
-def _roof_rack(half: float, width: float, roof: float) -> list[Manifold]:
+def _roof_rack(half: float, width: float, roof: float) -> Solids:
     solids = []
     for x in (-width * 0.3, width * 0.3):
         path = np.array([(x, -half * 0.7, roof + 0.09), (x, half * 0.05, roof + 0.09)])

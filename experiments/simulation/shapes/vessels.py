@@ -1,13 +1,10 @@
-"""Procedural bottles, mugs and bowls.
-
-Every function draws one object from a NumPy generator and returns its solids; the
-frame is that of `solids`: z up, front along +y.
-"""
+"""Procedural bottles, mugs and bowls."""
 
 import numpy as np
-from manifold3d import Manifold
 
 from experiments.simulation.solids import (
+    Rng,
+    Solids,
     assembled,
     ball,
     box,
@@ -19,10 +16,8 @@ from experiments.simulation.solids import (
     union,
 )
 
-Rng = np.random.Generator
 
-
-def bottle(rng: Rng) -> list[Manifold]:
+def bottle(rng: Rng) -> Solids:
     """Round, oval or square body; shoulder, neck, cap; jug handles and pumps."""
     radius, body = rng.uniform(0.12, 0.24), rng.uniform(0.3, 0.75)
     neck, shoulder = radius * rng.uniform(0.25, 0.6), rng.uniform(0.04, 0.25)
@@ -68,7 +63,7 @@ def bottle(rng: Rng) -> list[Manifold]:
     return solids
 
 
-def _pump(rng: Rng, neck: float, end: float) -> list[Manifold]:
+def _pump(rng: Rng, neck: float, end: float) -> Solids:
     rise, reach = rng.uniform(0.06, 0.12), rng.uniform(0.08, 0.16)
     head = end + rise
     return [
@@ -79,15 +74,14 @@ def _pump(rng: Rng, neck: float, end: float) -> list[Manifold]:
     ]
 
 
-def _jug_handle(rng: Rng, radius: float, body: float) -> list[Manifold]:
+def _jug_handle(rng: Rng, radius: float, body: float) -> Solids:
     low, high = body * rng.uniform(0.25, 0.45), body * rng.uniform(0.8, 1.0)
-    out = radius + rng.uniform(0.08, 0.12)
-    inside = radius * 0.75
+    out, inside = radius + rng.uniform(0.08, 0.12), radius * 0.75
     path = [(inside, high), (out, high), (out, low), (inside, low)]
     return tube_along(np.array([(x, 0.0, z) for x, z in path]), 0.022)
 
 
-def mug(rng: Rng) -> list[Manifold]:
+def mug(rng: Rng) -> Solids:
     """Hollow cup, straight, tapered or bellied, with several handles along +x."""
     tall, radius = rng.uniform(0.6, 1.15), rng.uniform(0.32, 0.48)
     wall, floor = rng.uniform(0.03, 0.06), rng.uniform(0.04, 0.1)
@@ -99,8 +93,7 @@ def mug(rng: Rng) -> list[Manifold]:
     outside += list(zip(outer, foot + (tall - foot) * level, strict=True))
     inside = list(zip(outer - wall, floor + (tall - floor) * level, strict=True))
     inside.append((outer[-1] - wall, tall + 0.1))
-    cavity = lathe(inside, 48)
-    solids = [lathe(outside, 48)]
+    cavity, solids = lathe(inside, 48), [lathe(outside, 48)]
     if rng.random() < 0.92:
         solids += _mug_handle(rng, tall, lambda z: np.interp(z / tall, level, outer))
     cup = union(solids) - cavity
@@ -112,7 +105,7 @@ def mug(rng: Rng) -> list[Manifold]:
     return [cup]
 
 
-def _mug_handle(rng: Rng, tall: float, radius_at) -> list[Manifold]:
+def _mug_handle(rng: Rng, tall: float, radius_at) -> Solids:
     """Ring, ear or square handle, its ends sunk into the wall."""
     low, high = tall * rng.uniform(0.12, 0.3), tall * rng.uniform(0.7, 0.9)
     reach, thick = rng.uniform(0.2, 0.36), rng.uniform(0.035, 0.06)
@@ -133,11 +126,10 @@ def _mug_handle(rng: Rng, tall: float, radius_at) -> list[Manifold]:
             axis=1,
         )
     solids = tube_along(np.array([(x, 0.0, z) for x, z in path]), thick)
-    flat = rng.uniform(0.9, 1.7)
-    return [union(solids).scale((1, flat, 1))]
+    return [union(solids).scale((1, rng.uniform(0.9, 1.7), 1))]
 
 
-def bowl(rng: Rng) -> list[Manifold]:
+def bowl(rng: Rng) -> Solids:
     """Round, oval, square, many-sided or fluted; deep to flat; on a foot ring, on a
     stem, on three feet; with a rim or two ears."""
     radius, tall = rng.uniform(0.3, 0.5), rng.uniform(0.14, 0.42)
@@ -161,15 +153,13 @@ def bowl(rng: Rng) -> list[Manifold]:
     hollow = np.interp(floor / tall + level * (1 - floor / tall), level, outer) - wall
     inside = [*zip(hollow, floor + (tall - floor) * level, strict=True)]
     inside.append((hollow[-1], tall + 0.1))
-    sides = {"square": 4, "sides": int(rng.integers(5, 9)), "fluted": 72}
-    count = sides.get(kind, 40)
+    count = {"square": 4, "sides": int(rng.integers(5, 9)), "fluted": 72}.get(kind, 40)
     cup = lathe(outside, count) - lathe(inside, count)
     parts = [cup, *_bowl_foot(rng, foot, count)]
     if kind == "square":
         parts = [part.rotate((0, 0, 45)) for part in parts]
     if kind != "fluted" and rng.random() < 0.2:
-        flat = np.cos(np.pi / count)
-        high = tall * rng.uniform(0.78, 0.9)
+        flat, high = np.cos(np.pi / count), tall * rng.uniform(0.78, 0.9)
         parts += _ears(rng, flat * np.interp(high / tall, level, outer), high, wall)
     if kind == "oval":
         flat = rng.uniform(0.55, 0.8)
@@ -191,7 +181,7 @@ def _flutes(lobes: int, depth: float, tall: float):
     return warp
 
 
-def _bowl_foot(rng: Rng, foot: float, count: int) -> list[Manifold]:
+def _bowl_foot(rng: Rng, foot: float, count: int) -> Solids:
     style = rng.choice(["none", "ring", "stem", "feet"], p=[0.3, 0.4, 0.18, 0.12])
     if style == "ring":
         deep = rng.uniform(0.02, 0.05)
@@ -203,12 +193,11 @@ def _bowl_foot(rng: Rng, foot: float, count: int) -> list[Manifold]:
         profile += [(slim, deep), (foot * 0.9, deep + 0.02)]
         return [lathe(profile, count).translate((0, 0, -deep))]
     if style == "feet":
-        knob = ball((foot * 0.8, 0, -0.02), 0.045, 12)
-        return ring_of(knob, 3, 90.0)
+        return ring_of(ball((foot * 0.8, 0, -0.02), 0.045, 12), 3, 90.0)
     return []
 
 
-def _ears(rng: Rng, radius: float, level: float, wall: float) -> list[Manifold]:
+def _ears(rng: Rng, radius: float, level: float, wall: float) -> Solids:
     """Two loops or two round tabs along +-x, on the wall's radius at this level."""
     wide, thick = rng.uniform(0.08, 0.14), rng.uniform(0.014, 0.022)
     if rng.random() < 0.5:

@@ -1,6 +1,5 @@
 """Folders that are built in parts, by several processes, and checked."""
 
-import json
 import os
 import pathlib
 import subprocess
@@ -96,24 +95,6 @@ def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squa
         assert (broken.folder / path.name).read_bytes() == path.read_bytes()
 
 
-def test_what_is_finished_is_not_built_again(squares):
-    before = (squares.folder / "manifest.json").read_bytes()
-    again = Squares(squares.folder)
-    again.build()
-    assert again.built == []
-    assert (squares.folder / "manifest.json").read_bytes() == before
-
-
-def test_but_what_was_deleted_is(squares):
-    """As the remedy for a damaged file says."""
-    expected = (squares.folder / "manifest.json").read_bytes()
-    squares.path(1).unlink()
-    again = Squares(squares.folder)
-    again.build()
-    assert again.built == [1]
-    assert (squares.folder / "manifest.json").read_bytes() == expected
-
-
 @pytest.mark.parametrize("finished", [True, False])
 def test_other_content_is_refused(tmp_path, finished):
     made = Squares(tmp_path, fails_at=None if finished else 2)
@@ -141,20 +122,6 @@ def test_a_manifest_that_is_none_is_named(squares, text):
         manifest.read_manifest(squares.folder, "build it")
     with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
         Squares(squares.folder).build()
-
-
-def test_the_manifest_tells_content_and_files(squares, digests):
-    written = json.loads((squares.folder / "manifest.json").read_text())
-    files = digests(squares.folder)
-    del files["manifest.json"]
-    assert written == {**CONTENT, "files": files}
-    assert manifest.read_manifest(squares.folder, "") == written
-
-
-def test_a_line_tells_the_rate(tmp_path, capsys):
-    Squares(tmp_path).build(progress=True)
-    told = capsys.readouterr()
-    assert "5 squares in 0 s" in told.err and not told.out
 
 
 _WAITING = """

@@ -1,20 +1,15 @@
 """Kinds of views of a body whose surface is known in closed form, and of boxes."""
 
-import jax
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from experiments.simulation.kinds import KINDS, MIXTURE, View, draw_kind, make_view
-from experiments.simulation.partials import PARTIALS, make_partial
+from experiments.simulation.kinds import MIXTURE, View, draw_kind, make_view
 from experiments.simulation.raycast import Scene, sample_outside
-from experiments.simulation.shapes import CATEGORIES, make_shape
 from experiments.simulation.views import MAX_DRAWS, MIN_RETURNS
 from prism_jax.geometry.visibility import (
-    BACKGROUND,
     MAP_SIZE,
-    NEARER,
     SURFACE,
     UNKNOWN,
     look_up,
@@ -75,24 +70,6 @@ def test_points_lie_on_the_object_and_the_map_knows_them(ball, complete, kind):
             assert behind.min() > -0.05 - noise - (0.2 if broken else 0)
 
 
-def test_what_the_sensor_is_in_the_way_of(ball, complete):
-    """Something nearer is known where a view is occluded, and only there; a camera with
-    nothing behind the object knows nothing of the rest; a lidar has gaps."""
-    states = {kind: np.zeros(4) for kind in MIXTURE}
-    for kind in MIXTURE:
-        for seed in range(6):
-            known = drawn(kind, ball, complete, seed).visibility
-            assert known is not None
-            states[kind] += np.bincount(known.state.ravel(), minlength=4) / 6
-    for kind, found in states.items():
-        traits = kind.split("+")
-        assert found[SURFACE] > 0 and found[UNKNOWN] > 0
-        assert found[BACKGROUND] > 0
-        if "truncated" not in traits:
-            assert (found[NEARER] > 0) == ("occluded" in traits)
-    assert states["rings"][UNKNOWN] > 1.5 * states["clear"][UNKNOWN]
-
-
 def test_occluded_views_see_less_and_truncated_ones_are_cut(ball, complete):
     """By how much is measured of the cap that faces the eye."""
     shares = {"clear": [], "occluded": [], "truncated": []}
@@ -117,44 +94,6 @@ def test_several_stations_see_more_and_one_of_them_is_the_eye(ball, complete):
     assert 0.5 < np.mean(state == SURFACE) <= 1
 
 
-def test_sizes_and_places_differ(ball, complete):
-    """Above, level and a little below, near and far."""
-    eyes = np.array([drawn("clear", ball, complete, seed).eye for seed in range(60)])
-    distance = np.linalg.norm(eyes, axis=1)
-    elevation = np.degrees(np.arcsin(eyes[:, 2] / distance))
-    assert 1.4 * ball.radius - 1e-9 <= distance.min() < 3 and 5 < distance.max() <= 7
-    assert -15 <= elevation.min() < 0 and 60 < elevation.max() <= 75
-    counts = [len(drawn("rings", ball, complete, seed).points) for seed in range(40)]
-    assert min(counts) < 60 and max(counts) > 2000
-    spread = [
-        np.std(np.linalg.norm(drawn("noisy", ball, complete, seed).points, axis=1))
-        for seed in range(20)
-    ]
-    assert max(spread) > 3 * min(spread)
-
-
-@pytest.mark.parametrize("kind", ["occluded+truncated+noisy", "rings", "stations"])
-def test_the_same_seed_gives_the_same_view(ball, complete, kind):
-    one, two, other = (drawn(kind, ball, complete, seed) for seed in (2, 2, 3))
-    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
-    for first, second in pairs:
-        np.testing.assert_array_equal(first, second)
-    assert not np.array_equal(one.eye, other.eye)
-
-
-def test_another_mesh_may_stand_in_the_way(ball, complete):
-    """Then views differ, in which it does, from those with a copy of the object."""
-    thin = trimesh.creation.box((0.02, 0.5, 3.0))
-    differ = 0
-    for seed in range(12):
-        made = [
-            make_view("occluded", ball, complete, np.random.default_rng(seed), 9, other)
-            for other in (None, thin)
-        ]
-        differ += not np.array_equal(made[0].points, made[1].points)
-    assert 0 < differ < 12
-
-
 def test_kinds_are_drawn_as_often_as_their_weights_say():
     rng = np.random.default_rng(0)
     weights = {"clear": 3.0, "rings": 1.0, "noisy": 0.0}
@@ -163,35 +102,3 @@ def test_kinds_are_drawn_as_often_as_their_weights_say():
     assert np.mean(np.array(found) == "rings") == pytest.approx(0.25, abs=0.07)
     assert sum(MIXTURE.values()) == pytest.approx(1)
     assert {draw_kind(rng) for _ in range(600)} == set(MIXTURE)
-
-
-def test_the_kinds_of_points_alone_are_those_of_partials(ball, complete):
-    assert set(PARTIALS) | set(MIXTURE) | {"mixed"} == set(KINDS)
-    for kind in PARTIALS:
-        view = make_view(kind, ball, complete, np.random.default_rng(1), 2048)
-        points, eye = make_partial(kind, ball, complete, np.random.default_rng(1), 2048)
-        np.testing.assert_array_equal(view.points, points)
-        np.testing.assert_array_equal(view.eye, eye)
-        assert view.kind == kind and view.visibility is None
-
-
-@pytest.mark.parametrize("kind", ["radar", "mixed", "noisy+occluded"])
-def test_unknown_kinds_are_named(ball, complete, kind):
-    with pytest.raises(ValueError, match=r"unknown kind .* choose one of \('self_"):
-        make_view(kind, ball, complete, np.random.default_rng(0), 2048)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("category", CATEGORIES)
-def test_every_category_is_seen_in_every_kind(category):
-    mesh = make_shape(category, 2)
-    lower, upper = mesh.bounds
-    mesh.vertices = (mesh.vertices - (lower + upper) / 2) / ((upper - lower).max() / 2)
-    scene = Scene(mesh)
-    complete = sample_outside(scene, 2000, np.random.default_rng(0))
-    for kind in MIXTURE:
-        for seed in range(4):
-            view = drawn(kind, scene, complete, seed)
-            assert np.abs(view.points).max() < 1.9
-            _, behind = look_up(view.visibility, complete)
-            assert np.mean(behind < -0.1) < 0.1

@@ -1,14 +1,11 @@
 """Any folder of meshes."""
 
-import pickle
-import shutil
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from experiments.simulation.meshes import Meshes, build_meshes
+from experiments.simulation.packing import Meshes, build_meshes
 from prism_jax.data.datasets import open_dataset, parts_of
 from prism_jax.io import InputError
 
@@ -60,47 +57,6 @@ def test_the_partial_is_what_the_eye_sees_of_a_ball(root):
     # From distance d, the unit ball is seen where p . eye >= 1.
     assert (example.partial @ example.eye).min() > 1 - 0.05 * distance
     assert len(example.partial) > 1000
-
-
-def test_a_vertex_of_no_face_takes_no_part(tmp_path):
-    """As exports of scans have them; it lies far from the ball."""
-    lines = BALL.export(file_type="off").splitlines()
-    count = len(BALL.vertices)
-    lines[1] = f"{count + 1} {len(BALL.faces)} 0"
-    lines.insert(2 + count, "50 60 -70")
-    for folder, content in (("with", lines), ("without", [])):
-        (tmp_path / folder).mkdir()
-        text = "\n".join(content) or BALL.export(file_type="off")
-        (tmp_path / folder / "ball.off").write_text(text)
-    found, expected = (Meshes(tmp_path / f, 500)[0] for f in ("with", "without"))
-    for array, other in zip(found[:3], expected[:3], strict=True):
-        np.testing.assert_array_equal(array, other)
-
-
-def test_the_same_path_below_the_root_gives_the_same_bytes(root, tmp_path_factory):
-    copy = tmp_path_factory.mktemp("elsewhere") / "meshes"
-    shutil.copytree(root, copy)
-    for below in ("test", "."):
-        first, second = (Meshes(folder / below, 200)[0] for folder in (root, copy))
-        assert first.name == second.name
-        for array, other in zip(first[:3], second[:3], strict=True):
-            np.testing.assert_array_equal(array, other)
-    other = pickle.loads(pickle.dumps(Meshes(root, 200)))[0]
-    np.testing.assert_array_equal(Meshes(root, 200)[0].complete, other.complete)
-
-
-def test_two_files_of_one_shape_get_different_points(root):
-    source = Meshes(root / "train", num_points=200)
-    assert not np.array_equal(source[1].complete, source[2].complete)
-
-
-def test_the_whole_folder_has_its_splits_as_categories(root):
-    source = Meshes(root)
-    assert (len(source), source.categories) == (7, ("test", "train"))
-    assert [example.name for example in (source[0], source[-1])] == [
-        "test/balls/one/model.STL",
-        "train/boxes/box.stl",
-    ]
 
 
 def test_a_folder_that_is_missing_or_holds_no_mesh_is_refused(root):

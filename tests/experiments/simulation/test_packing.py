@@ -1,17 +1,13 @@
 """Packed sources: what comes back, whole shards, and several sources together."""
 
-import json
 import pickle
 
 import numpy as np
 import pytest
 
 from experiments.assets import CELLS
-from experiments.simulation import packing, shard_writer
 from experiments.simulation.packing import PackConfig, pack
 from prism_jax.data import mixture
-from prism_jax.data.datasets import open_dataset, open_training, parts_of
-from prism_jax.data.manifest import MANIFEST
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.shards import Shards
@@ -71,10 +67,6 @@ def test_clouds_come_back_to_half_a_step(folder):
             assert found.eye is None
         else:
             np.testing.assert_array_equal(found.eye, given.eye)
-
-
-def test_the_parts_are_named(folder):
-    assert parts_of("packed", folder.parent) == ["balls", "cells"]
 
 
 def test_unordered_clouds_are_ordered(folder):
@@ -145,20 +137,6 @@ def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path)
     np.testing.assert_array_equal(pickled[4].visibility.state, known.state)
 
 
-def test_sets_without_maps_are_stored_as_ever(tmp_path):
-    """So that folders of users open, and digests stay."""
-    folder = pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
-    assert not list(folder.glob("*.map.npy")) and not list(folder.glob("*.camera.npy"))
-    assert all(example.visibility is None for example in Shards(folder))
-
-
-def test_recordings_keep_what_their_images_tell(folder):
-    given, found = RecordedCells(CELLS)[0].visibility, Shards(folder)[5].visibility
-    np.testing.assert_array_equal(found.state, given.state)
-    np.testing.assert_allclose(found.depth, given.depth, rtol=2e-4)
-    assert len(np.unique(given.state)) == 4
-
-
 def test_views_of_an_object_share_its_complete_cloud(tmp_path):
     """As far as it is the same: a robot moves while it is recorded."""
     sources = {"seen": Seen(), "balls": Balls(2)}
@@ -174,61 +152,11 @@ def test_views_of_an_object_share_its_complete_cloud(tmp_path):
         np.testing.assert_allclose(found.complete, given.complete[:128], atol=step)
 
 
-def test_objects_are_counted_through_all_shards(tmp_path, monkeypatch):
-    monkeypatch.setattr(packing, "SHARD_EXAMPLES", 2)
-    source = Shards(pack({"seen": Seen(), "b": Balls(3)}, tmp_path, CONFIG, 0, False))
-    assert source.objects.tolist() == [0, 0, 0, 1, 1, 1, 2, 3, 4]
-    names = [source[index].name for index in range(9)]
-    assert names == [*(f"seen/{i}" for i in range(6)), *(f"b/{i}" for i in range(3))]
-    assert len({path.name[:11] for path in tmp_path.glob("shard-*")}) == 4
-
-
 def test_a_limit_takes_evenly(tmp_path):
     config = PackConfig(8, 8, limit=3)
     pack({"a": Balls(9), "b": Balls(2)}, tmp_path / "x", config, 0, False)
     names = [Shards(tmp_path / "x")[i].name for i in range(5)]
     assert names == ["a/0", "a/4", "a/8", "b/0", "b/1"]
-
-
-def test_sources_in_another_order_are_others(tmp_path):
-    sources = {"a": Balls(2), "b": Balls(2)}
-    pack(sources, tmp_path / "x", CONFIG, 0, False)
-    swapped = dict(reversed(sources.items()))
-    with pytest.raises(InputError, match=r"other settings \(order\)"):
-        pack(swapped, tmp_path / "x", CONFIG, 0, False)
-
-
-def test_bytes_are_the_same_and_a_broken_build_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(packing, "SHARD_EXAMPLES", 2)
-    one, other = tmp_path / "one", tmp_path / "other"
-    pack({"balls": Balls()}, one, CONFIG, 0, False)
-    build_shard = shard_writer._build_shard
-
-    def broken(*arguments):
-        if arguments[-1] == 1:
-            raise KeyboardInterrupt
-        build_shard(*arguments)
-
-    monkeypatch.setattr(shard_writer, "_build_shard", broken)
-    with pytest.raises(KeyboardInterrupt):
-        pack({"balls": Balls()}, other, CONFIG, 0, False)
-    with pytest.raises(InputError, match="broken off"):
-        Shards(other)
-    monkeypatch.setattr(shard_writer, "_build_shard", build_shard)
-    pack({"balls": Balls()}, other, CONFIG, 0, False)
-    files = json.loads((one / MANIFEST).read_text())["files"]
-    assert files == json.loads((other / MANIFEST).read_text())["files"]
-    assert len(files) == 3 * 6
-
-
-def test_what_is_damaged_or_missing_is_refused(tmp_path, folder):
-    with pytest.raises(InputError, match="not built"):
-        Shards(tmp_path / "nothing")
-    pack({"balls": Balls()}, tmp_path / "x", CONFIG, 0, False)
-    path = next((tmp_path / "x").glob("*.partial.npy"))
-    path.write_bytes(path.read_bytes()[:-1] + b"x")
-    with pytest.raises(InputError, match="sha256"):
-        Shards(tmp_path / "x")
 
 
 def test_an_example_without_a_partial_is_refused(tmp_path):
@@ -238,39 +166,6 @@ def test_an_example_without_a_partial_is_refused(tmp_path):
 
     with pytest.raises(InputError, match="both clouds"):
         pack({"whole": Whole()}, tmp_path / "x", CONFIG, 0, False)
-
-
-def test_one_point_and_a_flat_cloud(tmp_path):
-    class Degenerate(Balls):
-        def __getitem__(self, index):
-            cloud = np.full((1, 3), 7.0, np.float32)
-            if index:
-                cloud = np.float32([[0, 0, 5], [1, 0, 5], [0, 2, 5]])
-            return Example(cloud, cloud[:1], None, "ball", f"{index}", ordered=False)
-
-    pack({"d": Degenerate(2)}, tmp_path / "x", PackConfig(4, 4), 0, False)
-    point, flat = Shards(tmp_path / "x")[0], Shards(tmp_path / "x")[1]
-    np.testing.assert_allclose(point.complete, np.full((4, 3), 7.0))
-    np.testing.assert_allclose(flat.complete[:, 2], 5.0)
-    assert np.ptp(flat.complete[:, 1]) == pytest.approx(2, abs=1e-4)
-
-
-def test_opens_as_a_data_set_and_for_a_training(folder, tmp_path):
-    pack({"balls": Balls(3)}, tmp_path / "validation", CONFIG, 0, False)
-    (tmp_path / "train").symlink_to(folder)
-    train, validation = open_training("packed", tmp_path)
-    assert (len(train), len(validation)) == (25, 3)
-    assert open_dataset("packed", "validation", tmp_path)[0].name == "balls/0"
-
-
-def test_a_shard_that_lost_a_file_is_packed_again(tmp_path):
-    pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    (tmp_path / "shard-00000.partial.npy").unlink()
-    with pytest.raises(InputError, match="is missing"):
-        Shards(tmp_path)
-    pack({"balls": Balls()}, tmp_path, CONFIG, 0, False)
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 class OfKinds(Balls):
@@ -294,10 +189,6 @@ def test_whole_views_are_told_by_their_names_and_drawn_as_often_as_asked(tmp_pat
     assert (len(others), often, seldom) == (3, 0.75, 0.25)
     assert [len(part) for part, _ in mixture.parts_of(shards, 1.0)] == [2]
     assert mixture.parts_of(shards, None) == [(shards, 1.0)]
-
-
-def test_a_set_whose_names_tell_no_kind_stays_as_it_is(folder):
-    assert mixture.parts_of(Shards(folder), 0.5)[0][1] == 1.0
 
 
 def _all(source):

@@ -8,11 +8,8 @@ import trimesh
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.readings import (
-    PIXEL,
-    RAYS,
     Rays,
     World,
-    camera_rays,
     ring_rays,
 )
 from experiments.simulation.sensors import L515Config, OusterConfig
@@ -98,23 +95,6 @@ def test_lost_returns_are_unknown_and_noise_is_in_metres(ball):
         assert np.std(along) == pytest.approx(0.01, rel=0.1)
 
 
-def test_a_camera_sees_the_whole_object_with_pixels_of_its_own(ball):
-    for distance, every in ((4.0, 2), (60.0, 1)):
-        eye = np.array([0.0, 0.6, 0.8]) * distance
-        rays = camera_rays(ball, eye)
-        assert len(rays.directions.reshape(-1, 3)) <= RAYS
-        hits = ball.cast(eye, rays.directions.reshape(-1, 3))
-        forward = -eye / distance
-        np.testing.assert_allclose(rays.directions @ forward, 1)
-        pitch = np.linalg.norm(rays.directions[0, 1] - rays.directions[0, 0])
-        assert pitch == pytest.approx(every * PIXEL)
-        # The image of a ball is a disc of this tangent.
-        disc = np.pi / (distance**2 - 1) / pitch**2
-        assert len(hits.ray) == pytest.approx(disc, rel=0.1)
-    found = World(ball, Surroundings(), 0.05).read(rays, EXACT, np.random.default_rng())
-    assert len(found.surface.points) == len(hits.ray)
-
-
 def test_rings_are_cones_about_an_axis_that_leave_gaps(ball):
     """Each has one elevation of the sensor, and the ball's middle has `pitch`."""
     eye, pitch = np.array([4.0, 3.0, 2.0]), 0.1
@@ -140,14 +120,3 @@ def test_rings_are_cones_about_an_axis_that_leave_gaps(ball):
     half = np.degrees(np.arcsin(1 / np.linalg.norm(eye)))
     meets = np.abs(expected - np.degrees(pitch)) < half
     assert len(rings) == pytest.approx(meets.sum(), abs=1)
-
-
-def test_the_same_seed_reads_the_same(ball, plate):
-    world = World(ball, Surroundings(plate, WALL), 0.5)
-    one, two, other = (
-        world.read(grid(), L515Config(), np.random.default_rng(seed))
-        for seed in (0, 0, 1)
-    )
-    np.testing.assert_array_equal(one.points, two.points)
-    np.testing.assert_array_equal(one.state, two.state)
-    assert not np.array_equal(one.points, other.points)

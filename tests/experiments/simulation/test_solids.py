@@ -6,10 +6,7 @@ from experiments.simulation.solids import (
     as_mesh,
     assembled,
     box,
-    corners,
     front_profile,
-    ring_of,
-    rod,
     side_profile,
     slab,
     sweep,
@@ -58,26 +55,6 @@ def test_assembly_stands_on_the_floor_without_voids_and_splinters():
     np.testing.assert_allclose(bounds(whole), [(-1, -1, 0), (1, 1, 2)], atol=1e-9)
 
 
-def test_assembly_keeps_parts_that_do_not_touch():
-    (whole,) = assembled([box((0, 0, 0), (1, 1, 1)), box((4, 0, 1), (1, 1, 1))])
-    assert len(whole.decompose()) == 2
-    assert whole.volume() == pytest.approx(2)
-
-
-def test_ring_is_evenly_spaced_about_z():
-    bolts = ring_of(rod((2, 0, 0), (2, 0, 1), 0.1), 4, 45.0)
-    centres = np.array([bounds(bolt).mean(axis=0)[:2] for bolt in bolts])
-    np.testing.assert_allclose(np.linalg.norm(centres, axis=1), 2, rtol=1e-6)
-    np.testing.assert_allclose(centres[:2] + centres[2:], 0, atol=1e-6)
-    assert centres[0] == pytest.approx(np.full(2, 2**0.5))
-
-
-def test_corners_are_the_four_of_a_rectangle():
-    assert {tuple(p) for p in corners(2.0, 1.0)} == {
-        (x, y, 0.0) for x in (-2.0, 2.0) for y in (-1.0, 1.0)
-    }
-
-
 def test_a_swept_circle_is_the_part_of_a_torus():
     """Pappus: area times the way of its middle, in a circle of any plane."""
     angle = np.linspace(0, 1.5 * np.pi, 300)
@@ -99,12 +76,6 @@ def test_a_straight_sweep_is_a_prism_or_a_frustum_even_of_a_section_with_a_notch
     np.testing.assert_allclose(bounds(sweep(path, section)), [(0, 0, 0), (2, 2, 3)])
     frustum = sweep(path[[0, -1]], section, np.array([1.0, 0.5]))
     assert frustum.volume() == pytest.approx(3 / 3 * (3 + 1.5 + 0.75))
-
-
-def test_a_path_that_turns_back_is_refused():
-    path = np.array([(0.0, 0, 0), (0, 0, 1), (0, 0, 0)])
-    with pytest.raises(ValueError, match="turns straight back"):
-        sweep(path, np.array([(0.0, 0), (1, 0), (0, 1)]))
 
 
 def test_a_slab_is_what_lies_between_its_grids():

@@ -1,12 +1,11 @@
 """Cuts: which points stay, and what becomes of pixels that looked at the others."""
 
 import numpy as np
-import pytest
 import trimesh
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.readings import Readings
-from experiments.simulation.truncation import KEPT_SHARES, NO_CUT, Cut, random_cut
+from experiments.simulation.truncation import KEPT_SHARES, Cut, random_cut
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 
 EYE = np.array([0.0, -5.0, 0.0])
@@ -30,13 +29,6 @@ def test_what_is_known_outside_hides_the_inside_or_lies_beyond():
     assert found.hidden_share == 0.25
 
 
-def test_what_was_cut_off_before_is_unknown():
-    found = Cut(SLAB).apply(readings(), EYE)
-    expected = [UNKNOWN, SURFACE] + [UNKNOWN] * 5
-    np.testing.assert_array_equal(found.state, expected)
-    np.testing.assert_array_equal(found.surface.points, [(0, 0, 0)])
-
-
 def test_a_ray_along_a_side_enters_only_if_it_is_within():
     """Parallel to the sides at |x| <= 2."""
     beside = Readings(np.full(2, SURFACE, np.uint8), np.array([(1.0, -3, 0)] * 2), 0.0)
@@ -45,12 +37,6 @@ def test_a_ray_along_a_side_enters_only_if_it_is_within():
         points = np.array([(x, -3.0, 0)] * 2)
         found = Cut(SLAB, known=True).apply(beside._replace(points=points), eye)
         assert np.all(found.state == state)
-
-
-def test_nothing_is_cut_off_by_no_planes():
-    found = NO_CUT.apply(readings(), EYE)
-    np.testing.assert_array_equal(found.state, readings().state)
-    np.testing.assert_array_equal(found.points, readings().points)
 
 
 def test_random_cuts_leave_their_share_and_are_of_three_sorts():
@@ -81,12 +67,3 @@ def test_random_cuts_leave_their_share_and_are_of_three_sorts():
     assert sorts == expected
     assert KEPT_SHARES[0] <= min(kept) < 0.35
     assert 0.75 < max(kept) <= KEPT_SHARES[1] + 1 / 30
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_of_few_points_one_stays(count):
-    scene, eye = Scene(trimesh.creation.icosphere(1)), np.array([0.0, 4.0, 0.0])
-    seen = scene.mesh.vertices[:count]
-    for seed in range(20):
-        cut = random_cut(scene, eye, seen, np.random.default_rng(seed))
-        assert cut.holds(seen).any()

@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.simulation.readings import Readings
-from experiments.simulation.visibility import map_of, map_rays
+from experiments.simulation.readings import Readings, map_of, map_rays
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (
@@ -34,14 +33,6 @@ def test_the_camera_is_that_of_framing(eye):
         np.testing.assert_allclose(*pixels, atol=1e-3)
     offset = np.abs(np.asarray(pixels[0]) - (MAP_SIZE - 1) / 2).max()
     assert offset == pytest.approx(MAP_SIZE / 2 / MARGIN, rel=1e-3)
-
-
-def test_a_single_point_is_framed():
-    camera = framing_camera(np.array([(0.0, 0, 0)]), np.array([3.0, 0, 0]))
-    assert np.isfinite(camera.intrinsics).all()
-    uv, depth = camera.project(np.zeros((1, 3)))
-    np.testing.assert_allclose(uv, [[31.5, 31.5]], atol=1e-4)
-    np.testing.assert_allclose(depth, 3)
 
 
 def test_rays_pass_through_the_middle_and_the_corners_of_every_pixel():
@@ -108,9 +99,3 @@ def test_surface_that_was_measured_is_found_at_its_pixel():
     state, behind = look_up(map_of(camera, [readings]), points)
     assert np.all(state == SURFACE)
     assert behind.min() >= -1e-6
-
-
-def test_without_readings_nothing_is_known():
-    camera = framing_camera(cloud(), np.array([3.0, 0, 0]))
-    found = map_of(camera, [Readings(np.zeros(0, np.uint8), np.zeros((0, 3)), 0.0)])
-    assert not found.state.any() and not found.depth.any()

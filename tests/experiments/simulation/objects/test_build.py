@@ -6,19 +6,14 @@ import numpy as np
 import pytest
 
 from experiments.simulation.build_dataset import build_dataset
-from experiments.simulation.objects import build
 from experiments.simulation.objects.build import (
-    NUM_VIEWS,
     ObjectsConfig,
-    build_objects,
     model_views,
-    told_counts,
 )
-from experiments.simulation.objects.catalogues import CATALOGUES, PACKAGE
+from experiments.simulation.objects.catalogues import PACKAGE
 from experiments.simulation.objects.categories import CATEGORIES
 from experiments.simulation.objects.survey import survey
-from prism_jax.data.datasets import DATASETS, folder_of, mesh_licences, open_dataset
-from prism_jax.io.errors import InputError
+from prism_jax.data.datasets import folder_of, open_dataset
 from tests.experiments.simulation.objects.conftest import entry, knobbed
 
 
@@ -47,18 +42,6 @@ def test_items_are_the_views_of_model_after_model(built, catalogue_dir):
     assert [source[0].category, source[2].category] == ["tool", "cabinet"]
 
 
-def test_clouds_are_of_the_outside_and_upright(built):
-    """The locker's knob is on its front, y, at the top."""
-    locker = open_dataset("objects", "train", built)[2]
-    assert locker.complete.shape == (16384, 3) and locker.partial.shape == (2048, 3)
-    np.testing.assert_allclose(np.ptp(locker.complete, axis=0)[1], 2, atol=1e-3)
-    knob = locker.complete[locker.complete[:, 1] > 0.5]
-    assert knob[:, 2].min() > -0.01 and knob[:, 0].max() < 0.01
-    body = locker.complete[locker.complete[:, 1] < 0.4]
-    middle = np.abs(body[:, [0, 2]]).max(axis=1) < 0.6
-    assert set(np.round(body[middle, 1], 1)) <= {-1.0, 0.4}
-
-
 def test_the_manifest_names_makers_and_what_is_left_out(built):
     told = json.loads(
         (folder_of("objects", "train", built) / "manifest.json").read_text()
@@ -71,46 +54,6 @@ def test_the_manifest_names_makers_and_what_is_left_out(built):
     assert (locker["catalogue"], locker["name"]) == ("BlendSwap-CC-BY", "locker")
     assert len(cone["digest"]) == 12
     assert told["left_out"]["BlendSwap-CC-0/panel"] == "is a slab"
-
-
-def test_reasons_are_counted(catalogue_dir):
-    assert told_counts(survey(["test"], catalogue_dir)) == (
-        "2 models are taken; left out: 1 looks like another"
-    )
-    counted = told_counts(survey(["validation"], catalogue_dir))
-    assert counted.startswith("1 models are taken; left out: 1 belongs to a door or")
-
-
-@pytest.mark.parametrize("num_workers", [0, 2])
-def test_bytes_depend_neither_on_workers_nor_on_runs(
-    catalogue_dir, tmp_path, digests, monkeypatch, num_workers
-):
-    """In shards of one model, broken off after the first."""
-    monkeypatch.setattr(build, "SHARD_MODELS", 1)
-    config, place = ObjectsConfig("test"), {"catalogue_dir": catalogue_dir}
-    whole = build_objects(config, tmp_path / "a", 0, progress=False, **place)
-    folder = folder_of("objects", "test", tmp_path / "b")
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(build, "model_views", broken_after(1))
-        build_objects(config, tmp_path / "b", 0, progress=False, **place)
-    assert (folder / "shard-00000.names.json").exists()
-    assert not (folder / "shard-00001.names.json").exists()
-    build_objects(config, tmp_path / "b", num_workers, progress=False, **place)
-    assert digests(folder) == digests(whole)
-    assert len(digests(whole)) == 2 * 6 + 1
-
-
-def broken_after(count):
-    """`model_views`, which a user breaks off."""
-    make, calls = build.model_views, []
-
-    def views(config, model):
-        calls.append(model)
-        if len(calls) > count:
-            raise KeyboardInterrupt
-        return make(config, model)
-
-    return views
 
 
 def test_a_models_clouds_follow_from_itself_and_the_seed(
@@ -131,32 +74,3 @@ def test_a_models_clouds_follow_from_itself_and_the_seed(
     # What kind of views they are does not hang on the seed.
     for array, differs in zip(first[:3], reseeded[:3], strict=True):
         assert not np.array_equal(array, differs)
-
-
-def test_splits_are_those_that_can_be_opened():
-    known = DATASETS["objects"]
-    assert {*known.splits} == {*NUM_VIEWS} == {entry.split for entry in CATALOGUES}
-    assert known.scored == ("validation", "test") and known.validation == "validation"
-    assert ObjectsConfig("train").num_views == 8
-
-
-def test_what_weights_say_of_the_training_meshes():
-    told = mesh_licences("objects")
-    assert PACKAGE in told
-    for known in CATALOGUES:
-        if known.split == "train":
-            assert known.licence in told
-
-
-def test_settings_that_make_no_sense(tmp_path):
-    for settings, told in (
-        ({"split": "unseen"}, "use one of train"),
-        ({"split": "test", "partial": "half"}, "unknown value 'half'"),
-        ({"split": "test", "num_views": -1}, "num_views: -1 is not within 1"),
-        ({"split": "test", "seed": -1}, "seed: -1 is not within 0"),
-    ):
-        with pytest.raises(InputError, match=told):
-            ObjectsConfig(**settings)
-    with pytest.raises(InputError, match="apt-get install sweethome3d-furniture"):
-        build_objects(ObjectsConfig("test"), tmp_path, 0, catalogue_dir=tmp_path)
-    assert not list(folder_of("objects", "test", tmp_path).iterdir())

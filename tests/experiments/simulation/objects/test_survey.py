@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.meshes import normalised
-from experiments.simulation.objects.catalogues import CATALOGUES
 from experiments.simulation.objects.survey import (
     digest_of,
     fault_of,
-    occupied_cells,
-    overlaps,
     survey,
 )
-from prism_jax.io.errors import InputError
+from experiments.simulation.packing import normalised
 from tests.experiments.simulation.objects.conftest import entry, knobbed
 
 
@@ -43,31 +39,6 @@ def test_every_model_is_taken_or_left_out_with_a_reason(catalogue_dir):
     assert train.versions == {"BlendSwap-CC-0": "1.8", "BlendSwap-CC-BY": "1.8"}
 
 
-def test_several_splits_at_once_hold_what_each_holds(catalogue_dir):
-    splits = ("test", "validation", "train")
-    together = survey(splits, catalogue_dir)
-    alone = [survey([split], catalogue_dir) for split in splits]
-    assert names(together) == [name for found in alone for name in names(found)]
-    digests = [digest for _, digest in together.models]
-    assert len({*digests}) == len(digests) == 5
-
-
-def test_a_split_needs_its_own_catalogues_and_those_before(
-    catalogue_dir, tmp_path, write_catalogue
-):
-    write_catalogue(tmp_path, "Scopia", [entry("fridge", knobbed(), "Fridge")])
-    assert names(survey(["test"], tmp_path)) == ["Scopia/fridge"]
-    told = "KatorLegaz.sh3f: no such .* install sweethome3d-furniture: apt-get install"
-    for split in ("validation", "train"):
-        with pytest.raises(InputError, match=told):
-            survey([split], tmp_path)
-
-
-def test_every_split_has_catalogues():
-    assert {known.split for known in CATALOGUES} == {"train", "validation", "test"}
-    assert len({known.name for known in CATALOGUES}) == len(CATALOGUES)
-
-
 @pytest.mark.parametrize(
     ("size", "fault"),
     [
@@ -93,22 +64,6 @@ def test_a_digest_tells_corners_and_nothing_else():
     assert digest_of(mesh) == digest_of(shuffled) == digest_of(nudged)
     mirrored = trimesh.Trimesh(mesh.vertices * (-1, 1, 1), mesh.faces, process=False)
     assert digest_of(mesh) != digest_of(mirrored)
-
-
-def test_overlap_is_the_share_of_common_cells():
-    """Boxes of whole cells: a floor, the same floor, and floor and ceiling."""
-    floor, both = np.zeros((2, 24, 24, 24), bool)
-    floor[:, :, 0] = both[:, :, 0] = both[:, :, -1] = True
-    packed = np.stack([np.packbits(cells) for cells in (floor, both, ~both)])
-    np.testing.assert_array_equal(overlaps(packed[0], packed), [1.0, 0.5, 0.0])
-
-
-@pytest.mark.parametrize("sides", [(1, 1, 1), (1, 9, 1)])
-def test_a_box_is_in_the_cells_of_its_faces(sides):
-    cells = np.unpackbits(occupied_cells(normalised(trimesh.creation.box(sides))))
-    cells = cells.reshape(24, 24, 24).astype(bool)
-    assert cells[0].mean() > 0.9 and cells[:, -1].mean() > 0.9
-    assert not cells[1:-1, 1:-1, 1:-1].any()
 
 
 def test_what_looks_alike_has_the_same_sides_and_cells(tmp_path, write_catalogue):

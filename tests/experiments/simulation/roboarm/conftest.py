@@ -5,8 +5,7 @@ import dataclasses
 import pytest
 
 from experiments.simulation.roboarm.models import ArmModel
-from experiments.simulation.roboarm.sequences import RoboArmConfig
-from experiments.simulation.roboarm.survey import SURVEY
+from experiments.simulation.roboarm.sequences import SURVEY, RoboArmConfig
 
 UPPER, LOWER, SHOULDER = 0.4, 0.3, 0.15
 """Lengths of the two links, and the shoulder's height."""

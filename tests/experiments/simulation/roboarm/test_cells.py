@@ -1,15 +1,10 @@
 import dataclasses
-import hashlib
-import importlib.metadata
 
 import numpy as np
 import pytest
 
-from experiments.simulation.roboarm import cells
 from experiments.simulation.roboarm.cells import CellsConfig, build_cells, cell_views
-from experiments.simulation.roboarm.models import CELL_ARMS
-from prism_jax.data.datasets import digest_of, open_dataset
-from prism_jax.io.errors import InputError
+from prism_jax.data.datasets import open_dataset
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +41,6 @@ def built(make, tmp_path_factory):
     return root
 
 
-def digests(root):
-    return {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in (root / "cells-train").iterdir()
-    }
-
-
 def test_a_built_set_opens_cell_by_cell(built, config, arms):
     source = open_dataset("cells", "train", built)
     assert source.objects.tolist() == [0, 0, 1, 1, 2, 2]
@@ -68,55 +56,3 @@ def test_a_built_set_opens_cell_by_cell(built, config, arms):
         np.testing.assert_allclose(example.complete, view.complete, atol=step)
         np.testing.assert_array_equal(example.eye, view.eye)
         np.testing.assert_array_equal(example.visibility.state, view.visibility.state)
-
-
-def test_bytes_do_not_depend_on_workers_nor_on_a_break(
-    make, built, tmp_path, monkeypatch
-):
-    assert digests(make(tmp_path / "two", num_workers=2).parent) == digests(built)
-    whole, made = cells.cell_views, []
-
-    def broken(config, index, arms):
-        if index == 2:
-            raise KeyboardInterrupt
-        made.append(index)
-        return whole(config, index, arms)
-
-    monkeypatch.setattr(cells, "SHARD_CELLS", 1)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(cells, "cell_views", broken)
-        make(tmp_path / "broken")
-    assert made == [0, 1]
-    make(tmp_path / "broken")
-    make(tmp_path / "unbroken")
-    assert digests(tmp_path / "broken") == digests(tmp_path / "unbroken")
-
-
-def test_another_seed_gives_other_cells(make, built, tmp_path):
-    make(tmp_path, seed=1, num_cells=1)
-    digest = digest_of("cells", "train", tmp_path)
-    assert digest not in (None, digest_of("cells", "train", built))
-
-
-def test_senseless_numbers_and_missing_packages_are_refused_first(
-    tmp_path, monkeypatch
-):
-    with pytest.raises(InputError, match="unknown value 'test'"):
-        CellsConfig("test")
-    with pytest.raises(InputError, match="num_frames: 0 is not within"):
-        CellsConfig(num_frames=0)
-    assert CellsConfig().num_cells * CellsConfig().num_frames == 8000
-
-    def missing(name):
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(importlib.metadata, "files", missing)
-    with pytest.raises(InputError, match=r"is not installed; .*prism_jax\[robots\]"):
-        build_cells(CellsConfig(), tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_kuka_is_trained_on_and_trossen_validated_on():
-    families = {split: {m.family for m in arms} for split, arms in CELL_ARMS.items()}
-    assert "KUKA" in families["train"] and "Trossen" in families["validation"]
-    assert all(model.licence for arms in CELL_ARMS.values() for model in arms)

@@ -1,20 +1,15 @@
 import importlib.metadata
 import importlib.util
 import io
-import re
-import sys
 
 import numpy as np
 import pytest
-import trimesh
 import yourdfpy
 
 from experiments.simulation.roboarm.models import (
     ARMS,
     CELL_ARMS,
-    INDUSTRIAL_PACKAGE,
     ArmModel,
-    arms_of,
     urdf_path,
 )
 from experiments.simulation.roboarm.robots import Robot
@@ -34,7 +29,7 @@ INDUSTRIAL = [
     )
     for arms in CELL_ARMS.values()
     for model in arms
-    if model.package == INDUSTRIAL_PACKAGE
+    if model.package == "rtb-data"
 ]
 OTHERS = [
     pytest.param(model, id=model.name) for arms in ARMS.values() for model in arms
@@ -72,29 +67,6 @@ def test_links_are_where_trigonometry_puts_them(model):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_the_mesh_is_the_links_boxes_in_their_poses(model):
-    robot = Robot(model)
-    positions = np.array([0.3, -0.8, 1.1])
-    mesh = robot.mesh(positions)
-    assert len(robot.faces_link) == len(mesh.faces) == 4 * 12
-    poses = robot.link_poses(positions[None])[0]
-    for index, (size, height) in enumerate(boxes.BOXES.values()):
-        corners = mesh.vertices[mesh.faces[robot.faces_link == index]].reshape(-1, 3)
-        own = (corners - poses[index, :3, 3]) @ poses[index, :3, :3]
-        np.testing.assert_allclose(np.abs(own - (0, 0, height)) * 2, size + own * 0)
-
-
-def test_probes_lie_on_the_posed_mesh(model):
-    robot = Robot(model)
-    positions = np.array([0.3, -0.8, 1.1])
-    probes = robot.probe_points(positions[None])[0]
-    _, distance, _ = trimesh.proximity.closest_point_naive(
-        robot.mesh(positions), probes
-    )
-    assert distance.max() < 1e-9
-    assert robot.probe_weights.sum() == pytest.approx(1)
-
-
 def test_an_arm_can_be_taken_off_a_robot(tmp_path, model):
     """From the turret on, with its joint: the same motions, the base left out."""
     whole, part = Robot(model), Robot(variant(tmp_path, root="turret"))
@@ -123,34 +95,6 @@ def test_a_mimic_follows_and_belongs_to_the_part_that_carries_it(tmp_path):
     assert angle == pytest.approx(0.8 + 0.1 - 0.5 * 0.8)
 
 
-def test_a_mesh_is_found_beside_the_file_and_by_its_package(tmp_path):
-    folder = tmp_path / "some_robot"
-    (folder / "meshes").mkdir(parents=True)
-    (folder / "urdf").mkdir()
-    trimesh.creation.icosphere(1, 0.1).export(folder / "meshes" / "ball.stl")
-    box = '<box size="0.05 0.05 0.3"/>'
-    for name in ("package://some_robot/meshes/ball.stl", "../meshes/ball.stl"):
-        mesh = f'<mesh filename="{name}" scale="2 2 2"/>'
-        path = folder / "urdf" / "a.urdf"
-        path.write_text(boxes.URDF.replace(box, mesh))
-        robot = Robot(ArmModel("a", "test", str(path)))
-        np.testing.assert_allclose(robot.meshes[3].bounds[1], 0.2 + 0.15 * np.eye(3)[2])
-
-
-def test_a_mesh_in_inches_is_read_in_metres(tmp_path):
-    mesh = trimesh.creation.box((1.0, 2.0, 3.0))
-    text = trimesh.exchange.dae.export_collada(mesh).decode()
-    assert '<unit name="meter" meter="1"' in text or "<unit" not in text
-    unit = '<asset><unit name="inch" meter="0.0254"/>'
-    text = re.sub(r"<unit[^>]*/>", "", text).replace("<asset>", unit, 1)
-    (tmp_path / "box.dae").write_text(text)
-    change = '<box size="0.05 0.05 0.3"/>', '<mesh filename="box.dae"/>'
-    robot = Robot(variant(tmp_path, change))
-    np.testing.assert_allclose(
-        np.ptp(robot.meshes[3].vertices, axis=0), 0.0254 * np.array([1, 2, 3])
-    )
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -171,15 +115,6 @@ def test_a_bad_file_is_named(tmp_path, change, message):
     model = variant(tmp_path, change)
     with pytest.raises(InputError, match=message):
         Robot(model)
-
-
-def test_a_root_or_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputError, match="root link hand"):
-        Robot(variant(tmp_path, root="hand"))
-    with pytest.raises(InputError, match="no such file"):
-        urdf_path(ArmModel("a", "test", str(tmp_path / "none.urdf")))
-    with pytest.raises(InputError, match="unknown value"):
-        arms_of("dev")
 
 
 def test_no_family_of_arms_is_in_two_splits():
@@ -217,19 +152,3 @@ def test_every_arm_moves_as_yourdfpy_says_and_hangs_together(model):
         gaps = np.linalg.norm(own[:, :, None] - others[:, None], axis=-1)
         assert gaps.min(axis=(1, 2)).max() < 0.1 * max(1, reach)
     assert 0.25 < reach < 3.8
-
-
-def test_the_extra_is_named_where_it_is_not_installed(model, monkeypatch):
-    def missing(name):
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(importlib.metadata, "files", missing)
-        with pytest.raises(InputError, match=r"not installed.*prism_jax\[robots\]"):
-            urdf_path(ARMS["test"][0])
-        with pytest.raises(InputError, match=r"rtb-data: is not installed.*\[robots\]"):
-            urdf_path(CELL_ARMS["train"][-1])
-        assert urdf_path(model).is_file()
-    monkeypatch.setitem(sys.modules, "yourdfpy", None)
-    with pytest.raises(InputError, match=r"yourdfpy: is not installed.*\[robots\]"):
-        Robot(model)

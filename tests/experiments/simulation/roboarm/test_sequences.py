@@ -5,13 +5,11 @@ import pytest
 
 from experiments.simulation.roboarm.sequences import (
     CLOUD_STEP,
-    RoboArmConfig,
     flying_pixels,
     make_frame,
     make_sequence,
 )
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
-from tests.experiments.simulation.roboarm import conftest as boxes
 
 
 @pytest.fixture(scope="module")
@@ -36,31 +34,6 @@ def pixel_points(frame):
     return (in_camera - camera.translation) @ camera.rotation
 
 
-def distance_to_robot(points, sequence, number):
-    """By the boxes that the robot was written as."""
-    poses = sequence.robot.link_poses(sequence.positions[number][None])[0].copy()
-    poses[:, 2, 3] += sequence.cell.base_height
-    distances = []
-    for pose, (size, height) in zip(poses, boxes.BOXES.values(), strict=True):
-        own = (points - pose[:3, 3]) @ pose[:3, :3] - (0, 0, height)
-        outside = np.maximum(np.abs(own) - np.array(size) / 2, 0)
-        inside = np.minimum((np.abs(own) - np.array(size) / 2).max(axis=-1), 0)
-        distances.append(np.linalg.norm(outside, axis=-1) - inside)
-    return np.min(distances, axis=0)
-
-
-def test_labels_say_what_a_pixel_sees(sequence, frame):
-    distance = distance_to_robot(pixel_points(frame), sequence, 1)
-    robot = frame.labels == LABELS["robot"]
-    assert np.count_nonzero(robot) > 50
-    assert distance[robot].max() < 2e-3
-    others = (frame.labels > 0) & ~robot
-    floor = pixel_points(frame)[..., 2] < 0.01
-    assert (frame.labels[floor & (frame.depth > 0)] == LABELS["clutter"]).all()
-    assert np.mean(distance[others] > 2e-3) > 0.99
-    np.testing.assert_array_equal(frame.labels == LABELS["nothing"], frame.depth == 0)
-
-
 def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
     wanted = np.isin(frame.labels, (LABELS["robot"], LABELS["fixture"]))
     rows = pixel_points(frame)[wanted].astype(np.float32)
@@ -71,28 +44,6 @@ def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
         position += int(np.argmax(gap <= CLOUD_STEP / 2 + 1e-6)) + 1
         assert gap.min() <= CLOUD_STEP / 2 + 1e-6
     assert len(frame.partial) > 0.8 * len(rows)
-
-
-def test_the_ground_truth_is_robot_and_fixtures(sequence, frame):
-    assert frame.complete.shape == (256, 3)
-    distance = distance_to_robot(frame.complete.astype(float), sequence, 1)
-    lower, upper = sequence.cell.fixtures.bounds
-    fixtures = np.all(
-        (frame.complete > lower - 0.01) & (frame.complete < upper + 0.01), axis=1
-    )
-    assert (distance[~fixtures] < 2e-3).all()
-    assert np.count_nonzero(~fixtures) > 50
-    np.testing.assert_array_equal(frame.complete % CLOUD_STEP, 0)
-
-
-def test_joints_are_the_pose_and_what_is_hidden(sequence, frame):
-    joints = frame.joints
-    assert joints["robot"] == "boxes"
-    np.testing.assert_array_equal(
-        list(joints["positions"].values()), sequence.positions[1]
-    )
-    assert tuple(joints["positions"]) == sequence.robot.joints
-    assert 0 < joints["hidden_share"] < 1
 
 
 def test_hidden_share_is_that_of_pixels(sequence, frame, small):
@@ -121,21 +72,3 @@ def test_flying_pixels_are_those_between_two_surfaces():
     for row, column in ((4, 15), (9, 14), (17, 20)):
         expected[row, column] = True
     np.testing.assert_array_equal(flying_pixels(depth), expected)
-
-
-def test_a_robot_out_of_sight_is_refused(sequence, small):
-    camera = dataclasses.replace(
-        sequence.cell.camera, translation=np.array([0.0, 0.0, -50.0])
-    )
-    cell = dataclasses.replace(sequence.cell, camera=camera)
-    lost = dataclasses.replace(sequence, cell=cell)
-    with pytest.raises(ValueError, match="the camera sees 0 points"):
-        make_frame(lost, 1, small, np.random.default_rng(0))
-
-
-def test_the_standard_camera_is_the_l515s(model):
-    config = RoboArmConfig()
-    camera = make_sequence(model, 2, config, np.random.default_rng(0)).cell.camera
-    assert (camera.width, camera.height) == (640, 480)
-    assert config.depth_sensor.quantum == DEPTH_SCALE
-    assert config.complete_points == 16384

@@ -1,12 +1,11 @@
 import dataclasses
 
 import numpy as np
-import pytest
 import trimesh
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.furnishings import together
-from experiments.simulation.roboarm.survey import SURVEY, TURNS, survey
+from experiments.simulation.roboarm.sequences import SURVEY, TURNS, survey
 from experiments.simulation.sensors import OusterConfig
 
 EXACT = dataclasses.replace(SURVEY.exact(), beams=48, columns=384)
@@ -51,19 +50,3 @@ def test_averaged_turns_leave_an_eighth_of_the_noise():
     points = survey(scene, wanted, 4000, np.random.default_rng(0), config=config)
     on_top = points[points[:, 2] > 1.24]
     assert 0.3e-3 < np.std(on_top[:, 2]) < 2.2e-3
-
-
-def test_the_same_generator_gives_the_same_points():
-    scene, wanted = boxes_scene()
-    first, second = (
-        survey(scene, wanted, 500, np.random.default_rng(7), config=EXACT)
-        for _ in range(2)
-    )
-    np.testing.assert_array_equal(first, second)
-
-
-def test_a_scene_that_returns_nothing_is_refused():
-    scene, wanted = boxes_scene()
-    blind = dataclasses.replace(EXACT, dropout=1.0)
-    with pytest.raises(ValueError, match="empty cloud"):
-        survey(scene, wanted, 10, np.random.default_rng(0), config=blind)

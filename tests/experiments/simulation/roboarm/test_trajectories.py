@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from scipy.interpolate import BPoly
 
 from experiments.simulation.roboarm.models import ArmModel
@@ -19,17 +18,6 @@ def test_minimum_jerk_is_the_quintic_from_rest_to_rest():
     rest = np.zeros(2)
     expected = BPoly.from_derivatives([0, 1], [[start, rest, rest], [end, rest, rest]])
     np.testing.assert_allclose(minimum_jerk(start, end, times), expected(times))
-
-
-def test_the_ground_is_met_where_trigonometry_says(model):
-    """The lower link's tip is at 0.15 + 0.4 cos a + 0.3 cos(a + b)."""
-    clearance = Clearance(Robot(model))
-    shoulder, elbow = np.array([0.2, 1.5, 1.5, 1.7]), np.array([0.5, 0.2, 0.9, -1.5])
-    tip = boxes.SHOULDER + boxes.UPPER * np.cos(shoulder)
-    tip += boxes.LOWER * np.cos(shoulder + elbow)
-    assert (tip > 0.05).tolist() == [True, True, False, True]
-    poses = np.stack([0 * elbow, shoulder, elbow], axis=1)
-    assert clearance.is_free(poses).tolist() == (tip > 0.05).tolist()
 
 
 def test_a_link_that_folds_back_onto_the_base_is_seen(tmp_path):
@@ -62,23 +50,3 @@ def test_trajectories_stay_within_limits_and_clear(model):
     assert 0.05 < steps.max() < 1.0
     again = random_trajectory(robot, 30, 4, np.random.default_rng(1))
     np.testing.assert_array_equal(path, again)
-
-
-def test_frames_are_evenly_spaced_in_time(model):
-    """Every fifth of 21 frames is one of 5 over the same way-points."""
-    robot = Robot(model)
-    fine, coarse = (
-        random_trajectory(robot, count, 3, np.random.default_rng(2))
-        for count in (21, 5)
-    )
-    np.testing.assert_allclose(fine[::5], coarse, atol=1e-12)
-
-
-def test_a_robot_without_a_free_pose_is_named(tmp_path):
-    path = tmp_path / "buried.urdf"
-    path.write_text(boxes.URDF.replace('"0 0 0.1"', '"0 0 -3"'))
-    robot = Robot(ArmModel("buried", "test", str(path)))
-    with pytest.raises(ValueError, match="buried: touches itself or the ground"):
-        random_trajectory(robot, 3, 2, np.random.default_rng(0))
-    with pytest.raises(ValueError, match="two way-points"):
-        random_trajectory(robot, 3, 1, np.random.default_rng(0))

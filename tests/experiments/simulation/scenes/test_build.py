@@ -1,27 +1,19 @@
 """Scenes on disk, as things one by one, and whole."""
 
-import dataclasses
-import json
-
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from experiments.simulation.build_dataset import build_dataset
-from experiments.simulation.scenes import build
+from experiments.simulation.scenes.arrangement import pools_of
 from experiments.simulation.scenes.build import (
     MIN_RETURNS,
-    ScenesConfig,
-    build_scenes,
     make_scene,
 )
-from experiments.simulation.scenes.things import DEFAULT_SOURCES, pools_of
-from experiments.simulation.shapes import NOVEL_CATEGORIES, TRAIN_CATEGORIES
-from prism_jax.data.datasets import folder_of, open_dataset
+from experiments.simulation.shapes import NOVEL_CATEGORIES
+from prism_jax.data.datasets import open_dataset
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.source import Source
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
-from prism_jax.io.errors import InputError
 from prism_jax.observation.maps import in_free_space
 from prism_jax.observation.scene import LEFT_OVER, SUPPORT
 from tests.data.conftest import digests
@@ -107,47 +99,6 @@ def test_in_its_own_axes_the_sensor_is_at_the_origin_and_looks_along_z(source):
     np.testing.assert_array_equal(own.labels, scene.labels)
 
 
-def test_two_workers_write_the_same_bytes(scenes_dir, tmp_path, digests):
-    build_scenes(CONFIG, tmp_path, 2, progress=False)
-    other = digests(folder_of("scenes", "validation", tmp_path))
-    assert other == digests(folder_of("scenes", "validation", scenes_dir))
-
-
-def test_what_was_broken_off_goes_on(scenes_dir, tmp_path, digests, monkeypatch):
-    made = []
-
-    def one_shard(config, pools, index):
-        if len(made) == 2:
-            raise KeyboardInterrupt
-        made.append(index)
-        return make_scene(config, pools, index)
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(build, "make_scene", one_shard)
-        build_scenes(CONFIG, tmp_path, 0, progress=False)
-    with pytest.raises(InputError, match=r"broken off; .* --dataset=scenes"):
-        open_dataset("scenes", "validation", tmp_path)
-    build_scenes(CONFIG, tmp_path, 0, progress=False)
-    whole = folder_of("scenes", "validation", scenes_dir)
-    assert digests(folder_of("scenes", "validation", tmp_path)) == digests(whole)
-
-
-def test_splits_and_seeds_make_other_scenes():
-    made = [
-        make_scene(config, pools_of(config.split), 0).measured.points
-        for config in (ScenesConfig("validation", seed=1), ScenesConfig("train"))
-    ]
-    assert made[0].shape != made[1].shape
-
-
-def test_the_manifest_states_the_content(scenes_dir):
-    folder = folder_of("scenes", "validation", scenes_dir)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    assert manifest["num_scenes"] == 3 and manifest["sources"] == ["shapes", "open"]
-    assert manifest["source_versions"].keys() == {*DEFAULT_SOURCES}
-    assert {*manifest["categories"]} == {*TRAIN_CATEGORIES, *NOVEL_CATEGORIES}
-
-
 def test_things_are_of_the_sources_own_splits(catalogue_dir):
     assert len(pools_of("train").pools) == 2
     assert len(pools_of("validation").pools) == 2
@@ -158,37 +109,3 @@ def test_things_are_of_the_sources_own_splits(catalogue_dir):
     assert models.digests and all(name.startswith("Scopia/") for name in models.digests)
     thing = models.draw(np.random.default_rng(0))
     assert thing.two_sided and thing.category in models.categories
-
-
-@pytest.mark.parametrize(
-    ("setting", "fault"),
-    [
-        ({"num_scenes": -1}, "num_scenes: -1 is not within 1"),
-        ({"seed": -1}, "seed: -1 is not within 0"),
-        ({"split": "novel"}, "split: unknown value 'novel'"),
-        ({"sources": ("cars",)}, "sources: unknown value 'cars'"),
-        ({"sources": ("open",)}, "sources: open cannot stand in scenes of validation"),
-    ],
-)
-def test_settings_without_sense_are_named(setting, fault):
-    with pytest.raises(InputError, match=fault):
-        ScenesConfig(**({"split": "validation"} | setting))
-
-
-def test_a_missing_catalogue_is_one_line(tmp_path):
-    settings = {"sources": ("objects",), "catalogue_dir": str(tmp_path)}
-    with pytest.raises(InputError, match="apt-get install sweethome3d-furniture"):
-        build_dataset("scenes", "test", tmp_path, 0, num_scenes=1, **settings)
-
-
-def test_by_name_the_defaults_are_those_of_the_configuration(tmp_path, monkeypatch):
-    asked = []
-
-    def ask(config, *_, **__):
-        asked.append(config)
-        return tmp_path
-
-    monkeypatch.setattr(build, "build_scenes", ask)
-    build_dataset("scenes", "train", tmp_path)
-    assert asked == [ScenesConfig("train")]
-    assert dataclasses.asdict(asked[0])["num_scenes"] == 2000

@@ -1,13 +1,10 @@
 """Catalogues of Sweet Home 3D: what they say, and how their models stand."""
 
-import pickle
-
 import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.objects import sweet_home
-from experiments.simulation.objects.sweet_home import read_catalogue
+from experiments.simulation.objects.catalogues import read_catalogue
 from prism_jax.io.errors import InputError
 from tests.experiments.simulation.objects.conftest import entry, knobbed
 
@@ -29,26 +26,6 @@ def knob_of(mesh: trimesh.Trimesh) -> np.ndarray:
     """The middle of the smaller part, from the middle of the larger."""
     parts = sorted(mesh.split(only_watertight=False), key=lambda part: part.area)
     return parts[0].bounds.mean(axis=0) - parts[1].bounds.mean(axis=0)
-
-
-def test_what_is_said_of_a_model_is_kept(read):
-    told = {"creator": "Zo\\u00eb & Ann", "category": "Kitchen", "tags": "a=b"}
-    model = read(entry("fridge", knobbed(), "Large fridge", **told))
-    assert (model.catalogue, model.name, model.title) == (
-        "shop",
-        "fridge",
-        "Large fridge",
-    )
-    assert (model.creator, model.licence) == ("Zoë & Ann", "CC0 1.0")
-    assert model.identity == "shop/fridge" and model.fault is None
-    assert read(entry("a", knobbed(), "A", doorOrWindow="true")).fault is not None
-
-
-def test_models_come_in_the_order_of_their_numbers(tmp_path, write_catalogue):
-    names = [f"m{number}" for number in range(12)]
-    entries = [entry(name, knobbed(), name) for name in names]
-    _, models = read_catalogue(write_catalogue(tmp_path, "shop", entries), "")
-    assert [model.name for model in models] == names
 
 
 def test_models_stand_with_z_up_and_face_along_y(read):
@@ -83,12 +60,6 @@ def test_models_are_stretched_to_the_size_of_the_catalogue(read):
     assert read((told, sheet)).load().extents[1] == 0.0
 
 
-def test_a_model_goes_to_another_process(read):
-    model = read(entry("fridge", knobbed(), "Fridge"))
-    other = pickle.loads(pickle.dumps(model))
-    np.testing.assert_array_equal(other.load().vertices, model.load().vertices)
-
-
 @pytest.mark.parametrize(
     "told",
     [
@@ -119,10 +90,3 @@ def test_a_mesh_that_is_missing_or_damaged_is_refused_when_it_is_loaded(read):
         read((told, "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")).load()
     with pytest.raises(InputError, match=r"fridge\.obj: is not in the archive"):
         read((told, None)).load()
-
-
-def test_a_mesh_that_claims_too_much_is_not_read(read, monkeypatch):
-    model = read(entry("fridge", knobbed(), "Fridge"))
-    monkeypatch.setattr(sweet_home, "MAX_MODEL_BYTES", 100)
-    with pytest.raises(InputError, match=r"fridge\.obj: claims .* 1 to 100"):
-        model.load()
