@@ -112,7 +112,7 @@ def test_a_scene(folder):
 def test_ones_own_recordings(folder):
     (folder / "my_cells").symlink_to(CELLS)
     shown = "\nprint(len(frames), frames[0].partial.shape[1])\n"
-    assert run(folder, EXAMPLES["data.md"][0] + shown).split() == ["20", "3"]
+    assert run(folder, EXAMPLES["data.md"][0] + shown).split() == ["12", "3"]
 
 
 @pytest.mark.parametrize("path", results.tables(), ids=lambda path: path.stem)

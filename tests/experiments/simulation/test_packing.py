@@ -93,13 +93,13 @@ def test_unordered_clouds_are_ordered(folder):
 
 def test_sources_stand_one_after_the_other(folder):
     source = Shards(folder)
-    assert len(source) == 5 + 20
+    assert len(source) == 5 + 12
     arms = RecordedCells(CELLS).categories
     assert set(source.categories) == {"ball", "egg", *arms}
     assert source[5].name == f"cells/{RecordedCells(CELLS)[0].name}"
     assert source[5].any_heading and RecordedCells(CELLS)[0].any_heading
     with pytest.raises(IndexError):
-        source[25]
+        source[17]
     again = pickle.loads(pickle.dumps(source))
     np.testing.assert_array_equal(again[7].complete, source[7].complete)
 
@@ -259,7 +259,7 @@ def test_opens_as_a_data_set_and_for_a_training(folder, tmp_path):
     pack({"balls": Balls(3)}, tmp_path / "validation", CONFIG, 0, False)
     (tmp_path / "train").symlink_to(folder)
     train, validation = open_training("packed", tmp_path)
-    assert (len(train), len(validation)) == (25, 3)
+    assert (len(train), len(validation)) == (17, 3)
     assert open_dataset("packed", "validation", tmp_path)[0].name == "balls/0"
 
 
