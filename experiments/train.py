@@ -67,7 +67,8 @@ def main():
         "samples": num_samples,
     }
     if meta:
-        phase = meta_phase(variables, preset.config, config, FLAGS.seed)
+        assert variables is not None
+        phase = meta_phase(variables, preset.config, preset.meta, FLAGS.seed)
         trained = train_phase(phase, data, folder, *ending)
         best = trained.best if trained.done else None
         about["meta"] = dataclasses.asdict(config)

@@ -141,7 +141,7 @@ def training_data(
                 build_if_missing(name, split, data_dir, **changes)
     wait_for_all("the data")
     if FLAGS.mixture is None:
-        train, validation = open_training(*weights, data_dir)
+        train, validation = open_training(next(iter(weights)), data_dir)
     else:
         train, validation = open_mixture(weights, data_dir, whole=FLAGS.whole)
     data = Data(

@@ -17,7 +17,6 @@ from experiments.assets import CELLS
 from experiments.comparison import comparison_markdown
 from experiments.loss_gradients import agreement_markdown
 from experiments.mixtures import mixtures_markdown
-from experiments.plant import plant_markdown
 from experiments.point_errors import point_errors_markdown
 from experiments.real import real_markdown
 from experiments.robustness import robustness_markdown
@@ -121,7 +120,6 @@ def test_tables_are_those_of_their_results(path):
     result = json.loads(path.read_text())
     kinds = {
         "pairs": adaptation_markdown,
-        "passed": plant_markdown,
         "best_others": table_1_markdown,
         "rows": comparison_markdown,
         "losses": agreement_markdown,
