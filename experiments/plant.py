@@ -119,8 +119,8 @@ def in_words(told: dict[str, Any]) -> str:
     change, *interval = (f"{100 * x:+.1f}" for x in told["check"]["change"])
     before, after = told["check"]["contradicted"]
     return (
-        f"{told['steps']:,} steps on {told['frames']:,} frames without truth. What is "
-        f"hidden of others is {change} % [{', '.join(interval)}] farther away, and "
+        f"{told['steps']:,} steps on {told['frames']:,} frames without truth. On others "
+        f"the distance of what was hidden changed by {change} % [{', '.join(interval)}]; "
         f"{after:.1%} of points contradict the view, {before:.1%} before."
     )
 
