@@ -1,6 +1,5 @@
 """What each part of a corpus does to completions under shift.
 
-    experiments/train_mixtures.sh --workdir=DIR
     python -m experiments.mixtures --workdir=DIR --output=FILE.json
 
 Of every set of validation data one table: what a user gets after trainings that differ
@@ -38,7 +37,7 @@ MIXTURES = {
     "models": "occluded, and people's models",
     "all": "all of it, and cells",
 }
-"""What `train_mixtures.sh` trains on, and what is said of it."""
+"""What was trained on, and what is said of it."""
 
 SETS = ("shapes-novel", "objects-validation", "roboarm-validation", "shapes-validation")
 """What it scores on."""
@@ -80,7 +79,7 @@ def rows_of(
         path = workdir / training / f"{name}.json"
         if not path.exists():
             if given == trainings[0]:
-                remedy = "train and score it first (experiments/train_mixtures.sh)"
+                remedy = "train and score it first"
                 raise InputError(path, "is missing", remedy)
             continue
         found = json.loads(path.read_text())

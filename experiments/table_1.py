@@ -48,7 +48,6 @@ LABELS = {
     "pointr": "PoinTr",
     "seedformer": "SeedFormer",
     "snowflakenet": "SnowflakeNet",
-    "adapointr": "AdaPoinTr",
     "fsc": "FSC",
 }
 BACKBONE = "CRA-PCN"

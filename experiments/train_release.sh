@@ -81,12 +81,13 @@ only() {
     echo "--set=meta.method.branches=('$(sed "s/,/','/g" <<<"$1")',)"
 }
 
-# train COMMAND FOLDER FLAG...
+# train PHASE FOLDER FLAG...
 train() {
     local run=$workdir/$2
     [[ -e $run/weights.safetensors ]] && return
-    echo "$1: $run"
-    python -m "experiments.$1" --workdir="$run" --resume "${flags[@]}" "${@:3}"
+    echo "train: $run"
+    python -m experiments.train --phase="$1" --workdir="$run" --resume "${flags[@]}" \
+        "${@:3}"
     if [[ ! -e $run/weights.safetensors ]]; then
         echo "stopped; the same command goes on, with more --max_steps or none"
         exit
@@ -112,12 +113,12 @@ release() {
 
 train pretrain pretrained "${start[@]}"
 start=("--weights=$workdir/pretrained/weights.safetensors")
-train meta_train meta "${start[@]}"
-train meta_train control "${start[@]}" --set=meta.method.num_steps=0 \
+train meta meta "${start[@]}"
+train meta control "${start[@]}" --set=meta.method.num_steps=0 \
     --set=meta.method.lambda_aux=0.0 --set=meta.method.learn_steps=False \
     --set=meta.method.learn_auxiliary=False --set=adapt.num_steps=0
 for branch in "${branches[@]}"; do
-    train meta_train "meta-${branch//,/-}" "${start[@]}" "$(only "$branch")"
+    train meta "meta-${branch//,/-}" "${start[@]}" "$(only "$branch")"
 done
 
 release meta "$name"

@@ -11,8 +11,8 @@
 #
 #     --workdir=DIR    where everything goes
 #     --samples=N      of each network; 500,000 if not given
-#     --only=NAME      pcn, pointr, seedformer, snowflakenet, adapointr, fsc, crapcn or prism,
-#                      again for others; all if not given
+#     --only=NAME      pcn, pointr, seedformer, snowflakenet, fsc, crapcn or prism, again for
+#                      others; all if not given
 #
 # All others go to every training: --mixture, --data_dir, --seed, --set, ...
 set -eo pipefail
@@ -22,7 +22,7 @@ fail() {
     exit 2
 }
 
-others=(pcn pointr seedformer snowflakenet adapointr fsc)
+others=(pcn pointr seedformer snowflakenet fsc)
 workdir='' samples=500000 only=() flags=()
 for flag in "$@"; do
     value=${flag#*=}
@@ -65,8 +65,8 @@ alone=(--set=model.backbone.seeds_read_visibility=False
     --set=pretrain.auxiliary_samples=0)
 for name in "${names[@]}"; do
     case $name in
-    crapcn) train crapcn pretrain "${phases[@]}" "${alone[@]}" ;;
-    prism) train prism pretrain "${phases[@]}" ;;
+    crapcn) train crapcn train "${phases[@]}" "${alone[@]}" ;;
+    prism) train prism train "${phases[@]}" ;;
     *) train "$name" train_baseline --network="$name" --samples="$samples" ;;
     esac
 done

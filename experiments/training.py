@@ -39,29 +39,14 @@ def define_training_flags() -> None:
     flags.DEFINE_integer("max_steps", None, "End a phase at this step.")
     flags.DEFINE_bool("tensorboard", False, "Log for TensorBoard too (extra).")
     flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
-    flags.DEFINE_string(
-        "mixture",
-        None,
-        "Several sets instead, by how often each is seen, as shapes:1,packed:2.",
-    )
-    flags.DEFINE_float(
-        "whole",
-        None,
-        "Of a mixture: share of views that show the whole object, in sets with both.",
-        0.0,
-        1.0,
-    )
+    flags.DEFINE_string("mixture", None, "Weighted sets, as shapes:1,packed:2.")
+    flags.DEFINE_float("whole", None, "Of a mixture: share of whole views.", 0.0, 1.0)
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_integer("num_workers", 0, "Processes that read ahead; 0 for threads.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
     flags.DEFINE_string("coordinator", None, "host:port of the first of --processes.")
     flags.DEFINE_integer("processes", 1, "Processes that train together.")
     flags.DEFINE_integer("process", 0, "Which of them this one is.")
-
-
-def define_start_flag() -> None:
-    """The flag of a launcher that can go on from other weights."""
-    flags.DEFINE_string("weights", None, "To start from, by name or by file.")
 
 
 def join_processes() -> None:
@@ -74,28 +59,11 @@ def join_processes() -> None:
     jax.distributed.initialize(FLAGS.coordinator, FLAGS.processes, FLAGS.process)
 
 
-_KNOWN = (
-    "preset",
-    "seed",
-    "commit",
-    "data",
-    "samples",
-    "pretrained",
-    "interpolated",
-)
+_KNOWN = ("preset", "seed", "commit", "data", "samples", "pretrained", "interpolated")
 """What trainings that go on from weights keep of their metadata."""
 
 _READ = ("reads_visibility", "seeds_read_visibility", "reads_depth")
 """What a decoder can learn to read later."""
-
-
-def started_from_weights(preset: Preset) -> tuple[Variables, dict[str, Any]] | None:
-    """The variables of --weights and what is known of their training, if it is given
-    (`beginning`)."""
-    if FLAGS.weights is None:
-        return None
-    variables = beginning(FLAGS.weights, preset.model, FLAGS.preset, FLAGS.seed)
-    return variables, known_of(FLAGS.weights)
 
 
 def beginning(
@@ -173,7 +141,7 @@ def training_data(
                 build_if_missing(name, split, data_dir, **changes)
     wait_for_all("the data")
     if FLAGS.mixture is None:
-        train, validation = open_training(*weights, data_dir)
+        train, validation = open_training(next(iter(weights)), data_dir)
     else:
         train, validation = open_mixture(weights, data_dir, whole=FLAGS.whole)
     data = Data(
@@ -188,9 +156,8 @@ def training_data(
     )
     if FLAGS.num_workers or encoded <= len(train):
         return data
-    framing = data.framing(num_complete)
-    indices = index_table(train, framing, preset.model.backbone)
-    return data._replace(indices=indices)
+    table = index_table(train, data.framing(num_complete), preset.model.backbone)
+    return data._replace(indices=table)
 
 
 def about_training(preset: Preset, data: Data) -> dict[str, Any]:
@@ -200,10 +167,7 @@ def about_training(preset: Preset, data: Data) -> dict[str, Any]:
         name: {split: digest_of(name, split, data_dir) for split in opened_splits(name)}
         for name in weights
     }
-    sizes = {
-        "examples": len(data.train),
-        "validation_examples": len(data.validation),
-    }
+    sizes = {"examples": len(data.train), "validation_examples": len(data.validation)}
     if FLAGS.mixture is not None:
         about = {"mixture": weights, "digests": digests, **sizes}
         return about if FLAGS.whole is None else {**about, "whole": FLAGS.whole}

@@ -2,7 +2,7 @@
 # Runs a command with an allocator that keeps its memory. On a Linux CPU a long training
 # is a third faster with it: XLA allocates a step's temporaries anew each time.
 #
-#     experiments/with_allocator.sh python -m experiments.pretrain --workdir=DIR
+#     experiments/with_allocator.sh python -m experiments.train --workdir=DIR
 #
 # It takes tcmalloc where that is installed (Debian and Ubuntu: libtcmalloc-minimal4), and
 # otherwise has glibc keep what is freed, in large pages, but for blocks of 2 GiB and more,

@@ -35,7 +35,7 @@ COMMANDS = commands()
 def test_they_are_found():
     assert len(COMMANDS) > 35
     named = {launcher for launcher, _ in COMMANDS}
-    assert {"complete", "envelope", "evaluate", "make_data", "pretrain"} <= named
+    assert {"complete", "envelope", "evaluate", "make_data", "train"} <= named
 
 
 @pytest.mark.parametrize(("launcher", "rest"), COMMANDS)
@@ -63,4 +63,4 @@ def test_flags_of_the_script_are_its_own_or_the_trainings():
     for flags in given:
         assert not [flag for flag in flags if not flag.startswith("--")]
         others = [flag for flag in flags if not flag.startswith(tuple(own))]
-        launching.parse("meta_train", "--workdir=DIR", *others)
+        launching.parse("train", "--workdir=DIR", *others)

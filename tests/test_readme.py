@@ -99,7 +99,7 @@ def test_a_scene(folder):
 def test_ones_own_recordings(folder):
     (folder / "my_cells").symlink_to(CELLS)
     shown = "\nprint(len(frames), frames[0].partial.shape[1])\n"
-    assert run(folder, EXAMPLES["data.md"][0] + shown).split() == ["20", "3"]
+    assert run(folder, EXAMPLES["data.md"][0] + shown).split() == ["12", "3"]
 
 
 def test_pages_are_what_the_results_give():

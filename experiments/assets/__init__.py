@@ -3,4 +3,4 @@
 import pathlib
 
 CELLS = pathlib.Path(__file__).parent / "roboarm"
-"""Recordings of 20 simulated robot cells: the first frame of each test sequence."""
+"""Recordings of 12 simulated robot cells: the first frames of 12 test sequences."""

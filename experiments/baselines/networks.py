@@ -3,11 +3,6 @@ they have."""
 
 import flax.linen as nn
 
-from experiments.baselines.adapointr import (
-    ADAPOINTR_SMALL,
-    AdaPoinTr,
-    AdaPoinTrConfig,
-)
 from experiments.baselines.fsc import FSC, FSC_SMALL, FSCConfig
 from experiments.baselines.pcn import PCN, PCN_SMALL, PCNConfig
 from experiments.baselines.pointr import POINTR_SMALL, PoinTr, PoinTrConfig
@@ -32,10 +27,6 @@ NETWORKS: dict[str, dict[str, nn.Module]] = {
     "snowflakenet": {
         "small": SnowflakeNet(SNOWFLAKENET_SMALL),
         "paper": SnowflakeNet(SnowflakeNetConfig()),
-    },
-    "adapointr": {
-        "small": AdaPoinTr(ADAPOINTR_SMALL),
-        "paper": AdaPoinTr(AdaPoinTrConfig()),
     },
     "fsc": {"small": FSC(FSC_SMALL), "paper": FSC(FSCConfig())},
 }

@@ -13,7 +13,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.sampling import farthest_point_sample
@@ -35,8 +35,8 @@ from prism_jax.models.layers import (
 
 
 @dataclasses.dataclass(frozen=True)
-class ProxyConfig:
-    """Sizes of a transformer of point proxies. The defaults are PoinTr's for PCN.
+class PoinTrConfig:
+    """Sizes of PoinTr. The defaults are the published network for PCN.
 
     Attributes:
       num_points: points of the partial cloud.
@@ -56,6 +56,8 @@ class ProxyConfig:
       global_features: width of the two global features and of the query generator.
       num_queries: centres that points are rebuilt around, at most ``num_centers[0]``.
       use_norm: BatchNorm and GroupNorm; LayerNorm is always there.
+      fold_side: points along a side of the grid that is folded around each centre.
+      fold_features: hidden widths of the two foldings.
     """
 
     num_points: int = 2048
@@ -73,23 +75,12 @@ class ProxyConfig:
     global_features: int = 1024
     num_queries: int = 224
     use_norm: bool = True
+    fold_side: int = 8
+    fold_features: tuple[int, int] = (256, 128)
 
     def __post_init__(self) -> None:
         if self.num_queries > self.num_centers[0]:
             raise ValueError("PoinTr needs at least as many centers as queries")
-
-
-@dataclasses.dataclass(frozen=True)
-class PoinTrConfig(ProxyConfig):
-    """Sizes of PoinTr. The defaults are the published network for PCN.
-
-    Attributes:
-      fold_side: points along a side of the grid that is folded around each centre.
-      fold_features: hidden widths of the two foldings.
-    """
-
-    fold_side: int = 8
-    fold_features: tuple[int, int] = (256, 128)
 
     @property
     def stage_sizes(self) -> tuple[int, int]:
@@ -138,7 +129,7 @@ class ProxyIndices(NamedTuple):
     proxy_neighbors: Int[Array, "... m j"]
 
 
-def proxy_indices(partial: Float[Array, "N 3"], config: ProxyConfig) -> ProxyIndices:
+def proxy_indices(partial: Float[Array, "N 3"], config: PoinTrConfig) -> ProxyIndices:
     """Samples and neighbours of one partial cloud."""
     num_centers, num_proxies = config.num_centers
     rows = farthest_point_sample(partial, num_centers)
@@ -216,10 +207,7 @@ class EdgeConv(nn.Module):
 
 
 class Attention(nn.Module):
-    """Multi-head attention (Vaswani et al., 2017); only its last layer has a bias.
-
-    ``visible`` says which of the support a query may look at; all, if not given.
-    """
+    """Multi-head attention (Vaswani et al., 2017); only its last layer has a bias."""
 
     num_heads: int
 
@@ -228,15 +216,12 @@ class Attention(nn.Module):
         self,
         query: Float[Array, "... M C"],
         support: Float[Array, "... N C"],
-        visible: Bool[Array, "M N"] | None = None,
     ) -> Float[Array, "... M C"]:
         q, k, v = (
             self._heads(name, x)
             for name, x in (("query", query), ("key", support), ("value", support))
         )
         logits = jnp.einsum("...mhc,...nhc->...hmn", q, k) / q.shape[-1] ** 0.5
-        if visible is not None:
-            logits = jnp.where(visible, logits, -jnp.inf)
         attended = jnp.einsum("...hmn,...nhc->...mhc", jax.nn.softmax(logits), v)
         return Dense(query.shape[-1], name="end")(attended.reshape(query.shape))
 
@@ -257,10 +242,9 @@ class GeometryAwareAttention(nn.Module):
         query: Float[Array, "... M C"],
         support: Float[Array, "... N C"],
         neighbors: Int[Array, "... M k"] | None,
-        visible: Bool[Array, "M N"] | None = None,
     ) -> Float[Array, "... M C"]:
         attention = Attention(self.num_heads, name="attention")
-        attended = attention(query, support, visible)
+        attended = attention(query, support)
         if neighbors is None:
             return attended
         width = query.shape[-1]
@@ -269,9 +253,8 @@ class GeometryAwareAttention(nn.Module):
 
 
 class Block(nn.Module):
-    """A transformer block, normalised before each part: attention among the tokens, of
-    those that are ``visible`` to each, to the encoder's where these are given, and an
-    MLP."""
+    """A transformer block, normalised before each part: attention among the tokens,
+    to the encoder's where these are given, and an MLP."""
 
     num_heads: int
     mlp_ratio: int
@@ -283,11 +266,10 @@ class Block(nn.Module):
         neighbors: Int[Array, "... M k"] | None,
         encoded: Float[Array, "... N C"] | None = None,
         encoded_neighbors: Int[Array, "... M k"] | None = None,
-        visible: Bool[Array, "M M"] | None = None,
     ) -> Float[Array, "... M C"]:
         y = _layer_norm("norm_self")(x)
         attention = GeometryAwareAttention(self.num_heads, name="self_attention")
-        x = x + attention(y, y, neighbors, visible)
+        x = x + attention(y, y, neighbors)
         if encoded is not None:
             y, support = _layer_norm("norm_query")(x), _layer_norm("norm_key")(encoded)
             attention = GeometryAwareAttention(self.num_heads, name="cross_attention")
@@ -306,7 +288,7 @@ class ProxyExtractor(nn.Module):
     """A feature for each proxy's neighbourhood: four edge convolutions over fewer and
     fewer points."""
 
-    config: ProxyConfig
+    config: PoinTrConfig
 
     @nn.compact
     def __call__(
@@ -331,7 +313,7 @@ class ProxyExtractor(nn.Module):
 
 
 def encode(
-    config: ProxyConfig,
+    config: PoinTrConfig,
     partial: Float[Array, "... N 3"],
     proxies: Float[Array, "... m 3"],
     indices: ProxyIndices,
@@ -350,23 +332,22 @@ def encode(
 
 
 def decode(
-    config: ProxyConfig,
+    config: PoinTrConfig,
     queries: Float[Array, "... M C"],
     encoded: Float[Array, "... m C"],
     neighbors: tuple[Int[Array, "... M k"], Int[Array, "... M k"]],
-    visible: Bool[Array, "M M"] | None = None,
 ) -> Float[Array, "... M C"]:
     """The decoder's tokens, one a query, whose neighbours are among the queries and
     among the encoder's tokens."""
     x = queries
     for i in range(config.depth[1]):
         own, across = neighbors if i < config.geometric_depth else (None, None)
-        x = _block(config, f"decoder_{i}")(x, own, encoded, across, visible)
+        x = _block(config, f"decoder_{i}")(x, own, encoded, across)
     return x
 
 
 def global_feature(
-    config: ProxyConfig, name: str, x: Float[Array, "... m C"], train: bool
+    config: PoinTrConfig, name: str, x: Float[Array, "... m C"], train: bool
 ) -> Float[Array, "... 1 G"]:
     """The maximum over the tokens, with an axis of one token."""
     width = config.global_features
@@ -374,11 +355,11 @@ def global_feature(
     return highest(mlp(x, train=train))[..., None, :]
 
 
-def _mlp(config: ProxyConfig, name: str, features: tuple[int, ...]) -> NormMLP:
+def _mlp(config: PoinTrConfig, name: str, features: tuple[int, ...]) -> NormMLP:
     return NormMLP(features, config.use_norm, name=name)
 
 
-def _block(config: ProxyConfig, name: str) -> Block:
+def _block(config: PoinTrConfig, name: str) -> Block:
     return Block(config.num_heads, config.mlp_ratio, name=name)
 
 

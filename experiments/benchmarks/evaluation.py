@@ -31,7 +31,7 @@ MOST = 1 / 5
 
 
 def suite(weights: str = "small") -> Iterator[Row]:
-    """Twenty recorded frames, completed at once and scored on all cores.
+    """The recorded frames, completed at once and scored on all cores.
 
     Against each completed alone and each of its clouds scored by the functions of
     `prism_jax.metrics`, and against batches of one in one thread. Then their exact EMD

@@ -1,5 +1,1 @@
-"""Training the released network on unlabelled frames of somebody's own cells.
-
-A plant's recordings have no ground truth. What they have is much that was measured: a
-part of it is hidden from the network, which then has to return it.
-"""
+"""Training on unlabelled frames of one's own cells: what is asked about a frame."""

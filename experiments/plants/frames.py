@@ -1,196 +1,168 @@
-"""Frames without ground truth, what is asked of the network about them, and batches."""
+"""Frames without ground truth: what is hidden of them, and what a student is taught."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import dataclasses
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+import trimesh
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
-from tqdm import tqdm
+from scipy.spatial.transform import Rotation
 
-from experiments.plants.occlusion import occluded
-from prism_jax.adaptation.config import PrismConfig
-from prism_jax.data.holdout import Subset
+from experiments.simulation.raycast import Scene
+from experiments.simulation.surroundings import random_occluder
+from experiments.simulation.truncation import random_cut
+from prism_jax.data.crops import random_crop
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.pipeline import Batch, Framing, frame_example
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import Protocol, observed
 from prism_jax.io.errors import InputError
+from prism_jax.models.config import ModelConfig
 from prism_jax.observation.observation import Observation
 from prism_jax.observation.strays import find_strays
-from prism_jax.selection import select
+from prism_jax.observation.visibility import NUM_RAYS, REACH
+from prism_jax.selection import TOLERANCE, select, usual_spacing
 
-MAX_MEASURED = 8192
-"""Measured points that are kept of a frame: evenly spaced rows of a larger cloud."""
+MAX_MEASURED = 8192  # points that are kept of a frame: evenly spaced rows of it
+HIDDEN_SHARES = (0.1, 0.75)  # of the points: the least and the most that are hidden
+FEWEST = 32  # points that are left at least, where there are as many to begin with
+TURNS = (20.0, 100.0)  # degrees about the vertical between a sensor and a second one
 
-FEW = 5
-"""One sequence in so many checks, or one frame in so many where sequences are fewer."""
+Cloud = Float[np.ndarray, "_ 3"]
 
 
-class Unlabelled:
-    """A source whose ground truth nobody sees: it is dropped as an example is read."""
+@dataclasses.dataclass(frozen=True)
+class PlantConfig:
+    """How a network is trained on frames without truth."""
 
-    def __init__(self, source: Source):
-        self._source = source
-        self.categories, self.objects = source.categories, source.objects
-
-    def __len__(self) -> int:
-        return len(self._source)
-
-    def __getitem__(self, index: int) -> Example:
-        return self._source[index]._replace(complete=None)
+    batch_size: int = 8
+    num_label: int = 2048  # points of a pseudo-label that the loss looks at
+    num_hidden: int = 512  # and of what was hidden
+    reach: float = 0.15  # of labels, from what was measured, in half sides
+    whole: float = 0.25  # share of frames that the student reads without occlusion
+    hidden_weight: float = 0.25  # of the way from what was hidden to the prediction
+    auxiliary_weight: float = 0.01  # of the objective of Eq. 13
 
 
 class Frame(NamedTuple):
-    """One frame of a recording.
+    """One frame of a recording."""
 
-    Attributes:
-      name: unique within the recordings.
-      object: the number of its sequence.
-      measured: what was measured, in its own frame and unit.
-      eye: where the sensor stood; None if nobody knows.
-      any_heading: as an `Example` has it.
-      seen: what the network reads of the whole of it.
-    """
-
-    name: str
-    object: int
-    measured: Float[np.ndarray, "N 3"]
-    eye: Float[np.ndarray, "3"] | None
-    any_heading: bool
-    seen: Observation
+    example: Example  # without strays and without truth
+    object: int  # the number of its sequence
+    seen: Observation  # what the network reads of all of it
 
 
-def evenly(source: Source, count: int | None) -> Source:
-    """So many examples of a source, evenly spaced; all of them for None."""
-    if count is None or count >= len(source):
-        return source
-    return Subset(source, np.unique(np.linspace(0, len(source) - 1, count, dtype=int)))
+def read_frame(source: Source, row: int, model: ModelConfig) -> Frame:
+    """A row of a source, whose truth is dropped before anything can look at it. One
+    without measured points raises InputError."""
+    example = source[row]._replace(complete=None, ordered=False, visibility=None)
+    if example.partial is None:
+        remedy = "use a set with partial clouds of its own"
+        raise InputError(example.name, "has no measured points", remedy)
+    points, eye = example.partial[~find_strays(example.partial)], example.eye
+    points = points[:: -(-len(points) // MAX_MEASURED)]
+    eye = None if eye is None or not np.isfinite(eye).all() else eye
+    example = example._replace(partial=points, eye=eye)
+    return Frame(example, int(source.objects[row]), observed(example, reading(model)))
 
 
-def read_frames(source: Source, config: PrismConfig) -> list[Frame]:
-    """All frames of a source, as the network reads them, without strays.
-
-    A frame without measured points raises InputError.
-    """
-    protocol = reading(config)
-    frames = []
-    rows = tqdm(range(len(source)), "frames", unit="frame", mininterval=2.0)
-    for row, number in zip(rows, source.objects, strict=True):
-        example = source[row]
-        if example.partial is None:
-            remedy = "use a set with partial clouds of its own"
-            raise InputError(example.name, "has no measured points", remedy)
-        points = example.partial[~find_strays(example.partial)]
-        points = points[:: -(-len(points) // MAX_MEASURED)]
-        eye = example.eye
-        if eye is not None and not np.isfinite(eye).all():
-            eye = None
-        example = example._replace(partial=points, ordered=False, eye=eye)
-        frames.append(
-            Frame(
-                example.name,
-                int(number),
-                points.astype(np.float64),
-                None if eye is None else eye.astype(np.float64),
-                example.any_heading,
-                observed(example, protocol),
-            )
-        )
-    return frames
-
-
-def reading(config: PrismConfig) -> Protocol:
+def reading(model: ModelConfig) -> Protocol:
     """How the network reads a frame: as every completion does."""
-    model = config.model
     return Protocol(model.backbone.num_points, model.margin, heading=model.heading)
 
 
-def held_out(
-    objects: Int[np.ndarray, " F"],
-) -> tuple[Int[np.ndarray, " T"], Int[np.ndarray, " C"]]:
-    """Rows of the frames to train on, and of those that check.
-
-    Every fifth sequence checks with all its frames; where there are fewer than five,
-    every fifth frame does. Fewer than five frames raise InputError.
-    """
-    if len(objects) < FEW:
-        fault = f"{len(objects)} frames are too few to hold some out"
-        raise InputError("recordings", fault, f"record {FEW} or more")
-    several = len(np.unique(objects)) >= FEW
-    numbers = np.unique(objects, return_inverse=True)[1]
-    checks = (numbers if several else np.arange(len(objects))) % FEW == FEW // 2
-    return np.flatnonzero(~checks), np.flatnonzero(checks)
-
-
-def other_sequences(
-    source: Source, categories: Sequence[str]
-) -> tuple[Int[np.ndarray, " T"], Int[np.ndarray, " S"]]:
-    """Rows of a source by sequence: to adapt to, and to be scored on.
-
-    `categories` are of the source's items. Of each category every other sequence is
-    scored, and the rest, with the first, is adapted to: the two have the same robots
-    and no sequence in common. Categories of a single sequence are adapted to alone.
-    """
-    objects, names = source.objects, np.asarray(categories)
-    scored = np.zeros(len(objects), bool)
-    for name in np.unique(names):
-        numbers = np.unique(objects[names == name])
-        scored |= (names == name) & np.isin(objects, numbers[1::2])
-    return np.flatnonzero(~scored), np.flatnonzero(scored)
-
-
-def pseudo_label(
-    frame: Frame, prediction: Float[np.ndarray, "P 3"], count: int, reach: float
-) -> Float[np.ndarray, "M 3"]:
-    """What was measured and what the teacher adds to it consistently.
-
-    `prediction` is the teacher's, in the unit of `frame.seen`. Kept of it is what a
-    user would get (`prism_jax.selection.select`), but nothing farther than `reach` half
-    sides from all that was measured: a teacher learns to reach beyond what it sees,
-    and a student that it taught so would reach farther still. `count` points in
-    farthest-point order, in the frame's own frame and unit.
-    """
-    seen = frame.seen
-    prediction = np.asarray(prediction, np.float64)
-    measured = np.asarray(seen.workspace.to_unit(frame.measured))
-    selection = select(
-        prediction,
-        measured,
-        np.asarray(seen.partial),
-        None if frame.eye is None else np.asarray(seen.eye),
-    )
-    near = KDTree(measured).query(prediction)[0] <= reach
-    added = np.asarray(seen.workspace.from_unit(prediction[selection.kept & near]))
-    return farthest_point_order(np.concatenate([frame.measured, added]), count)
+def pseudo_label(frame: Frame, prediction: Cloud, settings: PlantConfig) -> Cloud:
+    """What was measured and, of the teacher's prediction in the unit of `frame.seen`,
+    what a user would get, but nothing farther than ``reach`` from what was measured: a
+    student that learned to reach farther than it sees would then teach that."""
+    points: Any = frame.example.partial
+    workspace = frame.seen.workspace
+    measured = np.asarray(workspace.to_unit(points))
+    eye = None if frame.example.eye is None else np.asarray(frame.seen.eye)
+    kept = select(prediction, measured, np.asarray(frame.seen.partial), eye).kept
+    kept &= KDTree(measured).query(prediction)[0] <= settings.reach
+    added = np.asarray(workspace.from_unit(prediction[kept]), np.float32)
+    return farthest_point_order(np.concatenate([points, added]), settings.num_label)
 
 
 def student_view(
-    frame: Frame,
-    label: Float[np.ndarray, "M 3"],
-    num_hidden: int,
-    whole: float,
-    framing: Framing,
-    rng: np.random.Generator,
+    example: Example, label: Cloud, settings: PlantConfig, framing: Framing, rng: Any
 ) -> Batch:
-    """What the student reads of a frame, and what it is to return.
+    """What the student reads of a frame, framed as in every training: what an occlusion
+    leaves, or sometimes the whole. ``complete`` is the label, and behind it what was
+    hidden, or some of all where nothing was."""
+    kept: Any = example.partial
+    hidden, eye = kept, example.eye
+    if rng.random() >= settings.whole:
+        kept, hidden, eye = occluded(example, rng)
+    kept = farthest_point_order(kept, framing.num_partial)
+    wanted = np.concatenate([label, farthest_point_order(hidden, settings.num_hidden)])
+    view = example._replace(complete=wanted, partial=kept, eye=eye, ordered=True)
+    return frame_example(view, framing, rng)
 
-    A new virtual occlusion, or with the probability `whole` the frame as it is, framed,
-    turned and mirrored as in every training (`prism_jax.data.pipeline.frame_example`).
-    ``complete`` is the label, and behind it `num_hidden` points of what was hidden, or
-    of all that was measured where nothing was.
+
+def hide(example: Example, look: int, model: ModelConfig) -> tuple[Cloud, Observation]:
+    """What an occlusion hides, the same for every network, and what is read then."""
+    rng = np.random.default_rng((look, *example.name.encode()))
+    kept, hidden, eye = occluded(example, rng)
+    return hidden, observed(example._replace(partial=kept, eye=eye), reading(model))
+
+
+def occluded(example: Example, rng: Any) -> tuple[Cloud, Cloud, np.ndarray | None]:
+    """What is kept of the measured points, what is hidden, and the sensor's new place.
+
+    Something stands between, or the image's edge, a half space or a box cuts the points
+    off, or a second sensor looks from another side. Where none of these hides a share
+    of `HIDDEN_SHARES`, and where nobody knows where the sensor stood, what is nearest
+    to a random viewpoint goes. Fewer than four points raise ValueError.
     """
-    kept, hidden, eye = frame.measured, frame.measured, frame.eye
-    if rng.random() >= whole:
-        kept, hidden, eye = occluded(frame.measured, frame.eye, rng)
-    wanted = np.concatenate([label, farthest_point_order(hidden, num_hidden)])
-    example = Example(
-        wanted.astype(np.float32),
-        farthest_point_order(kept, framing.num_partial).astype(np.float32),
-        None if eye is None else eye.astype(np.float32),
-        "",
-        frame.name,
-        ordered=True,
-        any_heading=frame.any_heading,
-    )
-    return frame_example(example, framing, rng)
+    cloud: Any = example.partial
+    eye = example.eye
+    if len(cloud) < 4:
+        raise ValueError("too few points to hide some")
+    ways = (_behind_something, _within_a_cut, _seen_from_elsewhere)
+    for way in rng.permutation(len(ways)) if eye is not None else ():
+        kept, place = ways[way](cloud.astype(float), np.asarray(eye, float), rng)
+        share = 1.0 - kept.mean()
+        enough = kept.sum() >= min(FEWEST, len(cloud) // 2)
+        if HIDDEN_SHARES[0] <= share <= HIDDEN_SHARES[1] and enough:
+            return cloud[kept], cloud[~kept], place.astype(np.float32)
+    rest, _ = random_crop(cloud, rng)
+    gone = KDTree(rest).query(cloud)[0] > 0
+    return cloud[~gone], cloud[gone], eye
+
+
+def _behind_something(points, eye, rng):
+    thing = random_occluder(eye, points, rng)
+    kept = np.ones(len(points), bool)
+    if thing is not None:
+        hits = thing.cast(eye, points - eye)
+        away = np.linalg.norm(points - eye, axis=1)[hits.ray]
+        kept[hits.ray[hits.distances < away]] = False
+    return kept, eye
+
+
+def _within_a_cut(points, eye, rng):
+    box = trimesh.creation.box(bounds=[points.min(axis=0), points.max(axis=0)])
+    return random_cut(Scene(box), eye, points, rng).holds(points), eye
+
+
+def _seen_from_elsewhere(points, eye, rng):
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    angle = rng.choice([-1.0, 1.0]) * rng.uniform(*TURNS)
+    turn = Rotation.from_euler("z", angle, degrees=True)
+    other = middle + turn.apply(eye - middle)
+    return seen_from(points, other), other
+
+
+def seen_from(points: Cloud, eye: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " N"]:
+    """Which points no other one hides: none about their line of sight is nearer to the
+    eye by more than `TOLERANCE` spacings."""
+    rays = points - eye
+    distance = np.maximum(np.linalg.norm(rays, axis=1), np.finfo(np.float64).tiny)
+    spacing, sight = usual_spacing(points), rays / distance[:, None]
+    reach = REACH * spacing / np.median(distance)
+    _, rows = KDTree(sight).query(sight, k=NUM_RAYS, distance_upper_bound=reach)
+    nearest = np.append(distance, np.inf)[rows].min(axis=1)
+    return distance - nearest <= TOLERANCE * spacing

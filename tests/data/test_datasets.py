@@ -74,7 +74,7 @@ def test_what_another_version_built_is_refused(name, tmp_path):
 
 def test_recordings_have_one_split():
     root = CELLS
-    assert len(open_dataset("recordings", "all", root)) == 20
+    assert len(open_dataset("recordings", "all", root)) == 12
     with pytest.raises(InputError, match="unknown value 'test'; use all"):
         open_dataset("recordings", "test", root)
     assert digest_of("recordings", "all", root) is not None

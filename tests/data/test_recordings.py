@@ -308,7 +308,7 @@ def test_files_are_held_against_the_manifest(root):
 
 def test_the_recorded_cells_are_whole():
     cells = RecordedCells(CELLS)
-    assert len(cells) == check_recordings(cells.root) == 20
+    assert len(cells) == check_recordings(cells.root) == 12
     robots = set()
     for index, example in enumerate(cells):
         frame = cells.read(index)

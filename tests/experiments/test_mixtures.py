@@ -1,4 +1,4 @@
-"""Six trainings by one script, and their scores side by side."""
+"""Six trainings' scores side by side."""
 
 import json
 
@@ -10,49 +10,6 @@ from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.metrics import Scores
 from prism_jax.weights import save_weights
 from tests import launching
-
-
-def test_the_script_trains_and_scores_each(scripted, tmp_path):
-    place = f"--workdir={tmp_path}/run"
-    given = ["--samples=64", "--weights=small", "--seed=3"]
-    status, told, commands = scripted("train_mixtures.sh", place, *given)
-    assert status == 0, told
-    for name, *arguments in commands:
-        launching.parse(name, *arguments)
-    trainings = [command for command in commands if command[0] == "pretrain"]
-    scores = [command for command in commands if command[0] == "evaluate"]
-    assert len(trainings) == len(mixtures.MIXTURES)
-    assert len(scores) == len(mixtures.MIXTURES) * len(mixtures.SETS)
-    for name, training in zip(mixtures.MIXTURES, trainings, strict=True):
-        assert f"--workdir={tmp_path}/run/{name}" in training
-        samples = "--set=pretrain.backbone.1.num_samples=64"
-        assert {"--weights=small", "--seed=3", samples} <= set(training)
-    outputs = {flag for command in scores for flag in command if "--output" in flag}
-    expected = {
-        f"--output={tmp_path}/run/{name}/{scored}.json"
-        for name in mixtures.MIXTURES
-        for scored in mixtures.SETS
-    }
-    assert outputs == expected
-    built = [command for command in commands if command[0] == "make_data"]
-    assert {command[1] for command in built} == {
-        f"--dataset={name}" for name in ("shapes", "open", "objects", "cells")
-    }
-
-
-def test_what_is_done_is_not_done_again(scripted, tmp_path):
-    place = [f"--workdir={tmp_path}/run", "--weights=small"]
-    status, _, commands = scripted("train_mixtures.sh", *place, fails="--workdir")
-    assert status == 3 and [command[0] for command in commands] == ["pretrain"]
-    one = ["--only=today"]
-    status, _, commands = scripted("train_mixtures.sh", *place, *one)
-    assert status == 0
-    assert [command[0] for command in commands] == ["pretrain"] + 4 * ["evaluate"]
-    assert scripted("train_mixtures.sh", *place, *one)[2] == []
-    status, told, _ = scripted("train_mixtures.sh", *place, "--only=nothing")
-    assert status == 2 and "train_mixtures: --only: nothing is none" in told
-    for alone in place:
-        assert scripted("train_mixtures.sh", alone)[0] == 2
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
         changes = [flag[6:] for flag in arguments if flag.startswith("--set=")]
         settings.resolve("small", changes)
     names = [command[0] for command in commands]
-    assert names == ["train_baseline"] * len(NETWORKS) + ["pretrain"] * 2
+    assert names == ["train_baseline"] * len(NETWORKS) + ["train"] * 2
     assert {
         flag.partition("=")[2]
         for command in commands
@@ -163,13 +163,13 @@ def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
         } <= set(command)
     table = told.strip().splitlines()[-1].split()
     assert table[:3] == ["python", "-m", "experiments.table_1"]
-    assert len([word for word in table if word.startswith("--network=")]) == 6
+    assert len([word for word in table if word.startswith("--network=")]) == 5
     launching.parse("table_1", *table[3:])
     # What is done is not done again, and others are not begun.
     assert scripted("train_table_1.sh", place, *given)[2] == []
     more = f"--workdir={tmp_path}/more"
     _, _, commands = scripted("train_table_1.sh", more, "--only=crapcn")
-    assert [command[0] for command in commands] == ["pretrain"]
+    assert [command[0] for command in commands] == ["train"]
     assert "--set=model.backbone.reads_visibility=False" in commands[0]
     for wrong in ("--only=nothing", "--samples=half", "nothing"):
         status, told, commands = scripted("train_table_1.sh", more, wrong)

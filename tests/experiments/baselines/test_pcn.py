@@ -1,7 +1,5 @@
 """PCN against its formulas, and what the paper claims of it."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +18,6 @@ TINY = PCNConfig(
 )
 RNG = np.random.default_rng(0)
 PARTIAL = jnp.asarray(RNG.uniform(-1, 1, (3, 24, 3)), jnp.float32)
-COMPLETE = jnp.asarray(RNG.uniform(-1, 1, (3, 32, 3)), jnp.float32)
 
 
 @pytest.fixture(scope="module")
@@ -64,19 +61,6 @@ def test_the_papers_formulas(complete_fn, variables):
         expected = by_hand(variables, PARTIAL[i])
         np.testing.assert_allclose(coarse[i], expected[0], atol=2e-6)
         np.testing.assert_allclose(dense[i], expected[1], atol=2e-6)
-
-
-@pytest.mark.parametrize(
-    ("config", "stages"),
-    [(PCNConfig(), (1024, 16384)), (PCN_SMALL, (128, 2048)), (TINY, (8, 32))],
-)
-def test_points_of_every_stage(config, stages):
-    partial = jax.ShapeDtypeStruct((2, config.num_points, 3), jnp.float32)
-    make = functools.partial(PCN(config).init_with_output, train=True)
-    made, _ = jax.eval_shape(make, jax.random.key(0), partial)
-    assert [stage.shape for stage in made] == [(2, n, 3) for n in stages]
-    assert config.num_outputs == stages[-1]
-    assert hash(config) == hash(PCNConfig(**vars(config)))
 
 
 def test_published_number_of_parameters():

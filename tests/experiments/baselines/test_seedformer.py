@@ -5,13 +5,10 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
-from flax.traverse_util import flatten_dict
 from jax.test_util import check_grads
 
 from experiments.baselines.seedformer import (
-    SEEDFORMER_SMALL,
     Patches,
     PointTransformer,
     SeedFormer,
@@ -19,7 +16,6 @@ from experiments.baselines.seedformer import (
     SeedGenerator,
     UpsampleTransformer,
 )
-from prism_jax.losses.primary import primary_loss
 
 RNG = np.random.default_rng(0)
 TINY = SeedFormerConfig(
@@ -56,10 +52,6 @@ def drawn(module, *inputs):
     return jax.tree_util.tree_map_with_path(draw, tree)
 
 
-def num_parameters(variables):
-    return sum(leaf.size for leaf in jax.tree.leaves(variables["params"]))
-
-
 @pytest.fixture(scope="module")
 def variables():
     return drawn(MODEL, normal(40, 3))
@@ -72,40 +64,9 @@ def apply(quick_jit):
 
 
 @pytest.fixture(scope="module")
-def value_and_grad(quick_jit):
-    """Loss, stages and gradient of the tiny network on a batch."""
-
-    def loss(params, partial, complete):
-        stages = MODEL.apply({"params": params}, partial)
-        return jax.vmap(primary_loss)(stages, complete).mean(), stages
-
-    return quick_jit(jax.value_and_grad(loss, has_aux=True))
-
-
-@pytest.fixture(scope="module")
 def clouds():
     complete = normal(3, TINY.num_outputs, 3) * 0.4
     return complete[:, :40], complete
-
-
-@pytest.mark.parametrize(
-    ("config", "sizes", "parameters"),
-    [
-        (SeedFormerConfig(), (256, 512, 2048, 16384), 3_308_620),
-        (SEEDFORMER_SMALL, (128, 256, 2048), 634_089),
-    ],
-    ids=["published", "small"],
-)
-def test_stages_and_parameters(config, sizes, parameters):
-    partial = jnp.zeros((2, config.num_points, 3))
-    network = SeedFormer(config)
-    stages, variables = jax.eval_shape(
-        lambda: network.init_with_output(jax.random.key(0), partial)
-    )
-    assert [stage.shape for stage in stages] == [(2, size, 3) for size in sizes]
-    assert config.num_outputs == sizes[-1]
-    assert num_parameters(variables) == parameters
-    assert ("batch_stats" in variables) == config.use_norm
 
 
 def dense(params, x):
@@ -222,30 +183,6 @@ def test_gradient_of_the_upsample_transformer(x64):
     check_grads(total, (variables, *floats), order=1, modes=["rev"])
 
 
-@pytest.mark.slow
-def test_a_cloud_alone_mapped_and_in_a_batch(
-    variables, apply, value_and_grad, quick_jit, clouds
-):
-    alone = [apply(variables, cloud) for cloud in clouds[0]]
-    looped = [jnp.stack(stage) for stage in zip(*alone, strict=True)]
-    (_, together), _ = value_and_grad(variables["params"], *clouds)
-    mapped = quick_jit(jax.vmap(lambda cloud: MODEL.apply(variables, cloud)))(clouds[0])
-    assert [stage.shape for stage in looped] == [(3, 16, 3), (3, 20, 3), (3, 40, 3)]
-    for one, two, three in zip(looped, together, mapped, strict=True):
-        np.testing.assert_allclose(one, two, rtol=1e-5, atol=1e-5)
-        np.testing.assert_allclose(one, three, rtol=1e-5, atol=1e-5)
-
-
-def test_the_order_of_points_is_free_but_for_the_first(variables, apply, clouds):
-    partial = clouds[0][0]
-    order = np.concatenate([[0], 1 + RNG.permutation(39)])
-    expected = apply(variables, partial)
-    for stage, other in zip(expected, apply(variables, partial[order]), strict=True):
-        np.testing.assert_allclose(other, stage, rtol=1e-5, atol=1e-5)
-    moved = apply(variables, partial + 0.5)
-    assert abs(moved[0] - expected[0]).max() > 1e-3
-
-
 def test_without_offsets_every_stage_is_made_of_seeds_and_partial(
     variables, apply, clouds
 ):
@@ -264,50 +201,6 @@ def test_without_offsets_every_stage_is_made_of_seeds_and_partial(
     assert distances.min(1).max() <= apart.min()
 
 
-def test_gradients_reach_every_leaf(variables, value_and_grad, clouds):
-    (loss, _), gradient = value_and_grad(variables["params"], *clouds)
-    assert np.isfinite(loss)
-    leaves = flatten_dict(gradient, sep="/")
-    # A softmax does not see its logits' bias, nor a difference that of its terms.
-    unseen = {f"encoder/transformer_{i}/attention_1/bias" for i in range(2)}
-    for layer in ("layer_0", "layer_1"):
-        for name in ("transformer", "upsample"):
-            unseen |= {f"{layer}/{name}/attention_1/bias", f"{layer}/{name}/seed/bias"}
-    assert unseen <= leaves.keys()
-    for name, leaf in leaves.items():
-        assert np.isfinite(leaf).all(), name
-        if name in unseen:
-            assert abs(leaf).max() < 1e-5, name
-        else:
-            assert abs(leaf).max() > 1e-5, name
-
-
-def degenerate(kind):
-    points = np.array(normal(3, 40, 3)) * 0.4
-    if kind == "one point":
-        points[:] = [0.3, -0.2, 0.1]
-    if kind == "origin":
-        points[:] = 0
-    if kind == "collinear":
-        points = points[..., :1] * np.array([1.0, 2.0, -1.0])
-    if kind == "far":
-        points += 100
-    return jnp.asarray(points, jnp.float32)
-
-
-@pytest.mark.parametrize("kind", ["one point", "origin", "collinear", "far"])
-def test_degenerate_clouds_stay_finite(variables, value_and_grad, clouds, kind):
-    partial = degenerate(kind)
-    (loss, _), gradient = value_and_grad(variables["params"], partial, clouds[1])
-    assert np.isfinite(loss)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
-
-
-def test_an_empty_cloud_is_refused(variables):
-    with pytest.raises(ValueError, match="empty cloud"):
-        jax.eval_shape(MODEL.apply, variables, jnp.zeros((0, 3)))
-
-
 def test_seeds_from_patches_start_at_the_patches(quick_jit):
     generator = SeedGenerator(dataclasses.replace(TINY, seeds_from_patches=True))
     xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
@@ -318,40 +211,3 @@ def test_seeds_from_patches_start_at_the_patches(quick_jit):
     coordinates["dense_1"] = jax.tree.map(jnp.zeros_like, last)
     seeds, _ = quick_jit(generator.apply)(variables, patches)
     np.testing.assert_array_equal(seeds, np.repeat(xyz, 2, axis=0))
-
-
-@pytest.mark.slow
-def test_training_moves_the_statistics_and_nothing_else_does(quick_jit, clouds):
-    network, partial = SeedFormer(NORMED), clouds[0]
-    variables = drawn(network, partial)
-    trained = quick_jit(
-        lambda v, p: network.apply(v, p, train=True, mutable=["batch_stats"])
-    )
-    stages, updated = trained(variables, partial)
-    assert all(np.isfinite(stage).all() for stage in stages)
-    before = flatten_dict(variables["batch_stats"])
-    after = flatten_dict(updated["batch_stats"])
-    assert before.keys() == after.keys()
-    for path, leaf in after.items():
-        assert abs(leaf - before[path]).max() > 1e-6, path
-    # Statistics are not mutable here, so that touching them would raise.
-    jax.eval_shape(network.apply, variables, partial)
-
-
-@pytest.mark.slow
-def test_a_few_steps_lower_the_loss(variables, value_and_grad, quick_jit, clouds):
-    params = variables["params"]
-    optimiser = optax.adam(1e-2)
-    state = quick_jit(optimiser.init)(params)
-
-    @quick_jit
-    def step(params, state, gradient):
-        updates, state = optimiser.update(gradient, state)
-        return optax.apply_updates(params, updates), state
-
-    losses = []
-    for _ in range(8):
-        (loss, _), gradient = value_and_grad(params, *clouds)
-        params, state = step(params, state, gradient)
-        losses.append(float(loss))
-    assert losses[-1] < 0.8 * losses[0]

@@ -95,4 +95,4 @@ def test_the_bundled_frames_are_of_todays_generator(tmp_path, monkeypatch):
     content = json.loads(json.dumps(asked[0]))
     manifest = json.loads((CELLS / MANIFEST).read_text())
     del manifest["files"]
-    assert manifest == content | {"num_frames": 1}
+    assert manifest == content | {"num_frames": 1, "num_sequences": 12}

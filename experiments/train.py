@@ -1,0 +1,99 @@
+"""Trains a preset on a data set, the procedural shapes unless told otherwise.
+
+python -m experiments.train --preset=small --workdir=DIR [--weights=FILE] [--resume]
+python -m experiments.train --phase=meta --preset=small --weights=FILE --workdir=DIR
+"""
+
+import dataclasses
+
+import jax
+from absl import flags
+
+from experiments.settings import resolve
+from experiments.training import (
+    about_training,
+    beginning,
+    define_training_flags,
+    join_processes,
+    known_of,
+    parts_of_training,
+    training_data,
+)
+from prism_jax.cli.launch import launch
+from prism_jax.models.initial import init_variables
+from prism_jax.training.meta import check_meta, meta_phase
+from prism_jax.training.parallel import is_first
+from prism_jax.training.phase import train_phase
+from prism_jax.training.pretraining import pretrain
+from prism_jax.training.run import open_run, started_from
+from prism_jax.weights import save_weights, sha256
+
+FLAGS = flags.FLAGS
+
+
+def main():
+    """Trains, or resumes a run; a finished one leaves weights.safetensors."""
+    join_processes()
+    preset, name = resolve(FLAGS.preset, FLAGS.set), FLAGS.preset
+    check_meta(preset.meta)  # before a pretraining too: it follows, days later
+    meta = FLAGS.phase == "meta"
+    config = preset.meta if meta else preset.pretrain
+    variables = before = order = None
+    if FLAGS.weights is not None:
+        variables = beginning(FLAGS.weights, preset.model, name, FLAGS.seed)
+        before, order = known_of(FLAGS.weights), sha256(variables)
+    elif meta:
+        variables = init_variables(jax.random.key(FLAGS.seed), preset.model)
+    if meta:
+        num_samples = encoded = preset.meta.num_samples
+    else:
+        num_samples = sum(phase.num_samples for phase in preset.pretrain.backbone)
+        encoded = num_samples + preset.pretrain.auxiliary_samples
+    sizes = config.num_complete, config.validate_every, encoded
+    data = training_data(preset, *sizes, order)
+    run = {
+        "phase": FLAGS.phase,
+        "preset": dataclasses.asdict(preset),
+        "start": None if variables is None else sha256(variables),
+        "data": about_training(preset, data),
+    }
+    folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
+    ending = FLAGS.max_steps, FLAGS.tensorboard
+    about = {
+        "preset": name,
+        "seed": FLAGS.seed,
+        "commit": started_from(folder),
+        "data": parts_of_training(),
+        "samples": num_samples,
+    }
+    if meta:
+        assert variables is not None
+        phase = meta_phase(variables, preset.config, preset.meta, FLAGS.seed)
+        trained = train_phase(phase, data, folder, *ending)
+        best = trained.best if trained.done else None
+        about["meta"] = dataclasses.asdict(config)
+        last = f"\nsha256 {sha256(trained.last.variables)}"
+    else:
+        settings = preset.config, preset.pretrain, data, folder, FLAGS.seed
+        best, last = pretrain(*settings, *ending, variables), ""
+    if not is_first():
+        return
+    path = folder / "weights.safetensors"
+    if best is None:
+        print(f"stopped; go on with --workdir={folder} --resume{last}")
+    else:
+        save_weights(path, preset.config, best, {**about, "pretrained": before})
+        print(f"written {path}{last}")
+
+
+def run():
+    """The entry point."""
+    define_training_flags()
+    phases = ("pretrain", "meta")
+    flags.DEFINE_enum("phase", "pretrain", phases, "meta: in episodes (Eq. 12).")
+    flags.DEFINE_string("weights", None, "To start from, by name or by file.")
+    launch("train", main)
+
+
+if __name__ == "__main__":
+    run()

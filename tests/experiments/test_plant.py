@@ -1,0 +1,350 @@
+"""The label-free training on one's own frames: what it reads, teaches and refuses."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from experiments import plant
+from experiments.assets import CELLS
+from experiments.plants import frames as parts
+from experiments.plants.frames import PlantConfig, pseudo_label, student_view
+from prism_jax.data.pipeline import Framing, stack
+from prism_jax.data.source import Example
+from prism_jax.io.errors import InputError
+from prism_jax.losses.primary import primary_loss
+from prism_jax.model_card import model_card
+from prism_jax.models.prism import predict, prepare_input
+from prism_jax.models.variables import ENCODERS
+from prism_jax.weights import load_pretrained, read_metadata
+from tests import launching
+from tests.trees import bitwise, equal
+
+EYE = np.array([3.0, -4.0, 2.5], np.float32)
+RNG = np.random.default_rng(0)
+CLOUD = (RNG.uniform(-1, 1, (500, 3)) * [1.0, 0.5, 0.7]).astype(np.float32)
+SETTINGS = PlantConfig(2, num_label=96, num_hidden=32, auxiliary_weight=0.0)
+
+
+def half_box(seed, count=400):
+    """The sides of a box that `EYE` sees."""
+    rng = np.random.default_rng(seed)
+    shell = rng.uniform(-1, 1, (4 * count, 3))
+    shell /= np.abs(shell).max(axis=1, keepdims=True)
+    facing = (np.round(shell, 6) * (np.abs(shell) > 0.999)) @ EYE > 0
+    size = rng.uniform(0.4, 0.8, 3)
+    return (shell[facing][:count] * size).astype(np.float32)
+
+
+class Boxes:
+    """Six sequences of two frames, of any truth, which may not be a number."""
+
+    objects = np.repeat(np.arange(6), 2)
+
+    def __init__(self, truth=np.nan, **changes):
+        self._truth, self._changes = truth, changes
+
+    def __getitem__(self, index):
+        truth = np.full((300, 3), self._truth, np.float32)
+        example = Example(truth, half_box(index), EYE, "a", f"box {index}")
+        return example._replace(**self._changes)
+
+
+@pytest.fixture(scope="module")
+def config(minimal):
+    return minimal.config.with_model(background="unknown")
+
+
+@pytest.fixture(scope="module")
+def read(config):
+    """``read(count, truth, field=...)``: frames of `Boxes`."""
+    return lambda count=12, *truth, **changes: [
+        parts.read_frame(Boxes(*truth, **changes), row, config.model)
+        for row in range(count)
+    ]
+
+
+@pytest.fixture(scope="module")
+def framing(config):
+    model = config.model
+    return Framing(model.backbone.num_points, 96 + 32, model.margin, model.heading)
+
+
+def part(points, eye, seed):
+    example = Example(None, points, eye, "", "")
+    return parts.occluded(example, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_cloud_is_parted(seed):
+    kept, hidden, eye = part(CLOUD, EYE, seed)
+    both = np.concatenate([kept, hidden])
+    assert sorted(map(tuple, both)) == sorted(map(tuple, CLOUD))
+    assert parts.HIDDEN_SHARES[0] <= len(hidden) / len(CLOUD) <= parts.HIDDEN_SHARES[1]
+    np.testing.assert_array_equal(part(CLOUD, EYE, seed)[0], kept)
+    assert np.isclose(*np.linalg.norm([eye, EYE], axis=1), rtol=0.1)
+
+
+def test_what_lies_behind_is_hidden_from_either_side():
+    """Two plates, the near one covering the far one's lower half."""
+    x, z = np.meshgrid(np.linspace(-1, 1, 30), np.linspace(0, 1, 16))
+    near = np.stack([x, np.zeros_like(x), 0.5 * z], -1).reshape(-1, 3)
+    far = np.stack([x, np.ones_like(x), z], -1).reshape(-1, 3)
+    cloud = np.concatenate([near, far])
+    front = parts.seen_from(cloud, np.array([0.0, -40.0, 0.25]))
+    assert front[: len(near)].all()
+    lower, upper = far[:, 2] < 0.42, far[:, 2] > 0.65
+    assert not front[len(near) :][lower & (np.abs(far[:, 0]) < 0.9)].any()
+    assert front[len(near) :][upper].all()
+    back = parts.seen_from(cloud, np.array([0.0, 40.0, 0.25]))
+    assert back[len(near) :].all() and back[: len(near)].mean() < 0.2
+
+
+def test_a_second_sensor_stands_as_high_and_as_far():
+    cloud, rng = CLOUD.astype(float), np.random.default_rng(0)
+    kept, place = parts._seen_from_elsewhere(cloud, EYE, rng)
+    assert 0 < kept.mean() < 1 and np.isclose(place[2], EYE[2])
+    middle = 0.5 * (cloud.min(0) + cloud.max(0))
+    one, other = ((each - middle)[:2] for each in (EYE, place))
+    cosine = one @ other / np.linalg.norm(one) ** 2
+    assert np.isclose(*np.linalg.norm([one, other], axis=1))
+    assert parts.TURNS[0] <= np.degrees(np.arccos(cosine)) <= parts.TURNS[1]
+
+
+def test_odd_clouds_are_parted():
+    assert part(CLOUD, None, 0)[2] is None
+    for seed, count in enumerate((4, 4, 70, 70)):
+        flat = CLOUD[:count] * np.float32([1, 1, 0])
+        assert all(len(each) for each in part(flat, EYE, seed)[:2])
+    with pytest.raises(ValueError, match="too few"):
+        part(CLOUD[:3], EYE, 0)
+
+
+def test_a_frame_holds_what_was_measured_and_no_truth(read, config):
+    example, number, seen = read(6, 1.0)[5]
+    assert (example.complete, example.name, number) == (None, "box 5", 2)
+    np.testing.assert_array_equal(example.partial, half_box(5))
+    partial = seen.workspace.from_unit(seen.partial)
+    assert KDTree(example.partial).query(partial)[0].max() < 1e-5
+    (blind,) = read(1, eye=np.full(3, np.nan, np.float32))
+    assert blind.example.eye is None and not blind.seen.sensor_known
+    with pytest.raises(InputError, match="no measured points"):
+        read(partial=None)
+
+
+def test_every_fifth_sequence_checks_or_every_fifth_frame(read):
+    frames = [parts.Frame(None, n // 3, None) for n in range(33)]
+    train, check = plant.held_out(frames)
+    assert {frame.object for frame in check} == {2, 7} and len(check) == 6
+    assert len(train) == 27
+    frames = [parts.Frame(n, 0, None) for n in range(11)]
+    assert [frame.example for frame in plant.held_out(frames)[1]] == [2, 7]
+    with pytest.raises(InputError, match="too few"):
+        plant.held_out(frames[:4])
+
+
+def test_every_frame_comes_once_before_any_comes_again():
+    rows = np.concatenate([plant.rows_of(step, 3, 7, 0) for step in range(7)])
+    assert np.bincount(rows).tolist() == [3] * 7
+    assert sorted(rows[:7]) == list(range(7))
+    assert plant.rows_of(0, 7, 7, 1) != plant.rows_of(0, 7, 7, 0)
+
+
+def test_a_label_is_what_was_measured_and_what_agrees_with_it(read):
+    (frame,) = read(1)
+    eye, partial = np.asarray(frame.seen.eye), np.asarray(frame.seen.partial)
+    behind = partial - 0.5 * eye / np.linalg.norm(eye)
+    before = 0.5 * (partial + eye)
+    to_unit = frame.seen.workspace.to_unit
+    both = np.concatenate([behind, before]).astype(float)
+    label = functools.partial(pseudo_label, frame)
+    far = label(both, PlantConfig(num_label=900, reach=9.0))
+    assert far.shape == (900, 3)
+    unit = np.asarray(to_unit(far))
+    assert KDTree(before).query(unit)[0].min() > 0.1
+    assert (KDTree(behind).query(unit)[0] < 1e-5).sum() > 10
+    assert KDTree(far).query(frame.example.partial)[0].max() < 0.2
+    near = np.asarray(to_unit(label(both, PlantConfig(num_label=900, reach=0.1))))
+    measured = np.asarray(to_unit(frame.example.partial))
+    assert KDTree(measured).query(near)[0].max() <= 0.1 + 1e-6
+
+
+@pytest.mark.parametrize("whole", [0.0, 1.0])
+def test_the_student_reads_what_is_left_and_is_asked_for_the_rest(read, framing, whole):
+    example, rng = read(1)[0].example, np.random.default_rng(7)
+    asked = dataclasses.replace(SETTINGS, whole=whole), framing
+    batch = student_view(example, example.partial[:96], *asked, rng)
+    assert np.abs(batch.partial).max() <= 1.0 and batch.complete.shape == (128, 3)
+    apart = KDTree(batch.partial).query(batch.complete[96:])[0].min()
+    assert apart < 1e-6 if whole else apart > 0
+
+
+@pytest.fixture(scope="module")
+def adapted(read, config, minimal_fresh):
+    return lambda truth=np.nan, steps=2, minutes=np.inf: plant.adapt(
+        config, minimal_fresh, read(12, truth), SETTINGS, 0, steps, minutes
+    )
+
+
+@pytest.fixture(scope="module")
+def twice(adapted):
+    return adapted()
+
+
+def test_no_truth_is_looked_at_and_the_bytes_are_the_same(
+    adapted, twice, moved, minimal_fresh
+):
+    """It is not a number in one, and zero in the other, which the clock might end."""
+    zero, told = adapted(truth=0.0, minutes=1e6)
+    assert bitwise(zero, twice[0]) and told == twice[1] and told["steps"] == 2
+    pairs = minimal_fresh["params"], zero["params"]
+    same = {name for name in pairs[0] if equal(*(pair[name] for pair in pairs))}
+    assert same == {*pairs[0]} - {*moved}
+
+
+@pytest.fixture(scope="module")
+def moved(minimal_fresh):
+    return {name: minimal_fresh["params"][name] for name in (*ENCODERS, "decoder")}
+
+
+@pytest.fixture(scope="module")
+def batch(read, framing):
+    rng, example = np.random.default_rng(0), read(1)[0].example
+    return stack([student_view(example, CLOUD[:96], SETTINGS, framing, rng)])
+
+
+@pytest.mark.slow
+def test_steps_lower_the_loss(batch, moved, config, minimal_fresh):
+    """The first one has a step size of zero."""
+    start, losses = plant.ADAM.init(moved), []
+    state = plant.TrainState(jnp.int32(0), moved, start, moved)
+    for _ in range(4):
+        given = minimal_fresh, state, batch, jax.random.key(0), config, SETTINGS
+        state, loss = plant.step(*given)
+        losses.append(loss)
+    assert losses[3] < losses[1] and np.isclose(losses[0], losses[1])
+    assert not equal(state.variables["decoder"], state.kept["decoder"])
+
+
+def test_no_minutes_leave_all_as_it_was(adapted, minimal_fresh, twice):
+    variables, told = adapted(steps=None, minutes=0.0)
+    assert told["steps"] == 0 and equal(variables, minimal_fresh)
+    assert told["check"]["hidden"] == 2 * twice[1]["check"]["hidden"][:1]
+    assert not told["check"]["passed"]
+
+
+def test_the_loss_is_eq_10_and_what_was_hidden(batch, moved, config, minimal_fresh):
+    @jax.jit
+    def both(batch, key):
+        partial, wanted = batch.partial[0], batch.complete[0]
+        camera = plant.observe(partial, batch.eye[0], plant.Workspace.unit()).camera
+        (own,) = jax.random.split(key, 1)
+        inputs = prepare_input(partial, camera, own, config.model)
+        prediction = predict(minimal_fresh, inputs, config.model)
+        stages = (*prediction.stages[:-1], prediction.points)
+        expected = primary_loss(stages, wanted[:96], "l1")
+        loss = plant.student_loss(moved, minimal_fresh, batch, key, config, SETTINGS)
+        return loss, expected, prediction.points
+
+    loss, expected, points = both(batch, jax.random.key(0))
+    gaps = np.linalg.norm(batch.complete[0, 96:, None] - points[None], axis=-1)
+    hidden = SETTINGS.hidden_weight * gaps.min(1).mean()
+    np.testing.assert_allclose(loss, expected + hidden, rtol=1e-5)
+
+
+def evidence(hidden, contradicted=0.0):
+    hidden = np.asarray(hidden)
+    rows = np.arange(len(hidden)) // 2, hidden, np.full(len(hidden), contradicted)
+    return np.stack(rows, axis=1)
+
+
+HIDDEN = np.linspace(0.1, 0.2, 12)
+
+
+@pytest.mark.parametrize(
+    ("after", "better"),
+    [
+        (evidence(0.8 * HIDDEN), True),
+        (evidence(0.95 * HIDDEN), False),
+        (evidence(0.8 * HIDDEN, contradicted=0.1), False),
+        (evidence(0.8 * HIDDEN, contradicted=0.005), True),
+        (evidence(HIDDEN * np.repeat([0.3, 1.2] * 3, 2)), False),
+    ],
+)
+def test_better_is_nearer_to_what_was_hidden_and_no_fuller_of_errors(after, better):
+    """By a tenth or more, and for certain, which the last one is in the mean alone."""
+    told = plant.verdict(evidence(HIDDEN), after)
+    assert told["passed"] == better
+    assert np.isclose(told["change"][0], after[:, 1].mean() / HIDDEN.mean() - 1)
+
+
+def test_what_held_out_frames_say(read, config, monkeypatch):
+    """Of points that are those read, and of points before the measured surface, which
+    the sensor that was there contradicts."""
+    frames = read()
+    say = functools.partial(plant.evidence, {}, model=config.model)
+    monkeypatch.setattr(plant, "complete", lambda _, seen, __: np.array(seen.partial))
+    found = say(frames)
+    assert len(found) == plant.LOOKS * len(frames) and set(found[:, 0]) == set(range(6))
+    assert (found[:, 1] > 0.02).all() and found[:, 2].max() < 0.05
+    np.testing.assert_array_equal(say(frames), found)
+    hidden, seen = parts.hide(frames[0].example, 0, config.model)
+    ways = KDTree(np.array(seen.partial)).query(seen.workspace.to_unit(hidden))[0]
+    np.testing.assert_allclose(found[0, 1], ways.mean(), rtol=1e-4)
+    nearer = lambda _, seen, __: np.array(0.6 * seen.partial + 0.4 * seen.eye)  # noqa: E731
+    monkeypatch.setattr(plant, "complete", nearer)
+    found = say(frames[:4])
+    assert set(found[:, 0]) == set(range(4)) and (found[:, 2] > 0.9).sum() >= 3
+
+
+@pytest.fixture
+def run(minimal, minimal_fresh, tmp_path, monkeypatch):
+    """``run(factor, arguments)``: status, what the training was given, and the file.
+    What was hidden is so many times as far after that training."""
+
+    def run(factor, *arguments):
+        seen = []
+
+        def adapt(config, variables, frames, settings, seed, steps, minutes):
+            seen.extend([frames, settings, steps, minutes])
+            check = plant.verdict(evidence(HIDDEN), evidence(factor * HIDDEN))
+            told = {"frames": len(frames), "steps": steps or 7, "check": check}
+            return variables, told
+
+        loaded = minimal.config, minimal_fresh
+        monkeypatch.setattr(plant, "adapt", adapt)
+        monkeypatch.setattr(plant, "load_pretrained", lambda name: loaded)
+        output = tmp_path / "mine.safetensors"
+        given = f"--recordings={CELLS}", f"--output={output}", *arguments
+        return launching.run(plant, *given), seen, output
+
+    return run
+
+
+def test_weights_are_written_with_where_they_come_from(run, minimal, minimal_fresh):
+    given = ("--frames=7", "--steps=5", "--set=whole=0.5", "--seed=3")
+    status, (frames, settings, *ending), output = run(0.8, *given)
+    assert status == 0
+    assert len(frames) == 7 and settings.whole == 0.5 and ending == [5, np.inf]
+    config, variables = load_pretrained(str(output))
+    assert config == minimal.config and equal(variables, minimal_fresh)
+    about = read_metadata(str(output))
+    assert (about["data"], about["seed"], about["samples"]) == ("recordings", 3, 40)
+    assert about["pretrained"]["preset"] == "small" and "calibration" not in about
+    origin = about["adapted"]
+    assert (origin["from"], origin["frames"], origin["steps"]) == ("small", 7, 5)
+    told = "Adapted without labels from small. 5 steps on 7 frames"
+    assert told in model_card(str(output))
+
+
+def test_what_is_no_better_is_not_written(run, capsys):
+    status, (_, _, *ending), output = run(1.0, "--frames=2")
+    assert (status, ending) == (1, [None, 15.0])
+    assert not [*output.parent.iterdir()]
+    error = capsys.readouterr().err
+    assert "plant: not written: what is hidden of held-out frames" in error
+    assert error.count("\n") == 1

@@ -1,0 +1,289 @@
+"""The launcher of both phases: what it starts from, writes, and resumes.
+
+Pretraining is a stand-in (`tests/training/test_pretraining.py` has the real one). Of
+meta-training the networks are; variables, data, optimisers and checkpoints are real.
+"""
+
+import dataclasses
+import json
+import re
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from experiments import train, training
+from experiments.simulation.shapes.build import ShapesConfig, build_shapes
+from prism_jax.models.variables import ENCODERS
+from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
+from tests import launching, stand_in_networks
+from tests.trees import bitwise, equal
+
+NETWORK = (
+    "num_neighbors=(4,)",
+    "encoder_rates=(1,)",
+    "level_rates=((1,),)",
+    "up_factors=(2,)",
+)
+META = {"num_samples": 8, "batch_size": 2, "validate_every": 4, "learning_rate": 0.1}
+SMALL = [f"--set=model.backbone.{change}" for change in NETWORK]
+CHANGES = [*SMALL, *(f"--set=meta.{name}={value}" for name, value in META.items())]
+SAMPLES = [f"--set=pretrain.backbone.{i}.num_samples={n}" for i, n in [(0, 0), (1, 32)]]
+BEFORE = {"preset": "tiny", "seed": 5, "commit": None, "data": "shapes", "samples": 64}
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory, minimal, minimal_variables):
+    path = tmp_path_factory.mktemp("weights") / "before.safetensors"
+    save_weights(path, minimal.config, minimal_variables, BEFORE | {"scores": {"a": 1}})
+    return path
+
+
+@pytest.fixture(scope="module")
+def others(tmp_path_factory, minimal, minimal_variables):
+    """Weights of the same network, of other numbers."""
+    path = tmp_path_factory.mktemp("others") / "others.safetensors"
+    params = jax.tree.map(np.negative, minimal_variables["params"])
+    save_weights(path, minimal.config, {**minimal_variables, "params": params}, BEFORE)
+    return path
+
+
+def known(path):
+    metadata = read_metadata(str(path))
+    return {key: metadata[key] for key in ("preset", "seed", "data", "samples")}
+
+
+def begun(folder):
+    return json.loads((folder / "config.json").read_text())
+
+
+@pytest.fixture
+def pretrain(few_shapes, minimal_variables, monkeypatch):
+    """``pretrain(arguments)``: the exit status; the trainings' arguments are kept."""
+    calls = []
+
+    def stand_in(config, training, data, folder, seed, max_steps, board, start):
+        calls.append((data, start))
+        return None if max_steps else minimal_variables
+
+    def run(*arguments):
+        given = ["--preset=tiny", f"--data_dir={few_shapes}", *SMALL, *SAMPLES]
+        return launching.run(train, *given, *arguments)
+
+    monkeypatch.setattr(train, "pretrain", stand_in)
+    monkeypatch.setattr(training, "index_table", lambda *arguments: "made")
+    run.calls = calls
+    return run
+
+
+def test_pretraining_goes_on_from_weights(
+    pretrain, weights, minimal_variables, tmp_path
+):
+    assert pretrain(f"--workdir={tmp_path}", f"--weights={weights}") == 0
+    ((_, start),) = pretrain.calls
+    assert equal(start, minimal_variables)
+    path = tmp_path / "weights.safetensors"
+    expected = {"preset": "tiny", "seed": 0, "data": "shapes", "samples": 32}
+    assert known(path) == expected
+    assert read_metadata(str(path))["pretrained"] == BEFORE
+    assert begun(tmp_path)["config"]["start"] == sha256(minimal_variables)
+
+
+def test_pretraining_from_nothing_stops_and_resumes(pretrain, tmp_path, capsys):
+    assert pretrain(f"--workdir={tmp_path}", "--max_steps=1") == 0
+    assert pretrain.calls[0][1] is None
+    stopped = f"stopped; go on with --workdir={tmp_path} --resume"
+    assert stopped in capsys.readouterr().out
+    assert pretrain(f"--workdir={tmp_path}", "--resume") == 0
+    assert read_metadata(str(tmp_path / "weights.safetensors"))["pretrained"] is None
+
+
+@pytest.mark.parametrize(
+    ("num_samples", "auxiliary", "made"), [(8, 0, False), (16, 0, True), (8, 4, True)]
+)
+def test_indices_are_made_beforehand_where_examples_come_again(
+    pretrain, tmp_path, num_samples, auxiliary, made
+):
+    """The corpus has eight."""
+    changed = [f"--set=pretrain.backbone.1.num_samples={num_samples}"]
+    changed.append(f"--set=pretrain.auxiliary_samples={auxiliary}")
+    assert pretrain(f"--workdir={tmp_path}", *changed) == 0
+    assert pretrain.calls[0][0].indices == ("made" if made else None)
+
+
+def test_the_order_of_batches_is_that_of_the_start(pretrain, weights, others, tmp_path):
+    """The seed's own where there are no weights."""
+    for n, start in enumerate((None, weights, weights, others)):
+        given = [] if start is None else [f"--weights={start}"]
+        assert pretrain(f"--workdir={tmp_path}/{n}", "--seed=3", *given) == 0
+    seeds = [data.seed for data, _ in pretrain.calls]
+    assert seeds[0] == 3 and seeds[1] == seeds[2] and len(set(seeds)) == 3
+
+
+@pytest.mark.slow
+def test_a_network_with_one_more_block_goes_on_from_one_without(
+    pretrain, weights, minimal_variables, tmp_path
+):
+    more = ("up_factors=(2,4)", "level_rates=((1,),(1,))")
+    changes = [f"--set=model.backbone.{change}" for change in more]
+    assert pretrain(f"--workdir={tmp_path}", f"--weights={weights}", *changes) == 0
+    ((_, start),) = pretrain.calls
+    for kind in ("params", "batch_stats"):
+        old = {**start[kind], "decoder": {**start[kind]["decoder"]}}
+        del old["decoder"]["block_1"]
+        assert equal(old, minimal_variables[kind])
+
+
+@pytest.mark.parametrize(
+    "change", ["told=True", "background=empty", "backbone.offset_reach=0.2"]
+)
+def test_what_is_no_matter_of_size_can_change(
+    pretrain, weights, minimal_variables, tmp_path, change
+):
+    given = f"--workdir={tmp_path}/run", f"--weights={weights}"
+    assert pretrain(*given, f"--set=model.{change}") == 0
+    assert equal(pretrain.calls[0][1], minimal_variables)
+
+
+@pytest.fixture(scope="module")
+def meta(few_shapes, minimal_variables):
+    """``meta(arguments)``: the exit status of a meta-training."""
+
+    def run(*arguments) -> int:
+        given = ["--phase=meta", "--preset=tiny", f"--data_dir={few_shapes}"]
+        with pytest.MonkeyPatch.context() as patch:
+            fresh = lambda key, model: minimal_variables  # noqa: E731
+            patch.setattr(train, "init_variables", fresh)
+            patch.setattr(training, "index_table", lambda *arguments: None)
+            stand_in_networks.replace_networks(patch)
+            return launching.run(train, *given, *arguments)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def unbroken(meta, weights, tmp_path_factory):
+    """The folder of a run from its first step to its last."""
+    folder = tmp_path_factory.mktemp("runs") / "unbroken"
+    assert meta(f"--workdir={folder}", f"--weights={weights}", *CHANGES) == 0
+    return folder
+
+
+def test_meta_training_writes_weights_and_where_they_come_from(
+    unbroken, minimal, minimal_variables
+):
+    path = str(unbroken / "weights.safetensors")
+    config, variables = load_pretrained(path)
+    assert config == minimal.config
+    for name in (*ENCODERS, "decoder", "refiner", "auxiliary"):
+        same = bitwise(variables["params"][name], minimal_variables["params"][name])
+        assert same == (name == "auxiliary"), name
+    assert bitwise(variables["batch_stats"], minimal_variables["batch_stats"])
+    expected = {"preset": "tiny", "seed": 0, "data": "shapes", "samples": 8}
+    assert known(path) == expected
+    metadata, run = read_metadata(path), begun(unbroken)
+    assert metadata["pretrained"] == BEFORE
+    settings = dataclasses.asdict(dataclasses.replace(minimal.meta, **META))
+    assert metadata["meta"] == json.loads(json.dumps(settings))
+    assert run["config"]["start"] == sha256(minimal_variables)
+    assert metadata["commit"] == run["commit"]
+
+
+def test_it_logs_every_validation(unbroken):
+    text = (unbroken / "metrics.jsonl").read_text()
+    lines = [json.loads(line) for line in text.splitlines()]
+    assert {line["phase"] for line in lines} == {"meta"}
+    validations = [line for line in lines if "validation" in line]
+    assert [line["step"] for line in validations] == [2, 4]
+    for line in validations:
+        assert set(line["validation"]) == {"unadapted", "accepted", "adapted"}
+    losses = [line["losses"] for line in lines if "losses" in line]
+    assert len(losses) == 2 and list(losses[0])[-1] == "adapted"
+
+
+@pytest.mark.slow
+def test_stopped_and_resumed_it_ends_the_same(meta, unbroken, weights, tmp_path, capfd):
+    """The files bit for bit; and a run that is done is not done again."""
+    path, shas = tmp_path / "weights.safetensors", []
+    given = f"--workdir={tmp_path}", f"--weights={weights}", *CHANGES
+    for flag, told in (
+        ("--max_steps=2", f"stopped; go on with --workdir={tmp_path} --resume\n"),
+        ("--resume", f"written {path}\n"),
+        ("--resume", f"written {path}\n"),
+    ):
+        assert meta(*given, flag) == 0
+        out = capfd.readouterr().out
+        assert told in out
+        assert path.exists() == (flag == "--resume")
+        shas += re.findall(r"^sha256 ([0-9a-f]{64})$", out, re.MULTILINE)
+    assert shas[0] != shas[1] == shas[2]
+    assert path.read_bytes() == (unbroken / path.name).read_bytes()
+
+
+def refused(capsys, status):
+    printed = capsys.readouterr()
+    assert (status, printed.out) == (2, "")
+    (line,) = [x for x in printed.err.splitlines() if x.startswith("train: ")]
+    return line
+
+
+@pytest.mark.parametrize(
+    ("flags", "fault"),
+    [
+        (["--weights=none"], "none: no such weights; "),
+        (["--set=model.backbone.num_initial=64"], "not weights of tiny; choose "),
+        (["--whole=0.5"], "--whole: is of a mixture; give --mixture too"),
+        (
+            ["--phase=pretrain", "--set=meta.num_samples=1"],
+            "samples do not fill a batch",
+        ),
+    ],
+)
+def test_mistakes_are_refused_before_a_run_is_opened(
+    meta, weights, tmp_path, capsys, flags, fault
+):
+    given = f"--workdir={tmp_path}/run", f"--weights={weights}", *CHANGES
+    assert fault in refused(capsys, meta(*given, *flags))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_batch_that_the_data_do_not_fill(meta, weights, tmp_path, capsys):
+    given = [f"--workdir={tmp_path}/run", f"--weights={weights}", *CHANGES]
+    status = meta(*given, "--set=meta.batch_size=9", "--set=meta.num_samples=90")
+    assert "8 examples do not fill a batch of 9" in refused(capsys, status)
+
+
+def test_a_run_is_resumed_only_as_it_was_begun(meta, unbroken, weights, others, capsys):
+    given = [f"--workdir={unbroken}", f"--weights={weights}", *CHANGES]
+    before = {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")}
+    again = refused(capsys, meta(*given))
+    assert "it holds a run already; pass --resume" in again
+    for flag in (
+        f"--weights={others}",
+        "--set=meta.learning_rate=0.2",
+        "--seed=1",
+        "--phase=pretrain",
+    ):
+        status = meta(*given, "--resume", flag)
+        assert "its run has another configuration" in refused(capsys, status)
+    assert {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")} == before
+
+
+def test_and_on_the_same_data(meta, unbroken, few_shapes, weights, tmp_path, capsys):
+    """Wherever they lie."""
+    shutil.copytree(few_shapes, tmp_path / "same")
+    given = [f"--workdir={unbroken}", *CHANGES, f"--weights={weights}", "--resume"]
+    assert meta(*given, f"--data_dir={tmp_path / 'same'}") == 0
+    capsys.readouterr()
+    for split in ("validation", "train"):
+        shutil.rmtree(tmp_path / "same" / f"shapes-{split}")
+        changed = ShapesConfig(split, num_shapes=8, num_views=1, seed=1)
+        build_shapes(changed, tmp_path / "same", 0, False)
+        status = meta(*given, f"--data_dir={tmp_path / 'same'}")
+        assert f"config.data.digests.{split} is" in refused(capsys, status)
+
+
+def test_meta_training_from_nothing(meta, tmp_path, capsys):
+    assert meta(f"--workdir={tmp_path}/run", "--max_steps=1", *CHANGES) == 0
+    assert "stopped" in capsys.readouterr().out
