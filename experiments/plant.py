@@ -119,8 +119,9 @@ def in_words(told: dict[str, Any]) -> str:
     change, *interval = (f"{100 * x:+.1f}" for x in told["check"]["change"])
     before, after = told["check"]["contradicted"]
     return (
-        f"{told['steps']:,} steps on {told['frames']:,} frames without truth. On others "
-        f"the distance of what was hidden changed by {change} % [{', '.join(interval)}]; "
+        f"{told['steps']:,} steps on {told['frames']:,} frames without truth. On other "
+        f"frames the distance of what was hidden changed by {change} % "
+        f"[{', '.join(interval)}]; "
         f"{after:.1%} of points contradict the view, {before:.1%} before."
     )
 

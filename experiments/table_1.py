@@ -47,7 +47,6 @@ LABELS = {
     "pcn": "PCN",
     "pointr": "PoinTr",
     "seedformer": "SeedFormer",
-    "snowflakenet": "SnowflakeNet",
     "fsc": "FSC",
 }
 BACKBONE = "CRA-PCN"

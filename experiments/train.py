@@ -14,7 +14,6 @@ from experiments.training import (
     about_training,
     beginning,
     define_training_flags,
-    join_processes,
     known_of,
     parts_of_training,
     training_data,
@@ -22,7 +21,6 @@ from experiments.training import (
 from prism_jax.cli.launch import launch
 from prism_jax.models.initial import init_variables
 from prism_jax.training.meta import check_meta, meta_phase
-from prism_jax.training.parallel import is_first
 from prism_jax.training.phase import train_phase
 from prism_jax.training.pretraining import pretrain
 from prism_jax.training.run import open_run, started_from
@@ -33,7 +31,6 @@ FLAGS = flags.FLAGS
 
 def main():
     """Trains, or resumes a run; a finished one leaves weights.safetensors."""
-    join_processes()
     preset, name = resolve(FLAGS.preset, FLAGS.set), FLAGS.preset
     check_meta(preset.meta)  # before a pretraining too: it follows, days later
     meta = FLAGS.phase == "meta"
@@ -58,7 +55,6 @@ def main():
         "data": about_training(preset, data),
     }
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
-    ending = FLAGS.max_steps, FLAGS.tensorboard
     about = {
         "preset": name,
         "seed": FLAGS.seed,
@@ -69,15 +65,13 @@ def main():
     if meta:
         assert variables is not None
         phase = meta_phase(variables, preset.config, preset.meta, FLAGS.seed)
-        trained = train_phase(phase, data, folder, *ending)
+        trained = train_phase(phase, data, folder, FLAGS.max_steps)
         best = trained.best if trained.done else None
         about["meta"] = dataclasses.asdict(config)
         last = f"\nsha256 {sha256(trained.last.variables)}"
     else:
         settings = preset.config, preset.pretrain, data, folder, FLAGS.seed
-        best, last = pretrain(*settings, *ending, variables), ""
-    if not is_first():
-        return
+        best, last = pretrain(*settings, FLAGS.max_steps, variables), ""
     path = folder / "weights.safetensors"
     if best is None:
         print(f"stopped; go on with --workdir={folder} --resume{last}")

@@ -9,22 +9,20 @@ import dataclasses
 from absl import flags
 
 from experiments.baselines.networks import NETWORKS
+from experiments.baselines.training import network_phase
 from experiments.baselines.weights import save_network
 from experiments.settings import resolve
 from experiments.training import (
     about_training,
     define_training_flags,
-    join_processes,
     parts_of_training,
     training_data,
 )
 from prism_jax.cli.launch import launch
 from prism_jax.io.errors import InputError
 from prism_jax.training.config import PhaseConfig
-from prism_jax.training.parallel import is_first
 from prism_jax.training.phase import train_phase
 from prism_jax.training.run import open_run, started_from
-from prism_jax.training.supervised import network_phase
 
 FLAGS = flags.FLAGS
 
@@ -32,7 +30,6 @@ FLAGS = flags.FLAGS
 def main():
     """Trains all stages at once; if not told otherwise, on as many samples as the
     preset's network has seen at the end of its meta-training."""
-    join_processes()
     preset = resolve(FLAGS.preset, FLAGS.set)
     sizes = NETWORKS[FLAGS.network]
     if FLAGS.preset not in sizes:
@@ -55,10 +52,10 @@ def main():
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     num_points = preset.model.backbone.num_points
     training = network_phase(network, num_points, phase, config, FLAGS.seed)
-    trained = train_phase(training, data, folder, FLAGS.max_steps, FLAGS.tensorboard)
+    trained = train_phase(training, data, folder, FLAGS.max_steps)
     if not trained.done:
         print(f"stopped; go on with --workdir={folder} --resume")
-    elif is_first():
+    else:
         about = {
             "seed": FLAGS.seed,
             "commit": started_from(folder),

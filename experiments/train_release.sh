@@ -34,7 +34,7 @@ for flag in "$@"; do
     --scored_at_once=*) at_once=$value ;;
     --branches=*) branches+=("$value") ;;
     --preset=*) name=$value flags+=("$flag") ;;
-    --?*=* | --tensorboard) flags+=("$flag") ;;
+    --?*=*) flags+=("$flag") ;;
     *) fail "$flag: is no flag" "write --name=value for each" ;;
     esac
 done

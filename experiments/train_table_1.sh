@@ -11,7 +11,7 @@
 #
 #     --workdir=DIR    where everything goes
 #     --samples=N      of each network; 500,000 if not given
-#     --only=NAME      pcn, pointr, seedformer, snowflakenet, fsc, crapcn or prism, again for
+#     --only=NAME      pcn, pointr, seedformer, fsc, crapcn or prism, again for
 #                      others; all if not given
 #
 # All others go to every training: --mixture, --data_dir, --seed, --set, ...
@@ -22,7 +22,7 @@ fail() {
     exit 2
 }
 
-others=(pcn pointr seedformer snowflakenet fsc)
+others=(pcn pointr seedformer fsc)
 workdir='' samples=500000 only=() flags=()
 for flag in "$@"; do
     value=${flag#*=}
@@ -30,7 +30,7 @@ for flag in "$@"; do
     --workdir=*) workdir=$value ;;
     --samples=*) samples=$value ;;
     --only=*) only+=("$value") ;;
-    --?*=* | --tensorboard) flags+=("$flag") ;;
+    --?*=*) flags+=("$flag") ;;
     *) fail "$flag: is no flag" "write --name=value for each" ;;
     esac
 done

@@ -1,4 +1,4 @@
-"""What the launchers that train share: flags, data, several processes."""
+"""What the launchers that train share: flags and data."""
 
 import dataclasses
 from typing import Any
@@ -23,7 +23,6 @@ from prism_jax.models.config import ModelConfig
 from prism_jax.models.variables import Variables
 from prism_jax.presets import Preset
 from prism_jax.training.indices import index_table
-from prism_jax.training.parallel import wait_for_all
 from prism_jax.training.phase import Data, order_seed
 from prism_jax.weights import load_pretrained, read_metadata
 
@@ -32,37 +31,23 @@ FLAGS = flags.FLAGS
 
 def define_training_flags() -> None:
     """The flags of a launcher that trains."""
-    flags.DEFINE_string("preset", "small", "Configuration: tiny, small, paper or plus.")
+    flags.DEFINE_string("preset", "small", "Configuration: tiny, small or paper.")
     flags.DEFINE_string("workdir", None, "Run directory.", required=True)
     flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
     flags.DEFINE_bool("resume", False, "Go on with the run in --workdir.")
     flags.DEFINE_integer("max_steps", None, "End a phase at this step.")
-    flags.DEFINE_bool("tensorboard", False, "Log for TensorBoard too (extra).")
     flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
     flags.DEFINE_string("mixture", None, "Weighted sets, as shapes:1,packed:2.")
     flags.DEFINE_float("whole", None, "Of a mixture: share of whole views.", 0.0, 1.0)
     flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
     flags.DEFINE_integer("num_workers", 0, "Processes that read ahead; 0 for threads.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
-    flags.DEFINE_string("coordinator", None, "host:port of the first of --processes.")
-    flags.DEFINE_integer("processes", 1, "Processes that train together.")
-    flags.DEFINE_integer("process", 0, "Which of them this one is.")
-
-
-def join_processes() -> None:
-    """Waits for the other processes, if the flags tell of any."""
-    if FLAGS.processes == 1:
-        return
-    if FLAGS.coordinator is None:
-        remedy = "give host:port of process 0 to each of them"
-        raise InputError("--coordinator", "several processes need it", remedy)
-    jax.distributed.initialize(FLAGS.coordinator, FLAGS.processes, FLAGS.process)
 
 
 _KNOWN = ("preset", "seed", "commit", "data", "samples", "pretrained", "interpolated")
 """What trainings that go on from weights keep of their metadata."""
 
-_READ = ("reads_visibility", "seeds_read_visibility", "reads_depth")
+_READ = ("reads_visibility", "seeds_read_visibility")
 """What a decoder can learn to read later."""
 
 
@@ -72,7 +57,7 @@ def beginning(
     """What a training of a network begins with that goes on from weights.
 
     Weights of a network that is not the wanted one, which is ``whose``, raise
-    InputError; but one that reads visibility or depth, or has more up-sampling blocks,
+    InputError; but one that reads visibility, or has more up-sampling blocks,
     goes on from one that does not, with the parts for it as the seed makes them; and
     how far offsets reach can change.
     """
@@ -135,11 +120,9 @@ def training_data(
     in a folder of its own.
     """
     weights, data_dir, changes = _place(preset)
-    if FLAGS.process == 0:
-        for name in weights:
-            for split in opened_splits(name):
-                build_if_missing(name, split, data_dir, **changes)
-    wait_for_all("the data")
+    for name in weights:
+        for split in opened_splits(name):
+            build_if_missing(name, split, data_dir, **changes)
     if FLAGS.mixture is None:
         train, validation = open_training(next(iter(weights)), data_dir)
     else:

@@ -11,11 +11,6 @@ from experiments.baselines.seedformer import (
     SeedFormer,
     SeedFormerConfig,
 )
-from experiments.baselines.snowflakenet import (
-    SNOWFLAKENET_SMALL,
-    SnowflakeNet,
-    SnowflakeNetConfig,
-)
 
 NETWORKS: dict[str, dict[str, nn.Module]] = {
     "pcn": {"small": PCN(PCN_SMALL), "paper": PCN(PCNConfig())},
@@ -23,10 +18,6 @@ NETWORKS: dict[str, dict[str, nn.Module]] = {
     "seedformer": {
         "small": SeedFormer(SEEDFORMER_SMALL),
         "paper": SeedFormer(SeedFormerConfig()),
-    },
-    "snowflakenet": {
-        "small": SnowflakeNet(SNOWFLAKENET_SMALL),
-        "paper": SnowflakeNet(SnowflakeNetConfig()),
     },
     "fsc": {"small": FSC(FSC_SMALL), "paper": FSC(FSCConfig())},
 }

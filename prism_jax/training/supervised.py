@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import optax
@@ -11,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from prism_jax.data.pipeline import Batch
 from prism_jax.losses.chamfer import ChamferNorm, chamfer
 from prism_jax.losses.primary import stage_chamfers
-from prism_jax.models.variables import Variables, apply, apply_training
+from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import Phase, TrainState, steps_of
@@ -37,13 +36,11 @@ def supervised_phase(
     names: tuple[str, ...],
     phase: PhaseConfig,
     training: PretrainConfig,
-    own: tuple[str, ...] = (),
 ) -> Phase:
     """The sum of the losses that ``train_fn`` makes; validated on the stages of
     ``stages_fn``, by CD-L2 in the unit of the scores. What decides is the mean
     logarithm of the last stage's CD-L1, which one bad example cannot carry. ``names``
-    are the stages', coarse first; ``own`` are losses beside those of the stages, and
-    come before them."""
+    are the stages', coarse first."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
     adam = optimiser(
         "adam",
@@ -96,7 +93,7 @@ def supervised_phase(
         ),
         step,
         validate,
-        (*own, *names),
+        names,
         (*names, "log_cd_l1"),
     )
 
@@ -110,53 +107,3 @@ def averaged(state: TrainState, variables: Variables, decay: float) -> Variables
     return jax.tree.map(
         lambda old, new: kept * old + (1.0 - kept) * new, state.average, variables
     )
-
-
-def network_phase(
-    module: nn.Module,
-    num_points: int,
-    phase: PhaseConfig,
-    training: PretrainConfig,
-    seed: int,
-) -> Phase:
-    """A network from ``(B, num_points, 3)`` to its stages, from fresh variables on.
-
-    One that has losses beside those of its stages gives their names as ``own_losses``,
-    and has a method ``supervised(partial, complete, norm, train)`` that returns the
-    stages and these losses, ``(B, L)``. What it draws for them comes from Flax's stream
-    ``noise``, which follows from the seed and the step.
-    """
-    own: tuple[str, ...] = getattr(module, "own_losses", ())
-    key = jax.random.key(seed)
-
-    def init(key: Array) -> Variables:
-        first, second = jax.random.split(key)
-        cloud = jax.random.uniform(first, (1, num_points, 3), minval=-1.0)
-        made = module.init(second, cloud)
-        return {kind: made.get(kind, {}) for kind in ("params", "batch_stats")}
-
-    def train(variables: Variables, batch: Batch, now: Array):
-        partial, complete = jnp.asarray(batch.partial), jnp.asarray(batch.complete)
-        if not own:
-            stages, statistics = apply_training(module, variables, partial)
-            return stage_losses(stages, batch, training.norm), statistics
-        (stages, losses), statistics = apply_training(
-            module,
-            variables,
-            partial,
-            complete,
-            training.norm,
-            method="supervised",
-            rngs={"noise": jax.random.fold_in(key, now)},
-        )
-        each = stage_losses(stages, batch, training.norm)
-        return jnp.concatenate([losses, each], axis=-1), statistics
-
-    def stages(variables: Variables, batch: Batch) -> Stages:
-        return apply(module, variables, jnp.asarray(batch.partial))
-
-    variables = jax.jit(init)(key)
-    cloud = jax.ShapeDtypeStruct((1, num_points, 3), jnp.float32)
-    made = jax.eval_shape(lambda cloud: apply(module, variables, cloud), cloud)
-    names = tuple(f"stage_{i}" for i in range(len(made)))
-    return supervised_phase(variables, train, stages, names, phase, training, own)

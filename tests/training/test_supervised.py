@@ -2,18 +2,17 @@
 
 import dataclasses
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from experiments.baselines.pcn import PCN, PCNConfig
+from experiments.baselines.training import network_phase
 from experiments.settings import resolve
 from prism_jax.data.pipeline import Framing
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.training.config import PhaseConfig
-from prism_jax.training.supervised import network_phase
 
 BATCH = 4
 MODULE = PCN(
@@ -72,45 +71,3 @@ def test_a_seed_is_one_start(phase):
     assert all(np.array_equal(a, b) for a, b in pairs)
     pairs = zip(first, jax.tree.leaves(other), strict=True)
     assert any(not np.array_equal(a, b) for a, b in pairs)
-
-
-class Drawing(nn.Module):
-    """Three points that move alike, with a loss of its own."""
-
-    own_losses = ("drawn",)
-
-    @nn.compact
-    def __call__(self, partial, train=False):
-        moved = self.param("moved", nn.initializers.ones, (3,))
-        return (partial[..., :3, :] + moved,)
-
-    def supervised(self, partial, complete, norm, train=True):
-        assert train and norm == "l1" and partial.shape[0] == complete.shape[0]
-        (stage,) = self(partial, train)
-        drawn = jax.random.uniform(self.make_rng("noise"), (len(partial), 1))
-        return (stage,), drawn + (stage - partial[..., :3, :]).mean((-2, -1))[:, None]
-
-
-def test_a_loss_of_its_own_counts_and_draws_anew_each_step(batch):
-    config = dataclasses.replace(resolve("tiny").pretrain, warmup_steps=0)
-    short = PhaseConfig("drawing", 40, None, learning_rate=0.1)
-    phase, again, other = (
-        network_phase(Drawing(), 64, short, config, seed) for seed in (0, 0, 1)
-    )
-    assert phase.terms == ("drawn", "stage_0")
-    assert phase.scores == ("stage_0", "log_cd_l1")
-    state, first = phase.step_fn(phase.start, batch)
-    _, same = again.step_fn(again.start, batch)
-    _, seeded = other.step_fn(other.start, batch)
-    np.testing.assert_array_equal(first, same)
-    assert first[0] != seeded[0] and first[1] == seeded[1]
-    assert 1 < first[0] < 2  # The move, and what is drawn.
-    later = phase.start._replace(step=state.step)
-    _, drawn = phase.step_fn(later, batch)
-    assert drawn[0] != first[0] and drawn[1] == first[1]
-    # Its gradient is there: Adam's first step goes down it and Eq. 10 together.
-    far = batch._replace(complete=batch.complete + np.float32(100))
-    near, _ = phase.step_fn(phase.start, batch)
-    pulled, _ = phase.step_fn(phase.start, far)
-    moves = [s.variables["params"]["moved"] for s in (near, pulled)]
-    assert not np.array_equal(*moves)

@@ -14,14 +14,12 @@ from experiments.baselines.networks import NETWORKS
 from experiments.baselines.pcn import PCN
 from experiments.baselines.pointr import PoinTr
 from experiments.baselines.seedformer import SeedFormer
-from experiments.baselines.snowflakenet import SnowflakeNet
 from prism_jax.losses.primary import primary_loss
 from tests.experiments.baselines import (
     test_fsc,
     test_pcn,
     test_pointr,
     test_seedformer,
-    test_snowflakenet,
 )
 
 TINY = {
@@ -29,7 +27,6 @@ TINY = {
     "fsc": FSC(test_fsc.TINY),
     "pointr": PoinTr(test_pointr.TINY),
     "seedformer": SeedFormer(test_seedformer.TINY),
-    "snowflakenet": SnowflakeNet(test_snowflakenet.TINY),
 }
 RNG = np.random.default_rng(0)
 # A softmax, which seed generators do without, does not see its logits' bias, nor a
@@ -96,8 +93,6 @@ def complete_fn(loss_and_grad, variables, clouds):
         ("pointr", "small", (192, 2048), 980_342),
         ("seedformer", "paper", (256, 512, 2048, 16384), 3_308_620),
         ("seedformer", "small", (128, 256, 2048), 634_089),
-        ("snowflakenet", "paper", (256, 512, 2048, 16384), 19_317_612),
-        ("snowflakenet", "small", (128, 256, 512, 2048), 1_129_484),
     ],
 )
 def test_stages_and_parameters(name, size, stages, parameters):
@@ -210,7 +205,7 @@ def test_a_few_steps_lower_the_loss(loss_and_grad, variables, clouds, quick_jit)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["fsc", "pointr", "seedformer", "snowflakenet"])
+@pytest.mark.parametrize("name", ["fsc", "pointr", "seedformer"])
 def test_training_moves_the_statistics_and_nothing_else_does(name, quick_jit):
     config = TINY[name].config
     network = type(TINY[name])(dataclasses.replace(config, use_norm=True))

@@ -26,7 +26,7 @@ def test_anything_else_is_left_to_the_package(name):
     assert located(name) == name
 
 
-@pytest.mark.parametrize("name", ["pcn", "seedformer", "snowflakenet", "fsc"])
+@pytest.mark.parametrize("name", ["pcn", "seedformer", "fsc"])
 def test_a_network_to_compare_with_comes_back(tmp_path, name):
     module = NETWORKS[name]["small"]
     cloud = jnp.zeros((1, module.config.num_points, 3))
