@@ -116,13 +116,12 @@ def main():
 
 def in_words(told: dict[str, Any]) -> str:
     """What was done, and what the held-out frames say."""
-    change, *interval = (f"{100 * x:+.1f}" for x in told["check"]["change"])
+    change, low, high = (f"{100 * x:+.1f}" for x in told["check"]["change"])
     before, after = told["check"]["contradicted"]
     return (
-        f"{told['steps']:,} steps on {told['frames']:,} frames without truth. On other "
-        f"frames the distance of what was hidden changed by {change} % "
-        f"[{', '.join(interval)}]; "
-        f"{after:.1%} of points contradict the view, {before:.1%} before."
+        f"{told['steps']:,} steps on {told['frames']:,} frames without truth. On "
+        f"others the distance to what was hidden changes by {change} % [{low}, {high}], "
+        f"and {after:.1%} of points contradict the view, {before:.1%} before."
     )
 
 
