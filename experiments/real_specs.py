@@ -14,16 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
-from experiments.segmentation import labelled_scan
 from prism_jax import io
 from prism_jax.completed import CompletedScan, CompletedScene
 from prism_jax.data.public.kitti import read_corners
-from prism_jax.evaluation.segmentation import MIN_POINTS, agreement
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Background
 from prism_jax.io.files import read_bytes, unsound
+from prism_jax.io.pcd import read_pcd, read_pcd_field
 from prism_jax.io.streams import open_stream
+from prism_jax.observation.scene import SUPPORT
 from prism_jax.result import score
+
+MIN_POINTS = 500
+"""Labelled things of no more points are not compared."""
 
 REACH = 6.0
 """Metres from a LiDAR, beyond which its points are left away."""
@@ -156,12 +159,34 @@ def near(points: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "M 3"]:
     return points[(distance > 0) & (distance < REACH)]
 
 
+def labelled_scan(
+    path: str,
+) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, " N"]]:
+    """The finite points of a PCD, and whose they are by its field `label`."""
+    points, label = read_pcd(path), read_pcd_field(path, "label")
+    finite = np.isfinite(points).all(axis=1)
+    _, kinds, counts = np.unique(label[finite], return_inverse=True, return_counts=True)
+    if len(counts) < 2:
+        remedy = "label what things stand on and each of them"
+        raise io.InputError(path, "has fewer than two labels", remedy)
+    order = np.argsort(-counts, kind="stable")
+    number = np.empty(len(counts), int)
+    number[order] = np.arange(len(counts)) + SUPPORT
+    return points[finite], number[kinds]
+
+
 def overlap(labels: Int[np.ndarray, " N"], done: Done) -> dict[str, float]:
     """Intersection over union of each labelled thing with the object that has most in
     common with it."""
     assert isinstance(done, CompletedScene)
-    found = agreement(labels, done.object[done.observed]).overlap
-    return {f"thing {number}": float(iou) for number, iou in enumerate(found)}
+    found = done.object[done.observed]
+    objects = [found == number for number in range(found.max() + 1)]
+    best = []
+    for thing in (labels == number for number in range(labels.max() + 1)):
+        if thing.sum() > MIN_POINTS:
+            shares = [(thing & one).sum() / (thing | one).sum() for one in objects]
+            best.append(max(shares, default=0.0))
+    return {f"thing {number}": float(iou) for number, iou in enumerate(best)}
 
 
 def outside(corners: Float64[np.ndarray, "8 3"], done: Done) -> dict[str, float]:

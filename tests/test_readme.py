@@ -11,20 +11,15 @@ import sys
 import numpy as np
 import pytest
 
-from experiments import results, rooms
-from experiments.adaptation import markdown as adaptation_markdown
+from experiments import results
 from experiments.assets import CELLS
 from experiments.comparison import comparison_markdown
-from experiments.loss_gradients import agreement_markdown
-from experiments.mixtures import mixtures_markdown
 from experiments.plant import plant_markdown
 from experiments.point_errors import point_errors_markdown
 from experiments.real import real_markdown
 from experiments.robustness import robustness_markdown
-from experiments.segmentation import segmentation_markdown
 from experiments.table_1 import table_markdown as table_1_markdown
 from experiments.trust import trust_markdown, unfitted
-from experiments.verdicts import verdicts_markdown
 from prism_jax.evaluation.tables import markdown
 from prism_jax.weights import save_weights
 
@@ -120,18 +115,13 @@ def test_tables_are_those_of_their_results(path):
     """As the commands wrote them: JSON, Markdown, and what docs/results.md shows."""
     result = json.loads(path.read_text())
     kinds = {
-        "pairs": adaptation_markdown,
         "passed": plant_markdown,
         "best_others": table_1_markdown,
         "rows": comparison_markdown,
-        "losses": agreement_markdown,
         "scans": real_markdown,
         "shifts": robustness_markdown,
         "trust": trust_markdown,
         "sigma": point_errors_markdown,
-        "rose": verdicts_markdown,
-        "by_scene": segmentation_markdown,
-        "sets": mixtures_markdown,
     }
     text = next((kinds[key] for key in kinds if key in result), markdown)(result)
     assert path.with_suffix(".md").read_text() == text
@@ -144,10 +134,6 @@ def test_tables_are_those_of_their_results(path):
 def test_pages_show_the_tables():
     for path, text in results.pages().items():
         assert path.read_text() == text, "run python -m experiments.results"
-
-
-def test_the_rooms_are_drawn_as_they_are():
-    assert rooms.PAGE.read_text() == rooms.page(), "run python -m experiments.rooms"
 
 
 def test_the_first_screen_says_what_adaptation_gains():

@@ -17,7 +17,6 @@ from prism_jax.io import InputError, ply_bytes
 from prism_jax.io.streams import Frame, Stream
 from prism_jax.trust import Verdict
 from tests import launching
-from tests.experiments.test_segmentation import write_pcd
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).uniform(1, 2, size=(300, 3)).astype(np.float32)
@@ -42,6 +41,16 @@ class Completer(FakeCompleter):
         trust = {"unknown": "fair", "empty": "high"}[asked.get("background", "unknown")]
         verdict = Verdict(trust, 0.25, (), {}) if self.judges else None
         return dataclasses.replace(done, verdict=verdict)
+
+
+def write_pcd(path, points, labels) -> str:
+    """A labelled scan in ASCII."""
+    rows = [
+        f"{label} {x} {y} {z}" for label, (x, y, z) in zip(labels, points, strict=True)
+    ]
+    head = f"FIELDS label x y z\nSIZE 4 4 4 4\nTYPE U F F F\nWIDTH {len(rows)}\n"
+    path.write_text(f"{head}HEIGHT 1\nDATA ascii\n" + "\n".join(rows) + "\n")
+    return str(path)
 
 
 def clutter():

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from experiments import filters, headings, robustness, shifts
+from experiments import robustness, shifts
 from experiments.shifts import SHIFTS, View
 from prism_jax.completion import Completer
 from prism_jax.models.config import ModelConfig
 from prism_jax.observation.support import find_up
 from tests import launching
-
-RNG = np.random.default_rng(0)
 
 
 def box(count, seed):
@@ -151,20 +149,6 @@ def test_shifts_are_added_to_those_of_the_same_weights(view, tmp_path, monkeypat
 
 def view_as_it_is(view):
     return types.SimpleNamespace(points=view.partial)
-
-
-def test_rules_leave_away_what_they_say(view):
-    away = np.array([[3.0, 0, 0], [0.0, 0.0, 0.0], 0.5 * view.eye])
-    found = filters.rules(away, view.partial, view.partial[:300], view.eye)
-    assert found["outside"].tolist() == [True, False, True]
-    assert found["in front by 4 spacings"].tolist() == [False, False, True]
-    assert found["looked through, 5 spacings about"][0]
-    assert not found["none"].any()
-
-
-def test_the_rectangle_of_a_box_lies_along_it(view):
-    turned = shifts.heading(20.0)(view, RNG).partial
-    assert np.rad2deg(headings.smallest_rectangle(turned)) == pytest.approx(20, abs=1.5)
 
 
 def test_views_are_of_the_validation_split(monkeypatch, view):
