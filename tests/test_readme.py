@@ -16,7 +16,6 @@ from experiments.assets import CELLS
 from experiments.calibrate import unfitted
 from experiments.comparison import comparison_markdown
 from experiments.plant import plant_markdown
-from experiments.real import real_markdown
 from experiments.table_1 import table_markdown as table_1_markdown
 from prism_jax.evaluation.tables import markdown
 from prism_jax.weights import save_weights
@@ -116,7 +115,6 @@ def test_tables_are_those_of_their_results(path):
         "passed": plant_markdown,
         "best_others": table_1_markdown,
         "rows": comparison_markdown,
-        "scans": real_markdown,
     }
     text = next((kinds[key] for key in kinds if key in result), markdown)(result)
     assert path.with_suffix(".md").read_text() == text
