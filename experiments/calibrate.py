@@ -21,7 +21,7 @@ from scipy.stats import spearmanr
 from tqdm import tqdm
 
 from experiments.output import prepare_output
-from experiments.robustness import any_shift, completed, table, views_of
+from experiments.robustness import View, any_shift, completed, table, views_of
 from experiments.scoring import print_and_write, require_looks
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
@@ -153,7 +153,7 @@ def unfitted(features: Table) -> Calibration:
 
 def shifted(
     names: Iterable[str], limit: int | None, draws: int | None
-) -> Iterator[Any]:
+) -> Iterator[tuple[tuple[str, int, str], View, np.random.Generator]]:
     """Views of each set, each shifted at random, in as many ways as there are draws (or
     in one of the set's own): set, object and shift; the view; its random numbers."""
     for name in names:
@@ -291,7 +291,7 @@ def judged_unseen(blank: Calibration, scans: Sequence[Scan]) -> list[Verdict]:
     fold = np.array([scan.group % FOLDS for scan in scans])
     judges = {}
     for number in np.unique(fold):
-        others = [scans[row] for row in np.flatnonzero(fold != number)]
+        others = [one for one in scans if one.group % FOLDS != number]
         fitted = fitted_verdicts(blank, others).to_dict()
         judges[number] = Calibration.from_dict(fitted).judge
     pairs = zip(scans, fold, strict=True)
@@ -335,7 +335,7 @@ def rank_correlation(first: Row, second: Row) -> float | None:
     """Spearman's; None where all of one are equal."""
     if len(first) == 0 or np.ptp(first) == 0 or np.ptp(second) == 0:
         return None
-    return float(spearmanr(first, second).statistic)
+    return float(spearmanr(first, second)[0])  # pyright: ignore
 
 
 def fitted_sigmas(samples: Sequence[Points], count: int) -> PointErrors:

@@ -144,9 +144,9 @@ def make_cell(split: str, seed: int, index: int) -> bytes:
             fault = error
     else:
         raise ValueError(f"no cell of {model.name} in 60 draws: {fault}")
-    arrays = {name: np.asarray(getattr(frame.camera, name)) for name in _CAMERA}
-    arrays |= {"counts": frame.depth, "partial": frame.partial}
+    arrays: dict[str, Any] = {"counts": frame.depth, "partial": frame.partial}
     arrays["complete"] = np.asarray(frame.complete)
+    arrays |= {name: np.asarray(getattr(frame.camera, name)) for name in _CAMERA}
     for name, mesh in scene_parts(sequence, 0).items():
         points = on_triangles(mesh.vertices, mesh.faces, SPACING)
         arrays[f"part_{name}"] = points.astype(np.float32)

@@ -123,11 +123,6 @@ def test_sigmas_find_a_law_and_the_mean_is_what_is_expected(quick):
     assert json.dumps(result) == json.dumps(sigmas(views, 30)), "the same every time"
 
 
-def test_sigmas_find_nothing_where_nothing_is(quick):
-    result = sigmas(points(80, lambda clues: np.full(len(clues), 0.1)), 30)
-    assert abs(result["sigma"]["all"]["within_views"]) < 0.15
-
-
 def ball(count, seed=0):
     points = np.random.default_rng(seed).normal(size=(count, 3))
     return points / np.linalg.norm(points, axis=1, keepdims=True)
