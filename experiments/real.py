@@ -1,125 +1,205 @@
-"""Completes every real scan of a folder, scores what has a truth, and draws pictures.
+"""Completes every real scan of a folder, and scores what has a truth.
 
-python -m experiments.real --data_dir=../shared/real --weights=small \
-    --output=docs/tables/real.json --picture=docs/real.png
+    python -m experiments.real --data_dir=../shared/real --weights=small \
+        --output=docs/tables/real.json
 
-What cannot be read, and a recording whose package is not installed, is left out and
-told in one line.
+Some come with the true shape, labels, a box about the object, or the output of another
+network. Scans that cannot be read are left out, with a line on stderr.
 """
 
-import io
 import pathlib
 import sys
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
+from functools import partial
+from io import BytesIO
+from typing import Any, NamedTuple
 
 import numpy as np
 from absl import flags
+from jaxtyping import Float, Float64
 from tqdm import tqdm
 
 from experiments.output import prepare_output
-from experiments.real_pictures import picture_row
-from experiments.real_specs import CHECKS, SPECS, Done, Given, Spec, check_folder
 from experiments.scoring import print_and_write
-from experiments.sheets import Row, contact_sheet
 from experiments.weights import located
+from prism_jax import io
 from prism_jax.cli.launch import launch
 from prism_jax.completed import CompletedScan, CompletedScene
 from prism_jax.completion import Completer
-from prism_jax.evaluation.tables import short, table_lines
-from prism_jax.io.atomic import write_bytes
-from prism_jax.io.errors import InputError
+from prism_jax.data.public.kitti import read_corners
+from prism_jax.evaluation.tables import table_lines
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.visibility import Background
+from prism_jax.io.files import read_bytes
+from prism_jax.io.pcd import read_pcd, read_pcd_field
+from prism_jax.io.streams import open_stream
 from prism_jax.metrics import UNIT
 from prism_jax.result import score
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
 
-ROUNDING = 1e-6
-"""Of a workspace's half side: points so little beside it are not outside."""
+MIN_POINTS = 500  # labelled things of no more points are not compared
+REACH = 6.0  # metres from a LiDAR, beyond which its points are left out
+GROWN = 1.1  # of a labelled box, before points count as outside
+# The sensor of LiDARs, whose points are in its own frame and all around it.
+AT_ORIGIN = Camera(np.eye(3), np.zeros(3), np.eye(3), height=1, width=1)
+
+Done = CompletedScan | CompletedScene
 
 
-def define_flags() -> None:
-    """The flags of this launcher."""
-    flags.DEFINE_string("data_dir", "../shared/real", "Folder of the real scans.")
-    flags.DEFINE_multi_string("weights", ["small"], "Names or files; one or several.")
-    flags.DEFINE_string("output", None, "JSON file to write.")
-    flags.DEFINE_string(
-        "picture", None, "PNG to write, a row for each scan that may be shown."
-    )
-    flags.DEFINE_integer("size", 200, "Pixels of a picture's side.", 16, 1024)
-    flags.DEFINE_integer("columns", 2, "Rows of pictures side by side.", 1)
+class Given(NamedTuple):
+    """A scan's finite points, in the file's units and frame, the sensor's camera, the
+    whole shape, and what else a completion can be compared with, by name."""
+
+    points: Float64[np.ndarray, "N 3"]
+    camera: Camera | None = None
+    truth: Float[np.ndarray, "T 3"] | None = None
+    checks: Mapping[str, Callable[[Done], dict[str, float]]] = {}
 
 
-def main() -> None:
-    """Completes, scores, writes and prints the table, and draws."""
-    prepare_output(FLAGS.output, ".json")
-    prepare_output(FLAGS.picture, ".png", "--picture")
-    folder = pathlib.Path(FLAGS.data_dir)
-    check_folder(folder)
-    given, left_out = read_all(folder)
-    completers = {
-        name: Completer.from_pretrained(located(name)) for name in FLAGS.weights
-    }
-    rows, pictures = [], []
-    with tqdm(total=len(given) * len(completers), unit="completion") as bar:
-        for spec, scan in given.items():
-            done: dict[str, Done] = {}
-            for weights, completer in completers.items():
-                bar.set_postfix_str(f"{spec.name}, {weights}")
-                done[weights] = completed(completer, spec, scan)
-                rows.append(row_of(spec, weights, scan, done[weights]))
-                bar.update()
-            if FLAGS.picture is not None and spec.is_drawn:
-                pictures.append(
-                    picture_row(label_of(spec.name, done), done, FLAGS.size)
-                )
-    if FLAGS.picture is not None:
-        write_sheet(pictures)
-    result = {"commit": commit(), "unit": UNIT, "left_out": left_out, "scans": rows}
-    print_and_write(result, real_markdown(result))
+class Spec(NamedTuple):
+    """A scan of the folder: its name in tables, its file, what reads that, and what the
+    completer is told. A scene has several objects, to be taken apart first."""
+
+    name: str
+    file: str
+    read: Callable[[pathlib.Path], Given]
+    up: str
+    is_scene: bool = False
+    background: Background = "unknown"
 
 
-def read_all(folder: pathlib.Path) -> tuple[dict[Spec, Given], dict[str, str]]:
-    """The scans that there are, and why others are left out, by name.
-
-    InputError if there is none at all.
-    """
-    given, left_out = {}, {}
-    for spec in SPECS:
-        try:
-            given[spec] = spec.read(folder / spec.file)
-        except InputError as error:
-            left_out[spec.name] = str(error)
-            print(f"{spec.name} is left out: {error}", file=sys.stderr)
-    if not given:
-        raise InputError(folder, "has none of the scans", "the lines above say why")
-    return given, left_out
+def scanned(path: pathlib.Path) -> Given:
+    """A cloud, or a depth image with its camera beside it."""
+    scan = io.read_scan(path)
+    return Given(scan.points.astype(np.float64), scan.camera)
 
 
-def completed(completer: Completer, spec: Spec, scan: Given) -> Done:
-    """As a user's scan is."""
+def scanned_in_frame(member: str, path: pathlib.Path) -> Given:
+    """One of the scans of an NPZ that were moved into the frame of `complete`."""
+    with np.load(BytesIO(read_bytes(path)), allow_pickle=False) as arrays:
+        return Given(arrays[member].astype(np.float64), truth=arrays["complete"])
+
+
+def labelled(path: pathlib.Path) -> Given:
+    """A cloud, or a depth image, of things that the field `label` in the PCD of the
+    same name tells apart: what has most points is what they stand on. The check is the
+    intersection over union of each thing with the object that is most like it."""
+    pcd, given = str(path.with_suffix(".pcd")), scanned(path)
+    finite = np.isfinite(read_pcd(pcd)).all(axis=1)
+    if len(given.points) != finite.sum():
+        fault = f"has {len(given.points):,} points, and its labels {finite.sum():,}"
+        raise io.InputError(path, fault, "put the PCD of the same frame beside it")
+    label = read_pcd_field(pcd, "label")[finite]
+    names, counts = np.unique(label, return_counts=True)
+    things = [label == name for name in names[np.argsort(-counts, kind="stable")][1:]]
+
+    def overlap(done: Done) -> dict[str, float]:
+        assert isinstance(done, CompletedScene)
+        found, best = done.object[done.observed], []
+        objects = [found == number for number in range(found.max() + 1)]
+        for thing in (thing for thing in things if thing.sum() > MIN_POINTS):
+            shares = [(thing & one).sum() / (thing | one).sum() for one in objects]
+            best.append(float(max(shares, default=0.0)))
+        return {f"thing {number}": iou for number, iou in enumerate(best)}
+
+    return given._replace(checks={"overlap": overlap})
+
+
+def boxed(path: pathlib.Path) -> Given:
+    """A cloud with the eight corners of its object's box in the .txt of its name. The
+    check has the shares of measured and of added points outside the grown box."""
+    corners = read_corners(path.with_suffix(".txt"))
+    edges = corners[[1, 3, 4]] - corners[0]  # which lead to these corners
+
+    def outside(done: Done) -> dict[str, float]:
+        along = np.linalg.solve(edges.T, (done.points - corners[0]).T).T
+        is_outside = (np.abs(along - 0.5) > GROWN / 2).any(axis=1)
+        parts = {"measured": done.observed, "added": ~done.observed}
+        return {k: float(is_outside[v].mean()) for k, v in parts.items() if v.any()}
+
+    return scanned(path)._replace(checks={"outside_box": outside})
+
+
+def with_peer(path: pathlib.Path) -> Given:
+    """A cloud, and what another network predicts of it in a file beside it; the check
+    is the CD-L2 of each cloud to that, which is no truth."""
+    predicted = io.read_points(path.with_name("airplane_predicted_16384.ply"))
+
+    def to_peer(done: Done) -> dict[str, float]:
+        scores: dict[str, Any] = score(done, predicted)["clouds"]
+        return {name: scored["cd_l2"] for name, scored in scores.items()}
+
+    return scanned(path)._replace(checks={"to_peer": to_peer})
+
+
+def swept(path: pathlib.Path) -> Given:
+    """The points of a LiDAR within `REACH`."""
+    return Given(near(scanned(path).points), AT_ORIGIN)
+
+
+def captured(path: pathlib.Path) -> Given:
+    """The first whole frame of a LiDAR's recording, within `REACH`."""
+    stream, lacking = open_stream(path), 0
+    for frame in stream:
+        if stream.remarks["incomplete"] == lacking:
+            return Given(near(frame.points.astype(np.float64)), AT_ORIGIN)
+        lacking = stream.remarks["incomplete"]
+    raise io.InputError(path, "has no whole frame", "check how it was recorded")
+
+
+def near(points: np.ndarray) -> np.ndarray:
+    """Those within `REACH` of the origin; a point at it is no return."""
+    distance = np.linalg.norm(points, axis=1)
+    return points[(distance > 0) & (distance < REACH)]
+
+
+def and_alone(spec: Spec) -> tuple[Spec, Spec]:
+    """A scan of one object and nothing else, without and with that told."""
+    return spec, spec._replace(name=f"{spec.name}, alone", background="empty")
+
+
+_SCAN_000, _SCAN_090 = (partial(scanned_in_frame, m) for m in ("scan_000", "scan_090"))
+_PLANE = "shapenet/airplane_partial_2048.ply"
+_CAPTURE = "ouster/OS-0-128-U1_v2.3.0_1024x10.pcap"
+
+SPECS = (
+    *and_alone(Spec("bunny, scan_000", "bunny/pairs.npz", _SCAN_000, "y")),
+    *and_alone(Spec("bunny, scan_090", "bunny/pairs.npz", _SCAN_090, "y")),
+    *and_alone(Spec("bunny, raw", "bunny/raw_scan_000.ply", scanned, "y")),
+    Spec("Kinect, cloud", "kinect/mosd_test24.pcd", labelled, "auto", True),
+    Spec("Kinect, depth image", "kinect/mosd_test24.png", labelled, "auto", True),
+    Spec("KITTI, car", "kitti/frame_0_car_0.pcd", boxed, "z"),
+    *and_alone(Spec("ShapeNet, airplane", _PLANE, with_peer, "y")),
+    Spec("Ouster, sweep", "ouster/single_frame_zm_scan0.npz", swept, "z", True),
+    Spec("Ouster, capture", _CAPTURE, captured, "z", True),
+)
+
+
+def row_of(completer: Completer, spec: Spec, scan: Given) -> dict[str, Any]:
+    """What the result says of a scan that is completed as a user's is."""
     asked = scan.points, scan.camera
-    if not spec.is_scene:
-        return completer.complete(*asked, up=spec.up, background=spec.background)
-    scene = completer.split_scene(*asked, up=spec.up)
-    return completer.complete_scene(*asked, up=spec.up, scene=scene)
-
-
-def row_of(spec: Spec, weights: str, scan: Given, done: Done) -> dict[str, Any]:
-    """What is told of one completion."""
-    objects = objects_of(done)
+    if spec.is_scene:
+        scene = completer.split_scene(*asked, up=spec.up)
+        done = completer.complete_scene(*asked, up=spec.up, scene=scene)
+    else:
+        done = completer.complete(*asked, up=spec.up, background=spec.background)
+    objects = done.objects if isinstance(done, CompletedScene) else [done]
     verdicts = [one.verdict for one in objects if one.verdict is not None]
+    outside = 0
+    for one in objects:
+        unit = np.asarray(one.workspace.to_unit(one.points[~one.observed]))
+        outside += int((np.abs(unit) > 1 + 1e-6).any(axis=1).sum())  # but for rounding
     return {
         "scan": spec.name,
-        "weights": weights,
+        "weights": FLAGS.weights,
         "up": spec.up,
         "background": spec.background,
         "points": len(scan.points),
         "objects": len(objects),
         "added": int((~done.observed).sum()),
-        "outside": sum(map(num_outside, objects)),
+        "outside": outside,
         "strays": sum(one.left_away["stray"] for one in objects),
         "verdicts": [
             {"trust": v.trust, "expected_error": float(v.expected_error)}
@@ -130,102 +210,34 @@ def row_of(spec: Spec, weights: str, scan: Given, done: Done) -> dict[str, Any]:
     }
 
 
-def objects_of(done: Done) -> Sequence[CompletedScan]:
-    """Those of a scene, or the one."""
-    return done.objects if isinstance(done, CompletedScene) else [done]
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("data_dir", "../shared/real", "Folder of the real scans.")
+    flags.DEFINE_string("weights", "small", "A name, or a file.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
 
 
-def num_outside(done: CompletedScan) -> int:
-    """Added points outside the workspace."""
-    unit = np.asarray(done.workspace.to_unit(done.points[~done.observed]))
-    return int((np.abs(unit) > 1 + ROUNDING).any(axis=1).sum())
-
-
-def label_of(name: str, done: Mapping[str, Done]) -> str:
-    """What stands above a scan's pictures."""
-    counts = [f"{w} adds {int((~one.observed).sum()):,}" for w, one in done.items()]
-    measured = int(next(iter(done.values())).observed.sum())
-    return f"{name}: {measured:,} points; {', '.join(counts)}"
-
-
-def write_sheet(rows: Sequence[Row]) -> None:
-    """The pictures in one file, a row for each scan."""
-    buffer = io.BytesIO()
-    sheet = contact_sheet(rows, FLAGS.columns).quantize(128)
-    sheet.save(buffer, "PNG", optimize=True)
-    write_bytes(FLAGS.picture, buffer.getvalue())
-
-
-def real_markdown(result: Mapping[str, Any]) -> str:
-    """A table of all scans, one of those with a truth, and one of what else they can be
-    held against."""
-    rows = result["scans"]
-    made = f"commit {short(result['commit'] or 'unknown')}."
-    lines = [f"{made} Unit of length of scores: {result['unit']}.\n"]
-    lines += table_lines(_HEAD, map(_cells, rows))
-    scored = [
-        [row["scan"], f"`{row['weights']}`", cloud, *_scores(scores)]
-        for row in rows
-        if row["scores"] is not None
-        for cloud, scores in row["scores"]["clouds"].items()
-    ]
-    checked = [
-        [row["scan"], f"`{row['weights']}`", CHECKS[name].label, _values(name, values)]
-        for row in rows
-        for name, values in row["checks"].items()
-    ]
-    if scored:
-        heads = [head for head, _, _ in _METRICS]
-        lines += ["", *table_lines(["scan", "weights", "cloud", *heads], scored)]
-    if checked:
-        lines += ["", *table_lines(["scan", "weights", "what", "value"], checked)]
-    for name, why in result["left_out"].items():
-        lines += ["", f"Left out: {name} ({why})."]
-    return "\n".join(lines) + "\n"
-
-
-_HEAD = (
-    "scan",
-    "weights",
-    "points",
-    "objects",
-    "added",
-    "outside the workspace",
-    "strays left away",
-    "trust",
-    "expected error",
-)
-_METRICS = (
-    ("CD-L2 x1e4", "cd_l2", 1e4),
-    ("prediction to truth x1e4", "prediction_to_truth", 1e4),
-    ("truth to prediction x1e4", "truth_to_prediction", 1e4),
-    ("CD-L1 x1e3", "cd_l1", 1e3),
-    ("F@0.01", "f_score", 1.0),
-    ("HD x1e2", "hausdorff", 1e2),
-)
-
-
-def _cells(row: Mapping[str, Any]) -> list[str]:
-    counts = ("points", "objects", "added", "outside", "strays")
-    trust = Counter(verdict["trust"] for verdict in row["verdicts"])
-    errors = sorted({f"{v['expected_error']:.2g}" for v in row["verdicts"]}, key=float)
-    return [
-        row["scan"],
-        f"`{row['weights']}`",
-        *(f"{row[name]:,}" for name in counts),
-        ", ".join(f"{trust[t]} {t}" for t in ("high", "fair", "low") if trust[t])
-        or "-",
-        " to ".join(dict.fromkeys([*errors[:1], *errors[-1:]])) or "-",
-    ]
-
-
-def _scores(scores: Mapping[str, float]) -> list[str]:
-    return [f"{factor * scores[metric]:.4g}" for _, metric, factor in _METRICS]
-
-
-def _values(check: str, values: Mapping[str, float]) -> str:
-    factor = CHECKS[check].factor
-    return ", ".join(f"{name}: {factor * value:.3g}" for name, value in values.items())
+def main() -> None:
+    """Completes, scores, prints the table and writes the result."""
+    prepare_output(FLAGS.output, ".json")
+    given, left_out = {}, {}
+    for spec in SPECS:
+        try:
+            given[spec] = spec.read(pathlib.Path(FLAGS.data_dir, spec.file))
+        except io.InputError as error:
+            left_out[spec.name] = str(error)
+            print(f"{spec.name} is left out: {error}", file=sys.stderr)
+    if not given:
+        raise io.InputError(FLAGS.data_dir, "has none of the scans", "see above")
+    completer = Completer.from_pretrained(located(FLAGS.weights))
+    rows = [row_of(completer, spec, scan) for spec, scan in tqdm(given.items())]
+    result = {"commit": commit(), "unit": UNIT, "left_out": left_out, "scans": rows}
+    head = ["scan", "points", "objects", "added", "outside", "strays", "trust"]
+    cells = []
+    for row in rows:
+        trust = ", ".join(verdict["trust"] for verdict in row["verdicts"])
+        cells.append([row["scan"], *(f"{row[n]:,}" for n in head[1:-1]), trust])
+    print_and_write(result, "\n".join(table_lines(head, cells)))
 
 
 def run() -> None:

@@ -1,9 +1,9 @@
 """Puts a run's weights into the package, with their measured scores in the metadata.
 
 python -m experiments.release --weights=FILE --scores=EVALUATION.json \
-    --calibration=TRUST.json --point_errors=POINT_ERRORS.json --name=small
+    --calibration=CALIBRATION.json --name=small
 
-Scores, notes, calibration and point errors that are not given stay as they are.
+Scores, notes and calibration that are not given stay as they are.
 """
 
 import json
@@ -26,14 +26,15 @@ from prism_jax.weights import (
 
 FLAGS = flags.FLAGS
 ASSETS = pathlib.Path(__file__).parents[1] / "prism_jax" / "assets"
+FITTED = ("calibration", "trust", "point_errors", "sigma")
+"""What experiments.calibrate adds: two fits, and how far each is right."""
 
 
 def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("weights", None, "File of a finished run.", required=True)
     flags.DEFINE_multi_string("scores", [], "JSON files of experiments.evaluate.")
-    flags.DEFINE_string("calibration", None, "JSON file of experiments.trust.")
-    flags.DEFINE_string("point_errors", None, "JSON file of experiments.point_errors.")
+    flags.DEFINE_string("calibration", None, "JSON file of experiments.calibrate.")
     flags.DEFINE_string("name", None, "Name to ship under.", required=True)
     flags.DEFINE_string("output_dir", str(ASSETS), "Where it goes.")
     flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
@@ -50,9 +51,8 @@ def main():
     about["scores"] = scores or about.get("scores", {})
     about["notes"] = FLAGS.note or about.get("notes", [])
     if FLAGS.calibration is not None:
-        about |= _of(FLAGS.calibration, "calibration", "trust")
-    if FLAGS.point_errors is not None:
-        about |= _of(FLAGS.point_errors, "point_errors", "sigma")
+        result = _result(FLAGS.calibration)
+        about |= {name: result[name] for name in FITTED}
     path = make_output_dir(pathlib.Path(FLAGS.output_dir)) / f"{FLAGS.name}{SUFFIX}"
     save_weights(path, config, variables, about)
     print(f"written {path}, {path.stat().st_size / 1e6:.1f} MB")
@@ -63,12 +63,6 @@ def _scores(path: str) -> dict[str, Any]:
     result = _result(path)
     del result["per_example"]
     return {**result, "weights": FLAGS.name}
-
-
-def _of(path: str, *names: str) -> dict[str, Any]:
-    """What a fit on these weights' completions gives them, and how far it is right."""
-    result = _result(path)
-    return {name: result[name] for name in names}
 
 
 def _result(path: str) -> dict[str, Any]:

@@ -2,44 +2,44 @@
 
     python -m experiments.robustness --weights=small --output=FILE.json
 
-Every view of a validation split is shifted (`experiments.shifts`) and completed as a
-user's scan is, by `Completer`. Each shift is written as soon as it is done. Those that
-the file has of the same weights and views, and that --shift does not ask for, stay.
+Every view of a validation split is shifted and completed as a user's scan is. A shift
+changes the partial cloud, its sensor and the frame of both; the truth follows.
 """
 
-import concurrent.futures
-import json
-import os
-import pathlib
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from absl import flags
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from experiments.output import prepare_output
-from experiments.scoring import write_result
-from experiments.settings import changed
-from experiments.shifts import SHIFTS, View, validation_views
+from experiments.scoring import print_and_write
+from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
-from prism_jax import io, metrics
+from prism_jax import metrics
 from prism_jax.cli.launch import launch
 from prism_jax.completed import CompletedScan
 from prism_jax.completion import Completer
-from prism_jax.data.datasets import digest_of, validation_split
-from prism_jax.evaluation.tables import short
+from prism_jax.data.datasets import digest_of, open_dataset, validation_split
+from prism_jax.data.pipeline import with_partial
+from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.visibility import Background
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import choose
 from prism_jax.observation.support import find_up
-from prism_jax.observation.upright import upright
+from prism_jax.selection import densify
 from prism_jax.training.run import commit
 from prism_jax.weights import sha256
 
 FLAGS = flags.FLAGS
+
+TILT = 36.0
+TABLE_SIDE = 3.0
+"""Of the table under a tilted object, in the object's longest side."""
 
 COLUMNS = {
     "CD-L2 x1e4": ("cd_l2", np.mean, 1e4),
@@ -50,143 +50,200 @@ COLUMNS = {
 }
 
 
-def define_flags() -> None:
-    """The flags of this launcher."""
-    flags.DEFINE_string("weights", "small", "A name, or a file.")
-    flags.DEFINE_enum("dataset", "shapes", ("shapes", "roboarm"), "Whose validation.")
-    flags.DEFINE_multi_string("scan", [], "Real scans instead, with --ground_truth.")
-    flags.DEFINE_string("ground_truth", None, "The true shape of those scans.")
-    flags.DEFINE_string("up", "z", "Axis of the real scans that points upwards.")
-    flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
-    flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
-    flags.DEFINE_bool("adapt", False, "Adapt to each view.")
-    flags.DEFINE_enum(
-        "background", "unknown", ["unknown", "empty"], "What is said of it."
-    )
-    flags.DEFINE_multi_string(
-        "set", [], "Changes to the weights' settings, as model.heading=given."
-    )
-    flags.DEFINE_string("output", None, "JSON file to write.")
+@dataclasses.dataclass(frozen=True)
+class View:
+    """A partial cloud, where its sensor stood, and the truth, all in one frame.
+
+    `table` are points of what the object stands on, where that is in the view; `size`
+    is the longest side of the truth's box before any turn, `group` the object's number.
+    """
+
+    partial: Float[np.ndarray, "N 3"]
+    complete: Float[np.ndarray, "M 3"]
+    eye: Float[np.ndarray, "3"] | None
+    size: float
+    table: Float[np.ndarray, "T 3"] | None = None
+    group: int = 0
 
 
-def main() -> None:
-    """Shifts, completes, scores, writes and prints the table."""
-    prepare_output(FLAGS.output, ".json")
-    for name in FLAGS.shift:
-        choose("shift", name, SHIFTS)
-    completer = Completer.from_pretrained(located(FLAGS.weights))
-    completer.config = changed(completer.config, FLAGS.set)
-    views, about = _views()
-    about |= {
-        "weights": FLAGS.weights,
-        "variables_sha256": sha256(completer.variables),
-        "adapt": FLAGS.adapt,
-        "set": " ".join(FLAGS.set) or None,
-        "background": FLAGS.background if FLAGS.background != "unknown" else None,
+def turned(view: View, rotation: Rotation) -> View:
+    """All of it about the origin."""
+    matrix = rotation.as_matrix()
+    clouds = {
+        name: cloud @ matrix.T
+        for name in ("partial", "complete", "eye", "table")
+        if (cloud := getattr(view, name)) is not None
     }
-    rows, made_at = _rows_before(about), commit()
-    result = {**about, "shifts": rows}
-    # While one view is completed, those before are scored.
-    with (
-        tqdm(total=len(FLAGS.shift) * len(views), mininterval=2.0) as bar,
-        concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool,
-    ):
-        for name in FLAGS.shift:
-            scores = []
-            for number, view in enumerate(views):
-                shifted = SHIFTS[name](view, np.random.default_rng(number))
-                done = completed(completer, shifted, FLAGS.adapt, FLAGS.background)
-                scores.append(pool.submit(score, shifted, done.points))
-                bar.update()
-            row = _summary([waiting.result() for waiting in scores])
-            rows[name] = {"views": len(views), "commit": made_at, **row}
-            result["shifts"] = {name: rows[name] for name in SHIFTS if name in rows}
-            write_result(result)
-    print(robustness_markdown(result))
+    return dataclasses.replace(view, **clouds)
 
 
-def _rows_before(about: Mapping[str, Any]) -> dict[str, Any]:
-    """What --output has of these weights and views."""
-    path = pathlib.Path(FLAGS.output or "")
-    if not path.is_file():
-        return {}
-    before = json.loads(path.read_text())
-    same = all(before.get(name) == value for name, value in about.items())
-    return before["shifts"] if same else {}
+def heading(view: View, rng: np.random.Generator, degrees: float) -> View:
+    """Turned about the vertical."""
+    return turned(view, Rotation.from_euler("z", degrees, True))
 
 
-def score(view: View, points: Float[np.ndarray, "N 3"]) -> dict[str, dict[str, float]]:
-    """The scores of the partial and of what a user gets, by cloud and metric."""
-    unit = 0.5 * view.size
-    clouds = {"partial": view.partial, "completed": points}
-    return {
-        name: metrics.score(cloud / unit, view.complete / unit).named()
-        for name, cloud in clouds.items()
-    }
+def tilted(view: View, rng: np.random.Generator) -> View:
+    """By `TILT` about a random horizontal axis, at a random heading, on a table.
+
+    The table is as dense as the object, noisy by a thousandth of its size, and without
+    what the object covers.
+    """
+    lower, upper = view.complete.min(axis=0), view.complete.max(axis=0)
+    count = int(len(view.partial) * TABLE_SIDE**2 / 3)
+    table = np.empty((count, 3))
+    middle = 0.5 * (lower + upper)[:2]
+    table[:, :2] = middle + rng.uniform(-0.5, 0.5, (count, 2)) * TABLE_SIDE * view.size
+    table[:, 2] = lower[2] + rng.normal(0.0, 1e-3 * view.size, count)
+    under = ((table > lower) & (table < upper))[:, :2].all(axis=1)
+    angle = rng.uniform(0, 2 * np.pi)
+    axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+    turn = Rotation.from_rotvec(np.deg2rad(TILT) * axis)
+    turn = turn * Rotation.from_euler("z", rng.uniform(0, 360), True)
+    return turned(dataclasses.replace(view, table=table[~under]), turn)
 
 
-def completed(
-    completer: Completer, view: View, adapt: bool, background: Background = "unknown"
-) -> CompletedScan:
+def with_points(view: View, rng: np.random.Generator, count: int) -> View:
+    """Thinned at random, or made denser between its points."""
+    partial = view.partial
+    if count > len(partial):
+        partial = densify(partial, count / len(partial))
+    else:
+        partial = partial[rng.permutation(len(partial))[:count]]
+    return dataclasses.replace(view, partial=partial)
+
+
+def noisy(view: View, rng: np.random.Generator, share: float) -> View:
+    """Gaussian in each coordinate, of a share of the object's longest side."""
+    noise = rng.normal(0.0, share * view.size, view.partial.shape)
+    return dataclasses.replace(view, partial=view.partial + noise)
+
+
+def cropped(view: View, rng: np.random.Generator, share: float) -> View:
+    """Without that share of the points that lies farthest in some direction."""
+    along = view.partial @ rng.normal(size=3)
+    kept = along <= np.quantile(along, 1.0 - share)
+    return dataclasses.replace(view, partial=view.partial[kept])
+
+
+def any_shift(view: View, rng: np.random.Generator) -> tuple[str, View]:
+    """One of every kind, of random strength, at a random heading; and what it is."""
+    kind = str(rng.choice(["heading", "tilt", "points", "noise", "crop"]))
+    shifted = heading(view, rng, rng.uniform(0, 360))
+    if kind == "tilt":
+        shifted = tilted(shifted, rng)
+    elif kind == "points":
+        count = int(np.exp(rng.uniform(np.log(100), np.log(20_000))))
+        shifted = with_points(shifted, rng, count)
+    elif kind == "noise":
+        shifted = noisy(shifted, rng, rng.uniform(0.0, 0.03))
+    elif kind == "crop":
+        shifted = cropped(shifted, rng, rng.uniform(0.05, 0.6))
+    return kind, shifted
+
+
+DENSITIES = (100, 500, 2_000, 20_000, 200_000)
+SHIFTS: dict[str, Callable[[View, np.random.Generator], View]] = {
+    **{f"heading {n}": partial(heading, degrees=n) for n in range(0, 360, 45)},
+    f"tilt {TILT:g}, on a table": tilted,
+    **{f"{n:,} points": partial(with_points, count=n) for n in DENSITIES},
+    **{f"noise {n:g} %": partial(noisy, share=n / 100) for n in (0.5, 1, 2)},
+    **{f"cropped by {n} %": partial(cropped, share=n / 100) for n in (10, 30, 50)},
+}
+"""By the names that tables give them."""
+
+
+def views_of(dataset: str, split: str, limit: int | None = None) -> list[View]:
+    """All views of a split, which is built if it is missing, or so many of them, evenly
+    spaced."""
+    build_if_missing(dataset, split)
+    source = open_dataset(dataset, split)
+    count = min(len(source), limit or len(source))
+    views = []
+    for row in np.linspace(0, len(source) - 1, count).astype(int):
+        example = with_partial(source[int(row)])
+        clouds = (example.partial, example.complete, example.eye)
+        double = [None if c is None else c.astype(np.float64) for c in clouds]
+        assert example.complete is not None
+        size = float(np.ptp(example.complete, axis=0).max())
+        group = int(source.objects[row])
+        views.append(View(*double, size, group=group))  # pyright: ignore
+    return views
+
+
+def completed(completer: Completer, view: View) -> CompletedScan:
     """As a user's scan is. A view with a table, with the way up that the table says."""
     camera, up = None, "z"
     if view.eye is not None:
         camera = Camera.look_at(view.eye, view.partial.mean(axis=0))
     if view.table is not None:
         up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
-    return completer.complete(
-        view.partial, camera, adapt=adapt, up=up, background=background
-    )
+    return completer.complete(view.partial, camera, up=up)
 
 
-def robustness_markdown(result: Mapping[str, Any]) -> str:
-    """A row for each shift."""
-    commits = {row["commit"] or "unknown": None for row in result["shifts"].values()}
-    changes = f", {result['set']}" if result.get("set") else ""
-    if result.get("background"):
-        changes += f", background {result['background']}"
-    lines = [
-        f"`{result['weights']}`{changes}, commit {', '.join(map(short, commits))}, "
-        f"views of {result['data']}. Unit of length: {metrics.UNIT}.\n",
-        f"| shift | views | the partial's CD-L2 x1e4 | {' | '.join(COLUMNS)} |",
-        f"| --- | --- | --- |{' --- |' * len(COLUMNS)}",
-    ]
-    for name, row in result["shifts"].items():
-        cells = [f"{row['completed'][column]:.4g}" for column in COLUMNS]
-        partial = f"{row['partial']['CD-L2 x1e4']:.4g}"
-        lines.append(f"| {name} | {row['views']} | {partial} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+def scored(view: View, points: Float[np.ndarray, "N 3"]) -> list[float]:
+    """The metrics of `COLUMNS`."""
+    unit = 0.5 * view.size
+    found = metrics.score(points / unit, view.complete / unit).named()
+    return [found[metric] for metric, _, _ in COLUMNS.values()]
 
 
-def _views() -> tuple[list[View], dict[str, Any]]:
-    """The views that are shifted, and what the result says of them."""
-    if FLAGS.scan:
-        if FLAGS.ground_truth is None:
-            fault = "is missing, and --scan has nothing to be compared with"
-            raise io.InputError("--ground_truth", fault, "give the true shape")
-        turn = Workspace(np.zeros(3), np.ones(()), upright(FLAGS.up))
-        truth = io.read_points(FLAGS.ground_truth).astype(np.float64)
-        truth = np.asarray(turn.to_unit(truth))
-        names = [pathlib.Path(path).stem for path in FLAGS.scan]
-        scans = [io.read_scan(path).points.astype(np.float64) for path in FLAGS.scan]
-        size = float(np.ptp(truth, axis=0).max())
-        clouds = [np.asarray(turn.to_unit(scan)) for scan in scans]
-        views = [View(cloud, truth, None, size) for cloud in clouds]
-        return views, {"data": ", ".join(names)}
-    split = validation_split(FLAGS.dataset)
-    views = validation_views(FLAGS.dataset, FLAGS.limit)
-    digest = digest_of(FLAGS.dataset, split)
-    return views, {"data": f"{FLAGS.dataset}, {split}", "digest": digest}
-
-
-def _summary(scores: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+def summary(scores: Sequence[Sequence[float]]) -> dict[str, float]:
+    """Of what `scored` says of each view."""
+    columns = zip(COLUMNS.items(), zip(*scores, strict=True), strict=True)
     return {
-        cloud: {
-            title: factor * float(mean([row[cloud][metric] for row in scores]))
-            for title, (metric, mean, factor) in COLUMNS.items()
-        }
-        for cloud in ("partial", "completed")
+        title: factor * float(mean(values))
+        for (title, (_, mean, factor)), values in columns
     }
+
+
+def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> str:
+    """Rows of numbers, under the names that the result has for them."""
+    heads = list(next(iter(rows.values())))
+    cells = [
+        [name, *("-" if n is None else f"{n:.4g}" for n in row.values())]
+        for name, row in rows.items()
+    ]
+    return "\n".join(table_lines([title, *heads], cells))
+
+
+def define_flags() -> None:
+    """The flags of this launcher."""
+    flags.DEFINE_string("weights", "small", "A name, or a file.")
+    flags.DEFINE_enum("dataset", "shapes", ("shapes", "roboarm"), "Whose validation.")
+    flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
+    flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
+    flags.DEFINE_string("output", None, "JSON file to write.")
+
+
+def main() -> None:
+    """Shifts, completes, scores, prints the table and writes the result."""
+    prepare_output(FLAGS.output, ".json")
+    for name in FLAGS.shift:
+        choose("shift", name, SHIFTS)
+    completer = Completer.from_pretrained(located(FLAGS.weights))
+    split = validation_split(FLAGS.dataset)
+    views = views_of(FLAGS.dataset, split, FLAGS.limit)
+    rows = {}
+    for name in FLAGS.shift:
+        scores = {"partial": [], "completed": []}
+        for number, view in enumerate(tqdm(views, desc=name, mininterval=2.0)):
+            shifted = SHIFTS[name](view, np.random.default_rng(number))
+            done = completed(completer, shifted)
+            scores["partial"].append(scored(shifted, shifted.partial))
+            scores["completed"].append(scored(shifted, done.points))
+        means = {cloud: summary(own) for cloud, own in scores.items()}
+        rows[name] = {"views": len(views), **means}
+    result = {
+        "commit": commit(),
+        "data": f"{FLAGS.dataset}, {split}",
+        "digest": digest_of(FLAGS.dataset, split),
+        "weights": FLAGS.weights,
+        "variables_sha256": sha256(completer.variables),
+        "shifts": rows,
+    }
+    print_and_write(
+        result, table("shift", {k: v["completed"] for k, v in rows.items()})
+    )
 
 
 def run() -> None:

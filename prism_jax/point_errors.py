@@ -52,7 +52,7 @@ class PointErrors(Trees):
     """What gives each predicted point its sigma: trees over `CLUES`, whose sum is the
     logarithm of the expected distance from the true surface.
 
-    `experiments.point_errors` fits them on validation data that is shifted in every
+    `experiments.calibrate` fits them on validation data that is shifted in every
     way. Lengths are in half sides of the workspace.
     """
 

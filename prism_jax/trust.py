@@ -64,9 +64,9 @@ class Calibration(Trees):
     """What turns evidence into a verdict: trees over its logarithms, whose sum is the
     logarithm of the error.
 
-    `experiments.trust` fits them on validation data that is shifted in every way. The
-    global features of training views say what is familiar: their mean, the axes along
-    which they vary most, in units of their spread, and the spread of what is left.
+    `experiments.calibrate` fits them on validation data that is shifted in every way.
+    The global features of training views say what is familiar: their mean, the axes
+    along which they vary most, in units of their spread, and the spread of the rest.
 
     Attributes:
       usual: the logarithms where completions are good, in the order of `EVIDENCE`.

@@ -25,13 +25,18 @@ def run(command: ModuleType, *arguments: str) -> int:
     return ended.value.code or 0
 
 
+INSTALLED = ("complete", "stream", "envelope")
+"""What `prism-complete` and the other installed commands are called in `parse`."""
+
+
 class _Parsed(Exception):
     """Ends a launcher once its flags are read."""
 
 
 def parse(launcher: str, *arguments: str) -> None:
     """Reads a launcher's arguments and leaves it; absl's error if it has no such."""
-    command = importlib.import_module(f"experiments.{launcher}")
+    package = "prism_jax.cli" if launcher in INSTALLED else "experiments"
+    command = importlib.import_module(f"{package}.{launcher}")
     known = set(flags.FLAGS)
 
     def read(*_, **__):

@@ -15,7 +15,7 @@ COMMAND = re.compile(
     r"((?:\s+--(?:\"[^\"]*\"|[^\s`\"])+)*)"
 )
 PLACEHOLDERS = {"$split": "train", "SUITE": "ops", "--network=NAME": "--network=pcn"}
-WITHOUT_FLAGS = {"results", "rooms"}
+WITHOUT_FLAGS = {"results"}
 
 
 def commands() -> list[tuple[str, str]]:

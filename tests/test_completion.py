@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.trust import unfitted
+from experiments.calibrate import unfitted
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion import CompletedScan, Completer, _checked, _in_slots
 from prism_jax.evidence import LOOKS

@@ -13,7 +13,7 @@ import pytest
 
 from experiments import results
 from experiments.assets import CELLS
-from experiments.trust import unfitted
+from experiments.calibrate import unfitted
 from prism_jax.weights import save_weights
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from sklearn.ensemble import GradientBoostingRegressor
 
-from experiments.boosting import (
-    FOLDS,
-    complete_trees,
-    cross_predicted,
-    rank_correlation,
-)
+from experiments.calibrate import FOLDS, boosted, rank_correlation, trees_of
 from prism_jax.trees import Trees
 
 RNG = np.random.default_rng(0)
@@ -27,17 +22,14 @@ class Five(Trees):
     NAMES: ClassVar[tuple[str, ...]] = tuple("abcde")
 
 
-def made_of(model, depth):
-    looks_at, thresholds, leaves = complete_trees(model, depth)
-    bounds = np.array([-9.0, 9.0])
-    base = float(model.init_.constant_.item())
-    return Five(base, looks_at, thresholds, leaves, bounds)
+def made_of(model):
+    return Five(**trees_of(model), bounds=np.array([-9.0, 9.0]))
 
 
 @pytest.mark.parametrize("depth", [1, 2, 4])
 def test_they_say_what_scikit_learns_say(depth):
     model = GradientBoostingRegressor(max_depth=depth, n_estimators=15, random_state=0)
-    trees = made_of(model.fit(ROWS, WANTED), depth)
+    trees = made_of(model.fit(ROWS, WANTED))
     np.testing.assert_allclose(trees.sums(ROWS), model.predict(ROWS), atol=1e-12)
     again = Five.from_dict(json.loads(json.dumps(trees.to_dict())))
     np.testing.assert_allclose(again.sums(ROWS), model.predict(ROWS), atol=1e-3)
@@ -45,7 +37,7 @@ def test_they_say_what_scikit_learns_say(depth):
 
 def test_a_row_has_the_same_bits_alone_and_among_others():
     model = GradientBoostingRegressor(max_depth=3, n_estimators=150, random_state=0)
-    trees = made_of(model.fit(ROWS, WANTED), 3)
+    trees = made_of(model.fit(ROWS, WANTED))
     together = trees.sums(ROWS)
     alone = np.array([trees.sums(row) for row in ROWS])
     assert together.tobytes() == alone.tobytes()
@@ -68,14 +60,15 @@ def test_what_looks_beyond_the_numbers_is_refused():
         Five.from_dict({})
 
 
-def test_nobody_is_foretold_by_trees_that_saw_it():
-    """A number that names each object foretells nothing of an object left out."""
+def test_no_sample_is_predicted_by_trees_that_saw_it():
+    """A number that names each object predicts nothing of an object left out."""
     group = 2 * RNG.integers(0, 20, 400)
     error = RNG.normal(size=20)[group // 2]
     rows = np.stack([group.astype(float), RNG.normal(size=400)], axis=1)
     settings = {"n_estimators": 40, "max_depth": 4, "learning_rate": 0.2}
     fold = group // 2 % FOLDS
-    said = cross_predicted(rows, error, np.ones(400), fold, **settings)
+    _, said, weights = boosted(rows, error, ["a"] * 100 + ["b"] * 300, fold, settings)
+    np.testing.assert_allclose(weights[[0, 399]], [4, 4 / 3])
     assert rank_correlation(said, error) < 0.5
 
 

@@ -4,9 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from sklearn.ensemble import GradientBoostingRegressor
 
-from experiments.boosting import complete_trees
 from prism_jax.trust import EVIDENCE, SMALLEST, Calibration, logarithms
 
 NAMES = list(EVIDENCE)
@@ -58,28 +56,6 @@ def test_the_expected_error_is_the_trees_sum_in_the_users_units():
     verdict = found.judge(spreads(novelty=1), half_extent=500.0)
     assert verdict.expected_error == pytest.approx(10.0)
     assert verdict.evidence == spreads(novelty=1)
-
-
-@pytest.mark.parametrize("depth", [1, 2, 3])
-def test_trees_say_what_scikit_learns_say(depth):
-    rng = np.random.default_rng(depth)
-    found = rng.normal(-3, 1, (300, COUNT)).astype(np.float32)
-    wanted = found[:, 2] * (found[:, 5] > -3) + np.abs(found[:, 0] + 3)
-    model = GradientBoostingRegressor(max_depth=depth, n_estimators=20, random_state=0)
-    model.fit(found, wanted)
-    looks_at, thresholds, leaves = complete_trees(model, depth)
-    trees = calibration(
-        base=float(model.init_.constant_.item()),
-        looks_at=looks_at,
-        thresholds=thresholds,
-        leaves=leaves,
-        bounds=np.array([-50.0, 50.0]),
-    )
-    trees = Calibration.from_dict(json.loads(json.dumps(trees.to_dict())))
-    for row, expected in zip(found, model.predict(found), strict=True):
-        evidence = dict(zip(NAMES, np.exp(row.astype(float)) - SMALLEST, strict=True))
-        said = np.log(trees.expected_error(evidence))
-        assert said == pytest.approx(expected, abs=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """How much a metric differs between two clouds of the same examples, and where."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 
 from prism_jax.evaluation.bootstrap import (
     change_interval,
-    quantiles,
     resampled_means,
     resampled_medians,
 )
@@ -84,38 +83,6 @@ def paired_difference(
     if len(names) > 1 and statistic == "mean" and after != before:
         found["carried_by"] = _carrier(values, objects, categories, names)
     return found
-
-
-def shared_difference(
-    pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]],
-    metric: str = "cd_l1",
-    clouds: tuple[str, str] = ("network", "network"),
-) -> dict[str, Any]:
-    """How much higher a metric is in the second of each pair of results than in the
-    first, over several sets of examples.
-
-    Both are geometric means: over the examples of a set, then over sets, each of which
-    weighs the same. One bad example cannot carry them, as it can a mean.
-
-    Returns the second's geometric ``mean``, the ``change`` as a share of the first's,
-    and its 95 % bootstrap ``interval`` over the objects of each set. Both sides are
-    drawn together. Zeros and pairs of other examples raise ValueError.
-    """
-    changes, after, resampled = [], [], []
-    for seed, pair in enumerate(pairs):
-        values, objects = _columns(*pair, metric, clouds)
-        if (values <= 0).any():
-            raise ValueError(f"a {metric} is zero: no geometric mean")
-        logs = np.log(values)
-        difference = logs[:, 1:] - logs[:, :1]
-        changes.append(difference.mean())
-        after.append(logs[:, 1].mean())
-        resampled.append(resampled_means(difference, objects, seed)[:, 0])
-    return {
-        "mean": float(np.exp(np.mean(after))),
-        "change": float(np.expm1(np.mean(changes))),
-        "interval": np.expm1(quantiles(np.mean(resampled, axis=0))).tolist(),
-    }
 
 
 def _columns(

@@ -274,7 +274,8 @@ def test_help_lists_the_flags(capsys):
 
 
 def test_as_a_process():
-    command = [sys.executable, "-m", "experiments.complete", "--input=missing.ply"]
+    code = "from prism_jax.cli.complete import run; run()"
+    command = [sys.executable, "-c", code, "--input=missing.ply"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     ended = subprocess.run(
         command, capture_output=True, text=True, env=environment, check=False

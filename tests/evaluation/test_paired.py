@@ -3,14 +3,12 @@ them."""
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from prism_jax.evaluation.bootstrap import resampled_medians
 from prism_jax.evaluation.paired import (
     MEASURES,
     adaptation_effect,
     paired_difference,
-    shared_difference,
 )
 
 RNG = np.random.default_rng(1)
@@ -153,42 +151,3 @@ def test_what_cannot_be_compared_is_refused():
         paired_difference(a, a, clouds=("network_unadapted", "network"))
     with pytest.raises(ValueError, match="is zero"):
         paired_difference(result([0.0, 0.0]), a)
-
-
-def test_sets_share_a_change_and_weigh_the_same():
-    """A half of many examples and twice of a few cancel out; a hundred times worse, one
-    example of 400 carries a mean, but no geometric mean."""
-    many, few = RNG.lognormal(0, 1, 400), RNG.lognormal(3, 1, 10)
-    pairs = [(result(many), result(many / 2)), (result(few), result(few * 2))]
-    found = shared_difference(pairs)
-    assert np.isclose(found["change"], 0)
-    np.testing.assert_allclose(found["interval"], 0, atol=1e-12)
-    mean = np.sqrt(stats.gmean(many / 2) * stats.gmean(few * 2))
-    assert np.isclose(found["mean"], mean)
-    after = many * np.where(np.arange(400) == np.argmax(many), 100, 0.9)
-    pair = result(many), result(after)
-    assert paired_difference(*pair, "cd_l1")["change"] > 0.5
-    low, high = shared_difference([pair])["interval"]
-    assert low < stats.gmean(after) / stats.gmean(many) - 1 < high < -0.05
-
-
-def test_the_interval_of_a_shared_change_is_that_of_independent_sets():
-    """Of log changes with a known spread: their mean's own, over the root of the number
-    of sets; views of one object count as one."""
-    pairs = []
-    for _ in range(4):
-        before, change = RNG.lognormal(0, 1, 400), RNG.normal(0, 0.2, 200).repeat(2)
-        pairs.append((result(before, 2), result(before * np.exp(change), 2)))
-    low, high = np.log1p(shared_difference(pairs)["interval"])
-    expected = 2 * 1.96 * 0.2 / np.sqrt(200 * 4)
-    assert np.isclose(high - low, expected, rtol=0.1)
-
-
-def test_what_has_no_shared_change_is_refused():
-    one = result([1.0, 2.0])
-    with pytest.raises(ValueError, match="cd_l1 is zero"):
-        shared_difference([(one, one), (one, result([0.0, 2.0]))])
-    with pytest.raises(ValueError, match="not of the same examples"):
-        shared_difference([(one, result([1.0, 2.0, 3.0]))])
-    with pytest.raises(ValueError, match="no emd of network"):
-        shared_difference([(one, one)], "emd")

@@ -1,47 +1,42 @@
 """Real scans of a folder are completed; what is not there is left out."""
 
 import dataclasses
-import importlib.util
 import json
+import types
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from experiments import real as command
-from experiments import real_specs
-from experiments.real_pictures import picture_row
-from experiments.real_specs import SPECS
+from experiments.real import SPECS
 from prism_jax import metrics
 from prism_jax.io import InputError, ply_bytes
 from prism_jax.io.streams import Frame, Stream
 from prism_jax.trust import Verdict
 from tests import launching
-from tests.experiments.test_segmentation import write_pcd
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).uniform(1, 2, size=(300, 3)).astype(np.float32)
 CORNERS = [[0, 0, 0], [0, 1, 0], [2, 1, 0], [2, 0, 0]]
 CORNERS = np.array([*CORNERS, *[[x, y, 4] for x, y, _ in CORNERS]], float)
-BY_NAME = {spec.name: spec for spec in SPECS}
 
 
 class Completer(FakeCompleter):
-    """Judges what it completes if its weights are `small`, and trusts it more where
-    nothing is around."""
-
-    def __init__(self, name):
-        self.judges = name == "small"
-
-    @classmethod
-    def from_pretrained(cls, name):
-        return cls(name)
+    """Judges what it completes, and trusts it more where nothing is around."""
 
     def complete(self, *arguments, **asked):
         done = super().complete(*arguments, **asked)
         trust = {"unknown": "fair", "empty": "high"}[asked.get("background", "unknown")]
-        verdict = Verdict(trust, 0.25, (), {}) if self.judges else None
-        return dataclasses.replace(done, verdict=verdict)
+        return dataclasses.replace(done, verdict=Verdict(trust, 0.25, (), {}))
+
+
+def write_pcd(path, points, labels):
+    """A labelled scan in ASCII."""
+    rows = [
+        f"{label} {x} {y} {z}" for label, (x, y, z) in zip(labels, points, strict=True)
+    ]
+    head = f"FIELDS label x y z\nSIZE 4 4 4 4\nTYPE U F F F\nWIDTH {len(rows)}\n"
+    path.write_text(f"{head}HEIGHT 1\nDATA ascii\n" + "\n".join(rows) + "\n")
 
 
 def clutter():
@@ -72,116 +67,86 @@ def folder(tmp_path, monkeypatch):
     write_pcd(place / "kinect" / "mosd_test24.pcd", *clutter())
     write_pcd(place / "kitti" / "frame_0_car_0.pcd", POINTS, np.zeros(300, int))
     np.savetxt(place / "kitti" / "frame_0_car_0.txt", CORNERS)
-    (place / BY_NAME["Ouster, capture"].file).write_bytes(b"anything")
+    (place / SPECS[-1].file).write_bytes(b"anything")
     return place
 
 
 def test_every_scan_has_a_row(folder, tmp_path, capsys):
-    output, picture = tmp_path / "tables" / "real.json", tmp_path / "real.png"
-    asked = [f"--data_dir={folder}", f"--output={output}", f"--picture={picture}"]
-    weights = ["--weights=small", "--weights=other"]
-    assert launching.run(command, *asked, *weights, "--size=32") == 0
+    output = tmp_path / "tables" / "real.json"
+    assert launching.run(command, f"--data_dir={folder}", f"--output={output}") == 0
     told = capsys.readouterr()
     result = json.loads(output.read_text())
-    rows = {(row["scan"], row["weights"]): row for row in result["scans"]}
-    assert len(rows) == len(result["scans"]) == 2 * 10
+    rows = {row["scan"]: row for row in result["scans"]}
+    assert len(rows) == len(result["scans"]) == 10
 
-    row = rows["bunny, scan_000", "small"]
+    row = rows["bunny, scan_000"]
     assert (row["points"], row["added"], row["objects"]) == (200, 100, 1)
     assert (row["outside"], row["strays"], row["up"]) == (0, 1, "y")
     assert row["verdicts"] == [{"trust": "fair", "expected_error": 0.25}]
-    assert rows["bunny, scan_000", "other"]["verdicts"] == []
     partial = row["scores"]["clouds"]["partial"]
     unit = np.ptp(POINTS, axis=0).max() / 2
     expected = metrics.cd_l2(POINTS[:200] / unit, POINTS / unit)
     assert partial["cd_l2"] == pytest.approx(expected, rel=1e-4)
     assert partial["prediction_to_truth"] == pytest.approx(0, abs=1e-12)
-    assert rows["bunny, raw", "small"]["scores"] is None
-    alone = rows["bunny, scan_000, alone", "small"]
+    assert rows["bunny, raw"]["scores"] is None
+    alone = rows["bunny, scan_000, alone"]
     assert (row["background"], alone["background"]) == ("unknown", "empty")
     assert alone["verdicts"] == [{"trust": "high", "expected_error": 0.25}]
 
-    scene = rows["Kinect, cloud", "small"]
+    scene = rows["Kinect, cloud"]
     assert (scene["objects"], scene["strays"]) == (2, 2)
     # Ten per cent of the first are with the second: 540 of 600, and 540 of 600.
     assert scene["checks"]["overlap"] == {"thing 0": 0.9, "thing 1": 0.9}
-    peer = rows["ShapeNet, airplane", "small"]["checks"]["to_peer"]
+    peer = rows["ShapeNet, airplane"]["checks"]["to_peer"]
     assert peer["partial"] == pytest.approx(0, abs=1e-12) and peer["completed"] > 0
 
-    assert set(result["left_out"]) == {
-        "Kinect, depth image",
-        "Ouster, sweep",
-        "Ouster, capture",
-    }
+    missing = {"Kinect, depth image", "Ouster, sweep", "Ouster, capture"}
+    assert set(result["left_out"]) == missing
     (line,) = [s for s in told.err.splitlines() if s.startswith("Ouster, sweep is")]
     assert "no such file" in line
-    with Image.open(picture) as sheet:
-        # Neither the car nor the airplane is drawn.
-        assert sheet.size == (2 * (3 * 32 + 4) - 4, 4 * (32 + 15))
-
-    text = command.real_markdown(result)
-    assert text in told.out
-    cells = "| 200 | 1 | 100 | 0 | 1 | 1 fair | 0.25 |"
-    assert f"| bunny, scan_000 | `small` {cells}" in text
-    assert "| bunny, scan_000 | `other` | 200 | 1 | 100 | 0 | 1 | - | - |" in text
-    head = f"| bunny, scan_000 | `small` | partial | {1e4 * partial['cd_l2']:.4g} |"
-    assert head in text and "| thing 0: 0.9, thing 1: 0.9 |" in text
-    assert "Left out: Ouster, sweep (" in text
+    assert "| bunny, scan_000 | 200 | 1 | 100 | 0 | 1 | fair |" in told.out
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("ouster") is not None, reason="ouster-sdk is installed"
-)
-def test_a_missing_package_leaves_its_recording_out(folder, capsys):
-    assert launching.run(command, f"--data_dir={folder}", "--weights=small") == 0
-    lines = capsys.readouterr().err.splitlines()
-    (line,) = [line for line in lines if line.startswith("Ouster, capture is left out")]
-    assert line.endswith('install the extra: pip install "prism_jax[ouster]"')
+def test_added_points_outside_the_workspace_are_counted(monkeypatch):
+    class Astray(Completer):
+        def complete(self, *arguments, **asked):
+            done = super().complete(*arguments, **asked)
+            beyond = np.where(done.observed[:, None], done.points, done.points + 10)
+            return dataclasses.replace(done, points=beyond)
+
+    monkeypatch.setattr(command, "FLAGS", types.SimpleNamespace(weights="small"))
+    scan = command.Given(POINTS.astype(float))
+    assert command.row_of(Completer(), SPECS[0], scan)["outside"] == 0
+    assert command.row_of(Astray(), SPECS[0], scan)["outside"] == 150
 
 
-def test_a_missing_folder_ends_in_one_line(tmp_path, capsys):
-    assert launching.run(command, f"--data_dir={tmp_path / 'none'}") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("real: --data_dir: ") and "bunny/pairs.npz, " in line
-
-
-def test_a_folder_of_something_else_ends_in_one_line(tmp_path, capsys):
+def test_a_folder_of_something_else_ends_in_one_line_more(tmp_path, capsys):
     assert launching.run(command, f"--data_dir={tmp_path}") == 2
     assert "has none of the scans" in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_picture_that_is_no_png_is_refused(tmp_path, capsys):
-    assert launching.run(command, "--picture=real.jpg") == 2
-    assert "--picture: real.jpg is no .png file" in capsys.readouterr().err
-
-
-def test_points_outside_a_box_are_counted():
+def test_points_outside_a_box_are_counted(folder):
     """The box is 2 x 1 x 4, and a twentieth of a side may be beside it."""
+    path = folder / "kitti" / "frame_0_car_0.pcd"
     measured = np.array([[1, 0.5, 2], [-0.05, 0.5, 2], [2.05, 0.5, 2], [2.2, 0.5, 2]])
     added = np.array([[1, 1.04, 2], [1, 1.06, 2], [1, 0.5, -0.19], [1, 0.5, 4.3]])
-    done = Completer("small").complete(POINTS)
+    done = Completer().complete(POINTS)
     points, observed = np.concatenate([measured, added]), np.arange(8) < 4
-    done = dataclasses.replace(done, points=points, observed=observed)
-    assert real_specs.outside(CORNERS, done) == {"measured": 0.25, "added": 0.5}
-    done = dataclasses.replace(done, points=measured, observed=observed[:4])
-    assert real_specs.outside(CORNERS, done) == {"measured": 0.25}
-    # A turned box and turned points.
+    # A turned box and turned points are no other.
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    done = dataclasses.replace(done, points=measured @ turn.T)
-    assert real_specs.outside(CORNERS @ turn.T, done) == {"measured": 0.25}
-
-
-def test_added_points_outside_the_workspace_are_counted():
-    done = Completer("small").complete(POINTS.astype(float))
-    assert command.num_outside(done) == 0
-    beyond = np.where(done.observed[:, None], done.points, done.points + 10)
-    far = dataclasses.replace(done, points=beyond)
-    assert command.num_outside(far) == (~done.observed).sum() == 150
+    for turned in (np.eye(3), turn):
+        np.savetxt(path.with_suffix(".txt"), CORNERS @ turned.T)
+        outside = command.boxed(path).checks["outside_box"]
+        both = dataclasses.replace(done, points=points @ turned.T, observed=observed)
+        assert outside(both) == {"measured": 0.25, "added": 0.5}
+        own = {"points": measured @ turned.T, "observed": observed[:4]}
+        alone = dataclasses.replace(done, **own)
+        assert outside(alone) == {"measured": 0.25}
 
 
 def test_a_lidar_reaches_so_far():
     points = np.array([[0, 0, 0], [5.9, 0, 0], [0, 6.1, 0], [4, 4, 4.0], [0, -1, 0]])
-    np.testing.assert_array_equal(real_specs.near(points), points[[1, 4]])
+    np.testing.assert_array_equal(command.near(points), points[[1, 4]])
 
 
 @pytest.mark.parametrize(("lacking", "taken"), [("", 0), ("0", 1), ("01", 2), ("2", 0)])
@@ -196,74 +161,12 @@ def test_the_first_whole_frame_is_taken(monkeypatch, lacking, taken):
                     self.remark("incomplete", "lacks columns")
                 yield Frame(np.full((2, 3), number + 1, np.float32), number)
 
-    monkeypatch.setattr(real_specs, "open_stream", Sweeps)
-    given = real_specs.captured("some.pcap")
-    assert (given.points == taken + 1).all()
+    monkeypatch.setattr(command, "open_stream", Sweeps)
+    assert (command.captured("some.pcap").points == taken + 1).all()
 
 
-def test_no_whole_frame(monkeypatch):
-    class Nothing(Stream):
-        def __len__(self):
-            return 0
-
-        def _frames(self):
-            yield from ()
-
-    monkeypatch.setattr(real_specs, "open_stream", Nothing)
-    with pytest.raises(InputError, match="has no whole frame"):
-        real_specs.captured("some.pcap")
-
-
-def test_faults_of_files_are_told(tmp_path, folder):
-    np.savez(tmp_path / "a.npz", scan_000=POINTS)
-    with pytest.raises(InputError, match="is not an NPZ of scan_000 and complete"):
-        real_specs.scanned_in_frame(tmp_path / "a.npz", "scan_000")
-    (tmp_path / "b.npz").write_bytes(b"PK, but no more")
-    with pytest.raises(InputError, match="is not an NPZ of scan_000 and complete"):
-        real_specs.scanned_in_frame(tmp_path / "b.npz", "scan_000")
+def test_labels_of_another_scan_are_refused(folder):
     path = folder / "kinect" / "mosd_test24.ply"
     path.write_bytes(ply_bytes(POINTS))
     with pytest.raises(InputError, match="has 300 points, and its labels 1,840"):
-        real_specs.labelled(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "count"),
-    [
-        ("bunny, scan_090", 30_379),
-        ("Kinect, depth image", 185_257),
-        ("KITTI, car", 1_524),
-        ("ShapeNet, airplane", 2_048),
-        ("Ouster, sweep", 47_043),
-    ],
-)
-def test_the_real_ones_are_read(real, name, count):
-    spec = BY_NAME[name]
-    given = spec.read(real(spec.file))
-    assert len(given.points) == count
-    assert given.points.dtype == np.float64 and np.isfinite(given.points).all()
-    assert (given.truth is not None) == name.startswith("bunny")
-
-
-def test_pictures_show_what_was_added_and_what_is_of_nothing():
-    completer = Completer("small")
-    points, _ = clutter()
-    scene = completer.split_scene(points)
-    done = completer.complete_scene(points, scene=scene)
-    row = picture_row("clutter", {"small": done}, 64)
-    assert row.label == "clutter"
-    kinds = [kinds_of(picture) for picture in row.pictures]
-    assert kinds == [{"blue", "grey", "white"}, {"blue", "grey", "orange", "white"}]
-    # All that is of objects is within: nothing is drawn on the edge.
-    alone = dataclasses.replace(done, object=np.where(done.object < 0, 0, done.object))
-    for picture in picture_row("", {"small": alone}, 64).pictures:
-        edge = [picture[0], picture[-1], picture[:, 0], picture[:, -1]]
-        assert kinds_of(np.concatenate(edge)) == {"white"}
-
-
-def kinds_of(pixels):
-    """Which of the colours there are, in whatever shade."""
-    red, _, blue = np.moveaxis(pixels.reshape(-1, 3).astype(int), -1, 0)
-    grey, white = abs(red - blue) < 9, np.minimum(red, blue) > 250
-    found = np.select([white, grey, red > blue], ["white", "grey", "orange"], "blue")
-    return set(found.tolist())
+        command.labelled(path)

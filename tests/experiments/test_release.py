@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments import release
-from experiments.trust import unfitted
+from experiments.calibrate import unfitted
 from prism_jax.io.errors import InputError
 from prism_jax.point_errors import PointErrors
 from prism_jax.weights import (
@@ -89,45 +89,31 @@ def test_an_unknown_setting_ships_nothing(finished, capsys):
     assert not (folder / "new.safetensors").exists()
 
 
-def test_a_calibration_comes_with_them(finished, capsys):
-    """Only with weights that it is of."""
-    folder, path = finished
-    blank = unfitted(np.random.default_rng(0).normal(size=(40, 5)))
-    result = {"calibration": blank.to_dict(), "trust": {"all": {"views": 7}}}
-    result |= {"weights": "w", "weights_sha256": file_sha256(str(path))}
-    (folder / "trust.json").write_text(json.dumps(result))
-    given = (f"--weights={path}", "--name=new", f"--calibration={folder}/trust.json")
-    assert run(*given) == 0
-    new = str(folder / "new.safetensors")
-    assert load_calibration(new).to_dict() == result["calibration"]
-    assert read_metadata(new)["trust"] == result["trust"]
-    assert load_calibration(str(path)) is None
-    other = json.dumps({**result, "weights_sha256": "0"})
-    (folder / "trust.json").write_text(other)
-    assert run(*given) == 2
-    assert "make it for the weights that are released" in capsys.readouterr().err
-
-
-def test_what_is_given_later_comes_beside_what_was_there(finished, tiny_variables):
-    """Scores, notes and calibration stay, and so do the arrays."""
+def test_a_calibration_comes_with_them(finished, tiny_variables, capsys):
+    """Beside what was there, and only with weights that it is of."""
     folder, path = finished
     given = ("--note=a trial", f"--scores={folder}/test.json")
     assert run(f"--weights={path}", "--name=new", *given) == 0
     new = str(folder / "new.safetensors")
     before = read_metadata(new)
+    blank = unfitted(np.random.default_rng(0).normal(size=(40, 5)))
     nodes, bounds = np.zeros((1, 1)), np.array([-9.0, 0.0])
-    found = PointErrors(-3.0, nodes, nodes, np.zeros((1, 2)), bounds).to_dict()
-    result = {"point_errors": found, "sigma": {"all": {"views": 7}}, "weights": "new"}
-    result |= {"weights_sha256": file_sha256(new)}
-    (folder / "point_errors.json").write_text(json.dumps(result))
-    more = f"--point_errors={folder}/point_errors.json"
-    assert run(f"--weights={new}", "--name=new", more) == 0
-    after = read_metadata(new)
-    assert after.pop("point_errors") == found == load_point_errors(new).to_dict()
-    assert after.pop("sigma") == {"all": {"views": 7}}
-    assert after == before
+    found = PointErrors(-3.0, nodes, nodes, np.zeros((1, 2)), bounds)
+    fitted = {"calibration": blank.to_dict(), "trust": {"all": {"views": 7}}}
+    fitted |= {"point_errors": found.to_dict(), "sigma": {"all": {"views": 5}}}
+    result = {"weights": "w", "weights_sha256": file_sha256(new), **fitted}
+    place = folder / "calibration.json"
+    place.write_text(json.dumps(result))
+    given = (f"--weights={new}", "--name=new", f"--calibration={place}")
+    assert run(*given) == 0
+    assert read_metadata(new) == {**before, **fitted}
+    assert load_calibration(new).to_dict() == fitted["calibration"]
+    assert load_point_errors(new).to_dict() == fitted["point_errors"]
     assert sha256(load_pretrained(new)[1]) == sha256(tiny_variables)
-    assert load_point_errors(str(path)) is None
+    assert load_calibration(str(path)) is None and load_point_errors(str(path)) is None
+    place.write_text(json.dumps({**result, "weights_sha256": "0"}))
+    assert run(*given) == 2
+    assert "make it for the weights that are released" in capsys.readouterr().err
 
 
 def test_damaged_point_errors_are_one_line(finished, tiny, tiny_variables):

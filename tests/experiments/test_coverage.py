@@ -1,0 +1,108 @@
+"""What is said of margins, from cells that are made up."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from experiments import coverage
+from experiments.coverage import PARTS, SAMPLE, Scored
+from prism_jax.data.recordings import DEPTH_SCALE
+from prism_jax.geometry.camera import Camera
+from tests import launching
+from tests.fake_completer import FakeCompleter
+
+
+def scored(score, tested=True):
+    """Every other voxel is free; voxels are up to 2 m away."""
+    away = {"measured": np.linspace(0, 2, SAMPLE)} if tested else {}
+    free = np.arange(SAMPLE) % 2 == 0
+    return Scored({"measured": score}, away, ~free, np.zeros(10, bool), free)
+
+
+def test_rows_hold_margins_coverage_and_volumes():
+    """20 cells of even scores, and 20 others of which half need more."""
+    found = {
+        "calibration": [scored(s, tested=False) for s in np.linspace(0.1, 0.29, 20)],
+        "other_arms": [scored(0.029, tested=False)] * 20,
+        "test": [scored(0.1)] * 10 + [scored(0.58)] * 10,
+    }
+    told = coverage.coverage(found, (0.1, 0.05))
+    high, higher, other, _ = told["rows"]
+    # The 19th and the 20th of 20 scores.
+    assert high["q"] == pytest.approx(0.28) and higher["q"] == pytest.approx(0.29)
+    assert (high["covered"], high["tested"], other["covered"]) == (10, 20, 0)
+    wanted = binomtest(10, 20).proportion_ci(method="exact")
+    np.testing.assert_allclose(high["interval"], [wanted.low, wanted.high])
+    # Half of what is nearer than q and half a voxel's diagonal, of 27 cubic metres.
+    reached = (0.28 + 0.5 * np.sqrt(3) * 0.04) / 2
+    assert high["volume"] == pytest.approx(27 * reached / 2, rel=0.01)
+    assert high["share_of_not_free"] == pytest.approx(reached, rel=0.01)
+    assert told["free_volume"] == pytest.approx(13.5)
+    assert told["cells_with_none_freed"] == 20
+    assert told["occupied_voxels_freed"] == told["occupied_voxels"] / 2
+
+
+def ball(radius, middle, count):
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    return middle + radius * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def write_cell(path, radius):
+    """A ball above a floor, and a robot that is a small ball beside it."""
+    camera = Camera.look_at(np.array([1.4, 0, 1.6]), np.array([0, 0, 0.5]), height=96)
+    fixture, robot = ball(radius, [0, 0, 0.6], 40_000), ball(0.1, [0, 0.6, 0.5], 4_000)
+    floor = np.random.default_rng(1).uniform(-1.4, 1.4, (100_000, 3)) * [1, 1, 0]
+    points = np.concatenate([fixture, robot, floor])
+    pixel, depth = (np.asarray(found) for found in camera.pixel_of(points))
+    image = np.full(camera.height * camera.width + 1, np.inf)
+    np.minimum.at(image, pixel, depth)
+    seen = (depth <= image[pixel] + 0.02) & (np.arange(len(points)) < 44_000)
+    image = np.where(np.isfinite(image), image, 0)[:-1].reshape(camera.height, -1)
+    parts = dict.fromkeys(PARTS, floor[:1000]) | {"fixture": fixture, "robot": robot}
+    path.parent.mkdir(exist_ok=True)
+    np.savez(
+        path,
+        **{name: getattr(camera, name) for name in coverage._CAMERA},
+        counts=np.round(image / DEPTH_SCALE).astype(np.uint16),
+        partial=points[seen][::5].astype("f4"),
+        complete=points[:44_000:20].astype("f4"),
+        **{f"part_{name}": some.astype("f4") for name, some in parts.items()},
+    )
+
+
+def test_the_command_calibrates_and_tests(tmp_path, monkeypatch, capsys):
+    """The stand-in completes by a mirror image, which is near the hidden side."""
+    monkeypatch.setattr(coverage, "SAMPLE", 1000)
+    monkeypatch.setattr(
+        coverage.Completer, "from_pretrained", lambda *place: FakeCompleter()
+    )
+    for number in range(9):
+        radius = 0.2 + 0.02 * number
+        write_cell(tmp_path / "test-1" / f"{number:04d}.npz", radius)
+    for folder in ("test-2", "validation-1"):
+        (tmp_path / folder).symlink_to(tmp_path / "test-1")
+    output = tmp_path / "coverage.json"
+    given = "--num_cells=9", "--num_tested=2", f"--cell_dir={tmp_path}"
+    assert launching.run(coverage, *given, f"--output={output}") == 0
+    assert "| known | cloud | other_arms | measured and predicted | 90% | " in (
+        capsys.readouterr().out
+    )
+    found = json.loads(output.read_text())["robot"]
+    for robot in ("unknown", "known"):
+        depth, cloud = found[robot]["depth"], found[robot]["cloud"]
+        assert 1 < depth["free_volume"] < 26
+        assert 0 <= cloud["free_volume"] < depth["free_volume"]
+        assert depth["occupied_voxels_freed"] < 0.01 * depth["occupied_voxels"]
+        for told in (depth, cloud):
+            measured, completed = told["rows"][:2]
+            assert 0 < completed["q"] < measured["q"] < 0.8
+            # The largest of nine scores holds cells that are among the nine.
+            assert measured["covered"] == measured["tested"] == 2
+            assert measured["q"] == max(told["scores"]["calibration"]["measured"])
+
+
+def test_too_few_cells_are_refused(capsys):
+    assert launching.run(coverage, "--num_cells=8") == 2
+    assert "take 9 or more" in capsys.readouterr().err
