@@ -120,8 +120,8 @@ def in_words(told: dict[str, Any]) -> str:
     before, after = told["check"]["contradicted"]
     return (
         f"{told['steps']:,} steps on {told['frames']:,} frames without truth. On "
-        f"others the distance to what was hidden changes by {change} % [{low}, {high}], "
-        f"and {after:.1%} of points contradict the view, {before:.1%} before."
+        f"others the distance to what was hidden changes by {change} % "
+        f"[{low}, {high}], and {after:.1%} of points contradict the view, {before:.1%} before."
     )
 
 
