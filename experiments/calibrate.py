@@ -3,9 +3,10 @@
     python -m experiments.calibrate --weights=small --output=FILE.json
 
 Validation views are shifted at random and completed as a user's scan is. Two sums of
-trees are fitted on the results: `prism_jax.trust` expects the error of a completion,
-`prism_jax.point_errors` that of each point. Both are measured on objects that the trees
-did not see. `experiments.release --calibration=FILE.json` ships them with the weights.
+trees are fitted on the results: `prism_jax.uncertainty.confidence` expects the error of
+a completion, `prism_jax.uncertainty.sigma` that of each point. Both are measured on
+objects that the trees did not see. `experiments.release --calibration=FILE.json` ships
+them with the weights.
 """
 
 import dataclasses
@@ -25,17 +26,17 @@ from experiments.robustness import View, any_shift, completed, table, views_of
 from experiments.scoring import print_and_write, require_looks
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
-from prism_jax import metrics
 from prism_jax.cli.launch import launch
-from prism_jax.completion import Completer
+from prism_jax.completion.completer import Completer
+from prism_jax.completion.weights import file_sha256, load_pretrained
 from prism_jax.data.datasets import digest_of, open_dataset
 from prism_jax.data.pipeline import Framing, frame_example
+from prism_jax.evaluation import metrics
 from prism_jax.io.errors import require
 from prism_jax.models.backbone import encode_points, partial_indices
-from prism_jax.point_errors import PointErrors, spread
 from prism_jax.training.run import commit
-from prism_jax.trust import EVIDENCE, Calibration, Verdict, logarithms
-from prism_jax.weights import file_sha256, load_pretrained
+from prism_jax.uncertainty.confidence import EVIDENCE, Calibration, Verdict, logarithms
+from prism_jax.uncertainty.sigma import PointErrors, spread
 
 FLAGS = flags.FLAGS
 Row = Float[np.ndarray, " N"]

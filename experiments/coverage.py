@@ -34,7 +34,8 @@ from experiments.simulation.roboarm.sequences import (
 )
 from experiments.weights import located
 from prism_jax.cli.launch import launch
-from prism_jax.completion import Completer
+from prism_jax.completion.completer import Completer
+from prism_jax.completion.weights import file_sha256
 from prism_jax.data.recordings import DEPTH_SCALE
 from prism_jax.envelope.calibration import (
     cell_score,
@@ -60,7 +61,6 @@ from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.training.run import commit
-from prism_jax.weights import file_sha256
 
 FLAGS = flags.FLAGS
 ALPHAS = (0.1, 0.05)

@@ -34,6 +34,7 @@ from experiments.settings import changed
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.cli.launch import launch
+from prism_jax.completion.weights import file_sha256, load_pretrained, read_metadata
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import Protocol
@@ -41,7 +42,6 @@ from prism_jax.evaluation.run import prism_completer
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io.errors import InputError
 from prism_jax.training.run import commit
-from prism_jax.weights import file_sha256, load_pretrained, read_metadata
 
 FLAGS = flags.FLAGS
 

@@ -10,9 +10,9 @@ from absl import flags
 from experiments.output import prepare_output
 from experiments.weights import located
 from prism_jax.cli.launch import launch
-from prism_jax.export import PLATFORMS, export_adapt
+from prism_jax.completion.export import PLATFORMS, export_adapt
+from prism_jax.completion.weights import load_pretrained
 from prism_jax.io.atomic import write_bytes
-from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
 

@@ -20,10 +20,10 @@ from experiments.scoring import (
 from experiments.sheets import contact_sheet
 from experiments.weights import located
 from prism_jax.cli.launch import launch
+from prism_jax.completion.weights import load_pretrained
 from prism_jax.evaluation.protocol import UNITS
 from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.atomic import write_bytes
-from prism_jax.weights import load_pretrained
 
 FLAGS = flags.FLAGS
 

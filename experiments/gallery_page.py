@@ -12,12 +12,14 @@ from PIL import ImageColor
 from scipy.spatial import KDTree
 
 from experiments.sheets import Color, Row, draw_clouds
-from prism_jax import metrics
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
+from prism_jax.evaluation import metrics
 from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
 from prism_jax.evaluation.run import CompleteFn, Predictions, scored_clouds
-from prism_jax.figures import (
+from prism_jax.geometry.camera import Camera
+from prism_jax.preprocessing.observation import Observation
+from prism_jax.reporting.figures import (
     COMPLETED_COLOR,
     GROUND_TRUTH_COLOR,
     MAX_SHOWN_POINTS,
@@ -27,9 +29,7 @@ from prism_jax.figures import (
     clouds_figure,
     subsample,
 )
-from prism_jax.geometry.camera import Camera
-from prism_jax.observation.observation import Observation
-from prism_jax.report.view import viewing_direction
+from prism_jax.reporting.view import viewing_direction
 
 COLUMNS = (
     "Partial",

@@ -17,10 +17,10 @@ from experiments.output import prepare_output
 from experiments.training import beginning, known_of, overlaid
 from experiments.weights import located
 from prism_jax.cli.launch import launch
+from prism_jax.completion.weights import load_pretrained, save_weights, sha256
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.training.run import commit
-from prism_jax.weights import load_pretrained, save_weights, sha256
 
 FLAGS = flags.FLAGS
 

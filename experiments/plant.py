@@ -36,10 +36,17 @@ from experiments.training import known_of
 from experiments.weights import located
 from prism_jax.adaptation.objective import test_time_objective
 from prism_jax.cli.launch import SomeFailed, launch
+from prism_jax.completion.weights import (
+    SUFFIX,
+    file_sha256,
+    load_pretrained,
+    save_weights,
+)
 from prism_jax.data.datasets import digest_of, open_dataset
 from prism_jax.data.pipeline import Batch, Framing, stack
 from prism_jax.evaluation.bootstrap import change_interval, resampled_means
 from prism_jax.geometry.neighbors import nearest
+from prism_jax.geometry.spacing import median_spacing
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import SQUARED_DISTANCE_FLOOR
@@ -47,14 +54,12 @@ from prism_jax.losses.primary import primary_loss
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.models.variables import ENCODERS, Variables
-from prism_jax.observation.observation import Observation, observe
-from prism_jax.observation.visibility import in_front
-from prism_jax.selection import TOLERANCE, usual_spacing
+from prism_jax.preprocessing.observation import Observation, observe
+from prism_jax.preprocessing.visibility import IN_FRONT, in_front
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import TrainState
 from prism_jax.training.run import commit
 from prism_jax.training.supervised import averaged
-from prism_jax.weights import SUFFIX, file_sha256, load_pretrained, save_weights
 
 FLAGS = flags.FLAGS
 
@@ -121,7 +126,8 @@ def in_words(told: dict[str, Any]) -> str:
     return (
         f"{told['steps']:,} steps on {told['frames']:,} frames without truth. On "
         f"others the distance to what was hidden changes by {change} % "
-        f"[{low}, {high}], and {after:.1%} of points contradict the view, {before:.1%} before."
+        f"[{low}, {high}], and {after:.1%} of points contradict the view, "
+        f"{before:.1%} before."
     )
 
 
@@ -247,7 +253,7 @@ def evidence(variables, frames: list[Frame], model) -> Float[np.ndarray, "L 3"]:
         wrong = 0.0
         if example.eye is not None:
             few = np.asarray(whole.workspace.from_unit(whole.partial))
-            ray = example.partial, example.eye, usual_spacing(few), TOLERANCE
+            ray = example.partial, example.eye, median_spacing(few), IN_FRONT
             wrong = in_front(added, *ray).mean()
         rows.append((number if several else row, distance, wrong))
     return np.array(rows, np.float64)

@@ -24,17 +24,17 @@ from experiments.scoring import print_and_write
 from experiments.weights import located
 from prism_jax import io
 from prism_jax.cli.launch import launch
-from prism_jax.completed import CompletedScan, CompletedScene
-from prism_jax.completion import Completer
+from prism_jax.completion.assembly import CompletedScan, CompletedScene
+from prism_jax.completion.completer import Completer
 from prism_jax.data.public.kitti import read_corners
+from prism_jax.evaluation.metrics import UNIT
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Background
 from prism_jax.io.files import read_bytes
 from prism_jax.io.pcd import read_pcd, read_pcd_field
 from prism_jax.io.streams import open_stream
-from prism_jax.metrics import UNIT
-from prism_jax.result import score
+from prism_jax.reporting.summary import score
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS

@@ -14,15 +14,15 @@ from absl import flags
 
 from experiments.settings import changed
 from prism_jax.cli.launch import launch
-from prism_jax.io.atomic import make_output_dir
-from prism_jax.io.errors import InputError
-from prism_jax.weights import (
+from prism_jax.completion.weights import (
     SUFFIX,
     file_sha256,
     load_pretrained,
     read_metadata,
     save_weights,
 )
+from prism_jax.io.atomic import make_output_dir
+from prism_jax.io.errors import InputError
 
 FLAGS = flags.FLAGS
 ASSETS = pathlib.Path(__file__).parents[1] / "prism_jax" / "assets"

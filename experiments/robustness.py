@@ -21,19 +21,19 @@ from experiments.output import prepare_output
 from experiments.scoring import print_and_write
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
-from prism_jax import metrics
 from prism_jax.cli.launch import launch
-from prism_jax.completed import CompletedScan
-from prism_jax.completion import Completer
+from prism_jax.completion.assembly import CompletedScan
+from prism_jax.completion.completer import Completer
+from prism_jax.completion.filtering import densify
+from prism_jax.completion.weights import sha256
 from prism_jax.data.datasets import digest_of, open_dataset, validation_split
 from prism_jax.data.pipeline import with_partial
+from prism_jax.evaluation import metrics
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import choose
-from prism_jax.observation.support import find_up
-from prism_jax.selection import densify
+from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.training.run import commit
-from prism_jax.weights import sha256
 
 FLAGS = flags.FLAGS
 

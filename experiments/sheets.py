@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.observation.scene import LEFT_OVER, SUPPORT
+from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT
 
 Color = tuple[float, float, float]
 GREYS: dict[int, Color] = {SUPPORT: (0.8, 0.8, 0.8), LEFT_OVER: (0.35, 0.35, 0.35)}

@@ -31,16 +31,16 @@ from experiments.scoring import (
 )
 from experiments.weights import located
 from prism_jax.cli.launch import launch
+from prism_jax.completion.weights import (
+    read_metadata,
+    samples_seen,
+)
 from prism_jax.data.datasets import training_split
 from prism_jax.evaluation.paired import all_differences, paired_difference
 from prism_jax.evaluation.run import Predictions, network_completer, prism_completer
 from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.weights import (
-    read_metadata,
-    samples_seen,
-)
 
 FLAGS = flags.FLAGS
 LABELS = {

@@ -29,7 +29,7 @@ from prism_jax.cli.launch import launch
 from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
-from prism_jax.observation.observation import observe
+from prism_jax.preprocessing.observation import observe
 
 FLAGS = flags.FLAGS
 PRETRAINED, META = "pretrained", "meta-trained"

@@ -19,12 +19,12 @@ from experiments.training import (
     training_data,
 )
 from prism_jax.cli.launch import launch
+from prism_jax.completion.weights import save_weights, sha256
 from prism_jax.models.initial import init_variables
 from prism_jax.training.meta import check_meta, meta_phase
 from prism_jax.training.phase import train_phase
 from prism_jax.training.pretraining import pretrain
 from prism_jax.training.run import open_run, started_from
-from prism_jax.weights import save_weights, sha256
 
 FLAGS = flags.FLAGS
 

@@ -8,6 +8,7 @@ from absl import flags
 
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
+from prism_jax.completion.weights import load_pretrained, read_metadata
 from prism_jax.data.datasets import (
     DATASETS,
     digest_of,
@@ -21,10 +22,9 @@ from prism_jax.io.files import default_cache_dir
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.variables import Variables
-from prism_jax.presets import Preset
 from prism_jax.training.indices import index_table
 from prism_jax.training.phase import Data, order_seed
-from prism_jax.weights import load_pretrained, read_metadata
+from prism_jax.training.presets import Preset
 
 FLAGS = flags.FLAGS
 

@@ -1,7 +1,9 @@
 """PRISM in JAX: completion of sparse scans with test-time adaptation."""
 
 from prism_jax.adaptation.test_time import make_adapt
-from prism_jax.completion import Completer
+from prism_jax.completion.completer import Completer
+from prism_jax.completion.weights import load_pretrained
+from prism_jax.evaluation.metrics import f_score
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.neighbors import knn, nearest
 from prism_jax.geometry.normals import pca_normals
@@ -10,9 +12,7 @@ from prism_jax.geometry.sampling import farthest_point_sample
 from prism_jax.geometry.transport import sinkhorn
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.chamfer import chamfer
-from prism_jax.metrics import f_score
-from prism_jax.observation.observation import observe
-from prism_jax.weights import load_pretrained
+from prism_jax.preprocessing.observation import observe
 
 __version__ = "0.1.0"
 

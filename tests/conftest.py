@@ -91,7 +91,7 @@ def x64():
 @pytest.fixture(scope="session")
 def tiny():
     """Configuration of the smallest preset."""
-    from prism_jax.presets import PRESETS
+    from prism_jax.training.presets import PRESETS
 
     return PRESETS["tiny"].config
 

@@ -1,13 +1,14 @@
-"""A stand-in for `prism_jax.completion` that completes in no time, and badly."""
+"""A stand-in for `prism_jax.completion.completer` that completes in no time, and
+badly."""
 
 import numpy as np
 
-from prism_jax.completed import CompletedScan, in_one_scene
+from prism_jax.completion.assembly import CompletedScan, in_one_scene
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError
-from prism_jax.observation.planes import Plane
-from prism_jax.observation.scene import SUPPORT, Scene
+from prism_jax.preprocessing.segmentation.planes import Plane
+from prism_jax.preprocessing.segmentation.scene import SUPPORT, Scene
 
 LOSSES = ("objective", "depth_consistency", "normal", "denoise", "align")
 

@@ -14,7 +14,7 @@ import zlib
 import numpy as np
 import pytest
 
-from prism_jax.weights import save_weights
+from prism_jax.completion.weights import save_weights
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

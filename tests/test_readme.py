@@ -14,7 +14,7 @@ import pytest
 from experiments import results
 from experiments.assets import CELLS
 from experiments.calibrate import unfitted
-from prism_jax.weights import save_weights
+from prism_jax.completion.weights import save_weights
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PAGES = {page.name: page for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]}

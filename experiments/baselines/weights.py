@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from experiments.baselines.networks import NETWORKS
 from experiments.weights import located
+from prism_jax.completion.weights import checked_arrays, read_file, write_file
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.weights import checked_arrays, read_file, write_file
 
 
 def with_weights() -> list[str]:
@@ -26,7 +26,7 @@ def save_network(
     variables: Variables,
     metadata: dict[str, Any],
 ) -> None:
-    """As `prism_jax.weights.save_weights`, of one of `NETWORKS`."""
+    """As `prism_jax.completion.weights.save_weights`, of one of `NETWORKS`."""
     write_file(path, variables, {"network": name, "size": size, **metadata})
 
 

@@ -11,11 +11,12 @@ from scipy.spatial.distance import cdist
 from experiments.assets import CELLS
 from experiments.benchmarks.measure import Row, in_turn, row
 from experiments.weights import located
-from prism_jax import metrics
+from prism_jax.completion.weights import load_pretrained
 from prism_jax.data.ordering import farthest_point_order, first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Source
+from prism_jax.evaluation import metrics
 from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
 from prism_jax.evaluation.run import (
     CompleteFn,
@@ -25,7 +26,6 @@ from prism_jax.evaluation.run import (
     scored_clouds,
 )
 from prism_jax.evaluation.scoring import EMD_POINTS
-from prism_jax.weights import load_pretrained
 
 MOST = 1 / 5
 
@@ -34,8 +34,8 @@ def suite(weights: str = "small") -> Iterator[Row]:
     """The recorded frames, completed at once and scored on all cores.
 
     Against each completed alone and each of its clouds scored by the functions of
-    `prism_jax.metrics`, and against batches of one in one thread. Then their exact EMD
-    against SciPy's assignment without a start.
+    `prism_jax.evaluation.metrics`, and against batches of one in one thread. Then their
+    exact EMD against SciPy's assignment without a start.
     """
     config, variables = load_pretrained(located(weights))
     source = RecordedCells(CELLS)

@@ -10,14 +10,14 @@ import numpy as np
 
 from experiments.benchmarks.measure import MIB, Row
 from experiments.simulation.roboarm.recording import write_mcap
-from prism_jax.completion import Completer
+from prism_jax.completion.completer import Completer
 from prism_jax.data.recordings import Frame as Recorded
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.io.scan import Bounds
 from prism_jax.io.streams import Frame, Stream, open_stream
 from prism_jax.io.streams.sinks import Labelled, open_sink
-from prism_jax.streams.completer import FrameCompleter
-from prism_jax.streams.run import run_stream
+from prism_jax.streaming.completer import FrameCompleter
+from prism_jax.streaming.run import run_stream
 
 RATE = 10.0
 RECORDED = 50

@@ -12,10 +12,10 @@ from experiments.settings import resolve
 from prism_jax.data.pipeline import Batch
 from prism_jax.models.backbone import init_backbone, partial_indices
 from prism_jax.models.initial import init_variables
-from prism_jax.presets import Preset
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.meta import meta_phase
 from prism_jax.training.phase import Phase
+from prism_jax.training.presets import Preset
 
 SAMPLES_PER_SECOND = 100
 MOST = 4.0

@@ -1,11 +1,12 @@
 """Weights to compare with: those of ablations, of the control, and of baselines.
 
-The weights that people use ship with the package; `prism_jax.weights` knows them.
+The weights that people use ship with the package; `prism_jax.completion.weights` knows
+them.
 """
 
 import pathlib
 
-from prism_jax.weights import SUFFIX
+from prism_jax.completion.weights import SUFFIX
 
 
 def located(name_or_path: str) -> str:

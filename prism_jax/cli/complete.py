@@ -25,10 +25,10 @@ from prism_jax import io
 from prism_jax.assets import asset
 from prism_jax.cli.index import index_page
 from prism_jax.cli.launch import SomeFailed, launch
-from prism_jax.observation.upright import parse_up
-from prism_jax.report import render_report, render_scene_report
-from prism_jax.report.verdict import verdict_of_scene
-from prism_jax.result import plain, score, summarize, summarize_scene
+from prism_jax.preprocessing.upright import parse_up
+from prism_jax.reporting import render_report, render_scene_report
+from prism_jax.reporting.confidence import verdict_of_scene
+from prism_jax.reporting.summary import plain, score, summarize, summarize_scene
 
 FLAGS = flags.FLAGS
 NAME = "prism-complete"
@@ -138,7 +138,7 @@ def main(inputs: Sequence[str] = ()) -> None:
         return
     if FLAGS.card:
         # It imports data sets and scores, which a completion does not wait for.
-        from prism_jax.model_card import model_card
+        from prism_jax.reporting.model_card import model_card
 
         print(model_card(FLAGS.weights), end="")
         return
@@ -307,15 +307,15 @@ def load_completer(weights: str) -> Any:
 
     The same one for the same weights, so that several scans compile once.
     """
-    from prism_jax.completion import Completer
+    from prism_jax.completion.completer import Completer
 
     return Completer.from_pretrained(weights, io.default_cache_dir() / "traced")
 
 
 def weights_that_ship() -> str:
     """A table of them, and how to read more."""
-    from prism_jax.model_card import weights_table
-    from prism_jax.weights import available_weights
+    from prism_jax.completion.weights import available_weights
+    from prism_jax.reporting.model_card import weights_table
 
     return (
         f"{weights_table(available_weights())}\n\n"

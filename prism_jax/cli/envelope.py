@@ -47,11 +47,11 @@ from prism_jax.envelope.surfaces import Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL, Carving
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
-from prism_jax.observation.support import find_up
-from prism_jax.observation.upright import parse_up, upright
-from prism_jax.result import plain, software
+from prism_jax.preprocessing.segmentation.support import find_up
+from prism_jax.preprocessing.upright import parse_up, upright
+from prism_jax.reporting.summary import plain, software
 from prism_jax.robots.urdf import Linkage
-from prism_jax.streams.enveloper import (
+from prism_jax.streaming.enveloper import (
     FrameEnveloper,
     MadeEnvelope,
     Scanned,
@@ -430,7 +430,7 @@ def _method() -> Method:
 
 def _digest(weights: str) -> str:
     # It imports Flax, which a fault in the input does not wait for.
-    from prism_jax.weights import file_sha256
+    from prism_jax.completion.weights import file_sha256
 
     return file_sha256(weights)
 

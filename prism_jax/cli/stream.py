@@ -27,8 +27,8 @@ from prism_jax.io.streams import Joints, Stream, open_stream
 from prism_jax.io.streams.packed import EXTRA
 from prism_jax.io.streams.sinks import Sink, open_sink
 from prism_jax.models.config import MAX_POSES
-from prism_jax.observation.upright import parse_up
-from prism_jax.result import plain
+from prism_jax.preprocessing.upright import parse_up
+from prism_jax.reporting.summary import plain
 from prism_jax.robots.urdf import Linkage
 
 FLAGS = flags.FLAGS
@@ -221,7 +221,7 @@ def stream_file(
         require("mcap.writer", EXTRA)
     # Imported this late, so that a wrong recording is refused in a moment.
     from prism_jax.cli.complete import load_completer
-    from prism_jax.streams.completer import FrameCompleter
+    from prism_jax.streaming.completer import FrameCompleter
 
     completer: Any = FrameCompleter(
         load_completer(weights),
@@ -247,7 +247,7 @@ def follow(
 ) -> dict[str, Any]:
     """Runs a stream with a bar of progress, and writes and returns what the report
     says of it, also when it is broken off."""
-    from prism_jax.streams.run import StreamReport, run_stream
+    from prism_jax.streaming.run import StreamReport, run_stream
 
     report = StreamReport()
     whole = False

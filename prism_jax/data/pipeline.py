@@ -19,9 +19,9 @@ from prism_jax.data.source import Example, Source
 from prism_jax.geometry.visibility import Visibility, mirrored, to_unit, turned
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
-from prism_jax.observation.maps import seen_among
-from prism_jax.observation.observation import Heading, observe, workspace_around
-from prism_jax.observation.strays import find_strays
+from prism_jax.preprocessing.observation import Heading, observe, workspace_around
+from prism_jax.preprocessing.outliers import find_strays
+from prism_jax.preprocessing.visibility_map import seen_among
 
 MAX_TILT = np.deg2rad(20.0)
 """Of training examples whose heading the network finds itself."""
@@ -122,8 +122,8 @@ def frame_example(
 def with_partial(example: Example, rng: np.random.Generator | None = None) -> Example:
     """The example with a partial, cropped as `frame_example` has it if it had none.
 
-    Without strays (`prism_jax.observation.strays`), which would decide the workspace.
-    An example without a complete cloud raises InputError.
+    Without strays (`prism_jax.preprocessing.outliers`), which would decide the
+    workspace. An example without a complete cloud raises InputError.
     """
     if example.complete is None:
         fault = "has no complete cloud to learn from or to be compared with"

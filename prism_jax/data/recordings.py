@@ -37,7 +37,7 @@ from prism_jax.io.depth import points_from_depth, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes, read_json
 from prism_jax.io.ply import read_ply
-from prism_jax.observation.maps import seen_among
+from prism_jax.preprocessing.visibility_map import seen_among
 
 DEPTH_SCALE = 0.00025
 """Metres a count of the depth image: the L515's own unit."""
@@ -136,7 +136,7 @@ def map_of_image(
     """What a depth camera knows of its view of a partial cloud, by its whole image.
 
     Of the image's pixels about `RAYS_A_PIXEL` are taken for each of the map's. All in
-    one frame and unit; see `prism_jax.observation.maps.seen_among`.
+    one frame and unit; see `prism_jax.preprocessing.visibility_map.seen_among`.
     """
     eye = np.asarray(camera.position, np.float64)
     close = framing_camera(partial.astype(np.float64), eye).intrinsics[0, 0]

@@ -22,7 +22,7 @@ from jaxtyping import Float32, Float64, Int
 
 from prism_jax.data.shards import Shards, restored, shard_file
 from prism_jax.data.source import Example
-from prism_jax.observation.maps import seen_among
+from prism_jax.preprocessing.visibility_map import seen_among
 
 TRAITS = "traits.json"
 SCENE_ARRAYS = ("points", "labels", "frames")

@@ -8,12 +8,12 @@ from jaxtyping import Float
 
 from prism_jax.envelope.distance import KINDS, Envelope
 from prism_jax.envelope.voxels import STATES, UNSEEN
-from prism_jax.figures import MAX_SHOWN_POINTS, Cloud, Panel, clouds_figure
 from prism_jax.geometry.camera import Camera
 from prism_jax.io import ply
-from prism_jax.report.details import number
-from prism_jax.report.page import clouds_html, render
-from prism_jax.report.view import viewing_direction
+from prism_jax.reporting.details import number
+from prism_jax.reporting.figures import MAX_SHOWN_POINTS, Cloud, Panel, clouds_figure
+from prism_jax.reporting.page import clouds_html, render
+from prism_jax.reporting.view import viewing_direction
 
 COLORS = {
     "measured": ply.COLORS[ply.OBSERVED],

@@ -14,7 +14,7 @@ from prism_jax.envelope.robot import MARGIN, of_robot
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
-from prism_jax.observation.scene import SUPPORT
+from prism_jax.preprocessing.segmentation.scene import SUPPORT
 
 FLOOR = 0.05
 """Metres: no scale of a margin is smaller, and what is not predicted has this one."""

@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float32
 
-from prism_jax import metrics
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import framed_map
 from prism_jax.data.source import Example
+from prism_jax.evaluation import metrics
 from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.observation.observation import (
+from prism_jax.preprocessing.observation import (
     Heading,
     Observation,
     observe,

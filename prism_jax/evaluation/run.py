@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
+from prism_jax.completion.filtering import added_points
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
@@ -32,8 +33,7 @@ from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
-from prism_jax.observation.observation import observe
-from prism_jax.selection import added_points
+from prism_jax.preprocessing.observation import observe
 
 
 class Predictions(NamedTuple):

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from prism_jax import metrics
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.metrics import Scores
+from prism_jax.evaluation import metrics
+from prism_jax.evaluation.metrics import Scores
 
 EMD_POINTS = 1024
 """The exact earth mover's distance is computed between this many farthest points."""
@@ -26,7 +26,7 @@ CLOUDS = (
 partial: the measured points.
 network: all that the network predicts.
 completed: what a user gets, the measured points and what is added to them
-  (`prism_jax.selection.added_points`).
+  (`prism_jax.completion.filtering.added_points`).
 network_unadapted, completed_unadapted: the same without test-time adaptation. Only
   where the prediction was adapted and the one before is known too.
 """
@@ -50,9 +50,9 @@ def score(
 
     `complete` is the ground truth, and `complete_few` `EMD_POINTS` farthest points of
     it; without them the earth mover's distance is not computed. All in the frame and
-    unit of the scores. Values are those of the functions of `prism_jax.metrics`, except
-    for the last bits; one array under two names is scored once. Runs on one thread,
-    mostly without holding Python's lock.
+    unit of the scores. Values are those of the functions of
+    `prism_jax.evaluation.metrics`, except for the last bits; one array under two names
+    is scored once. Runs on one thread, mostly without holding Python's lock.
     """
     tree = KDTree(complete)
     apart = {id(cloud): name for name, cloud in reversed(clouds.items())}

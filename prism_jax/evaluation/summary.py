@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Int
 
 from prism_jax.evaluation.bootstrap import mean_intervals
+from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.paired import adaptation_effect
-from prism_jax.metrics import Scores
 
 
 class ExampleScores(NamedTuple):

@@ -130,7 +130,7 @@ class ModelConfig(Checked):
     # Side of the workspace over the longest side of the partial's box.
     margin: Annotated[float, 0.1, 100] = 1.4
     # "level" if the workspace is turned about the vertical as
-    # `prism_jax.observation.heading` says, in training and afterwards; "given" if the
+    # `prism_jax.preprocessing.heading` says, in training and afterwards; "given" if the
     # weights know objects with their front along y, and get them as they come.
     heading: Literal["given", "level"] = "given"
     # Side of the depth map that the depth stream reads.

@@ -13,7 +13,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import NetworkInput, predict, prepare_input
 from prism_jax.models.variables import Variables
-from prism_jax.observation.observation import observe
+from prism_jax.preprocessing.observation import observe
 
 POSES = np.array(
     [

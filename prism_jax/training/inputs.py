@@ -9,7 +9,7 @@ from prism_jax.geometry.visibility import Visibility, seen_by, surface_alone
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import NetworkInput, prepare_input
-from prism_jax.observation.observation import observe
+from prism_jax.preprocessing.observation import observe
 
 
 def inputs_of(

@@ -25,7 +25,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.weighting import BRANCHES, entropy, loss_weights
 from prism_jax.models.variables import Variables
-from prism_jax.observation.observation import observe
+from prism_jax.preprocessing.observation import observe
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser

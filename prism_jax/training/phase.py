@@ -20,7 +20,7 @@ from prism_jax.data.pipeline import (
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.observation.observation import Heading
+from prism_jax.preprocessing.observation import Heading
 from prism_jax.training import parallel
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.run import Log

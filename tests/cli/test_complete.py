@@ -14,9 +14,9 @@ import plyfile
 import pytest
 
 from prism_jax.cli import complete
-from prism_jax.model_card import model_card
-from prism_jax.trust import Verdict
-from prism_jax.weights import available_weights
+from prism_jax.completion.weights import available_weights
+from prism_jax.reporting.model_card import model_card
+from prism_jax.uncertainty.confidence import Verdict
 from tests import launching
 from tests.fake_completer import FakeCompleter
 

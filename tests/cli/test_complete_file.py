@@ -17,8 +17,8 @@ from prism_jax import io
 from prism_jax.cli import complete
 from prism_jax.cli.complete import complete_file, timed
 from prism_jax.io.ply import read_ply
-from prism_jax.observation.planes import Plane
-from prism_jax.observation.scene import Scene
+from prism_jax.preprocessing.segmentation.planes import Plane
+from prism_jax.preprocessing.segmentation.scene import Scene
 from tests.fake_completer import FakeCompleter
 
 PLANE = Plane(np.array([0, 0, 1.0]), 0.0, 0.1)

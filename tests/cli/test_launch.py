@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments import evaluate, make_data, pretrain
+from experiments import evaluate, make_data, train
 from tests.launching import run
 
 
@@ -20,7 +20,7 @@ def test_an_output_that_is_no_json_is_refused(tmp_path, capsys):
     ("command", "arguments"),
     [
         (evaluate, ["small", "--split=test"]),
-        (pretrain, ["--workdir=w", "--set", "meta.num_samples=64", "adapt.seed=1"]),
+        (train, ["--workdir=w", "--set", "meta.num_samples=64", "adapt.seed=1"]),
         (make_data, ["shapes"]),
     ],
 )

@@ -16,13 +16,13 @@ from scipy.spatial import KDTree
 from experiments.simulation.roboarm.sequences import make_frame, make_sequence
 from prism_jax.cli import complete
 from prism_jax.cli import stream as command
+from prism_jax.completion.weights import save_weights
 from prism_jax.data.recordings import LABELS
 from prism_jax.envelope.robot import of_robot
 from prism_jax.io.clouds import read_points
 from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import write_ply
 from prism_jax.io.streams import open_stream
-from prism_jax.weights import save_weights
 from tests.experiments.simulation.roboarm.conftest import model, small, urdf
 from tests.launching import run
 

@@ -12,7 +12,7 @@ from prism_jax.evaluation.protocol import (
     side_by_side,
     workspace_for,
 )
-from prism_jax.observation.observation import UNKNOWN_EYE
+from prism_jax.preprocessing.observation import UNKNOWN_EYE
 
 
 def given(example, protocol):

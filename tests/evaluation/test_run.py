@@ -4,12 +4,12 @@ import jax
 import numpy as np
 import pytest
 
-from prism_jax import metrics
 from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.completed import assemble
+from prism_jax.completion.assembly import assemble
 from prism_jax.data.source import Example
+from prism_jax.evaluation import metrics
 from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol, observed
 from prism_jax.evaluation.run import (
@@ -21,7 +21,7 @@ from prism_jax.evaluation.run import (
 from prism_jax.evaluation.scoring import CLOUDS
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError
-from prism_jax.observation.observation import observe
+from prism_jax.preprocessing.observation import observe
 
 METRES = {"scale": 0.35, "shift": (2.0, -1.0, 4.0)}
 
@@ -93,7 +93,7 @@ def whole(boxes):
 
 
 def test_completed_is_what_a_user_gets(boxes):
-    """As `prism_jax.completed.assemble` makes it, in the frame of the scores."""
+    """As `completion.assembly.assemble` makes it, in the frame of the scores."""
     example = boxes(objects=1, **METRES)[0]
     own = protocol()
     read = np.asarray(observed(example, own).partial)

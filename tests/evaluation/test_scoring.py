@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from prism_jax import metrics
 from prism_jax.data.ordering import farthest_point_order
+from prism_jax.evaluation import metrics
 from prism_jax.evaluation.scoring import CLOUDS, EMD_POINTS, score
 
 RNG = np.random.default_rng(5)

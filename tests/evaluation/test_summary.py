@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from prism_jax.metrics import Scores
 
 RNG = np.random.default_rng(1)
 

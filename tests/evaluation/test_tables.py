@@ -3,10 +3,10 @@
 import numpy as np
 
 from experiments.published import published_markdown
+from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.paired import MEASURES
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.evaluation.tables import LABELS, markdown
-from prism_jax.metrics import Scores
 
 NAMED = {
     "data": "shapes",

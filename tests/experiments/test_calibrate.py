@@ -9,10 +9,10 @@ from scipy.spatial import KDTree
 from experiments import calibrate
 from experiments.calibrate import Points, Scan, from_surface, sigmas, unfitted
 from experiments.robustness import View
+from prism_jax.completion.weights import file_sha256, save_weights
 from prism_jax.data.source import Example
-from prism_jax.point_errors import CLUES, PointErrors
-from prism_jax.trust import EVIDENCE, Calibration
-from prism_jax.weights import file_sha256, save_weights
+from prism_jax.uncertainty.confidence import EVIDENCE, Calibration
+from prism_jax.uncertainty.sigma import CLUES, PointErrors
 from tests import launching
 
 RNG = np.random.default_rng(0)

@@ -13,10 +13,10 @@ import prism_jax
 from experiments import evaluate
 from experiments.assets import CELLS
 from prism_jax.data.recordings import RecordedCells
+from prism_jax.evaluation.metrics import hausdorff
 from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.run import Predictions
 from prism_jax.geometry.visibility import BACKGROUND, MAP_SIZE, SURFACE
-from prism_jax.metrics import hausdorff
 from tests import launching
 from tests.public_sets import write_pcn, write_shapenet55
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from experiments import interpolate
-from prism_jax.models.error_head import init_error_head, with_term
-from prism_jax.weights import load_pretrained, read_metadata, save_weights
+from prism_jax.completion.weights import load_pretrained, read_metadata, save_weights
 from tests import launching
 
 
@@ -72,22 +71,3 @@ def test_weights_of_another_network_are_refused(files, tmp_path, capsys):
     given = f"--start={end}", f"--end={start}", f"--output={tmp_path}/x.safetensors"
     assert launching.run(interpolate, *given) == 2
     assert "not weights of" in capsys.readouterr().err
-
-
-def test_a_term_that_only_one_of_them_has_is_refused(files, tmp_path, capsys):
-    start, end = files
-    config, variables = load_pretrained(str(end))
-    with_one = tmp_path / "term.safetensors"
-    save_weights(
-        with_one,
-        config,
-        with_term(variables, init_error_head(jax.random.key(0))),
-        {"seed": 3},
-    )
-    given = (
-        f"--start={start}",
-        f"--end={with_one}",
-        f"--output={tmp_path}/x.safetensors",
-    )
-    assert launching.run(interpolate, *given) == 2
-    assert "has other parts than a training from" in capsys.readouterr().err

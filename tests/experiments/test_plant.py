@@ -13,14 +13,14 @@ from experiments import plant
 from experiments.assets import CELLS
 from experiments.plants import frames as parts
 from experiments.plants.frames import PlantConfig, pseudo_label, student_view
+from prism_jax.completion.weights import load_pretrained, read_metadata
 from prism_jax.data.pipeline import Framing, stack
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError
 from prism_jax.losses.primary import primary_loss
-from prism_jax.model_card import model_card
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.models.variables import ENCODERS
-from prism_jax.weights import load_pretrained, read_metadata
+from prism_jax.reporting.model_card import model_card
 from tests import launching
 from tests.trees import bitwise, equal
 

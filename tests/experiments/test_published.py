@@ -6,10 +6,10 @@ import pytest
 from experiments.published import published_columns, published_options
 from prism_jax.data.public.pcn import PCN
 from prism_jax.data.public.shapenet import ShapeNet
+from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.protocol import Protocol
 from prism_jax.evaluation.run import Predictions, evaluate
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from prism_jax.metrics import Scores
 from tests.public_sets import write_pcn, write_shapenet55
 
 DIFFICULTIES = {"easy": 1.0, "median": 2.0, "hard": 6.0}

@@ -9,10 +9,10 @@ import pytest
 
 from experiments import real as command
 from experiments.real import SPECS
-from prism_jax import metrics
+from prism_jax.evaluation import metrics
 from prism_jax.io import InputError, ply_bytes
 from prism_jax.io.streams import Frame, Stream
-from prism_jax.trust import Verdict
+from prism_jax.uncertainty.confidence import Verdict
 from tests import launching
 from tests.fake_completer import FakeCompleter
 

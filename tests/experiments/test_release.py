@@ -7,9 +7,7 @@ import pytest
 
 from experiments import release
 from experiments.calibrate import unfitted
-from prism_jax.io.errors import InputError
-from prism_jax.point_errors import PointErrors
-from prism_jax.weights import (
+from prism_jax.completion.weights import (
     file_sha256,
     load_calibration,
     load_point_errors,
@@ -18,6 +16,8 @@ from prism_jax.weights import (
     save_weights,
     sha256,
 )
+from prism_jax.io.errors import InputError
+from prism_jax.uncertainty.sigma import PointErrors
 from tests import launching
 
 

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from experiments import robustness
 from experiments.robustness import SHIFTS, View
-from prism_jax import metrics
+from prism_jax.evaluation import metrics
 from tests import launching
 from tests.fake_completer import FakeCompleter
 

@@ -6,7 +6,7 @@ import pytest
 
 from experiments.settings import resolve
 from prism_jax.io.errors import InputError
-from prism_jax.presets import PRESETS
+from prism_jax.training.presets import PRESETS
 
 
 @pytest.mark.parametrize("name", PRESETS)

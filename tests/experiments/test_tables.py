@@ -17,11 +17,16 @@ from experiments.comparison import Row, comparison
 from experiments.scoring import in_one_pose, network_size, prism_size
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
+from prism_jax.completion.weights import (
+    load_pretrained,
+    read_metadata,
+    samples_seen,
+    save_weights,
+)
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.protocol import Protocol
 from prism_jax.evaluation.run import Predictions, evaluate, network_completer
 from prism_jax.models.variables import pop_encoders
-from prism_jax.weights import load_pretrained, read_metadata, samples_seen, save_weights
 from tests import launching
 
 

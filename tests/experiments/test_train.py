@@ -15,8 +15,13 @@ import pytest
 
 from experiments import train, training
 from experiments.simulation.shapes.build import ShapesConfig, build_shapes
+from prism_jax.completion.weights import (
+    load_pretrained,
+    read_metadata,
+    save_weights,
+    sha256,
+)
 from prism_jax.models.variables import ENCODERS
-from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 from tests import launching, stand_in_networks
 from tests.trees import bitwise, equal
 

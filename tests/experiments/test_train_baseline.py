@@ -8,8 +8,8 @@ from experiments import train, train_baseline
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.pcn import PCN, PCNConfig
 from experiments.baselines.weights import load_network
+from prism_jax.completion.weights import read_metadata
 from prism_jax.training.phase import Trained
-from prism_jax.weights import read_metadata
 from tests import launching
 
 TINY = PCNConfig(

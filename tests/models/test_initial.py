@@ -6,7 +6,7 @@ import pytest
 
 from prism_jax.models.initial import init_auxiliary, init_variables
 from prism_jax.models.variables import pop_encoders
-from prism_jax.presets import PRESETS
+from prism_jax.training.presets import PRESETS
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,9 @@ import optax
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
 
+from prism_jax.completion.weights import sha256
 from prism_jax.training.phase import Data, Phase, TrainState, train_phase
 from prism_jax.training.run import open_run
-from prism_jax.weights import sha256
 from tests.training.conftest import Boxes
 
 BATCH, STEPS, EVERY = 4, 40, 2

@@ -16,11 +16,11 @@ import numpy as np
 sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
 
 from prism_jax.adaptation.config import MetaConfig
+from prism_jax.completion.weights import load_pretrained
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.meta import meta_phase
 from prism_jax.training.phase import Data, train_phase
 from prism_jax.training.run import open_run
-from prism_jax.weights import load_pretrained
 from tests.training.conftest import Boxes
 
 BATCH, STEPS, BROKEN_AT = 8, 5, 2

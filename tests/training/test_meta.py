@@ -16,10 +16,10 @@ from prism_jax.geometry.visibility import SURFACE, nothing_known
 from prism_jax.io.errors import InputError
 from prism_jax.losses.weighting import loss_weights
 from prism_jax.models.variables import ENCODERS
-from prism_jax.presets import PRESETS
 from prism_jax.training import meta, parallel
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.meta import SCORES, TERMS, check_meta, meta_phase
+from prism_jax.training.presets import PRESETS
 from tests import stand_in_networks
 from tests.trees import bitwise
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from jax.sharding import PartitionSpec
 
+from prism_jax.completion.weights import save_weights
 from prism_jax.io.errors import InputError
 from prism_jax.training import parallel
 from prism_jax.training.phase import Data, Phase, TrainState, train_phase
-from prism_jax.weights import save_weights
 
 SCRIPT = pathlib.Path(__file__).with_name("meta_runs.py")
 TOLERANCE = 1e-5

@@ -24,7 +24,7 @@ from prism_jax.geometry.visibility import (
     UNKNOWN,
     Visibility,
 )
-from prism_jax.observation.maps import box_exit
+from prism_jax.preprocessing.visibility_map import box_exit
 
 KINDS = ("robot", "fixture", "clutter", "clutter", "clutter", "person")  # of `PARTS`
 OPEN_PARTS = ("robot", "fixture", "support", "room")

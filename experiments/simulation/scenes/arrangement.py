@@ -21,7 +21,7 @@ from experiments.simulation.shapes import make_shape
 from experiments.simulation.shapes.build import ShapesConfig, shape_seed
 from experiments.simulation.solids import Rng, box
 from prism_jax.io.errors import InputError, choose
-from prism_jax.observation.scene import LEFT_OVER, SUPPORT
+from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT
 
 SOURCES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "shapes": {

@@ -9,8 +9,13 @@ from experiments.baselines.networks import NETWORKS
 from experiments.baselines.weights import load_network, save_network, with_weights
 from experiments.table_1 import LABELS
 from experiments.weights import located
+from prism_jax.completion.weights import (
+    load_pretrained,
+    read_metadata,
+    save_weights,
+    sha256,
+)
 from prism_jax.io.errors import InputError
-from prism_jax.weights import load_pretrained, read_metadata, save_weights, sha256
 
 
 @pytest.mark.parametrize(

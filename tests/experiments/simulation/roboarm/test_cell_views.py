@@ -17,7 +17,7 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.depth import points_from_depth
-from prism_jax.observation.maps import seen_among
+from prism_jax.preprocessing.visibility_map import seen_among
 
 SENSOR = L515Config().exact()
 

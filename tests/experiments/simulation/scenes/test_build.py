@@ -14,8 +14,8 @@ from prism_jax.data.datasets import open_dataset
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.source import Source
 from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
-from prism_jax.observation.maps import in_free_space
-from prism_jax.observation.scene import LEFT_OVER, SUPPORT
+from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT
+from prism_jax.preprocessing.visibility_map import in_free_space
 from tests.data.conftest import digests
 from tests.experiments.simulation.objects.conftest import catalogue_dir, write_catalogue
 from tests.experiments.simulation.scenes.conftest import CONFIG

@@ -11,7 +11,7 @@ from experiments.simulation.scenes.sensing import (
     random_camera,
     random_lidar,
 )
-from prism_jax.observation.scene import LEFT_OVER, SUPPORT
+from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT
 
 
 def world():

@@ -1,0 +1,1 @@
+"""Scans in the user's frame and units, completed."""

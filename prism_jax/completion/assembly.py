@@ -1,0 +1,265 @@
+"""Completed scans and scenes, in the user's frame and units."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from prism_jax.adaptation.test_time import Completion
+from prism_jax.completion.filtering import Selection, added_points
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.render import render_depth
+from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.preprocessing.observation import Observation, padded
+from prism_jax.preprocessing.segmentation.planes import Plane
+from prism_jax.uncertainty.confidence import Calibration, Verdict
+from prism_jax.uncertainty.evidence import evidence_of, looks_of
+from prism_jax.uncertainty.sigma import PointErrors, clues_of, spread
+
+DEPTH_PIXELS = 128
+
+_render = jax.jit(render_depth)
+
+
+@dataclasses.dataclass(frozen=True)
+class CompletedScan:
+    """A completed scan, in the user's frame and units.
+
+    Attributes:
+      points: the measured points inside the workspace, exactly as given, and then the
+        predicted points where nothing was measured.
+      observed: True for a measured point.
+      prediction: the network's own output, all of it.
+      left_away: how many predicted points are not among the added ones, and why:
+        "outside" the workspace, a "stray", "in_front" of what was measured,
+        "looked_through" or "known" (`prism_jax.completion.filtering`). One can be
+        counted twice.
+      left_out: how many measured points lie outside the workspace: strays, far from
+        all others, unless the workspace was given. They are not among the points.
+      accepted: whether the adapted completion is the one returned
+        (`prism_jax.adaptation.test_time.Completion` says what that means).
+      losses: the terms of Eq. 13 before each step and after the last.
+      weights: of normals, denoising and alignment in them.
+      workspace: the cube that was completed.
+      camera: the view that depths were compared in.
+      sensor: where it stands: "given", at the "origin", or "unknown".
+      depth_observed, mask_observed: the measured points in that view.
+      depth_completed, mask_completed: the completed ones.
+      seconds: spent on compiling and on running.
+      verdict: how far it can be trusted; None for weights without a calibration, or in
+        fewer than three poses (`ModelConfig.poses`).
+      sigma: how far each point is expected to lie from the true surface, on average
+        (`prism_jax.uncertainty.sigma`): 0 for measured points, which are as the sensor
+        gave them, its noise included. None for weights that cannot tell, or in fewer
+        than three poses.
+    """
+
+    points: Float[np.ndarray, "M 3"]
+    observed: Bool[np.ndarray, " M"]
+    prediction: Float[np.ndarray, "P 3"]
+    left_out: int
+    left_away: dict[str, int]
+    accepted: bool
+    losses: dict[str, list[float]]
+    weights: Float[np.ndarray, "3"]
+    workspace: Workspace
+    camera: Camera
+    sensor: str
+    depth_observed: Float[np.ndarray, "H W"]
+    mask_observed: Bool[np.ndarray, "H W"]
+    depth_completed: Float[np.ndarray, "H W"]
+    mask_completed: Bool[np.ndarray, "H W"]
+    seconds: dict[str, float]
+    verdict: Verdict | None = None
+    sigma: Float[np.ndarray, " M"] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class CompletedScene:
+    """A scene with all its objects completed, in the user's frame and units.
+
+    Attributes:
+      points: the measured points, every one exactly as given and in the given order,
+        and then what was added to each object.
+      observed: True for a measured point.
+      object: whose each point is: the objects' numbers from 0, the one of most measured
+        points first; -1 on the support and on walls; -2 for what belongs to no object,
+        outliers and what is too small.
+      objects: each of them, completed by itself.
+      planes: the support, if there is one, and then the walls.
+      up: the direction that was taken to point upwards, of unit length.
+      up_source: what says so: "given", or as `segmentation.support.Up` has it.
+      sigma: as `CompletedScan` has it.
+    """
+
+    points: Float[np.ndarray, "M 3"]
+    observed: Bool[np.ndarray, " M"]
+    object: Int[np.ndarray, " M"]
+    objects: tuple[CompletedScan, ...]
+    planes: tuple[Plane, ...]
+    up: Float[np.ndarray, "3"]
+    up_source: str
+    sigma: Float[np.ndarray, " M"] | None = None
+
+
+def assemble(
+    points: Float[np.ndarray, "N 3"],
+    seen: Observation,
+    read: Observation,
+    view: Camera,
+    completion: Completion,
+    *,
+    density: float,
+    background: Background,
+    camera_given: bool,
+    seconds: dict[str, float],
+    known: Visibility | None = None,
+    poses: int = 1,
+    calibration: Calibration | None = None,
+    point_errors: PointErrors | None = None,
+) -> CompletedScan:
+    """What a user gets of a completion in the unit workspace.
+
+    ``seen`` is what `observe` made of the points, ``read`` what the network read of it
+    and ``view`` its camera. ``known`` is what the sensor knows of the view, if it is to
+    speak against predicted points, and the completion is of so many ``poses``.
+    ``density`` and ``background`` are as `prism_jax.Completer.complete` has them. The
+    verdict needs a ``calibration``, every point's sigma ``point_errors``, and both
+    need three poses.
+    """
+    joined = join(points, seen, read, completion.points, density, background, known)
+    prediction, selection = joined.prediction, joined.selection
+    looks = looks_of(completion.before, poses)
+    verdict = None
+    if looks is not None and calibration is not None:
+        novelty = calibration.novelty(np.asarray(completion.features))
+        outliers = float((selection.stray | selection.outside).mean())
+        shares = outliers, float(selection.in_front.mean())
+        evidence = evidence_of(seen, read, prediction, *shares, looks, novelty)
+        verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
+    sigma = None
+    if looks is not None and point_errors is not None:
+        kept = prediction[selection.kept]
+        clues = clues_of(kept, seen, read, prediction, looks)
+        expected = spread(joined.new, kept, point_errors.sigma(clues))
+        none = np.zeros(int(joined.observed.sum()))
+        sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
+    unit = np.asarray(seen.partial)[seen.inside]
+    return CompletedScan(
+        points=joined.points,
+        observed=joined.observed,
+        prediction=np.asarray(seen.workspace.from_unit(prediction)),
+        left_out=len(points) - int(joined.observed.sum()),
+        left_away={
+            reason: int(which.sum())
+            for reason, which in selection._asdict().items()
+            if reason != "kept"
+        },
+        accepted=bool(completion.accepted),
+        losses={
+            name: np.asarray(values, np.float64).tolist()
+            for name, values in completion.losses._asdict().items()
+        },
+        weights=np.asarray(completion.weights),
+        workspace=seen.workspace,
+        camera=seen.camera_to_user(view),
+        sensor=_told(camera_given, seen),
+        seconds=seconds,
+        verdict=verdict,
+        sigma=sigma,
+        **_depth_maps(unit, joined.new, view, seen.workspace),
+    )
+
+
+class Joined(NamedTuple):
+    """Measured and predicted points together.
+
+    Attributes:
+      points, observed: as `CompletedScan` has them, in the user's frame and unit.
+      prediction: the network's own output, in the unit workspace.
+      new: what of it, and between it, is among the points, in the unit workspace.
+      selection: what became of each point of the prediction.
+    """
+
+    points: Float[np.ndarray, "M 3"]
+    observed: Bool[np.ndarray, " M"]
+    prediction: Float[np.ndarray, "P 3"]
+    new: Float[np.ndarray, "Q 3"]
+    selection: Selection
+
+
+def join(
+    points: Float[np.ndarray, "N 3"],
+    seen: Observation,
+    read: Observation,
+    predicted: Float[Array | np.ndarray, "P 3"],
+    density: float,
+    background: Background,
+    known: Visibility | None = None,
+) -> Joined:
+    """The measured points as they were, and behind them those that are new.
+
+    ``predicted`` are the network's, in the unit workspace; the rest as in `assemble`.
+    """
+    measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
+    prediction = np.asarray(predicted, np.float64)
+    eye = np.asarray(seen.eye) if seen.sensor_known else None
+    new, selection = added_points(
+        prediction, unit, read.partial, eye, density, background, known
+    )
+    added = seen.workspace.from_unit(new).astype(points.dtype)
+    together = np.concatenate([measured, added])
+    observed = np.arange(len(together)) < len(measured)
+    return Joined(together, observed, prediction, new, selection)
+
+
+def in_one_scene(
+    points: Float[np.ndarray, "N 3"],
+    number: Int[np.ndarray, " N"],
+    objects: Sequence[CompletedScan],
+    planes: Sequence[Plane],
+    up: Float[np.ndarray, "3"],
+    up_source: str,
+) -> CompletedScene:
+    """Objects put together again in their scene, of whose points each has a number."""
+    added = [one.points[~one.observed] for one in objects]
+    numbers = [np.full(len(cloud), i) for i, cloud in enumerate(added)]
+    together = np.concatenate([points, *added])
+    sigmas = [None if o.sigma is None else o.sigma[~o.observed] for o in objects]
+    told = [sigma for sigma in sigmas if sigma is not None]
+    sigma = np.concatenate([np.zeros(len(points)), *told])
+    return CompletedScene(
+        points=together,
+        observed=np.arange(len(together)) < len(points),
+        object=np.concatenate([number, *numbers]).astype(int),
+        objects=tuple(objects),
+        planes=tuple(planes),
+        up=up,
+        up_source=up_source,
+        sigma=sigma if len(told) == len(objects) else None,
+    )
+
+
+def _told(camera_given: bool, seen: Observation) -> str:
+    """`CompletedScan.sensor`."""
+    if not seen.sensor_known:
+        return "unknown"
+    return "given" if camera_given else "origin"
+
+
+def _depth_maps(
+    measured: np.ndarray, added: np.ndarray, view: Camera, workspace: Workspace
+) -> dict[str, Any]:
+    """Depth of the measured and of all points, in the user's units."""
+    view = view.resized(DEPTH_PIXELS, DEPTH_PIXELS)
+    maps = {}
+    clouds = {"observed": measured, "completed": np.concatenate([measured, added])}
+    for name, cloud in clouds.items():
+        depth, mask = _render(padded(cloud).astype(np.float32), view)
+        maps[f"depth_{name}"] = np.asarray(depth) * workspace.half_extent
+        maps[f"mask_{name}"] = np.asarray(mask)
+    return maps

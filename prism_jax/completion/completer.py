@@ -1,0 +1,457 @@
+"""Scans in the user's frame and units, completed."""
+
+import copy
+import dataclasses
+import pathlib
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, get_args
+
+import jax
+import jax.export
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.adaptation.config import PrismConfig
+from prism_jax.adaptation.objective import Losses
+from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
+from prism_jax.completion.assembly import (
+    CompletedScan,
+    CompletedScene,
+    assemble,
+    in_one_scene,
+)
+from prism_jax.completion.compile_cache import compile_cached
+from prism_jax.completion.weights import (
+    load_calibration,
+    load_point_errors,
+    load_pretrained,
+)
+from prism_jax.geometry.camera import Camera, Vector
+from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.clouds import check_cloud
+from prism_jax.io.errors import InputError, choose
+from prism_jax.models.variables import Variables
+from prism_jax.preprocessing.observation import Observation, observe
+from prism_jax.preprocessing.segmentation.scene import Scene, split_scene
+from prism_jax.preprocessing.segmentation.support import Up, find_up
+from prism_jax.preprocessing.sensor import is_believable, likely_eye
+from prism_jax.preprocessing.upright import upright
+from prism_jax.preprocessing.visibility_map import seen_among, some_of
+from prism_jax.uncertainty.confidence import Calibration
+from prism_jax.uncertainty.sigma import PointErrors
+
+SLOTS = 8
+"""Objects that one compiled call completes, at most."""
+
+for kind in (Completion, Losses):
+    name = f"prism_jax.{kind.__name__}"
+    jax.export.register_namedtuple_serialization(kind, serialized_name=name)
+
+
+class Completer:
+    """Weights and what is compiled for them.
+
+    The function of one configuration is compiled at its first use and kept. Its trace
+    is kept in ``trace_dir``, if one is given, for the next process. With a
+    ``calibration`` every completion has a verdict, with ``point_errors`` every point
+    its sigma.
+    """
+
+    def __init__(
+        self,
+        config: PrismConfig,
+        variables: Variables,
+        trace_dir: pathlib.Path | None = None,
+        calibration: Calibration | None = None,
+        point_errors: PointErrors | None = None,
+    ):
+        self.config = config
+        self.variables = variables
+        self.calibration = calibration
+        self.point_errors = point_errors
+        self._trace_dir = trace_dir
+        self._compiled = {}
+
+    @classmethod
+    def from_pretrained(
+        cls, name_or_path: str = "small", trace_dir: pathlib.Path | None = None
+    ) -> "Completer":
+        """A completer with released weights, by name or by file."""
+        config, variables = load_pretrained(name_or_path)
+        judges = load_calibration(name_or_path), load_point_errors(name_or_path)
+        return cls(config, variables, trace_dir, *judges)
+
+    def complete(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None = None,
+        workspace: Workspace | None = None,
+        adapt: bool = False,
+        up: str | Vector = "z",
+        density: float = 1.0,
+        background: Background = "unknown",
+        around: Float[np.ndarray, "R 3"] | None = None,
+    ) -> CompletedScan:
+        """Completes one scan of one object.
+
+        Points are in any unit of length and any frame, the same for all arguments.
+        ``camera`` says where the sensor stood. If it is None, that is the origin, or
+        where it is likely if the origin cannot be its place (`observation.sensor`). The
+        view is aimed at the points from there, so that its pixels are spent on them.
+        ``workspace`` is the cube to complete, taken from the points if it is None;
+        points outside are left out and counted. ``adapt`` asks for test-time
+        adaptation, which gains nothing that can be counted on. ``up`` is the direction
+        in the user's frame that points upwards, for the weights know upright objects:
+        an axis (x, y, z, -x, -y or -z; -y for a camera's), a vector, or "auto"
+        (`prism_jax.preprocessing.segmentation.support.find_up`). Added points are
+        ``density`` times as dense as the measured ones where the network's output is a
+        surface, and never sparser than that; 0 leaves them as predicted. A
+        ``background`` that is "empty" says that the sensor would have seen whatever
+        else there is around these points: nothing is added there, and networks that
+        read visibility are told. ``around`` is what the sensor measured besides in the
+        same scan, occluders, support and walls, with what lies outside a workspace that
+        is given: nothing is added where the sensor looked past the object to it, and
+        networks that gain by it (``model.told``) are told. It counts only where the
+        sensor's place is known. Clouds of another shape, complex or not finite, fewer
+        than 64 distinct points, an extent of zero or above 10,000, a workspace without
+        volume, and an ``up`` or a ``density`` that is none raise
+        `prism_jax.io.InputError`.
+        """
+        points = _checked(points)
+        around = None if around is None else _checked(around, "around")
+        _check_density(density)
+        choose("background", background, get_args(Background))
+        if workspace is None:
+            check_cloud(points, "points")
+        else:
+            _check_workspace(workspace)
+        up, _ = _resolved(up, points, camera)
+        task = self.task(points, camera, workspace, up, around, background)
+        completion, seconds = self.run(adapt, background, *self.reads(task))
+        given = camera is not None
+        return self._assemble(task, completion, seconds, density, background, given)
+
+    def complete_scene(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None = None,
+        adapt: bool = False,
+        up: str | Vector = "auto",
+        density: float = 1.0,
+        background: Background = "unknown",
+        scene: Scene | None = None,
+        around: Float[np.ndarray, "R 3"] | None = None,
+    ) -> CompletedScene:
+        """Completes every object of a scene, each in a workspace of its own.
+
+        What objects stand on and walls are set aside, and so are outliers and what is
+        too small (`split_scene`, whose result for the same points can be given). Around
+        each lies all that is not its own, beside what is given as ``around`` the scene.
+        One compiled function completes all objects, `SLOTS` in a call. Arguments and
+        errors are those of `complete`.
+        """
+        points = _checked(points)
+        beyond = np.zeros((0, 3)) if around is None else _checked(around, "around")
+        _check_density(density)
+        choose("background", background, get_args(Background))
+        check_cloud(points, "points")
+        up, up_source = _resolved(up, points, camera)
+        if scene is None:
+            scene = split_scene(points, up, _seen_from(points, camera))
+        tasks = []
+        for number in range(len(scene.num_points)):
+            own = scene.object == number
+            others = np.concatenate([points[~own], beyond])
+            tasks.append(self.task(points[own], camera, None, up, others, background))
+        objects = []
+        for start in range(0, len(tasks), SLOTS):
+            batch = tasks[start : start + SLOTS]
+            completions, seconds = self._run_together(adapt, background, batch)
+            for task, done in zip(batch, completions, strict=True):
+                given = camera is not None
+                objects.append(
+                    self._assemble(task, done, seconds, density, background, given)
+                )
+        turn = upright(up)
+        vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
+        return in_one_scene(
+            points, scene.object, objects, scene.planes, vertical, up_source
+        )
+
+    def split_scene(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None = None,
+        up: str | Vector = "auto",
+    ) -> Scene:
+        """Which points are whose; see `segmentation.scene.split_scene`."""
+        points = _checked(points)
+        up, _ = _resolved(up, points, camera)
+        return split_scene(points, up, _seen_from(points, camera))
+
+    def task(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        camera: Camera | None = None,
+        workspace: Workspace | None = None,
+        up: str | Vector = "z",
+        around: Float[np.ndarray, "R 3"] | None = None,
+        background: Background = "unknown",
+    ) -> "Task":
+        """What the network reads of one object's finite points, and the way back.
+
+        The first step of `complete`, whose arguments these are; ``up`` is never "auto".
+        """
+        sensor = "origin" if camera is None else np.asarray(camera.position)
+        model = self.config.model
+        seen = observe(points, sensor, workspace, model.margin, up, model.heading)
+        inside = points[seen.inside]
+        check_cloud(inside, "points inside the workspace")
+        if camera is None:
+            likely = likely_eye(inside, seen.workspace.up)
+            if not (seen.sensor_known and is_believable(inside, np.zeros(3), likely)):
+                seen = observe(
+                    points, likely, workspace, model.margin, up, model.heading
+                )
+                seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
+        read = seen.sampled(model.backbone.num_points)
+        if workspace is not None and not seen.inside.all():
+            outside = points[~seen.inside]
+            around = outside if around is None else np.concatenate([outside, around])
+        known = None
+        if around is not None:
+            known = _known(seen, around, background)
+        return Task(points, seen, read, read.camera, known)
+
+    def reads(self, task: "Task") -> tuple[Any, ...]:
+        """What `run` and `predict` take of a task: its points, its view and, for
+        networks that are told, what is known of that."""
+        known = task.known
+        model = self.config.model
+        if known is None or not (model.told and model.backbone.reads_visibility):
+            return task.read.partial, task.view
+        return task.read.partial, task.view, known
+
+    def run(
+        self, adapt: bool, background: Background, *reads: Any
+    ) -> tuple[Completion, dict[str, float]]:
+        """The network's completion of what it `reads` of a task, and the seconds it
+        took to compile and to run: the second step of `complete`."""
+        return self._timed(_as_it_is, adapt, background, reads)
+
+    def predict(
+        self, background: Background, *reads: Any
+    ) -> tuple[Any, dict[str, float]]:
+        """The points of `run` without adaptation, and its seconds, for who needs no
+        losses: a third of the time goes to them."""
+        return self._timed(_points_alone, False, background, reads)
+
+    def _timed(
+        self,
+        make: Callable[[AdaptFn], Callable[..., Any]],
+        adapt: bool,
+        background: Background,
+        reads: tuple[Any, ...],
+    ) -> tuple[Any, dict[str, float]]:
+        """What ``make`` makes of the adaptation function, called, and its seconds."""
+        start = time.perf_counter()
+        arguments = (self.variables, *reads)
+        call = self._compile_adapt(make, adapt, background, arguments)
+        compiled = time.perf_counter()
+        found = jax.block_until_ready(call(*arguments))
+        done = time.perf_counter()
+        return found, {"compile": compiled - start, "run": done - compiled}
+
+    def in_poses(self, count: int) -> "Completer":
+        """The same, which completes in so many poses (`ModelConfig.poses`); what is
+        compiled is not shared. In fewer than three there are no verdicts."""
+        other = copy.copy(self)
+        other.config = self.config.with_model(poses=count)
+        other._compiled = {}
+        return other
+
+    def _run_together(
+        self, adapt: bool, background: Background, tasks: Sequence["Task"]
+    ) -> tuple[list[Completion], dict[str, float]]:
+        """Completions of at most `SLOTS` tasks, and the seconds that each took."""
+        start = time.perf_counter()
+        filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
+        inputs = [self.reads(task) for task in filled]
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
+        arguments = (self.variables, stacked, np.arange(SLOTS) < len(tasks))
+        call = self._compile_adapt(_in_slots, adapt, background, arguments)
+        compiled = time.perf_counter()
+        together = jax.device_get(call(*arguments))
+        spent = time.perf_counter() - compiled
+        completions = [
+            jax.tree.map(lambda leaf, row=row: leaf[row], together)
+            for row in range(len(tasks))
+        ]
+        seconds = {"compile": compiled - start, "run": spent / len(tasks)}
+        return completions, seconds
+
+    def _assemble(
+        self,
+        task: "Task",
+        completion: Completion,
+        seconds: dict[str, float],
+        density: float,
+        background: Background,
+        camera_given: bool,
+    ) -> CompletedScan:
+        """The completed scan, with all that these weights can say of it."""
+        return assemble(
+            *task[:4],
+            completion,
+            known=task.known,
+            poses=self.config.model.poses,
+            density=density,
+            background=background,
+            camera_given=camera_given,
+            seconds=seconds,
+            calibration=self.calibration,
+            point_errors=self.point_errors,
+        )
+
+    def _compile_adapt(
+        self,
+        make: Callable[[AdaptFn], Callable[..., Any]],
+        adapt: bool,
+        background: Background,
+        arguments: tuple[Any, ...],
+    ) -> Callable[..., Any]:
+        """What ``make`` makes of the adaptation function, compiled once."""
+        steps = self.config.adapt.num_steps if adapt else 0
+        config = self._told(background).with_adapt(num_steps=steps)
+        fn = make(make_adapt(config))
+        key = make, adapt, config.model.background, jax.tree.structure(arguments[1:])
+        # A kept trace is told by what it is about, not by the function itself.
+        return self._compile(key, fn, arguments, (make.__name__, config))
+
+    def _told(self, background: Background) -> PrismConfig:
+        """The configuration for a background; others than a network that reads it need
+        not be compiled for each."""
+        model = self.config.model
+        if model.backbone.reads_visibility:
+            model = dataclasses.replace(model, background=background)
+        return dataclasses.replace(self.config, model=model)
+
+    def _compile(
+        self, key: Any, fn: Callable[..., Any], arguments: tuple[Any, ...], about: Any
+    ) -> Callable[..., Any]:
+        if key not in self._compiled:
+            if self._trace_dir is None:
+                self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
+            else:
+                self._compiled[key] = compile_cached(
+                    fn, arguments, self._trace_dir, about
+                )
+        return self._compiled[key]
+
+
+class Task(NamedTuple):
+    """One object's points, what was made of them, what the network reads and in which
+    view, and what is known of that, if it was told what lies around."""
+
+    points: Float[np.ndarray, "N 3"]
+    seen: Observation
+    read: Observation
+    view: Camera
+    known: Visibility | None = None
+
+
+def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
+    return adapt
+
+
+def _points_alone(adapt: AdaptFn) -> Callable[..., Any]:
+    """Without what nothing but losses needs, which the compiler leaves out."""
+    return lambda *arguments: adapt(*arguments).points
+
+
+def _in_slots(adapt: AdaptFn) -> Callable[..., Completion]:
+    """The adaptation of several frames one after another; empty slots cost nothing."""
+
+    def in_slots(variables: Variables, reads: tuple[Any, ...], used: Any) -> Completion:
+        def one(*reads: Any) -> Completion:
+            # Each frame's encoders would be as large as the network.
+            return adapt(variables, *reads)._replace(encoders={})
+
+        shapes = jax.eval_shape(one, *jax.tree.map(lambda leaf: leaf[0], reads))
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        return jax.lax.map(
+            lambda slot: jax.lax.cond(slot[1], one, lambda *_: nothing, *slot[0]),
+            (reads, used),
+        )
+
+    return in_slots
+
+
+def _known(
+    seen: Observation, around: Float[np.ndarray, "R 3"], background: Background
+) -> Visibility:
+    """What the sensor knows of its view of what was observed, in the unit workspace and
+    in single precision: the object alone if nobody knows where it stood."""
+    points = np.asarray(seen.partial)[np.asarray(seen.inside)]
+    beside = some_of(around).astype(np.float64)
+    beside = np.asarray(seen.workspace.to_unit(beside))
+    if not seen.sensor_known:
+        beside = beside[:0]
+    eye = np.asarray(seen.eye)
+    known = seen_among(points, beside, eye, Workspace.unit(), background)
+    camera = jax.tree.map(lambda array: array.astype(np.float32), known.camera)
+    return known._replace(camera=camera)
+
+
+def _resolved(
+    up: str | Vector, points: np.ndarray, camera: Camera | None
+) -> tuple[str | Vector, str]:
+    """Up as `upright` takes it, and what says so."""
+    if not (isinstance(up, str) and up == "auto"):
+        upright(up)
+        return up, "given"
+    rotation = None if camera is None else camera.rotation
+    found: Up = find_up(points, _seen_from(points, camera), rotation)
+    return found.vector, found.source
+
+
+def _seen_from(
+    points: np.ndarray, camera: Camera | None
+) -> Float[np.ndarray, "3"] | None:
+    """Where the sensor of a whole cloud stood, if anything says so."""
+    if camera is not None:
+        return np.asarray(camera.position, np.float64)
+    return np.zeros(3) if observe(points, "origin").sensor_known else None
+
+
+def _checked(points: Any, subject: str = "points") -> Float[np.ndarray, "N 3"]:
+    """The points as an array of floats, or InputError about the subject."""
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        remedy = "pass an (N, 3) array, such as points[:, :3]"
+        raise InputError(subject, f"have the shape {points.shape}", remedy)
+    if points.dtype.kind not in "fiu":
+        remedy = "pass real coordinates, such as points.real"
+        raise InputError(subject, f"are of the type {points.dtype}", remedy)
+    if points.dtype.kind != "f":
+        points = points.astype(np.float64)
+    if not np.isfinite(points).all():
+        raise InputError(subject, "has points that are not finite", "drop them")
+    return points
+
+
+def _check_workspace(workspace: Workspace) -> None:
+    """InputError unless it is a cube. `Workspace` itself cannot know under tracing."""
+    center, half_extent = np.asarray(workspace.center), workspace.half_extent
+    if not (np.isfinite(center).all() and 0 < float(half_extent) < np.inf):
+        fault = f"is no cube: its centre is {center}, its half_extent {half_extent}"
+        raise InputError("workspace", fault, "give finite numbers, the latter positive")
+
+
+def _check_density(density: float) -> None:
+    if density < 0 or not np.isfinite(density):
+        fault = f"cannot be {density}"
+        raise InputError("density", fault, "give 0 or a number of times, as 1")

@@ -1,0 +1,192 @@
+"""Which predicted points a user gets beside the measured ones, and how many."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.spatial import KDTree
+
+from prism_jax.geometry.spacing import median_spacing, surface_density
+from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.preprocessing.visibility import (
+    IN_FRONT,
+    PAST,
+    in_front,
+    looked_through,
+)
+from prism_jax.preprocessing.visibility_map import in_free_space
+
+STRAY = 0.35
+"""Of a predicted point that is no stray so many others (`company`), predicted or
+measured, are no farther off, in the unit workspace. Chosen on validation
+(docs/findings.md), as that number is."""
+
+MAX_DENSE = 200_000
+"""Points that `densify` makes at most."""
+
+LONG_EDGE = 2.0
+"""In usual spacings: points farther apart span no surface."""
+
+NUM_EDGES = 6
+"""Nearest neighbours of a point that edges lead to."""
+
+
+class Selection(NamedTuple):
+    """What became of each predicted point.
+
+    Attributes:
+      kept: it is added to the measured points.
+      outside: it lies outside the workspace.
+      stray: it lies alone, or with few (`STRAY`).
+      in_front: it would have hidden what was measured behind it (`IN_FRONT`).
+      looked_through: the sensor saw nothing of the object about its line of sight
+        (`PAST`), and something else behind it, or what lies around is known to be
+        empty.
+      known: it says nothing new, so near is a measured point.
+    """
+
+    kept: Bool[np.ndarray, " P"]
+    outside: Bool[np.ndarray, " P"]
+    stray: Bool[np.ndarray, " P"]
+    in_front: Bool[np.ndarray, " P"]
+    looked_through: Bool[np.ndarray, " P"]
+    known: Bool[np.ndarray, " P"]
+
+
+def added_points(
+    prediction: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    partial: Float[Array | np.ndarray, "M 3"],
+    eye: Float[np.ndarray, "3"] | None,
+    density: float = 1.0,
+    background: Background = "unknown",
+    known: Visibility | None = None,
+) -> tuple[Float[np.ndarray, "Q 3"], Selection]:
+    """What a user gets beside the measured points, and what became of the predicted.
+
+    Those that `select` keeps, and between them so many more that all are `density`
+    times as dense as the measured ones, where they are not so anyway; 0 leaves them as
+    predicted. All in the unit workspace, and within it.
+    """
+    selection = select(prediction, measured, partial, eye, background, known)
+    kept = prediction[selection.kept]
+    predicted = surface_density(kept) if density else 0.0
+    if predicted == 0:
+        return kept, selection
+    dense = densify(kept, density * surface_density(measured) / predicted)
+    return dense[(np.abs(dense) <= 1.0).all(axis=1)], selection
+
+
+def select(
+    prediction: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    partial: Float[Array | np.ndarray, "M 3"],
+    eye: Float[np.ndarray, "3"] | None,
+    background: Background = "unknown",
+    known: Visibility | None = None,
+) -> Selection:
+    """Which predicted points to add to the measured ones.
+
+    Those in the workspace, in company, where nothing was measured, and none that hides
+    what was measured from the sensor at `eye` (None if nobody knows where it stood).
+    `partial` is what the network read. All in the unit workspace.
+
+    That a sensor seems to have looked through a point is a reason to leave it out only
+    if the `background` is known to be empty, or where it is `known` that something else
+    was measured behind it (`prism_jax.preprocessing.visibility_map.seen_among`): where
+    views are cropped, or cells are full of things, it did not see them for other
+    reasons.
+    """
+    spacing = median_spacing(np.asarray(partial))
+    outside = np.asarray(~(np.abs(prediction) <= 1.0).all(axis=1))
+    stray = lonely(prediction, measured)
+    hides = through = np.zeros(len(prediction), bool)
+    if eye is not None:
+        hides = in_front(prediction, measured, eye, spacing, IN_FRONT)
+        past = np.full(len(prediction), background == "empty")
+        if known is not None:
+            past |= in_free_space(prediction, known, IN_FRONT * spacing)
+        if past.any():
+            through = past & looked_through(prediction, measured, eye, PAST * spacing)
+    old = ~keep_unmeasured(prediction, measured, partial)
+    kept = ~(outside | stray | hides | through | old)
+    return Selection(kept, outside, stray, hides, through, old)
+
+
+def keep_unmeasured(
+    prediction: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    partial: Float[Array | np.ndarray, "M 3"],
+    spacing: float = 0.5,
+) -> Bool[np.ndarray, " P"]:
+    """Which predicted points lie where nothing was measured.
+
+    All in one frame. A predicted point nearer to a measured one than ``spacing`` times
+    the typical distance between neighbours of the network's input says nothing new.
+    """
+    reach = spacing * median_spacing(np.asarray(partial))
+    return _tree(measured).query(prediction)[0] > reach
+
+
+def densify(points: Float[np.ndarray, "P 3"], times: float) -> Float[np.ndarray, "Q 3"]:
+    """The points, and between them so many more that there are `times` as many.
+
+    New points halve the edges between near neighbours, so they lie on the surface that
+    those span, and none where the cloud has a gap. The given points come first. It
+    never returns fewer than these, and never more than `MAX_DENSE` unless these are.
+    """
+    dense, reach = points, median_spacing(points)
+    if not np.isfinite(reach):
+        return dense
+    wanted = max(len(points), int(min(MAX_DENSE, np.ceil(len(points) * times))))
+    rng = np.random.default_rng(0)
+    while len(dense) < wanted:
+        middles = _middles(dense, LONG_EDGE * reach)
+        if len(middles) == 0:
+            break
+        dense = np.concatenate([dense, rng.permutation(middles)])
+        reach *= 0.5
+    return dense[:wanted]
+
+
+def company(num_points: int) -> int:
+    """How many points a predicted point that is no stray has near it (`STRAY`), in a
+    prediction of so many: 12 in three poses of 2,048 points, 4 in one, and never fewer
+    than 2."""
+    return max(2, round(num_points / 512))
+
+
+def lonely(
+    prediction: Float[np.ndarray, "P 3"],
+    measured: Float[np.ndarray, "N 3"],
+    reach: float = STRAY,
+    count: int | None = None,
+) -> Bool[np.ndarray, " P"]:
+    """Points of a prediction that fewer than ``count`` others of either cloud are near,
+    `company` of it if that is None."""
+    if count is None:
+        count = company(len(prediction))
+    others = _tree(np.concatenate([prediction, measured]))
+    # The first is the point itself.
+    apart = others.query(prediction, k=[count + 1])[0][:, 0]
+    return ~(apart <= reach)
+
+
+def _tree(cloud: Float[np.ndarray, "N 3"]) -> KDTree:
+    """Of which few are asked: made in half the time, and with the same distances."""
+    return KDTree(cloud, compact_nodes=False, balanced_tree=False)
+
+
+def _middles(
+    points: Float[np.ndarray, "P 3"], longest: float
+) -> Float[np.ndarray, "M 3"]:
+    """Middles of edges between near neighbours, no two of them close together."""
+    apart, rows = KDTree(points).query(points, k=NUM_EDGES + 1)
+    first = np.repeat(np.arange(len(points)), NUM_EDGES)
+    second, length = np.asarray(rows)[:, 1:].ravel(), apart[:, 1:].ravel()
+    # A missing neighbour is infinitely far away.
+    edges = np.flatnonzero((length > 0) & (length <= longest))
+    pairs = np.unique(np.sort([first[edges], second[edges]], axis=0), axis=1)
+    middles = 0.5 * (points[pairs[0]] + points[pairs[1]])
+    cell = 0.2 * longest
+    return middles[np.unique(np.floor(middles / cell), axis=0, return_index=True)[1]]

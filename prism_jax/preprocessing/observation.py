@@ -1,0 +1,243 @@
+"""What the network reads of one scan."""
+
+import dataclasses
+import functools
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from prism_jax.geometry.camera import Camera, Vector
+from prism_jax.geometry.sampling import farthest_point_sample, resample
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.preprocessing.heading import level_heading
+from prism_jax.preprocessing.outliers import find_strays
+from prism_jax.preprocessing.upright import upright
+
+Heading = Literal["given", "level"]
+"""Which heading a network knows objects in: the given one, or `level_heading`'s."""
+
+UNKNOWN_EYE = np.sqrt(3.0) * np.ones(3)
+"""Where the sensor is taken to be, in the unit workspace, if nobody knows: in the
+direction of the view `front_left_top`."""
+
+FAR_ORIGIN = 100.0
+"""In half extents of the workspace: an origin farther off is a map's, no sensor's; one
+within the workspace is an object's own, whose coordinates were centred."""
+
+_framing = jax.jit(Camera.framing)
+_resample = jax.jit(resample, static_argnums=1)
+_farthest = jax.jit(farthest_point_sample, static_argnums=1)
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["partial", "eye", "workspace", "inside", "sensor_known"],
+    meta_fields=[],
+)
+@dataclasses.dataclass(frozen=True)
+class Observation:
+    """Points and a sensor in the unit workspace, and the way back.
+
+    A pytree: it can be traced, stacked and mapped with ``jax.vmap``. Arrays are NumPy's
+    in double precision where the points were NumPy's; networks read float32.
+
+    Attributes:
+      partial: every given point in the workspace's frame and unit, upright.
+      eye: the sensor's place there.
+      workspace: from the user's frame to that one.
+      inside: which points the workspace holds; the others are to be left out.
+      sensor_known: False if nobody said where the sensor was, and it is taken to be
+        obliquely above, at `UNKNOWN_EYE`.
+    """
+
+    # JAX rebuilds pytrees with placeholders for leaves; do not type-check those.
+    __no_type_check__ = True
+
+    partial: Float[Array | np.ndarray, "*batch N 3"]
+    eye: Float[Array | np.ndarray, "*batch 3"]
+    workspace: Workspace
+    inside: Bool[Array | np.ndarray, "*batch N"]
+    sensor_known: Bool[Array | np.ndarray, "*batch"]
+
+    @property
+    def camera(self) -> Camera:
+        """The view that depths are compared in: from the eye, filled by the partial.
+
+        In float32 and the unit workspace. Differentiable.
+        """
+        return _framing(*map(_single, (self.partial, self.eye)))
+
+    def sampled(self, num_points: int) -> "Observation":
+        """The same with ``num_points`` of the points inside, in farthest-point order.
+
+        Fewer are repeated; see `prism_jax.geometry.resample`. In float32. Not traced:
+        how many are inside must be known. Clouds of any size need few compilations.
+        """
+        points = np.asarray(self.partial)[np.asarray(self.inside)].astype(np.float32)
+        count = len(points)
+        points = padded(points, num_points)
+        if count >= num_points:
+            chosen = _resample(points, num_points)
+        else:
+            # All of them come before the copies.
+            order = np.asarray(_farthest(points, num_points))[:count]
+            chosen = jnp.asarray(points[np.resize(order, num_points)])
+        inside = np.ones(num_points, bool)
+        return dataclasses.replace(self, partial=chosen, inside=inside)
+
+    def filled(self) -> "Observation":
+        """The same with copies of the first point inside in place of those outside.
+
+        For where the number of points is fixed, as under ``jit``.
+        """
+        first = self.partial[self.inside.argmax()]
+        xp = _numpy_of(self.partial)
+        filled = xp.where(self.inside[:, None], self.partial, first)
+        return dataclasses.replace(self, partial=filled)
+
+    def camera_to_user(self, camera: Camera) -> Camera:
+        """A camera of the unit workspace, for points in the user's frame.
+
+        In double precision, and its rotation one to that precision: the frame's origin
+        may be far away. Not traced.
+        """
+        camera = jax.tree.map(_double, camera)
+        left, _, right = np.linalg.svd(camera.rotation)
+        exact = dataclasses.replace(camera, rotation=left @ right)
+        return _doubled(self.workspace).camera_from_unit(exact)
+
+
+def observe(
+    points: Float[Array | np.ndarray, "N 3"],
+    sensor: Vector | Literal["origin"] | None = None,
+    workspace: Workspace | None = None,
+    margin: float = 1.25,
+    up: str | Vector = "z",
+    heading: Heading = "given",
+) -> Observation:
+    """Points and a sensor in the user's frame as what the network reads.
+
+    `sensor` is its position. None, or one that is not finite, is unknown. "origin" is
+    for points in a sensor's own frame: the origin, unless it cannot be the sensor's
+    place, being inside the workspace or over `FAR_ORIGIN` half extents away from its
+    centre; then it is unknown too.
+
+    `workspace` is the cube to work in; points outside it are not ``inside``. If it is
+    None it is `workspace_around` the points, by `margin`, `up` and `heading`; only
+    strays (`find_strays`) can lie outside that. One that is given without a rotation
+    has the axes that `up` says.
+
+    With NumPy points everything is done in double precision, for frames whose origin is
+    far away. With JAX arrays it can be jitted and mapped; use ``points`` near the
+    origin then. Differentiable but for what is inside. An empty cloud raises
+    ValueError; points must be finite.
+    """
+    xp = _numpy_of(points)
+    if workspace is None:
+        strays = find_strays(points)
+        workspace = workspace_around(points, sensor, margin, up, heading, ~strays)
+        partial = workspace.to_unit(points)
+        # Rounding must not leave out what decided the cube.
+        inside = ~strays | _within(partial)
+    else:
+        if xp is np:
+            workspace = _doubled(workspace)
+        if workspace.rotation is None:
+            workspace = dataclasses.replace(workspace, rotation=upright(up))
+        partial = workspace.to_unit(points)
+        inside = _within(partial)
+    eye, known = _place(sensor, workspace, xp)
+    return Observation(partial, eye, workspace, inside, known)
+
+
+def workspace_around(
+    points: Float[Array | np.ndarray, "N 3"],
+    sensor: Vector | Literal["origin"] | None = None,
+    margin: float = 1.25,
+    up: str | Vector = "z",
+    heading: Heading = "given",
+    where: Bool[Array | np.ndarray, " N"] | None = None,
+) -> Workspace:
+    """The cube around a partial cloud: the longest side of its box times `margin`.
+
+    `up` is the direction of the user's frame that points upwards, as `upright` has it:
+    the weights know upright objects. With the `heading` "level" the cube is turned
+    about it as `level_heading` says; with "given" it is not. `sensor` is as for
+    `observe`, and the points that `where` marks, or all, are as `Workspace.from_points`
+    has them.
+    """
+    workspace = Workspace.from_points(points, margin, upright(up), where)
+    if heading == "given":
+        return workspace
+    xp = _numpy_of(points)
+    eye, known = _place(sensor, workspace, xp)
+    counting = xp.ones(points.shape[0], bool) if where is None else where
+    turn = level_heading(workspace.to_unit(points), eye, known, counting)
+    if workspace.rotation is not None:
+        turn = turn @ workspace.rotation
+    return Workspace.from_points(points, margin, turn, where)
+
+
+def compile_sampling(num_points: int, most: int) -> None:
+    """Compiles `Observation.sampled` for clouds of up to `most` points.
+
+    A quarter of a second for each power of two, for who cannot wait in between.
+    """
+    size = len(padded(np.zeros((num_points, 3), np.float32), num_points))
+    jax.block_until_ready(_farthest(np.zeros((size, 3), np.float32), num_points))
+    while True:
+        jax.block_until_ready(_resample(np.zeros((size, 3), np.float32), num_points))
+        if size >= most:
+            return
+        size *= 2
+
+
+def padded(
+    points: Float[np.ndarray, "N 3"], least: int = 1
+) -> Float[np.ndarray, "M 3"]:
+    """The cloud with copies of its first point, up to a power of two not under `least`.
+
+    Clouds of any size then need few compilations. Neither farthest-point sampling nor a
+    depth map sees the copies.
+    """
+    count = 1 << (max(len(points), least) - 1).bit_length()
+    copies = np.broadcast_to(points[0], (count - len(points), 3))
+    return np.concatenate([points, copies])
+
+
+def _place(sensor: Any, workspace: Workspace, xp: Any) -> tuple[Any, Any]:
+    """The sensor's place in the workspace, and whether it is known."""
+    if sensor is None:
+        sensor = np.full(3, np.nan)
+    at_origin = isinstance(sensor, str)
+    eye = workspace.to_unit(xp.asarray(np.zeros(3) if at_origin else sensor))
+    known = xp.isfinite(eye).all(axis=-1)
+    if at_origin:
+        distance = xp.linalg.norm(eye, axis=-1)
+        known &= ~_within(eye) & (distance <= FAR_ORIGIN)
+    return xp.where(known, eye, UNKNOWN_EYE.astype(eye.dtype)), known
+
+
+def _within(unit: Any) -> Any:
+    return (abs(unit) <= 1.0).all(axis=-1)
+
+
+def _numpy_of(points: Any) -> Any:
+    return jnp if isinstance(points, jax.Array) else np
+
+
+def _single(array: Any) -> Array:
+    """JAX arrays as they are, NumPy's in JAX's default float."""
+    return array if isinstance(array, jax.Array) else jnp.asarray(array, float)
+
+
+def _doubled(workspace: Workspace) -> Workspace:
+    doubled: Any = jax.tree.map(_double, workspace)
+    return doubled
+
+
+def _double(array: Any) -> np.ndarray:
+    return np.asarray(array, np.float64)

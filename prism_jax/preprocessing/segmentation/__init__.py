@@ -1,0 +1,1 @@
+"""Scenes taken apart into objects."""

@@ -1,0 +1,207 @@
+"""The large planes of a cloud: tables, floors, walls."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Float64
+from scipy.spatial import ConvexHull, QhullError
+
+from prism_jax.preprocessing.segmentation.clusters import (
+    components,
+    extent,
+    spacing,
+    thin,
+)
+
+MAX_PLANES = 6
+"""More are not looked for."""
+
+NUM_TRIALS = 1000
+"""Planes through three random points, of which the best is taken."""
+
+MAX_JUDGES = 3000
+"""So many points, spread evenly, vote for the planes."""
+
+TILES = 20
+"""Along a plane: two of them without a point are a gap between two pieces."""
+
+COARSE = 0.01
+"""The first tolerance, in longest sides of the cloud."""
+
+COARSEST = 0.03
+"""Points that need a tolerance as large are no plane's: a curved surface's."""
+
+MIN_SHARE = 0.08
+"""Of all cells, to be a large plane."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Plane:
+    """``points @ normal = offset``, and how far off its points lie.
+
+    Attributes:
+      normal: a unit vector.
+      offset: in the user's unit, as `tolerance` is.
+      tolerance: three standard deviations of its points, half their spacing at least.
+    """
+
+    normal: Float64[np.ndarray, "3"]
+    offset: float
+    tolerance: float
+
+    def height(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
+        """Signed distances, positive on the side that the normal points to."""
+        # About a point of the plane: the origin may be far away.
+        foot = self.offset * self.normal
+        return (points - foot) @ self.normal
+
+    def flipped(self) -> "Plane":
+        """The same plane with its normal on the other side."""
+        return Plane(-self.normal, -self.offset, self.tolerance)
+
+
+def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
+    """Large planes, the largest first, by RANSAC with a fixed seed.
+
+    Each is refined by least squares of the points within a tolerance that follows from
+    their own noise; noise over a hundredth of the cloud's longest side hides a plane.
+    Unit and origin of the coordinates do not matter, nor how near the sensor a surface
+    is: every cell of the thinned cloud counts alike. Which side a normal points to
+    means nothing. Fewer than four distinct places have no plane.
+    """
+    cells, _ = thin(points)
+    if len(cells) < 4:
+        return []
+    center = cells.mean(axis=0)
+    cells = cells - center
+    side = extent(cells)
+    apart = spacing(cells)
+    rng = np.random.default_rng(0)
+    rest = np.ones(len(cells), bool)
+    planes = []
+    for _ in range(MAX_PLANES):
+        if rest.sum() < max(4, MIN_SHARE * len(cells)):
+            break
+        plane = _consensus(cells[rest], COARSE * side, rng)
+        if plane is None:
+            break
+        plane = _refined(cells[rest], plane, apart, COARSEST * side)
+        on = rest & (np.abs(plane.height(cells)) <= plane.tolerance)
+        if on.sum() < max(4, MIN_SHARE * len(cells)):
+            break
+        rest &= ~on
+        if plane.tolerance < COARSEST * side:
+            offset = float(plane.offset + plane.normal @ center)
+            planes.append(dataclasses.replace(plane, offset=offset))
+    return planes
+
+
+@dataclasses.dataclass(frozen=True)
+class Outline:
+    """The convex hull of a plane's points, seen along its normal.
+
+    Attributes:
+      axes: two directions in the plane.
+      lines: of unit length and outwards, one for each side of the hull.
+      offsets: how far out these sides are.
+      area: of the hull.
+      width: the least distance between two parallel lines around it.
+      length: the longest side of its box along `axes`.
+      filled: the share of the area that has points.
+      count: how many points it is made of.
+    """
+
+    axes: Float64[np.ndarray, "2 3"]
+    lines: Float64[np.ndarray, "E 2"]
+    offsets: Float64[np.ndarray, " E"]
+    area: float
+    width: float
+    length: float
+    filled: float
+    count: int
+
+    def depth(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
+        """How far inside the hull points project; negative outside."""
+        outside = np.full(len(points), -np.inf)
+        flat = points @ self.axes.T
+        for line, offset in zip(self.lines, self.offsets, strict=True):
+            np.maximum(outside, flat @ line - offset, out=outside)
+        return -outside
+
+
+def outline(cells: Float64[np.ndarray, "N 3"], plane: Plane) -> Outline | None:
+    """Where a plane has points; None if they span no area.
+
+    Small parts apart from the others, such as where it meets other things, do not
+    count.
+    """
+    axes = np.linalg.svd(plane.normal[None])[2][1:]
+    flat = cells[np.abs(plane.height(cells)) <= plane.tolerance] @ axes.T
+    middle = flat.mean(axis=0) if len(flat) else np.zeros(2)
+    flat = flat - middle
+    flat = _largest_pieces(flat)
+    try:
+        hull = ConvexHull(flat)
+    except (QhullError, ValueError):
+        return None
+    lines = hull.equations[:, :2]
+    width = np.ptp(flat @ lines.T, axis=0).min()
+    tile = 0.05 * width
+    filled = len(np.unique(np.floor(flat / tile), axis=0)) * tile**2 / hull.volume
+    return Outline(
+        axes,
+        lines,
+        offsets=lines @ middle - hull.equations[:, 2],
+        area=float(hull.volume),
+        width=float(width),
+        length=float(np.ptp(flat, axis=0).max()),
+        filled=float(filled),
+        count=len(flat),
+    )
+
+
+def _largest_pieces(flat: Float64[np.ndarray, "N 2"]) -> Float64[np.ndarray, "M 2"]:
+    """Those of at least a fifth of the largest one's points."""
+    tiles, owner = thin(np.pad(flat, [(0, 0), (0, 1)]), TILES)
+    reach = 2.0 * extent(flat) / TILES
+    piece = components(tiles, np.full(len(tiles), reach))[owner]
+    size = np.bincount(piece)
+    return flat[(size >= 0.2 * size.max(initial=0))[piece]]
+
+
+def _consensus(
+    points: Float64[np.ndarray, "N 3"], tolerance: float, rng: np.random.Generator
+) -> Plane | None:
+    """The plane through three of the points that most others are near to."""
+    every = -(-len(points) // MAX_JUDGES)
+    judges = points[rng.permutation(len(points))[::every]]
+    corners = points[rng.integers(len(points), size=(NUM_TRIALS, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    proper = length > 0
+    if not proper.any():
+        return None
+    normals = normals[proper] / length[proper, None]
+    offsets = (normals * corners[proper, 0]).sum(axis=1)
+    near = np.abs(judges @ normals.T - offsets) <= tolerance
+    best = near.sum(axis=0).argmax()
+    return Plane(normals[best], float(offsets[best]), tolerance)
+
+
+def _refined(
+    points: Float64[np.ndarray, "N 3"], plane: Plane, apart: float, largest: float
+) -> Plane:
+    """By least squares over its points, of which each round finds the noise anew."""
+    for _ in range(10):
+        height = plane.height(points)
+        near = points[np.abs(height) <= plane.tolerance]
+        if len(near) < 3:
+            break
+        mean = near.mean(axis=0)
+        _, axes = np.linalg.eigh((near - mean).T @ (near - mean))
+        normal = axes[:, 0]
+        off = np.abs((near - mean) @ normal)
+        sigma = 1.4826 * np.median(off)
+        tolerance = min(largest, max(3.0 * sigma, 0.5 * apart))
+        plane = Plane(normal, float(normal @ mean), float(tolerance))
+    return plane

@@ -1,0 +1,183 @@
+"""A scene taken apart: what things stand on, the objects, and what is left over."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int
+
+from prism_jax.geometry.camera import Vector
+from prism_jax.preprocessing.segmentation.clusters import extent, spacing, thin
+from prism_jax.preprocessing.segmentation.parts import objects_of
+from prism_jax.preprocessing.segmentation.planes import (
+    COARSE,
+    Outline,
+    Plane,
+    find_planes,
+    outline,
+)
+from prism_jax.preprocessing.segmentation.support import FILLED, REACH, find_support
+from prism_jax.preprocessing.upright import upright
+
+SUPPORT, LEFT_OVER = -1, -2
+"""In `Scene.object`, where objects are counted from 0."""
+
+SHEET = 0.95
+"""A plane with this share of a cloud is all there is."""
+
+WALL = 0.25
+"""The length of a wall around the sensor, in the longest side of the cloud."""
+
+GAP = 0.25
+"""In the longest side of a cloud without any plane: so far apart the parts of one
+object can be, where it hides its own surface."""
+
+EDGE = 0.05
+"""In a support's width: a wall rises from no farther inside its border than that."""
+
+MIN_POINTS = 64
+"""Of an object: fewer cannot be completed."""
+
+MIN_SIZE = 0.02
+"""Of an object, in the longest side of the scene."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """Whose points are whose.
+
+    Attributes:
+      object: for each point the number of its object, from 0, the one of most points
+        first; `SUPPORT` on the planes set aside, `LEFT_OVER` for outliers and what is
+        too small to be completed.
+      planes: those set aside, the support first, if there is one.
+      num_points: of each object.
+      num_support: how many points lie on the planes.
+      num_left_over: how many belong to nothing.
+    """
+
+    object: Int[np.ndarray, " N"]
+    planes: tuple[Plane, ...]
+    num_points: tuple[int, ...]
+    num_support: int
+    num_left_over: int
+
+
+def split_scene(
+    points: Float[np.ndarray, "N 3"],
+    up: str | Vector = "z",
+    sensor: Vector | None = None,
+) -> Scene:
+    """Planes set aside, and the rest as objects.
+
+    `up` is as `upright` has it, `sensor` the place the points were seen from, or None.
+    Set aside are the support (`find_support`) and with it other planes that are at
+    least as long as it is wide and do not rise from its midst: walls, another floor.
+    Where there is no support, but the sensor stands amid the points, the large planes
+    around it are walls. A cloud that is one plane is all support. For how the rest is
+    told apart see `objects_of`. A cloud with nothing to set aside is one object, unless
+    its parts are over `GAP` apart.
+
+    The same points give the same scene; unit and origin do not matter. Points must be
+    finite. Any number of them will do, none included. An `up` that is no direction
+    raises InputError.
+    """
+    points = np.asarray(points, np.float64)
+    turn = upright(up)
+    vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
+    eye = None if sensor is None else np.asarray(sensor, np.float64)
+    if eye is not None and not np.isfinite(eye).all():
+        eye = None
+    cells, _ = thin(points)
+    size = extent(cells)
+    support, walls, aside = _set_aside(points, cells, eye)
+    number = np.where(aside, SUPPORT, LEFT_OVER)
+    if not aside.all():
+        gap = GAP * size if support is None and not walls else 0.0
+        rest = points[~aside]
+        whole = objects_of(rest, vertical, eye, support, gap)
+        number[~aside] = _numbered(rest, whole, support, size)
+    return Scene(
+        object=number,
+        planes=(() if support is None else (support,)) + tuple(walls),
+        num_points=tuple(np.bincount(number[number >= 0]).tolist()),
+        num_support=int((number == SUPPORT).sum()),
+        num_left_over=int((number == LEFT_OVER).sum()),
+    )
+
+
+def _set_aside(
+    points: Float64[np.ndarray, "N 3"],
+    cells: Float64[np.ndarray, "M 3"],
+    eye: Float64[np.ndarray, "3"] | None,
+) -> tuple[Plane | None, list[Plane], Bool[np.ndarray, " N"]]:
+    """The support, other planes, and the points on any of them."""
+    support, planes = find_support(points, eye), find_planes(points)
+    aside, walls = np.zeros(len(points), bool), []
+    if len(cells) < 2 or not planes:
+        return None, [], aside
+    rim = REACH * spacing(cells)
+    inner = np.zeros(len(cells), bool)
+    longest = WALL * extent(cells)
+    border = None if support is None else outline(cells, support)
+    if support is not None and border is not None:
+        aside |= _on(support, border, points, rim)
+        inner = border.depth(cells) > EDGE * border.width
+        longest = border.width
+    elif np.mean(_near(planes[0], cells)) >= SHEET:
+        return None, planes[:1], _near(planes[0], points)
+    elif eye is None or not _amid(cells, eye):
+        return None, [], aside
+    for plane in planes:
+        border = outline(cells, plane)
+        flat = plane.tolerance <= COARSE * extent(cells)
+        if border is None or not flat or border.filled < FILLED:
+            continue
+        on = _on(plane, border, points, rim)
+        standing = inner[_near(plane, cells)].mean() > 0.5
+        new = (on & ~aside).sum() > 0.5 * on.sum()
+        if new and not standing and border.length >= longest:
+            walls.append(plane)
+            aside |= on
+    return support, walls, aside
+
+
+def _near(plane: Plane, points: Float64[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
+    return np.abs(plane.height(points)) <= plane.tolerance
+
+
+def _on(
+    plane: Plane, border: Outline, points: Float64[np.ndarray, "N 3"], rim: float
+) -> Bool[np.ndarray, " N"]:
+    """Near the plane and inside its border, or not farther outside than the rim."""
+    on = _near(plane, points)
+    on[on] = border.depth(points[on]) > -rim
+    return on
+
+
+def _amid(cells: Float64[np.ndarray, "M 3"], eye: Float64[np.ndarray, "3"]) -> bool:
+    """Whether the sensor stands within the bulk of what it sees."""
+    lower, upper = np.percentile(cells, [5, 95], axis=0)
+    return bool(((eye > lower) & (eye < upper)).all())
+
+
+def _numbered(
+    points: Float64[np.ndarray, "N 3"],
+    whole: Int[np.ndarray, " N"],
+    support: Plane | None,
+    size: float,
+) -> Int[np.ndarray, " N"]:
+    """Objects by falling number of points, and what is too small left over."""
+    count = np.bincount(whole)
+    lower, upper = np.full((2, len(count), 3), [[[np.inf]], [[-np.inf]]])
+    np.minimum.at(lower, whole, points)
+    np.maximum.at(upper, whole, points)
+    proper = (count >= MIN_POINTS) & ((upper - lower).max(axis=1) >= MIN_SIZE * size)
+    if support is not None:
+        # Noise of the support itself forms flat patches on it.
+        top = np.full(len(count), -np.inf)
+        np.maximum.at(top, whole, support.height(points))
+        proper &= np.abs(top) >= 3.0 * support.tolerance
+    order = np.argsort(-np.where(proper, count, 0), kind="stable")
+    number = np.full(len(count), LEFT_OVER)
+    number[order[: proper.sum()]] = np.arange(proper.sum())
+    return number[whole]

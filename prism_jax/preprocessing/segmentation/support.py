@@ -1,0 +1,192 @@
+"""The plane that objects stand on, and with it the way up."""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Float64
+
+from prism_jax.geometry.camera import Vector
+from prism_jax.preprocessing.segmentation.clusters import components, spacing, thin
+from prism_jax.preprocessing.segmentation.planes import (
+    Outline,
+    Plane,
+    find_planes,
+    outline,
+)
+
+RIM = 0.01
+"""How far from a plane's border something is inside or outside, in its width."""
+
+WITHIN = 0.6
+"""The share of a cloud over, on or under a support, seen along its normal."""
+
+FLAT = 0.4
+"""The share of that which lies on the support."""
+
+BELOW = 0.15
+"""As many points as this, for each above a support, may lie below it."""
+
+LARGE = 0.7
+"""A plane at least so long, in a support's width, is a wall or another floor."""
+
+BEYOND = 0.2
+"""In the shorter one's length: so far, at one end, one of two planes that cross goes on
+where the other is over, unless they are faces of one thing."""
+
+PARALLEL = 30.0
+"""In degrees: planes that cross at less than this have no line in common."""
+
+FILLED = 0.5
+"""The share of a support's outline that has points."""
+
+MIN_CELLS = 10
+"""What stands on a support has so many cells of the thinned cloud."""
+
+MAX_TILT = 60.0
+"""In degrees from z, of a support whose side nobody's sensor tells."""
+
+REACH = 4.0
+"""Points no farther apart than so many spacings hang together."""
+
+
+class Up(NamedTuple):
+    """Which way is up, and what says so.
+
+    Attributes:
+      vector: of unit length, in the points' frame.
+      source: the normal of the "support" plane, the "camera" that was held upright, or
+        "z", the axis that is taken if nothing says more.
+    """
+
+    vector: Float64[np.ndarray, "3"]
+    source: Literal["support", "camera", "z"]
+
+
+def find_up(
+    points: Float[np.ndarray, "N 3"],
+    sensor: Vector | None = None,
+    camera_rotation: Float[Array | np.ndarray, "3 3"] | None = None,
+) -> Up:
+    """Up by the support plane; without one by the camera; without that, z.
+
+    `sensor` is as for `find_support`. `camera_rotation` is a known orientation of the
+    camera in the points' frame (`Camera.rotation`): up is then against its y axis,
+    which points down in the image.
+    """
+    support = find_support(points, sensor)
+    if support is not None:
+        return Up(support.normal, "support")
+    if camera_rotation is not None:
+        up = -np.asarray(camera_rotation, np.float64)[1]
+        return Up(up / np.linalg.norm(up), "camera")
+    return Up(np.array([0.0, 0.0, 1.0]), "z")
+
+
+def find_support(
+    points: Float[np.ndarray, "N 3"], sensor: Vector | None = None
+) -> Plane | None:
+    """The plane that objects stand on: a table, a floor; None if there is none.
+
+    Of the large planes it is the one that most stands on, on the sensor's side, with
+    next to nothing on the other. An object stands on it if most of it projects inside
+    the plane's border, if it is not higher than the plane is wide, and if it touches
+    the plane or hovers by no more than its own height (its foot may be hidden); what
+    hovers counts for less. Most of the cloud must lie over the plane, and much of that
+    on it, other planes about as large left aside: a wall behind a table, the floor
+    below. Other faces of the same object are not: they begin and end where the plane
+    does (`_is_elsewhere`). A face of an object is no support: what is joined to it goes
+    beyond its border or lies behind it. Neither is a table with nothing on it, which
+    could be a wall.
+
+    The normal points to the objects. `sensor` is the place the points were seen from.
+    If it is unknown, None or not finite, the objects' side is taken to be that of z,
+    and a plane tilted from it by over `MAX_TILT` to be none: the inner sides of single
+    objects would pass. The same points give the same plane. The unit does not matter.
+    """
+    cells, _ = thin(points)
+    planes = find_planes(points)
+    borders = [outline(cells, plane) for plane in planes]
+    best, most = None, 0.0
+    for plane, border in zip(planes, borders, strict=True):
+        side = _objects_side(plane, sensor)
+        if side is None or border is None:
+            continue
+        aside = np.zeros(len(cells), bool)
+        for other, its in zip(planes, borders, strict=True):
+            if its is None or its.length < LARGE * border.width:
+                continue
+            if _is_elsewhere(other, plane, border, cells):
+                aside |= np.abs(other.height(cells)) <= other.tolerance
+        aside &= np.abs(plane.height(cells)) > plane.tolerance
+        standing = _standing(cells, aside, side, border)
+        if standing > most:
+            best, most = side, standing
+    return best
+
+
+def _is_elsewhere(
+    other: Plane, plane: Plane, border: Outline, cells: Float64[np.ndarray, "N 3"]
+) -> bool:
+    """Whether another plane is a wall, or another floor, and no face of the same thing.
+
+    The side and the back of a shelf begin and end together along the line that they
+    share; one of a table and a wall goes on beyond the other by `BEYOND`. A parallel
+    plane is another floor if most of it lies outside the `border` of this one.
+    """
+    its = cells[np.abs(other.height(cells)) <= other.tolerance]
+    line = np.cross(plane.normal, other.normal)
+    sine = np.linalg.norm(line)
+    if sine <= np.sin(np.deg2rad(PARALLEL)):
+        return bool((border.depth(its) < -RIM * border.width).mean() > 0.5)
+    on = cells[np.abs(plane.height(cells)) <= plane.tolerance]
+    ends = np.array([np.percentile(part @ line, [1, 99]) for part in (on, its)])
+    shorter = np.ptp(ends, axis=1).min()
+    return bool(np.abs(ends[0] - ends[1]).max() >= BEYOND * shorter)
+
+
+def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
+    """The plane with its normal to where objects can be, if they can be anywhere."""
+    if sensor is not None and np.isfinite(np.asarray(sensor)).all():
+        positive = plane.height(np.asarray(sensor, np.float64)[None])[0] > 0
+    elif np.abs(plane.normal[2]) < np.cos(np.deg2rad(MAX_TILT)):
+        return None
+    else:
+        positive = plane.normal[2] > 0
+    return plane if positive else plane.flipped()
+
+
+def _standing(
+    cells: Float64[np.ndarray, "N 3"],
+    aside: Bool[np.ndarray, " N"],
+    plane: Plane,
+    border: Outline,
+) -> float:
+    """How many cells stand on a plane, those set aside left out; zero if it is none
+    that objects stand on."""
+    reach = REACH * spacing(cells)
+    height, depth = plane.height(cells), border.depth(cells)
+    rim = RIM * border.width
+    above = (depth > -rim) & (height > plane.tolerance)
+    below = (depth > -rim) & (height < -2.0 * plane.tolerance)
+    height, depth = height[~aside], depth[~aside]
+    over = depth > -rim
+    on = np.abs(height) <= plane.tolerance
+    off = height > plane.tolerance
+    large = (
+        over.mean() >= WITHIN
+        and border.count >= FLAT * (border.count + (over & ~on).sum())
+        and border.filled >= FILLED
+    )
+    if not large or below.sum() > BELOW * above.sum() or not off.any():
+        return 0.0
+
+    group = components(cells[~aside][off], np.full(off.sum(), reach))
+    size = np.bincount(group)
+    top, foot = np.zeros(len(size)), np.full(len(size), np.inf)
+    np.maximum.at(top, group, height[off])
+    np.minimum.at(foot, group, height[off])
+    hovering = np.maximum(foot - plane.tolerance - reach, 0.0) / (0.5 * top)
+    enclosed = np.bincount(group, depth[off] > rim) >= 0.7 * size
+    proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance)
+    proper &= (top <= border.width) & enclosed
+    return float((size * np.maximum(1.0 - hovering, 0.0))[proper].sum())

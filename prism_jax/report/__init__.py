@@ -1,6 +1,0 @@
-"""The HTML reports of completed scans and scenes: each one file without a network."""
-
-from prism_jax.report.scan import render_report
-from prism_jax.report.scene import render_scene_report
-
-__all__ = ["render_report", "render_scene_report"]

@@ -1,0 +1,190 @@
+"""The report of a completed scene: all its objects, together and one by one."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.completion.assembly import CompletedScene
+from prism_jax.geometry.camera import Camera
+from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT
+from prism_jax.reporting import details
+from prism_jax.reporting.colors import by_error, tell_errors
+from prism_jax.reporting.confidence import (
+    TRUST,
+    TRUST_COLORS,
+    trust_of,
+    verdict_of_scene,
+)
+from prism_jax.reporting.figures import (
+    COMPLETED_COLOR,
+    LEFT_OVER_COLOR,
+    MAX_SHOWN_POINTS,
+    OBSERVED_COLOR,
+    PAGE_ASPECT,
+    SUPPORT_COLOR,
+    Cloud,
+    Panel,
+    axis_box,
+    axis_shift,
+    clouds_figure,
+    framing,
+    marker_size,
+    subsample,
+)
+from prism_jax.reporting.page import clouds_html, render
+from prism_jax.reporting.view import BULK, shown_bounds, viewing_direction
+
+BESIDE_LIST = 0.7
+"""The share of the page's width that the list of objects leaves to the clouds."""
+
+ABOUT = 0.5
+"""How far about the objects the support is shown, in the longest side of their box."""
+
+MAX_SHOWN_IN_SCENE = 60_000
+"""Observed points of all objects in a scene's figure, and as many added ones."""
+
+
+def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> str:
+    """The report as HTML that needs no network, about 5 MB and the clouds.
+
+    `summary` is the content of `result.json`, as for `render_report`. Large clouds are
+    thinned for display alone, the more the more objects there are.
+    """
+    entries = summary["objects"]
+    clouds, meta = _clouds(scene, entries)
+    bounds = _bounds(scene)
+    if scene.objects:
+        camera = scene.objects[0].camera
+    else:
+        camera = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    up = np.asarray(scene.up, np.float64)
+    toward = viewing_direction(camera, up, turn_degrees=20.0, rise_degrees=35.0)
+    figure = clouds_figure([Panel("", clouds)], toward, up, bounds)
+    boxes = [
+        shown_bounds(one.points[one.observed], one.points[~one.observed], one.workspace)
+        for one in scene.objects
+    ]
+    for trace, about in zip(figure.data, meta, strict=True):
+        number = about["object"]
+        around = bounds if number is None else boxes[number]
+        shown = np.stack([trace.x, trace.y, trace.z], axis=1)
+        size = marker_size(shown, np.ptp(around, axis=0).max())
+        trace.meta = {**about, "size": [trace.marker.size, size]}
+    shift = axis_shift(bounds)
+    layouts = [_layout(box, shift, toward, up) for box in [bounds, *boxes]]
+    figure.update_scenes(camera=layouts[0]["scene.camera"])
+    return render(
+        summary=summary,
+        verdict=verdict_of_scene(entries),
+        counts=_counts(summary["points"]),
+        toggles=[
+            ("observed", OBSERVED_COLOR),
+            ("completed", COMPLETED_COLOR),
+            ("support", SUPPORT_COLOR),
+            ("left over", LEFT_OVER_COLOR),
+        ],
+        modes=["trust", *tell_errors(figure, scene.sigma)],
+        clouds=clouds_html(figure),
+        trusts=[trust for trust in TRUST if trust in map(trust_of, entries)],
+        objects=[_row(number, entry, summary) for number, entry in enumerate(entries)],
+        boxes=layouts,
+        max_shown=f"{_share(scene):,}",
+        details=details.of_scene(summary),
+    )
+
+
+def _clouds(
+    scene: CompletedScene, entries: Sequence[Mapping[str, Any]]
+) -> tuple[list[Cloud], list[dict[str, Any]]]:
+    """Two clouds for each object and those of none, and what the page's script knows
+    of each: what it is called, whose it is, and its colours."""
+    clouds, meta = [], []
+    names = {SUPPORT: "support", LEFT_OVER: "left over"}
+    for number, color in ((SUPPORT, SUPPORT_COLOR), (LEFT_OVER, LEFT_OVER_COLOR)):
+        points = scene.points[scene.object == number]
+        clouds.append(Cloud(names[number], points, color))
+        colors = {"": color, "trust": color, "error": color}
+        meta.append({"cloud": names[number], "object": None, "color": colors})
+    for number, (one, entry) in enumerate(zip(scene.objects, entries, strict=True)):
+        trust = TRUST_COLORS[trust_of(entry)]
+        for name, which, color in (
+            ("observed", one.observed, OBSERVED_COLOR),
+            ("completed", ~one.observed, COMPLETED_COLOR),
+        ):
+            points = subsample(one.points[which], _share(scene))
+            clouds.append(Cloud(f"object {number}, {name}", points, color))
+            by = by_error(one.sigma, which, _share(scene))
+            colors = {"": color, "trust": trust, **by}
+            meta.append({"cloud": name, "object": number, "color": colors})
+    return clouds, meta
+
+
+def _share(scene: CompletedScene) -> int:
+    """The most points of one cloud that are shown."""
+    count = max(len(scene.objects), 1)
+    return min(MAX_SHOWN_POINTS, max(MAX_SHOWN_IN_SCENE // count, 200))
+
+
+def _bounds(scene: CompletedScene) -> Float[np.ndarray, "2 3"]:
+    """The box around what was measured of the objects, and of the bulk of the support
+    what lies about them."""
+    support = scene.points[scene.object == SUPPORT]
+    if not scene.objects:
+        all_there_is = support if len(support) else scene.points
+        return np.quantile(all_there_is, BULK, axis=0).astype(np.float64)
+    measured = [one.points[one.observed] for one in scene.objects]
+    lower = np.min([cloud.min(axis=0) for cloud in measured], axis=0).astype(float)
+    upper = np.max([cloud.max(axis=0) for cloud in measured], axis=0).astype(float)
+    if len(support):
+        about = ABOUT * (upper - lower).max()
+        low, high = np.quantile(support, BULK, axis=0)
+        lower = np.minimum(lower, np.maximum(low, lower - about))
+        upper = np.maximum(upper, np.minimum(high, upper + about))
+    return np.stack([lower, upper])
+
+
+def _layout(
+    bounds: np.ndarray, shift: np.ndarray, toward: np.ndarray, up: np.ndarray
+) -> dict[str, Any]:
+    """What Plotly has to change to show this box alone."""
+    box = axis_box(bounds - shift, shift)
+    ranges = {f"scene.{a}axis.range": box[f"{a}axis"]["range"] for a in "xyz"}
+    camera = framing(box, toward, up, PAGE_ASPECT * BESIDE_LIST)
+    return {
+        **ranges,
+        "scene.aspectratio": box["aspectratio"],
+        "scene.camera": camera,
+    }
+
+
+def _row(
+    number: int, entry: Mapping[str, Any], summary: Mapping[str, Any]
+) -> dict[str, Any]:
+    """One object in the list, and what the details say of it."""
+    points, verdict = entry["points"], entry["verdict"]
+    error = None if verdict is None else verdict["expected_error"]
+    return {
+        "number": number,
+        "trust": trust_of(entry),
+        "observed": f"{points['partial']:,}",
+        "added": f"{points['completed'] - points['partial']:,}",
+        "error": "-" if error is None else f"{error:#.3g}",
+        "reasons": [] if verdict is None else verdict["reasons"],
+        "details": [
+            ("Workspace", details.workspace(entry)),
+            ("Adaptation", details.adaptation(entry, summary["adapt"])),
+            ("Not added", details.left_away(entry)),
+            ("Expected error of a point", details.sigma(entry)),
+            ("Evidence", details.evidence(entry)),
+        ],
+    }
+
+
+def _counts(points: Mapping[str, int]) -> str:
+    added = points["completed"] - points["partial"]
+    return (
+        f"{points['partial']:,} points observed, {added:,} added, "
+        f"{points['support']:,} on the support"
+    )

@@ -1,0 +1,140 @@
+"""Completes frames as scans, without what takes time beside."""
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from prism_jax.completion.assembly import join
+from prism_jax.completion.completer import Completer
+from prism_jax.envelope.robot import of_robot
+from prism_jax.geometry.visibility import Background
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.clouds import check_cloud, inside
+from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
+from prism_jax.io.streams.frame import Frame
+from prism_jax.io.streams.sinks import Labelled
+from prism_jax.preprocessing.observation import compile_sampling
+from prism_jax.streaming.observer import FrameObserver
+
+
+@dataclasses.dataclass(frozen=True)
+class CompletedFrame:
+    """A completed frame, in the frame and unit of its measured points.
+
+    Attributes:
+      points: the measured points inside the workspace, exactly as they were, and then
+        the predicted points where nothing was measured, and points on the surface of a
+        robot that is known.
+      label: OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
+      workspace: the cube that was completed.
+      timestamp: the measurement's, in nanoseconds.
+      seconds: spent on "observe", "network" and "assemble".
+    """
+
+    points: Float[np.ndarray, "M 3"]
+    label: UInt8[np.ndarray, " M"]
+    workspace: Workspace
+    timestamp: int
+    seconds: dict[str, float]
+
+    @property
+    def observed(self) -> Bool[np.ndarray, " M"]:
+        """True for a measured point."""
+        return self.label == OBSERVED
+
+    def numbered(self, number: int) -> Labelled:
+        """The frame of that number, as sinks take it."""
+        return Labelled(number, self.timestamp, self.points, self.label)
+
+
+class FrameCompleter(FrameObserver):
+    """Completes frames as `Completer.complete` completes scans, and nothing else.
+
+    There is no verdict, no depth map and, unless ``density`` asks for it, no
+    resampling. ``poses`` is one for speed, while scans are completed in as many as
+    their weights say; in equally many the points are the same, bit for bit. ``adapt``
+    adapts the network to each frame first. ``density`` and ``background`` are as for
+    `Completer.complete`, the rest as for `FrameObserver`: a known robot is put back as
+    points on its surface, with nothing predicted within its margin.
+    """
+
+    def __init__(
+        self,
+        completer: Completer,
+        *,
+        adapt: bool = False,
+        density: float = 0.0,
+        background: Background = "unknown",
+        poses: int = 1,
+        **observed: Any,
+    ):
+        super().__init__(**observed)
+        self.adapt = adapt
+        self.density = density
+        self.background: Background = background
+        self._completer = completer
+        if completer.config.model.poses != poses:
+            self._completer = completer.in_poses(poses)
+
+    def complete(self, frame: Frame) -> CompletedFrame:
+        """The frame completed. One that has too little raises InputError."""
+        start = time.perf_counter()
+        points, robot, up, around = self.observe(frame)
+        if self.robot is not None:
+            check_cloud(points, "the frame without its robot")
+        task = self._completer.task(
+            points, frame.camera, None, up, around, self.background
+        )
+        observed = time.perf_counter()
+        reads = self.background, *self._completer.reads(task)
+        if self.adapt:
+            completion, seconds = self._completer.run(True, *reads)
+            predicted = completion.points
+        else:
+            predicted, seconds = self._completer.predict(*reads)
+        ran = time.perf_counter()
+        told = self.density, self.background, task.known
+        joined = join(points, task.seen, task.read, predicted, *told)
+        placed, label = self._with_robot(joined, robot)
+        return CompletedFrame(
+            points=placed,
+            label=label,
+            workspace=task.seen.workspace,
+            timestamp=frame.timestamp,
+            seconds={
+                "observe": observed - start,
+                "network": ran - observed - seconds["compile"],
+                "assemble": time.perf_counter() - ran,
+            },
+        )
+
+    def warm_up(self, frame: Frame) -> CompletedFrame:
+        """The frame completed, and all compiled for others of at most as many points.
+
+        Nothing is compiled then while frames are completed, unless one is larger.
+        """
+        num_points = self._completer.config.model.backbone.num_points
+        compile_sampling(num_points, len(frame.points))
+        return super().warm_up(frame)
+
+    def _with_robot(
+        self, joined: Any, robot: Float[np.ndarray, "R 3"]
+    ) -> tuple[Float[np.ndarray, "M 3"], UInt8[np.ndarray, " M"]]:
+        """Points and their labels, the robot's surface inside the bounds behind them
+        and no prediction within its margin."""
+        points = joined.points
+        label = np.where(joined.observed, OBSERVED, COMPLETED).astype(np.uint8)
+        if len(robot) == 0:
+            return points, label
+        if self.bounds is not None:
+            robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
+        kept = joined.observed | ~of_robot(points, robot, self.robot_margin)
+        robot = robot.astype(points.dtype)
+        known = np.full(len(robot), KNOWN, np.uint8)
+        return (
+            np.concatenate([points[kept], robot]),
+            np.concatenate([label[kept], known]),
+        )

@@ -1,0 +1,192 @@
+"""Envelopes of scans, one after the other."""
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.envelope.distance import Distances, Envelope
+from prism_jax.envelope.robot import of_robot
+from prism_jax.envelope.surfaces import Method, Seen, see
+from prism_jax.envelope.voxels import (
+    VOXEL,
+    Carving,
+    Grid,
+    carve,
+    label,
+    view_of_cloud,
+    view_of_depth,
+)
+from prism_jax.geometry.camera import Camera, Vector
+from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.io.errors import InputError
+from prism_jax.io.streams.frame import Frame
+from prism_jax.streaming.observer import FrameObserver
+
+AROUND = 10
+"""Voxels beyond the inflated surfaces that a grid reaches to, unless it is given."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scanned:
+    """What an envelope is made of, in one frame and unit.
+
+    Attributes:
+      points: those that are completed.
+      everything: all that was measured.
+      view: what the sensor knows of its view; None where its place is not known.
+      camera: stands where the sensor did.
+      named: the depth camera, if there is one.
+      up: the direction.
+      robot: points on a known robot's surface; None where none is known.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    everything: Float[np.ndarray, "M 3"]
+    view: Visibility | None
+    camera: Camera | None
+    named: Camera | None
+    up: str | Vector
+    robot: Float[np.ndarray, "R 3"] | None
+
+
+@dataclasses.dataclass(frozen=True)
+class MadeEnvelope:
+    """The envelope of a scan or a frame.
+
+    Attributes:
+      scan, seen, envelope: what it is of, what was completed of that, and the voxels.
+      query: the points that were asked for with their distances, if any were.
+      seconds: spent on "observe", "complete" and "envelope".
+      number, timestamp: of the frame, in its recording and in nanoseconds; of a scan no
+        number is told.
+    """
+
+    scan: Scanned
+    seen: Seen
+    envelope: Envelope
+    query: tuple[Float[np.ndarray, "Q 3"], Distances] | None
+    seconds: dict[str, float]
+    number: int | None = None
+    timestamp: int = 0
+
+    def numbered(self, number: int) -> "MadeEnvelope":
+        """The frame of that number, as sinks take it."""
+        return dataclasses.replace(self, number=number)
+
+
+def standing(
+    depth: Float[np.ndarray, "H W"] | None,
+    camera: Camera | None,
+    eye: Float[np.ndarray, "3"] | None,
+) -> Camera | None:
+    """A camera where the sensor stood: that of a depth image, or one at ``eye``.
+
+    An ``eye`` beside a depth image raises InputError.
+    """
+    if eye is None:
+        return camera
+    if depth is not None:
+        raise InputError("--eye", "is of a depth image", "leave it out")
+    return Camera(np.eye(3), -eye, np.eye(3), 1, 1)
+
+
+def view_from(
+    points: Float[np.ndarray, "N 3"],
+    depth: Float[np.ndarray, "H W"] | None,
+    camera: Camera | None,
+    background: Background,
+) -> Visibility | None:
+    """What a sensor knows of its view, by its depth image or by its cloud; nothing
+    without a camera where it stood."""
+    if camera is None:
+        return None
+    if depth is not None:
+        return view_of_depth(depth, depth > 0, camera)
+    return view_of_cloud(points, np.asarray(camera.position), background)
+
+
+class FrameEnveloper(FrameObserver):
+    """Makes envelopes of frames and of single scans, all in the same way.
+
+    ``completer`` is a `prism_jax.Completer`, ``margin`` the q of a calibration for the
+    ``method``, in scales of the points' own errors where a ``floor`` is given. What was
+    measured through is free; of clouds, only where their sensor's place is told, by a
+    camera or by ``eye``. ``asked`` are points to tell the distances of. The grid fills
+    the bounds; without these it goes around each scan. The rest is as for
+    `FrameObserver`.
+    """
+
+    def __init__(
+        self,
+        completer: Any,
+        method: Method,
+        margin: float,
+        *,
+        floor: float | None = None,
+        voxel: float = VOXEL,
+        carving: Carving = Carving(),
+        eye: Float[np.ndarray, "3"] | None = None,
+        asked: Float[np.ndarray, "Q 3"] | None = None,
+        **observed: Any,
+    ):
+        super().__init__(robot_margin=method.robot_margin, **observed)
+        self.method = method
+        self.margin = margin
+        self.floor = floor
+        self.voxel = voxel
+        self.carving = carving
+        self.eye = eye
+        self.asked = asked
+        self.completer = completer
+
+    def complete(self, frame: Frame) -> MadeEnvelope:
+        """The envelope of a frame. One that has too little raises InputError."""
+        start = time.perf_counter()
+        points, robot, up, _ = self.observe(frame)
+        camera = standing(frame.depth, frame.camera, self.eye)
+        scan = Scanned(
+            points=points,
+            everything=frame.points,
+            view=view_from(frame.points, frame.depth, camera, self.method.background),
+            camera=camera,
+            named=frame.camera,
+            up=up,
+            robot=None if self.robot is None else robot,
+        )
+        observed = time.perf_counter() - start
+        made = self.make(scan)
+        seconds = {"observe": observed, **made.seconds}
+        return dataclasses.replace(made, seconds=seconds, timestamp=frame.timestamp)
+
+    def make(self, scan: Scanned) -> MadeEnvelope:
+        """The scan completed, the voxels around it, and their margin."""
+        start = time.perf_counter()
+        known = scan.robot, scan.everything
+        seen = see(
+            self.completer, scan.points, scan.camera, self.method, scan.up, *known
+        )
+        completed = time.perf_counter()
+        surfaces = seen.surfaces(self.floor)
+        if self.bounds is not None:
+            grid = Grid.over(self.bounds.lower, self.bounds.upper, self.voxel)
+        else:
+            held = np.concatenate([scan.points, seen.predicted, seen.robot])
+            reach = surfaces.reach(self.margin) + AROUND * self.voxel
+            grid = Grid.over(held.min(0) - reach, held.max(0) + reach, self.voxel)
+        free = np.zeros(grid.shape, bool)
+        if scan.view is not None:
+            free = carve(grid, scan.view, self.carving)
+        own = of_robot(scan.everything, seen.robot, self.method.robot_margin)
+        measured = scan.everything[~own]
+        state = label(grid, free, measured, seen.predicted, seen.robot)
+        envelope = Envelope(grid, state, surfaces, self.margin)
+        query = None
+        if self.asked is not None:
+            query = self.asked, envelope.query(self.asked)
+        envelope.taken  # noqa: B018  (kept, and part of the time that this takes)
+        done = time.perf_counter()
+        seconds = {"complete": completed - start, "envelope": done - completed}
+        return MadeEnvelope(scan, seen, envelope, query, seconds)

@@ -1,0 +1,105 @@
+"""What frames hold for completing, whatever is made of them."""
+
+import abc
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from prism_jax.envelope.robot import (
+    MARGIN,
+    joints_from_dict,
+    of_robot,
+    robot_surface,
+)
+from prism_jax.geometry.camera import Vector
+from prism_jax.io.clouds import check_cloud
+from prism_jax.io.errors import InputError
+from prism_jax.io.scan import Bounds, in_own_axes, parted
+from prism_jax.io.streams.frame import Frame
+from prism_jax.preprocessing.segmentation.support import find_up
+from prism_jax.robots.urdf import Linkage
+
+
+class Observed(NamedTuple):
+    """What a frame holds for completing.
+
+    `points` are measured inside the bounds and not the robot's. `robot` are points on
+    the surface of a robot that is known, of which there are else none. `around` is what
+    was measured besides, if bounds or a known robot set anything apart.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    robot: Float[np.ndarray, "R 3"]
+    up: str | Vector
+    around: Float[np.ndarray, "S 3"] | None
+
+
+class FrameObserver(abc.ABC):
+    """Frames of one sensor as scans, whatever is made of each.
+
+    ``bounds`` crop each frame first. Without an ``up`` it is -y for a depth image in
+    its camera's axes and else z; "auto" looks for it in the first frame and keeps it.
+    Of a ``robot`` that is known, points within ``robot_margin`` of where the frame's
+    joints put it are cut out.
+    """
+
+    def __init__(
+        self,
+        *,
+        bounds: Bounds | None = None,
+        up: str | Vector | None = None,
+        robot: Linkage | None = None,
+        robot_margin: float = MARGIN,
+    ):
+        self.bounds = bounds
+        self.up = up
+        self.robot = robot
+        self.robot_margin = robot_margin
+
+    @abc.abstractmethod
+    def complete(self, frame: Frame) -> Any:
+        """What is made of a frame. One that has too little raises InputError."""
+
+    def warm_up(self, frame: Frame) -> Any:
+        """The same of a first frame, for what it compiles."""
+        return self.complete(frame)
+
+    def observe(self, frame: Frame) -> Observed:
+        """The frame's points, those of its robot apart; InputError if it has none, or
+        if its joints are missing."""
+        points, around = frame.points, None
+        if len(points):
+            points, around = parted(points, self.bounds, "the frame")
+        check_cloud(points, "the frame")
+        robot = self._surface(frame)
+        own = of_robot(points, robot, self.robot_margin)
+        if self.robot is not None:
+            # Seen or not: what is told must not depend on it, or more is compiled.
+            apart = [points[own]] if around is None else [around, points[own]]
+            around = np.concatenate(apart)
+        points = points[~own]
+        return Observed(points, robot, self._up(frame, points), around)
+
+    def _surface(self, frame: Frame) -> Float[np.ndarray, "R 3"]:
+        if self.robot is None:
+            return np.zeros((0, 3))
+        if frame.joints is None:
+            remedy = "record joint states, or give them with --joints"
+            raise InputError("the frame", "has no joint positions", remedy)
+        return robot_surface(self.robot, *joints_from_dict(frame.joints))
+
+    def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
+        if self.up is None:
+            camera = None if frame.depth is None else frame.camera
+            return "-y" if camera is not None and in_own_axes(camera) else "z"
+        if isinstance(self.up, str) and self.up == "auto":
+            rotation = None if frame.camera is None else frame.camera.rotation
+            self.up = find_up(points, eye_of(frame), rotation).vector
+        return self.up
+
+
+def eye_of(frame: Frame) -> Float[np.ndarray, "3"]:
+    """Where the frame's sensor stood."""
+    camera = frame.camera
+    return np.zeros(3) if camera is None else np.asarray(camera.position, np.float64)

@@ -1,0 +1,1 @@
+"""How far a completion, and each of its points, can be trusted."""

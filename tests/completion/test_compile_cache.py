@@ -1,0 +1,136 @@
+"""Traces on disk: read where they fit, made anew where they do not."""
+
+import contextlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.completion import compile_cache as trace_cache
+from prism_jax.completion.compile_cache import compile_cached, sealed
+
+ARGUMENTS = ({"a": jnp.arange(3.0)}, jnp.float32(2))
+
+
+class Counted:
+    """A function that counts how often it is traced."""
+
+    def __init__(self):
+        self.count = 0
+
+    def __call__(self, tree, factor):
+        self.count += 1
+        return {"b": factor * tree["a"]}
+
+
+@pytest.fixture
+def fn():
+    return Counted()
+
+
+def run(fn, folder, arguments=ARGUMENTS, about="here"):
+    return compile_cached(fn, arguments, folder, about)(*arguments)["b"]
+
+
+def files(folder):
+    return sorted(folder.glob("*.jaxexport"))
+
+
+def test_the_second_time_it_is_not_traced(fn, tmp_path):
+    for _ in range(2):
+        np.testing.assert_array_equal(run(fn, tmp_path / "new"), [0, 2, 4])
+    assert fn.count == 1
+    assert len(files(tmp_path / "new")) == 1
+
+
+@pytest.mark.parametrize(
+    "change", ["about", "shape", "dtype", "version", "precision", "source"]
+)
+def test_another_function_has_another_trace(fn, tmp_path, change, monkeypatch):
+    run(fn, tmp_path)
+    arguments, about, stack = ARGUMENTS, "here", contextlib.ExitStack()
+    if change == "about":
+        about = "there"
+    elif change == "shape":
+        arguments = ({"a": jnp.arange(4.0)}, jnp.float32(2))
+    elif change == "dtype":
+        arguments = ({"a": jnp.arange(3)}, jnp.float32(2))
+    elif change == "version":
+        monkeypatch.setattr(jax, "__version__", "0")
+    elif change == "precision":
+        stack.enter_context(jax.default_matmul_precision("bfloat16"))
+    else:
+        monkeypatch.setattr(trace_cache, "__file__", str(tmp_path / "trace_cache.py"))
+    with stack:
+        run(fn, tmp_path, arguments, about)
+    assert fn.count == 2
+    assert len(files(tmp_path)) == 2
+
+
+def exported(fn, *arguments):
+    return bytes(jax.export.export(jax.jit(fn))(*arguments).serialize())
+
+
+def flipped(content):
+    """The first place of many where a changed bit is not noticed by JAX."""
+    for place in range(40, len(content), 7):
+        changed = bytearray(content)
+        changed[place] ^= 1
+        with contextlib.suppress(Exception):
+            jax.export.deserialize(changed[32:])
+            return bytes(changed)
+    raise AssertionError("every bit is noticed")
+
+
+FAULTS = {
+    "empty": lambda name, kept: b"",
+    "nonsense": lambda name, kept: b"nonsense",
+    "cut": lambda name, kept: kept[: len(kept) // 2],
+    "a bit flipped that JAX does not notice": lambda name, kept: flipped(kept),
+    "nonsense with its digest": lambda name, kept: sealed(name, b"nonsense"),
+    "a trace without its digest": lambda name, kept: kept[32:],
+    "the trace of another name": lambda name, kept: sealed("other", kept[32:]),
+    "other arguments": lambda name, kept: sealed(
+        name, exported(jnp.sin, jnp.zeros((3, 3)))
+    ),
+    "a function that cannot be lowered": lambda name, kept: sealed(
+        name, kept[32:].replace(b"ML\xefR", b"ML\xef?")
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_trace_that_fails_is_removed_and_made_anew(fn, tmp_path, fault):
+    run(fn, tmp_path)
+    (file,) = files(tmp_path)
+    whole = file.read_bytes()
+    broken = FAULTS[fault](file.stem, whole)
+    assert broken != whole
+    file.write_bytes(broken)
+    np.testing.assert_array_equal(run(fn, tmp_path), [0, 2, 4])
+    assert fn.count == 2
+    assert files(tmp_path) == [file]
+    assert file.read_bytes() != broken
+    np.testing.assert_array_equal(run(fn, tmp_path), [0, 2, 4])
+    assert fn.count == 2
+
+
+def test_a_fault_of_the_function_itself_is_told(tmp_path):
+    def fail(tree, factor):
+        raise ZeroDivisionError("its own")
+
+    with pytest.raises(ZeroDivisionError, match="its own"):
+        run(fail, tmp_path)
+    assert files(tmp_path) == []
+
+
+def test_what_cannot_be_written_is_not_kept(fn, tmp_path):
+    (tmp_path / "file").touch()
+    np.testing.assert_array_equal(run(fn, tmp_path / "file" / "folder"), [0, 2, 4])
+
+
+def test_the_oldest_give_way(fn, tmp_path):
+    for i in range(trace_cache.MAX_TRACES + 3):
+        run(fn, tmp_path, about=i)
+    assert len(files(tmp_path)) == trace_cache.MAX_TRACES

@@ -1,0 +1,82 @@
+"""What is exported runs without prism_jax, and gives what prism_jax gives."""
+
+import pathlib
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+from prism_jax.completion.export import export_adapt
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
+
+PROGRAM = pathlib.Path(__file__).parents[1] / "experiments" / "run_exported.py"
+BATCH = 2
+
+
+@pytest.fixture(scope="module")
+def scans(minimal):
+    count = minimal.model.backbone.num_points
+    scans = np.random.default_rng(0).uniform([4, -1, -1], [5, 1, 1], (BATCH, count, 3))
+    return scans.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def exported(minimal, minimal_variables, tmp_path_factory):
+    path = tmp_path_factory.mktemp("export") / "adapt.jaxexport"
+    path.write_bytes(export_adapt(minimal.config, minimal_variables, BATCH))
+    return path
+
+
+def test_it_is_portable(exported):
+    function = jax.export.deserialize(bytearray(exported.read_bytes()))
+    assert function.platforms == ("cpu", "cuda")
+    assert [aval.shape for aval in function.in_avals][1] == (BATCH, 3)
+    results = function.out_tree.unflatten(function.out_avals)
+    assert set(results) == {"points", "accepted", "objective", "left_out"}
+    assert results["left_out"].shape == (BATCH,)
+
+
+@pytest.mark.slow
+def test_a_clean_process_gets_the_same(exported, scans, minimal, minimal_variables):
+    from prism_jax import make_adapt
+
+    folder = exported.parent
+    np.save(folder / "scans.npy", scans)
+    files = [exported, folder / "scans.npy", folder / "completed.npy"]
+    program = PROGRAM.read_text() + "\nassert 'prism_jax' not in sys.modules\n"
+    # -I: neither the working directory nor the environment adds to the path.
+    command = [sys.executable, "-I", "-c", program, *map(str, files)]
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    completed = np.load(files[-1])
+
+    def one(scan):
+        workspace = Workspace.from_points(scan, minimal.model.margin)
+        partial = workspace.to_unit(scan)
+        camera = Camera.framing(partial, workspace.to_unit(np.zeros(3, np.float32)))
+        done = make_adapt(minimal.config)(minimal_variables, partial, camera)
+        return workspace.from_unit(done.points), done.accepted
+
+    expected, accepted = jax.jit(jax.vmap(one))(scans)
+    np.testing.assert_allclose(completed, expected, rtol=1e-5, atol=1e-5)
+    assert ended.stdout.split()[1:] == [str(value) for value in accepted]
+
+
+@pytest.mark.parametrize("shape", [(3, 64), (64, 3), (BATCH, 65, 3), (BATCH, 3, 64)])
+def test_scans_of_another_shape_are_refused(exported, shape, tmp_path):
+    np.save(tmp_path / "scans.npy", np.zeros(shape, np.float32))
+    command = [sys.executable, PROGRAM, exported, tmp_path / "scans.npy", "out.npy"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.returncode == 1
+    wanted = f"has the shape {shape}; it must be (2, 64, 3)"
+    assert ended.stderr.strip() == f"{tmp_path}/scans.npy: {wanted}"
+
+
+def test_the_program_is_as_short_as_promised():
+    body = PROGRAM.read_text().split('"""', 2)[2].strip().splitlines()
+    assert len(body) <= 20
+    imported = {line.split()[1] for line in body if line.startswith("import ")}
+    assert imported == {"pathlib", "sys", "jax", "jax.export", "numpy"}

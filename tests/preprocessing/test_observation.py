@@ -1,0 +1,241 @@
+"""Points and a sensor to what the network reads, and back."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.sampling import resample
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.errors import InputError
+from prism_jax.preprocessing.observation import FAR_ORIGIN, UNKNOWN_EYE, observe, padded
+from prism_jax.preprocessing.upright import UP_AXES, upright
+
+EYE = np.array([3.0, -2.0, 1.5])
+FAR = np.array([4e5, 5e6, 100.0])
+
+
+def cloud(count=300, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1, 1, (count, 3)) * [0.75, 0.5, 0.4] + [0.1, 0, 0]
+
+
+def test_the_cube_around_the_points_is_the_workspace():
+    points = cloud()
+    seen = observe(points, EYE, margin=1.4)
+    expected = Workspace.from_points(points, 1.4)
+    assert np.array_equal(seen.partial, expected.to_unit(points))
+    assert np.array_equal(seen.eye, expected.to_unit(EYE))
+    assert seen.inside.all() and seen.sensor_known
+    assert np.abs(seen.partial).max() == pytest.approx(1 / 1.4)
+    np.testing.assert_allclose(seen.workspace.from_unit(seen.partial), points)
+
+
+def test_far_from_the_origin_is_as_near_it():
+    """In double precision, whatever the points are stored in."""
+    near, far = observe(cloud(), EYE), observe(cloud() + FAR, EYE + FAR)
+    np.testing.assert_allclose(far.partial, near.partial, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(far.eye, near.eye, rtol=0, atol=1e-8)
+    assert far.partial.dtype == far.eye.dtype == np.float64
+    single = observe(cloud().astype(np.float32), EYE)
+    assert single.partial.dtype == np.float64
+
+
+def test_the_view_is_at_the_eye_and_filled_by_the_partial():
+    seen = observe(cloud(), EYE)
+    np.testing.assert_allclose(seen.camera.position, seen.eye, atol=1e-5)
+    pixels, depth = seen.camera.project(jnp.asarray(seen.partial, jnp.float32))
+    assert (depth > 0).all()
+    assert np.abs(np.asarray(pixels) - 63.5).max() == pytest.approx(64 / 1.3, rel=1e-3)
+    assert seen.camera.rotation.dtype == jnp.float32
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_up_is_up_in_the_workspace_and_undone_on_the_way_back(up):
+    top = (-1.0 if up[0] == "-" else 1.0) * np.eye(3)["xyz".index(up[-1])]
+    points = cloud() + FAR
+    seen = observe(points, FAR + 3 * top, up=up)
+    assert np.array_equal(seen.eye.round(6).argmax(), 2)
+    flat = seen.partial - seen.partial.mean(0)
+    heights = (points - points.mean(0)) @ top
+    half_extent = seen.workspace.half_extent
+    np.testing.assert_allclose(flat[:, 2] * half_extent, heights, atol=1e-8)
+    back = seen.workspace.from_unit(seen.partial)
+    np.testing.assert_allclose(back, points, rtol=0, atol=1e-8)
+    camera = seen.camera_to_user(seen.camera)
+    np.testing.assert_allclose(camera.position - FAR, 3 * top, atol=1e-5)
+    np.testing.assert_allclose(
+        camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-14
+    )
+    in_user = camera.to_camera(points) / half_extent
+    in_unit = seen.camera.to_camera(seen.partial.astype(np.float32))
+    np.testing.assert_allclose(in_user, in_unit, atol=1e-5)
+    turn = upright(up)
+    assert (turn is None) == (up == "z")
+    if turn is not None:
+        assert np.array_equal(turn @ top, [0, 0, 1]) and np.linalg.det(turn) == 1
+
+
+def test_an_unknown_axis_is_refused():
+    with pytest.raises(InputError, match="up=north: no such axis; use one of x, y, z"):
+        observe(cloud(), EYE, up="north")
+
+
+def test_a_given_workspace_crops():
+    points = cloud()
+    corner = Workspace(np.array([0.5, 0.2, 0.0]), np.array(0.3))
+    seen = observe(points, EYE, corner)
+    expected = (np.abs(points - corner.center) <= 0.3).all(-1)
+    assert np.array_equal(seen.inside, expected)
+    assert 20 < expected.sum() < 200
+    assert np.array_equal(seen.partial, corner.to_unit(points))
+
+
+def test_a_workspace_that_came_back_is_the_same_again():
+    """With its rotation; as JAX arrays it still works in double precision."""
+    first = observe(cloud() + FAR, EYE + FAR, up="y")
+    again = observe(cloud() + FAR, EYE + FAR, first.workspace)
+    assert np.array_equal(first.partial, again.partial)
+    near = observe(cloud(), EYE, up="y")
+    single = jax.tree.map(jnp.asarray, near.workspace)
+    assert observe(cloud(), EYE, single).partial.dtype == np.float64
+
+
+def test_strays_do_not_decide_the_workspace():
+    points = np.concatenate([cloud(948), cloud(5) + [300, 0, 0]])
+    expected, seen = observe(cloud(948), EYE), observe(points, EYE)
+    assert np.array_equal(seen.inside, np.arange(953) < 948)
+    assert np.array_equal(seen.partial[:948], expected.partial)
+    assert np.array_equal(seen.eye, expected.eye)
+
+
+def test_every_point_that_decides_the_cube_is_inside_it():
+    """With a margin of one, rounding puts some just beyond a face."""
+    for seed in range(20):
+        points = (cloud(seed=seed) + 37).astype(np.float32)
+        assert observe(points, EYE, margin=1.0).inside.all()
+        assert observe(jnp.asarray(points), EYE, margin=1.0).inside.all()
+
+
+@pytest.mark.parametrize("sensor", [None, np.full(3, np.nan), [0.0, np.inf, 0]])
+def test_a_sensor_that_nobody_knows(sensor):
+    seen = observe(cloud(), sensor)
+    assert np.array_equal(seen.eye, UNKNOWN_EYE)
+    assert not seen.sensor_known
+
+
+@pytest.mark.parametrize(
+    ("share", "known"), [(0.0, False), (0.99, False), (1.01, True), (99, True)]
+)
+def test_an_origin_among_the_points_or_far_away_is_no_sensor(share, known):
+    workspace = Workspace(share * np.array([0.5, 0, 0]), np.array(0.5))
+    points = 0.5 * cloud() + workspace.center
+    seen = observe(points, "origin", workspace)
+    assert seen.sensor_known == known
+    assert np.allclose(seen.eye, [-share, 0, 0] if known else UNKNOWN_EYE)
+    given = observe(points, np.zeros(3), workspace)
+    assert given.sensor_known and np.allclose(given.eye, [-share, 0, 0])
+    beyond = observe(points + [FAR_ORIGIN, 0, 0], "origin")
+    assert not beyond.sensor_known
+
+
+@pytest.mark.parametrize("points", [np.ones((1, 3)), np.full((200, 3), 7.0)])
+def test_one_place_is_observed(points):
+    seen = observe(points, EYE)
+    assert np.array_equal(seen.partial, 0 * points)
+    assert seen.workspace.half_extent == 1 and seen.inside.all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(seen.camera))
+
+
+@pytest.mark.parametrize("array", [np.zeros, jnp.zeros])
+def test_an_empty_cloud_is_refused(array):
+    with pytest.raises(ValueError, match="empty cloud"):
+        observe(array((0, 3)), EYE)
+
+
+def test_jit_and_vmap_agree_with_numpy():
+    """Strays, a sensor that is unknown and another axis among them."""
+    clouds = np.stack([cloud(seed=seed) for seed in range(3)]).astype(np.float32)
+    clouds[1, 0] = 300
+    eyes = np.stack([EYE, EYE, np.full(3, np.nan)]).astype(np.float32)
+
+    @jax.jit
+    @jax.vmap
+    def traced(points, eye):
+        seen = observe(points, eye, margin=1.4, up="-y").filled()
+        return seen, seen.camera
+
+    found, cameras = traced(clouds, eyes)
+    for i in range(3):
+        seen = observe(clouds[i], eyes[i], margin=1.4, up="-y")
+        assert np.array_equal(found.inside[i], seen.inside)
+        inside = seen.inside
+        np.testing.assert_allclose(
+            found.partial[i][inside], seen.partial[inside], atol=1e-6
+        )
+        np.testing.assert_allclose(found.eye[i], seen.eye, atol=1e-5)
+        assert found.sensor_known[i] == seen.sensor_known
+        np.testing.assert_allclose(
+            found.workspace.half_extent[i], seen.workspace.half_extent, rtol=1e-6
+        )
+        camera = seen.filled().camera
+        np.testing.assert_allclose(cameras.rotation[i], camera.rotation, atol=1e-5)
+    assert [int(n) for n in (~found.inside).sum(-1)] == [0, 1, 0]
+    # A copy of the first point inside, and inside itself.
+    assert np.array_equal(found.partial[1, 0], found.partial[1, 1])
+    at_origin = jax.jit(lambda points: observe(points, "origin").sensor_known)
+    assert at_origin(clouds[0] + 5) and not at_origin(clouds[0])
+
+
+def test_gradients_reach_points_and_sensor(x64):
+    def total(points, eye):
+        seen = observe(points, eye, up="y")
+        return (seen.partial**2).sum() + (seen.eye * jnp.arange(3.0)).sum()
+
+    points, eye = jnp.asarray(cloud(20)), jnp.asarray(EYE)
+    for number, gradient in enumerate(jax.grad(total, (0, 1))(points, eye)):
+        step = 1e-6 * np.random.default_rng(1).normal(size=gradient.shape)
+        ends = [[points, eye], [points, eye]]
+        ends[0][number], ends[1][number] = (ends[0][number] + s for s in (step, -step))
+        difference = total(*ends[0]) - total(*ends[1])
+        np.testing.assert_allclose((gradient * step).sum() * 2, difference, rtol=1e-5)
+
+
+def test_sampled_takes_farthest_points_that_are_inside():
+    points = np.concatenate([cloud(300), cloud(2) + 300])
+    for count in (64, 300, 400):
+        few = observe(points, EYE).sampled(count)
+        assert few.partial.shape == (count, 3) and few.partial.dtype == np.float32
+        assert few.inside.shape == (count,) and np.abs(few.partial).max() < 1
+        assert len(np.unique(few.partial, axis=0)) == min(count, 300)
+    many = observe(points, EYE).sampled(128).partial
+    few = observe(points, EYE).sampled(64).partial
+    assert np.array_equal(many[:64], few)
+
+
+def test_padding_copies_the_first_point():
+    points = cloud(100)
+    assert padded(points).shape == (128, 3)
+    assert np.array_equal(padded(points)[:100], points)
+    assert (padded(points)[100:] == points[0]).all()
+    assert np.array_equal(padded(points[:64]), points[:64])
+
+
+def test_a_camera_goes_to_the_workspace_and_back():
+    seen = observe(cloud(), EYE, up="x")
+    camera = Camera.look_at(EYE, (0.1, 0, 0), height=16, width=16)
+    back = seen.camera_to_user(seen.workspace.camera_to_unit(camera))
+    np.testing.assert_allclose(back.rotation, camera.rotation, atol=1e-6)
+    np.testing.assert_allclose(back.position, EYE, atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 5, 63, 64, 65, 100, 128, 129])
+def test_any_number_of_points_is_sampled_as_by_itself(count):
+    """Copies that fill up a fixed shape change nothing, other points' twins neither."""
+    points = np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32)
+    points[count // 2 :] = points[: count - count // 2]
+    seen = observe(points, np.full(3, 9.0), Workspace(np.zeros(3), 8.0))
+    read = seen.sampled(64)
+    wanted = resample(jnp.asarray(seen.partial, np.float32), 64)
+    np.testing.assert_array_equal(np.asarray(read.partial), np.asarray(wanted))

@@ -1,0 +1,76 @@
+"""Which direction is up, and the turn that takes it to z."""
+
+import numpy as np
+import pytest
+
+from prism_jax.io.errors import InputError
+from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.upright import UP_AXES, parse_up, upright
+
+AXES = {
+    f"{sign}{axis}": float(f"{sign}1") * np.eye(3)["xyz".index(axis)]
+    for sign in ("", "-")
+    for axis in "xyz"
+}
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_a_vector_along_an_axis_is_the_axis(up):
+    named = np.eye(3) if up == "z" else upright(up)
+    np.testing.assert_allclose(named @ AXES[up], [0, 0, 1])
+    np.testing.assert_allclose(upright(2.5 * AXES[up]), named, atol=0)
+
+
+def test_any_vector_is_taken_to_z_by_the_smallest_turn():
+    rng = np.random.default_rng(0)
+    for up in [*rng.normal(size=(50, 3)), [1e-9, 0, -1], [0, -1e-200, 3], [1e200] * 3]:
+        turn = upright(up)
+        unit = np.asarray(up) / np.abs(up).max()
+        unit /= np.linalg.norm(unit)
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-15)
+        np.testing.assert_allclose(turn @ unit, [0, 0, 1], atol=1e-15)
+        assert np.linalg.det(turn) > 0
+        # The angle of the turn is that between the vector and z.
+        assert np.trace(turn) == pytest.approx(1 + 2 * unit[2], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "up", [[0, 0, 0], [0, np.nan, 1], [np.inf, 0, 0], [1, 2], np.zeros(3), "w", "auto"]
+)
+def test_what_is_no_direction(up):
+    with pytest.raises(InputError, match="use one of x, y, z"):
+        upright(up)
+
+
+def test_texts():
+    assert parse_up("-y") == "-y"
+    assert parse_up("auto") == "auto"
+    np.testing.assert_allclose(parse_up("0,-8, 6e0"), [0, -0.8, 0.6])
+    np.testing.assert_allclose(parse_up("-1,0,0"), [-1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("up", "cannot read 'up'"),
+        ("", "cannot read ''"),
+        ("1,2", "is not three numbers"),
+        ("1,2,3,4", "not three numbers"),
+        ("0,0,0", "points nowhere"),
+        ("0,nan,1", "points nowhere"),
+        ("1 2 3", "cannot read"),
+    ],
+)
+def test_texts_that_say_nothing(text, fault):
+    with pytest.raises(InputError, match=f"^--up: .*{fault}.*; use one of .*auto$"):
+        parse_up(text)
+
+
+def test_a_tilted_cloud_is_observed_as_the_upright_one():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (200, 3)) * [0.5, 0.3, 0.4] + 5
+    up = np.array([0.3, -0.8, 0.5])
+    expected = observe(points, np.zeros(3))
+    turned = observe(points @ upright(up), np.zeros(3), up=up)
+    np.testing.assert_allclose(turned.partial, expected.partial, atol=1e-12)
+    np.testing.assert_allclose(turned.eye, expected.eye, atol=1e-12)

@@ -1,0 +1,159 @@
+"""What the figures show."""
+
+import numpy as np
+import pytest
+
+from prism_jax.reporting.figures import (
+    MARKER_SIZES,
+    MAX_SHOWN_POINTS,
+    PAGE_ASPECT,
+    Cloud,
+    Panel,
+    clouds_figure,
+    depth_figure,
+    losses_figure,
+    marker_size,
+    subsample,
+)
+
+POINTS = np.random.default_rng(0).normal(size=(20_000, 3))
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def test_subsample_is_even_ordered_and_the_same_every_time():
+    rows = np.arange(1000)
+    chosen = subsample(rows, 100)
+    assert len(chosen) == 100
+    assert (np.diff(chosen) > 0).all()
+    assert 400 < np.median(chosen) < 600
+    np.testing.assert_array_equal(chosen, subsample(rows, 100))
+    assert subsample(rows, 1000) is rows
+
+
+def test_panels_share_one_scale_and_one_view():
+    small, large = Cloud("a", POINTS[:50] / 10, "red"), Cloud("b", POINTS, "blue")
+    panels = [Panel("A", [small]), Panel("B", [small, large])]
+    figure = clouds_figure(panels, np.array([1.0, 0, 0]), UP)
+    first, second = figure.layout.scene, figure.layout.scene2
+    for axis in "xyz":
+        span = first[f"{axis}axis"].range
+        assert span == second[f"{axis}axis"].range
+        column = POINTS[:, "xyz".index(axis)]
+        assert span[0] <= column.min() <= column.max() <= span[1]
+    sides = [np.ptp(first[f"{axis}axis"].range) for axis in "xyz"]
+    ratio = [first.aspectratio[axis] for axis in "xyz"]
+    np.testing.assert_allclose(np.divide(ratio, sides), ratio[0] / sides[0])
+    assert first.camera == second.camera
+
+
+def test_axes_span_the_bounds_that_are_given():
+    strays = np.concatenate([POINTS, [[500.0, 0, 0], [0, -900, 0]]])
+    cloud = Cloud("a", strays, "red")
+    bounds = np.array([[-1.0, -2, -3], [1, 2, 3]])
+    figure = clouds_figure([Panel("A", [cloud])], UP[[2, 1, 0]], UP, bounds)
+    for axis, least in zip("xyz", bounds[0], strict=True):
+        span = figure.layout.scene[f"{axis}axis"].range
+        np.testing.assert_allclose(span, [1.06 * least, -1.06 * least])
+
+
+def test_markers_are_as_large_as_the_cloud_is_sparse():
+    """The scale of the unit does not matter."""
+    flat = POINTS * [1, 1, 0]
+    sizes = [marker_size(flat[:count], 6.0) for count in (50, 2000, 20_000)]
+    assert sizes[2] < sizes[1] < sizes[0]
+    assert sizes[0] == MARKER_SIZES[1] and sizes[2] == MARKER_SIZES[0]
+    grid = np.mgrid[:40, :40, :1].reshape(3, -1).T
+    sizes = [marker_size(scale * grid, 100 * scale) for scale in (1e-3, 1.0, 1e3)]
+    np.testing.assert_allclose(sizes, sizes[0])
+    assert MARKER_SIZES[0] < sizes[0] < MARKER_SIZES[1]
+    for few in (POINTS[:1], POINTS[:0]):
+        assert marker_size(few, 0.0) == MARKER_SIZES[1]
+
+
+@pytest.mark.parametrize("up", [UP, UP[[2, 0, 1]], np.array([0.0, -0.8, -0.6])])
+@pytest.mark.parametrize("sides", [[1, 1, 1], [9, 1, 1], [1, 9, 2], [0, 5, 5]])
+def test_every_box_is_within_the_view(up, sides):
+    """Through the same perspective as Plotly's: 45 degrees from top to bottom."""
+    bounds = np.array([[0.0, 0, 0], sides])
+    toward = np.array([0.6, -0.64, 0.48])
+    toward = toward - (toward @ up - 0.3) * up
+    toward /= np.linalg.norm(toward)
+    cloud = Cloud("a", bounds, "red")
+    scene = clouds_figure([Panel("A", [cloud])] * 2, toward, up).layout.scene
+    eye, center = (
+        [v[a] for a in "xyz"] for v in (scene.camera.eye, scene.camera.center)
+    )
+    ratio = np.array([scene.aspectratio[axis] for axis in "xyz"])
+    corners = ratio * (np.mgrid[:2, :2, :2].reshape(3, -1).T - 0.5)
+    forward = np.subtract(center, eye) / np.linalg.norm(np.subtract(center, eye))
+    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    along = (corners - eye) @ forward
+    assert (along > 0).all()
+    high = (corners - eye) @ np.cross(right, forward) / along / np.tan(np.pi / 8)
+    wide = (corners - eye) @ right / along / np.tan(np.pi / 8)
+    assert np.abs(high).max() < 1 and np.abs(wide).max() < PAGE_ASPECT / 2
+    assert max(np.abs(high).max(), np.abs(wide).max() / (PAGE_ASPECT / 2)) > 0.6
+
+
+def test_far_from_the_origin_the_axes_say_what_was_taken_off():
+    """In float32 these points would be half a metre apart."""
+    offset = np.array([500_123.0, 5_400_321.0, 12.0])
+    cloud = Cloud("a", POINTS[:50] + offset, "red")
+    figure = clouds_figure([Panel("A", [cloud])], UP[[2, 1, 0]], UP)
+    scene = figure.layout.scene
+    titles = [scene[f"{axis}axis"].title.text for axis in "xyz"]
+    assert titles[2] == "z"
+    for i, axis in enumerate("xy"):
+        name, _, less = titles[i].partition(" - ")
+        assert name == axis
+        shown = np.asarray(figure.data[0][axis], np.float64) + float(
+            less.replace(",", "")
+        )
+        np.testing.assert_allclose(shown, cloud.points[:, i], rtol=0, atol=1e-5)
+        span = scene[f"{axis}axis"].range
+        assert (
+            span[0] <= min(figure.data[0][axis]) <= max(figure.data[0][axis]) <= span[1]
+        )
+    np.testing.assert_array_equal(figure.data[0].z, cloud.points[:, 2].astype("f4"))
+
+
+def test_large_cloud_is_thinned_and_a_small_one_shown_as_it_is():
+    clouds = [Cloud("a", POINTS[:50], "red"), Cloud("b", POINTS, "blue")]
+    figure = clouds_figure([Panel("A", clouds)], UP[[2, 1, 0]], UP)
+    np.testing.assert_array_equal(figure.data[0].x, POINTS[:50, 0].astype(np.float32))
+    assert len(figure.data[1].x) == MAX_SHOWN_POINTS
+
+
+def test_flat_cloud_and_one_point_have_a_box():
+    for points in (POINTS[:9] * [1, 1, 0], POINTS[:1]):
+        figure = clouds_figure([Panel("A", [Cloud("a", points, "red")])], UP, UP)
+        assert np.isfinite(list(figure.layout.scene.zaxis.range)).all()
+
+
+def test_cloud_without_a_point_is_no_error():
+    clouds = [Cloud("a", POINTS[:9], "red"), Cloud("b", POINTS[:0], "blue")]
+    figure = clouds_figure([Panel("A", clouds)], UP, UP)
+    assert len(figure.data[1].x) == 0
+
+
+def test_name_is_in_the_legend_once():
+    cloud = Cloud("observed", POINTS[:9], "red")
+    figure = clouds_figure([Panel("A", [cloud]), Panel("B", [cloud])], UP, UP)
+    assert [trace.showlegend for trace in figure.data] == [True, False]
+
+
+def test_depth_is_missing_outside_the_mask():
+    depth = np.full((4, 5), 2.0, np.float32)
+    mask = np.arange(20).reshape(4, 5) > 7
+    figure = depth_figure(("a", "b"), [depth, depth], [mask, ~mask])
+    np.testing.assert_array_equal(np.isnan(figure.data[0].z), ~mask)
+    np.testing.assert_array_equal(np.isnan(figure.data[1].z), mask)
+    assert figure.data[0].coloraxis == figure.data[1].coloraxis
+
+
+@pytest.mark.parametrize("steps", [1, 4])
+def test_every_loss_has_its_axes(steps):
+    losses = {"objective": [0.5] * steps, "normal": [0.1] * steps}
+    figure = losses_figure(losses)
+    assert [list(trace.y) for trace in figure.data] == list(losses.values())
+    assert len({trace.yaxis for trace in figure.data}) == 2

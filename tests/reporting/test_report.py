@@ -1,0 +1,322 @@
+"""The report: one file, true to result.json, that fetches nothing."""
+
+import dataclasses
+import html.parser
+import itertools
+import json
+import re
+
+import numpy as np
+import pytest
+
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.workspace import Workspace
+from prism_jax.io import Scan
+from prism_jax.reporting import render_report, render_scene_report
+from prism_jax.reporting.confidence import TRUST_COLORS
+from prism_jax.reporting.summary import plain, score, summarize, summarize_scene
+from prism_jax.reporting.view import shown_bounds, viewing_direction
+from prism_jax.uncertainty.confidence import Verdict
+from tests.fake_completer import FakeCompleter
+
+POINTS = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32)
+
+ASKED = {"weights": "small", "up": "z", "bounds": None, "density": 1.0}
+
+LOW = Verdict("low", 0.0321, ("<Few> points: come closer.",), {"num_points": 99.0})
+FAIR = Verdict("fair", 0.01, (), {})
+HIGH = Verdict("high", 0.00123, (), {"strays": 0.5})
+
+
+class Outline(html.parser.HTMLParser):
+    """Tags, what they would fetch, and the text outside scripts and styles."""
+
+    def __init__(self, page: str):
+        super().__init__()
+        self.tags, self.fetched, self.text, self._stack = [], [], "", []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.fetched += [v for k, v in attrs if k in ("src", "href", "srcset", "data")]
+        if tag not in ("meta", "link", "img", "br"):
+            self._stack.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._stack.pop() == tag
+
+    def handle_data(self, data):
+        if self._stack and self._stack[-1] not in ("script", "style"):
+            self.text += data
+
+
+def report(
+    adapt=True, ground_truth=None, points=POINTS, verdict=None, sigma=None, **changes
+):
+    result = FakeCompleter().complete(points, adapt=adapt)
+    sigma = None if sigma is None else np.where(result.observed, 0.0, sigma)
+    result = dataclasses.replace(result, verdict=verdict, sigma=sigma)
+    scan = Scan(points, None, num_not_finite=7, num_outside=11)
+    summary = summarize(result, scan, "scan.ply", **(ASKED | {"adapt": adapt}))
+    summary["seconds"] = dict(result.seconds)
+    if ground_truth is not None:
+        summary["scores"] = score(result, ground_truth)
+        summary["ground_truth"] = {"file": "gt.ply", "points": len(ground_truth)}
+    summary |= changes
+    return render_report(result, plain(summary), ground_truth), summary
+
+
+def test_is_one_file_that_fetches_nothing():
+    page, _ = report(ground_truth=POINTS[:100])
+    outline = Outline(page)
+    assert outline.fetched == []
+    assert not {"link", "img", "iframe", "object"} & set(outline.tags)
+    assert "@import" not in page.split("</style>")[0]
+    assert outline.tags.count("script") >= 5
+
+
+def test_says_what_result_json_says():
+    page, summary = report(ground_truth=POINTS[:100])
+    text = Outline(page).text
+    assert "300 points observed, 150 added, weights small" in text
+    assert "compile 12.50, run 0.25" in text
+    assert "1 strays, 2 in front of what was measured, 3 where points were" in text
+    assert "318, of them 7 not finite, 11 outside the workspace and 0 left out" in text
+    assert "normal 0.5, denoise 0.25, align 0.25" in text
+    assert "the objective went from 1 to 0.5 in 3 steps" in text
+    strays = summary["scores"]["strays"]
+    assert f"{100 * strays['added']:.3g} % of the added" in text
+    clouds = summary["scores"]["clouds"]
+    assert list(clouds) == ["partial", "network", "completed"]
+    for name, metrics in clouds.items():
+        assert f"{metrics['f_score']:.4g}" in text
+        assert name in text
+
+
+@pytest.mark.parametrize(
+    ("verdict", "headline", "said"),
+    [
+        (LOW, "Low trust", "expected to lie 0.0321 apart"),
+        (LOW, "Low trust", "<Few> points: come closer."),
+        (FAIR, "Fair trust", "expected to lie 0.01 apart"),
+        (HIGH, "High trust", "Nothing in the evidence speaks against it."),
+        (HIGH, "High trust", "strays 0.5"),
+        (HIGH._replace(expected_error=np.inf), "High trust", "not a finite number"),
+        (None, "No verdict", "nothing vouches for this completion"),
+    ],
+)
+def test_opens_with_the_verdict(verdict, headline, said):
+    text = Outline(report(verdict=verdict)[0]).text
+    assert text.split("scan.ply completed by prism_jax")[1].strip().startswith(headline)
+    assert said in text
+
+
+def test_expected_error_is_told_in_the_longest_side_of_the_scan():
+    points = POINTS * [1, 1, 10]
+    error = 0.05 * np.ptp(points[:, 2])
+    page, _ = report(points=points, verdict=HIGH._replace(expected_error=error))
+    assert "5 % of the scan's longest side" in Outline(page).text
+
+
+def test_trust_differs_in_lightness_too():
+    """As the sum of squares of red, green and blue, weighted as the eye does."""
+    lightness = sorted(
+        0.21 * red**2 + 0.72 * green**2 + 0.07 * blue**2
+        for red, green, blue in (
+            bytes.fromhex(TRUST_COLORS[trust][1:]) for trust in ("low", "fair", "high")
+        )
+    )
+    assert all(b > 1.2 * a for a, b in itertools.pairwise(lightness))
+
+
+@pytest.mark.parametrize(
+    ("adapt", "changes", "said"),
+    [
+        (True, {"accepted": True}, "accepted: the objective went from 1 to 0.5 in 3"),
+        (True, {"accepted": True}, "does not say that the completion is better"),
+        (True, {"accepted": False}, "not accepted: the objective went from 1 to 0.5"),
+        (False, {}, "without test-time adaptation, which nobody asked for"),
+        (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
+        (False, {"losses": {}}, "without test-time adaptation"),
+        (True, {"losses": {"objective": [1.0]}}, "these weights take no step"),
+    ],
+)
+def test_details_say_what_became_of_the_adaptation(adapt, changes, said):
+    text = Outline(report(adapt, **changes)[0]).text
+    assert said in text.split("Adaptation")[1]
+
+
+def test_ground_truth_is_shown_only_if_given():
+    assert "Ground truth: " not in report()[0]
+    assert "Scores against" not in Outline(report()[0]).text
+    assert "Scores against" in Outline(report(ground_truth=POINTS[:9])[0]).text
+    assert "Ground truth: 100 points" in report(ground_truth=POINTS[:100])[0]
+
+
+def test_names_are_escaped():
+    name = "</title><script>alert(1)</script>&.ply"
+    page, _ = report(
+        input={
+            "file": name,
+            "points_read": 1,
+            "points_not_finite": 0,
+            "points_outside": 0,
+            "points_left_out": 0,
+        },
+        weights="<b>",
+    )
+    assert "<script>alert" not in page
+    text = Outline(page).text
+    assert text.count(name) == 3
+    assert "weights <b>." in text
+
+
+def test_large_clouds_leave_it_under_6_megabytes():
+    points = np.random.default_rng(0).normal(size=(60_000, 3))
+    page, _ = report(points=points, ground_truth=points)
+    assert len(page.encode()) < 6e6
+    assert "Partial scan: 60,000 points" in page
+
+
+def test_viewing_direction_is_near_the_cameras_own():
+    camera = Camera.look_at((3, -2, 1), (0, 0, 0))
+    toward_viewer = viewing_direction(camera)
+    np.testing.assert_allclose(np.linalg.norm(toward_viewer), 1, atol=1e-6)
+    toward_camera = np.array([3, -2, 1]) / np.sqrt(14)
+    angle = np.rad2deg(np.arccos(toward_viewer @ toward_camera))
+    assert 30 < angle < 45
+    assert toward_viewer[2] > toward_camera[2]
+
+
+def test_viewing_direction_rises_from_level_whatever_is_up():
+    """Also for a camera that looks straight down."""
+    for up in np.array([[0, 1.0, 0], [0, -0.8, -0.6], [1.0, 0, 0]]):
+        for eye in (up, [0.3, 0.4, 0.5]):
+            camera = Camera.look_at(eye, (0, 0, 0), up=(0.5, 0.1, 0.7))
+            toward = viewing_direction(camera, up, rise_degrees=30.0)
+            np.testing.assert_allclose(toward @ up, 0.5, atol=1e-6)
+
+
+def test_strays_do_not_make_an_object_small():
+    measured = np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)) * [1, 1, 0]
+    added = np.random.default_rng(1).uniform(-0.5, 0.5, (1000, 3))
+    few = np.concatenate([added, [[0, 0, 0.9], [-0.9, 0, 0]]])
+    lower, upper = shown_bounds(measured, few, Workspace.unit())
+    assert (lower > -0.51).all() and (upper < 0.51).all()
+    assert lower[2] < -0.48 and upper[2] > 0.48
+    many = np.concatenate([added, np.full((500, 3), 23.0)])
+    assert shown_bounds(measured, many, Workspace.unit())[1].tolist() == [1, 1, 1]
+    nothing = shown_bounds(measured, measured[:0], Workspace.unit())
+    np.testing.assert_array_equal(nothing, [measured.min(0), measured.max(0)])
+
+
+def test_added_points_can_be_coloured_by_their_errors():
+    """Up to the bulk of them; the measured ones are grey."""
+    page, summary = report(sigma=np.linspace(0.1, 0.3, 450), ground_truth=POINTS[:9])
+    assert page.count('data-colors="error"') == 1
+    assert '"cmax":0.29' in page.replace(" ", "")
+    figure = page.split("Plotly.newPlot")[1]
+    numbers = re.findall(r'"error":\[([^\]]*)\]', figure)
+    assert [len(found.split(",")) for found in numbers] == [150]
+    assert (
+        0.2 < float(numbers[0].split(",")[0]) < float(numbers[0].split(",")[-1]) <= 0.3
+    )
+    told = summary["sigma"]
+    assert 0.2 < told["q05"] < told["median"] < told["q95"] < 0.3
+    said = f"{told['median']:.4g} at the median of the added points"
+    assert said in Outline(page).text
+
+
+def test_without_errors_there_is_nothing_to_colour_by():
+    page, summary = report()
+    assert 'data-colors="' not in page and summary["sigma"] is None
+    assert "not told" in Outline(page).text
+
+
+def scene_report(verdicts, stray=None, name="<scan>.ply", error=None):
+    """Of objects in a row on a plane, one for each verdict."""
+    points = np.random.default_rng(0).uniform(1, 2, (100 * len(verdicts) + 50, 3))
+    points[:, 0] += 10 * (np.arange(len(points)) // 100)
+    points[-50:] *= [0, 1, -1]
+    completer = FakeCompleter()
+    taken_apart = completer.split_scene(points)
+    scene = completer.complete_scene(points, scene=taken_apart, adapt=True)
+    objects = [
+        dataclasses.replace(
+            one,
+            verdict=verdict,
+            sigma=None if error is None else np.where(one.observed, 0.0, error),
+        )
+        for one, verdict in zip(scene.objects, verdicts, strict=True)
+    ]
+    sigma = None if error is None else np.where(scene.observed, 0.0, error)
+    scene = dataclasses.replace(scene, objects=tuple(objects), sigma=sigma)
+    if stray is not None:
+        scene.points[-1] = scene.objects[-1].points[-1] = stray
+    asked = ASKED | {"adapt": True}
+    summary = summarize_scene(scene, Scan(points, None, 0, 0), name, **asked)
+    return render_scene_report(scene, plain(summary | {"seconds": {"run": 1.0}}))
+
+
+def boxes_of(page):
+    return json.loads(re.search(r"const boxes = (.*);", page)[1])
+
+
+def test_a_scene_opens_with_how_many_objects_of_which_trust():
+    page = scene_report([HIGH, LOW, HIGH, FAIR])
+    outline = Outline(page)
+    assert "4 objects\n1 of low, 1 of fair, 2 of high trust." in outline.text
+    assert outline.fetched == [] and "<scan>" not in page
+    assert '<header class="verdict low">' in page
+
+
+def test_a_scene_lists_its_objects():
+    text = Outline(scene_report([HIGH, LOW])).text
+    rows = re.findall(r"(\d)\n(low|high)\n(\d+)(\d{2})\n([\d.]+)", text)
+    assert rows == [
+        ("0", "high", "100", "50", "0.00123"),
+        ("1", "low", "100", "50", "0.0321"),
+    ]
+    assert "<Few> points: come closer." in text
+    assert "50 on the support" in text
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "said"),
+    [
+        ([None, None], "2 objects\nThese weights come without a calibration"),
+        ([None, HIGH], "2 objects\n1 of unknown, 1 of high trust."),
+        ([HIGH], "1 object\n1 of high trust."),
+        ([], "No object\nNothing was found that could be completed."),
+    ],
+)
+def test_a_scene_says_whose_trust_is_not_known(verdicts, said):
+    assert said in Outline(scene_report(verdicts)).text
+
+
+def test_every_object_of_a_scene_can_be_shown_alone():
+    page = scene_report([HIGH, LOW])
+    everything, *alone = boxes_of(page)
+    spans = [box["scene.xaxis.range"] for box in (everything, *alone)]
+    for number, (first, last) in enumerate(spans[1:]):
+        assert 10 * number < first < 10 * number + 1.1
+        assert 10 * number + 1.9 < last < 10 * number + 3
+    assert spans[0][0] < 1 and spans[0][1] > 12
+    assert page.split("<nav")[1].count('aria-pressed="false"') == 2
+    assert page.count('<button type="button" data-object=') == 3
+
+
+def test_a_stray_does_not_make_a_scene_small():
+    near = boxes_of(scene_report([HIGH, LOW]))[0]
+    assert boxes_of(scene_report([HIGH, LOW], stray=1e3))[0] == near
+
+
+def test_a_scene_can_be_coloured_by_trust_and_by_errors():
+    plain_page, page = scene_report([HIGH, LOW]), scene_report([HIGH, LOW], error=0.25)
+    modes = [re.findall(r'data-colors="(\w+)"', one) for one in (plain_page, page)]
+    assert modes == [["trust"], ["trust", "error"]]
+    figure = page.split("Plotly.newPlot")[1]
+    numbers = re.findall(r'"error":\[([^\]]*)\]', figure)
+    assert [set(found.split(",")) for found in numbers] == [{"0.25"}] * 2
+    assert "0.25 at the median of the added points" in Outline(page).text

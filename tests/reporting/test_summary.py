@@ -1,0 +1,96 @@
+"""What result.json says: scores in one unit, and strict JSON."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from prism_jax.evaluation import metrics
+from prism_jax.reporting.summary import plain, score
+from tests.fake_completer import FakeCompleter
+
+POINTS = np.random.default_rng(0).uniform(1, 2, size=(300, 3)).astype(np.float32)
+
+
+def test_scores_are_in_half_the_longest_side_of_the_truth():
+    """Whatever the workspace, which is taken from the partial cloud."""
+    completed = FakeCompleter().complete(POINTS)
+    truth = POINTS * np.float32([3, 1, 1])
+    measured = score(completed, truth)
+    half = np.ptp(truth.astype(np.float64), axis=0).max() / 2
+    assert abs(half / completed.workspace.half_extent - 1) > 0.5
+    assert measured["unit_length"] == half
+    assert measured["unit"] == "half the longest side of the complete cloud"
+    clouds = {
+        "partial": POINTS,
+        "network": completed.prediction,
+        "completed": completed.points,
+    }
+    assert list(measured["clouds"]) == list(clouds)
+    for name, cloud in clouds.items():
+        pair = cloud.astype(np.float64) / half, truth.astype(np.float64) / half
+        assert measured["clouds"][name] == pytest.approx(
+            {
+                "cd_l1": metrics.cd_l1(*pair),
+                "cd_l2": metrics.cd_l2(*pair),
+                "f_score": metrics.f_score(*pair, 0.01),
+                "hausdorff": metrics.hausdorff(*pair),
+                "prediction_to_truth": np.mean(cdist(*pair).min(1) ** 2),
+                "truth_to_prediction": np.mean(cdist(*pair).min(0) ** 2),
+            }
+        )
+
+
+def test_every_point_counts_however_large_the_clouds():
+    """Thinning would drop added points, and one scan would have several scores."""
+    points = np.random.default_rng(1).uniform(1, 2, (70_000, 3)).astype(np.float32)
+    completed = FakeCompleter().complete(points)
+    assert len(completed.points) > 100_000
+    away = dataclasses.replace(completed, points=completed.points.copy())
+    away.points[-1] = 50.0
+    found, moved = (
+        score(one, points)["clouds"]["completed"] for one in (completed, away)
+    )
+    squared = 4 * 3 * 48.0**2 / len(completed.points)
+    assert moved["cd_l2"] - found["cd_l2"] == pytest.approx(squared, rel=0.01)
+
+
+def test_plain_is_strict_json():
+    value = {
+        "a": np.float32(0.5),
+        "b": np.array([[1, 2]]),
+        "c": (float("nan"), np.inf, None, True, "x"),
+        "d": {"e": np.bool_(False), "f": np.array([np.nan, 1.0])},
+    }
+    expected = {
+        "a": 0.5,
+        "b": [[1, 2]],
+        "c": [None, None, None, True, "x"],
+        "d": {"e": False, "f": [None, 1.0]},
+    }
+    assert plain(value) == expected
+    json.dumps(plain(value), allow_nan=False)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+def test_strays_are_counted_apart(scale):
+    """In the unit of scores, whatever the scan's."""
+    completed = FakeCompleter().complete(scale * POINTS.astype(np.float64))
+    prediction = completed.prediction.copy()
+    half = np.ptp(prediction, axis=0).max() / 2
+    prediction[:30] += [2.2 * half, 0, 0]
+    truth = completed.prediction
+    added = completed.points[~completed.observed]
+    moved = dataclasses.replace(completed, prediction=prediction)
+    told = score(moved, truth)["strays"]
+    away = cdist(prediction, truth).min(1) > 0.1 * half
+    assert told["network"] == away.mean() and away[:30].all()
+    assert told["added"] == (cdist(added, truth).min(1) > 0.1 * half).mean()
+    none = dataclasses.replace(
+        completed,
+        points=completed.points[completed.observed],
+        observed=completed.observed[completed.observed],
+    )
+    assert score(none, truth)["strays"]["added"] == 0

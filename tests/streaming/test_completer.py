@@ -1,0 +1,163 @@
+"""Frames are completed as scans are."""
+
+import numpy as np
+import pytest
+
+from prism_jax.completion import filtering
+from prism_jax.completion.completer import Completer
+from prism_jax.envelope.robot import of_robot, robot_surface
+from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError
+from prism_jax.io.ply import KNOWN
+from prism_jax.io.scan import parse_bounds, read_scan
+from prism_jax.io.streams import Frame
+from prism_jax.preprocessing import observation
+from prism_jax.robots.urdf import Linkage
+from prism_jax.streaming.completer import FrameCompleter
+from tests.experiments.simulation.roboarm.conftest import urdf
+
+__all__ = ["urdf"]
+
+RNG = np.random.default_rng(0)
+
+
+def shell(number, scalar=np.float32):
+    """What is seen from the origin of a box in front of it."""
+    points = RNG.uniform([3, -1, -0.5], [4, 1, 0.5], (300 + 40 * number, 3))
+    points[::2, 0] = 3.0
+    return points.astype(scalar)
+
+
+@pytest.fixture(scope="module")
+def completer(minimal, minimal_variables):
+    return Completer(minimal.config, minimal_variables)
+
+
+@pytest.mark.parametrize("scalar", [np.float32, np.float64])
+def test_a_frame_is_what_a_scan_is_bit_for_bit(completer, scalar):
+    camera = Camera.look_at((0, 0, 1.0), (3.5, 0, 0))
+    stream = FrameCompleter(completer)
+    for number, view in enumerate((None, camera)):
+        points = shell(number, scalar)
+        done = stream.complete(Frame(points, 7, view))
+        whole = completer.complete(points, view, adapt=False, density=0.0)
+        np.testing.assert_array_equal(done.points, whole.points)
+        np.testing.assert_array_equal(done.observed, whole.observed)
+        assert done.points.dtype == scalar and done.timestamp == 7
+        assert done.workspace.half_extent == whole.workspace.half_extent
+        assert set(done.seconds) == {"observe", "network", "assemble"}
+
+
+def test_poses_are_a_streams_own(completer):
+    """In as many as a scan the points are the same, and one is what it takes if nothing
+    is said, whatever the weights say."""
+    points = shell(2)
+    both = completer.in_poses(2)
+    whole = both.complete(points, density=0.0)
+    alone = completer.complete(points, density=0.0)
+    assert len(whole.prediction) == 2 * len(alone.prediction)
+    done = FrameCompleter(both, poses=2).complete(Frame(points, 0))
+    np.testing.assert_array_equal(done.points, whole.points)
+    single = FrameCompleter(both).complete(Frame(points, 0))
+    np.testing.assert_array_equal(single.points, alone.points)
+    assert completer.config.model.poses == 1
+
+
+def test_density_bounds_and_up_are_a_scans_too(completer):
+    points = np.concatenate([shell(0), shell(1) + np.float32([0, 5, 0])])
+    stream = FrameCompleter(
+        completer, bounds=parse_bounds("2,-2,-1,5,2,1"), up="-y", density=2.0
+    )
+    done = stream.complete(Frame(points, 0))
+    inside = points[:, 1] < 2
+    whole = completer.complete(
+        points[inside], density=2.0, up="-y", around=points[~inside]
+    )
+    np.testing.assert_array_equal(done.points, whole.points)
+
+
+def test_what_bounds_crop_away_is_around_a_frame_as_around_a_scan(
+    completer, tmp_path, monkeypatch
+):
+    """A wall behind the object: both leave away what they see before it. The few points
+    that this network reads would make a rim as wide as the workspace."""
+    monkeypatch.setattr(filtering, "PAST", 0.5)
+    across, up = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-9, 9, 300)]))
+    wall = np.stack([np.full(across.shape, 9.0), across, up], axis=1)
+    points = np.concatenate([wall, shell(0)]).astype(np.float32)
+    np.save(tmp_path / "scan.npy", points)
+    box = parse_bounds("2,-2,-1,5,2,1")
+    scan = read_scan(tmp_path / "scan.npy", bounds=box)
+    np.testing.assert_array_equal(scan.around, points[: len(wall)])
+    whole = completer.complete(scan.points, density=0.0, around=scan.around)
+    done = FrameCompleter(completer, bounds=box).complete(Frame(points, 0))
+    np.testing.assert_array_equal(done.points, whole.points)
+    alone = completer.complete(scan.points, density=0.0)
+    assert len(done.points) < len(alone.points)
+    assert alone.left_away["looked_through"] == 0 < whole.left_away["looked_through"]
+    np.testing.assert_array_equal(alone.prediction, whole.prediction)
+
+
+def test_depth_images_are_upright_as_their_camera(completer):
+    camera = Camera(np.eye(3), np.zeros(3), np.diag([5.0, 5.0, 1.0]), 20, 20)
+    depth = RNG.uniform(1, 1.5, (20, 20))
+    frame = Frame.of_depth(depth, camera, 0)
+    done = FrameCompleter(completer).complete(frame)
+    whole = completer.complete(frame.points, camera, adapt=False, up="-y", density=0.0)
+    np.testing.assert_array_equal(done.points, whole.points)
+
+
+def test_up_is_looked_for_once(completer):
+    stream = FrameCompleter(completer, up="auto")
+    stream.complete(Frame(shell(0), 0))
+    np.testing.assert_allclose(stream.up, [0, 0, 1], atol=1e-6)
+
+
+def test_adapting_to_each_frame(completer):
+    stream = FrameCompleter(completer, adapt=True)
+    for points in (shell(0), shell(1)):
+        adapted = completer.complete(points, adapt=True, density=0.0).points
+        np.testing.assert_array_equal(stream.complete(Frame(points, 0)).points, adapted)
+
+
+def test_nothing_is_compiled_once_it_is_warm(completer):
+    """Clouds of fewer points than the network reads, of as many and of more."""
+    stream = FrameCompleter(completer)
+    points = np.concatenate([shell(0) for _ in range(8)])
+    stream.warm_up(Frame(points, 0))
+    sampling = (observation._resample, observation._farthest, observation._framing)
+    before = [compiled._cache_size() for compiled in sampling]
+    for count in (64, 65, 100, 127, 128, 129, 500, 1000, 1025, 2400):
+        stream.complete(Frame(points[:count], 0))
+    assert [compiled._cache_size() for compiled in sampling] == before
+
+
+def test_a_known_robot_is_cut_out_and_put_back(completer, urdf):
+    """It stands in front of the box, and moves."""
+    robot, base = Linkage(urdf), np.eye(4)
+    base[0, 3] = 1.5
+    poses = [{"yaw": 0.0, "shoulder": s, "elbow": 0.3} for s in (1.2, -1.2)]
+    surfaces = [robot_surface(robot, pose, base) for pose in poses]
+    joints = [{"positions": pose, "base": base.tolist()} for pose in poses]
+    box = shell(3)
+    stream = FrameCompleter(completer, robot=robot, robot_margin=0.05)
+    noisy = surfaces[0] + RNG.normal(0, 0.005, surfaces[0].shape)
+    points = np.concatenate([box, noisy]).astype(np.float32)
+    done = stream.complete(Frame(points, 0, joints=joints[0]))
+    np.testing.assert_array_equal(done.points[done.observed], box)
+    known = done.points[done.label == KNOWN]
+    np.testing.assert_array_equal(known, surfaces[0].astype(np.float32))
+    assert not of_robot(done.points[done.label != KNOWN], known, 0.05).any()
+    alone = FrameCompleter(completer).complete(Frame(box, 0))
+    predicted = alone.points[~alone.observed]
+    predicted = predicted[~of_robot(predicted, surfaces[0], 0.05)]
+    np.testing.assert_array_equal(done.points[done.label == 1], predicted)
+    done = stream.complete(Frame(box, 0, joints=joints[1]))
+    np.testing.assert_array_equal(done.points[done.observed], box)
+    np.testing.assert_array_equal(
+        done.points[done.label == KNOWN], surfaces[1].astype(np.float32)
+    )
+    with pytest.raises(InputError, match="has no joint positions"):
+        stream.complete(Frame(box, 0))
+    with pytest.raises(InputError, match="without its robot: has no points"):
+        stream.complete(Frame(noisy, 0, joints=joints[0]))

@@ -1,0 +1,173 @@
+"""Clues about single points, on clouds whose answers are known, and their sigmas."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from prism_jax.preprocessing.observation import observe
+from prism_jax.uncertainty.sigma import CLUES, PointErrors, clues_of, spread
+
+EYE = np.array([0.0, 0.0, 6.0])
+
+
+def square(count, height=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(-1, 1, (count, 2)), np.full(count, height)])
+
+
+def clues(points, prediction, asked=None, off=0.0, sensor=EYE, num_read=128):
+    """By name, of the prediction or some of it. The workspace is the measured points'
+    own box, so that the unit is theirs; other poses are completed `off` in z."""
+    seen = observe(points, sensor, margin=1.0)
+    unit = np.asarray(seen.workspace.to_unit(prediction), np.float64)
+    some = unit if asked is None else unit[asked]
+    looks = unit, unit + [0, 0, off], unit - [0, 0, 2 * off]
+    found = clues_of(some, seen, seen.sampled(num_read), unit, looks)
+    assert found.shape == (len(some), len(CLUES)) and np.isfinite(found).all()
+    return dict(zip(CLUES, found.T, strict=True))
+
+
+def test_distances_are_those_of_all_pairs():
+    points, prediction = square(500), square(200, height=-0.3, seed=1)
+    found = clues(points, prediction, off=0.7)
+    pairs = np.sort(cdist(prediction, points), axis=1)
+    np.testing.assert_allclose(found["measured"], pairs[:, 0], rtol=1e-2)
+    own = np.sort(cdist(prediction, prediction), axis=1)
+    np.testing.assert_allclose(found["predicted_2"], own[:, 2], rtol=1e-2)
+    np.testing.assert_allclose(found["predicted_8"], own[:, 8], rtol=1e-2)
+    other = cdist(prediction, prediction + [0, 0, 0.7]).min(axis=1)
+    np.testing.assert_allclose(found["mirrored"], other, rtol=1e-2)
+    np.testing.assert_allclose(found["all_mirrored"], other.mean(), rtol=1e-2)
+    assert (found["turned"] > found["mirrored"]).all()
+    assert (found["measured_8"] > found["measured"]).all()
+
+
+def test_what_is_said_of_the_whole_scan():
+    points = square(500)
+    noisy = points + np.random.default_rng(2).normal(0, 0.02, points.shape)
+    clean, rough = (clues(cloud, cloud - [0, 0, 0.3]) for cloud in (points, noisy))
+    assert clean["roughness"].max() < 1e-6 and 0.01 < rough["roughness"][0] < 0.02
+    assert clean["unexplained"][0] == pytest.approx(0.3, rel=0.05)
+    assert np.ptp(clean["unexplained"]) == 0 and clean["num_points"][0] == 500
+    thin = clues(points * [1, 0.5, 1], points)
+    assert thin["middle_side"][0] == pytest.approx(0.5, rel=0.02)
+    assert thin["shortest_side"][0] == 0
+
+
+def test_what_the_sensor_says():
+    """A point behind the square, one in front, and one beside it."""
+    points = np.stack(np.meshgrid(*[np.linspace(-1, 1, 41)] * 2), -1).reshape(-1, 2)
+    points = np.column_stack([points, np.zeros(len(points))])
+    three = np.array([[0, 0, -0.5], [0, 0, 0.5], [1.5, 0, 0]])
+    found = clues(points, np.concatenate([three, square(50)]), asked=slice(3))
+    np.testing.assert_allclose(found["behind"][:2], [0.5, -0.5], atol=1e-3)
+    # Within half a step of the grid; then as far as the angle says at that distance.
+    assert (found["beside"][:2] < 0.03).all()
+    angle = np.arctan2(1.5, 6) - np.arctan2(1, 6)
+    aside = 2 * np.sin(angle / 2) * np.hypot(1, 6)
+    assert found["beside"][2] == pytest.approx(aside, rel=0.01)
+    np.testing.assert_allclose(found["outside"], [0.5, 0.5, 0.5], atol=1e-3)
+    np.testing.assert_allclose(found["height"], three[:, 2], atol=1e-3)
+
+
+def test_slant_and_thickness_of_a_wall_and_a_floor():
+    floor = square(300, height=-0.5)
+    wall = floor[:, [0, 2, 1]] * [0.2, 0, 1]
+    top = 300 + wall[:, 2].argmax()
+    found = clues(square(300), np.concatenate([floor, wall]), asked=[0, top])
+    ray = np.abs(floor[0] - EYE)
+    assert found["slant"][0] == pytest.approx(ray[2] / np.linalg.norm(ray), abs=0.01)
+    assert found["slant"][1] < 0.05
+    assert found["thickness"].max() < 1e-3
+    noisy = floor + np.random.default_rng(2).normal(0, 0.02, floor.shape)
+    assert clues(square(300), noisy)["thickness"].mean() > 0.005
+
+
+def test_far_from_the_origin_and_in_any_unit():
+    points, prediction = square(400), square(100, height=-0.4, seed=1)
+    away = np.array([4e5, 5e6, 10.0])
+    here = clues(points, prediction, off=0.1)
+    moved = [1e3 * cloud + away for cloud in (points, prediction, EYE)]
+    there = clues(*moved[:2], off=0.1, sensor=moved[2])
+    for name in CLUES:
+        np.testing.assert_allclose(there[name], here[name], rtol=1e-3, atol=1e-5)
+
+
+def test_the_same_input_gives_the_same_bits():
+    first, second = (
+        clues(square(300), square(90, height=0.2, seed=3), off=0.2) for _ in range(2)
+    )
+    assert all(first[name].tobytes() == second[name].tobytes() for name in CLUES)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_few_and_repeated_predicted_points(count):
+    few = square(count, height=0.1)
+    assert len(clues(square(64), few)["measured"]) == count
+    clues(square(64), np.concatenate([few, few, few]))
+
+
+@pytest.mark.parametrize(
+    "points", [np.ones((5, 3)) * [[1], [1], [1], [1], [2]], square(20) * [1, 0, 1]]
+)
+def test_few_collinear_and_repeated_measured_points(points):
+    clues(points, square(30, height=0.3), sensor=None)
+
+
+def test_nothing_asked():
+    assert clues(square(64), square(30), asked=[])["slant"].shape == (0,)
+
+
+def doubling(threshold, at="mirrored"):
+    """0.01 half sides, and twice as much where a clue is above a threshold."""
+    return PointErrors(
+        base=np.log(0.01),
+        looks_at=np.full((1, 1), float(CLUES.index(at))),
+        thresholds=np.full((1, 1), threshold),
+        leaves=np.array([[0.0, np.log(2.0)]]),
+        bounds=np.log([0.001, 1.0]),
+    )
+
+
+def test_sigma_is_the_exponential_of_the_trees_sum():
+    rows = np.zeros((3, len(CLUES)))
+    rows[1, CLUES.index("mirrored")] = 0.5
+    np.testing.assert_allclose(doubling(0.2).sigma(rows), [0.01, 0.02, 0.01])
+    assert doubling(0.2).sigma(rows[:0]).shape == (0,)
+
+
+def test_nothing_beyond_what_was_met_is_expected():
+    narrow = PointErrors.from_dict(doubling(0.2).to_dict() | {"bounds": [-4.6, -4.6]})
+    wild = np.full((2, len(CLUES)), [[1e9], [-1e9]])
+    np.testing.assert_allclose(narrow.sigma(wild), np.exp(-4.6))
+
+
+def test_it_goes_through_json_and_a_damaged_one_is_refused():
+    fields = json.loads(json.dumps(doubling(0.2).to_dict()))
+    rows = np.random.default_rng(0).uniform(size=(50, len(CLUES)))
+    again = PointErrors.from_dict(fields)
+    np.testing.assert_allclose(again.sigma(rows), doubling(0.2).sigma(rows), rtol=1e-5)
+    for change in ({"looks_at": [[len(CLUES)]]}, {"leaves": [[1.0]]}, {"more": 1}):
+        with pytest.raises(ValueError, match="an estimate of points' errors"):
+            PointErrors.from_dict({**fields, **change})
+
+
+def test_points_between_others_have_errors_between_theirs():
+    known = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]])
+    sigma = np.array([1.0, 2.0, 4.0, 9.0])
+    np.testing.assert_allclose(spread(known, known, sigma), sigma)
+    middle = spread(np.array([[0.5, 0, 0]]), known, sigma)[0]
+    # The third nearest is sqrt(5) times as far.
+    assert middle == pytest.approx((3 + 4 / 5**0.5) / (2 + 1 / 5**0.5))
+    scaled = spread(np.array([[500.0, 0, 0]]), 1e3 * known, sigma)[0]
+    assert scaled == pytest.approx(middle)
+
+
+def test_copies_and_few_known_points():
+    twice = np.zeros((2, 3))
+    assert spread(np.zeros((1, 3)), twice, np.array([1.0, 3.0])).tolist() == [2.0]
+    assert spread(np.ones((2, 3)), twice[:1], np.array([3.0])).tolist() == [3.0, 3.0]
+    assert np.isnan(spread(np.ones((2, 3)), twice[:0], np.zeros(0))).all()
+    assert spread(np.ones((0, 3)), twice, np.array([1.0, 3.0])).shape == (0,)
