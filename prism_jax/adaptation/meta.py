@@ -28,40 +28,29 @@ from prism_jax.models.variables import (
 
 
 class Functions(NamedTuple):
-    """What Eq. 12 is composed of, as functions of all variables.
+    """What Eq. 12 is composed of, as functions of all variables."""
 
-    Attributes:
-      encode: of one cloud's inputs.
-      decode: of inputs and what was encoded of them, for a batch; what it returns has
-        the ``stages``.
-      auxiliary_loss: Eq. 11 of one cloud's inputs, or Eq. 13 where it is rehearsed:
-        `Losses`, whose ``objective`` the inner loop descends, and the prediction.
-      primary_loss: Eq. 10 of one cloud's stages and the complete cloud.
-      refiner_loss: Eq. 3 of a batch: what was decoded, inputs, complete clouds.
-    """
-
-    encode: Callable[[Variables, Any], Any]
+    encode: Callable[[Variables, Any], Any]  # of one cloud's inputs
+    # Of inputs and what was encoded of them, for a batch; what it returns has the
+    # ``stages``.
     decode: Callable[[Variables, Any, Any], Any]
+    # Eq. 11 of one cloud's inputs, or Eq. 13 where it is rehearsed: `Losses`, whose
+    # ``objective`` the inner loop descends, and the prediction.
     auxiliary_loss: Callable[[Variables, Any], tuple[Losses, Any]]
+    # Eq. 10 of one cloud's stages and the complete cloud.
     primary_loss: Callable[[Any, Array], Float[Array, ""]]
+    # Eq. 3 of a batch: what was decoded, inputs, complete clouds.
     refiner_loss: Callable[[Variables, Any, Any, Array], Float[Array, ""]]
 
 
 class MetaTerms(NamedTuple):
-    """What a meta-step measures, as means over its clouds.
+    """What a meta-step measures, as means over its clouds."""
 
-    Attributes:
-      adapted: Eq. 10 with the adapted encoders.
-      zero_step: Eq. 10 with the encoders as they are.
-      losses: of Eq. 11 and 13 before adaptation; ``objective`` is what the inner loop
-        descends.
-      refined: Eq. 3 of the refined points.
-    """
-
-    adapted: Float[Array, ""]
-    zero_step: Float[Array, ""]
+    adapted: Float[Array, ""]  # eq. 10 with the adapted encoders
+    zero_step: Float[Array, ""]  # eq. 10 with the encoders as they are
+    # Of Eq. 11 and 13 before adaptation; ``objective`` is what the inner loop descends.
     losses: Losses
-    refined: Float[Array, ""]
+    refined: Float[Array, ""]  # eq. 3 of the refined points
 
 
 def meta_loss(

@@ -176,20 +176,16 @@ def assemble(
 
 
 class Joined(NamedTuple):
-    """Measured and predicted points together.
+    """Measured and predicted points together."""
 
-    Attributes:
-      points, observed: as `CompletedScan` has them, in the user's frame and unit.
-      prediction: the network's own output, in the unit workspace.
-      new: what of it, and between it, is among the points, in the unit workspace.
-      selection: what became of each point of the prediction.
-    """
-
+    # As `CompletedScan` has them, in the user's frame and unit.
     points: Float[np.ndarray, "M 3"]
     observed: Bool[np.ndarray, " M"]
+    # The network's own output, in the unit workspace.
     prediction: Float[np.ndarray, "P 3"]
+    # What of it, and between it, is among the points, in the unit workspace.
     new: Float[np.ndarray, "Q 3"]
-    selection: Selection
+    selection: Selection  # what became of each point of the prediction
 
 
 def join(

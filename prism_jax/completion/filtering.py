@@ -32,25 +32,17 @@ NUM_EDGES = 6
 
 
 class Selection(NamedTuple):
-    """What became of each predicted point.
+    """What became of each predicted point."""
 
-    Attributes:
-      kept: it is added to the measured points.
-      outside: it lies outside the workspace.
-      stray: it lies alone, or with few (`STRAY`).
-      in_front: it would have hidden what was measured behind it (`IN_FRONT`).
-      looked_through: the sensor saw nothing of the object about its line of sight
-        (`PAST`), and something else behind it, or what lies around is known to be
-        empty.
-      known: it says nothing new, so near is a measured point.
-    """
-
-    kept: Bool[np.ndarray, " P"]
-    outside: Bool[np.ndarray, " P"]
-    stray: Bool[np.ndarray, " P"]
+    kept: Bool[np.ndarray, " P"]  # it is added to the measured points
+    outside: Bool[np.ndarray, " P"]  # it lies outside the workspace
+    stray: Bool[np.ndarray, " P"]  # it lies alone, or with few (`STRAY`)
+    # It would have hidden what was measured behind it (`IN_FRONT`).
     in_front: Bool[np.ndarray, " P"]
+    # The sensor saw nothing of the object about its line of sight (`PAST`), and
+    # something else behind it, or what lies around is known to be empty.
     looked_through: Bool[np.ndarray, " P"]
-    known: Bool[np.ndarray, " P"]
+    known: Bool[np.ndarray, " P"]  # it says nothing new, so near is a measured point
 
 
 def added_points(

@@ -12,21 +12,17 @@ from prism_jax.io.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Augmentation:
-    """How much of it. Numbers that make no sense raise InputError.
+    """How much of it. Numbers that make no sense raise InputError."""
 
-    Attributes:
-      crop: probability that a half space of any direction is cut off.
-      crop_shares: of the points, the least and the most that go with it.
-      thin: probability that only some of the points are left, a random choice.
-      fewest: how many at the least; how many there are is uniform in the logarithm.
-      jitter: the largest standard deviation of noise on every coordinate, in longest
-        sides of the partial; how large it is is uniform too.
-    """
-
-    crop: float = 0.0
+    crop: float = 0.0  # probability that a half space of any direction is cut off
+    # Of the points, the least and the most that go with it.
     crop_shares: tuple[float, float] = (0.1, 0.6)
+    # Probability that only some of the points are left, a random choice.
     thin: float = 0.0
+    # How many at the least; how many there are is uniform in the logarithm.
     fewest: int = 128
+    # The largest standard deviation of noise on every coordinate, in longest sides of
+    # the partial; how large it is is uniform too.
     jitter: float = 0.0
 
     def __post_init__(self):

@@ -30,26 +30,23 @@ CELLS_VERSION, SCENES_VERSION = 1, 1
 
 @dataclasses.dataclass(frozen=True)
 class DataSet:
-    """What is known of a data set before it is opened.
+    """What is known of a data set before it is opened."""
 
-    Attributes:
-      open: its `Source`, by root and split, and by options where a set has some.
-      splits: those that there are; empty where `open` checks them itself.
-      training: the split that a training sees; None where a set is for tests alone.
-      validation: the split of its own that a training is validated on.
-      scored: the splits with ground truth that no training sees, validation first.
-      folder: where below the root a split's folder lies, for sets with a manifest.
-      generated: whether it is built on the machine, by default in the cache folder.
-      licence: whose meshes its training split is made of, and how they are licensed.
-    """
-
+    # Its `Source`, by root and split, and by options where a set has some.
     open: Callable[..., Source]
+    # Those that there are; empty where `open` checks them itself.
     splits: tuple[str, ...] = ()
+    # The split that a training sees; None where a set is for tests alone.
     training: str | None = "train"
+    # The split of its own that a training is validated on.
     validation: str | None = None
+    # The splits with ground truth that no training sees, validation first.
     scored: tuple[str, ...] = ("test",)
+    # Where below the root a split's folder lies, for sets with a manifest.
     folder: str | None = None
+    # Whether it is built on the machine, by default in the cache folder.
     generated: bool = False
+    # Whose meshes its training split is made of, and how they are licensed.
     licence: str = "as its publisher licenses it"
 
 

@@ -31,24 +31,18 @@ ASIDE = 4
 
 
 class Batch(NamedTuple):
-    """Clouds in the unit workspace that each partial determines.
+    """Clouds in the unit workspace that each partial determines."""
 
-    Attributes:
-      partial: measured points, in farthest-point order.
-      complete: the whole surface, in farthest-point order.
-      eye: where the sensor stood.
-      scale: what turns a distance here into one in the unit of the scores, half the
-        longest side of the complete cloud.
-      indices: what was computed beforehand for the partials, if anything was.
-      visibility: what each sensor knows, if the source says.
-    """
-
-    partial: Float32[np.ndarray, "*B N 3"]
+    partial: Float32[np.ndarray, "*B N 3"]  # measured points, in farthest-point order
+    # The whole surface, in farthest-point order.
     complete: Float32[np.ndarray, "*B M 3"]
-    eye: Float32[np.ndarray, "*B 3"]
+    eye: Float32[np.ndarray, "*B 3"]  # where the sensor stood
+    # What turns a distance here into one in the unit of the scores, half the longest
+    # side of the complete cloud.
     scale: Float32[np.ndarray, "*B"]
+    # What was computed beforehand for the partials, if anything was.
     indices: Any = None
-    visibility: Visibility | None = None
+    visibility: Visibility | None = None  # what each sensor knows, if the source says
 
 
 @dataclasses.dataclass(frozen=True)

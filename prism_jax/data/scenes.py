@@ -31,28 +31,20 @@ SCENE_ARRAYS = ("points", "labels", "frames")
 
 @dataclasses.dataclass(frozen=True)
 class LabelledScene:
-    """What one sensor measured of several things on a table or a floor.
+    """What one sensor measured of several things on a table or a floor."""
 
-    Attributes:
-      points: all that was measured.
-      labels: for each point the number of its thing, from 0; `SUPPORT` on what things
-        stand on, walls, and the floor below a table; `LEFT_OVER` for points that fly
-        beside an edge, and a table's legs. As in `observation.scene.Scene`.
-      complete: of each thing, in farthest-point order.
-      categories: of each thing.
-      eye: where the sensor stood.
-      rotation: rows are the sensor's right, down and forward, as `Camera.rotation`.
-      name: unique within its set.
-      traits: what stands for the scene in tables: the sensor, the support, "wall".
-    """
-
-    points: Float32[np.ndarray, "N 3"]
+    points: Float32[np.ndarray, "N 3"]  # all that was measured
+    # For each point the number of its thing, from 0; `SUPPORT` on what things stand on,
+    # walls, and the floor below a table; `LEFT_OVER` for points that fly beside an
+    # edge, and a table's legs. As in `observation.scene.Scene`.
     labels: Int[np.ndarray, " N"]
-    complete: Float32[np.ndarray, "K M 3"]
-    categories: tuple[str, ...]
-    eye: Float64[np.ndarray, "3"]
+    complete: Float32[np.ndarray, "K M 3"]  # of each thing, in farthest-point order
+    categories: tuple[str, ...]  # of each thing
+    eye: Float64[np.ndarray, "3"]  # where the sensor stood
+    # Rows are the sensor's right, down and forward, as `Camera.rotation`.
     rotation: Float64[np.ndarray, "3 3"]
-    name: str
+    name: str  # unique within its set
+    # What stands for the scene in tables: the sensor, the support, "wall".
     traits: tuple[str, ...] = ()
 
     def in_sensor_axes(self) -> "LabelledScene":

@@ -9,31 +9,25 @@ from prism_jax.geometry.visibility import Visibility
 
 
 class Example(NamedTuple):
-    """One object or scene: the clouds as their source has them, none resampled.
+    """One object or scene: the clouds as their source has them, none resampled."""
 
-    Attributes:
-      complete: the ground truth; None where there is none, as for KITTI's cars.
-      partial: what the sensor measured; None where the pipeline is to crop it from
-        `complete`.
-      eye: the sensor's position, in the frame and units of the clouds; None where the
-        source does not say.
-      category: one of the source's `categories`.
-      name: unique within the source.
-      ordered: whether both clouds are in farthest-point order, so that every prefix is
-        a farthest-point sample.
-      any_heading: whether training may turn it about the vertical, z, at random: a
-        robot cell, yes; a chair whose front is along y, no.
-      visibility: what the sensor knows of every direction, surface or emptiness; None
-        where the source does not say.
-    """
-
+    # The ground truth; None where there is none, as for KITTI's cars.
     complete: Float32[np.ndarray, "M 3"] | None
+    # What the sensor measured; None where the pipeline is to crop it from `complete`.
     partial: Float32[np.ndarray, "N 3"] | None
+    # The sensor's position, in the frame and units of the clouds; None where the source
+    # does not say.
     eye: Float32[np.ndarray, "3"] | None
-    category: str
-    name: str
+    category: str  # one of the source's `categories`
+    name: str  # unique within the source
+    # Whether both clouds are in farthest-point order, so that every prefix is a
+    # farthest-point sample.
     ordered: bool = False
+    # Whether training may turn it about the vertical, z, at random: a robot cell, yes;
+    # a chair whose front is along y, no.
     any_heading: bool = False
+    # What the sensor knows of every direction, surface or emptiness; None where the
+    # source does not say.
     visibility: Visibility | None = None
 
 

@@ -86,17 +86,11 @@ def coverage_interval(
 
 @dataclasses.dataclass(frozen=True)
 class Setup:
-    """What a margin holds for: anything else needs a calibration of its own.
+    """What a margin holds for: anything else needs a calibration of its own."""
 
-    Attributes:
-      weights: sha256 of the file of weights.
-      sensor: what the sensor is called.
-      settings: how scans are completed, as JSON has it.
-    """
-
-    weights: str
-    sensor: str
-    settings: Mapping[str, Any]
+    weights: str  # sha256 of the file of weights
+    sensor: str  # what the sensor is called
+    settings: Mapping[str, Any]  # how scans are completed, as JSON has it
 
     def differences(self, other: "Setup") -> list[str]:
         """What is not the same, in words; the other's first."""
@@ -114,23 +108,16 @@ class Setup:
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """Scores of cells, and what they were made with.
+    """Scores of cells, and what they were made with."""
 
-    Attributes:
-      setup: what runs.
-      alpha: the share of cells that may be missed, unless another is asked for.
-      cells: names of the cells.
-      scores: of each cell, in the unit of its clouds.
-      scaled_scores: of each cell in scales of the points' predicted errors; None where
-        these weights predict none.
-      floor: the least of such scales, and that of what is not predicted.
-    """
-
-    setup: Setup
-    alpha: float
-    cells: tuple[str, ...]
-    scores: tuple[float, ...]
+    setup: Setup  # what runs
+    alpha: float  # the share of cells that may be missed, unless another is asked for
+    cells: tuple[str, ...]  # names of the cells
+    scores: tuple[float, ...]  # of each cell, in the unit of its clouds
+    # Of each cell in scales of the points' predicted errors; None where these weights
+    # predict none.
     scaled_scores: tuple[float, ...] | None = None
+    # The least of such scales, and that of what is not predicted.
     floor: float | None = None
 
     def __post_init__(self):

@@ -30,18 +30,15 @@ _TOUCHING = np.ones((3, 3, 3), bool)
 
 
 class Distances(NamedTuple):
-    """Of each point, in the unit of the grid.
+    """Of each point, in the unit of the grid."""
 
-    Attributes:
-      not_free: to the nearest voxel that is not known to be free; 0 in one, and outside
-        of the grid, where nothing is known.
-      surface: to the nearest surface inflated by its margin; negative inside. Infinite
-        where there is no surface.
-      kind: the number of whose surface that is, in `KINDS`; -1 for none.
-    """
-
+    # To the nearest voxel that is not known to be free; 0 in one, and outside of the
+    # grid, where nothing is known.
     not_free: Float64[np.ndarray, " N"]
+    # To the nearest surface inflated by its margin; negative inside. Infinite where
+    # there is no surface.
     surface: Float64[np.ndarray, " N"]
+    # The number of whose surface that is, in `KINDS`; -1 for none.
     kind: Int8[np.ndarray, " N"]
 
 
@@ -120,19 +117,14 @@ class Surfaces:
 
 @dataclasses.dataclass(frozen=True)
 class Envelope:
-    """What may be taken of a workspace.
+    """What may be taken of a workspace."""
 
-    Attributes:
-      grid: the voxels, in the user's frame and unit.
-      state: of each, one of `voxels.STATES` by number.
-      surfaces: of objects and the robot: what the margin inflates. Planes that objects
-        stand on are voxels, but none of these.
-      margin: what they are inflated by, times their scales: the q of a calibration.
-    """
-
-    grid: Grid
-    state: UInt8[np.ndarray, "X Y Z"]
+    grid: Grid  # the voxels, in the user's frame and unit
+    state: UInt8[np.ndarray, "X Y Z"]  # of each, one of `voxels.STATES` by number
+    # Of objects and the robot: what the margin inflates. Planes that objects stand on
+    # are voxels, but none of these.
     surfaces: Surfaces
+    # What they are inflated by, times their scales: the q of a calibration.
     margin: float
 
     @functools.cached_property

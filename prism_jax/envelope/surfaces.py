@@ -25,28 +25,22 @@ THIN = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """How scans are completed for envelopes. A calibration holds for one.
+    """How scans are completed for envelopes. A calibration holds for one."""
 
-    Attributes:
-      adapt: whether the network adapts to the scan.
-      density, background: as `prism_jax.Completer.complete` has them.
-      objects: "one" for all points as one object, "auto" for a scene whose supports and
-        walls are set aside.
-      around: what of the measured a margin is laid around: "everything", or "objects"
-        alone, without what was set aside or is beside the scan in its depth image.
-      robot: whether the robot is known.
-      robot_margin: how near to its surface measured points are its own.
-      completed: what is completed where the robot is known: "all" measured points, or
-        the "rest" without it.
-    """
-
-    adapt: bool = False
+    adapt: bool = False  # whether the network adapts to the scan
+    # As `prism_jax.Completer.complete` has them.
     density: float = 1.0
     background: Literal["unknown", "empty"] = "unknown"
+    # "one" for all points as one object, "auto" for a scene whose supports and walls
+    # are set aside.
     objects: Literal["one", "auto"] = "one"
+    # What of the measured a margin is laid around: "everything", or "objects" alone,
+    # without what was set aside or is beside the scan in its depth image.
     around: Literal["everything", "objects"] = "everything"
-    robot: Literal["known", "unknown"] = "unknown"
-    robot_margin: float = MARGIN
+    robot: Literal["known", "unknown"] = "unknown"  # whether the robot is known
+    robot_margin: float = MARGIN  # how near to its surface measured points are its own
+    # What is completed where the robot is known: "all" measured points, or the "rest"
+    # without it.
     completed: Literal["all", "rest"] = "rest"
 
     def setup(self, weights: str, sensor: str) -> Setup:
@@ -56,22 +50,18 @@ class Method:
 
 @dataclasses.dataclass(frozen=True)
 class Seen:
-    """What is known of one scan, in its frame and unit.
+    """What is known of one scan, in its frame and unit."""
 
-    Attributes:
-      measured: points that a margin is laid around, without a known robot's.
-      predicted: points that are added to them; none within a known robot's margin.
-      robot: points on its surface; none where it is not known.
-      sigma: the error that is expected of each predicted point; None where the weights
-        tell none.
-      fault: why nothing could be completed; empty if something was.
-    """
-
+    # Points that a margin is laid around, without a known robot's.
     measured: Float64[np.ndarray, "N 3"]
+    # Points that are added to them; none within a known robot's margin.
     predicted: Float64[np.ndarray, "P 3"]
+    # Points on its surface; none where it is not known.
     robot: Float64[np.ndarray, "R 3"]
+    # The error that is expected of each predicted point; None where the weights tell
+    # none.
     sigma: Float64[np.ndarray, " P"] | None
-    fault: str = ""
+    fault: str = ""  # why nothing could be completed; empty if something was
 
     def surfaces(self, floor: float | None = None) -> Surfaces:
         """What a margin inflates; with a `floor`, in scales of the expected error.

@@ -37,31 +37,22 @@ MAX_ASKED = 4096
 
 
 class Carving(NamedTuple):
-    """What it takes for a voxel to be free.
+    """What it takes for a voxel to be free."""
 
-    Attributes:
-      margin: how far behind the whole voxel something must have been measured, along
-        the camera's axis, in units of length.
-      share: of the pixels that the voxel covers, those on which anything was measured.
-    """
-
+    # How far behind the whole voxel something must have been measured, along the
+    # camera's axis, in units of length.
     margin: float = 0.04
+    # Of the pixels that the voxel covers, those on which anything was measured.
     share: float = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """Cubes of one size that fill a box.
+    """Cubes of one size that fill a box."""
 
-    Attributes:
-      lower: the box's corner with the least coordinates.
-      voxel: the side of each cube, in the unit of `lower`.
-      shape: how many there are along x, y and z.
-    """
-
-    lower: Float64[np.ndarray, "3"]
-    voxel: float
-    shape: tuple[int, int, int]
+    lower: Float64[np.ndarray, "3"]  # the box's corner with the least coordinates
+    voxel: float  # the side of each cube, in the unit of `lower`
+    shape: tuple[int, int, int]  # how many there are along x, y and z
 
     @classmethod
     def over(

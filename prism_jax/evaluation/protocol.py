@@ -36,38 +36,33 @@ NUM_COMPLETE = 2048
 
 @dataclasses.dataclass(frozen=True)
 class Protocol:
-    """What a completer is given, and how its output is scored.
+    """What a completer is given, and how its output is scored."""
 
-    Attributes:
-      num_partial: points of the partial cloud, in farthest-point order.
-      margin: side of the workspace over the longest side of the box in it.
-      normalisation: what places the workspace. ``partial``: the partial's box, which is
-        all that a deployment has. ``oracle``: the complete cloud's box, in the same way
-        and with the same margin, so that a network whose margin is 1 gets the partial
-        exactly as the paper's does, in the frame where the complete cloud spans
-        [-1, 1], and one with another margin gets it as large as it was trained on.
-        ``own``: nothing, the data set's coordinates are the workspace's.
-      unit: of the scores, one of `UNITS`. ``complete``: the complete cloud's longest
-        side spans [-1, 1], as in the paper, whatever the data set's unit. ``own``: as
-        published tables of the data set have it.
-      with_emd: whether the earth mover's distance is taken, which costs the most.
-      with_measured: whether the partial itself is scored, and the predictions with the
-        measured points kept; about half of the time.
-      heading: which one the completer knows objects in; the partial decides on it.
-      background: whether what lies around a partial is known to be empty, and predicted
-        points there are left away.
-      told: whether the completer gets the examples' visibility maps beside partials
-        and sensors, and the maps filter what is added to the measured points.
-    """
-
-    num_partial: int
-    margin: float
+    num_partial: int  # points of the partial cloud, in farthest-point order
+    margin: float  # side of the workspace over the longest side of the box in it
+    # What places the workspace. ``partial``: the partial's box, which is all that a
+    # deployment has. ``oracle``: the complete cloud's box, in the same way and with the
+    # same margin, so that a network whose margin is 1 gets the partial exactly as the
+    # paper's does, in the frame where the complete cloud spans [-1, 1], and one with
+    # another margin gets it as large as it was trained on. ``own``: nothing, the data
+    # set's coordinates are the workspace's.
     normalisation: str = "partial"
+    # Of the scores, one of `UNITS`. ``complete``: the complete cloud's longest side
+    # spans [-1, 1], as in the paper, whatever the data set's unit. ``own``: as
+    # published tables of the data set have it.
     unit: str = "complete"
+    # Whether the earth mover's distance is taken, which costs the most.
     with_emd: bool = True
+    # Whether the partial itself is scored, and the predictions with the measured points
+    # kept; about half of the time.
     with_measured: bool = True
+    # Which one the completer knows objects in; the partial decides on it.
     heading: Heading = "given"
+    # Whether what lies around a partial is known to be empty, and predicted points
+    # there are left away.
     background: Background = "unknown"
+    # Whether the completer gets the examples' visibility maps beside partials and
+    # sensors, and the maps filter what is added to the measured points.
     told: bool = False
 
     def __post_init__(self):

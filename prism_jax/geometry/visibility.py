@@ -42,17 +42,13 @@ NUM_CLUES = 6
 
 
 class Visibility(NamedTuple):
-    """A map of what one sensor knows, in the frame and the unit of its clouds.
+    """A map of what one sensor knows, in the frame and the unit of its clouds."""
 
-    Attributes:
-      camera: the view whose pixels these are, from where the sensor stood.
-      state: one of the four states of each pixel.
-      depth: along the camera's z, of what was measured there; 0 where the state is
-        `UNKNOWN`. In every other state all that is nearer is free.
-    """
-
-    camera: Camera
+    camera: Camera  # the view whose pixels these are, from where the sensor stood
+    # One of the four states of each pixel.
     state: UInt8[Array | np.ndarray, "*batch H W"]
+    # Along the camera's z, of what was measured there; 0 where the state is `UNKNOWN`.
+    # In every other state all that is nearer is free.
     depth: Float32[Array | np.ndarray, "*batch H W"]
 
 

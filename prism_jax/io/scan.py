@@ -32,20 +32,17 @@ class Bounds:
 
 @dataclasses.dataclass(frozen=True)
 class Scan:
-    """Finite points inside the bounds, as stored, and what was left out of them.
-
-    Attributes:
-      in_camera_frame: whether they are a depth image's, in its camera's own axes (x
-        right, y down, z forward) or those of another sensor in the same housing, turned
-        by less than `CAMERA_FRAME_DEGREES`.
-      around: the finite points outside the bounds; None without bounds.
-    """
+    """Finite points inside the bounds, as stored, and what was left out of them."""
 
     points: Float[np.ndarray, "N 3"]
     camera: Camera | None
     num_not_finite: int
     num_outside: int
+    # Whether they are a depth image's, in its camera's own axes (x right, y down, z
+    # forward) or those of another sensor in the same housing, turned by less than
+    # `CAMERA_FRAME_DEGREES`.
     in_camera_frame: bool = False
+    # The finite points outside the bounds; None without bounds.
     around: Float[np.ndarray, "R 3"] | None = None
 
 

@@ -39,13 +39,11 @@ class DecoderIndices(NamedTuple):
     """The samples and neighbours of one decoding.
 
     They jump where its points move by a little, and have no derivative.
-
-    Attributes:
-      initial: rows of the seeds and the partial, joined, that the blocks start from.
-      pyramids: of every block, between the levels and within its own.
     """
 
+    # Rows of the seeds and the partial, joined, that the blocks start from.
     initial: Int[Array, "... n"]
+    # Of every block, between the levels and within its own.
     pyramids: tuple[tuple[Pyramid, Pyramid], ...]
 
 

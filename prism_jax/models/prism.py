@@ -33,30 +33,24 @@ class NetworkInput(NamedTuple):
     """One partial cloud and its view, and all that follows from them alone.
 
     It is computed once for all adaptation steps.
-
-    Attributes:
-      partial: measured points in the unit workspace.
-      indices: samples and neighbours of the point encoder.
-      depth, depth_mask: what the depth stream reads, relative to the workspace centre.
-      view: the camera at the resolution of Eq. 3 and 4.
-      reference, reference_mask: the partial's depth map in that view.
-      perturbed, perturbed_neighbors: A(P) of Eq. 6 and its neighbour graph.
-      upsampled: U(P) of Eq. 6.
-      decoding: samples and neighbours of the decoder, where they are held.
-      visibility: what the sensor knows, for networks that read it.
     """
 
-    partial: Float[Array, "N 3"]
-    indices: EncoderIndices
+    partial: Float[Array, "N 3"]  # measured points in the unit workspace
+    indices: EncoderIndices  # samples and neighbours of the point encoder
+    # What the depth stream reads, relative to the workspace centre.
     depth: Float[Array, "H W"]
     depth_mask: Bool[Array, "H W"]
-    view: Camera
+    view: Camera  # the camera at the resolution of Eq. 3 and 4
+    # The partial's depth map in that view.
     reference: Float[Array, "h w"]
     reference_mask: Bool[Array, "h w"]
+    # A(P) of Eq. 6 and its neighbour graph.
     perturbed: Float[Array, "N 3"]
     perturbed_neighbors: Int[Array, "N k"]
-    upsampled: Float[Array, "M 3"]
+    upsampled: Float[Array, "M 3"]  # U(P) of Eq. 6
+    # Samples and neighbours of the decoder, where they are held.
     decoding: DecoderIndices | None = None
+    # What the sensor knows, for networks that read it.
     visibility: Visibility | None = None
 
 

@@ -15,22 +15,17 @@ from prism_jax.geometry.sampling import farthest_point_sample
 
 
 class Level(NamedTuple):
-    """One resolution of a pair of clouds.
+    """One resolution of a pair of clouds."""
 
-    Attributes:
-      query_rows: rows of the query cloud that make up this resolution.
-      support_rows: rows of the support cloud.
-      neighbors: for each query row here, its nearest support rows here.
-      query_coarser: for each query row here, the three nearest query rows of the next
-        coarser resolution; None at the coarsest.
-      support_coarser: the same for the support rows here.
-    """
-
+    # Rows of the query cloud that make up this resolution.
     query_rows: Int[Array, "... Q"]
-    support_rows: Int[Array, "... S"]
+    support_rows: Int[Array, "... S"]  # rows of the support cloud
+    # For each query row here, its nearest support rows here.
     neighbors: Int[Array, "... Q k"]
+    # For each query row here, the three nearest query rows of the next coarser
+    # resolution; None at the coarsest.
     query_coarser: Int[Array, "... Q 3"] | None
-    support_coarser: Int[Array, "... S 3"] | None
+    support_coarser: Int[Array, "... S 3"] | None  # the same for the support rows here
 
 
 Pyramid = tuple[Level, ...]

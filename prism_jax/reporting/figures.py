@@ -38,17 +38,11 @@ _NO_DEPTH = "#d5d9df"
 
 @dataclasses.dataclass(frozen=True)
 class Cloud:
-    """Points of one colour in a panel.
+    """Points of one colour in a panel."""
 
-    Attributes:
-      name: what the legend calls them.
-      points: in the figure's frame.
-      color: CSS.
-    """
-
-    name: str
-    points: Float[np.ndarray, "N 3"]
-    color: str
+    name: str  # what the legend calls them
+    points: Float[np.ndarray, "N 3"]  # in the figure's frame
+    color: str  # CSS
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,23 +22,17 @@ from prism_jax.streaming.observer import FrameObserver
 
 @dataclasses.dataclass(frozen=True)
 class CompletedFrame:
-    """A completed frame, in the frame and unit of its measured points.
+    """A completed frame, in the frame and unit of its measured points."""
 
-    Attributes:
-      points: the measured points inside the workspace, exactly as they were, and then
-        the predicted points where nothing was measured, and points on the surface of a
-        robot that is known.
-      label: OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
-      workspace: the cube that was completed.
-      timestamp: the measurement's, in nanoseconds.
-      seconds: spent on "observe", "network" and "assemble".
-    """
-
+    # The measured points inside the workspace, exactly as they were, and then the
+    # predicted points where nothing was measured, and points on the surface of a robot
+    # that is known.
     points: Float[np.ndarray, "M 3"]
+    # OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
     label: UInt8[np.ndarray, " M"]
-    workspace: Workspace
-    timestamp: int
-    seconds: dict[str, float]
+    workspace: Workspace  # the cube that was completed
+    timestamp: int  # the measurement's, in nanoseconds
+    seconds: dict[str, float]  # spent on "observe", "network" and "assemble"
 
     @property
     def observed(self) -> Bool[np.ndarray, " M"]:

@@ -31,44 +31,31 @@ AROUND = 10
 
 @dataclasses.dataclass(frozen=True)
 class Scanned:
-    """What an envelope is made of, in one frame and unit.
+    """What an envelope is made of, in one frame and unit."""
 
-    Attributes:
-      points: those that are completed.
-      everything: all that was measured.
-      view: what the sensor knows of its view; None where its place is not known.
-      camera: stands where the sensor did.
-      named: the depth camera, if there is one.
-      up: the direction.
-      robot: points on a known robot's surface; None where none is known.
-    """
-
-    points: Float[np.ndarray, "N 3"]
-    everything: Float[np.ndarray, "M 3"]
+    points: Float[np.ndarray, "N 3"]  # those that are completed
+    everything: Float[np.ndarray, "M 3"]  # all that was measured
+    # What the sensor knows of its view; None where its place is not known.
     view: Visibility | None
-    camera: Camera | None
-    named: Camera | None
-    up: str | Vector
+    camera: Camera | None  # stands where the sensor did
+    named: Camera | None  # the depth camera, if there is one
+    up: str | Vector  # the direction
+    # Points on a known robot's surface; None where none is known.
     robot: Float[np.ndarray, "R 3"] | None
 
 
 @dataclasses.dataclass(frozen=True)
 class MadeEnvelope:
-    """The envelope of a scan or a frame.
+    """The envelope of a scan or a frame."""
 
-    Attributes:
-      scan, seen, envelope: what it is of, what was completed of that, and the voxels.
-      query: the points that were asked for with their distances, if any were.
-      seconds: spent on "observe", "complete" and "envelope".
-      number, timestamp: of the frame, in its recording and in nanoseconds; of a scan no
-        number is told.
-    """
-
+    # What it is of, what was completed of that, and the voxels.
     scan: Scanned
     seen: Seen
     envelope: Envelope
+    # The points that were asked for with their distances, if any were.
     query: tuple[Float[np.ndarray, "Q 3"], Distances] | None
-    seconds: dict[str, float]
+    seconds: dict[str, float]  # spent on "observe", "complete" and "envelope"
+    # Of the frame, in its recording and in nanoseconds; of a scan no number is told.
     number: int | None = None
     timestamp: int = 0
 

@@ -31,24 +31,17 @@ LONGEST_GAP = 10_000_000_000
 
 @dataclasses.dataclass
 class StreamReport:
-    """What came of a stream; lengths of time in seconds.
+    """What came of a stream; lengths of time in seconds."""
 
-    Attributes:
-      completed: frames that were completed and written.
-      dropped: frames that a newer one overtook, at the sensor's pace.
-      unusable: frames with nothing to complete.
-      warm_up: until the first frame was done for the first time, compilation included.
-      duration: from then on.
-      times: by stage, of each completed frame: "read", those of what completes it,
-        "write", and its "age", which is the time from when the sensor gave it, or it
-        was taken up at pace "max", until it is written.
-    """
-
-    completed: int = 0
-    dropped: int = 0
-    unusable: int = 0
+    completed: int = 0  # frames that were completed and written
+    dropped: int = 0  # frames that a newer one overtook, at the sensor's pace
+    unusable: int = 0  # frames with nothing to complete
+    # Until the first frame was done for the first time, compilation included.
     warm_up: float = 0.0
-    duration: float = 0.0
+    duration: float = 0.0  # from then on
+    # By stage, of each completed frame: "read", those of what completes it, "write",
+    # and its "age", which is the time from when the sensor gave it, or it was taken up
+    # at pace "max", until it is written.
     times: dict[str, array] = dataclasses.field(
         default_factory=lambda: defaultdict(lambda: array("d"))
     )

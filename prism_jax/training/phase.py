@@ -32,18 +32,12 @@ VALIDATION_COMPLETE = 4096
 
 
 class TrainState(NamedTuple):
-    """What a step changes and a checkpoint holds.
+    """What a step changes and a checkpoint holds."""
 
-    Attributes:
-      step: how many were made.
-      variables: what the next step starts from.
-      opt_state: the optimiser's.
-      average: moving average of the variables, or None if none is kept.
-    """
-
-    step: Int[Array, ""]
-    variables: Variables
-    opt_state: Any
+    step: Int[Array, ""]  # how many were made
+    variables: Variables  # what the next step starts from
+    opt_state: Any  # the optimiser's
+    # Moving average of the variables, or None if none is kept.
     average: Variables | None = None
 
     @property
@@ -53,27 +47,19 @@ class TrainState(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """A stretch of training with one loss and one optimiser.
+    """A stretch of training with one loss and one optimiser."""
 
-    Attributes:
-      name: what the log and the checkpoints call it.
-      num_samples: examples seen, repetitions counted.
-      batch_size: examples per step.
-      num_complete: points of the complete cloud that a batch holds.
-      start: the state at step 0.
-      step_fn: jitted; returns the next state and the terms of the loss.
-      validate_fn: jitted; terms of each example's score, or of its batch's; the last
-        decides what is kept, lower being better.
-      terms, scores: what the two return, by name, for the log.
-    """
-
-    name: str
-    num_samples: int
-    batch_size: int
-    num_complete: int
-    start: TrainState
+    name: str  # what the log and the checkpoints call it
+    num_samples: int  # examples seen, repetitions counted
+    batch_size: int  # examples per step
+    num_complete: int  # points of the complete cloud that a batch holds
+    start: TrainState  # the state at step 0
+    # Jitted; returns the next state and the terms of the loss.
     step_fn: Callable[[TrainState, Batch], tuple[TrainState, Float[Array, " L"]]]
+    # Jitted; terms of each example's score, or of its batch's; the last decides what is
+    # kept, lower being better.
     validate_fn: Callable[[Variables, Batch], Float[Array, "B S"]]
+    # What the two return, by name, for the log.
     terms: tuple[str, ...]
     scores: tuple[str, ...]
 

@@ -42,21 +42,16 @@ MAX_REASONS = 3
 
 
 class Verdict(NamedTuple):
-    """What to make of a completed object.
+    """What to make of a completed object."""
 
-    Attributes:
-      trust: in words.
-      expected_error: the distance, in the user's units, by which completed and true
-        surface are expected to miss each other: CD-L1.
-      reasons: what speaks against it, each a short sentence with a remedy; empty if
-        nothing does.
-      evidence: the numbers that it rests on, by name.
-    """
-
-    trust: Literal["high", "fair", "low"]
+    trust: Literal["high", "fair", "low"]  # in words
+    # The distance, in the user's units, by which completed and true surface are
+    # expected to miss each other: CD-L1.
     expected_error: float
+    # What speaks against it, each a short sentence with a remedy; empty if nothing
+    # does.
     reasons: tuple[str, ...]
-    evidence: dict[str, float]
+    evidence: dict[str, float]  # the numbers that it rests on, by name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,20 +62,18 @@ class Calibration(Trees):
     `experiments.calibrate` fits them on validation data that is shifted in every way.
     The global features of training views say what is familiar: their mean, the axes
     along which they vary most, in units of their spread, and the spread of the rest.
-
-    Attributes:
-      usual: the logarithms where completions are good, in the order of `EVIDENCE`.
-      fair, low: expected errors, in half sides of the workspace, from which trust is
-        fair, and low.
-      feature_mean, feature_axes, feature_rest: what is familiar.
     """
 
     WHAT: ClassVar[str] = "a calibration"
     NAMES: ClassVar[tuple[str, ...]] = tuple(EVIDENCE)
 
+    # The logarithms where completions are good, in the order of `EVIDENCE`.
     usual: Float[np.ndarray, " E"]
+    # Expected errors, in half sides of the workspace, from which trust is fair, and
+    # low.
     fair: float
     low: float
+    # What is familiar.
     feature_mean: Float[np.ndarray, " G"]
     feature_axes: Float[np.ndarray, "A G"]
     feature_rest: float

@@ -14,13 +14,6 @@ class Trees:
 
     Each tree is complete: node n splits into 2 n + 1, where the number that it looks at
     is at most its threshold, and 2 n + 2. What is made of such a sum adds its fields.
-
-    Attributes:
-      base: what the trees' sum is added to.
-      looks_at: which number each node of each tree looks at.
-      thresholds: of that number.
-      leaves: what each leaf adds.
-      bounds: the least and the largest sum that was met where they were fitted.
     """
 
     WHAT: ClassVar[str] = "a sum of trees"
@@ -29,10 +22,11 @@ class Trees:
     NAMES: ClassVar[tuple[str, ...]] = ()
     """Of the numbers that nodes look at, in their order."""
 
-    base: float
-    looks_at: Float[np.ndarray, "T N"]
-    thresholds: Float[np.ndarray, "T N"]
-    leaves: Float[np.ndarray, "T L"]
+    base: float  # what the trees' sum is added to
+    looks_at: Float[np.ndarray, "T N"]  # which number each node of each tree looks at
+    thresholds: Float[np.ndarray, "T N"]  # of that number
+    leaves: Float[np.ndarray, "T L"]  # what each leaf adds
+    # The least and the largest sum that was met where they were fitted.
     bounds: Float[np.ndarray, "2"]
 
     def sums(self, rows: Float[np.ndarray, "*R E"]) -> Float[np.ndarray, "*R"]:

@@ -23,43 +23,34 @@ _LATE = 1_000_000
 
 
 class Joints(NamedTuple):
-    """Where the joint positions of a robot in a stream come from.
+    """Where the joint positions of a robot in a stream come from."""
 
-    Attributes:
-      topic: of the recording's, by default the only one, or what its frames have.
-      given: those of every frame, as a `joints.json` of recordings has them, or None.
-      base: the robot's pose in the points' frame, 4x4, or None for what `given` or the
-        frames say of it.
-    """
-
+    # Of the recording's, by default the only one, or what its frames have.
     topic: str | None = None
+    # Those of every frame, as a `joints.json` of recordings has them, or None.
     given: Mapping[str, Any] | None = None
+    # The robot's pose in the points' frame, 4x4, or None for what `given` or the frames
+    # say of it.
     base: Any = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Frame:
-    """One measurement of a sensor, in metres.
+    """One measurement of a sensor, in metres."""
 
-    Attributes:
-      points: the finite ones, in the sensor's frame, or in the world's where the format
-        knows the sensor's pose. There may be none.
-      timestamp: in nanoseconds, of whatever clock the recording has.
-      camera: the pinhole of a depth image, or None. Its pose refers to the frame of
-        the points.
-      depth: a depth image along the camera's z, 0 where there was no return, or None.
-      num_not_finite: points that were left out because they are not finite.
-      size: rows and columns of an image or of an organised cloud; None for any other.
-      joints: of a robot in it, as a `joints.json` of recordings has them, if the stream
-        was asked for them and has some.
-    """
-
+    # The finite ones, in the sensor's frame, or in the world's where the format knows
+    # the sensor's pose. There may be none.
     points: Float[np.ndarray, "N 3"]
-    timestamp: int
+    timestamp: int  # in nanoseconds, of whatever clock the recording has
+    # The pinhole of a depth image, or None. Its pose refers to the frame of the points.
     camera: Camera | None = None
+    # A depth image along the camera's z, 0 where there was no return, or None.
     depth: Float[np.ndarray, "H W"] | None = None
-    num_not_finite: int = 0
+    num_not_finite: int = 0  # points that were left out because they are not finite
+    # Rows and columns of an image or of an organised cloud; None for any other.
     size: tuple[int, int] | None = None
+    # Of a robot in it, as a `joints.json` of recordings has them, if the stream was
+    # asked for them and has some.
     joints: Mapping[str, Any] | None = None
 
     @classmethod

@@ -37,16 +37,11 @@ MIN_SHARE = 0.08
 
 @dataclasses.dataclass(frozen=True)
 class Plane:
-    """``points @ normal = offset``, and how far off its points lie.
+    """``points @ normal = offset``, and how far off its points lie."""
 
-    Attributes:
-      normal: a unit vector.
-      offset: in the user's unit, as `tolerance` is.
-      tolerance: three standard deviations of its points, half their spacing at least.
-    """
-
-    normal: Float64[np.ndarray, "3"]
-    offset: float
+    normal: Float64[np.ndarray, "3"]  # A unit vector
+    offset: float  # in the user's unit, as `tolerance` is
+    # Three standard deviations of its points, half their spacing at least.
     tolerance: float
 
     def height(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
@@ -98,27 +93,17 @@ def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
 
 @dataclasses.dataclass(frozen=True)
 class Outline:
-    """The convex hull of a plane's points, seen along its normal.
+    """The convex hull of a plane's points, seen along its normal."""
 
-    Attributes:
-      axes: two directions in the plane.
-      lines: of unit length and outwards, one for each side of the hull.
-      offsets: how far out these sides are.
-      area: of the hull.
-      width: the least distance between two parallel lines around it.
-      length: the longest side of its box along `axes`.
-      filled: the share of the area that has points.
-      count: how many points it is made of.
-    """
-
-    axes: Float64[np.ndarray, "2 3"]
+    axes: Float64[np.ndarray, "2 3"]  # two directions in the plane
+    # Of unit length and outwards, one for each side of the hull.
     lines: Float64[np.ndarray, "E 2"]
-    offsets: Float64[np.ndarray, " E"]
-    area: float
-    width: float
-    length: float
-    filled: float
-    count: int
+    offsets: Float64[np.ndarray, " E"]  # how far out these sides are
+    area: float  # of the hull
+    width: float  # the least distance between two parallel lines around it
+    length: float  # the longest side of its box along `axes`
+    filled: float  # the share of the area that has points
+    count: int  # how many points it is made of
 
     def depth(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
         """How far inside the hull points project; negative outside."""

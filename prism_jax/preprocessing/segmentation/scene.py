@@ -43,23 +43,16 @@ MIN_SIZE = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """Whose points are whose.
+    """Whose points are whose."""
 
-    Attributes:
-      object: for each point the number of its object, from 0, the one of most points
-        first; `SUPPORT` on the planes set aside, `LEFT_OVER` for outliers and what is
-        too small to be completed.
-      planes: those set aside, the support first, if there is one.
-      num_points: of each object.
-      num_support: how many points lie on the planes.
-      num_left_over: how many belong to nothing.
-    """
-
+    # For each point the number of its object, from 0, the one of most points first;
+    # `SUPPORT` on the planes set aside, `LEFT_OVER` for outliers and what is too small
+    # to be completed.
     object: Int[np.ndarray, " N"]
-    planes: tuple[Plane, ...]
-    num_points: tuple[int, ...]
-    num_support: int
-    num_left_over: int
+    planes: tuple[Plane, ...]  # those set aside, the support first, if there is one
+    num_points: tuple[int, ...]  # of each object
+    num_support: int  # how many points lie on the planes
+    num_left_over: int  # how many belong to nothing
 
 
 def split_scene(

@@ -50,15 +50,11 @@ REACH = 4.0
 
 
 class Up(NamedTuple):
-    """Which way is up, and what says so.
+    """Which way is up, and what says so."""
 
-    Attributes:
-      vector: of unit length, in the points' frame.
-      source: the normal of the "support" plane, the "camera" that was held upright, or
-        "z", the axis that is taken if nothing says more.
-    """
-
-    vector: Float64[np.ndarray, "3"]
+    vector: Float64[np.ndarray, "3"]  # of unit length, in the points' frame
+    # The normal of the "support" plane, the "camera" that was held upright, or "z", the
+    # axis that is taken if nothing says more.
     source: Literal["support", "camera", "z"]
 
 
