@@ -52,8 +52,7 @@ _SETTINGS = (
 _SCANS = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".csv", ".png")
 """What is taken from a folder."""
 
-PATIENCE = 2.0
-"""Seconds after which a step says what it is doing."""
+PATIENCE = 2.0  # seconds after which a step says what it is doing
 
 
 def define_flags() -> None:

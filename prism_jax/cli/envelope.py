@@ -64,8 +64,7 @@ NAME = "prism-envelope"
 CALIBRATE = "calibrate"
 _METHOD = Method()
 _CARVING = Carving()
-LINES = "envelope.jsonl"
-"""Of a stream, a line a frame."""
+LINES = "envelope.jsonl"  # of a stream, a line a frame
 
 _timed = functools.partial(timed, command=NAME)
 

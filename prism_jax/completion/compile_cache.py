@@ -16,8 +16,7 @@ import jax.export
 
 from prism_jax.io.atomic import write_bytes
 
-MAX_TRACES = 8
-"""Traces in one folder; the oldest are removed."""
+MAX_TRACES = 8  # traces in one folder; the oldest are removed
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 

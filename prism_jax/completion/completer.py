@@ -43,8 +43,7 @@ from prism_jax.preprocessing.visibility_map import seen_among, some_of
 from prism_jax.uncertainty.confidence import Calibration
 from prism_jax.uncertainty.sigma import PointErrors
 
-SLOTS = 8
-"""Objects that one compiled call completes, at most."""
+SLOTS = 8  # objects that one compiled call completes, at most
 
 for kind in (Completion, Losses):
     name = f"prism_jax.{kind.__name__}"

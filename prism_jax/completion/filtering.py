@@ -21,14 +21,11 @@ STRAY = 0.35
 measured, are no farther off, in the unit workspace. Chosen on validation
 (docs/findings.md), as that number is."""
 
-MAX_DENSE = 200_000
-"""Points that `densify` makes at most."""
+MAX_DENSE = 200_000  # points that `densify` makes at most
 
-LONG_EDGE = 2.0
-"""In usual spacings: points farther apart span no surface."""
+LONG_EDGE = 2.0  # in usual spacings: points farther apart span no surface
 
-NUM_EDGES = 6
-"""Nearest neighbours of a point that edges lead to."""
+NUM_EDGES = 6  # nearest neighbours of a point that edges lead to
 
 
 class Selection(NamedTuple):

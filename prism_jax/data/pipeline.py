@@ -26,8 +26,7 @@ from prism_jax.preprocessing.visibility_map import seen_among
 MAX_TILT = np.deg2rad(20.0)
 """Of training examples whose heading the network finds itself."""
 
-ASIDE = 4
-"""One in so many of those gets a random quarter turn."""
+ASIDE = 4  # one in so many of those gets a random quarter turn
 
 
 class Batch(NamedTuple):

@@ -39,20 +39,17 @@ from prism_jax.io.files import read_bytes, read_json
 from prism_jax.io.ply import read_ply
 from prism_jax.preprocessing.visibility_map import seen_among
 
-DEPTH_SCALE = 0.00025
-"""Metres a count of the depth image: the L515's own unit."""
+DEPTH_SCALE = 0.00025  # metres a count of the depth image: the L515's own unit
 
 LABELS = {"nothing": 0, "robot": 1, "clutter": 2, "fixture": 3, "person": 4}
 """What a pixel sees: no return; the robot; what is neither asked for nor in the clouds
 (floor, table, fence, boxes); the fixtures, which are part of the clouds; people, who
 are not."""
 
-MAX_METRES = 50.0
-"""A coordinate beyond this is not in metres, or not of a cell."""
+MAX_METRES = 50.0  # a coordinate beyond this is not in metres, or not of a cell
 NEAR = 0.03
 """Metres along a pixel's ray: a partial's point this near its pixel's depth fits it."""
-RAYS_A_PIXEL = 5
-"""Of a depth image, about so many for each pixel of a map."""
+RAYS_A_PIXEL = 5  # of a depth image, about so many for each pixel of a map
 
 NEEDED = ("camera.json", "depth.png", "partial.ply")
 OPTIONAL = ("complete.ply", "labels.png", "joints.json")

@@ -34,10 +34,8 @@ from prism_jax.data.source import Example
 FORMAT_VERSION = 3
 """Raised with every change of the layout: folders of another one are refused."""
 ARRAYS = ("complete", "box", "partial", "eye", "views")
-MAPS = ("map", "camera")
-"""A folder has them for all of its views or for none."""
-NAMES = "names.json"
-"""Written last: a shard is there once its names are."""
+MAPS = ("map", "camera")  # a folder has them for all of its views or for none
+NAMES = "names.json"  # written last: a shard is there once its names are
 WHOLE = {"clear", "rings", "noisy", "stations"}
 """Traits, as names end in, of views that nothing hides or cuts in part."""
 

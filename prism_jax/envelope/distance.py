@@ -20,11 +20,9 @@ KINDS = STATES[:3]
 NEIGHBORS = 16
 """Nearest middles of voxels among which the nearest box is looked for first."""
 
-LEAF = 32
-"""Points of a leaf of a search tree."""
+LEAF = 32  # points of a leaf of a search tree
 
-STEPS = 2
-"""Scales are rounded to so many a doubling."""
+STEPS = 2  # scales are rounded to so many a doubling
 
 _TOUCHING = np.ones((3, 3, 3), bool)
 

@@ -13,8 +13,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_json
 from prism_jax.robots.urdf import Linkage
 
-SPACING = 0.02
-"""Metres between points on a robot's surface, about."""
+SPACING = 0.02  # metres between points on a robot's surface, about
 
 MARGIN = 0.03
 """Metres: measured points this near to the robot's surface are the robot's."""

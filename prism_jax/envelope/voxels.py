@@ -26,11 +26,9 @@ MEASURED, ROBOT, PREDICTED, UNSEEN, FREE = range(5)
 STATES = ("measured", "robot", "predicted", "unseen", "free")
 """States of a voxel, by their numbers. All but the last may hold something."""
 
-VOXEL = 0.04
-"""The side of a voxel, in metres."""
+VOXEL = 0.04  # the side of a voxel, in metres
 
-MAX_VOXELS = 20_000_000
-"""Of a grid; a finer one takes more memory than it is worth."""
+MAX_VOXELS = 20_000_000  # of a grid; a finer one takes more memory than it is worth
 
 MAX_ASKED = 4096
 """Points of a cloud that its view is made of; of more, evenly spaced rows."""

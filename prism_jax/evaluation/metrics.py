@@ -19,8 +19,7 @@ UNIT = "half the longest side of the complete cloud"
 """The unit of length of scores, unless a data set's published table has its own."""
 F_SCORE_THRESHOLD = 0.01
 MAX_EXACT_POINTS = 4096
-_FEWEST = 16
-"""Fewer points than this are not worth an assignment of their own."""
+_FEWEST = 16  # fewer points than this are not worth an assignment of their own
 _ROUNDS = 10
 """Of relaxing the prices of a whole assignment; more cost more than they save."""
 

@@ -12,8 +12,7 @@ from prism_jax.evaluation.bootstrap import (
     resampled_medians,
 )
 
-ADAPTED = ("network", "completed")
-"""Clouds that there are unadapted, too."""
+ADAPTED = ("network", "completed")  # clouds that there are unadapted, too
 
 
 class Measure(NamedTuple):

@@ -19,8 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.geometry.extrema import inserted
 
-MAX_FARTHEST_POINTS = 16384
-"""Of a cloud that one program holds in its registers."""
+MAX_FARTHEST_POINTS = 16384  # of a cloud that one program holds in its registers
 
 _QUERIES = 128
 

@@ -9,8 +9,7 @@ from jaxtyping import Array, Float, Int
 from prism_jax.geometry import kernels
 from prism_jax.geometry.extrema import first_highest
 
-NEAR_ORIGIN = 1e-3
-"""Squared radius inside which the reference's sampling never looks."""
+NEAR_ORIGIN = 1e-3  # squared radius inside which the reference's sampling never looks
 
 
 def farthest_point_sample(

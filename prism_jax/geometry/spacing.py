@@ -4,8 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-NUM_NEAR = 8
-"""Neighbours that a density is taken from."""
+NUM_NEAR = 8  # neighbours that a density is taken from
 
 
 def median_spacing(cloud: Float[np.ndarray, "N 3"]) -> float:

@@ -22,14 +22,12 @@ UNKNOWN, SURFACE, NEARER, BACKGROUND = range(4)
 """States of a pixel. Nothing was measured; the object was; something nearer was, which
 hides all behind it; or the sensor looked past the object, to what lies beyond."""
 
-MAP_SIZE = 64
-"""Pixels of the side of the maps that are made and stored."""
+MAP_SIZE = 64  # pixels of the side of the maps that are made and stored
 
 MARGIN = 1.4
 """Of a map around what was measured of the object: it sees past the silhouette."""
 
-CLOSED = 3.0
-"""In spacings of the points: holes in a cloud that are no wider are closed."""
+CLOSED = 3.0  # in spacings of the points: holes in a cloud that are no wider are closed
 
 Background = Literal["unknown", "empty"]
 """What lies around a cloud in its sensor's view: nobody knows, or nothing was hit."""

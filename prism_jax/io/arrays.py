@@ -20,12 +20,10 @@ _HEADER_READERS = {
     (1, 0): npy_format.read_array_header_1_0,
     (2, 0): npy_format.read_array_header_2_0,
 }
-MAX_MEMBERS = 1000
-"""An archive with more arrays is refused: the header of each is read."""
+MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
 
 _HEAD_BYTES = 2**16
-_ENTRY = b"PK\1\2"
-"""Every entry of an archive's directory starts with it."""
+_ENTRY = b"PK\1\2"  # every entry of an archive's directory starts with it
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
 
 

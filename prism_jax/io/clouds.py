@@ -14,8 +14,7 @@ from prism_jax.io.pcd import read_pcd
 from prism_jax.io.ply import read_ply
 from prism_jax.io.text import read_text
 
-MIN_POINTS = 64
-"""A cloud needs at least so many distinct points."""
+MIN_POINTS = 64  # a cloud needs at least so many distinct points
 
 MAX_EXTENT = 10_000.0
 """A longer cloud is in units too small for what it shows, or has stray points."""

@@ -16,8 +16,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
-MAX_SIDE = 16_384
-"""Pixels: an image with a longer side is refused."""
+MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
 
 _BLOCK = 4096
 """Points turned at once: a larger product would wake all cores for next to nothing."""

@@ -13,8 +13,7 @@ from prism_jax.io.errors import InputError
 
 CACHE_VARIABLE = "PRISM_JAX_CACHE"
 
-MAX_FILE_BYTES = 2**30
-"""Larger files are refused."""
+MAX_FILE_BYTES = 2**30  # larger files are refused
 
 MAX_POINTS = 10_000_000
 """Clouds and images with more points or pixels are refused, unless the caller allows

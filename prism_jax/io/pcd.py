@@ -27,8 +27,7 @@ from prism_jax.io.text import parse_rows
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
-_LZF_MAX_RATIO = 100
-"""LZF's longest match is 264 bytes in a token of three."""
+_LZF_MAX_RATIO = 100  # LZF's longest match is 264 bytes in a token of three
 _MAX_COUNT = 2**16
 """Values of one field for one point; the longest known descriptors have 2,000."""
 _REMEDY = "export it again, for example with pcl_convert_pcd_ascii_binary"

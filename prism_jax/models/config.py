@@ -6,11 +6,9 @@ from typing import Annotated, Literal
 from prism_jax.geometry.visibility import Background
 from prism_jax.models.ranges import Checked
 
-MAX_POINTS = 2**18
-"""Of a cloud that the decoder makes."""
+MAX_POINTS = 2**18  # of a cloud that the decoder makes
 
-MAX_POSES = 3
-"""Of `prism_jax.models.poses`."""
+MAX_POSES = 3  # of `prism_jax.models.poses`
 
 Points = Annotated[int, 1, 2**16]
 Width = Annotated[int, 1, 4096]

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from types import UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-MAX_LENGTH = 8
-"""Of a tuple of any length: resolutions, stages and blocks are few."""
+MAX_LENGTH = 8  # of a tuple of any length: resolutions, stages and blocks are few
 
 
 class Checked:

@@ -7,14 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-NUM_ANGLES = 90
-"""Over a quarter turn: one degree each."""
+NUM_ANGLES = 90  # over a quarter turn: one degree each
 
-NUM_BINS = 64
-"""Over twice the footprint's radius about its mean."""
+NUM_BINS = 64  # over twice the footprint's radius about its mean
 
-MAX_POINTS = 1024
-"""Of a larger cloud, evenly spaced rows decide."""
+MAX_POINTS = 1024  # of a larger cloud, evenly spaced rows decide
 
 
 def level_heading(

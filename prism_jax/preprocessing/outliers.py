@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-TAIL = 100
-"""One point in so many is set aside at each end of each axis."""
+TAIL = 100  # one point in so many is set aside at each end of each axis
 
 REACH = 4.0
 """How far beyond the rest a point may lie, in longest sides of the rest's box. In the

@@ -7,8 +7,7 @@ from prism_jax.geometry.workspace import Workspace
 
 NUM_DIRECTIONS = 128
 MAX_POINTS = 1024
-CELLS = 32
-"""Along each side of the image in which points hide each other."""
+CELLS = 32  # along each side of the image in which points hide each other
 
 BEHIND = 0.25
 """In radii of the cloud: what lies that much behind another point is hidden by it."""
@@ -17,8 +16,7 @@ APART, HIDDEN = np.deg2rad(75.0), 0.08
 """A place that is so far from the likely direction, and from which so much more of the
 points would be hidden, is not believed."""
 
-DISTANCE = 6.0
-"""Of a likely place, in radii of the cloud."""
+DISTANCE = 6.0  # of a likely place, in radii of the cloud
 
 
 def likely_eye(

@@ -17,8 +17,7 @@ _TURNS = {
     "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
 }
 
-UP_AXES = tuple(_TURNS)
-"""The names that `upright` knows."""
+UP_AXES = tuple(_TURNS)  # the names that `upright` knows
 
 _REMEDY = f"use one of {', '.join(UP_AXES)}, or three numbers such as 0,-0.8,-0.6"
 

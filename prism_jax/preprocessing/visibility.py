@@ -12,14 +12,11 @@ PAST = 5.0
 """In spacings of the network's input: nothing measured as near to a point's line of
 sight means that the sensor looked through it, or away from it."""
 
-NUM_RAYS = 8
-"""Measured points about a line of sight that are asked."""
+NUM_RAYS = 8  # measured points about a line of sight that are asked
 
-REACH = 3.0
-"""In spacings: lines of sight that pass each other by less are neighbours."""
+REACH = 3.0  # in spacings: lines of sight that pass each other by less are neighbours
 
-MAX_MEASURED = 16_384
-"""Of a larger cloud, evenly spaced rows are asked."""
+MAX_MEASURED = 16_384  # of a larger cloud, evenly spaced rows are asked
 
 
 def in_front(

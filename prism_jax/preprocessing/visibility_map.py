@@ -21,8 +21,7 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.geometry.workspace import Workspace
 
-MARGIN = 1.4
-"""Side of a cube around an object over the longest of its points' box."""
+MARGIN = 1.4  # side of a cube around an object over the longest of its points' box
 
 BEHIND = 0.03
 """In half sides of a workspace: what lies no farther before its far side hides nothing
@@ -31,8 +30,7 @@ of it."""
 REACH = MAP_SIZE // 8
 """In pixels: holes of no more than twice that are closed, however wide the spacing."""
 
-FEW = 1024
-"""Points by which the spacing of a larger cloud is taken."""
+FEW = 1024  # points by which the spacing of a larger cloud is taken
 
 DENSE = 4 * MAP_SIZE**2
 """Points on a map: where there are more, they leave no holes between them."""

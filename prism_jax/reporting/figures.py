@@ -16,14 +16,12 @@ from prism_jax.io.ply import COLORS, COMPLETED, OBSERVED
 MAX_SHOWN_POINTS = 10_000
 """Of each cloud in a figure; a larger one is thinned, the same points every time."""
 
-PAGE_ASPECT = 2.1
-"""Width to height of all panels together, about."""
+PAGE_ASPECT = 2.1  # width to height of all panels together, about
 
 SHOWN_PIXELS = 400
 """About the length, on a screen, of the longest side of what a panel shows."""
 
-MARKER_SIZES = (1.4, 4.0)
-"""The smallest and the largest diameter of a point, in pixels."""
+MARKER_SIZES = (1.4, 4.0)  # the smallest and the largest diameter of a point, in pixels
 
 OBSERVED_COLOR, COMPLETED_COLOR = (
     "rgb({}, {}, {})".format(*COLORS[label]) for label in (OBSERVED, COMPLETED)

@@ -32,8 +32,7 @@ _OPERATORS: dict[type, Any] = {
     ast.NotEq: operator.ne,
 }
 _FUNCTIONS = {"radians": math.radians, "sin": math.sin, "cos": math.cos}
-_DEPTH = 40
-"""Of macros and includes within each other."""
+_DEPTH = 40  # of macros and includes within each other
 
 
 def plain_urdf(path: pathlib.Path) -> bytes:

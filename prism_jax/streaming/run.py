@@ -19,11 +19,9 @@ from prism_jax.streaming.observer import FrameObserver
 
 Pace = Literal["max", "sensor"]
 
-READ_AHEAD = 2
-"""Frames that are read before their turn, at pace "max"."""
+READ_AHEAD = 2  # frames that are read before their turn, at pace "max"
 
-WRITE_BEHIND = 4
-"""Frames that may wait for being written."""
+WRITE_BEHIND = 4  # frames that may wait for being written
 
 LONGEST_GAP = 10_000_000_000
 """Nanoseconds: a longer gap between two frames is not waited for."""

@@ -31,8 +31,7 @@ from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import Phase, TrainState, steps_of
 
-TRAINED = ("refiner", "depth_encoder", "auxiliary")
-"""The parts that learn."""
+TRAINED = ("refiner", "depth_encoder", "auxiliary")  # the parts that learn
 
 
 def auxiliary_phase(

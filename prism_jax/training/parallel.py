@@ -9,8 +9,7 @@ from prism_jax.io.errors import InputError
 
 Tree = TypeVar("Tree")
 
-DATA = "data"
-"""The mesh's only axis, over which the examples of a batch lie."""
+DATA = "data"  # the mesh's only axis, over which the examples of a batch lie
 
 
 def data_mesh() -> Mesh:

@@ -10,11 +10,9 @@ from prism_jax.geometry.spacing import median_spacing
 from prism_jax.preprocessing.observation import Observation
 from prism_jax.preprocessing.visibility import PAST, looked_through
 
-SAMPLE = 1024
-"""Measured points that are asked, evenly spaced rows of a larger cloud."""
+SAMPLE = 1024  # measured points that are asked, evenly spaced rows of a larger cloud
 
-NEIGHBORS = 12
-"""Of a measured point, that a plane is laid through."""
+NEIGHBORS = 12  # of a measured point, that a plane is laid through
 
 LOOKS = 3
 """A verdict compares what a frame is completed to in so many poses, the first of

@@ -40,11 +40,9 @@ CLUES = (
 """What the error of a predicted point is told from, without the truth. Lengths are in
 half sides of the workspace."""
 
-NEIGHBORS = 12
-"""Of a predicted point, itself included, that a plane is laid through."""
+NEIGHBORS = 12  # of a predicted point, itself included, that a plane is laid through
 
-BETWEEN = 3
-"""Predicted points that say how far off one is that was added between them."""
+BETWEEN = 3  # predicted points that say how far off one is that was added between them
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,11 +15,9 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
 
-Tell = Callable[[str], None]
-"""Takes one line for the user."""
+Tell = Callable[[str], None]  # takes one line for the user
 
-_LATE = 1_000_000
-"""Nanoseconds: clocks that step back by less are not told."""
+_LATE = 1_000_000  # nanoseconds: clocks that step back by less are not told
 
 
 class Joints(NamedTuple):

@@ -11,8 +11,7 @@ from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.ply import ply_bytes
 from prism_jax.io.streams.mcap_output import McapOutput, cloud_message
 
-TOPIC = "/completed"
-"""Of the clouds in an MCAP file."""
+TOPIC = "/completed"  # of the clouds in an MCAP file
 
 
 class Labelled(NamedTuple):

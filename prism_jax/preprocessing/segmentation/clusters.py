@@ -8,11 +8,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-CELLS = 128
-"""Along the longest side of a cloud's bulk."""
+CELLS = 128  # along the longest side of a cloud's bulk
 
-NEIGHBOURS = 16
-"""So many nearest points can be linked to one."""
+NEIGHBOURS = 16  # so many nearest points can be linked to one
 
 
 def thin(

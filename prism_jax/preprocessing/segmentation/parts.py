@@ -9,17 +9,13 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 from prism_jax.preprocessing.segmentation.clusters import components, extent, thin
 from prism_jax.preprocessing.segmentation.planes import Plane
 
-CELLS = 256
-"""Along the longest side of what is split into objects."""
+CELLS = 256  # along the longest side of what is split into objects
 
-MAX_CELLS = 80_000
-"""Half as many along the longest side if there are more."""
+MAX_CELLS = 80_000  # half as many along the longest side if there are more
 
-COARSE_CELLS = 16
-"""For distances between its parts."""
+COARSE_CELLS = 16  # for distances between its parts
 
-LINK = 3.0
-"""Neighbours on a surface are at most so many spacings apart."""
+LINK = 3.0  # neighbours on a surface are at most so many spacings apart
 
 SPARSE = 2.0
 """A point whose fourth neighbour is farther off than so many spacings is on no surface:
@@ -31,14 +27,11 @@ COVERED = 0.5
 BESIDE = 0.15
 """What hovers no farther beside a larger part, in that part's size, belongs to it..."""
 
-SMALLER = 0.6
-"""...if it has no more than this share of its points."""
+SMALLER = 0.6  # ...if it has no more than this share of its points
 
-MIN_CELLS = 8
-"""Of a part that is asked where it belongs."""
+MIN_CELLS = 8  # of a part that is asked where it belongs
 
-MAX_PARTS = 100
-"""The largest ones are asked."""
+MAX_PARTS = 100  # the largest ones are asked
 
 TOUCH = 0.55
 """Of what links neighbours otherwise, across the narrow place where things touch."""
@@ -49,11 +42,9 @@ HIDDEN = 0.05
 CREASE = 0.08
 """The mean slope, towards the sensor, to the neighbours of a point in a crease."""
 
-SHARE = 0.25
-"""Of the points of two things that touch, each has at least this share."""
+SHARE = 0.25  # of the points of two things that touch, each has at least this share
 
-NEIGHBOURS = 24
-"""Of a point, that say how its surface is bent."""
+NEIGHBOURS = 24  # of a point, that say how its surface is bent
 
 
 def objects_of(

@@ -13,26 +13,20 @@ from prism_jax.preprocessing.segmentation.clusters import (
     thin,
 )
 
-MAX_PLANES = 6
-"""More are not looked for."""
+MAX_PLANES = 6  # more are not looked for
 
-NUM_TRIALS = 1000
-"""Planes through three random points, of which the best is taken."""
+NUM_TRIALS = 1000  # planes through three random points, of which the best is taken
 
-MAX_JUDGES = 3000
-"""So many points, spread evenly, vote for the planes."""
+MAX_JUDGES = 3000  # so many points, spread evenly, vote for the planes
 
-TILES = 20
-"""Along a plane: two of them without a point are a gap between two pieces."""
+TILES = 20  # along a plane: two of them without a point are a gap between two pieces
 
-COARSE = 0.01
-"""The first tolerance, in longest sides of the cloud."""
+COARSE = 0.01  # the first tolerance, in longest sides of the cloud
 
 COARSEST = 0.03
 """Points that need a tolerance as large are no plane's: a curved surface's."""
 
-MIN_SHARE = 0.08
-"""Of all cells, to be a large plane."""
+MIN_SHARE = 0.08  # of all cells, to be a large plane
 
 
 @dataclasses.dataclass(frozen=True)

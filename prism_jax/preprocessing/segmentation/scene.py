@@ -18,14 +18,11 @@ from prism_jax.preprocessing.segmentation.planes import (
 from prism_jax.preprocessing.segmentation.support import FILLED, REACH, find_support
 from prism_jax.preprocessing.upright import upright
 
-SUPPORT, LEFT_OVER = -1, -2
-"""In `Scene.object`, where objects are counted from 0."""
+SUPPORT, LEFT_OVER = -1, -2  # in `Scene.object`, where objects are counted from 0
 
-SHEET = 0.95
-"""A plane with this share of a cloud is all there is."""
+SHEET = 0.95  # a plane with this share of a cloud is all there is
 
-WALL = 0.25
-"""The length of a wall around the sensor, in the longest side of the cloud."""
+WALL = 0.25  # the length of a wall around the sensor, in the longest side of the cloud
 
 GAP = 0.25
 """In the longest side of a cloud without any plane: so far apart the parts of one
@@ -34,11 +31,9 @@ object can be, where it hides its own surface."""
 EDGE = 0.05
 """In a support's width: a wall rises from no farther inside its border than that."""
 
-MIN_POINTS = 64
-"""Of an object: fewer cannot be completed."""
+MIN_POINTS = 64  # of an object: fewer cannot be completed
 
-MIN_SIZE = 0.02
-"""Of an object, in the longest side of the scene."""
+MIN_SIZE = 0.02  # of an object, in the longest side of the scene
 
 
 @dataclasses.dataclass(frozen=True)

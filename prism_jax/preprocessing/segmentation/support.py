@@ -14,17 +14,13 @@ from prism_jax.preprocessing.segmentation.planes import (
     outline,
 )
 
-RIM = 0.01
-"""How far from a plane's border something is inside or outside, in its width."""
+RIM = 0.01  # how far from a plane's border something is inside or outside, in its width
 
-WITHIN = 0.6
-"""The share of a cloud over, on or under a support, seen along its normal."""
+WITHIN = 0.6  # the share of a cloud over, on or under a support, seen along its normal
 
-FLAT = 0.4
-"""The share of that which lies on the support."""
+FLAT = 0.4  # the share of that which lies on the support
 
-BELOW = 0.15
-"""As many points as this, for each above a support, may lie below it."""
+BELOW = 0.15  # as many points as this, for each above a support, may lie below it
 
 LARGE = 0.7
 """A plane at least so long, in a support's width, is a wall or another floor."""
@@ -36,17 +32,13 @@ where the other is over, unless they are faces of one thing."""
 PARALLEL = 30.0
 """In degrees: planes that cross at less than this have no line in common."""
 
-FILLED = 0.5
-"""The share of a support's outline that has points."""
+FILLED = 0.5  # the share of a support's outline that has points
 
-MIN_CELLS = 10
-"""What stands on a support has so many cells of the thinned cloud."""
+MIN_CELLS = 10  # what stands on a support has so many cells of the thinned cloud
 
-MAX_TILT = 60.0
-"""In degrees from z, of a support whose side nobody's sensor tells."""
+MAX_TILT = 60.0  # in degrees from z, of a support whose side nobody's sensor tells
 
-REACH = 4.0
-"""Points no farther apart than so many spacings hang together."""
+REACH = 4.0  # points no farther apart than so many spacings hang together
 
 
 class Up(NamedTuple):
