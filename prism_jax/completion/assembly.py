@@ -10,9 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.filtering import Selection, added_points
+from prism_jax.completion.options import CompletionOptions
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
-from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.geometry.visibility import Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.preprocessing.observation import Observation, padded
 from prism_jax.preprocessing.segmentation.planes import Plane
@@ -106,32 +107,39 @@ class CompletedScene:
     sigma: Float[np.ndarray, " M"] | None = None
 
 
+class Task(NamedTuple):
+    """One object to complete."""
+
+    points: Float[np.ndarray, "N 3"]  # as the user gave them
+    seen: Observation  # all of them in the unit workspace
+    read: Observation  # those that the network reads
+    view: Camera  # the view that it reads them in
+    sensor: str  # where it stands: "given", at the "origin", or "unknown"
+    # What the sensor knows of its view, if it was given what lies around.
+    known: Visibility | None = None
+
+    @property
+    def eye(self) -> Float[np.ndarray, "3"] | None:
+        """Where the sensor stands in the unit workspace, if anybody knows."""
+        return None if self.sensor == "unknown" else np.asarray(self.seen.eye)
+
+
 def assemble(
-    points: Float[np.ndarray, "N 3"],
-    seen: Observation,
-    read: Observation,
-    view: Camera,
+    task: Task,
     completion: Completion,
-    *,
-    density: float,
-    background: Background,
-    camera_given: bool,
+    options: CompletionOptions,
     seconds: dict[str, float],
-    known: Visibility | None = None,
     poses: int = 1,
     calibration: Calibration | None = None,
     point_errors: PointErrors | None = None,
 ) -> CompletedScan:
-    """What a user gets of a completion in the unit workspace.
+    """What a user gets of a completion in the unit workspace, of so many ``poses``.
 
-    ``seen`` is what `observe` made of the points, ``read`` what the network read of it
-    and ``view`` its camera. ``known`` is what the sensor knows of the view, if it is to
-    speak against predicted points, and the completion is of so many ``poses``.
-    ``density`` and ``background`` are as `prism_jax.Completer.complete` has them. The
-    verdict needs a ``calibration``, every point's sigma ``point_errors``, and both
+    The verdict needs a ``calibration``, every point's sigma ``point_errors``, and both
     need three poses.
     """
-    joined = join(points, seen, read, completion.points, density, background, known)
+    seen, read, view = task.seen, task.read, task.view
+    joined = join(task, completion.points, options)
     prediction, selection = joined.prediction, joined.selection
     looks = looks_of(completion.before, poses)
     verdict = None
@@ -153,7 +161,7 @@ def assemble(
         points=joined.points,
         observed=joined.observed,
         prediction=np.asarray(seen.workspace.from_unit(prediction)),
-        left_out=len(points) - int(joined.observed.sum()),
+        left_out=len(task.points) - int(joined.observed.sum()),
         left_away={
             reason: int(which.sum())
             for reason, which in selection._asdict().items()
@@ -167,7 +175,7 @@ def assemble(
         weights=np.asarray(completion.weights),
         workspace=seen.workspace,
         camera=seen.camera_to_user(view),
-        sensor=_told(camera_given, seen),
+        sensor=task.sensor,
         seconds=seconds,
         verdict=verdict,
         sigma=sigma,
@@ -189,23 +197,23 @@ class Joined(NamedTuple):
 
 
 def join(
-    points: Float[np.ndarray, "N 3"],
-    seen: Observation,
-    read: Observation,
+    task: Task,
     predicted: Float[Array | np.ndarray, "P 3"],
-    density: float,
-    background: Background,
-    known: Visibility | None = None,
+    options: CompletionOptions,
 ) -> Joined:
-    """The measured points as they were, and behind them those that are new.
-
-    ``predicted`` are the network's, in the unit workspace; the rest as in `assemble`.
-    """
+    """The measured points as they were, and behind them those of the network's
+    ``predicted`` ones, in the unit workspace, that are new."""
+    points, seen = task.points, task.seen
     measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
     prediction = np.asarray(predicted, np.float64)
-    eye = np.asarray(seen.eye) if seen.sensor_known else None
     new, selection = added_points(
-        prediction, unit, read.partial, eye, density, background, known
+        prediction,
+        unit,
+        task.read.partial,
+        task.eye,
+        options.density,
+        options.background,
+        task.known,
     )
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])
@@ -238,13 +246,6 @@ def in_one_scene(
         up_source=up_source,
         sigma=sigma if len(told) == len(objects) else None,
     )
-
-
-def _told(camera_given: bool, seen: Observation) -> str:
-    """`CompletedScan.sensor`."""
-    if not seen.sensor_known:
-        return "unknown"
-    return "given" if camera_given else "origin"
 
 
 def _depth_maps(

@@ -88,7 +88,7 @@ def _keep(path: pathlib.Path, content: bytes) -> None:
 
 def _fingerprint(arguments: tuple[Any, ...], about: Any) -> str:
     digest = hashlib.sha256()
-    package = pathlib.Path(__file__).parent
+    package = pathlib.Path(__file__).parents[1]
     for source in sorted(package.rglob("*.py")):
         digest.update(source.read_bytes())
     shapes = jax.tree.map(jax.api_util.shaped_abstractify, arguments)

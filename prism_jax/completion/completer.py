@@ -5,7 +5,7 @@ import dataclasses
 import pathlib
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, get_args
+from typing import Any
 
 import jax
 import jax.export
@@ -19,10 +19,12 @@ from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
 from prism_jax.completion.assembly import (
     CompletedScan,
     CompletedScene,
+    Task,
     assemble,
     in_one_scene,
 )
 from prism_jax.completion.compile_cache import compile_cached
+from prism_jax.completion.options import AUTO, CompletionOptions
 from prism_jax.completion.weights import (
     load_calibration,
     load_point_errors,
@@ -32,11 +34,15 @@ from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import Observation, observe
+from prism_jax.preprocessing.observation import (
+    Observation,
+    observe,
+    origin_is_sensor,
+)
 from prism_jax.preprocessing.segmentation.scene import Scene, split_scene
-from prism_jax.preprocessing.segmentation.support import Up, find_up
+from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.preprocessing.sensor import is_believable, likely_eye
 from prism_jax.preprocessing.upright import upright
 from prism_jax.preprocessing.visibility_map import seen_among, some_of
@@ -88,61 +94,43 @@ class Completer:
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
         workspace: Workspace | None = None,
-        adapt: bool = False,
-        up: str | Vector = "z",
-        density: float = 1.0,
-        background: Background = "unknown",
         around: Float[np.ndarray, "R 3"] | None = None,
+        **options: Any,
     ) -> CompletedScan:
-        """Completes one scan of one object.
+        """Completes one scan of one object; ``options`` are `CompletionOptions`.
 
         Points are in any unit of length and any frame, the same for all arguments.
         ``camera`` says where the sensor stood. If it is None, that is the origin, or
-        where it is likely if the origin cannot be its place (`observation.sensor`). The
-        view is aimed at the points from there, so that its pixels are spent on them.
-        ``workspace`` is the cube to complete, taken from the points if it is None;
-        points outside are left out and counted. ``adapt`` asks for test-time
-        adaptation, which gains nothing that can be counted on. ``up`` is the direction
-        in the user's frame that points upwards, for the weights know upright objects:
-        an axis (x, y, z, -x, -y or -z; -y for a camera's), a vector, or "auto"
-        (`prism_jax.preprocessing.segmentation.support.find_up`). Added points are
-        ``density`` times as dense as the measured ones where the network's output is a
-        surface, and never sparser than that; 0 leaves them as predicted. A
-        ``background`` that is "empty" says that the sensor would have seen whatever
-        else there is around these points: nothing is added there, and networks that
-        read visibility are told. ``around`` is what the sensor measured besides in the
-        same scan, occluders, support and walls, with what lies outside a workspace that
-        is given: nothing is added where the sensor looked past the object to it, and
-        networks that gain by it (``model.told``) are told. It counts only where the
-        sensor's place is known. Clouds of another shape, complex or not finite, fewer
-        than 64 distinct points, an extent of zero or above 10,000, a workspace without
-        volume, and an ``up`` or a ``density`` that is none raise
-        `prism_jax.io.InputError`.
+        where it is likely if the origin cannot be its place (`preprocessing.sensor`).
+        The view is aimed at the points from there, so that its pixels are spent on
+        them. ``workspace`` is the cube to complete, taken from the points if it is
+        None; points outside are left out and counted. ``around`` is what the sensor
+        measured besides in the same scan, occluders, support and walls, with what lies
+        outside a workspace that is given: nothing is added where the sensor looked past
+        the object to it, and networks that gain by it (``model.told``) are given that.
+        It counts only where the sensor's place is known. Clouds of another shape,
+        complex or not finite, fewer than 64 distinct points, an extent of zero or above
+        10,000, and a workspace without volume raise `prism_jax.io.InputError`.
         """
+        asked = CompletionOptions(**options)
         points = _checked(points)
         around = None if around is None else _checked(around, "around")
-        _check_density(density)
-        choose("background", background, get_args(Background))
         if workspace is None:
             check_cloud(points, "points")
         else:
             _check_workspace(workspace)
-        up, _ = _resolved(up, points, camera)
-        task = self.task(points, camera, workspace, up, around, background)
-        completion, seconds = self.run(adapt, background, *self.reads(task))
-        given = camera is not None
-        return self._assemble(task, completion, seconds, density, background, given)
+        asked, _ = _upright(asked, points, camera)
+        task = self.task(points, camera, workspace, around, asked)
+        completion, seconds = self.run(task, asked)
+        return self._assemble(task, completion, asked, seconds)
 
     def complete_scene(
         self,
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
-        adapt: bool = False,
-        up: str | Vector = "auto",
-        density: float = 1.0,
-        background: Background = "unknown",
         scene: Scene | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
+        **options: Any,
     ) -> CompletedScene:
         """Completes every object of a scene, each in a workspace of its own.
 
@@ -150,31 +138,27 @@ class Completer:
         too small (`split_scene`, whose result for the same points can be given). Around
         each lies all that is not its own, beside what is given as ``around`` the scene.
         One compiled function completes all objects, `SLOTS` in a call. Arguments and
-        errors are those of `complete`.
+        errors are those of `complete`, but for ``up``, which is "auto" unless given.
         """
+        asked = CompletionOptions(**{"up": AUTO, **options})
         points = _checked(points)
         beyond = np.zeros((0, 3)) if around is None else _checked(around, "around")
-        _check_density(density)
-        choose("background", background, get_args(Background))
         check_cloud(points, "points")
-        up, up_source = _resolved(up, points, camera)
+        asked, up_source = _upright(asked, points, camera)
         if scene is None:
-            scene = split_scene(points, up, _seen_from(points, camera))
+            scene = split_scene(points, asked.up, _seen_from(points, camera))
         tasks = []
         for number in range(len(scene.num_points)):
             own = scene.object == number
             others = np.concatenate([points[~own], beyond])
-            tasks.append(self.task(points[own], camera, None, up, others, background))
+            tasks.append(self.task(points[own], camera, None, others, asked))
         objects = []
         for start in range(0, len(tasks), SLOTS):
             batch = tasks[start : start + SLOTS]
-            completions, seconds = self._run_together(adapt, background, batch)
+            completions, seconds = self._run_together(batch, asked)
             for task, done in zip(batch, completions, strict=True):
-                given = camera is not None
-                objects.append(
-                    self._assemble(task, done, seconds, density, background, given)
-                )
-        turn = upright(up)
+                objects.append(self._assemble(task, done, asked, seconds))
+        turn = upright(asked.up)
         vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
         return in_one_scene(
             points, scene.object, objects, scene.planes, vertical, up_source
@@ -184,81 +168,80 @@ class Completer:
         self,
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
-        up: str | Vector = "auto",
+        up: str | Vector = AUTO,
     ) -> Scene:
         """Which points are whose; see `segmentation.scene.split_scene`."""
         points = _checked(points)
-        up, _ = _resolved(up, points, camera)
-        return split_scene(points, up, _seen_from(points, camera))
+        asked, _ = _upright(CompletionOptions(up=up), points, camera)
+        return split_scene(points, asked.up, _seen_from(points, camera))
 
     def task(
         self,
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
         workspace: Workspace | None = None,
-        up: str | Vector = "z",
         around: Float[np.ndarray, "R 3"] | None = None,
-        background: Background = "unknown",
-    ) -> "Task":
+        options: CompletionOptions = CompletionOptions(),
+    ) -> Task:
         """What the network reads of one object's finite points, and the way back.
 
-        The first step of `complete`, whose arguments these are; ``up`` is never "auto".
+        The first step of `complete`, whose arguments these are; up is never "auto".
         """
-        sensor = "origin" if camera is None else np.asarray(camera.position)
         model = self.config.model
-        seen = observe(points, sensor, workspace, model.margin, up, model.heading)
+        framing = workspace, model.margin, options.up, model.heading
+        sensor = "origin" if camera is None else np.asarray(camera.position)
+        seen = observe(points, sensor, *framing)
         inside = points[seen.inside]
         check_cloud(inside, "points inside the workspace")
         if camera is None:
             likely = likely_eye(inside, seen.workspace.up)
             if not (seen.sensor_known and is_believable(inside, np.zeros(3), likely)):
-                seen = observe(
-                    points, likely, workspace, model.margin, up, model.heading
-                )
+                seen = observe(points, likely, *framing)
                 seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
+        place = "unknown" if not seen.sensor_known else "origin"
+        place = "given" if camera is not None and seen.sensor_known else place
         read = seen.sampled(model.backbone.num_points)
         if workspace is not None and not seen.inside.all():
             outside = points[~seen.inside]
             around = outside if around is None else np.concatenate([outside, around])
         known = None
         if around is not None:
-            known = _known(seen, around, background)
-        return Task(points, seen, read, read.camera, known)
+            known = _known(seen, around, options.background)
+        return Task(points, seen, read, read.camera, place, known)
 
-    def reads(self, task: "Task") -> tuple[Any, ...]:
-        """What `run` and `predict` take of a task: its points, its view and, for
-        networks that are told, what is known of that."""
-        known = task.known
+    def reads(self, task: Task) -> tuple[Any, ...]:
+        """What the network reads of a task: its points, its view and, if it gains by
+        it, what is known of that."""
         model = self.config.model
-        if known is None or not (model.told and model.backbone.reads_visibility):
+        if task.known is None or not (model.told and model.backbone.reads_visibility):
             return task.read.partial, task.view
-        return task.read.partial, task.view, known
+        return task.read.partial, task.view, task.known
 
     def run(
-        self, adapt: bool, background: Background, *reads: Any
+        self, task: Task, options: CompletionOptions
     ) -> tuple[Completion, dict[str, float]]:
-        """The network's completion of what it `reads` of a task, and the seconds it
-        took to compile and to run: the second step of `complete`."""
-        return self._timed(_as_it_is, adapt, background, reads)
+        """The network's completion of a task, and the seconds it took to compile and to
+        run: the second step of `complete`."""
+        return self._timed(_as_it_is, task, options)
 
     def predict(
-        self, background: Background, *reads: Any
+        self, task: Task, options: CompletionOptions
     ) -> tuple[Any, dict[str, float]]:
         """The points of `run` without adaptation, and its seconds, for who needs no
         losses: a third of the time goes to them."""
-        return self._timed(_points_alone, False, background, reads)
+        plain = dataclasses.replace(options, adapt=False)
+        return self._timed(_points_alone, task, plain)
 
     def _timed(
         self,
         make: Callable[[AdaptFn], Callable[..., Any]],
-        adapt: bool,
-        background: Background,
-        reads: tuple[Any, ...],
+        task: Task,
+        options: CompletionOptions,
     ) -> tuple[Any, dict[str, float]]:
         """What ``make`` makes of the adaptation function, called, and its seconds."""
         start = time.perf_counter()
-        arguments = (self.variables, *reads)
-        call = self._compile_adapt(make, adapt, background, arguments)
+        arguments = (self.variables, *self.reads(task))
+        call = self._compile_adapt(make, options, arguments)
         compiled = time.perf_counter()
         found = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
@@ -273,7 +256,7 @@ class Completer:
         return other
 
     def _run_together(
-        self, adapt: bool, background: Background, tasks: Sequence["Task"]
+        self, tasks: Sequence[Task], options: CompletionOptions
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
         start = time.perf_counter()
@@ -281,7 +264,7 @@ class Completer:
         inputs = [self.reads(task) for task in filled]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
         arguments = (self.variables, stacked, np.arange(SLOTS) < len(tasks))
-        call = self._compile_adapt(_in_slots, adapt, background, arguments)
+        call = self._compile_adapt(_in_slots, options, arguments)
         compiled = time.perf_counter()
         together = jax.device_get(call(*arguments))
         spent = time.perf_counter() - compiled
@@ -294,39 +277,27 @@ class Completer:
 
     def _assemble(
         self,
-        task: "Task",
+        task: Task,
         completion: Completion,
+        options: CompletionOptions,
         seconds: dict[str, float],
-        density: float,
-        background: Background,
-        camera_given: bool,
     ) -> CompletedScan:
         """The completed scan, with all that these weights can say of it."""
-        return assemble(
-            *task[:4],
-            completion,
-            known=task.known,
-            poses=self.config.model.poses,
-            density=density,
-            background=background,
-            camera_given=camera_given,
-            seconds=seconds,
-            calibration=self.calibration,
-            point_errors=self.point_errors,
-        )
+        judges = self.config.model.poses, self.calibration, self.point_errors
+        return assemble(task, completion, options, seconds, *judges)
 
     def _compile_adapt(
         self,
         make: Callable[[AdaptFn], Callable[..., Any]],
-        adapt: bool,
-        background: Background,
+        options: CompletionOptions,
         arguments: tuple[Any, ...],
     ) -> Callable[..., Any]:
         """What ``make`` makes of the adaptation function, compiled once."""
-        steps = self.config.adapt.num_steps if adapt else 0
-        config = self._told(background).with_adapt(num_steps=steps)
+        steps = self.config.adapt.num_steps if options.adapt else 0
+        config = self._told(options.background).with_adapt(num_steps=steps)
         fn = make(make_adapt(config))
-        key = make, adapt, config.model.background, jax.tree.structure(arguments[1:])
+        shapes = jax.tree.structure(arguments[1:])
+        key = make, options.adapt, config.model.background, shapes
         # A kept trace is told by what it is about, not by the function itself.
         return self._compile(key, fn, arguments, (make.__name__, config))
 
@@ -349,17 +320,6 @@ class Completer:
                     fn, arguments, self._trace_dir, about
                 )
         return self._compiled[key]
-
-
-class Task(NamedTuple):
-    """One object's points, what was made of them, what the network reads and in which
-    view, and what is known of that, if it was told what lies around."""
-
-    points: Float[np.ndarray, "N 3"]
-    seen: Observation
-    read: Observation
-    view: Camera
-    known: Visibility | None = None
 
 
 def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
@@ -405,16 +365,15 @@ def _known(
     return known._replace(camera=camera)
 
 
-def _resolved(
-    up: str | Vector, points: np.ndarray, camera: Camera | None
-) -> tuple[str | Vector, str]:
-    """Up as `upright` takes it, and what says so."""
-    if not (isinstance(up, str) and up == "auto"):
-        upright(up)
-        return up, "given"
+def _upright(
+    options: CompletionOptions, points: np.ndarray, camera: Camera | None
+) -> tuple[CompletionOptions, str]:
+    """The options with an up that was found, if it was to be, and what says so."""
+    if not options.finds_up:
+        return options, "given"
     rotation = None if camera is None else camera.rotation
-    found: Up = find_up(points, _seen_from(points, camera), rotation)
-    return found.vector, found.source
+    found = find_up(points, _seen_from(points, camera), rotation)
+    return dataclasses.replace(options, up=found.vector), found.source
 
 
 def _seen_from(
@@ -423,7 +382,7 @@ def _seen_from(
     """Where the sensor of a whole cloud stood, if anything says so."""
     if camera is not None:
         return np.asarray(camera.position, np.float64)
-    return np.zeros(3) if observe(points, "origin").sensor_known else None
+    return np.zeros(3) if origin_is_sensor(points) else None
 
 
 def _checked(points: Any, subject: str = "points") -> Float[np.ndarray, "N 3"]:
@@ -448,9 +407,3 @@ def _check_workspace(workspace: Workspace) -> None:
     if not (np.isfinite(center).all() and 0 < float(half_extent) < np.inf):
         fault = f"is no cube: its centre is {center}, its half_extent {half_extent}"
         raise InputError("workspace", fault, "give finite numbers, the latter positive")
-
-
-def _check_density(density: float) -> None:
-    if density < 0 or not np.isfinite(density):
-        fault = f"cannot be {density}"
-        raise InputError("density", fault, "give 0 or a number of times, as 1")

@@ -181,6 +181,12 @@ def workspace_around(
     return Workspace.from_points(points, margin, turn, where)
 
 
+def origin_is_sensor(points: Float[np.ndarray, "N 3"]) -> bool:
+    """Whether a whole cloud's sensor can have stood at the origin; see `observe`."""
+    cube = workspace_around(points, where=~find_strays(points))
+    return bool(_place("origin", cube, np)[1])
+
+
 def compile_sampling(num_points: int, most: int) -> None:
     """Compiles `Observation.sampled` for clouds of up to `most` points.
 

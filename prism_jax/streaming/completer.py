@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from prism_jax.completion.assembly import join
 from prism_jax.completion.completer import Completer
+from prism_jax.completion.options import CompletionOptions
 from prism_jax.envelope.robot import of_robot
 from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
@@ -66,9 +67,7 @@ class FrameCompleter(FrameObserver):
         **observed: Any,
     ):
         super().__init__(**observed)
-        self.adapt = adapt
-        self.density = density
-        self.background: Background = background
+        self.options = CompletionOptions(adapt, "z", density, background)
         self._completer = completer
         if completer.config.model.poses != poses:
             self._completer = completer.in_poses(poses)
@@ -79,19 +78,16 @@ class FrameCompleter(FrameObserver):
         points, robot, up, around = self.observe(frame)
         if self.robot is not None:
             check_cloud(points, "the frame without its robot")
-        task = self._completer.task(
-            points, frame.camera, None, up, around, self.background
-        )
+        options = dataclasses.replace(self.options, up=up)
+        task = self._completer.task(points, frame.camera, None, around, options)
         observed = time.perf_counter()
-        reads = self.background, *self._completer.reads(task)
-        if self.adapt:
-            completion, seconds = self._completer.run(True, *reads)
+        if options.adapt:
+            completion, seconds = self._completer.run(task, options)
             predicted = completion.points
         else:
-            predicted, seconds = self._completer.predict(*reads)
+            predicted, seconds = self._completer.predict(task, options)
         ran = time.perf_counter()
-        told = self.density, self.background, task.known
-        joined = join(points, task.seen, task.read, predicted, *told)
+        joined = join(task, predicted, options)
         placed, label = self._with_robot(joined, robot)
         return CompletedFrame(
             points=placed,

@@ -61,7 +61,11 @@ def test_another_function_has_another_trace(fn, tmp_path, change, monkeypatch):
     elif change == "precision":
         stack.enter_context(jax.default_matmul_precision("bfloat16"))
     else:
-        monkeypatch.setattr(trace_cache, "__file__", str(tmp_path / "trace_cache.py"))
+        # A room beside the cache's own has another file.
+        room = tmp_path / "source" / "completion"
+        (tmp_path / "source" / "models").mkdir(parents=True)
+        (tmp_path / "source" / "models" / "layers.py").write_text("")
+        monkeypatch.setattr(trace_cache, "__file__", str(room / "compile_cache.py"))
     with stack:
         run(fn, tmp_path, arguments, about)
     assert fn.count == 2

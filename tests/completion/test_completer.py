@@ -440,7 +440,7 @@ def test_what_lies_outside_a_given_workspace_is_around(minimal):
 def test_around_an_object_of_a_scene_lies_all_that_is_not_its_own(minimal, monkeypatch):
     tasks = []
 
-    def stop(self, adapt, background, batch):
+    def stop(self, batch, options):
         tasks.extend(batch)
         raise StopIteration
 

@@ -12,7 +12,7 @@ from prism_jax.completion.export import export_adapt
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 
-PROGRAM = pathlib.Path(__file__).parents[1] / "experiments" / "run_exported.py"
+PROGRAM = pathlib.Path(__file__).parents[2] / "experiments" / "run_exported.py"
 BATCH = 2
 
 

@@ -7,7 +7,8 @@ import pytest
 from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.completion.assembly import assemble
+from prism_jax.completion.assembly import Task, assemble
+from prism_jax.completion.options import CompletionOptions
 from prism_jax.data.source import Example
 from prism_jax.evaluation import metrics
 from prism_jax.evaluation.paired import paired_difference
@@ -100,19 +101,11 @@ def test_completed_is_what_a_user_gets(boxes):
     prediction = (read * np.float32([1, 1, -1]))[:40]
     clouds = scored_clouds(example, read, Predictions(prediction, prediction), own)
     seen = observe(example.partial.astype(np.float64), example.eye, margin=own.margin)
-    result = assemble(
-        example.partial,
-        seen,
-        seen.sampled(own.num_partial),
-        seen.camera,
-        Completion(prediction, prediction, False, (), np.ones(3), {}, ())._replace(
-            losses=Losses(*np.ones((len(Losses._fields), 1)))
-        ),
-        density=1.0,
-        background="unknown",
-        camera_given=True,
-        seconds={},
-    )
+    read_too = seen.sampled(own.num_partial)
+    task = Task(example.partial, seen, read_too, seen.camera, "given")
+    losses = Losses(*np.ones((len(Losses._fields), 1)))
+    done = Completion(prediction, prediction, False, losses, np.ones(3), {}, ())
+    result = assemble(task, done, CompletionOptions(), {})
     frame = Workspace.from_points(example.complete, 1.0)
     expected = np.asarray(frame.to_unit(result.points.astype(np.float64)))
     assert len(expected) > len(example.partial) + len(prediction) / 2

@@ -12,7 +12,7 @@ from prism_jax.evaluation.tables import markdown
 from prism_jax.io import InputError
 from prism_jax.reporting.model_card import model_card, released_scores, weights_table
 
-README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
+README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
 
 
 @pytest.fixture
