@@ -6,6 +6,8 @@ from typing import Any
 import jax
 from absl import flags
 
+from experiments.indices import index_table
+from experiments.mixture import open_mixture, parse_mixture
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
 from prism_jax.completion.weights import load_pretrained, read_metadata
@@ -16,13 +18,11 @@ from prism_jax.data.datasets import (
     opened_splits,
     parts_of,
 )
-from prism_jax.data.mixture import open_mixture, parse_mixture
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.variables import Variables
-from prism_jax.training.indices import index_table
 from prism_jax.training.phase import Data, order_seed
 from prism_jax.training.presets import Preset
 

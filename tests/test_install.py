@@ -128,7 +128,7 @@ def test_cards_of_the_weights_need_no_extra_either(core):
 
 @pytest.mark.parametrize(
     ("package", "extra", "command"),
-    [("optax", "train", "pretrain"), ("manifold3d", "data", "make_data")],
+    [("optax", "train", "train"), ("manifold3d", "data", "make_data")],
 )
 def test_a_missing_extra_is_one_line(package, extra, command):
     program = [sys.executable, "-c", WITHOUT_EXTRA, package, command]

@@ -87,8 +87,8 @@ def test_weights_that_are_told_are_told_of_recordings(asked, tmp_path, monkeypat
     assert launching.run(evaluate, *place, told, output) == 0
     if asked:
         (one,) = found
-        assert one.visibility.state.shape == (2, MAP_SIZE, MAP_SIZE)
-        assert np.isin([SURFACE, BACKGROUND], one.visibility.state).all()
+        assert one.state.shape == (2, MAP_SIZE, MAP_SIZE)
+        assert np.isin([SURFACE, BACKGROUND], one.state).all()
     assert bool(found) == asked
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import optax
 import pytest
 
+from experiments.indices import index_table
 from prism_jax.data.holdout import Subset
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.training import parallel
 from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.checkpoints import Checkpoints
-from prism_jax.training.indices import index_table
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import VALIDATION_COMPLETE, Data, order_seed, train_phase
 from tests.trees import bitwise

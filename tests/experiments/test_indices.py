@@ -6,16 +6,24 @@ import jax
 import numpy as np
 import pytest
 
+from experiments import indices
 from experiments.assets import CELLS
+from experiments.indices import index_table
 from prism_jax.data.augmentation import Augmentation
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models.backbone import partial_indices
-from prism_jax.training import indices
-from prism_jax.training.indices import index_table
+from tests.training.conftest import Boxes, framed
+
+__all__ = ["framed"]
 
 FRAMING = Framing(64, 16, 1.4)
+
+
+@pytest.fixture(scope="module")
+def examples():
+    return Boxes(20, seed=0)
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from prism_jax.data import mixture
-from prism_jax.data.mixture import Mixture, open_mixture, parse_mixture
+from experiments import mixture
+from experiments.mixture import Mixture, open_mixture, parse_mixture
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
 
