@@ -211,7 +211,7 @@ def anchors(page: pathlib.Path) -> set[str]:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_names_are_those_of_the_code(name):
-    """`room.module.name` and `path/to/file`, as far as they are the repository's."""
+    """`room.module.name`, `path/to/file`, and `room/file.py`: `name`."""
     rooms = "|".join(path.stem for path in (ROOT / "prism_jax").iterdir())
     text = PAGES[name].read_text()
     for dotted in re.findall(rf"`(?:prism_jax\.)?((?:{rooms})\.[a-z_]\w*[\w.]*)", text):
@@ -226,3 +226,12 @@ def test_names_are_those_of_the_code(name):
         assert found, f"{name} speaks of {dotted}"
     for path in re.findall(r"`((?:experiments|tests|prism_jax)/[\w./]*)`", text):
         assert (ROOT / path).exists(), f"{name} speaks of {path}"
+    for path, names in re.findall(
+        rf"`((?:{rooms})/[\w/]+\.py)`(?::((?: `[\w.]+`)*))?", text
+    ):
+        code = ROOT / "prism_jax" / path
+        assert code.exists(), f"{name} speaks of {path}"
+        for said in re.findall(r"`(?:\w+\.)?(\w+)`", names):
+            assert re.search(rf"^ *(?:def |class )?{said}\b", code.read_text(), re.M), (
+                f"{name} finds {said} in {path}"
+            )
