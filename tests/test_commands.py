@@ -9,13 +9,14 @@ import pytest
 from tests import launching
 
 ROOT = pathlib.Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "BUILD_NOTES.md", *sorted(ROOT.glob("docs/*.md"))]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 COMMAND = re.compile(
     r"(?:python -m experiments\.(\w+)|prism-(complete|stream|envelope)(?: [\w./]+)*)"
     r"((?:\s+--(?:\"[^\"]*\"|[^\s`\"])+)*)"
 )
 PLACEHOLDERS = {"$split": "train", "SUITE": "ops", "--network=NAME": "--network=pcn"}
 WITHOUT_FLAGS = {"results"}
+INSTALLED = {"complete", "stream", "envelope"}
 
 
 def commands() -> list[tuple[str, str]]:
@@ -42,7 +43,8 @@ def test_they_are_found():
 def test_its_flags_are_the_launchers(launcher, rest):
     if launcher in WITHOUT_FLAGS or rest == "--help":
         assert rest in ("", "--help")
-        assert (ROOT / "experiments" / f"{launcher}.py").exists()
+        folder = "prism_jax/cli" if launcher in INSTALLED else "experiments"
+        assert (ROOT / folder / f"{launcher}.py").exists()
         return
     for placeholder, value in PLACEHOLDERS.items():
         rest = rest.replace(placeholder, value)

@@ -122,9 +122,9 @@ def cells(page: str, after: str, start: str) -> list[str]:
 @pytest.mark.parametrize("page", ["README.md", "results.md"])
 def test_what_a_user_gets_is_what_was_scored(page):
     for start, name in [
-        ("new shapes of", "test"),
-        ("six kinds of", "unseen"),
-        ("robot cells with", "robots"),
+        ("new shapes, trained", "test"),
+        ("new shapes, unseen", "unseen"),
+        ("robot cells, unseen", "robots"),
     ]:
         # Not of weights.json, which the page shows, but of the same views.
         clouds = stored(name)["clouds"]
@@ -135,7 +135,7 @@ def test_what_a_user_gets_is_what_was_scored(page):
         shown = [f"{before:.4g}", f"{after:.4g}", f"{before / after:.2g}"]
         assert cells(page, "| scored on |", start)[1:4] == shown
     told = stored("background")["sets"]["objects-test"]["rows"]["empty"]["mean"]
-    shown = cells(page, "| scored on |", "objects that people modelled")
+    shown = cells(page, "| scored on |", "artist-made models")
     assert shown[4] == f"{1e4 * told['cd_l2']:.4g}"
 
 
@@ -144,7 +144,7 @@ def test_figures_stand_where_they_belong():
     row = stored("table_1_objects")["rows"]["CRA-PCN"]
     low, high = row["intervals"]["cd_l1"]
     shown = f"{1e3 * row['mean']['cd_l1']:.4g} [{1e3 * low:.4g}, {1e3 * high:.4g}]"
-    assert cells("results.md", "Modelled objects,", "CRA-PCN")[2] == shown
+    assert cells("results.md", "Artist-made models,", "CRA-PCN")[2] == shown
     row = stored("table_3")["rows"]["all"]
     low, high = row["intervals"]["f_score"]
     shown = f"{row['mean']['f_score']:.3f} [{low:.3f}, {high:.3f}]"
@@ -152,7 +152,7 @@ def test_figures_stand_where_they_belong():
     found = stored("table_2")["rows"]["meta-trained, K = 10"]["change"]["cd_l2"]
     shown = cells("results.md", "**Table II:", "meta-trained, K = 10")[4]
     assert shown == in_per_cent(found)
-    for name, label in [("objects", "modelled objects"), ("robots", "robot cells")]:
+    for name, label in [("objects", "artist-made models"), ("robots", "robot cells")]:
         row = cells("results.md", "Nobody has the true gradient", label)
         ours = "told, adapted by the new objective, removed"
         found = stored(f"adaptation_{name}")["rows"][ours]["change"]["cd_l2"]
@@ -211,7 +211,7 @@ def anchors(page: pathlib.Path) -> set[str]:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_names_are_those_of_the_code(name):
-    """`room.module.name` and `path/to/file`, as far as they are the repository's."""
+    """`room.module.name`, `path/to/file`, and `room/file.py`: `name`."""
     rooms = "|".join(path.stem for path in (ROOT / "prism_jax").iterdir())
     text = PAGES[name].read_text()
     for dotted in re.findall(rf"`(?:prism_jax\.)?((?:{rooms})\.[a-z_]\w*[\w.]*)", text):
@@ -226,3 +226,12 @@ def test_names_are_those_of_the_code(name):
         assert found, f"{name} speaks of {dotted}"
     for path in re.findall(r"`((?:experiments|tests|prism_jax)/[\w./]*)`", text):
         assert (ROOT / path).exists(), f"{name} speaks of {path}"
+    for path, names in re.findall(
+        rf"`((?:{rooms})/[\w/]+\.py)`(?::((?: `[\w.]+`)*))?", text
+    ):
+        code = ROOT / "prism_jax" / path
+        assert code.exists(), f"{name} speaks of {path}"
+        for said in re.findall(r"`(?:\w+\.)?(\w+)`", names):
+            assert re.search(rf"^ *(?:def |class )?{said}\b", code.read_text(), re.M), (
+                f"{name} finds {said} in {path}"
+            )
