@@ -7,7 +7,7 @@ python -m experiments.evaluate --weights=FILE --dataset=shapenet55 --data_dir=DI
 The tables show every cloud's scores and what adaptation changes in them: with
 intervals over objects and over categories (kinds of shapes, robot arms), the category
 that carries most of the change, and what is left without it. Weights that gain by
-being told what else a scan holds (`model.told`) are told, where the data say it.
+a map of what else a scan holds (`model.uses_visibility`) get it where the data have it.
 """
 
 import dataclasses
@@ -78,7 +78,9 @@ def main():
     split = FLAGS.split or ("test" if published else "validation")
     source = open_published(split) if published else open_split(split)
     protocol = make_protocol(config, published)
-    protocol = dataclasses.replace(protocol, told=config.model.told)
+    protocol = dataclasses.replace(
+        protocol, uses_visibility=config.model.uses_visibility
+    )
     scores = run_evaluation(prism_completer(config, variables), source, protocol)
     result = {**about(config, protocol, split), **scores}
     table = markdown(result)

@@ -101,7 +101,9 @@ def main():
     mirror = jax.jit(lambda partials: mirrored(partials, num_outputs))
 
     def run(complete_fn, told=False):
-        without = dataclasses.replace(protocol, with_measured=False, told=told)
+        without = dataclasses.replace(
+            protocol, with_measured=False, uses_visibility=told
+        )
         return run_evaluation(complete_fn, source, without)
 
     adapted = run_evaluation(prism_completer(config, variables), source, protocol)

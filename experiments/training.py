@@ -74,10 +74,10 @@ def beginning(
         up_factors=wanted.backbone.up_factors[:blocks],
         level_rates=wanted.backbone.level_rates[:blocks],
     )
-    # How an object reaches the network, and what it is told, is no matter of its size.
+    # How an object reaches the network, and with which map, is no matter of its size.
     use = {
         name: getattr(config.model, name)
-        for name in ("heading", "background", "told", "poses")
+        for name in ("heading", "background", "uses_visibility", "poses")
     }
     if config.model != dataclasses.replace(wanted, backbone=less, **use):
         remedy = "choose the preset that they were trained with, or --set its fields"

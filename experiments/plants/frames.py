@@ -22,7 +22,7 @@ from prism_jax.geometry.spacing import median_spacing
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import Observation
-from prism_jax.preprocessing.outliers import find_strays
+from prism_jax.preprocessing.outliers import far_outliers
 from prism_jax.preprocessing.visibility import IN_FRONT, NUM_RAYS, REACH
 
 MAX_MEASURED = 8192  # points that are kept of a frame: evenly spaced rows of it
@@ -61,7 +61,7 @@ def read_frame(source: Source, row: int, model: ModelConfig) -> Frame:
     if example.partial is None:
         remedy = "use a set with partial clouds of its own"
         raise InputError(example.name, "has no measured points", remedy)
-    points, eye = example.partial[~find_strays(example.partial)], example.eye
+    points, eye = example.partial[~far_outliers(example.partial)], example.eye
     points = points[:: -(-len(points) // MAX_MEASURED)]
     eye = None if eye is None or not np.isfinite(eye).all() else eye
     example = example._replace(partial=points, eye=eye)

@@ -14,7 +14,7 @@ from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.losses.weighting import loss_weights
-from prism_jax.models.poses import brought_back, in_other_poses
+from prism_jax.models.poses import in_other_poses, to_original_frame
 from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
@@ -99,7 +99,9 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             if others is None:
                 return points
             own = put_encoders(moving, rest)
-            return jnp.concatenate([points, brought_back(own, others, config.model)])
+            return jnp.concatenate(
+                [points, to_original_frame(own, others, config.model)]
+            )
 
         # Compiled, so that it is traced once for the steps and for what follows them.
         @jax.jit

@@ -18,7 +18,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.preprocessing.observation import Observation, padded
 from prism_jax.preprocessing.segmentation.planes import Plane
 from prism_jax.uncertainty.confidence import Calibration, Verdict
-from prism_jax.uncertainty.evidence import evidence_of, looks_of
+from prism_jax.uncertainty.evidence import evidence_of, pose_predictions
 from prism_jax.uncertainty.sigma import PointErrors, clues_of, spread
 
 DEPTH_PIXELS = 128
@@ -141,7 +141,7 @@ def assemble(
     seen, read, view = task.seen, task.read, task.view
     joined = join(task, completion.points, options)
     prediction, selection = joined.prediction, joined.selection
-    looks = looks_of(completion.before, poses)
+    looks = pose_predictions(completion.before, poses)
     verdict = None
     if looks is not None and calibration is not None:
         novelty = calibration.novelty(np.asarray(completion.features))

@@ -107,8 +107,8 @@ class Completer:
         None; points outside are left out and counted. ``around`` is what the sensor
         measured besides in the same scan, occluders, support and walls, with what lies
         outside a workspace that is given: nothing is added where the sensor looked past
-        the object to it, and networks that gain by it (``model.told``) are given that.
-        It counts only where the sensor's place is known. Clouds of another shape,
+        the object to it, and networks that gain by it (``uses_visibility``) are given
+        it. It counts only where the sensor's place is known. Clouds of another shape,
         complex or not finite, fewer than 64 distinct points, an extent of zero or above
         10,000, and a workspace without volume raise `prism_jax.io.InputError`.
         """
@@ -213,7 +213,8 @@ class Completer:
         """What the network reads of a task: its points, its view and, if it gains by
         it, what is known of that."""
         model = self.config.model
-        if task.known is None or not (model.told and model.backbone.reads_visibility):
+        reads = model.uses_visibility and model.backbone.reads_visibility
+        if task.known is None or not reads:
             return task.read.partial, task.view
         return task.read.partial, task.view, task.known
 

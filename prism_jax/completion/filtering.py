@@ -17,7 +17,7 @@ from prism_jax.preprocessing.visibility import (
 from prism_jax.preprocessing.visibility_map import in_free_space
 
 STRAY = 0.35
-"""Of a predicted point that is no stray so many others (`company`), predicted or
+"""Of a predicted point that is no stray so many others (`min_neighbors`), predicted or
 measured, are no farther off, in the unit workspace. Chosen on validation
 (docs/findings.md), as that number is."""
 
@@ -88,7 +88,7 @@ def select(
     """
     spacing = median_spacing(np.asarray(partial))
     outside = np.asarray(~(np.abs(prediction) <= 1.0).all(axis=1))
-    stray = lonely(prediction, measured)
+    stray = outlier_mask(prediction, measured)
     hides = through = np.zeros(len(prediction), bool)
     if eye is not None:
         hides = in_front(prediction, measured, eye, spacing, IN_FRONT)
@@ -97,12 +97,12 @@ def select(
             past |= in_free_space(prediction, known, IN_FRONT * spacing)
         if past.any():
             through = past & looked_through(prediction, measured, eye, PAST * spacing)
-    old = ~keep_unmeasured(prediction, measured, partial)
+    old = ~mask_unobserved(prediction, measured, partial)
     kept = ~(outside | stray | hides | through | old)
     return Selection(kept, outside, stray, hides, through, old)
 
 
-def keep_unmeasured(
+def mask_unobserved(
     prediction: Float[np.ndarray, "P 3"],
     measured: Float[np.ndarray, "N 3"],
     partial: Float[Array | np.ndarray, "M 3"],
@@ -138,23 +138,23 @@ def densify(points: Float[np.ndarray, "P 3"], times: float) -> Float[np.ndarray,
     return dense[:wanted]
 
 
-def company(num_points: int) -> int:
+def min_neighbors(num_points: int) -> int:
     """How many points a predicted point that is no stray has near it (`STRAY`), in a
     prediction of so many: 12 in three poses of 2,048 points, 4 in one, and never fewer
     than 2."""
     return max(2, round(num_points / 512))
 
 
-def lonely(
+def outlier_mask(
     prediction: Float[np.ndarray, "P 3"],
     measured: Float[np.ndarray, "N 3"],
     reach: float = STRAY,
     count: int | None = None,
 ) -> Bool[np.ndarray, " P"]:
     """Points of a prediction that fewer than ``count`` others of either cloud are near,
-    `company` of it if that is None."""
+    `min_neighbors` of it if that is None."""
     if count is None:
-        count = company(len(prediction))
+        count = min_neighbors(len(prediction))
     others = _tree(np.concatenate([prediction, measured]))
     # The first is the point itself.
     apart = others.query(prediction, k=[count + 1])[0][:, 0]

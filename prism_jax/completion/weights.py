@@ -43,6 +43,8 @@ RETIRED = {
 """Fields that configurations once had, with the value at which they changed nothing:
 files that name them load if they have that value."""
 
+RENAMED = {"told": "uses_visibility"}  # fields of the model that had another name
+
 
 def available_weights() -> list[str]:
     """Names of the weights that ship with the package."""
@@ -184,6 +186,7 @@ def config_from_dict(fields: dict[str, Any]) -> PrismConfig:
         if value != neutral:
             raise ValueError(f"{name}={value} is no longer supported")
     model, adapt = fields["model"], fields["adapt"]
+    model = {RENAMED.get(name, name): value for name, value in model.items()}
     if unknown := fields.keys() - {"model", "adapt"}:
         raise TypeError(f"unknown settings {sorted(unknown)}")
     backbone = BackboneConfig(**_tuples(model.pop("backbone")))

@@ -20,7 +20,7 @@ from prism_jax.geometry.visibility import Visibility, mirrored, to_unit, turned
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError, require
 from prism_jax.preprocessing.observation import Heading, observe, workspace_around
-from prism_jax.preprocessing.outliers import find_strays
+from prism_jax.preprocessing.outliers import far_outliers
 from prism_jax.preprocessing.visibility_map import seen_among
 
 MAX_TILT = np.deg2rad(20.0)
@@ -122,7 +122,7 @@ def with_partial(example: Example, rng: np.random.Generator | None = None) -> Ex
         fault = "has no complete cloud to learn from or to be compared with"
         raise InputError(example.name, fault, "use it for completion alone")
     if example.partial is not None:
-        strays = find_strays(example.partial)
+        strays = far_outliers(example.partial)
         if not strays.any():
             return example
         return example._replace(partial=example.partial[~strays])

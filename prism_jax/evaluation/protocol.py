@@ -63,7 +63,7 @@ class Protocol:
     background: Background = "unknown"
     # Whether the completer gets the examples' visibility maps beside partials and
     # sensors, and the maps filter what is added to the measured points.
-    told: bool = False
+    uses_visibility: bool = False
 
     def __post_init__(self):
         if self.normalisation not in NORMALISATIONS:

@@ -157,7 +157,7 @@ def _complete(
         seen = [observed(example, protocol) for example in examples]
         partials, eyes = side_by_side(seen)
         maps: list[Visibility | None] = []
-        if protocol.told:
+        if protocol.uses_visibility:
             each = [map_of(one, workspace_for(one, protocol)) for one in examples]
             maps = [jax.tree.map(lambda *rows: np.stack(rows), *each)]
         predictions = jax.device_get(complete_fn(partials, eyes, *maps))
@@ -192,7 +192,7 @@ def scored_clouds(
     )
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
     known = None
-    if protocol.told:
+    if protocol.uses_visibility:
         known = map_of(example, workspace_for(example, protocol))
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:

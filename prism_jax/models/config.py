@@ -140,7 +140,7 @@ class ModelConfig(Checked):
     background: Background = "unknown"
     # Whether such a network is given what else the sensor measured in the same scan,
     # where that is known. Chosen on validation, for each set of weights.
-    told: bool = False
+    uses_visibility: bool = False
     # In how many poses of `prism_jax.models.poses` a frame is completed; the results
     # are joined. Training looks at one.
     poses: Annotated[int, 1, MAX_POSES] = 1

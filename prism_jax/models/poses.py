@@ -74,7 +74,7 @@ def in_other_poses(
     return jax.vmap(one)(clouds, eyes, beside)
 
 
-def brought_back(
+def to_original_frame(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> Float[Array, "P 3"]:
     """The completions of `in_other_poses`, in the frame as it was, one behind the

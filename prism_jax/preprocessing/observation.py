@@ -13,7 +13,7 @@ from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.sampling import farthest_point_sample, resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.preprocessing.heading import level_heading
-from prism_jax.preprocessing.outliers import find_strays
+from prism_jax.preprocessing.outliers import far_outliers
 from prism_jax.preprocessing.upright import upright
 
 Heading = Literal["given", "level"]
@@ -127,7 +127,7 @@ def observe(
 
     `workspace` is the cube to work in; points outside it are not ``inside``. If it is
     None it is `workspace_around` the points, by `margin`, `up` and `heading`; only
-    strays (`find_strays`) can lie outside that. One that is given without a rotation
+    strays (`far_outliers`) can lie outside that. One that is given without a rotation
     has the axes that `up` says.
 
     With NumPy points everything is done in double precision, for frames whose origin is
@@ -137,7 +137,7 @@ def observe(
     """
     xp = _numpy_of(points)
     if workspace is None:
-        strays = find_strays(points)
+        strays = far_outliers(points)
         workspace = workspace_around(points, sensor, margin, up, heading, ~strays)
         partial = workspace.to_unit(points)
         # Rounding must not leave out what decided the cube.
@@ -183,7 +183,7 @@ def workspace_around(
 
 def origin_is_sensor(points: Float[np.ndarray, "N 3"]) -> bool:
     """Whether a whole cloud's sensor can have stood at the origin; see `observe`."""
-    cube = workspace_around(points, where=~find_strays(points))
+    cube = workspace_around(points, where=~far_outliers(points))
     return bool(_place("origin", cube, np)[1])
 
 

@@ -12,7 +12,7 @@ REACH = 4.0
 data sets that ship or are made here the farthest lies at 1.8."""
 
 
-def find_strays(
+def far_outliers(
     points: Float[Array | np.ndarray, "N 3"],
 ) -> Bool[Array | np.ndarray, " N"]:
     """Which points lie far outside the box that holds the bulk of the cloud.

@@ -162,7 +162,7 @@ PRESETS = {
             _SMALL_AUXILIARY,
             heading="level",
             consistency_pixels=32,
-            told=True,
+            uses_visibility=True,
             poses=3,
         ),
         _SMALL_ADAPT,

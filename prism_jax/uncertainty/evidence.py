@@ -21,7 +21,7 @@ LOOKS = 3
 Looks = Sequence[Float[Array | np.ndarray, "L 3"]]
 
 
-def looks_of(
+def pose_predictions(
     before: Float[Array | np.ndarray, "P 3"], poses: int
 ) -> list[np.ndarray] | None:
     """What the network as it was makes of each of the first `LOOKS` poses, from all of

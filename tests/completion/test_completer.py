@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from experiments.calibrate import unfitted
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.completer import CompletedScan, Completer, _checked, _in_slots
-from prism_jax.completion.filtering import keep_unmeasured
+from prism_jax.completion.filtering import mask_unobserved
 from prism_jax.completion.weights import save_weights
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import (
@@ -413,7 +413,9 @@ def test_networks_are_told_of_surroundings_if_their_configuration_says_so(
     backbone = dataclasses.replace(
         minimal.config.model.backbone, reads_visibility=reads
     )
-    model = dataclasses.replace(minimal.config.model, backbone=backbone, told=told)
+    model = dataclasses.replace(
+        minimal.config.model, backbone=backbone, uses_visibility=told
+    )
     completer = Completer(dataclasses.replace(minimal.config, model=model), {})
     given = scan(), camera_at(EYE)
     alone, task = completer.task(*given), completer.task(*given, around=wall())
@@ -610,8 +612,8 @@ def test_what_was_measured_already_is_not_added():
     prediction = rng.uniform(-2, 6, (200, 3))
     apart = np.linalg.norm(prediction[:, None] - grid[None], axis=-1).min(1)
     repeated = np.concatenate([grid, grid[:40]])
-    kept = keep_unmeasured(prediction, grid, repeated, spacing=0.5)
+    kept = mask_unobserved(prediction, grid, repeated, spacing=0.5)
     assert np.array_equal(kept, apart > 0.5)
     assert kept.any()
     assert not kept.all()
-    assert not keep_unmeasured(grid, grid, repeated).any()
+    assert not mask_unobserved(grid, grid, repeated).any()

@@ -7,9 +7,9 @@ from scipy.spatial import KDTree
 from prism_jax.completion.filtering import (
     MAX_DENSE,
     STRAY,
-    company,
     densify,
-    lonely,
+    min_neighbors,
+    outlier_mask,
     select,
 )
 from prism_jax.geometry.spacing import median_spacing, surface_density
@@ -57,7 +57,7 @@ def test_a_point_alone_is_a_stray(wall, company):
 
 def test_how_much_company_there_has_to_be():
     """It grows with the prediction, and single points never are enough."""
-    assert [company(n) for n in (64, 2048, 6144, 24_576)] == [2, 4, 12, 48]
+    assert [min_neighbors(n) for n in (64, 2048, 6144, 24_576)] == [2, 4, 12, 48]
 
 
 @pytest.mark.parametrize("size", [3, 12, 13, 20])
@@ -66,8 +66,8 @@ def test_few_together_are_strays(wall, size):
     rng = np.random.default_rng(0)
     clump = [0.0, -0.9, 0.0] + rng.uniform(-0.1, 0.1, (size, 3)) * STRAY
     surface = grid(78, y=-0.2)
-    found = lonely(np.concatenate([surface, clump]), wall)
-    assert company(len(found)) == 12
+    found = outlier_mask(np.concatenate([surface, clump]), wall)
+    assert min_neighbors(len(found)) == 12
     assert not found[: len(surface)].any()
     np.testing.assert_array_equal(found[len(surface) :], size < 13)
 
@@ -75,10 +75,10 @@ def test_few_together_are_strays(wall, size):
 def test_measured_points_are_company(wall):
     alone = np.array([[0.0, -0.05, 0.0]])
     far = np.concatenate([grid(78, y=-0.9), alone])
-    assert lonely(far, wall[:11])[-1] and not lonely(far, wall)[-1]
+    assert outlier_mask(far, wall[:11])[-1] and not outlier_mask(far, wall)[-1]
     distances = np.sort(np.linalg.norm(wall - alone, axis=1))
-    assert not lonely(far, wall, reach=distances[11] + 1e-9)[-1]
-    assert lonely(far, wall, reach=distances[11] - 1e-9)[-1]
+    assert not outlier_mask(far, wall, reach=distances[11] + 1e-9)[-1]
+    assert outlier_mask(far, wall, reach=distances[11] - 1e-9)[-1]
 
 
 def test_what_would_hide_the_measured_is_not_kept(wall):

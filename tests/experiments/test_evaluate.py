@@ -83,7 +83,7 @@ def test_weights_that_are_told_are_told_of_recordings(asked, tmp_path, monkeypat
     monkeypatch.setattr(evaluate, "prism_completer", listening)
     place = ["--dataset=recordings", f"--data_dir={CELLS}", "--split=all", "--limit=2"]
     output = f"--output={tmp_path / 'scores.json'}"
-    told = f"--set=model.told={asked}"
+    told = f"--set=model.uses_visibility={asked}"
     assert launching.run(evaluate, *place, told, output) == 0
     if asked:
         (one,) = found

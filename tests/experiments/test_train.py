@@ -141,7 +141,7 @@ def test_a_network_with_one_more_block_goes_on_from_one_without(
 
 
 @pytest.mark.parametrize(
-    "change", ["told=True", "background=empty", "backbone.offset_reach=0.2"]
+    "change", ["uses_visibility=True", "background=empty", "backbone.offset_reach=0.2"]
 )
 def test_what_is_no_matter_of_size_can_change(
     pretrain, weights, minimal_variables, tmp_path, change

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.preprocessing.outliers import REACH, TAIL, find_strays
+from prism_jax.preprocessing.outliers import REACH, TAIL, far_outliers
 
 
 def blob(count=948, seed=0):
@@ -16,13 +16,13 @@ def blob(count=948, seed=0):
 @pytest.mark.parametrize("number", [1, 5, 9])
 def test_a_few_points_far_away_are_strays(place, number):
     points = np.concatenate([blob(), np.tile(place, (number, 1)) + blob(number)])
-    assert np.array_equal(find_strays(points), np.arange(len(points)) >= 948)
+    assert np.array_equal(far_outliers(points), np.arange(len(points)) >= 948)
 
 
 def test_strays_on_both_sides_and_between_the_others():
     points = blob(1000)
     points[::125] += np.array([50.0, -80, 0]) * np.resize([1, -1], 8)[:, None]
-    assert np.array_equal(np.flatnonzero(find_strays(points)), np.arange(0, 1000, 125))
+    assert np.array_equal(np.flatnonzero(far_outliers(points)), np.arange(0, 1000, 125))
 
 
 def test_how_far_is_too_far():
@@ -33,9 +33,9 @@ def test_how_far_is_too_far():
     side = box[-1] - box[0]
     for share, expected in [(0.99, False), (1.01, True)]:
         line[-1, 2] = share * REACH * side
-        assert find_strays(line)[-1] == expected
+        assert far_outliers(line)[-1] == expected
     line[-1] = [0, box[-1] + 0.99 * REACH * side, 0]
-    assert not find_strays(line).any()
+    assert not far_outliers(line).any()
 
 
 def test_what_is_a_part_of_the_object_stays():
@@ -43,32 +43,32 @@ def test_what_is_a_part_of_the_object_stays():
     pole = np.zeros((30, 3))
     pole[:, 2] = np.linspace(0, 40, 30)
     points = np.concatenate([blob(1000), pole])
-    assert not find_strays(points).any()
+    assert not far_outliers(points).any()
 
 
 @pytest.mark.parametrize("count", [1, 2, 50, TAIL - 1])
 def test_small_clouds_have_none(count):
     points = blob(count)
     points[0] = 300
-    assert not find_strays(points).any()
+    assert not far_outliers(points).any()
 
 
 def test_one_place_is_a_cloud_too():
     points = np.ones((500, 3))
     points[:3] = blob(3)
-    assert not find_strays(points).any()
+    assert not far_outliers(points).any()
 
 
 def test_it_depends_on_no_unit_and_no_origin():
     points = np.concatenate([blob(), blob(5) + [0, 9, 0]])
-    assert np.array_equal(find_strays(points), find_strays(1e-3 * points + 1e4))
+    assert np.array_equal(far_outliers(points), far_outliers(1e-3 * points + 1e4))
 
 
 def test_jit_and_vmap_agree_with_numpy():
     clouds = np.stack([blob(400, seed) for seed in range(3)]).astype(np.float32)
     clouds[1, 7] = 100
     clouds[2, [3, 5]] = -50
-    expected = np.stack([find_strays(cloud) for cloud in clouds])
-    found = jax.jit(jax.vmap(find_strays))(jnp.asarray(clouds))
+    expected = np.stack([far_outliers(cloud) for cloud in clouds])
+    found = jax.jit(jax.vmap(far_outliers))(jnp.asarray(clouds))
     assert np.array_equal(found, expected)
     assert expected.sum() == 3

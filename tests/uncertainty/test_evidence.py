@@ -6,7 +6,7 @@ import pytest
 from prism_jax.completion.filtering import select
 from prism_jax.preprocessing.observation import observe
 from prism_jax.uncertainty.confidence import EVIDENCE
-from prism_jax.uncertainty.evidence import evidence_of, looks_of
+from prism_jax.uncertainty.evidence import evidence_of, pose_predictions
 
 RNG = np.random.default_rng(0)
 EYE = np.array([0.0, 0.0, 6.0])
@@ -108,7 +108,7 @@ def test_far_from_the_origin_and_in_any_unit():
 def test_looks_are_the_first_poses():
     clouds = RNG.normal(size=(4, 5, 3))
     for count in (3, 4):
-        looks = looks_of(clouds[:count].reshape(-1, 3), count)
+        looks = pose_predictions(clouds[:count].reshape(-1, 3), count)
         np.testing.assert_array_equal(looks, clouds[:3])
-    assert looks_of(clouds[:2].reshape(-1, 3), 2) is None
-    assert looks_of(clouds[0], 1) is None
+    assert pose_predictions(clouds[:2].reshape(-1, 3), 2) is None
+    assert pose_predictions(clouds[0], 1) is None
