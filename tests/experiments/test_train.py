@@ -68,7 +68,7 @@ def pretrain(few_shapes, minimal_variables, monkeypatch):
     """``pretrain(arguments)``: the exit status; the trainings' arguments are kept."""
     calls = []
 
-    def stand_in(config, training, data, folder, seed, max_steps, board, start):
+    def stand_in(config, training, data, folder, seed, max_steps, start):
         calls.append((data, start))
         return None if max_steps else minimal_variables
 
