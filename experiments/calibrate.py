@@ -2,11 +2,10 @@
 
     python -m experiments.calibrate --weights=small --output=FILE.json
 
-Validation views are shifted at random and completed as a user's scan is. Two sums of
-trees are fitted on the results: `prism_jax.uncertainty.confidence` expects the error of
-a completion, `prism_jax.uncertainty.sigma` that of each point. Both are measured on
-objects that the trees did not see. `experiments.release --calibration=FILE.json` ships
-them with the weights.
+Validation views are shifted at random and completed as a user's scan is. What is fitted
+is a `Calibration`, which expects the error of a completion, and `PointErrors`, which
+expect that of each point. Both are measured on objects that they did not see.
+`experiments.release --calibration=FILE.json` ships them with the weights.
 """
 
 import dataclasses
@@ -21,17 +20,17 @@ from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 from tqdm import tqdm
 
+from experiments import robustness
 from experiments.output import prepare_output
-from experiments.robustness import View, any_shift, completed, table, views_of
 from experiments.scoring import print_and_write, require_looks
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.weights import located
 from prism_jax.cli.launch import launch
+from prism_jax.completion.assembly import CompletedScan
 from prism_jax.completion.completer import Completer
 from prism_jax.completion.weights import file_sha256, load_pretrained
 from prism_jax.data.datasets import digest_of, open_dataset
 from prism_jax.data.pipeline import Framing, frame_example
-from prism_jax.evaluation import metrics
 from prism_jax.io.errors import require
 from prism_jax.models.backbone import encode_points, partial_indices
 from prism_jax.training.run import commit
@@ -63,36 +62,29 @@ NUM_AXES = 16  # along which the features of training views vary most
 LOW_FOR_NOTHING = 0.1  # share of the better half that may be called low
 LEAST = 1e-4  # half sides of the workspace: smaller errors count as much
 PATCH = 9  # points of the truth, the nearest one included, that a plane is laid through
-FLAT = (
-    0.15  # how far a patch's points lie off the plane, in how far they reach along it
-)
+FLAT = 0.15  # how far such points lie off the plane, in how far they reach along it
 
-NOTHING = {"base": 0.0, "looks_at": np.zeros((1, 1)), "thresholds": np.zeros((1, 1))}
-NOTHING |= {"leaves": np.zeros((1, 2)), "bounds": np.array([-20.0, 20.0])}
-"""The fields of trees that are not fitted yet."""
+NODES, LEAVES = np.zeros((1, 1)), np.zeros((1, 2))
+NO_TREES = 0.0, NODES, NODES, LEAVES, np.array([-20.0, 20.0])
 
 
 class Scan(NamedTuple):
-    """A completed view, for the verdict. Objects are numbered at random; `half_extent`
-    of the workspace and `error`, CD-L1, are in half the longest side of the truth."""
+    """A completed view. Objects are numbered at random; the half extent of the
+    workspace and the error, CD-L1, are in half the longest side of the truth."""
 
     data: str
     group: int
     shift: str
-    evidence: dict[str, float]
     half_extent: float
+    evidence: dict[str, float]
     error: float
 
 
 class Points(NamedTuple):
-    """Points of a completed view, for sigma: the network's that were added, with clues
-    and distances from the true surface, and some of all that a user gets besides.
-    Lengths are in the unit workspace; `unit` turns them into those of `Scan`."""
+    """Points of a completed view in the unit workspace: the network's that were added,
+    their clues and distances from the true surface, and some of all that were added."""
 
-    data: str
-    group: int
-    shift: str
-    unit: float
+    scan: Scan
     kept: Cloud
     clues: Table
     errors: Row
@@ -121,8 +113,7 @@ def training_features(completer: Completer, count: int) -> Table:
     @jax.jit
     def encode(partial):
         indices = partial_indices(partial, model.backbone)
-        encoded = encode_points(variables, model.backbone, partial, indices)
-        return encoded.global_feature
+        return encode_points(variables, model.backbone, partial, indices).global_feature
 
     rows = np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)
     features = []
@@ -141,74 +132,55 @@ def unfitted(features: Table) -> Calibration:
     rest = off - (off @ axes.T) @ axes
     scale = scale[: len(axes)] / np.sqrt(len(features))
     least = 1e-6 * max(float(scale[0]), 1e-6)  # equal features have no spread at all
-    return Calibration(
-        **NOTHING,
-        usual=np.zeros(len(EVIDENCE)),
-        fair=1.0,
-        low=1.0,
-        feature_mean=mean,
-        feature_axes=axes / np.maximum(scale, least)[:, None],
-        feature_rest=max(float(np.sqrt((rest**2).sum(axis=1).mean())), least),
-    )
+    axes = axes / np.maximum(scale, least)[:, None]
+    beside = max(float(np.sqrt((rest**2).sum(axis=1).mean())), least)
+    return Calibration(*NO_TREES, np.zeros(len(EVIDENCE)), 1.0, 1.0, mean, axes, beside)
 
 
-def shifted(
-    names: Iterable[str], limit: int | None, draws: int | None
-) -> Iterator[tuple[tuple[str, int, str], View, np.random.Generator]]:
+def completed_views(
+    completer: Completer, names: Iterable[str], limit: int | None, draws: int | None
+) -> Iterator[tuple[Scan, robustness.View, CompletedScan, np.random.Generator]]:
     """Views of each set, each shifted at random, in as many ways as there are draws (or
-    in one of the set's own): set, object and shift; the view; its random numbers."""
+    in one of the set's own), and completed; and the random numbers of each."""
     for name in names:
-        views = views_of(*SETS[name], limit)
+        views = robustness.views_of(*SETS[name], limit)
         group = np.random.default_rng(0).permutation(1 + max(v.group for v in views))
         for number, view in enumerate(tqdm(views, desc=name, mininterval=2.0)):
             for draw in range(draws) if draws else [len(name)]:
                 rng = np.random.default_rng([number, draw])
-                shift, moved = any_shift(view, rng)
-                yield (name, int(group[view.group]), shift), moved, rng
-
-
-def completed_scans(completer: Completer, limit: int | None, draws: int) -> list[Scan]:
-    """What the verdict is fitted on, of a completer that finds evidence."""
-    scans = []
-    for place, view, _ in shifted(VERDICT_SETS, limit, draws):
-        done, unit = completed(completer, view), 0.5 * view.size
-        assert done.verdict is not None
-        error = float(metrics.cd_l1(done.points / unit, view.complete / unit))
-        half_extent = float(done.workspace.half_extent) / unit
-        scans.append(Scan(*place, done.verdict.evidence, half_extent, error))
-    return scans
+                shift, moved = robustness.any_shift(view, rng)
+                done = robustness.completed(completer, moved)
+                half_extent = float(done.workspace.half_extent) / (0.5 * view.size)
+                assert done.verdict is not None
+                error = robustness.scored(moved, done.points).cd_l1
+                place = name, int(group[view.group]), shift, half_extent
+                yield Scan(*place, done.verdict.evidence, error), moved, done, rng
 
 
 def completed_points(completer: Completer, limit: int, count: int) -> list[Points]:
     """What sigma is fitted on, with so many of the points that a user gets."""
-    completer.point_errors = listener = Listener(**NOTHING)
+    completer.point_errors = listener = Listener(*NO_TREES)
     found = []
-    for place, view, rng in shifted(SETS, limit, None):
-        done = completed(completer, view)
+    for scan, view, done, rng in completed_views(completer, SETS, limit, None):
         points = np.asarray(done.workspace.to_unit(done.points[~done.observed]))
         truth = np.asarray(done.workspace.to_unit(view.complete))
-        unit = float(done.workspace.half_extent) / (0.5 * view.size)
         kept = points[: len(listener.asked)]  # the network's own come first
         own = kept, listener.asked, from_surface(kept, truth)
         added = _some(points, count, rng)
-        found.append(Points(*place, unit, *own, added, from_surface(added, truth)))
+        found.append(Points(scan, *own, added, from_surface(added, truth)))
     return found
 
 
 def from_surface(points: Cloud, truth: Cloud) -> Row:
-    """Distances from the surface that the truth is a sample of.
-
-    The nearest point of the sample is about half its spacing away even from the surface
-    itself. So where that point's neighbourhood is flat, and reaches to where the plane
-    through it is nearest, it is the distance from this plane; elsewhere, at edges, rims
-    and thin rods, from the point.
-    """
+    """Distances from the surface that the truth is a sample of: from the plane through
+    the sample's points nearby, where these are flat and reach to where it is nearest;
+    elsewhere, at edges, rims and thin rods, from the nearest point, which is half the
+    spacing away even from a point of the surface."""
     tree = KDTree(truth)
     apart, row = tree.query(points)
     reach, patch = tree.query(truth[row], k=range(1, min(PATCH, len(truth)) + 1))
     offsets = truth[patch] - truth[patch].mean(axis=1, keepdims=True)
-    squares = np.einsum("nki,nkj->nij", offsets, offsets)
-    values, vectors = np.linalg.eigh(squares)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
     to_plane = points - truth[patch].mean(axis=1)
     across = np.abs(np.einsum("ni,ni->n", to_plane, vectors[:, :, 0]))
     along = np.sqrt(np.maximum(apart**2 - across**2, 0.0))
@@ -227,9 +199,8 @@ def _some(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
 def boosted(
     found: Table, wanted: Row, sets: Sequence[str], fold: np.ndarray, settings: Any
 ) -> tuple[dict[str, Any], Row, Row]:
-    """Gradient boosting (Friedman 2001) by scikit-learn, the same every time: fields of
-    `Trees`; what trees that saw all other folds say of each sample; and the samples'
-    weights, by which all sets weigh the same."""
+    """Gradient boosting (Friedman 2001): fields of `Trees`; what trees that saw the
+    other folds say of each sample; and the samples' weights, one sum for every set."""
     regressor = require("sklearn.ensemble", "train").GradientBoostingRegressor
     _, inverse, sizes = np.unique(sets, return_inverse=True, return_counts=True)
     weights = len(wanted) / sizes[inverse]
@@ -263,8 +234,7 @@ def trees_of(model: Any) -> dict[str, Any]:
 
 
 def fitted_verdicts(blank: Calibration, scans: Sequence[Scan]) -> Calibration:
-    """The verdict's trees, and bounds of trust from what is said of objects that are
-    left out."""
+    """The verdict's trees, and bounds of trust by what is said of objects left out."""
     found = np.array([logarithms(scan.evidence) for scan in scans])
     wanted = np.log([scan.error / scan.half_extent for scan in scans])
     sets = [scan.data for scan in scans]
@@ -278,58 +248,44 @@ def fitted_verdicts(blank: Calibration, scans: Sequence[Scan]) -> Calibration:
     least = np.quantile(said[better], 1.0 - LOW_FOR_NOTHING)
     worst = wanted >= np.quantile(wanted, 0.9)
     low = 0.5 * (least + max(least, np.quantile(said[worst], 0.1)))
-    fields |= {
-        "base": fields["base"] + lift,
-        "usual": np.median(found[better], axis=0),
-        "fair": float(np.exp(min(np.median(said), low))),
-        "low": float(np.exp(low)),
-    }
-    return dataclasses.replace(blank, **fields)
+    fair, low = np.exp([min(np.median(said), low), low])
+    fields["base"] += lift
+    fields |= {"usual": np.median(found[better], axis=0), "fair": fair, "low": low}
+    return Calibration.from_dict(dataclasses.replace(blank, **fields).to_dict())
 
 
 def judged_unseen(blank: Calibration, scans: Sequence[Scan]) -> list[Verdict]:
     """The verdict on each scan by what was fitted on the objects of other folds."""
-    fold = np.array([scan.group % FOLDS for scan in scans])
     judges = {}
-    for number in np.unique(fold):
-        others = [one for one in scans if one.group % FOLDS != number]
-        fitted = fitted_verdicts(blank, others).to_dict()
-        judges[number] = Calibration.from_dict(fitted).judge
-    pairs = zip(scans, fold, strict=True)
-    return [judges[number](scan.evidence, scan.half_extent) for scan, number in pairs]
-
-
-def by_part(samples: Sequence[Scan] | Sequence[Points], measure: Any) -> dict[str, Any]:
-    """A measure of the numbers of all samples, of each set's and of each shift's."""
-    sets, shifts = np.array([(one.data, one.shift) for one in samples]).T
-    parts = {"all": sets == sets}
-    parts |= {name: sets == name for name in dict.fromkeys(sets.tolist())}
-    parts |= {name: shifts == name for name in np.unique(shifts).tolist()}
-    return {name: measure(np.flatnonzero(part)) for name, part in parts.items()}
+    for fold in {scan.group % FOLDS for scan in scans}:
+        others = [scan for scan in scans if scan.group % FOLDS != fold]
+        judges[fold] = fitted_verdicts(blank, others).judge
+    return [judges[s.group % FOLDS](s.evidence, s.half_extent) for s in scans]
 
 
 def rightness(scans: Sequence[Scan], verdicts: Sequence[Verdict]) -> dict[str, Any]:
     """How far verdicts are right, over all scans, by set and by shift."""
-    expected = np.array([verdict.expected_error for verdict in verdicts])
-    trust = np.array([verdict.trust for verdict in verdicts])
-    error = np.array([scan.error for scan in scans])
-
-    def measure(rows):
-        own, low, high = error[rows], trust[rows] == "low", trust[rows] == "high"
-        return {
-            "views": len(own),
-            "error": float(own.mean()),
-            "expected": float(expected[rows].mean()),
-            "rank_correlation": rank_correlation(expected[rows], own),
-            "worst_tenth_low": float(low[own >= np.quantile(own, 0.9)].mean()),
-            "better_half_low": float(low[own <= np.median(own)].mean()),
+    rows = {}
+    sets, shifts = dict.fromkeys(s.data for s in scans), {s.shift for s in scans}
+    for name in ("all", *sets, *sorted(shifts)):
+        own = [name in ("all", scan.data, scan.shift) for scan in scans]
+        error = np.array([scan.error for scan in scans])[own]
+        expected = np.array([verdict.expected_error for verdict in verdicts])[own]
+        trust = np.array([verdict.trust for verdict in verdicts])[own]
+        low, high = trust == "low", trust == "high"
+        rows[name] = {
+            "views": len(error),
+            "error": float(error.mean()),
+            "expected": float(expected.mean()),
+            "rank_correlation": rank_correlation(expected, error),
+            "worst_tenth_low": float(low[error >= np.quantile(error, 0.9)].mean()),
+            "better_half_low": float(low[error <= np.median(error)].mean()),
             "low": float(low.mean()),
             "high": float(high.mean()),
-            "error_of_low": float(own[low].mean()) if low.any() else None,
-            "error_of_high": float(own[high].mean()) if high.any() else None,
+            "error_of_low": float(error[low].mean()) if low.any() else None,
+            "error_of_high": float(error[high].mean()) if high.any() else None,
         }
-
-    return by_part(scans, measure)
+    return rows
 
 
 def rank_correlation(first: Row, second: Row) -> float | None:
@@ -339,63 +295,37 @@ def rank_correlation(first: Row, second: Row) -> float | None:
     return float(spearmanr(first, second)[0])  # pyright: ignore
 
 
-def fitted_sigmas(samples: Sequence[Points], count: int) -> PointErrors:
-    """Sigma's trees, from so many points of each view."""
+def sigmas(samples: Sequence[Points], count: int) -> dict[str, Any]:
+    """The fit on objects of even numbers, from so many points of each view, and how far
+    it is right about the others, in half the longest side of the truth."""
+    samples = [sample for sample in samples if len(sample.kept)]
+    even, odd = ([s for s in samples if s.scan.group % 2 == half] for half in (0, 1))
     rng = np.random.default_rng(0)
-    rows = [_some(np.arange(len(sample.kept)), count, rng) for sample in samples]
-    pairs = list(zip(samples, rows, strict=True))
-    clues = np.concatenate([sample.clues[row] for sample, row in pairs])
-    errors = np.concatenate([sample.errors[row] for sample, row in pairs])
-    sets = [sample.data for sample, row in pairs for _ in row]
-    fold = np.array([sample.group // 2 % FOLDS for sample, row in pairs for _ in row])
+    pairs = [(s, _some(np.arange(len(s.kept)), count, rng)) for s in even]
+    clues = np.concatenate([sample.clues[rows] for sample, rows in pairs])
+    errors = np.concatenate([sample.errors[rows] for sample, rows in pairs])
+    scans = [sample.scan for sample, rows in pairs for _ in rows]
+    sets, fold = [s.data for s in scans], [s.group // 2 % FOLDS for s in scans]
     wanted = np.log(np.maximum(errors, LEAST))
-    fields, said, weights = boosted(clues, wanted, sets, fold, SIGMA_TREES)
+    fields, said, weights = boosted(clues, wanted, sets, np.array(fold), SIGMA_TREES)
     # From the mean of logarithms to the logarithm of the mean.
     mean, found = (np.average(x, weights=weights) for x in (errors, np.exp(said)))
     fields["base"] += float(np.log(mean / found))
-    return PointErrors(**fields)
-
-
-def sigma_rightness(found: PointErrors, samples: Sequence[Points]) -> dict[str, Any]:
-    """How far sigmas of the points that a user gets are right, over all views, by set
-    and by shift. Lengths are in half the longest side of the truth."""
-    sigmas = [
-        sample.unit * spread(sample.added, sample.kept, found.sigma(sample.clues))
-        for sample in samples
-    ]
-    errors = [sample.unit * sample.added_errors for sample in samples]
-
-    def measure(rows):
-        views = [(sigmas[row], errors[row]) for row in rows]
-        sigma, error = map(np.concatenate, zip(*views, strict=True))
-        within = [rank_correlation(*view) for view in views]
-        return {
-            "views": len(views),
-            "points": len(error),
-            "expected": float(sigma.mean()),
-            "error": float(error.mean()),
-            "below_one": float((error < sigma).mean()),
-            "below_two": float((error < 2 * sigma).mean()),
-            "holds_95": float(np.quantile(error / sigma, 0.95)),
-            "rank_correlation": rank_correlation(sigma, error),
-            "within_views": float(
-                np.median([r for r in within if r is not None] or [0])
-            ),
-        }
-
-    return by_part(samples, measure)
-
-
-def sigmas(samples: Sequence[Points], count: int) -> dict[str, Any]:
-    """The fit on objects of even numbers, and how far it is right about the others."""
-    samples = [sample for sample in samples if len(sample.kept)]
-    even, odd = ([s for s in samples if s.group % 2 == half] for half in (0, 1))
-    fields = fitted_sigmas(even, count).to_dict()
-    return {
-        "point_errors": fields,
-        "sigma": sigma_rightness(PointErrors.from_dict(fields), odd),
-        "views": {"fitted": len(even), "held_out": len(odd)},
+    fitted = PointErrors.from_dict(PointErrors(**fields).to_dict())
+    units = np.repeat([s.scan.half_extent for s in odd], [len(s.added) for s in odd])
+    said = [spread(s.added, s.kept, fitted.sigma(s.clues)) for s in odd]
+    sigma = units * np.concatenate(said)
+    error = units * np.concatenate([sample.added_errors for sample in odd])
+    right = {
+        "expected": float(sigma.mean()),
+        "error": float(error.mean()),
+        "below_one": float((error < sigma).mean()),
+        "below_two": float((error < 2 * sigma).mean()),
+        "holds_95": float(np.quantile(error / sigma, 0.95)),
+        "rank_correlation": rank_correlation(sigma, error),
     }
+    views = {"fitted": len(even), "held_out": len(odd)}
+    return {"point_errors": fitted.to_dict(), "sigma": {"all": right}, "views": views}
 
 
 def define_flags() -> None:
@@ -416,8 +346,8 @@ def main() -> None:
     require_looks(FLAGS.weights, completer.config)
     blank = unfitted(training_features(completer, FLAGS.training))
     completer.calibration = blank
-    scans = completed_scans(completer, FLAGS.limit, FLAGS.draws)
-    completer.calibration = None
+    views = completed_views(completer, VERDICT_SETS, FLAGS.limit, FLAGS.draws)
+    scans = [scan for scan, *_ in views]
     points = completed_points(completer, FLAGS.limit or SIGMA_VIEWS, FLAGS.points)
     result = {
         "commit": commit(),
@@ -428,7 +358,7 @@ def main() -> None:
         "trust": rightness(scans, judged_unseen(blank, scans)),
         **sigmas(points, FLAGS.points),
     }
-    both = table("trust", result["trust"]), table("sigma", result["sigma"])
+    both = [robustness.table(name, result[name]) for name in ("trust", "sigma")]
     print_and_write(result, "\n\n".join(both))
 
 

@@ -6,10 +6,9 @@ Every view of a validation split is shifted and completed as a user's scan is. A
 changes the partial cloud, its sensor and the frame of both; the truth follows.
 """
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from absl import flags
@@ -31,50 +30,34 @@ from prism_jax.data.pipeline import with_partial
 from prism_jax.evaluation import metrics
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import choose
 from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
+Cloud = Float[np.ndarray, "N 3"]
 
 TILT = 36.0
-TABLE_SIDE = 3.0
-"""Of the table under a tilted object, in the object's longest side."""
-
-COLUMNS = {
-    "CD-L2 x1e4": ("cd_l2", np.mean, 1e4),
-    "median": ("cd_l2", np.median, 1e4),
-    "prediction to truth x1e4": ("prediction_to_truth", np.mean, 1e4),
-    "truth to prediction x1e4": ("truth_to_prediction", np.mean, 1e4),
-    "CD-L1 x1e3": ("cd_l1", np.mean, 1e3),
-}
+TABLE_SIDE = 3.0  # of the table under a tilted object, in the object's longest side
 
 
-@dataclasses.dataclass(frozen=True)
-class View:
-    """A partial cloud, where its sensor stood, and the truth, all in one frame.
+class View(NamedTuple):
+    """A partial cloud, where its sensor stood, and the truth, all in one frame; the
+    longest side of the truth's box before any turn; the object's number; and points of
+    what the object stands on, where that is in the view."""
 
-    `table` are points of what the object stands on, where that is in the view; `size`
-    is the longest side of the truth's box before any turn, `group` the object's number.
-    """
-
-    partial: Float[np.ndarray, "N 3"]
-    complete: Float[np.ndarray, "M 3"]
+    partial: Cloud
+    complete: Cloud
     eye: Float[np.ndarray, "3"] | None
     size: float
-    table: Float[np.ndarray, "T 3"] | None = None
     group: int = 0
+    table: Cloud | None = None
 
 
 def turned(view: View, rotation: Rotation) -> View:
     """All of it about the origin."""
-    matrix = rotation.as_matrix()
-    clouds = {
-        name: cloud @ matrix.T
-        for name in ("partial", "complete", "eye", "table")
-        if (cloud := getattr(view, name)) is not None
-    }
-    return dataclasses.replace(view, **clouds)
+    matrix, names = rotation.as_matrix(), ("partial", "complete", "eye", "table")
+    clouds = {n: c @ matrix.T for n in names if (c := getattr(view, n)) is not None}
+    return view._replace(**clouds)
 
 
 def heading(view: View, rng: np.random.Generator, degrees: float) -> View:
@@ -83,62 +66,57 @@ def heading(view: View, rng: np.random.Generator, degrees: float) -> View:
 
 
 def tilted(view: View, rng: np.random.Generator) -> View:
-    """By `TILT` about a random horizontal axis, at a random heading, on a table.
-
-    The table is as dense as the object, noisy by a thousandth of its size, and without
-    what the object covers.
-    """
+    """By `TILT` about a random level axis, at a random heading, on a table. That is as
+    dense as the object, noisy by a thousandth of its size, and hidden below it."""
     lower, upper = view.complete.min(axis=0), view.complete.max(axis=0)
     count = int(len(view.partial) * TABLE_SIDE**2 / 3)
-    table = np.empty((count, 3))
-    middle = 0.5 * (lower + upper)[:2]
-    table[:, :2] = middle + rng.uniform(-0.5, 0.5, (count, 2)) * TABLE_SIDE * view.size
-    table[:, 2] = lower[2] + rng.normal(0.0, 1e-3 * view.size, count)
-    under = ((table > lower) & (table < upper))[:, :2].all(axis=1)
+    places = rng.uniform(-0.5, 0.5, (count, 2)) * TABLE_SIDE * view.size
+    places = 0.5 * (lower + upper)[:2] + places
+    heights = lower[2] + rng.normal(0.0, 1e-3 * view.size, count)
+    covered = ((places > lower[:2]) & (places < upper[:2])).all(axis=1)
+    table = np.column_stack([places, heights])[~covered]
     angle = rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     turn = Rotation.from_rotvec(np.deg2rad(TILT) * axis)
     turn = turn * Rotation.from_euler("z", rng.uniform(0, 360), True)
-    return turned(dataclasses.replace(view, table=table[~under]), turn)
+    return turned(view._replace(table=table), turn)
 
 
 def with_points(view: View, rng: np.random.Generator, count: int) -> View:
     """Thinned at random, or made denser between its points."""
-    partial = view.partial
-    if count > len(partial):
-        partial = densify(partial, count / len(partial))
-    else:
-        partial = partial[rng.permutation(len(partial))[:count]]
-    return dataclasses.replace(view, partial=partial)
+    if count > len(view.partial):
+        return view._replace(partial=densify(view.partial, count / len(view.partial)))
+    kept = rng.permutation(len(view.partial))[:count]
+    return view._replace(partial=view.partial[kept])
 
 
 def noisy(view: View, rng: np.random.Generator, share: float) -> View:
     """Gaussian in each coordinate, of a share of the object's longest side."""
     noise = rng.normal(0.0, share * view.size, view.partial.shape)
-    return dataclasses.replace(view, partial=view.partial + noise)
+    return view._replace(partial=view.partial + noise)
 
 
 def cropped(view: View, rng: np.random.Generator, share: float) -> View:
     """Without that share of the points that lies farthest in some direction."""
     along = view.partial @ rng.normal(size=3)
-    kept = along <= np.quantile(along, 1.0 - share)
-    return dataclasses.replace(view, partial=view.partial[kept])
+    return view._replace(partial=view.partial[along <= np.quantile(along, 1.0 - share)])
+
+
+KINDS: dict[str, Callable[[View, np.random.Generator], View]] = {  # of any strength
+    "heading": lambda view, rng: view,
+    "tilt": tilted,
+    "points": lambda view, rng: with_points(
+        view, rng, int(np.exp(rng.uniform(np.log(100), np.log(20_000))))
+    ),
+    "noise": lambda view, rng: noisy(view, rng, rng.uniform(0.0, 0.03)),
+    "crop": lambda view, rng: cropped(view, rng, rng.uniform(0.05, 0.6)),
+}
 
 
 def any_shift(view: View, rng: np.random.Generator) -> tuple[str, View]:
-    """One of every kind, of random strength, at a random heading; and what it is."""
-    kind = str(rng.choice(["heading", "tilt", "points", "noise", "crop"]))
-    shifted = heading(view, rng, rng.uniform(0, 360))
-    if kind == "tilt":
-        shifted = tilted(shifted, rng)
-    elif kind == "points":
-        count = int(np.exp(rng.uniform(np.log(100), np.log(20_000))))
-        shifted = with_points(shifted, rng, count)
-    elif kind == "noise":
-        shifted = noisy(shifted, rng, rng.uniform(0.0, 0.03))
-    elif kind == "crop":
-        shifted = cropped(shifted, rng, rng.uniform(0.05, 0.6))
-    return kind, shifted
+    """One of `KINDS`, at a random heading; and which."""
+    kind = str(rng.choice(list(KINDS)))
+    return kind, KINDS[kind](heading(view, rng, rng.uniform(0, 360)), rng)
 
 
 DENSITIES = (100, 500, 2_000, 20_000, 200_000)
@@ -163,36 +141,33 @@ def views_of(dataset: str, split: str, limit: int | None = None) -> list[View]:
         example = with_partial(source[int(row)])
         clouds = (example.partial, example.complete, example.eye)
         double = [None if c is None else c.astype(np.float64) for c in clouds]
-        assert example.complete is not None
-        size = float(np.ptp(example.complete, axis=0).max())
-        group = int(source.objects[row])
-        views.append(View(*double, size, group=group))  # pyright: ignore
+        size = float(np.ptp(np.asarray(example.complete), axis=0).max())
+        views.append(View(*double, size, int(source.objects[row])))  # pyright: ignore
     return views
 
 
 def completed(completer: Completer, view: View) -> CompletedScan:
     """As a user's scan is. A view with a table, with the way up that the table says."""
-    camera, up = None, "z"
-    if view.eye is not None:
-        camera = Camera.look_at(view.eye, view.partial.mean(axis=0))
+    eye, middle, up = view.eye, view.partial.mean(axis=0), "z"
     if view.table is not None:
-        up = find_up(np.concatenate([view.partial, view.table]), view.eye).vector
+        up = find_up(np.concatenate([view.partial, view.table]), eye).vector
+    camera = None if eye is None else Camera.look_at(eye, middle)
     return completer.complete(view.partial, camera, up=up)
 
 
-def scored(view: View, points: Float[np.ndarray, "N 3"]) -> list[float]:
-    """The metrics of `COLUMNS`."""
+def scored(view: View, points: Cloud) -> metrics.Scores:
+    """How far points are from the truth, in half its longest side."""
     unit = 0.5 * view.size
-    found = metrics.score(points / unit, view.complete / unit).named()
-    return [found[metric] for metric, _, _ in COLUMNS.values()]
+    return metrics.score(points / unit, view.complete / unit)
 
 
-def summary(scores: Sequence[Sequence[float]]) -> dict[str, float]:
-    """Of what `scored` says of each view."""
-    columns = zip(COLUMNS.items(), zip(*scores, strict=True), strict=True)
+def summary(scores: Sequence[metrics.Scores]) -> dict[str, float]:
+    """What the table shows of the scores of all views."""
+    cd_l2 = [one.cd_l2 for one in scores]
     return {
-        title: factor * float(mean(values))
-        for (title, (_, mean, factor)), values in columns
+        "CD-L2 x1e4": 1e4 * float(np.mean(cd_l2)),
+        "median": 1e4 * float(np.median(cd_l2)),
+        "CD-L1 x1e3": 1e3 * float(np.mean([one.cd_l1 for one in scores])),
     }
 
 
@@ -211,28 +186,25 @@ def define_flags() -> None:
     flags.DEFINE_string("weights", "small", "A name, or a file.")
     flags.DEFINE_enum("dataset", "shapes", ("shapes", "roboarm"), "Whose validation.")
     flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
-    flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
+    flags.DEFINE_multi_enum("shift", list(SHIFTS), list(SHIFTS), "Which ones.")
     flags.DEFINE_string("output", None, "JSON file to write.")
 
 
 def main() -> None:
     """Shifts, completes, scores, prints the table and writes the result."""
     prepare_output(FLAGS.output, ".json")
-    for name in FLAGS.shift:
-        choose("shift", name, SHIFTS)
     completer = Completer.from_pretrained(located(FLAGS.weights))
     split = validation_split(FLAGS.dataset)
     views = views_of(FLAGS.dataset, split, FLAGS.limit)
     rows = {}
     for name in FLAGS.shift:
-        scores = {"partial": [], "completed": []}
+        scores = []
         for number, view in enumerate(tqdm(views, desc=name, mininterval=2.0)):
             shifted = SHIFTS[name](view, np.random.default_rng(number))
-            done = completed(completer, shifted)
-            scores["partial"].append(scored(shifted, shifted.partial))
-            scores["completed"].append(scored(shifted, done.points))
-        means = {cloud: summary(own) for cloud, own in scores.items()}
-        rows[name] = {"views": len(views), **means}
+            clouds = shifted.partial, completed(completer, shifted).points
+            scores.append([scored(shifted, cloud) for cloud in clouds])
+        before, after = map(summary, zip(*scores, strict=True))
+        rows[name] = {"views": len(views), "partial": before, "completed": after}
     result = {
         "commit": commit(),
         "data": f"{FLAGS.dataset}, {split}",
@@ -241,9 +213,8 @@ def main() -> None:
         "variables_sha256": sha256(completer.variables),
         "shifts": rows,
     }
-    print_and_write(
-        result, table("shift", {k: v["completed"] for k, v in rows.items()})
-    )
+    shown = {name: row["completed"] for name, row in rows.items()}
+    print_and_write(result, table("shift", shown))
 
 
 def run() -> None:

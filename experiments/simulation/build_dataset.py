@@ -2,7 +2,7 @@
 
 import os
 import pathlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from prism_jax.data.datasets import GENERATED, digest_of, folder_of
@@ -24,18 +24,12 @@ def _open(split: str, data_dir: _Place, num_workers: int | None, **settings: Any
     return build_shapes(OpenConfig(split, **settings), data_dir, num_workers)
 
 
-def _roboarm(
-    split: str,
-    data_dir: _Place,
-    num_workers: int | None,
-    urdf: Sequence[str] = (),
-    **settings: Any,
-):
+def _roboarm(split: str, data_dir: _Place, num_workers: int | None, **settings: Any):
     from experiments.simulation.roboarm.build import build_roboarm
     from experiments.simulation.roboarm.models import own_arm
 
     folder = folder_of("roboarm", split, data_dir)
-    arms = [own_arm(path) for path in urdf] or None
+    arms = [own_arm(path) for path in settings.pop("urdf", ())] or None
     return build_roboarm(split, folder, num_workers=num_workers, arms=arms, **settings)
 
 
@@ -45,33 +39,21 @@ def _cells(split: str, data_dir: _Place, num_workers: int | None, **settings: An
     return build_cells(CellsConfig(split, **settings), data_dir, num_workers)
 
 
-def _objects(
-    split: str,
-    data_dir: _Place,
-    num_workers: int | None,
-    catalogue_dir: str | None = None,
-    **settings: Any,
-):
+def _objects(split: str, data_dir: _Place, num_workers: int | None, **settings: Any):
     from experiments.simulation.objects.build import ObjectsConfig, build_objects
     from experiments.simulation.objects.catalogues import FOLDER
 
-    place = data_dir, num_workers, True, catalogue_dir or FOLDER
+    place = data_dir, num_workers, True, settings.pop("catalogue_dir", FOLDER)
     return build_objects(ObjectsConfig(split, **settings), *place)
 
 
-def _scenes(
-    split: str,
-    data_dir: _Place,
-    num_workers: int | None,
-    catalogue_dir: str | None = None,
-    **settings: Any,
-):
+def _scenes(split: str, data_dir: _Place, num_workers: int | None, **settings: Any):
     from experiments.simulation.objects.catalogues import FOLDER
     from experiments.simulation.scenes.build import ScenesConfig, build_scenes
 
     if "sources" in settings:
         settings["sources"] = tuple(settings["sources"])
-    place = data_dir, num_workers, True, catalogue_dir or FOLDER
+    place = data_dir, num_workers, True, settings.pop("catalogue_dir", FOLDER)
     return build_scenes(ScenesConfig(split, **settings), *place)
 
 

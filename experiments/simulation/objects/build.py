@@ -12,8 +12,14 @@ import numpy as np
 
 from experiments.simulation.configs import SetConfig, shards_of
 from experiments.simulation.kinds import has_maps
-from experiments.simulation.objects.catalogues import CATALOGUES, FOLDER, PACKAGE, Model
-from experiments.simulation.objects.categories import CATEGORIES, category_of
+from experiments.simulation.objects.catalogues import (
+    CATALOGUES,
+    CATEGORIES,
+    FOLDER,
+    PACKAGE,
+    Model,
+    category_of,
+)
 from experiments.simulation.objects.survey import survey
 from experiments.simulation.shard_writer import build_shards
 from experiments.simulation.views import BOX, STORED, Views, examples, views_of

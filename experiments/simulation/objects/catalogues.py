@@ -11,6 +11,9 @@ import functools
 import os
 import pathlib
 import re
+import tomllib
+import zipfile
+import zlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -18,8 +21,6 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from experiments.simulation.objects.archive import read_member
-from experiments.simulation.objects.categories import NO_OBJECTS
 from experiments.simulation.packing import parse_mesh
 from prism_jax.io.errors import InputError
 
@@ -41,6 +42,30 @@ class Model:
     def identity(self) -> str:
         """Tells it from all other models."""
         return f"{self.catalogue}/{self.name}"
+
+
+_TEXT = pathlib.Path(__file__).with_name("categories.toml").read_text()
+_WORDS = {name: words.split() for name, words in tomllib.loads(_TEXT).items()}
+NO_OBJECTS = {
+    "wall_plate": "is a wall plate",
+    "opening": "belongs to a door or a window",
+}
+"""What is left out, and how it is told."""
+OTHER = "other"
+CATEGORIES = (*(name for name in _WORDS if name not in NO_OBJECTS), OTHER)
+
+
+def category_of(title: str) -> str:
+    """One of `CATEGORIES` or of `NO_OBJECTS` by a model's English title: that of the
+    longest known word or phrase in it, of two as long the first; else `OTHER`."""
+    told = f"-{re.sub('[^a-z0-9]+', '-', title.lower())}-"
+    found = [
+        (len(word), category)
+        for category, words in _WORDS.items()
+        for word in words
+        if f"-{word}-" in told
+    ]
+    return max(found, key=lambda pair: pair[0])[1] if found else OTHER
 
 
 PROPERTIES = "PluginFurnitureCatalog.properties"
@@ -66,6 +91,32 @@ def read_catalogue(path: str | os.PathLike, licence: str) -> tuple[str, list[Mod
     except (KeyError, ValueError) as error:
         fault = f"is not a catalogue of models ({error})"
         raise InputError(path, fault, REMEDY) from None
+
+
+def read_member(path: str | os.PathLike, name: str, max_bytes: int) -> bytes:
+    """All bytes of one member of a zip archive; nothing is unpacked to disk.
+
+    No more is decompressed than the archive claims, and it may claim no more than
+    `max_bytes`. An archive or a member that is missing, damaged, too large, encrypted
+    or empty raises InputError.
+    """
+    subject = f"{os.fspath(path)}: {name}"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            member = archive.getinfo(name)
+            if not 0 < member.file_size <= max_bytes:
+                size = f"{member.file_size:,} bytes"
+                fault = f"claims {size}, which is not within 1 to {max_bytes:,}"
+                raise InputError(subject, fault, REMEDY)
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise InputError(subject, "is not stored or deflated", REMEDY)
+            return archive.read(member)
+    except FileNotFoundError:
+        raise InputError(path, "no such file", "check the path") from None
+    except KeyError:
+        raise InputError(subject, "is not in the archive", REMEDY) from None
+    except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(subject, f"cannot be read ({error})", REMEDY) from None
 
 
 def _properties(text: str) -> tuple[dict[str, str], dict[int, dict[str, str]]]:

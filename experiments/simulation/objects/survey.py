@@ -13,10 +13,11 @@ from tqdm import tqdm
 from experiments.simulation.objects.catalogues import (
     CATALOGUES,
     FOLDER,
+    NO_OBJECTS,
     Model,
+    category_of,
     read_installed,
 )
-from experiments.simulation.objects.categories import NO_OBJECTS, category_of
 from experiments.simulation.packing import normalised
 from prism_jax.io.errors import InputError
 

@@ -141,14 +141,10 @@ def _screen(where: np.ndarray, ground: float, eye: np.ndarray, rng: Rng) -> Soli
     size = rng.uniform(0.2, 0.45), 0.03, rng.uniform(0.15, 0.35)
     low = where[2] - size[2] / 2
     yaw = np.arctan2(eye[1] - where[1], eye[0] - where[0]) + np.pi / 2
-    panel = upright(
-        box((0, 0, 0), size),
-        np.array([*where[:2], max(low, ground + 0.02)]),
-        yaw + rng.uniform(-0.6, 0.6),
-    )
+    place = np.array([*where[:2], max(low, ground + 0.02)])
+    panel = upright(box((0, 0, 0), size), place, yaw + rng.uniform(-0.6, 0.6))
     foot = np.array([*where[:2], ground])
-    pole = rod(foot, (*where[:2], max(low, ground + 0.02) + 0.05), 0.015, segments=12)
-    return [panel, pole]
+    return [panel, rod(foot, place + (0, 0, 0.05), 0.015, segments=12)]
 
 
 def _fence(where: np.ndarray, eye: np.ndarray, rng: Rng) -> Manifold:
@@ -210,7 +206,7 @@ def make_cell(
     fixtures, posed = _fixtures(bench, reach, rng), _aim(bench.sweep, rng, camera)
     eye = np.asarray(posed.position)
     clutter = draw_clutter(bench, sweep, robot.probe_weights, eye, rng)
-    target = np.concatenate([bench.sweep, *[_corners(solid) for solid in fixtures]])
+    target = np.concatenate([bench.sweep, *map(_corners, fixtures)])
     return Cell(
         base_height=height,
         support=to_mesh(supports),
@@ -263,25 +259,12 @@ def _aim(sweep: np.ndarray, rng: Rng, camera: Camera) -> Camera:
     distance = np.clip(distance, *CAMERA_DISTANCE)
     azimuth, elevation = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 0.6)
     target = center + rng.normal(0, 0.04, 3) * radius
-    rotation, translation = look_at(
-        center + distance * direction(azimuth, elevation), target
-    )
+    eye = center + distance * direction(azimuth, elevation)
+    axes, intrinsics = camera_axes(target - eye), np.asarray(camera.intrinsics, float)
     return dataclasses.replace(
-        camera,
-        rotation=rotation,
-        translation=translation,
-        intrinsics=np.asarray(camera.intrinsics, np.float64),
+        camera, rotation=axes, translation=-axes @ eye, intrinsics=intrinsics
     )
-
-
-def look_at(
-    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]
-) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]:
-    """A camera's rotation and translation, in double precision; z is up."""
-    rotation = camera_axes(target - eye)
-    return rotation, -rotation @ eye
 
 
 def _corners(solid: Manifold) -> np.ndarray:
-    bounds = np.array(solid.bounding_box())
-    return np.stack([bounds[:3], bounds[3:]])
+    return np.reshape(solid.bounding_box(), (2, 3))

@@ -85,28 +85,14 @@ def cell_views(
     little is seen is drawn again."""
     arms = CELL_ARMS[config.split] if arms is None else arms
     model, split = arms[index % len(arms)], list(config.SIZES).index(config.split)
+    count, size = config.num_frames, (config.height, config.width)
+    points = config.partial_points, config.complete_points
+    given = config.sensor, config.truncated_share, *points
     for attempt in range(MAX_DRAWS):
         rng = np.random.default_rng((config.seed, split, index, attempt))
         try:
-            cell = make_workcell(
-                model,
-                config.num_frames,
-                rng,
-                (config.height, config.width),
-                config.glossy_share,
-            )
-            return cell, [
-                make_cell_view(
-                    cell,
-                    number,
-                    rng,
-                    config.sensor,
-                    config.truncated_share,
-                    config.partial_points,
-                    config.complete_points,
-                )
-                for number in range(config.num_frames)
-            ]
+            cell = make_workcell(model, count, rng, size, config.glossy_share)
+            return cell, [make_cell_view(cell, n, rng, *given) for n in range(count)]
         except ValueError as error:
             if isinstance(error, InputError):
                 raise

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from manifold3d import Manifold
 
 from experiments.simulation.raycast import direction
-from experiments.simulation.roboarm.cell import are_hidden, look_at
+from experiments.simulation.roboarm.cell import are_hidden
 from experiments.simulation.roboarm.furnishings import (
     FIXTURES,
     fence,
@@ -23,6 +23,7 @@ from experiments.simulation.roboarm.mounts import Mount
 from experiments.simulation.sensors import l515_camera
 from experiments.simulation.solids import Rng, Solids, box
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import camera_axes
 
 PERSON_SHARES = (0.45, 0.35, 0.2)  # how often nobody, one and two stand in a cell
 HIDDEN = 0.7  # most of the arm that clutter and people hide from the camera
@@ -134,8 +135,7 @@ def aim_camera(
         seen = center + rng.normal(0, 0.12, 3) * radius
         nearest = np.linalg.norm(layout.sweep - eye, axis=1).min()
         if eye[2] > 0.3 and nearest > 0.4 and not layout.covers(eye, 0.3):
-            rotation, _ = look_at(eye, seen)
-            return l515_camera(rotation, eye).resized(*size)
+            return l515_camera(camera_axes(seen - eye), eye).resized(*size)
     raise ValueError("no place for the camera")
 
 

@@ -5,14 +5,16 @@ The files come with the PyPI packages `example-robot-data` and `rtb-data` (the e
 """
 
 import dataclasses
+import importlib.metadata
 import os
 import pathlib
 import re
 import tomllib
 
-from experiments.simulation.roboarm.packages import robots_folder
 from prism_jax.io.errors import InputError, choose
 
+FOLDERS = {"example-robot-data": "robots", "rtb-data": "rtbdata/xacro"}
+"""Packages with robots, and the folder that holds them, wherever it lies."""
 OWN = "own"  # the family of the user's arms
 
 
@@ -75,3 +77,21 @@ def urdf_path(model: ArmModel) -> pathlib.Path:
     if not path.is_file():
         raise InputError(path, "no such file", "name the URDF of another robot")
     return path
+
+
+def robots_folder(package: str) -> pathlib.Path:
+    """Where a package keeps its robots, by its own list of files: nothing of it is
+    imported. InputError where it is not installed."""
+    remedy = 'install the extra: pip install "prism_jax[robots]"'
+    try:
+        files = importlib.metadata.files(package) or []
+    except importlib.metadata.PackageNotFoundError:
+        raise InputError(package, "is not installed", remedy) from None
+    for file in files:
+        before, found, _ = f"/{file.as_posix()}".partition(f"/{FOLDERS[package]}/")
+        if file.suffix in (".urdf", ".xacro") and found:
+            above = len(file.parts) - len(pathlib.PurePath(before + found).parts)
+            path = pathlib.Path(os.path.abspath(file.locate()))
+            if path.parents[above].is_dir():
+                return path.parents[above]
+    raise InputError(package, "has no robots", remedy)

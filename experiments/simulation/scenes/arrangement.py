@@ -11,8 +11,7 @@ from jaxtyping import Float, Float64
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from experiments.simulation.objects.catalogues import FOLDER, Model
-from experiments.simulation.objects.categories import category_of
+from experiments.simulation.objects.catalogues import FOLDER, Model, category_of
 from experiments.simulation.objects.survey import survey
 from experiments.simulation.open_shapes import CATEGORY, make_open_shape
 from experiments.simulation.open_shapes.build import OpenConfig

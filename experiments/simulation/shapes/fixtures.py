@@ -168,11 +168,7 @@ def _vice(rng: Rng) -> list[Manifold]:
 
 def _angle_plate(rng: Rng) -> list[Manifold]:
     """Base and upright wall with gussets; a part or stops clamped to the wall."""
-    width, depth, tall = (
-        rng.uniform(0.5, 0.9),
-        rng.uniform(0.4, 0.6),
-        rng.uniform(0.5, 0.8),
-    )
+    width, depth, tall = map(rng.uniform, (0.5, 0.4, 0.5), (0.9, 0.6, 0.8))
     thick = 0.07
     base = _base_plate(rng, width, depth, thick)
     wall = _base_plate(rng, width, tall, thick).rotate((-90, 0, 0))

@@ -133,11 +133,7 @@ def _centric(rng: Rng) -> list[Manifold]:
 
 def _linkage(rng: Rng) -> list[Manifold]:
     """Two or three fingers of links on pins: four-bar jaws that fold."""
-    wide, deep, tall = (
-        rng.uniform(0.5, 0.8),
-        rng.uniform(0.4, 0.6),
-        rng.uniform(0.6, 1.0),
-    )
+    wide, deep, tall = map(rng.uniform, (0.5, 0.4, 0.6), (0.8, 0.6, 1.0))
     solids = [bar((0, 0, 0), (0, 0, -tall), wide, deep, rng.uniform(0.8, 1.2))]
     solids.append(box((0, 0, -tall), (wide * 1.2, deep * 0.9, 0.2), 0.03))
     opened, long = rng.uniform(-0.15, 0.8), rng.uniform(0.45, 0.7)

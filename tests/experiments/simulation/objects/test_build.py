@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.simulation.build_dataset import build_dataset
-from experiments.simulation.objects.build import (
-    ObjectsConfig,
-    model_views,
-)
-from experiments.simulation.objects.catalogues import PACKAGE
-from experiments.simulation.objects.categories import CATEGORIES
+from experiments.simulation.objects.build import ObjectsConfig, model_views
+from experiments.simulation.objects.catalogues import CATEGORIES, PACKAGE
 from experiments.simulation.objects.survey import survey
 from prism_jax.data.datasets import folder_of, open_dataset
 from tests.experiments.simulation.objects.conftest import entry, knobbed

@@ -1,10 +1,13 @@
 """Catalogues of Sweet Home 3D: what they say, and how their models stand."""
 
+import struct
+import zipfile
+
 import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.objects.catalogues import read_catalogue
+from experiments.simulation.objects.catalogues import read_catalogue, read_member
 from prism_jax.io.errors import InputError
 from tests.experiments.simulation.objects.conftest import entry, knobbed
 
@@ -90,3 +93,51 @@ def test_a_mesh_that_is_missing_or_damaged_is_refused_when_it_is_loaded(read):
         read((told, "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")).load()
     with pytest.raises(InputError, match=r"fridge\.obj: is not in the archive"):
         read((told, None)).load()
+
+
+@pytest.fixture
+def archive(tmp_path):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as written:
+        written.writestr("in/a.txt", b"\x00\xff\n" * 1000)
+        written.writestr("empty", b"")
+        written.writestr("other", b"x", zipfile.ZIP_LZMA)
+    return path
+
+
+def test_reads_a_member_of_an_archive(archive):
+    assert read_member(archive, "in/a.txt", 3000) == b"\x00\xff\n" * 1000
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("none", "none: is not in the archive"),
+        ("in/a.txt", "claims 3,000 bytes, which is not within 1 to 2,999"),
+        ("empty", "claims 0 bytes"),
+        ("other", "is not stored or deflated"),
+    ],
+)
+def test_members_that_are_not_read(archive, name, fault):
+    with pytest.raises(InputError, match=fault):
+        read_member(archive, name, 2999)
+
+
+def test_a_damaged_archive_or_member(archive, tmp_path):
+    whole = archive.read_bytes()
+    for data in (whole[:-10], b"no archive", b"", whole.replace(b"in/a", b"in/b", 1)):
+        archive.write_bytes(data)
+        with pytest.raises(InputError, match="cannot be read"):
+            read_member(archive, "in/a.txt", 3000)
+    for place in (tmp_path, tmp_path / "none.zip"):
+        with pytest.raises(InputError, match=r"no such file|cannot be read"):
+            read_member(place, "in/a.txt", 3000)
+
+
+def test_a_member_larger_than_it_claims_is_not_taken(archive):
+    """Both places of the archive that tell the size lie: 3,000 becomes 5."""
+    size = struct.pack("<I", 3000)
+    data = archive.read_bytes().replace(size, struct.pack("<I", 5))
+    archive.write_bytes(data)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_member(archive, "in/a.txt", 3000)
