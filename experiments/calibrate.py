@@ -178,7 +178,7 @@ def from_surface(points: Cloud, truth: Cloud) -> Row:
     spacing away even from a point of the surface."""
     tree = KDTree(truth)
     apart, row = tree.query(points)
-    reach, patch = tree.query(truth[row], k=range(1, min(PATCH, len(truth)) + 1))
+    reach, patch = tree.query(truth[row], k=range(1, min(PATCH, len(truth)) + 1))  # pyright: ignore
     offsets = truth[patch] - truth[patch].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
     to_plane = points - truth[patch].mean(axis=1)

@@ -159,7 +159,7 @@ def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:
             label: row.result["clouds"][row.cloud]["mean"][column.metric]
             for label, row in others.items()
         }
-        best = (max if column.metric == "f_score" else min)(means, key=means.get)
+        best = (max if column.metric == "f_score" else min)(means, key=means.get)  # pyright: ignore
         results = others[best].result, ours.result
         clouds = others[best].cloud, ours.cloud
         change = paired_difference(*results, column.metric, clouds)

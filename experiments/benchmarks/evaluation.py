@@ -92,7 +92,7 @@ def completed_clouds(
         from_own, _ = into_scored(example, protocol)
         complete = from_own(example.complete)
         few = first_points(complete, EMD_POINTS, example.ordered)
-        alone = Predictions(*(None if x is None else x[0] for x in done))
+        alone = Predictions(*(None if x is None else x[0] for x in done))  # pyright: ignore
         yield scored_clouds(example, partials[0], alone, protocol), complete, few
 
 

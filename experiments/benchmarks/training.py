@@ -37,9 +37,7 @@ def suite(preset: str = "small") -> Iterator[Row]:
     config = settings.pretrain
     variables = init_variables(jax.random.key(0), settings.model)
     kinds = ("params", "batch_stats")
-    parts = {"point_encoder", "decoder"}
-    if settings.model.backbone.reads_depth:
-        parts.add("depth_encoder")
+    parts = ("point_encoder", "decoder")
     own = {kind: {name: variables[kind][name] for name in parts} for kind in kinds}
     batch, step = _batch(settings), None
     product = Compiled(jnp.matmul, *(np.ones((2, SIDE, SIDE), np.float32)))

@@ -157,7 +157,7 @@ def outlier_mask(
         count = min_neighbors(len(prediction))
     others = _tree(np.concatenate([prediction, measured]))
     # The first is the point itself.
-    apart = others.query(prediction, k=[count + 1])[0][:, 0]
+    apart = others.query(prediction, k=[count + 1])[0][:, 0]  # pyright: ignore
     return ~(apart <= reach)
 
 

@@ -186,7 +186,7 @@ def config_from_dict(fields: dict[str, Any]) -> PrismConfig:
         if value != neutral:
             raise ValueError(f"{name}={value} is no longer supported")
     model, adapt = fields["model"], fields["adapt"]
-    model = {RENAMED.get(name, name): value for name, value in model.items()}
+    model: Any = {RENAMED.get(name, name): value for name, value in model.items()}
     if unknown := fields.keys() - {"model", "adapt"}:
         raise TypeError(f"unknown settings {sorted(unknown)}")
     backbone = BackboneConfig(**_tuples(model.pop("backbone")))

@@ -102,7 +102,7 @@ class Surfaces:
             away, row = tree.query(points, workers=-1)
             away = away - margin * scale
             nearer = away < least
-            least[nearer], whose[nearer] = away[nearer], kinds[row[nearer]]
+            least[nearer], whose[nearer] = away[nearer], kinds[row[nearer]]  # pyright: ignore
         return least, whose
 
     def needed(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
@@ -158,7 +158,7 @@ class Envelope:
             return away
         asked = points[free]
         neighbors = min(NEIGHBORS, shell.n)
-        apart, rows = shell.query(asked, k=[*range(1, neighbors + 1)])
+        apart, rows = shell.query(asked, k=[*range(1, neighbors + 1)])  # pyright: ignore
         boxes = self._to_boxes(asked[:, None], shell.data[rows]).min(axis=1)
         # Boxes that were not asked for can be nearer if the last one's middle is not
         # farther away than this.

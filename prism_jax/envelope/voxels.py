@@ -222,7 +222,7 @@ def _corners_in_image(
     image = in_camera @ np.asarray(camera.intrinsics, np.float64).T
     pixels = np.floor(image[:, :2] / np.where(z > MIN_DEPTH, z, 1.0)[:, None] + 0.5)
     shape = tuple(count + 1 for count in grid.shape)
-    return tuple(values.reshape(shape) for values in (pixels[:, 1], pixels[:, 0], z))
+    return tuple(values.reshape(shape) for values in (pixels[:, 1], pixels[:, 0], z))  # pyright: ignore
 
 
 def _span(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -55,7 +55,7 @@ def score(
     is scored once. Runs on one thread, mostly without holding Python's lock.
     """
     tree = KDTree(complete)
-    apart = {id(cloud): name for name, cloud in reversed(clouds.items())}
+    apart = {id(cloud): name for name, cloud in reversed(clouds.items())}  # pyright: ignore
     first = {name: apart[id(cloud)] for name, cloud in clouds.items()}
     matched = {
         name: _match(clouds[name], complete, tree)

@@ -137,7 +137,7 @@ def vertices_bytes(
     theirs. Comments are lines of the header.
     """
     scalar = np.float64 if points.dtype == np.float64 else np.float32
-    table = dict(zip(_AXES, points.astype(scalar).T, strict=True)) | (columns or {})
+    table = dict(zip(_AXES, points.astype(scalar).T, strict=True)) | (columns or {})  # pyright: ignore
     kinds = {name: _NAMES[column.dtype.str[1:]] for name, column in table.items()}
     fields = [(name, f"<{_TYPES[kind]}") for name, kind in kinds.items()]
     vertices = np.empty(len(points), fields)

@@ -80,7 +80,7 @@ def _entropy(coordinates: Any, xp: Any) -> Any:
     rows, count = coordinates.shape
     bins = NUM_BINS + 3
     ends = coordinates.min(axis=1), coordinates.max(axis=1)
-    above = coordinates - 0.5 * sum(ends)[:, None] + (NUM_BINS // 2 + 1)
+    above = coordinates - 0.5 * sum(ends)[:, None] + (NUM_BINS // 2 + 1)  # pyright: ignore
     lower = xp.floor(above)
     share = above - lower
     first = lower.astype(int) + bins * xp.arange(rows)[:, None]

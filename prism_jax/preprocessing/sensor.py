@@ -47,7 +47,7 @@ def likely_eye(
     if up is not None:
         likely += np.minimum(directions @ (frame.rotation @ up), 0.0)
     best = np.argmax(likely)
-    return frame.from_unit(DISTANCE * directions[best])
+    return frame.from_unit(DISTANCE * directions[best])  # pyright: ignore
 
 
 def is_believable(
@@ -77,7 +77,7 @@ def hidden_share(
     distance = float(np.linalg.norm(toward))
     if distance <= 1.0:
         return 1.0
-    across, along = _seen_along(unit, toward / distance)
+    across, along = _seen_along(unit, toward / distance)  # pyright: ignore
     # As wide as the ball is from there.
     across = across / (distance - along)[:, None] * np.sqrt(distance**2 - 1.0)
     nearest, cell = _nearest(across, along)

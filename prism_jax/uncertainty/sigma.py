@@ -151,7 +151,7 @@ def _away(
     k: int = 1,
 ) -> Float[np.ndarray, " Q"]:
     """Distance from the k-th nearest point of a cloud, or the farthest there is."""
-    found = KDTree(cloud).query(points, k=[min(k, len(cloud))])[0]
+    found = KDTree(cloud).query(points, k=[min(k, len(cloud))])[0]  # pyright: ignore
     return np.asarray(found)[:, 0]
 
 

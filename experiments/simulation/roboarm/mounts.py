@@ -74,7 +74,7 @@ def random_mount(
         post = rod((0, 0, 0), (0, 0, spacer), 0.06)
         if kind == "rail":
             return mount._replace(carriage=[*mount.carriage, post])
-        raised = post.translate(tuple(map(float, mount.bases[0])))
+        raised = post.translate(tuple(map(float, mount.bases[0])))  # pyright: ignore
         return mount._replace(support=[*mount.support, raised])
     return mount
 

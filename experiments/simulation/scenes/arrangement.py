@@ -108,7 +108,7 @@ def _open_shape(count: int, rng: np.random.Generator) -> Thing:
 
 
 def _model(models: Sequence[Model], rng: np.random.Generator) -> Thing:
-    model = models[rng.integers(len(models))]
+    model = models[rng.integers(len(models))]  # pyright: ignore
     return Thing(model.load(), category_of(model.title), two_sided=True)
 
 

@@ -111,7 +111,7 @@ def _hanging_together(
     if len(dense):
         apart, nearest = KDTree(cells[dense]).query(cells[sparse])
         near = apart <= reach[sparse]
-        part[np.flatnonzero(sparse)[near]] = part[dense[nearest[near]]]
+        part[np.flatnonzero(sparse)[near]] = part[dense[nearest[near]]]  # pyright: ignore
     return np.unique(part, return_inverse=True)[1]
 
 
