@@ -143,7 +143,7 @@ def test_all_that_tests_need_is_in_one_extra():
     assert set(ours[10:-1].split(",")) == set(EXTRAS) - UNTESTED
 
 
-def test_the_wheel_is_at_most_16_megabytes():
+def test_the_wheel_is_at_most_8_megabytes():
     files = [path for path in (ROOT / "prism_jax").rglob("*") if path.is_file()]
     files = [path for path in files if "__pycache__" not in path.parts]
-    assert sum(len(zlib.compress(path.read_bytes(), 6)) for path in files) < 16e6
+    assert sum(len(zlib.compress(path.read_bytes(), 6)) for path in files) < 8e6

@@ -75,7 +75,7 @@ def _open_recordings(root: pathlib.Path, split: str) -> Source:
 
 def _build_it(name: str, split: str, root: pathlib.Path) -> str:
     command = f"python -m experiments.make_data --dataset={name} --split={split}"
-    return f"build it: {command} --output_dir={root}"
+    return f"build it in a clone of the repository: {command} --output_dir={root}"
 
 
 _PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
