@@ -57,9 +57,9 @@ def test_completes_a_scan(capsys):
     assert run("--input=scan.npy") == 0
     printed = capsys.readouterr()
     assert printed.out == (
-        "trust       unknown: these weights come without a calibration\n"
+        "confidence  unknown: these weights have no calibration\n"
         "points      200 observed, 100 added\n"
-        "adaptation  not asked for\n"
+        "adaptation  off\n"
         "written     prism_output: completed.ply, result.json, report.html\n"
     )
     assert printed.err == ""
@@ -129,7 +129,7 @@ def test_says_how_far_to_trust():
     summary = {"points": {"partial": 1, "completed": 3}, "adapt": False}
     summary |= {"verdict": verdict, "losses": {"objective": [2.0]}}
     told = complete.outcome(summary, "out").splitlines()[0]
-    assert told == "trust       fair: expected error 0.0123, in the input's units"
+    assert told == "confidence  fair: expected error 0.0123, in input units"
 
 
 @pytest.fixture
@@ -153,7 +153,8 @@ def test_warns_of_low_trust_and_says_what_to_do(trust, judge, capsys):
     judge(trust)
     assert run("--input=scan.npy") == 0
     warned = (
-        "low trust in this completion: it strays: crop it" in capsys.readouterr().err
+        "low confidence in this completion: it strays: crop it"
+        in capsys.readouterr().err
     )
     assert warned == (trust == "low")
 
@@ -172,19 +173,19 @@ def test_asks_what_lies_around_a_doubted_scan(trust, flags, asks, judge, capsys)
     judge(trust)
     assert run("--input=scan.npy", *flags) == 0
     told = capsys.readouterr().err
-    assert ("nothing tells what lies around the object" in told) == asks
+    assert ("the surroundings are unknown" in told) == asks
 
 
 def test_says_why_nothing_was_adapted():
     points = {"partial": 1, "completed": 3}
     summary = {"points": points, "adapt": True, "accepted": False, "verdict": None}
     held = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
-    assert "none, these weights take no step" in held
+    assert "none, these weights use no adaptation steps" in held
     refused = complete.outcome(summary | {"losses": {"objective": [1.0, 2.0]}}, "out")
-    assert "not accepted, left out" in refused
+    assert "rejected, released network used" in refused
     summary["adapt"] = False
     left_out = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
-    assert "not asked for" in left_out
+    assert "adaptation  off" in left_out
 
 
 def test_without_input_it_completes_the_sample(monkeypatch, folder):
@@ -342,7 +343,10 @@ def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
     [
         (["few.npy", "missing.ply"], "few.npy: has 63 distinct points"),
         (["nothing"], "nothing: is a folder without scans; it takes .ply"),
-        (["scans", "--ground_truth=scan.npy"], "--ground_truth: is of one scan"),
+        (
+            ["scans", "--ground_truth=scan.npy"],
+            "--ground_truth: cannot be used with several",
+        ),
     ],
 )
 def test_if_none_can_be_used_the_status_is_2(several, capsys, given, fault):
@@ -363,7 +367,7 @@ def test_a_scene_comes_back_as_its_objects(scene, capsys):
     assert capsys.readouterr().out == (
         "trust       These weights come without a calibration: nothing vouches for "
         "a completion.\n"
-        "objects     2; 90 points are of planes that were set aside, 0 of no object\n"
+        "objects     2; 90 points on removed planes, 0 in no object\n"
         "points      440 observed, 175 added\n"
         "written     out: completed.ply, result.json, report.html\n"
     )

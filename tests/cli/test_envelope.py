@@ -136,7 +136,7 @@ def test_the_same_scan_gives_the_same_arrays_and_surface(asked, tmp_path):
         (["--eye=0,0,0"], "leave it out"),
         (["--voxel=0"], "voxel"),
         (["--workspace=0,0,0,1,1"], "six"),
-        (["another.ply"], "got 2 scans"),
+        (["another.ply"], "expected one scan or recording, got 2"),
     ],
 )
 def test_what_does_not_match_is_one_line(asked, tmp_path, more, told, capsys):
@@ -158,14 +158,14 @@ def test_a_cloud_without_its_sensors_place_frees_nothing(asked, tmp_path, capsys
     flags = [flag for flag in asked[3:] if not flag.startswith("--ssm")]
     sensor = "--sensor=camera 640x480, 70x55 degrees"
     assert launching.run(envelope, cloud, *flags, sensor) == 0
-    assert "nothing is free" in capsys.readouterr().err
+    assert "no space is known to be free" in capsys.readouterr().err
     told = json.loads((tmp_path / "out" / "envelope.json").read_text())
     assert told["volumes"]["free"] == 0
     assert launching.run(envelope, cloud, *flags, sensor, "--eye=2,0,1.5") == 0
     told = json.loads((tmp_path / "out" / "envelope.json").read_text())
     assert told["volumes"]["free"] > 0
     assert launching.run(envelope, cloud, *flags) == 2
-    assert "--sensor: is missing" in capsys.readouterr().err
+    assert "--sensor: missing" in capsys.readouterr().err
 
 
 def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
@@ -188,7 +188,7 @@ def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
     told = f"{calibration}: is for robot unknown, not known"
     assert told in capsys.readouterr().err
     assert launching.run(envelope, *asked, words[0]) == 2
-    assert "without --joints" in capsys.readouterr().err
+    assert "needs --joints" in capsys.readouterr().err
     assert launching.run(envelope, *asked, *robot, f"--calibration={own}") == 0
     out = json.loads((tmp_path / "out" / "envelope.json").read_text())
     assert out["points"]["robot"] > 100 and out["volumes"]["robot"] > 0

@@ -29,7 +29,7 @@ def test_what_is_no_flag_is_refused(capsys, command, arguments):
     stray = next(word for word in reversed(arguments) if "--" not in word)
     assert run(command, *arguments) == 2
     name = command.__name__.rpartition(".")[2]
-    wanted = f"{name}: {stray}: is no flag; write --name=value for each"
+    wanted = f"{name}: {stray}: not a flag; write flags as --name=value"
     assert capsys.readouterr().err.splitlines()[-1] == wanted
 
 

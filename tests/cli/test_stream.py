@@ -99,8 +99,8 @@ def test_an_mcap_file(scans, weights, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ([], "takes one recording, not 0"),
-        (["a", "b"], "takes one recording, not 2"),
+        ([], "expected one recording, got 0"),
+        (["a", "b"], "expected one recording, got 2"),
         (["scan.txt"], "check the path"),
         (["SCANS", "--topic=/points"], "leave --topic out"),
         (["SCANS", "--workspace=1,2"], "is not six finite numbers"),
