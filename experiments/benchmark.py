@@ -51,7 +51,7 @@ def main():
     suite = importlib.import_module(f"experiments.benchmarks.{FLAGS.suite}").suite
     given = [] if FLAGS.of is None else [FLAGS.of]
     if given and not inspect.signature(suite).parameters:
-        raise InputError("--of", f"{FLAGS.suite} has no network", "leave it out")
+        raise InputError("--of", f"{FLAGS.suite} has no network", "omit it")
     rows = []
     print(HEADER, flush=True)
     for row in suite(*given):

@@ -94,7 +94,7 @@ def open_published(split: str) -> Source:
     """The whole test split of a data set with a published protocol."""
     if FLAGS.limit is not None:
         fault = "the published protocol is of the whole test"
-        raise InputError("--limit", fault, "leave it out")
+        raise InputError("--limit", fault, "omit it")
     if FLAGS.dataset not in PUBLISHED or split != "test":
         fault = f"no published protocol of {FLAGS.dataset}'s split {split!r}"
         remedy = f"use the test split of {', '.join(PUBLISHED)}"

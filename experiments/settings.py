@@ -37,7 +37,7 @@ def _replaced(config: Any, kind: Any, path: list[str], text: str, change: str) -
     name, *rest = path
     parts = _parts(config, kind)
     if name not in parts:
-        remedy = f"use one of {', '.join(parts)}" if parts else "leave it out"
+        remedy = f"use one of {', '.join(parts)}" if parts else "omit it"
         raise InputError(change, f"no field {name!r}", remedy)
     value = _replaced(*parts[name], rest, text, change)
     if isinstance(config, tuple):

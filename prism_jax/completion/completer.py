@@ -391,14 +391,14 @@ def _checked(points: Any, subject: str = "points") -> Float[np.ndarray, "N 3"]:
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         remedy = "pass an (N, 3) array, such as points[:, :3]"
-        raise InputError(subject, f"have the shape {points.shape}", remedy)
+        raise InputError(subject, f"invalid shape {points.shape}", remedy)
     if points.dtype.kind not in "fiu":
         remedy = "pass real coordinates, such as points.real"
-        raise InputError(subject, f"are of the type {points.dtype}", remedy)
+        raise InputError(subject, f"invalid type {points.dtype}", remedy)
     if points.dtype.kind != "f":
         points = points.astype(np.float64)
     if not np.isfinite(points).all():
-        raise InputError(subject, "has points that are not finite", "drop them")
+        raise InputError(subject, "some points are not finite", "remove them")
     return points
 
 
@@ -406,5 +406,5 @@ def _check_workspace(workspace: Workspace) -> None:
     """InputError unless it is a cube. `Workspace` itself cannot know under tracing."""
     center, half_extent = np.asarray(workspace.center), workspace.half_extent
     if not (np.isfinite(center).all() and 0 < float(half_extent) < np.inf):
-        fault = f"is no cube: its centre is {center}, its half_extent {half_extent}"
-        raise InputError("workspace", fault, "give finite numbers, the latter positive")
+        fault = f"invalid: centre {center}, half_extent {half_extent}"
+        raise InputError("workspace", fault, "give finite numbers, half_extent > 0")

@@ -165,7 +165,7 @@ def read_frame(folder: str | os.PathLike, number: int) -> Frame:
         fault = f"has depth_scale {scale:g}, not {DEPTH_SCALE}"
         raise InputError(camera_path, fault, "convert the image to 0.25 mm a count")
     if not mask.any():
-        raise InputError(image, "has no pixel with a return", "check the sensor")
+        raise InputError(image, "no valid depth pixels", "check the sensor")
     partial = _read_cloud(frame_file(path, "partial.ply"))
     _check_on_image(partial, metres, mask, camera, frame_file(path, "partial.ply"))
     complete, labels = frame_file(path, "complete.ply"), frame_file(path, "labels.png")

@@ -38,7 +38,7 @@ def cell_score(truth: Float[np.ndarray, "N 3"], surfaces: Surfaces) -> float:
     surface; an empty truth raises InputError.
     """
     if len(truth) == 0:
-        raise InputError("truth", "has no points", "give the true surface of the cell")
+        raise InputError("truth", "no points", "give the true surface of the cell")
     return float(surfaces.needed(np.asarray(truth, np.float64)).max())
 
 
@@ -63,7 +63,7 @@ def conformal_margin(scores: Sequence[float], alpha: float) -> float:
     if not math.isfinite(margin):
         fault = f"has no finite margin for alpha {alpha:g}: of too many cells no "
         fault += "surface was measured"
-        raise InputError("calibration", fault, "leave them out, or move the sensor")
+        raise InputError("calibration", fault, "omit them, or move the sensor")
     return margin
 
 

@@ -63,8 +63,8 @@ class Surfaces:
                 raise InputError(kind, "is no kind of surface", f"use {KINDS}")
             cloud = np.asarray(cloud, np.float64).reshape(-1, 3)
             if not np.isfinite(cloud).all():
-                fault = "has points that are not finite"
-                raise InputError(f"{kind} surface", fault, "drop them")
+                fault = "some points are not finite"
+                raise InputError(f"{kind} surface", fault, "remove them")
             self.points[kind] = cloud
         scales = scales or {}
         whose = np.repeat(np.arange(len(KINDS)), [len(self.points[k]) for k in KINDS])

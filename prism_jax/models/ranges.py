@@ -53,5 +53,5 @@ def _fault(value: Any, kind: Any, within: Sequence[int | float]) -> str:
     is_number = isinstance(value, int if kind is int else int | float)
     if is_number and not isinstance(value, bool) and within[0] <= value <= within[1]:
         return ""
-    name = "a whole number" if kind is int else "a number"
+    name = "an integer" if kind is int else "a number"
     return f"{name} from {within[0]:g} to {within[1]:g}"

@@ -212,8 +212,8 @@ def test_tells_all_of_one_set_of_weights(capsys):
 
 FAULTS = [
     (["--input=missing.ply"], "missing.ply: no such file; check the path"),
-    (["--input=empty.ply"], "empty.ply: is empty"),
-    (["--input=nonsense.ply"], "nonsense.ply: is not a sound PLY file"),
+    (["--input=empty.ply"], "empty.ply: empty file"),
+    (["--input=nonsense.ply"], "nonsense.ply: not a valid PLY file"),
     (["--input=scan.obj"], "scan.obj: has the suffix '.obj'"),
     (["--input=."], ".: has the suffix ''"),
     (["--input="], ": has the suffix ''"),
@@ -221,17 +221,17 @@ FAULTS = [
     (["--max_points=0"], "flag --max_points=0: 0 is not a positive integer"),
     (["--max_points=200", "--ground_truth=more.npy"], "more.npy: claims 263 points"),
     (["--input=few.npy"], "few.npy: has 63 distinct points, fewer than 64"),
-    (["--input=nan.npy"], "nan.npy: has no finite point"),
+    (["--input=nan.npy"], "nan.npy: no finite points"),
     (["--input=point.npy"], "point.npy: has an extent of zero"),
     (["--input=vast.npy"], "vast.npy: has an extent of 19"),
-    (["--camera=behind.json"], "scan.npy: has every point behind the camera"),
+    (["--camera=behind.json"], "scan.npy: all points are behind the camera"),
     (["--camera=missing.json"], "missing.json: no such file"),
-    (["--camera=half.json"], "half.json: is not a camera: height is missing"),
+    (["--camera=half.json"], "half.json: not a valid camera: height is missing"),
     (["--camera=scan.npy"], "scan.npy: is not a camera"),
     (["--ground_truth=missing.ply"], "missing.ply: no such file"),
-    (["--ground_truth=nan.npy"], "nan.npy: has no finite point"),
+    (["--ground_truth=nan.npy"], "nan.npy: no finite points"),
     (["--workspace=1,2,3"], "--workspace: '1,2,3' is not six finite numbers"),
-    (["--workspace=8,8,8,9,9,9"], "scan.npy: has no point inside --workspace"),
+    (["--workspace=8,8,8,9,9,9"], "scan.npy: no points inside --workspace"),
     (["--workspace="], "--workspace: cannot read ''"),
     (["--weights=huge"], "huge: no such weights; choose one of small"),
     (["--output_dir=scan.npy"], "scan.npy: cannot be written to"),
@@ -365,8 +365,8 @@ def scene(folder):
 def test_a_scene_comes_back_as_its_objects(scene, capsys):
     assert run("--input=scene.npy", "--output_dir=out") == 0
     assert capsys.readouterr().out == (
-        "trust       These weights come without a calibration: nothing vouches for "
-        "a completion.\n"
+        "confidence  These weights have no calibration: confidence in the completions "
+        "is unknown.\n"
         "objects     2; 90 points on removed planes, 0 in no object\n"
         "points      440 observed, 175 added\n"
         "written     out: completed.ply, result.json, report.html\n"

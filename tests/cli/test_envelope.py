@@ -133,7 +133,7 @@ def test_the_same_scan_gives_the_same_arrays_and_surface(asked, tmp_path):
         (["--scaled"], "leave out --scaled"),
         (["--calibration="], "calibration"),
         (["--ssm=nothing.json"], "no such file"),
-        (["--eye=0,0,0"], "leave it out"),
+        (["--eye=0,0,0"], "omit it"),
         (["--voxel=0"], "voxel"),
         (["--workspace=0,0,0,1,1"], "six"),
         (["another.ply"], "expected one scan or recording, got 2"),
@@ -223,7 +223,7 @@ def test_each_frame_of_a_recording_has_a_line_and_the_last_its_files(
     assert launching.run(envelope, *stream) == 0
     said = capsys.readouterr()
     assert "2 completed, 0 dropped, 1 unusable" in said.out
-    assert "frame 1 is left out" in said.err
+    assert "skipped frame 1" in said.err
     names = {path.name for path in out.iterdir()}
     assert names == {*NAMES, "envelope.jsonl", "stream.json"}
     report = json.loads((out / "stream.json").read_text())
@@ -298,7 +298,7 @@ def asked_camera(eye, target, folder):
     ("more", "told"),
     [
         (["--depth=d.png"], "is of one scan"),
-        (["--topic=/points"], "leave --topic out"),
+        (["--topic=/points"], "omit --topic"),
         (["--joints=/joint_states"], "give --urdf too"),
         (["--calibration=none.json"], "no such file"),
     ],

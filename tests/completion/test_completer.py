@@ -476,7 +476,7 @@ def test_maps_of_several_objects_go_into_their_slots():
 
 def test_what_lies_around_is_checked_as_points_are(completer):
     around = np.where(np.arange(5)[:, None] == 3, np.nan, np.zeros((5, 3)))
-    with pytest.raises(InputError, match=r"around: has points that are not finite"):
+    with pytest.raises(InputError, match=r"around: some points are not finite"):
         completer.complete(scan(), camera_at(EYE), around=around)
 
 
@@ -530,7 +530,7 @@ def test_compilations_would_have_been_seen(caplog):
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
-        (np.zeros((0, 3)), "has no points"),
+        (np.zeros((0, 3)), "no points"),
         (scan(63), "63 distinct points, fewer than 64"),
         (np.repeat(scan(40), 5, axis=0), "40 distinct points, fewer than 64"),
         (np.ones((200, 3)), "extent of zero"),

@@ -222,7 +222,7 @@ def test_a_setting_out_of_its_range_is_refused(crafted, path):
 @pytest.mark.parametrize(
     ("path", "value", "told"),
     [
-        ("backbone/num_points", 0, "num_points must be a whole number from 1 to 65536"),
+        ("backbone/num_points", 0, "num_points must be an integer from 1 to 65536"),
         ("backbone/features", 32, "makes no network (add got incompatible shapes"),
         ("backbone/num_neighbors", [4], "makes no network (tuple index"),
         ("backbone/level_rates", [[1, 2]], "makes no network (zip()"),
@@ -232,7 +232,7 @@ def test_a_setting_out_of_its_range_is_refused(crafted, path):
             "a stage must not have over 262,144 points",
         ),
         ("backbone/encoder_rates", [1, 256], "makes no network (a search needs"),
-        ("auxiliary/depth_blocks", 10**6, "depth_blocks must be a whole number from 1"),
+        ("auxiliary/depth_blocks", 10**6, "depth_blocks must be an integer from 1"),
         ("auxiliary/depth_features", [4] * 9, "depth_features must be a tuple of 1 to"),
     ],
 )
@@ -277,7 +277,7 @@ def test_an_array_of_another_type(rewritten):
     def change(arrays, metadata):
         arrays[KERNEL] = arrays[KERNEL].astype(np.int32)
 
-    assert f"{KERNEL} is missing or misshapen" in fault(rewritten(change))
+    assert f"{KERNEL}: missing or wrong shape" in fault(rewritten(change))
 
 
 def test_an_array_of_a_type_that_numpy_lacks(tmp_path):
@@ -292,14 +292,14 @@ KERNEL = "params/refiner/g/dense_0/kernel"
 
 def test_a_missing_array(rewritten):
     path = rewritten(lambda arrays, metadata: arrays.pop(KERNEL))
-    assert f"{KERNEL} is missing or misshapen" in fault(path)
+    assert f"{KERNEL}: missing or wrong shape" in fault(path)
 
 
 def test_an_array_of_another_shape(rewritten):
     def change(arrays, metadata):
         arrays[KERNEL] = np.ascontiguousarray(arrays[KERNEL].T)
 
-    assert f"{KERNEL} is missing or misshapen" in fault(rewritten(change))
+    assert f"{KERNEL}: missing or wrong shape" in fault(rewritten(change))
 
 
 def test_an_array_too_many(rewritten):
@@ -315,7 +315,7 @@ def test_another_configuration_for_the_same_arrays(rewritten):
         config["model"]["auxiliary"]["hidden"] = 16
         metadata["config"] = json.dumps(config)
 
-    assert "is missing or misshapen" in fault(rewritten(change))
+    assert ": missing or wrong shape" in fault(rewritten(change))
 
 
 def test_a_failed_write_leaves_what_was_there(file, tmp_path, tiny, tiny_variables):

@@ -250,7 +250,7 @@ WALL = np.full((HEIGHT, WIDTH), 6000, np.uint16)
         ),
         (lambda r: (r / "one/000000.labels.png").write_bytes(b"PNG"), "is not a PNG"),
         (lambda r: (r / "one/000000.joints.json").write_text("[1]"), "not a JSON obj"),
-        (lambda r: (r / "one/000000.joints.json").write_text("{"), "is not JSON"),
+        (lambda r: (r / "one/000000.joints.json").write_text("{"), "not JSON"),
         (lambda r: (r / "one/000000.partial.ply").write_bytes(b"ply"), "partial.ply"),
         (lambda r: (r / "one/000000.complete.ply").write_bytes(b"x"), "complete.ply"),
     ],
@@ -268,7 +268,7 @@ def test_clouds_in_other_units_or_almost_empty_are_refused(tmp_path, cloud):
     for spoilt, message in (
         (1000 * points, f"{cloud}.ply: reaches .* store metres"),
         (points[:5], f"{cloud}.ply: has 5 distinct points"),
-        (points * np.float32(np.nan), f"{cloud}.ply: has points that are not finite"),
+        (points * np.float32(np.nan), f"{cloud}.ply: some points are not finite"),
     ):
         changed = {**vars(whole), cloud: spoilt}
         write_frame(tmp_path / "one", 0, Frame(**changed))

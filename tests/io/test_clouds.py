@@ -66,7 +66,7 @@ def test_pickle_is_never_opened(tmp_path):
         (np.tile(POINTS[:10], (50, 1)), "10 distinct points"),
         (np.ones((100, 3)), "extent of zero"),
         (np.ones((1, 3)), "extent of zero"),
-        (np.empty((0, 3)), "has no points"),
+        (np.empty((0, 3)), "no points"),
         (np.full((100, 3), np.nan), "not finite"),
         (POINTS * 1e4, "above 10,000 units"),
         (POINTS.astype(np.float64) * 1e300, "above 10,000 units"),

@@ -20,14 +20,14 @@ def test_missing_file(tmp_path):
 
 def test_empty_file(tmp_path):
     (tmp_path / "a").touch()
-    with pytest.raises(InputError, match="is empty"):
+    with pytest.raises(InputError, match="empty file"):
         files.read_bytes(tmp_path / "a")
 
 
 def test_directory_and_pipe_are_not_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path, tmp_path / "pipe"):
-        with pytest.raises(InputError, match="is not a file"):
+        with pytest.raises(InputError, match="not a file"):
             files.read_bytes(path)
 
 

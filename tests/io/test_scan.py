@@ -60,7 +60,7 @@ def test_of_a_depth_image_all_that_was_cropped_away_is_around(depth_image):
 @pytest.mark.parametrize(
     ("box", "fault"),
     [
-        ("5,5,5,6,6,6", "no point inside --workspace; its points span -0.9"),
+        ("5,5,5,6,6,6", "no points inside --workspace; the points span -0.9"),
         ("-1,-1,-1,-0.5,0,0", "distinct points, fewer than 64; .*--workspace"),
     ],
 )

@@ -25,7 +25,7 @@ def robots_folder(package: str) -> pathlib.Path:
     try:
         files = importlib.metadata.files(package) or []
     except importlib.metadata.PackageNotFoundError:
-        raise InputError(package, "is not installed", remedy) from None
+        raise InputError(package, "not installed", remedy) from None
     for file in files:
         before, found, _ = f"/{file.as_posix()}".partition(f"/{FOLDERS[package]}/")
         if file.suffix in SUFFIXES and found:

@@ -146,7 +146,7 @@ def sound_cloud(
     with np.errstate(over="ignore"):
         cloud = np.ascontiguousarray(points, np.float32)
     if not np.isfinite(cloud).all():
-        raise InputError(subject, "has points that are not finite", _COPY_AGAIN)
+        raise InputError(subject, "some points are not finite", _COPY_AGAIN)
     return cloud
 
 

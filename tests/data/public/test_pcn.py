@@ -74,7 +74,7 @@ def test_a_damaged_cloud_is_refused_by_name(root, cloud, write):
     source = PCN(root, "test")
     path = root / "test" / "partial" / "02691156" / "test0" / "00.pcd"
     path.write_bytes(path.read_bytes()[:-8])
-    with pytest.raises(InputError, match=r"test0/00.pcd: is not a sound PCD file"):
+    with pytest.raises(InputError, match=r"test0/00.pcd: not a valid PCD file"):
         source[0]
     write(path, np.full((4, 3), np.nan))
     with pytest.raises(InputError, match=r"test0/00.pcd: .* not finite"):

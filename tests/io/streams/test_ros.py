@@ -163,9 +163,9 @@ def test_odd_frames_are_told_and_counted(tmp_path):
     told = " | ".join(lines)
     assert len(lines) == 5
     for words in (
-        "frame 1: none of its 200 points is finite",
+        "frame 1: none of 200 points are finite",
         "frame 2 is empty",
-        "a message of /p is left out: it claims",
+        "skipped a message on /p: it claims",
         "frame 3 is 3.000 s older than the one before",
         "frame 4 has 4x50 rows and columns, the one before 2x100",
     ):
@@ -234,7 +234,7 @@ def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
     told = " | ".join(lines)
     assert "it has 6x4 pixels and its camera 4x4" in told
     assert "frame 1 has 4x6 rows and columns" in told
-    assert "/camera_info has a distortion, which is not undone" in told
+    assert "/camera_info has lens distortion, which is ignored" in told
 
 
 def test_several_topics_are_listed(tmp_path):
@@ -242,7 +242,7 @@ def test_several_topics_are_listed(tmp_path):
     path = write_mcap(tmp_path / "r.mcap", both)
     with pytest.raises(InputError) as error:
         open_stream(path)
-    assert str(error.value).endswith("choose with --topic one of /front, /rear")
+    assert str(error.value).endswith("set --topic to one of /front, /rear")
     assert len(open_stream(path, "/front")) == 4
     assert len(open_stream(path, "/rear")) == 1
     with pytest.raises(InputError, match="no clouds and no depth images on /side"):
@@ -306,7 +306,7 @@ def test_joints_are_the_last_before_each_frame(writer, tmp_path):
     base = np.eye(4).tolist()
     stream = open_stream(path, joints=Joints(given={"positions": {}}, base=base))
     assert [f.joints for f in stream] == 4 * [{"positions": {}, "base": base}]
-    with pytest.raises(InputError, match="choose with --joints one of /joint_states"):
+    with pytest.raises(InputError, match="set --joints to one of /joint_states"):
         open_stream(path, joints=Joints("/arm"))
 
 
@@ -324,5 +324,5 @@ def test_joints_that_are_missing_or_old_are_told_once_and_counted(tmp_path):
     assert len(lines) == 2 and stream.remarks == {"damaged": 1, "joints": 3}
     (tmp_path / "none").mkdir()
     path = write_mcap(tmp_path / "none" / "r.mcap", clouds(ROS2))
-    with pytest.raises(InputError, match="tells no joint positions"):
+    with pytest.raises(InputError, match="no joint positions"):
         open_stream(path, joints=Joints())
