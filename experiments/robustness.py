@@ -208,10 +208,12 @@ def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> str:
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("weights", "small", "A name, or a file.")
-    flags.DEFINE_enum("dataset", "shapes", ("shapes", "roboarm"), "Whose validation.")
-    flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
-    flags.DEFINE_multi_string("shift", list(SHIFTS), "Which ones.")
+    flags.DEFINE_string("weights", "small", "Weights, name or file.")
+    flags.DEFINE_enum(
+        "dataset", "shapes", ("shapes", "roboarm"), "Data set to validate on."
+    )
+    flags.DEFINE_integer("limit", None, "Views to use, evenly spaced.", lower_bound=1)
+    flags.DEFINE_multi_string("shift", list(SHIFTS), "Shifts to apply.")
     flags.DEFINE_string("output", None, "JSON file to write.")
 
 

@@ -43,7 +43,7 @@ def define_flags() -> None:
     flags.DEFINE_multi_string(
         "weights",
         [],
-        "Other weights for a row, as LABEL=NAME|FILE; the labels are "
+        "Weights for a row, LABEL=NAME|FILE. Labels: "
         f"{', '.join(VARIANTS)}, or new ones.",
     )
 

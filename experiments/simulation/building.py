@@ -76,7 +76,7 @@ def _begun(folder: pathlib.Path, content: dict[str, Any]) -> list[str]:
         found = json.loads(path.read_text())
         files = list(found.pop("files") or [])
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(path, "is not a manifest", "delete the folder") from None
+        raise InputError(path, "not a valid manifest", "delete the folder") from None
     if found != content:
         changed = [k for k in {*found, *content} if found.get(k) != content.get(k)]
         fault = f"was built with other settings ({', '.join(sorted(changed))})"

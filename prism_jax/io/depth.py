@@ -94,7 +94,7 @@ def read_depth(
             raise ValueError("depth_scale must be positive")
     except ValueError as error:
         raise InputError(
-            camera_path, str(error), 'add "depth_scale": metres a count, such as 0.001'
+            camera_path, str(error), 'add "depth_scale": metres per count, as 0.001'
         ) from None
     counts = _read_counts(path, camera, max_points)
     return counts * scale, counts > 0, camera

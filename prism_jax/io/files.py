@@ -105,8 +105,8 @@ def _temporary_cache() -> tempfile.TemporaryDirectory:
     can put compiled programs there."""
     folder = tempfile.TemporaryDirectory(prefix="prism_jax_")
     print(
-        f"no home directory: nothing is kept for the next run ({folder.name} is "
-        f"removed at the end); set {CACHE_VARIABLE} to a folder of yours",
+        f"no home directory: compiled programs are not cached ({folder.name} is "
+        f"removed at exit); set {CACHE_VARIABLE} to a folder",
         file=sys.stderr,
     )
     return folder

@@ -9,7 +9,7 @@ MAX_LENGTH = 8  # of a tuple of any length: resolutions, stages and blocks are f
 
 
 class Checked:
-    """Base of configurations. ``Annotated[int, 1, 64]`` is a whole number from 1 to 64.
+    """Base of configurations. ``Annotated[int, 1, 64]`` is an integer from 1 to 64.
 
     Fields are numbers, words of a `Literal`, switches, inner configurations, tuples of
     these, or one of them or None. A range holds for all numbers of a field. A field of

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from prism_jax.uncertainty.trees import Trees
 
 EVIDENCE = {
-    "num_points": "only {:,.0f} points were measured: move closer, or scan longer",
+    "num_points": "few points were measured ({:,.0f}): move closer, or scan longer",
     "spacing": "the measured points are sparse: crop to one object",
     "roughness": "the measured surface is rough or noisy: average several scans",
     "strays": "{:.0%} of the predicted points are outliers: crop to one object",

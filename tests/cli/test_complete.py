@@ -220,9 +220,9 @@ FAULTS = [
     (["--max_points=199"], "scan.npy: claims 200 points, more than 199; crop or"),
     (["--max_points=0"], "flag --max_points=0: 0 is not a positive integer"),
     (["--max_points=200", "--ground_truth=more.npy"], "more.npy: claims 263 points"),
-    (["--input=few.npy"], "few.npy: has 63 distinct points, fewer than 64"),
+    (["--input=few.npy"], "few.npy: only 63 distinct points, at least 64"),
     (["--input=nan.npy"], "nan.npy: no finite points"),
-    (["--input=point.npy"], "point.npy: has an extent of zero"),
+    (["--input=point.npy"], "point.npy: zero extent"),
     (["--input=vast.npy"], "vast.npy: has an extent of 19"),
     (["--camera=behind.json"], "scan.npy: all points are behind the camera"),
     (["--camera=missing.json"], "missing.json: no such file"),
@@ -331,7 +331,7 @@ def test_the_weights_are_loaded_once(several, monkeypatch):
 def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
     assert run("few.npy", "scans", "missing.ply", "--output_dir=out") == 1
     lines = capsys.readouterr().err.splitlines()
-    assert lines[-2].startswith("prism-complete: few.npy: has 63 distinct points")
+    assert lines[-2].startswith("prism-complete: few.npy: only 63 distinct points")
     assert lines[-1].startswith("prism-complete: missing.ply: no such file")
     assert sorted(os.listdir("out")) == ["a", "b", "index.html"]
     page = pathlib.Path("out/index.html").read_text()
@@ -341,8 +341,8 @@ def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
 @pytest.mark.parametrize(
     ("given", "fault"),
     [
-        (["few.npy", "missing.ply"], "few.npy: has 63 distinct points"),
-        (["nothing"], "nothing: is a folder without scans; it takes .ply"),
+        (["few.npy", "missing.ply"], "few.npy: only 63 distinct points"),
+        (["nothing"], "nothing: no scans in this folder; supported suffixes: .ply"),
         (
             ["scans", "--ground_truth=scan.npy"],
             "--ground_truth: cannot be used with several",

@@ -130,7 +130,7 @@ def test_the_same_scan_gives_the_same_arrays_and_surface(asked, tmp_path):
         (["--adapt"], "adapt False, not True"),
         (["--alpha=0.05"], "on 19 or more"),
         (["--alpha=0"], "alpha: cannot be 0"),
-        (["--scaled"], "leave out --scaled"),
+        (["--scaled"], "omit --scaled"),
         (["--calibration="], "calibration"),
         (["--ssm=nothing.json"], "no such file"),
         (["--eye=0,0,0"], "omit it"),
@@ -194,7 +194,7 @@ def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
     assert out["points"]["robot"] > 100 and out["volumes"]["robot"] > 0
     words = "calibrate", str(recordings), f"--urdf={urdf}"
     assert launching.run(envelope, *words, f"--output={tmp_path / 'no.json'}") == 2
-    assert "has no position of the joint 'yaw'" in capsys.readouterr().err
+    assert "no position for joint 'yaw'" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -297,9 +297,9 @@ def asked_camera(eye, target, folder):
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        (["--depth=d.png"], "is of one scan"),
+        (["--depth=d.png"], "not supported for recordings"),
         (["--topic=/points"], "omit --topic"),
-        (["--joints=/joint_states"], "give --urdf too"),
+        (["--joints=/joint_states"], "set --urdf too"),
         (["--calibration=none.json"], "no such file"),
     ],
 )

@@ -107,8 +107,8 @@ def test_an_mcap_file(scans, weights, tmp_path):
         (["SCANS", "--up=q"], "cannot read 'q'"),
         (["SCANS", "--camera=no.json"], "no such file"),
         (["SCANS", "--adapt=always"], "--help lists the flags"),
-        (["SCANS", "--joints=j.json"], "give --urdf too"),
-        (["SCANS", "--output=SCANS"], "name another output"),
+        (["SCANS", "--joints=j.json"], "set --urdf too"),
+        (["SCANS", "--output=SCANS"], "choose another output"),
     ],
 )
 def test_faults_are_one_line(scans, arguments, fault, capsys, tmp_path, monkeypatch):

@@ -531,12 +531,12 @@ def test_compilations_would_have_been_seen(caplog):
     ("points", "fault"),
     [
         (np.zeros((0, 3)), "no points"),
-        (scan(63), "63 distinct points, fewer than 64"),
-        (np.repeat(scan(40), 5, axis=0), "40 distinct points, fewer than 64"),
-        (np.ones((200, 3)), "extent of zero"),
+        (scan(63), "63 distinct points, at least 64"),
+        (np.repeat(scan(40), 5, axis=0), "40 distinct points, at least 64"),
+        (np.ones((200, 3)), "zero extent"),
         (np.where(np.arange(300)[:, None] == 7, np.nan, scan()), "not finite"),
         (np.where(np.arange(300)[:, None] == 7, np.inf, scan()), "not finite"),
-        (2e4 * scan(), "above 10,000 units"),
+        (2e4 * scan(), "above the limit of 10,000 units"),
     ],
 )
 @pytest.mark.parametrize("framed", [False, True])
@@ -551,7 +551,7 @@ def test_a_workspace_with_too_few_points(completer):
     with pytest.raises(InputError, match="points inside the workspace"):
         completer.complete(scan(), workspace=nowhere)
     corner = Workspace(scan()[0], np.float64(0.2))
-    with pytest.raises(InputError, match="distinct points, fewer than 64; "):
+    with pytest.raises(InputError, match="distinct points, at least 64 are needed; "):
         completer.complete(scan(), workspace=corner)
 
 

@@ -86,7 +86,7 @@ def test_no_points_are_asked_and_one_is():
     one = envelope(scattered())
     assert one.query(np.zeros((0, 3))).not_free.shape == (0,)
     assert one.query(np.full((1, 3), 0.3)).surface.shape == (1,)
-    with pytest.raises(InputError, match="not all finite"):
+    with pytest.raises(InputError, match="not finite"):
         one.query(np.array([[0, 0, np.nan]]))
 
 

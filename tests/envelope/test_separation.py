@@ -40,7 +40,7 @@ def test_the_inflation_is_told_and_is_in_no_sum(tmp_path):
 def test_no_term_has_a_default(tmp_path, formula):
     for missing in FORMULAS[formula].terms:
         given = {term: 0.1 for term in FORMULAS[formula].terms if term != missing}
-        with pytest.raises(InputError, match=f"lacks the term {missing} .*no term has"):
+        with pytest.raises(InputError, match=f"missing term {missing} .*no defaults"):
             read_terms(written(tmp_path, {formula: given}))
 
 

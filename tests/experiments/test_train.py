@@ -263,7 +263,7 @@ def test_a_run_is_resumed_only_as_it_was_begun(meta, unbroken, weights, others, 
     given = [f"--workdir={unbroken}", f"--weights={weights}", *CHANGES]
     before = {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")}
     again = refused(capsys, meta(*given))
-    assert "it holds a run already; pass --resume" in again
+    assert "this folder already holds a run; pass --resume" in again
     for flag in (
         f"--weights={others}",
         "--set=meta.learning_rate=0.2",

@@ -50,7 +50,7 @@ def test_name_that_no_file_can_have(tmp_path):
 def test_file_too_large_is_refused_before_it_is_read(tmp_path):
     with open(tmp_path / "a", "wb") as file:
         file.truncate(files.MAX_FILE_BYTES + 1)
-    with pytest.raises(InputError, match="holds"):
+    with pytest.raises(InputError, match="too large"):
         files.read_bytes(tmp_path / "a")
 
 

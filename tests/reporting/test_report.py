@@ -142,16 +142,20 @@ def test_trust_differs_in_lightness_too():
             {"accepted": True},
             "accepted: the objective changed from 1 to 0.5 in 3",
         ),
-        (True, {"accepted": True}, "does not say that the completion is better"),
+        (True, {"accepted": True}, "does not mean that the completion is better"),
         (
             True,
             {"accepted": False},
-            "not accepted: the objective changed from 1 to 0.5",
+            "rejected: the objective changed from 1 to 0.5",
         ),
-        (False, {}, "without test-time adaptation, which nobody asked for"),
+        (False, {}, "off\nNetwork output"),
         (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
-        (False, {"losses": {}}, "without test-time adaptation"),
-        (True, {"losses": {"objective": [1.0]}}, "these weights take no step"),
+        (False, {"losses": {}}, "off\nNetwork output"),
+        (
+            True,
+            {"losses": {"objective": [1.0]}},
+            "off: these weights use no adaptation steps",
+        ),
     ],
 )
 def test_details_say_what_became_of_the_adaptation(adapt, changes, said):
@@ -236,7 +240,7 @@ def test_added_points_can_be_coloured_by_their_errors():
     )
     told = summary["sigma"]
     assert 0.2 < told["q05"] < told["median"] < told["q95"] < 0.3
-    said = f"{told['median']:.4g} at the median of the added points"
+    said = f"median {told['median']:.4g}, 5th to 95th percentile"
     assert said in Outline(page).text
 
 

@@ -71,7 +71,7 @@ def test_a_batch_that_is_shared_evenly(eight_devices, size):
 
 @pytest.mark.parametrize("size", [1, 4, 12, 31])
 def test_a_batch_that_is_not(eight_devices, size):
-    fault = f"^batch_size: {size} examples cannot be shared evenly by 8 devices; "
+    fault = f"^batch_size: {size} examples cannot be split evenly across 8 devices; "
     with pytest.raises(InputError, match=fault + "choose a multiple, or show JAX"):
         parallel.check_batch(size)
 

@@ -145,5 +145,5 @@ def _normalised(path: pathlib.Path) -> Float32[np.ndarray, "8192 3"]:
     radius = np.linalg.norm(points, axis=1).max()
     if radius == 0:
         fault = "zero extent: all points coincide"
-        raise InputError(path, fault, "copy this file again from the set")
+        raise InputError(path, fault, "copy this file again from the data set")
     return (points / radius).astype(np.float32)
