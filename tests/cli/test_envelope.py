@@ -129,7 +129,7 @@ def test_the_same_scan_gives_the_same_arrays_and_surface(asked, tmp_path):
         (["--sensor=another"], "sensor"),
         (["--adapt"], "adapt False, not True"),
         (["--alpha=0.05"], "on 19 or more"),
-        (["--alpha=0"], "alpha: cannot be 0"),
+        (["--alpha=0"], "alpha: 0 is not between"),
         (["--scaled"], "omit --scaled"),
         (["--calibration="], "calibration"),
         (["--ssm=nothing.json"], "no such file"),
@@ -149,7 +149,7 @@ def test_what_does_not_match_is_one_line(asked, tmp_path, more, told, capsys):
 def test_fewer_cells_than_can_tell_are_refused_at_once(tmp_path, capsys):
     words = "calibrate", str(asset("roboarm")), f"--output={tmp_path / 'cal.json'}"
     assert launching.run(envelope, *words) == 2
-    assert "holds 1 cells" in capsys.readouterr().err
+    assert "1 cells are too few" in capsys.readouterr().err
     assert not (tmp_path / "cal.json").exists()
 
 

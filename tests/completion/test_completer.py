@@ -559,7 +559,7 @@ def test_a_workspace_with_too_few_points(completer):
 def test_a_workspace_without_volume(completer, half_extent):
     """As it may come out of a pytree, where it is not checked."""
     workspace = jax.tree.map(lambda x: x * half_extent, Workspace.unit())
-    with pytest.raises(InputError, match="workspace: is no cube"):
+    with pytest.raises(InputError, match="workspace: invalid"):
         completer.complete(scan(), workspace=workspace)
 
 

@@ -193,8 +193,8 @@ def test_half_a_frame_is_refused(root, suffix):
     ("name", "message"),
     [
         ("12.depth.png", "12.depth.png: name is not six digits"),
-        ("000001.depth.png.part", "000001.depth.png.part: is none of"),
-        ("000000.colour.png", "000000.colour.png: is none of"),
+        ("000001.depth.png.part", "000001.depth.png.part: not one of"),
+        ("000000.colour.png", "000000.colour.png: not one of"),
     ],
 )
 def test_files_out_of_the_layout_are_refused(root, name, message):
@@ -232,23 +232,23 @@ WALL = np.full((HEIGHT, WIDTH), 6000, np.uint16)
             ),
             "depth.png: not a valid depth image",
         ),
-        (lambda r: edit_camera(r, depth_scale=0.001), "camera.json: has depth_scale"),
+        (lambda r: edit_camera(r, depth_scale=0.001), "camera.json: depth_scale is"),
         (lambda r: edit_camera(r, depth_scale=None), "camera.json.*depth_scale"),
         (lambda r: edit_camera(r, fx=-1), "camera.json.*positive"),
         (
             lambda r: edit_camera(r, translation=[0, 0, 0]),
-            "partial.ply: has 0 of 744 points where the depth image",
+            "partial.ply: 0 of 744 points match the depth image",
         ),
-        (lambda r: png(r / "one/000000.labels.png", WALL), "labels.png: is I;16"),
+        (lambda r: png(r / "one/000000.labels.png", WALL), "labels.png: I;16"),
         (
             lambda r: png(r / "one/000000.labels.png", WALL[:, 1:].astype(np.uint8)),
-            "labels.png: is L of 31x24",
+            "labels.png: L with 31x24",
         ),
         (
             lambda r: png(r / "one/000000.labels.png", (0 * WALL + 9).astype(np.uint8)),
-            "labels.png: has the label 9",
+            "labels.png: invalid label 9",
         ),
-        (lambda r: (r / "one/000000.labels.png").write_bytes(b"PNG"), "is not a PNG"),
+        (lambda r: (r / "one/000000.labels.png").write_bytes(b"PNG"), "not a PNG"),
         (lambda r: (r / "one/000000.joints.json").write_text("[1]"), "not a JSON obj"),
         (lambda r: (r / "one/000000.joints.json").write_text("{"), "not JSON"),
         (lambda r: (r / "one/000000.partial.ply").write_bytes(b"ply"), "partial.ply"),

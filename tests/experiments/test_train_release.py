@@ -100,7 +100,10 @@ def test_what_never_began_may_change(run):
     ("flag", "fault"),
     [
         ("shapes", "shapes: not a flag"),
-        ("--branches=align,normals", "normals is none; use normal, denoise, align"),
+        (
+            "--branches=align,normals",
+            "unknown value normals; use normal, denoise, align",
+        ),
         ("--workdir=", "--workdir: missing"),
         ("--scored=kitti=/nowhere", "kitti: no held-out split with ground truth"),
     ],

@@ -119,8 +119,7 @@ def require_files(
         first = ", ".join(paths + ["..."] * (len(missing) > _SHOWN))
         raise InputError(
             root,
-            f"{len(missing)} of the {total} files listed in {listed_in} are "
-            f"missing: {first}",
+            f"{len(missing)} of the {total} files in {listed_in} are missing: {first}",
             f"copy the whole data set here, as {layout}",
         )
 

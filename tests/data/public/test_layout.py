@@ -76,7 +76,7 @@ def test_missing_files_are_counted_and_the_first_named(tmp_path, write):
     with pytest.raises(InputError) as error:
         layout.require_files(tmp_path, wanted, "the list", "a/<n>.txt")
     assert str(error.value) == (
-        f"{tmp_path}: 4 of the 5 files that the list asks for are missing: "
+        f"{tmp_path}: 4 of the 5 files in the list are missing: "
         "a/2.txt, a/3.txt, b/1.txt, ...; copy the set here whole, as a/<n>.txt"
     )
     layout.require_files(tmp_path, {"a": ["1.txt"]}, "the list", "a/<n>.txt")
@@ -91,10 +91,10 @@ def test_a_file_in_a_folders_place_counts_as_missing(tmp_path, write):
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
-        (np.zeros((0, 3)), "no cloud"),
-        (np.zeros((4, 4)), "no cloud"),
-        (np.zeros(3), "no cloud"),
-        (np.zeros((4, 3), "S3"), "no cloud"),
+        (np.zeros((0, 3)), "is not a cloud"),
+        (np.zeros((4, 4)), "is not a cloud"),
+        (np.zeros(3), "is not a cloud"),
+        (np.zeros((4, 3), "S3"), "is not a cloud"),
         (np.full((4, 3), np.nan), "not finite"),
         (np.full((4, 3), 1e300), "not finite"),
         (np.zeros((5, 3)), "5 points instead of 4"),

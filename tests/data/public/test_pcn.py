@@ -57,7 +57,7 @@ def test_missing_views_and_models_are_refused(root):
     with pytest.raises(InputError) as error:
         PCN(root, "train")
     assert (
-        "2 of the 18 files that PCN.json asks for are missing: "
+        "2 of the 18 files in PCN.json are missing: "
         "train/complete/02958343/train1.pcd, train/partial/02691156/train0/03.pcd; "
     ) in str(error.value)
     assert len(PCN(root, "test")) == 2

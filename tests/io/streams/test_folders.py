@@ -24,7 +24,7 @@ def test_clouds_by_the_numbers_in_their_names(tmp_path):
     for number in (10, 9, 100):
         write_ply(tmp_path / f"scan{number}.ply", POINTS + number)
     np.save(tmp_path / "scan11.npy", POINTS + 11)
-    (tmp_path / "notes.md").write_text("no cloud")
+    (tmp_path / "notes.md").write_text("is not a cloud")
     stream = open_stream(tmp_path)
     assert len(stream) == 4
     frames = list(stream)

@@ -39,7 +39,7 @@ def clouds(store, topic="/points", stamped=True):
         time = START + number * SECOND // 10
         message = cloud(points, time if stamped else 0, store)
         found.append((topic, CLOUD, time + 5, message))
-        words = store.types[TEXT](data="no cloud")
+        words = store.types[TEXT](data="is not a cloud")
         found.append(("/chatter", TEXT, time + 6, words))
     return found
 
