@@ -52,10 +52,10 @@ def available_weights() -> list[str]:
 
 
 def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables]:
-    """Configuration and variables of released weights, by name or by file.
+    """Configuration and variables of released weights, given by name or file.
 
-    A name that does not ship, or a file that is not such weights, raises
-    `prism_jax.io.InputError`, a ``ValueError`` of one line.
+    An unknown name, or a file without such weights, raises `prism_jax.io.InputError`,
+    a ``ValueError`` with a one-line message.
     """
     path = _locate(name_or_path)
     metadata, arrays = read_file(path)

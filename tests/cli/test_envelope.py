@@ -185,7 +185,7 @@ def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
     (tmp_path / "joints.json").write_text(text)
     robot = words[0], f"--joints={tmp_path / 'joints.json'}"
     assert launching.run(envelope, *asked, *robot) == 2
-    told = f"{calibration}: is for robot unknown, not known"
+    told = f"{calibration}: calibrated for robot unknown, not known"
     assert told in capsys.readouterr().err
     assert launching.run(envelope, *asked, words[0]) == 2
     assert "needs --joints" in capsys.readouterr().err

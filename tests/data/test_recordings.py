@@ -266,7 +266,7 @@ def test_clouds_in_other_units_or_almost_empty_are_refused(tmp_path, cloud):
     whole = frame()
     points = np.asarray(getattr(whole, cloud))
     for spoilt, message in (
-        (1000 * points, f"{cloud}.ply: reaches .* store metres"),
+        (1000 * points, f"{cloud}.ply: extends to .* store metres"),
         (points[:5], f"{cloud}.ply: only 5 distinct points"),
         (points * np.float32(np.nan), f"{cloud}.ply: some points are not finite"),
     ):

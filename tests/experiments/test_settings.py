@@ -51,7 +51,7 @@ def test_changes_reach_every_level_and_leave_the_preset_alone():
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        ("adapt.num_steps", "not a change"),
+        ("adapt.num_steps", "not a setting"),
         ("adapt.steps=1", "no field 'steps'"),
         ("adapt.model.margin=1", "no field 'model'"),
         ("=1", "no field ''"),

@@ -61,7 +61,9 @@ def test_a_used_folder_needs_resume(tmp_path):
 )
 def test_another_configuration_does_not_go_on(tmp_path, preset, seed, told):
     open_run(str(tmp_path), PRESET, 0, resume=False)
-    with pytest.raises(InputError, match=f"another configuration: .*{told}"):
+    with pytest.raises(
+        InputError, match=f"configuration differs from the run's: .*{told}"
+    ):
         open_run(str(tmp_path), preset, seed, resume=True)
 
 

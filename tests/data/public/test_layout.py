@@ -77,7 +77,7 @@ def test_missing_files_are_counted_and_the_first_named(tmp_path, write):
         layout.require_files(tmp_path, wanted, "the list", "a/<n>.txt")
     assert str(error.value) == (
         f"{tmp_path}: 4 of the 5 files in the list are missing: "
-        "a/2.txt, a/3.txt, b/1.txt, ...; copy the set here whole, as a/<n>.txt"
+        "a/2.txt, a/3.txt, b/1.txt, ...; copy the whole data set here, as a/<n>.txt"
     )
     layout.require_files(tmp_path, {"a": ["1.txt"]}, "the list", "a/<n>.txt")
 
