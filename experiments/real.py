@@ -4,7 +4,7 @@
         --output=docs/tables/real.json
 
 Some come with the true shape, labels, a box about the object, or the output of another
-network. Scans that cannot be read are left out, with a line on stderr.
+network. Scans that cannot be read are skipped, with a line on stderr.
 """
 
 import pathlib

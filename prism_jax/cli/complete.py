@@ -124,8 +124,7 @@ def define_flags() -> None:
         "background",
         "unknown",
         ["unknown", "empty"],
-        "empty: the sensor saw nothing else around the object, so no points are added "
-        "there.",
+        "empty: the sensor saw nothing else nearby, so no points are added there.",
     )
     flags.DEFINE_string("output_dir", "prism_output", "Output folder.")
 
@@ -346,9 +345,7 @@ def outcome(summary: dict[str, Any], output_dir: str) -> str:
     if summary["adapt"] and len(summary["losses"]["objective"]) == 1:
         adapted = "none, these weights use no adaptation steps"
     elif summary["adapt"]:
-        adapted = (
-            "accepted" if summary["accepted"] else "rejected, released network used"
-        )
+        adapted = "accepted" if summary["accepted"] else "rejected, not used"
     return f"{trust}\n{counts}\nadaptation  {adapted}\n{written}"
 
 

@@ -76,9 +76,7 @@ def define_flags() -> None:
         "alpha", None, "Share of cells that may be missed. Default: the calibration's."
     )
     flags.DEFINE_bool("scaled", False, "Scale margins by each point's expected error.")
-    flags.DEFINE_string(
-        "weights", "small", "Name of released weights, or a weights file."
-    )
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_string(
         "camera",
         None,

@@ -50,9 +50,7 @@ def define_flags() -> None:
     flags.DEFINE_string(
         "workspace", None, "Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres."
     )
-    flags.DEFINE_string(
-        "weights", "small", "Name of released weights, or a weights file."
-    )
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_bool("adapt", False, "Adapt the network to each frame first.")
     flags.DEFINE_string(
         "up",
@@ -72,8 +70,7 @@ def define_flags() -> None:
         "background",
         "unknown",
         ["unknown", "empty"],
-        "empty: the sensor saw nothing else around the object, so no points are added "
-        "there.",
+        "empty: the sensor saw nothing else nearby, so no points are added there.",
     )
     flags.DEFINE_integer(
         "poses",

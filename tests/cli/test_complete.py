@@ -182,7 +182,7 @@ def test_says_why_nothing_was_adapted():
     held = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
     assert "none, these weights use no adaptation steps" in held
     refused = complete.outcome(summary | {"losses": {"objective": [1.0, 2.0]}}, "out")
-    assert "rejected, released network used" in refused
+    assert "rejected, not used" in refused
     summary["adapt"] = False
     left_out = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
     assert "adaptation  off" in left_out

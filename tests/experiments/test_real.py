@@ -102,7 +102,9 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
 
     missing = {"Kinect, depth image", "Ouster, sweep", "Ouster, capture"}
     assert set(result["left_out"]) == missing
-    (line,) = [s for s in told.err.splitlines() if s.startswith("Ouster, sweep is")]
+    (line,) = [
+        s for s in told.err.splitlines() if s.startswith("skipped Ouster, sweep:")
+    ]
     assert "no such file" in line
     assert "| bunny, scan_000 | 200 | 1 | 100 | 0 | 1 | fair |" in told.out
 

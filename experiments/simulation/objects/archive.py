@@ -15,21 +15,21 @@ def read_member(path: str | os.PathLike, name: str, max_bytes: int) -> bytes:
     archive or a member that is missing, damaged, too large, encrypted or empty raises
     an InputError.
     """
-    subject, remedy = f"{os.fspath(path)}: {name}", "put the archive in place again"
+    subject, remedy = f"{os.fspath(path)}: {name}", "restore the archive"
     try:
         with zipfile.ZipFile(path) as archive:
             member = archive.getinfo(name)
             if not 0 < member.file_size <= max_bytes:
                 size = f"{member.file_size:,} bytes"
-                fault = f"claims {size}, which is not within 1 to {max_bytes:,}"
+                fault = f"size {size} is not within 1 to {max_bytes:,}"
                 raise InputError(subject, fault, remedy)
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise InputError(subject, "is not stored or deflated", remedy)
+                raise InputError(subject, "compression is not supported", remedy)
             return archive.read(member)
     except FileNotFoundError:
         raise InputError(path, "no such file", "check the path") from None
     except KeyError:
-        raise InputError(subject, "is not in the archive", remedy) from None
+        raise InputError(subject, "not in the archive", remedy) from None
     except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         fault = f"cannot be read ({error})"
         raise InputError(subject, fault, remedy) from None

@@ -64,7 +64,7 @@ def read_catalogue(path: str | os.PathLike, licence: str) -> tuple[str, list[Mod
         models = [_model(path, licence, entries[number]) for number in sorted(entries)]
         return own["version"], models
     except (KeyError, ValueError) as error:
-        fault = f"is not a catalogue of models ({error})"
+        fault = f"not a catalogue of models ({error})"
         raise InputError(path, fault, REMEDY) from None
 
 

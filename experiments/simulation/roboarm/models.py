@@ -73,5 +73,5 @@ def urdf_path(model: ArmModel) -> pathlib.Path:
     if not path.is_absolute():
         path = robots_folder(model.package) / path
     if not path.is_file():
-        raise InputError(path, "no such file", "name the URDF of another robot")
+        raise InputError(path, "no such file", "check the path")
     return path

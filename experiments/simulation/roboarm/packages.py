@@ -33,4 +33,4 @@ def robots_folder(package: str) -> pathlib.Path:
             path = pathlib.Path(os.path.abspath(file.locate()))
             if path.parents[above].is_dir():
                 return path.parents[above]
-    raise InputError(package, "has no robots", remedy)
+    raise InputError(package, "no robots in this package", remedy)
