@@ -1,4 +1,4 @@
-"""Times and memory against named peers, suite by suite.
+"""Speed and memory against other implementations, by suite.
 
 python -m experiments.benchmark --suite=SUITE [--of=NAME] --output=FILE.json
 """

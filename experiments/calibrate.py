@@ -5,8 +5,8 @@
 Validation views are shifted at random and completed as a user's scan is. Two sums of
 trees are fitted on the results: `prism_jax.uncertainty.confidence` expects the error of
 a completion, `prism_jax.uncertainty.sigma` that of each point. Both are measured on
-objects that the trees did not see. `experiments.release --calibration=FILE.json` ships
-them with the weights.
+objects that the trees did not see. `experiments.release --calibration=FILE.json` adds
+them to the weights.
 """
 
 import dataclasses

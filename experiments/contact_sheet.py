@@ -1,4 +1,4 @@
-"""Draws a picture of the procedural shapes, a row a category, or of open shapes:
+"""Draws the procedural shapes, one row per category, or open shapes:
 
 python -m experiments.contact_sheet --output=docs/shapes.png
 python -m experiments.contact_sheet --dataset=open --output=docs/open_shapes.png

@@ -1,11 +1,11 @@
-"""Whether margins of envelopes hold what they say, and how much space stays free.
+"""Measures the coverage of envelope margins, and how much space stays free.
 
     python -m experiments.coverage --weights=small --output=FILE.json
 
-On simulated robot cells, each with its own arm's pose, fixtures and camera. Margins are
-calibrated on some and tested on others of the same arms, as a user's are; a second
-calibration, on other arms, shows what a margin is worth on arms that it never saw. What
-is scanned is the whole depth image, or the cloud of robot and fixtures alone.
+Uses simulated robot cells, each with its own arm pose, fixtures and camera. Margins are
+calibrated on some cells and tested on others with the same arms; a second calibration
+on other arms shows how well a margin transfers to new arms. Scans are the whole depth
+image, or only the cloud of robot and fixtures.
 """
 
 import dataclasses

@@ -1,13 +1,13 @@
-"""Scores weights on a split of a data set, and says what adaptation changes.
+"""Scores weights on a split of a data set, with and without adaptation.
 
 python -m experiments.evaluate --weights=small --split=test --output=FILE.json
 python -m experiments.evaluate --weights=FILE --dataset=shapenet55 --data_dir=DIR \
     --protocol=published --output=FILE.json
 
-The tables show every cloud's scores and what adaptation changes in them: with
-intervals over objects and over categories (kinds of shapes, robot arms), the category
-that carries most of the change, and what is left without it. Weights that gain by
-a map of what else a scan holds (`model.uses_visibility`) get it where the data have it.
+The tables show the scores of every cloud and the change by adaptation, with intervals
+over objects and over categories (kinds of shapes, robot arms), and the category with
+the largest effect. Weights that use visibility (`model.uses_visibility`) get it where
+the data set has it.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Writes the adaptation function of released weights as one file, ahead of time.
+"""Exports the adaptation function of released weights to one file.
 
 python -m experiments.export --weights=small --batch_size=1 --output=adapt.jaxexport
 

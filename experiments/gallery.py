@@ -1,4 +1,4 @@
-"""The paper's figures 4 and 5: completions to look at, as a page and as a picture.
+"""Draws completions as a page and a picture, like the paper's figures 4 and 5.
 
 python -m experiments.gallery --dataset=shapes --output=gallery.html
 python -m experiments.gallery --dataset=roboarm --output=robots.html

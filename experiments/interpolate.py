@@ -1,11 +1,11 @@
-"""Weights between where a training began and where it ended.
+"""Interpolates between the initial and the final weights of a training.
 
 python -m experiments.interpolate --start=small --end=FILE --share=0.5 --output=FILE
 
-A network that goes on training on another corpus gains there and loses on what it knew.
-Halfway between the two, along the straight line through all their weights, it keeps
-much of both (WiSE-FT, Wortsman et al., 2022). The share is chosen on validation. Parts
-that only the end has are the end's, with a last layer that grows from nothing.
+Fine-tuning on another data set improves results there and degrades them on the old one.
+Weights halfway between the two, on the straight line, keep much of both (WiSE-FT,
+Wortsman et al., 2022). Choose the share on validation data. Parts that only the final
+weights have are taken from there, with a last layer that is scaled up from zero.
 """
 
 import jax

@@ -1,7 +1,7 @@
-"""Simulates a robot cell's recording: python -m experiments.make_recording
+"""Simulates a recording of a robot cell: python -m experiments.make_recording
 
-It writes recording.mcap, with depth images, CameraInfo and joint states, and beside it
-the folder `recording` with the ground truth, and says how to complete it.
+Writes recording.mcap, with depth images, CameraInfo and joint states, and a folder
+`recording` with the ground truth, and prints the command that completes it.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Packs data sets into one folder of shards, ready to be trained on.
+"""Packs data sets into one folder of shards for training.
 
 python -m experiments.pack --dataset=roboarm --dataset=shapes --limit=4000 \
     --split=train --output_dir=DIR

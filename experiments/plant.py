@@ -1,11 +1,11 @@
-"""Trains released weights on unlabelled frames of one's own cells.
+"""Adapts released weights to unlabelled frames of your own cells.
 
 python -m experiments.plant --recordings=DIR --weights=small --output=FILE
 
-Recordings are laid out as docs/data.md says; their truth, if they have one, is not
-used. A part of what was measured is hidden, and the network has to return it. Every
-fifth sequence, or frame where sequences are fewer than five, is held out: unless what
-is hidden of those comes nearer by a tenth, nothing is written and the status is 1.
+docs/data.md describes the layout of recordings; ground truth is not used. Some measured
+points are hidden, and the network learns to predict them. Every fifth sequence is held
+out (or frame, if there are fewer than five sequences). If the error at hidden points of
+those does not fall by a tenth, nothing is written and the status is 1.
 """
 
 import functools

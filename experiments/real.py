@@ -1,9 +1,9 @@
-"""Completes every real scan of a folder, and scores what has a truth.
+"""Completes every real scan of a folder, and scores those with ground truth.
 
     python -m experiments.real --data_dir=../shared/real --weights=small \
         --output=docs/tables/real.json
 
-Some come with the true shape, labels, a box about the object, or the output of another
+Some come with the true shape, labels, a box around the object, or the output of another
 network. Scans that cannot be read are skipped, with a line on stderr.
 """
 

@@ -1,9 +1,9 @@
-"""Puts a run's weights into the package, with their measured scores in the metadata.
+"""Adds a run's weights to the package, with their scores in the metadata.
 
 python -m experiments.release --weights=FILE --scores=EVALUATION.json \
     --calibration=CALIBRATION.json --name=small
 
-Scores, notes and calibration that are not given stay as they are.
+Existing scores, notes and calibration are kept unless given.
 """
 
 import json

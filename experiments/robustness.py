@@ -1,9 +1,9 @@
-"""What turning, tilting, thinning, noise and cropping do to completions.
+"""Measures how rotation, tilt, sparsity, noise and cropping affect completions.
 
     python -m experiments.robustness --weights=small --output=FILE.json
 
-Every view of a validation split is shifted and completed as a user's scan is. A shift
-changes the partial cloud, its sensor and the frame of both; the truth follows.
+Every view of a validation split is changed and completed like a user's scan. A change
+applies to the partial cloud, its sensor and their frame; the ground truth follows.
 """
 
 import dataclasses

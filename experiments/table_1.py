@@ -1,8 +1,8 @@
-"""Table I: PRISM beside other networks, and beside completions without a network.
+"""Table I: PRISM, other networks, and baselines without a network.
 
 python -m experiments.table_1 --split=test --output=tables/table_1.json
 
-`experiments/train_table_1.sh` trains all of them on as many samples each.
+`experiments/train_table_1.sh` trains all of them on equally many samples.
 """
 
 import dataclasses

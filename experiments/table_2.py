@@ -1,4 +1,4 @@
-"""Table II: what adaptation gains, by its steps, and what meta-learning gains.
+"""Table II: the effect of adaptation, by number of steps, and of meta-learning.
 
 python -m experiments.table_2 --split=test --output=tables/table_2.json
 """

@@ -1,4 +1,4 @@
-"""Table III: what each auxiliary branch brings, on robots that no training has seen.
+"""Table III: the effect of each auxiliary branch, on robots unseen in training.
 
 python -m experiments.table_3 --output=tables/table_3.json
 """

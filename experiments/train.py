@@ -1,4 +1,4 @@
-"""Trains a preset on a data set, the procedural shapes unless told otherwise.
+"""Trains a preset on a data set, by default the procedural shapes.
 
 python -m experiments.train --preset=small --workdir=DIR [--weights=FILE] [--resume]
 python -m experiments.train --phase=meta --preset=small --weights=FILE --workdir=DIR

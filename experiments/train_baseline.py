@@ -1,4 +1,4 @@
-r"""Trains a network to compare with, as our own backbone is trained.
+r"""Trains a baseline network in the same way as our own backbone.
 
 python -m experiments.train_baseline --network=pcn --workdir=DIR [--samples=N] \
     [--resume]

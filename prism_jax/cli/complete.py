@@ -1,11 +1,11 @@
-"""prism-complete: partial scans in; completed clouds, their figures and reports out.
+"""prism-complete: completes partial scans and writes clouds and reports.
 
     prism-complete --input=scan.ply --output_dir=out
     prism-complete scan.ply others/ --output_dir=out
 
-Without a scan it completes a sample that ships with the package. If the input cannot be
-used, it ends with status 2 and one line on stderr. Of several inputs the others are
-done, and the status is 1 unless none could be used.
+Without a scan it completes a bundled sample. If the input cannot be used, it exits with
+status 2 and one line on stderr. If only some of several inputs cannot be used, the
+others are completed and the status is 1.
 """
 
 import contextlib

@@ -1,11 +1,11 @@
-"""prism-envelope: what of a workspace is taken, what may be, and what is free.
+"""prism-envelope: which parts of a workspace are occupied, uncertain or free.
 
     prism-envelope calibrate RECORDINGS --output=cal.json
     prism-envelope SCAN --calibration=cal.json --alpha=0.1 --output_dir=out
     prism-envelope RECORDING --calibration=cal.json --workspace=-1,-1,0,1,1,2
 
 Not safety-rated; no claim to any standard; people are never predicted. If the input or
-the calibration cannot be used, it ends with status 2 and one line on stderr.
+the calibration cannot be used, it exits with status 2 and one line on stderr.
 """
 
 import dataclasses

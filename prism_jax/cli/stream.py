@@ -1,10 +1,10 @@
-"""prism-stream: recorded frames in, completed frames out, at the sensor's rate.
+"""prism-stream: completes the frames of a recording, at up to the sensor's rate.
 
     prism-stream recording.mcap --output=completed.mcap
     prism-stream scans/ --workspace=-1,-1,0,1,1,2 --pace=sensor --output=completed
 
-If the recording cannot be used, it ends with status 2 and one line on stderr. Ctrl-C
-ends it with what was done so far written whole, and status 130.
+If the recording cannot be used, it exits with status 2 and one line on stderr. After
+Ctrl-C the frames completed so far are saved, and the status is 130.
 """
 
 import json
