@@ -566,7 +566,7 @@ def test_a_workspace_without_volume(completer, half_extent):
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", [complex, bool, object, "U9"])
 def test_an_array_of_no_real_numbers(kind):
-    with pytest.raises(InputError, match=r"points: are of the type .*real coordinates"):
+    with pytest.raises(InputError, match=r"points: invalid type .*real coordinates"):
         _checked(scan().astype(kind))
 
 
@@ -588,7 +588,7 @@ def test_an_array_of_another_shape():
     lines = done.stdout.splitlines()
     assert len(lines) == 4
     assert lines[0] == (
-        "points: have the shape (100, 4); pass an (N, 3) array, such as points[:, :3]"
+        "points: invalid shape (100, 4); pass an (N, 3) array, such as points[:, :3]"
     )
 
 

@@ -237,8 +237,11 @@ def refused(capsys, status):
     ("flags", "fault"),
     [
         (["--weights=none"], "none: no such weights; "),
-        (["--set=model.backbone.num_initial=64"], "not weights of tiny; choose "),
-        (["--whole=0.5"], "--whole: is of a mixture; give --mixture too"),
+        (
+            ["--set=model.backbone.num_initial=64"],
+            "not weights of tiny; use the preset",
+        ),
+        (["--whole=0.5"], "--whole: needs a mixture; set --mixture too"),
         (
             ["--phase=pretrain", "--set=meta.num_samples=1"],
             "samples do not fill a batch",
