@@ -23,7 +23,7 @@ def tell(
     for extra, packages in EXTRAS.items():
         if package in packages:
             remedy = f'install the extra: pip install "prism_jax[{extra}]"'
-            error = InputError(package, "is not installed", remedy)
+            error = InputError(package, "not installed", remedy)
     if isinstance(error, InputError):
         print(f"{pathlib.Path(sys.argv[0]).stem}: {error}", file=sys.stderr)
     else:

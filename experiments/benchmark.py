@@ -1,4 +1,4 @@
-"""Times and memory against named peers, suite by suite.
+"""Speed and memory against other implementations, by suite.
 
 python -m experiments.benchmark --suite=SUITE [--of=NAME] --output=FILE.json
 """
@@ -35,12 +35,12 @@ HEADER = (
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_enum("suite", "ops", SUITES, "What is measured.")
+    flags.DEFINE_enum("suite", "ops", SUITES, "Benchmarks to run.")
     flags.DEFINE_string(
         "of",
         None,
-        "Preset (training, memory), weights (evaluation, stream) or either (adapt); "
-        "small if not given, paper for memory.",
+        "Preset (training, memory), weights (evaluation, stream) or either (adapt). "
+        "Default: small, or paper for memory.",
     )
     flags.DEFINE_string("output", None, "JSON file to write.")
 
@@ -51,7 +51,7 @@ def main():
     suite = importlib.import_module(f"experiments.benchmarks.{FLAGS.suite}").suite
     given = [] if FLAGS.of is None else [FLAGS.of]
     if given and not inspect.signature(suite).parameters:
-        raise InputError("--of", f"{FLAGS.suite} has no network", "leave it out")
+        raise InputError("--of", f"not used by {FLAGS.suite}", "omit it")
     rows = []
     print(HEADER, flush=True)
     for row in suite(*given):

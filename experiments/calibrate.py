@@ -330,11 +330,11 @@ def sigmas(samples: Sequence[Points], count: int) -> dict[str, Any]:
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("weights", "small", "A name, or a file.")
-    flags.DEFINE_integer("limit", None, "Views of each set, evenly spaced.", 4)
-    flags.DEFINE_integer("draws", 3, "Shifts of each view, for the verdict.", 1)
-    flags.DEFINE_integer("training", 1000, "Training views that say what is familiar.")
-    flags.DEFINE_integer("points", 100, "Points of each view, for sigma.", 10)
+    flags.DEFINE_string("weights", "small", "Weights, name or file.")
+    flags.DEFINE_integer("limit", None, "Views per data set, evenly spaced.", 4)
+    flags.DEFINE_integer("draws", 3, "Shifts per view, for the confidence.", 1)
+    flags.DEFINE_integer("training", 1000, "Training views for novelty.")
+    flags.DEFINE_integer("points", 100, "Points per view, for sigma.", 10)
     flags.DEFINE_string("output", None, "JSON file to write.")
 
 

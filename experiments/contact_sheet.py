@@ -1,4 +1,4 @@
-"""Draws a picture of the procedural shapes, a row a category, or of open shapes:
+"""Draws the procedural shapes, one row per category, or open shapes:
 
 python -m experiments.contact_sheet --output=docs/shapes.png
 python -m experiments.contact_sheet --dataset=open --output=docs/open_shapes.png
@@ -29,13 +29,13 @@ TOWARD_VIEWER, TOWARD_LIGHT = np.array([3.2, 4.0, 2.5]), np.array([0.4, 0.3, 0.8
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_enum("dataset", "shapes", ["shapes", "open"], "What to draw.")
-    flags.DEFINE_string("output", "shapes.png", "The PNG to write.")
-    flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "Which shapes.")
+    flags.DEFINE_enum("dataset", "shapes", ["shapes", "open"], "Data set to draw.")
+    flags.DEFINE_string("output", "shapes.png", "PNG to write.")
+    flags.DEFINE_multi_enum("category", CATEGORIES, CATEGORIES, "Categories of shapes.")
     flags.DEFINE_integer("rows", 10, "Rows of open shapes.", 1)
-    flags.DEFINE_integer("seeds", 4, "Shapes in a row.", 1)
+    flags.DEFINE_integer("seeds", 4, "Shapes per row.", 1)
     flags.DEFINE_integer("columns", 2, "Rows side by side.", 1)
-    flags.DEFINE_integer("size", 96, "Pixels of a picture's side.", 16, 1024)
+    flags.DEFINE_integer("size", 96, "Side of a picture in pixels.", 16, 1024)
 
 
 def main():

@@ -1,11 +1,11 @@
-"""Whether margins of envelopes hold what they say, and how much space stays free.
+"""Measures the coverage of envelope margins, and how much space stays free.
 
     python -m experiments.coverage --weights=small --output=FILE.json
 
-On simulated robot cells, each with its own arm's pose, fixtures and camera. Margins are
-calibrated on some and tested on others of the same arms, as a user's are; a second
-calibration, on other arms, shows what a margin is worth on arms that it never saw. What
-is scanned is the whole depth image, or the cloud of robot and fixtures alone.
+Uses simulated robot cells, each with its own arm pose, fixtures and camera. Margins are
+calibrated on some cells and tested on others with the same arms; a second calibration
+on other arms shows how well a margin transfers to new arms. Scans are the whole depth
+image, or only the cloud of robot and fixtures.
 """
 
 import dataclasses
@@ -298,10 +298,10 @@ def _share(share: float, interval: Sequence[float]) -> str:
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_integer("num_cells", 100, "To calibrate on.", 1)
-    flags.DEFINE_integer("num_tested", 100, "To test on.", 1)
-    flags.DEFINE_string("weights", "small", "A name, or a file.")
-    flags.DEFINE_string("cell_dir", None, "Where cells are kept; the user's cache.")
+    flags.DEFINE_integer("num_cells", 100, "Cells to calibrate on.", 1)
+    flags.DEFINE_integer("num_tested", 100, "Cells to test on.", 1)
+    flags.DEFINE_string("weights", "small", "Weights, name or file.")
+    flags.DEFINE_string("cell_dir", None, "Folder of cells. Default: user cache.")
     flags.DEFINE_integer("num_workers", 2, "Processes that make cells.", 1)
     flags.DEFINE_string("output", None, "JSON file to write.")
 
@@ -311,7 +311,7 @@ def main() -> None:
     prepare_output(FLAGS.output, ".json")
     alphas = [alpha for alpha in ALPHAS if FLAGS.num_cells >= cells_needed(alpha)]
     if not alphas:
-        fault, remedy = "are too few", f"take {cells_needed(max(ALPHAS))} or more"
+        fault, remedy = "too few", f"use {cells_needed(max(ALPHAS))} or more"
         raise InputError("--num_cells", fault, remedy)
     weights, cache = located(FLAGS.weights), default_cache_dir()
     completer = Completer.from_pretrained(weights, cache / "traced")

@@ -1,13 +1,13 @@
-"""Scores weights on a split of a data set, and says what adaptation changes.
+"""Scores weights on a split of a data set, with and without adaptation.
 
 python -m experiments.evaluate --weights=small --split=test --output=FILE.json
 python -m experiments.evaluate --weights=FILE --dataset=shapenet55 --data_dir=DIR \
     --protocol=published --output=FILE.json
 
-The tables show every cloud's scores and what adaptation changes in them: with
-intervals over objects and over categories (kinds of shapes, robot arms), the category
-that carries most of the change, and what is left without it. Weights that gain by
-a map of what else a scan holds (`model.uses_visibility`) get it where the data have it.
+The tables show the scores of every cloud and the change by adaptation, with intervals
+over objects and over categories (kinds of shapes, robot arms), and the category with
+the largest effect. Weights that use visibility (`model.uses_visibility`) get it where
+the data set has it.
 """
 
 import dataclasses
@@ -49,20 +49,20 @@ FLAGS = flags.FLAGS
 def define_flags() -> None:
     """The flags; the split defaults to validation, or to test if published."""
     define_scoring_flags(split=None)
-    flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_enum(
         "protocol",
         "standard",
         ("standard", "published"),
-        "published: the data set's own test, unit and columns.",
+        "published: the published test, unit and metrics of the data set.",
     )
     flags.DEFINE_integer(
-        "steps", None, "Adaptation steps, the weights' own if not given.", 0
+        "steps", None, "Adaptation steps. Default: the weights' own.", 0
     )
     flags.DEFINE_multi_string(
         "set",
         [],
-        "Changes to how they adapt or to what is known, as path.to.field=value: "
+        "Settings of adaptation or input to change, path.to.field=value, such as "
         "model.background=empty.",
     )
 
@@ -93,10 +93,10 @@ def main():
 def open_published(split: str) -> Source:
     """The whole test split of a data set with a published protocol."""
     if FLAGS.limit is not None:
-        fault = "the published protocol is of the whole test"
-        raise InputError("--limit", fault, "leave it out")
+        fault = "the published protocol uses the whole test split"
+        raise InputError("--limit", fault, "omit it")
     if FLAGS.dataset not in PUBLISHED or split != "test":
-        fault = f"no published protocol of {FLAGS.dataset}'s split {split!r}"
+        fault = f"no published protocol for split {split!r} of {FLAGS.dataset}"
         remedy = f"use the test split of {', '.join(PUBLISHED)}"
         raise InputError("--protocol", fault, remedy)
     options = published_options(FLAGS.dataset)

@@ -1,4 +1,4 @@
-"""Writes the adaptation function of released weights as one file, ahead of time.
+"""Exports the adaptation function of released weights to one file.
 
 python -m experiments.export --weights=small --batch_size=1 --output=adapt.jaxexport
 
@@ -19,9 +19,9 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
-    flags.DEFINE_integer("batch_size", 1, "Frames a call.", lower_bound=1)
-    flags.DEFINE_list("platforms", list(PLATFORMS), "Where it is to run.")
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
+    flags.DEFINE_integer("batch_size", 1, "Frames per call.", lower_bound=1)
+    flags.DEFINE_list("platforms", list(PLATFORMS), "Target platforms.")
     flags.DEFINE_string("output", "adapt.jaxexport", "File to write.")
 
 
@@ -33,7 +33,7 @@ def main():
     write_bytes(FLAGS.output, data)
     count = config.model.backbone.num_points
     print(f"written {FLAGS.output}, {len(data) / 1e6:.1f} MB")
-    print(f"it takes scans ({FLAGS.batch_size}, {count}, 3) and sensors' positions")
+    print(f"inputs: scans ({FLAGS.batch_size}, {count}, 3) and sensors' positions")
 
 
 def run():

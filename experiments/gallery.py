@@ -1,4 +1,4 @@
-"""The paper's figures 4 and 5: completions to look at, as a page and as a picture.
+"""Draws completions as a page and a picture, like the paper's figures 4 and 5.
 
 python -m experiments.gallery --dataset=shapes --output=gallery.html
 python -m experiments.gallery --dataset=roboarm --output=robots.html
@@ -31,10 +31,12 @@ FLAGS = flags.FLAGS
 def define_flags() -> None:
     """The flags of this launcher."""
     define_frame_flags(split="test", limit=18)
-    flags.DEFINE_string("output", "gallery.html", "Page to write; PNG goes beside it.")
-    flags.DEFINE_string("weights", "small", "Released weights, by name or by file.")
-    flags.DEFINE_integer("columns", 2, "Rows of pictures side by side.", 1)
-    flags.DEFINE_integer("size", 128, "Pixels of a picture's side.", 16, 1024)
+    flags.DEFINE_string(
+        "output", "gallery.html", "Page to write, with a PNG next to it."
+    )
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
+    flags.DEFINE_integer("columns", 2, "Objects per row.", 1)
+    flags.DEFINE_integer("size", 128, "Side of a picture in pixels.", 16, 1024)
 
 
 def main():

@@ -1,11 +1,11 @@
-"""Weights between where a training began and where it ended.
+"""Interpolates between the initial and the final weights of a training.
 
 python -m experiments.interpolate --start=small --end=FILE --share=0.5 --output=FILE
 
-A network that goes on training on another corpus gains there and loses on what it knew.
-Halfway between the two, along the straight line through all their weights, it keeps
-much of both (WiSE-FT, Wortsman et al., 2022). The share is chosen on validation. Parts
-that only the end has are the end's, with a last layer that grows from nothing.
+Fine-tuning on another data set improves results there and degrades them on the old one.
+Weights halfway between the two, on the straight line, keep much of both (WiSE-FT,
+Wortsman et al., 2022). Choose the share on validation data. Parts that only the final
+weights have are taken from there, with a last layer that is scaled up from zero.
 """
 
 import jax
@@ -27,9 +27,11 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("start", None, "Weights it went on from.", required=True)
-    flags.DEFINE_string("end", None, "Weights it ended with.", required=True)
-    flags.DEFINE_float("share", 0.5, "How far from start to end.", 0.0, 1.0)
+    flags.DEFINE_string("start", None, "Initial weights.", required=True)
+    flags.DEFINE_string("end", None, "Final weights.", required=True)
+    flags.DEFINE_float(
+        "share", 0.5, "Position between start (0) and end (1).", 0.0, 1.0
+    )
     flags.DEFINE_string("output", None, "File to write.", required=True)
 
 
@@ -40,8 +42,8 @@ def main() -> None:
     about = known_of(FLAGS.end)
     fresh = beginning(FLAGS.start, config.model, FLAGS.end, about.get("seed"))
     if jax.tree.structure(fresh) != jax.tree.structure(end):
-        fault = f"has other parts than a training from {FLAGS.start} ends with"
-        raise InputError(FLAGS.end, fault, "give what that training went on from")
+        fault = f"cannot come from a training that started at {FLAGS.start}"
+        raise InputError(FLAGS.end, fault, "give the weights it started from")
     _, given = load_pretrained(located(FLAGS.start))
     start = overlaid(silent(end, fresh), given)
     # Of the rest of its metadata, what was fitted to the end is not true here.

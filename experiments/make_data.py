@@ -15,26 +15,24 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher; what is not given is the set's own."""
-    flags.DEFINE_enum("dataset", "shapes", BUILDERS, "What to build.")
+    flags.DEFINE_enum("dataset", "shapes", BUILDERS, "Data set to build.")
     flags.DEFINE_enum("split", "train", DATASETS["shapes"].splits, "Split to build.")
-    flags.DEFINE_string("output_dir", None, "By default the user's cache folder.")
-    flags.DEFINE_integer("num_workers", None, "By default one for every core.", 0)
-    flags.DEFINE_integer("seed", None, "Of the whole set.")
-    flags.DEFINE_integer("num_shapes", None, "shapes, open: how many.")
-    flags.DEFINE_integer("num_views", None, "Of each shape or model: partial clouds.")
-    flags.DEFINE_string(
-        "partial", None, "Of shapes and models: kind of partial clouds."
-    )
-    flags.DEFINE_integer("num_scenes", None, "scenes: how many.")
+    flags.DEFINE_string("output_dir", None, "Default: the user cache.")
+    flags.DEFINE_integer("num_workers", None, "Default: one per core.", 0)
+    flags.DEFINE_integer("seed", None, "Seed of the data set.")
+    flags.DEFINE_integer("num_shapes", None, "shapes, open: number of shapes.")
+    flags.DEFINE_integer("num_views", None, "Partial clouds per shape or model.")
+    flags.DEFINE_string("partial", None, "shapes, models: kind of partial clouds.")
+    flags.DEFINE_integer("num_scenes", None, "scenes: number of scenes.")
     flags.DEFINE_list(
-        "sources", None, "scenes: of shapes, open, objects; commas between."
+        "sources", None, "scenes: comma-separated, from shapes, open, objects."
     )
-    flags.DEFINE_integer("num_sequences", None, "roboarm: how many.")
-    flags.DEFINE_integer("num_cells", None, "cells: how many.")
-    flags.DEFINE_integer("num_frames", None, "roboarm, cells: frames of each one.")
+    flags.DEFINE_integer("num_sequences", None, "roboarm: number of sequences.")
+    flags.DEFINE_integer("num_cells", None, "cells: number of cells.")
+    flags.DEFINE_integer("num_frames", None, "roboarm, cells: frames each.")
     flags.DEFINE_multi_string("urdf", None, "roboarm: URDF files of your own robots.")
-    flags.DEFINE_string("catalogue_dir", None, "objects, scenes: by default Debian's.")
-    flags.DEFINE_string("mesh_dir", None, "meshes: the folder that holds them.")
+    flags.DEFINE_string("catalogue_dir", None, "objects, scenes. Default: Debian's.")
+    flags.DEFINE_string("mesh_dir", None, "meshes: their folder.")
 
 
 def main():

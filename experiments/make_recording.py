@@ -1,7 +1,7 @@
-"""Simulates a robot cell's recording: python -m experiments.make_recording
+"""Simulates a recording of a robot cell: python -m experiments.make_recording
 
-It writes recording.mcap, with depth images, CameraInfo and joint states, and beside it
-the folder `recording` with the ground truth, and says how to complete it.
+Writes recording.mcap, with depth images, CameraInfo and joint states, and a folder
+`recording` with the ground truth, and prints the command that completes it.
 """
 
 import dataclasses
@@ -21,13 +21,13 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("output", "recording.mcap", "The file to write.")
-    flags.DEFINE_string("arm", "panda", "An arm of the test split, by name.")
-    flags.DEFINE_integer("num_frames", 20, "How many, over one movement.", 2)
-    flags.DEFINE_float("rate", 10.0, "Frames a second.", 0.1)
-    flags.DEFINE_integer("width", 320, "Pixels of the depth camera; 4 to 3.", 16)
+    flags.DEFINE_string("output", "recording.mcap", "File to write.")
+    flags.DEFINE_string("arm", "panda", "Name of an arm of the test split.")
+    flags.DEFINE_integer("num_frames", 20, "Frames of one movement.", 2)
+    flags.DEFINE_float("rate", 10.0, "Frames per second.", 0.1)
+    flags.DEFINE_integer("width", 320, "Image width in pixels (4:3).", 16)
     flags.DEFINE_integer("complete_points", 4096, "Points of the ground truth.", 64)
-    flags.DEFINE_integer("seed", 0, "Of everything.", 0)
+    flags.DEFINE_integer("seed", 0, "Random seed.", 0)
 
 
 def main() -> None:
@@ -48,7 +48,7 @@ def main() -> None:
         raise InputError("--arm", f"no such arm {FLAGS.arm!r}", remedy)
     path = FLAGS.output
     if not path.endswith(".mcap"):
-        raise InputError(path, "is no .mcap file", "name one that ends in .mcap")
+        raise InputError(path, "not an .mcap file", "use the suffix .mcap")
     make_output_dir(pathlib.Path(path).parent)
     config = dataclasses.replace(
         RoboArmConfig(),
@@ -80,13 +80,13 @@ def main() -> None:
     print(f"written     {path}, and the ground truth in {beside}")
     first = f"{beside}/000/000000"
     print(
-        f"complete it prism-stream {path} --camera={first}.camera.json "
+        f"complete    prism-stream {path} --camera={first}.camera.json "
         f"--workspace={box}"
     )
     # The file's own root is where the base is, and all of it is seen, of some arms.
     if arms[FLAGS.arm].root is None and arms[FLAGS.arm].tool_link is None:
         urdf = urdf_path(arms[FLAGS.arm])
-        print(f"its robot   --urdf={urdf} --base={first}.joints.json")
+        print(f"robot       --urdf={urdf} --base={first}.joints.json")
 
 
 def run() -> None:

@@ -1,4 +1,4 @@
-"""Writes the scan that ships with the package, and the whole shape for comparison.
+"""Writes the sample scan of the package, and its complete shape for comparison.
 
 python -m experiments.make_sample --category=car --index=50
 """

@@ -73,7 +73,7 @@ class Mixture:
 def parse_mixture(text: str) -> dict[str, float]:
     """Data sets and their weights, from `shapes:1,open:2`; a weight of 1 can be left
     out. Anything else raises InputError."""
-    remedy = "write it as shapes:1,open:2"
+    remedy = "write shapes:1,open:2"
     weights: dict[str, float] = {}
     for part in text.split(","):
         name, _, weight = part.partition(":")
@@ -82,10 +82,10 @@ def parse_mixture(text: str) -> dict[str, float]:
         except ValueError:
             value = math.nan
         if not name or not 0 < value <= MAX_WEIGHT:
-            fault = f"cannot read {part!r} as a data set and its weight"
+            fault = f"{part!r} is not a data set with a weight"
             raise InputError("--mixture", fault, remedy)
         if name in weights:
-            raise InputError("--mixture", f"names {name} twice", remedy)
+            raise InputError("--mixture", f"{name} is listed twice", remedy)
         weights[name] = value
     return weights
 

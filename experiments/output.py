@@ -15,6 +15,6 @@ def prepare_output(path: str | None, suffix: str, flag: str = "--output") -> Non
     if path is None:
         return
     if pathlib.Path(path).suffix != suffix:
-        remedy = f"name a file that ends in {suffix}"
-        raise InputError(flag, f"{path} is no {suffix} file", remedy)
+        remedy = f"use the suffix {suffix}"
+        raise InputError(flag, f"{path} is not a {suffix} file", remedy)
     make_output_dir(pathlib.Path(path).parent)

@@ -1,4 +1,4 @@
-"""Packs data sets into one folder of shards, ready to be trained on.
+"""Packs data sets into one folder of shards for training.
 
 python -m experiments.pack --dataset=roboarm --dataset=shapes --limit=4000 \
     --split=train --output_dir=DIR
@@ -24,14 +24,14 @@ FLAGS = flags.FLAGS
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_multi_enum("dataset", ["shapes"], DATASETS, "What; one or several.")
-    flags.DEFINE_string("data_dir", None, "Their folder; shapes and roboarm have one.")
-    flags.DEFINE_enum("split", "train", ("train", "validation"), "What it is for.")
-    flags.DEFINE_string("output_dir", None, "Where it goes.", required=True)
-    flags.DEFINE_integer("limit", 0, "Most of a set, evenly spaced; 0 for all.", 0)
-    flags.DEFINE_integer("num_partial", 2048, "Points of a partial cloud.", 1)
-    flags.DEFINE_integer("num_complete", 16_384, "Points of a complete cloud.", 1)
-    flags.DEFINE_integer("num_workers", None, "By default one for every core.", 0)
+    flags.DEFINE_multi_enum("dataset", ["shapes"], DATASETS, "Data sets to pack.")
+    flags.DEFINE_string("data_dir", None, "Folder of the data sets.")
+    flags.DEFINE_enum("split", "train", ("train", "validation"), "Purpose.")
+    flags.DEFINE_string("output_dir", None, "Output folder.", required=True)
+    flags.DEFINE_integer("limit", 0, "Maximum per data set; 0 for all.", 0)
+    flags.DEFINE_integer("num_partial", 2048, "Points per partial cloud.", 1)
+    flags.DEFINE_integer("num_complete", 16_384, "Points per complete cloud.", 1)
+    flags.DEFINE_integer("num_workers", None, "Default: one per core.", 0)
 
 
 def main():

@@ -1,11 +1,11 @@
-"""Trains released weights on unlabelled frames of one's own cells.
+"""Adapts released weights to unlabelled frames of your own cells.
 
 python -m experiments.plant --recordings=DIR --weights=small --output=FILE
 
-Recordings are laid out as docs/data.md says; their truth, if they have one, is not
-used. A part of what was measured is hidden, and the network has to return it. Every
-fifth sequence, or frame where sequences are fewer than five, is held out: unless what
-is hidden of those comes nearer by a tenth, nothing is written and the status is 1.
+docs/data.md describes the layout of recordings; ground truth is not used. Some measured
+points are hidden, and the network learns to predict them. Every fifth sequence is held
+out (or frame, if there are fewer than five sequences). If the error at hidden points of
+those does not fall by a tenth, nothing is written and the status is 1.
 """
 
 import functools
@@ -73,14 +73,14 @@ MORE = 0.04  # so many more predicted points may contradict what was measured
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("recordings", None, "Your recordings.", required=True)
-    flags.DEFINE_string("weights", "small", "To start from, by name or by file.")
+    flags.DEFINE_string("recordings", None, "Folder of your recordings.", required=True)
+    flags.DEFINE_string("weights", "small", "Initial weights, name or file.")
     flags.DEFINE_string("output", None, "Weights to write.", required=True)
-    flags.DEFINE_float("minutes", 15.0, "To end after.", 0.0)
-    flags.DEFINE_integer("steps", None, "To end after, however long they take.", 0)
-    flags.DEFINE_integer("seed", 0, "Of the frames' order and the occlusions.")
-    flags.DEFINE_integer("frames", None, "Evenly spaced, so many; all by default.", 1)
-    flags.DEFINE_multi_string("set", [], "Changes of settings, as whole=0.5.")
+    flags.DEFINE_float("minutes", 15.0, "Time limit in minutes.", 0.0)
+    flags.DEFINE_integer("steps", None, "Stop after this many steps instead.", 0)
+    flags.DEFINE_integer("seed", 0, "Seed of frame order and occlusions.")
+    flags.DEFINE_integer("frames", None, "Frames to use. Default: all.", 1)
+    flags.DEFINE_multi_string("set", [], "Settings to change, such as whole=0.5.")
 
 
 def main():
@@ -99,8 +99,8 @@ def main():
     adapted, told = adapt(used, variables, frames, settings, FLAGS.seed, *ending)
     print(words := in_words(told))
     if not told["check"]["passed"]:
-        fault = "what is hidden of held-out frames is not a tenth nearer for certain"
-        remedy = "keep the weights as they are, or record more varied frames"
+        fault = "no certain 10 % gain on hidden points of held-out frames"
+        remedy = "keep the old weights, or record more varied frames"
         raise SomeFailed([f"not written: {fault}; {remedy}"])
     # The calibration of the weights before is not theirs: they come without one.
     before, sha = known_of(FLAGS.weights), file_sha256(located(FLAGS.weights))

@@ -1,10 +1,10 @@
-"""Completes every real scan of a folder, and scores what has a truth.
+"""Completes every real scan of a folder, and scores those with ground truth.
 
     python -m experiments.real --data_dir=../shared/real --weights=small \
         --output=docs/tables/real.json
 
-Some come with the true shape, labels, a box about the object, or the output of another
-network. Scans that cannot be read are left out, with a line on stderr.
+Some come with the true shape, labels, a box around the object, or the output of another
+network. Scans that cannot be read are skipped, with a line on stderr.
 """
 
 import pathlib
@@ -89,8 +89,8 @@ def labelled(path: pathlib.Path) -> Given:
     pcd, given = str(path.with_suffix(".pcd")), scanned(path)
     finite = np.isfinite(read_pcd(pcd)).all(axis=1)
     if len(given.points) != finite.sum():
-        fault = f"has {len(given.points):,} points, and its labels {finite.sum():,}"
-        raise io.InputError(path, fault, "put the PCD of the same frame beside it")
+        fault = f"{len(given.points):,} points, but {finite.sum():,} labels"
+        raise io.InputError(path, fault, "add the PCD of the same frame")
     label = read_pcd_field(pcd, "label")[finite]
     names, counts = np.unique(label, return_counts=True)
     things = [label == name for name in names[np.argsort(-counts, kind="stable")][1:]]
@@ -146,7 +146,7 @@ def captured(path: pathlib.Path) -> Given:
         if stream.remarks["incomplete"] == lacking:
             return Given(near(frame.points.astype(np.float64)), AT_ORIGIN)
         lacking = stream.remarks["incomplete"]
-    raise io.InputError(path, "has no whole frame", "check how it was recorded")
+    raise io.InputError(path, "no complete frame", "check how it was recorded")
 
 
 def near(points: np.ndarray) -> np.ndarray:
@@ -213,7 +213,7 @@ def row_of(completer: Completer, spec: Spec, scan: Given) -> dict[str, Any]:
 def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("data_dir", "../shared/real", "Folder of the real scans.")
-    flags.DEFINE_string("weights", "small", "A name, or a file.")
+    flags.DEFINE_string("weights", "small", "Weights, name or file.")
     flags.DEFINE_string("output", None, "JSON file to write.")
 
 
@@ -226,9 +226,9 @@ def main() -> None:
             given[spec] = spec.read(pathlib.Path(FLAGS.data_dir, spec.file))
         except io.InputError as error:
             left_out[spec.name] = str(error)
-            print(f"{spec.name} is left out: {error}", file=sys.stderr)
+            print(f"skipped {spec.name}: {error}", file=sys.stderr)
     if not given:
-        raise io.InputError(FLAGS.data_dir, "has none of the scans", "see above")
+        raise io.InputError(FLAGS.data_dir, "none of the scans found", "see above")
     completer = Completer.from_pretrained(located(FLAGS.weights))
     rows = [row_of(completer, spec, scan) for spec, scan in tqdm(given.items())]
     result = {"commit": commit(), "unit": UNIT, "left_out": left_out, "scans": rows}

@@ -1,9 +1,9 @@
-"""Puts a run's weights into the package, with their measured scores in the metadata.
+"""Adds a run's weights to the package, with their scores in the metadata.
 
 python -m experiments.release --weights=FILE --scores=EVALUATION.json \
     --calibration=CALIBRATION.json --name=small
 
-Scores, notes and calibration that are not given stay as they are.
+Existing scores, notes and calibration are kept unless given.
 """
 
 import json
@@ -32,13 +32,15 @@ FITTED = ("calibration", "trust", "point_errors", "sigma")
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("weights", None, "File of a finished run.", required=True)
+    flags.DEFINE_string(
+        "weights", None, "Weights file of a finished run.", required=True
+    )
     flags.DEFINE_multi_string("scores", [], "JSON files of experiments.evaluate.")
     flags.DEFINE_string("calibration", None, "JSON file of experiments.calibrate.")
-    flags.DEFINE_string("name", None, "Name to ship under.", required=True)
-    flags.DEFINE_string("output_dir", str(ASSETS), "Where it goes.")
-    flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
-    flags.DEFINE_multi_string("note", [], "What else is to be known of the weights.")
+    flags.DEFINE_string("name", None, "Name of the released weights.", required=True)
+    flags.DEFINE_string("output_dir", str(ASSETS), "Output folder.")
+    flags.DEFINE_multi_string("set", [], "Settings to change: path.to.field=value.")
+    flags.DEFINE_multi_string("note", [], "Note for the model card.")
 
 
 def main():
@@ -68,8 +70,8 @@ def _scores(path: str) -> dict[str, Any]:
 def _result(path: str) -> dict[str, Any]:
     result = json.loads(pathlib.Path(path).read_text())
     if result.get("weights_sha256") != file_sha256(FLAGS.weights):
-        fault = f"is of {result['weights']}, not of {FLAGS.weights} as it is"
-        raise InputError(path, fault, "make it for the weights that are released")
+        fault = f"made for {result['weights']}, not for the current {FLAGS.weights}"
+        raise InputError(path, fault, "rerun it for the weights to release")
     return result
 
 

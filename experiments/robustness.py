@@ -1,9 +1,9 @@
-"""What turning, tilting, thinning, noise and cropping do to completions.
+"""Measures how rotation, tilt, sparsity, noise and cropping affect completions.
 
     python -m experiments.robustness --weights=small --output=FILE.json
 
-Every view of a validation split is shifted and completed as a user's scan is. A shift
-changes the partial cloud, its sensor and the frame of both; the truth follows.
+Every view of a validation split is changed and completed like a user's scan. A change
+applies to the partial cloud, its sensor and their frame; the ground truth follows.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -183,10 +183,10 @@ def table(title: str, rows: Mapping[str, Mapping[str, Any]]) -> str:
 
 def define_flags() -> None:
     """The flags of this launcher."""
-    flags.DEFINE_string("weights", "small", "A name, or a file.")
-    flags.DEFINE_enum("dataset", "shapes", ("shapes", "roboarm"), "Whose validation.")
-    flags.DEFINE_integer("limit", None, "So many views, evenly spaced.", lower_bound=1)
-    flags.DEFINE_multi_enum("shift", list(SHIFTS), list(SHIFTS), "Which ones.")
+    flags.DEFINE_string("weights", "small", "Weights, name or file.")
+    flags.DEFINE_enum("dataset", "shapes", ("shapes", "roboarm"), "Its validation.")
+    flags.DEFINE_integer("limit", None, "Views to use, evenly spaced.", lower_bound=1)
+    flags.DEFINE_multi_enum("shift", list(SHIFTS), list(SHIFTS), "Shifts to apply.")
     flags.DEFINE_string("output", None, "JSON file to write.")
 
 

@@ -42,17 +42,19 @@ def define_frame_flags(
     split: str | None, dataset: str = "shapes", limit: int | None = None
 ) -> None:
     """The flags that choose examples and how a network's input is framed."""
-    flags.DEFINE_enum("dataset", dataset, DATASETS, "What to score on.")
-    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
-    flags.DEFINE_string("split", split, "The data set's split.")
+    flags.DEFINE_enum("dataset", dataset, DATASETS, "Data set to score on.")
+    flags.DEFINE_string("data_dir", None, "Folder of the data set.")
+    flags.DEFINE_string("split", split, "Split of the data set.")
     flags.DEFINE_enum(
         "normalisation",
         None,
         NORMALISATIONS,
-        "What frames the network's input: the partial cloud, the complete one as in "
-        "the paper, or nothing; partial, or own if published.",
+        "Normalise the input by the partial cloud, the complete one (as in the paper) "
+        "or not at all. Default: partial, or own if published.",
     )
-    flags.DEFINE_integer("limit", limit, "The first so many examples only.", 1)
+    flags.DEFINE_integer(
+        "limit", limit, "Number of examples to use, from the first on.", 1
+    )
 
 
 def open_split(split: str) -> Source:
@@ -109,14 +111,14 @@ def require_equal_sizes(sizes: Mapping[str, NetworkSize]) -> None:
     (first, wanted), *others = sizes.items()
     for name, found in others:
         if found != wanted:
-            fault = f"is made for {found}, and {first} for {wanted}"
-            raise InputError(name, fault, "compare weights of one size")
+            fault = f"made for {found}, but {first} for {wanted}"
+            raise InputError(name, fault, "compare weights of the same size")
 
 
 def require_looks(weights: str, config: PrismConfig) -> None:
     """InputError unless weights complete in the poses that a verdict compares."""
     if config.model.poses < LOOKS:
-        fault = f"completes in fewer than the {LOOKS} poses that a verdict compares"
+        fault = f"uses fewer than the {LOOKS} poses needed for a confidence"
         remedy = f"release it with --set=model.poses={LOOKS} first"
         raise InputError(weights, fault, remedy)
 

@@ -26,7 +26,7 @@ def changed(config: Any, changes: Sequence[str]) -> Any:
     for change in changes:
         path, equals, text = change.partition("=")
         if not equals:
-            raise InputError(change, "not a change", "write path.to.field=value")
+            raise InputError(change, "not a setting", "write path.to.field=value")
         config = _replaced(config, type(config), path.split("."), text, change)
     return config
 
@@ -37,7 +37,7 @@ def _replaced(config: Any, kind: Any, path: list[str], text: str, change: str) -
     name, *rest = path
     parts = _parts(config, kind)
     if name not in parts:
-        remedy = f"use one of {', '.join(parts)}" if parts else "leave it out"
+        remedy = f"use one of {', '.join(parts)}" if parts else "omit it"
         raise InputError(change, f"no field {name!r}", remedy)
     value = _replaced(*parts[name], rest, text, change)
     if isinstance(config, tuple):
@@ -46,7 +46,7 @@ def _replaced(config: Any, kind: Any, path: list[str], text: str, change: str) -
     try:
         return dataclasses.replace(config, **{name: value})
     except ValueError as error:
-        raise InputError(change, str(error), "give a value in its range") from None
+        raise InputError(change, str(error), "give a valid value") from None
 
 
 def _parts(config: Any, kind: Any) -> dict[str, tuple[Any, Any]]:
@@ -70,7 +70,7 @@ def _value(kind: Any, text: str, change: str) -> Any:
     if not _fits(value, kind):
         name = kind.__name__ if isinstance(kind, type) else str(kind)
         choice = f"one of {', '.join(get_args(kind))}" if word else f"of type {name}"
-        raise InputError(change, f"not {choice}", "give a value that is")
+        raise InputError(change, f"not {choice}", "give a valid value")
     return value
 
 

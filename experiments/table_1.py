@@ -1,8 +1,8 @@
-"""Table I: PRISM beside other networks, and beside completions without a network.
+"""Table I: PRISM, other networks, and baselines without a network.
 
 python -m experiments.table_1 --split=test --output=tables/table_1.json
 
-`experiments/train_table_1.sh` trains all of them on as many samples each.
+`experiments/train_table_1.sh` trains all of them on equally many samples.
 """
 
 import dataclasses
@@ -60,19 +60,19 @@ COMPARED = [column for column in COLUMNS if column.statistic == "mean"]
 def define_flags() -> None:
     """The flags of this launcher."""
     define_scoring_flags(split="test")
-    flags.DEFINE_string("weights", "prism", "PRISM's, by name or by file.")
+    flags.DEFINE_string("weights", "prism", "PRISM weights, name or file.")
     flags.DEFINE_string(
         "backbone",
         "crapcn",
-        "Of the backbone that is told nothing, by name or by file.",
+        "Weights of the backbone without visibility, name or file.",
     )
     flags.DEFINE_multi_string(
         "network",
         None,
-        "Others, by name or by file; if not given, all whose weights lie here.",
+        "Other networks, name or file. Default: all with weights here.",
     )
     flags.DEFINE_multi_string(
-        "longer", [], "PRISM's that were trained for longer, for rows of their own."
+        "longer", [], "PRISM weights trained for longer, in extra rows."
     )
 
 
@@ -86,8 +86,8 @@ def main():
     longer = {name: in_one_pose(name) for name in FLAGS.longer}
     for name, (own, _) in longer.items():
         if own.model.heading != config.model.heading:
-            fault = f"knows objects in other headings than {FLAGS.weights}"
-            raise InputError(name, fault, "compare weights of one heading")
+            fault = f"assumes other headings than {FLAGS.weights}"
+            raise InputError(name, fault, "compare weights with the same heading")
     sizes = {FLAGS.weights: prism_size(config), FLAGS.backbone: prism_size(alone)}
     sizes |= {name: prism_size(own) for name, (own, _) in longer.items()}
     for name, (module, own) in others.items():

@@ -1,4 +1,4 @@
-"""Table II: what adaptation gains, by its steps, and what meta-learning gains.
+"""Table II: the effect of adaptation, by number of steps, and of meta-learning.
 
 python -m experiments.table_2 --split=test --output=tables/table_2.json
 """
@@ -38,11 +38,11 @@ PRETRAINED, META = "pretrained", "meta-trained"
 def define_flags() -> None:
     """The flags of this launcher."""
     define_scoring_flags(split="test")
-    flags.DEFINE_string("weights", "small-meta", "Meta-trained, by name or by file.")
+    flags.DEFINE_string("weights", "small-meta", "Meta-trained weights, name or file.")
     flags.DEFINE_string(
         "pretrained",
         "small-meta-pretrained",
-        "Trained on as many samples without the method, by name or by file.",
+        "Weights trained on as many samples without the method.",
     )
     flags.DEFINE_multi_integer(
         "steps", [1, 3, 5, 10], "Numbers of adaptation steps.", 1

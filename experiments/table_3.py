@@ -1,4 +1,4 @@
-"""Table III: what each auxiliary branch brings, on robots that no training has seen.
+"""Table III: the effect of each auxiliary branch, on robots unseen in training.
 
 python -m experiments.table_3 --output=tables/table_3.json
 """
@@ -43,7 +43,7 @@ def define_flags() -> None:
     flags.DEFINE_multi_string(
         "weights",
         [],
-        "Other weights for a row, as LABEL=NAME|FILE; the labels are "
+        "Weights for a row, LABEL=NAME|FILE. Labels: "
         f"{', '.join(VARIANTS)}, or new ones.",
     )
 

@@ -1,4 +1,4 @@
-"""Trains a preset on a data set, the procedural shapes unless told otherwise.
+"""Trains a preset on a data set, by default the procedural shapes.
 
 python -m experiments.train --preset=small --workdir=DIR [--weights=FILE] [--resume]
 python -m experiments.train --phase=meta --preset=small --weights=FILE --workdir=DIR
@@ -74,7 +74,7 @@ def main():
         best, last = pretrain(*settings, FLAGS.max_steps, variables), ""
     path = folder / "weights.safetensors"
     if best is None:
-        print(f"stopped; go on with --workdir={folder} --resume{last}")
+        print(f"stopped; resume with --workdir={folder} --resume{last}")
     else:
         save_weights(path, preset.config, best, {**about, "pretrained": before})
         print(f"written {path}{last}")
@@ -84,8 +84,8 @@ def run():
     """The entry point."""
     define_training_flags()
     phases = ("pretrain", "meta")
-    flags.DEFINE_enum("phase", "pretrain", phases, "meta: in episodes (Eq. 12).")
-    flags.DEFINE_string("weights", None, "To start from, by name or by file.")
+    flags.DEFINE_enum("phase", "pretrain", phases, "meta: meta-training (Eq. 12).")
+    flags.DEFINE_string("weights", None, "Initial weights, name or file.")
     launch("train", main)
 
 

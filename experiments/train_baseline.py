@@ -1,4 +1,4 @@
-r"""Trains a network to compare with, as our own backbone is trained.
+r"""Trains a baseline network in the same way as our own backbone.
 
 python -m experiments.train_baseline --network=pcn --workdir=DIR [--samples=N] \
     [--resume]
@@ -33,7 +33,7 @@ def main():
     preset = resolve(FLAGS.preset, FLAGS.set)
     sizes = NETWORKS[FLAGS.network]
     if FLAGS.preset not in sizes:
-        fault = f"{FLAGS.network} has no size for {FLAGS.preset}"
+        fault = f"{FLAGS.network} has no preset {FLAGS.preset}"
         raise InputError("--preset", fault, f"use one of {', '.join(sizes)}")
     config, network = preset.pretrain, sizes[FLAGS.preset]
     num_samples = FLAGS.samples
@@ -54,7 +54,7 @@ def main():
     training = network_phase(network, num_points, phase, config, FLAGS.seed)
     trained = train_phase(training, data, folder, FLAGS.max_steps)
     if not trained.done:
-        print(f"stopped; go on with --workdir={folder} --resume")
+        print(f"stopped; resume with --workdir={folder} --resume")
     else:
         about = {
             "seed": FLAGS.seed,
@@ -71,11 +71,11 @@ def run():
     """The entry point."""
     define_training_flags()
     names = sorted(NETWORKS)
-    flags.DEFINE_enum("network", None, names, "Which.", required=True)
+    flags.DEFINE_enum("network", None, names, "Network to train.", required=True)
     flags.DEFINE_integer(
         "samples",
         None,
-        "To train on, repetitions counted; as many as the preset's if not given.",
+        "Training samples, repetitions included. Default: the preset's.",
         1,
     )
     launch("train_baseline", main)

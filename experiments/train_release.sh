@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
-# From nothing, or from other weights, to weights that can be released: trains, trains a
-# control of as many samples without the method, scores both, and exports them.
+# Trains weights for a release, from scratch or from other weights: trains, trains a
+# control on as many samples without the method, scores both, and exports them.
 #
 #     experiments/train_release.sh --workdir=DIR --preset=small [--weights=FILE] ...
 #
-# After an interruption give the same command again: what is done is not done again, and
-# a training goes on where it was. Other arguments are refused. Its own flags:
+# After an interruption, repeat the command: finished steps are skipped and trainings
+# resume. Other arguments are rejected. Its own flags:
 #
-#     --workdir=DIR          where everything goes
-#     --name=NAME            of the weights; the preset's if not given
-#     --weights=NAME|FILE    to start from; from nothing if not given
-#     --scored=SET[=FOLDER]  what to score on, again for others; shapes if not given
+#     --workdir=DIR          output folder
+#     --name=NAME            of the weights; default: the preset's
+#     --weights=NAME|FILE    initial weights; default: from scratch
+#     --scored=SET[=FOLDER]  data set to score on; repeatable; default: shapes
 #     --scored_at_once=N     examples, as memory allows
 #     --branches=LIST        also meta-train with these branches alone, as align,normal
 #                            (Table III); again for others
@@ -35,14 +35,14 @@ for flag in "$@"; do
     --branches=*) branches+=("$value") ;;
     --preset=*) name=$value flags+=("$flag") ;;
     --?*=*) flags+=("$flag") ;;
-    *) fail "$flag: is no flag" "write --name=value for each" ;;
+    *) fail "$flag: not a flag" "write flags as --name=value" ;;
     esac
 done
 for part in ${branches[*]//,/ }; do
     [[ $part =~ ^(normal|denoise|align)$ ]] ||
-        fail "--branches: $part is none" "use normal, denoise, align"
+        fail "--branches: unknown value $part" "use normal, denoise, align"
 done
-[[ $workdir ]] || fail "--workdir: is missing" "say where everything goes"
+[[ $workdir ]] || fail "--workdir: missing" "set the output folder"
 name=${named:-$name}
 
 # Builds and opens a set's splits that no training sees, and prints their names.

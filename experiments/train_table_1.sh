@@ -31,10 +31,10 @@ for flag in "$@"; do
     --samples=*) samples=$value ;;
     --only=*) only+=("$value") ;;
     --?*=*) flags+=("$flag") ;;
-    *) fail "$flag: is no flag" "write --name=value for each" ;;
+    *) fail "$flag: not a flag" "write flags as --name=value" ;;
     esac
 done
-[[ $workdir ]] || fail "--workdir: is missing" "say where everything goes"
+[[ $workdir ]] || fail "--workdir: missing" "set the output folder"
 [[ $samples =~ ^[1-9][0-9]*$ ]] || fail "--samples: is $samples" "give a whole number"
 names=("${others[@]}" crapcn prism)
 for name in "${only[@]}"; do

@@ -33,15 +33,15 @@ def define_training_flags() -> None:
     """The flags of a launcher that trains."""
     flags.DEFINE_string("preset", "small", "Configuration: tiny, small or paper.")
     flags.DEFINE_string("workdir", None, "Run directory.", required=True)
-    flags.DEFINE_integer("seed", 0, "Seed of initialisation and data order.")
-    flags.DEFINE_bool("resume", False, "Go on with the run in --workdir.")
-    flags.DEFINE_integer("max_steps", None, "End a phase at this step.")
-    flags.DEFINE_enum("dataset", "shapes", DATASETS, "What to train on.")
-    flags.DEFINE_string("mixture", None, "Weighted sets, as shapes:1,packed:2.")
-    flags.DEFINE_float("whole", None, "Of a mixture: share of whole views.", 0.0, 1.0)
-    flags.DEFINE_string("data_dir", None, "Its folder; shapes and roboarm have one.")
-    flags.DEFINE_integer("num_workers", 0, "Processes that read ahead; 0 for threads.")
-    flags.DEFINE_multi_string("set", [], "Changes, as path.to.field=value.")
+    flags.DEFINE_integer("seed", 0, "Seed of the initialisation and data order.")
+    flags.DEFINE_bool("resume", False, "Resume the run in --workdir.")
+    flags.DEFINE_integer("max_steps", None, "Stop a phase at this step.")
+    flags.DEFINE_enum("dataset", "shapes", DATASETS, "Data set to train on.")
+    flags.DEFINE_string("mixture", None, "Weighted data sets: shapes:1,packed:2.")
+    flags.DEFINE_float("whole", None, "Share of uncropped views.", 0.0, 1.0)
+    flags.DEFINE_string("data_dir", None, "Folder of the data set.")
+    flags.DEFINE_integer("num_workers", 0, "Loader processes; 0 uses threads.")
+    flags.DEFINE_multi_string("set", [], "Settings to change: path.to.field=value.")
 
 
 _KNOWN = ("preset", "seed", "commit", "data", "samples", "pretrained", "interpolated")
@@ -80,7 +80,7 @@ def beginning(
         for name in ("heading", "background", "uses_visibility", "poses")
     }
     if config.model != dataclasses.replace(wanted, backbone=less, **use):
-        remedy = "choose the preset that they were trained with, or --set its fields"
+        remedy = "use the preset that they were trained with, or --set its fields"
         raise InputError(weights, f"not weights of {whose}", remedy)
     reach = wanted.backbone.offset_reach
     if dataclasses.replace(given, offset_reach=reach) != wanted.backbone:
@@ -169,7 +169,7 @@ def _weights() -> dict[str, float]:
     """The flags' data sets, and how often each is seen."""
     if FLAGS.mixture is None:
         if FLAGS.whole is not None:
-            raise InputError("--whole", "is of a mixture", "give --mixture too")
+            raise InputError("--whole", "needs a mixture", "set --mixture too")
         return {FLAGS.dataset: 1.0}
     return parse_mixture(FLAGS.mixture)
 

@@ -133,7 +133,7 @@ def test_cards_of_the_weights_need_no_extra_either(core):
 def test_a_missing_extra_is_one_line(package, extra, command):
     program = [sys.executable, "-c", WITHOUT_EXTRA, package, command]
     ended = subprocess.run(program, cwd=ROOT, capture_output=True, text=True)
-    told = f'{package}: is not installed; install the extra: pip install "prism_jax'
+    told = f'{package}: not installed; install the extra: pip install "prism_jax'
     assert ended.stderr == f'{command}: {told}[{extra}]"\n'
     assert ended.returncode != 0
 

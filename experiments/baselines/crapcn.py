@@ -32,7 +32,7 @@ def load_torch(path: str | os.PathLike, config: BackboneConfig) -> dict[str, Any
         reason = str(error).partition("\n")[0]
         raise InputError(
             path,
-            f"is not a PyTorch checkpoint of tensors alone ({reason})",
+            f"not a PyTorch checkpoint of tensors only ({reason})",
             "save it again as torch.save(model.state_dict(), path)",
         ) from error
     try:

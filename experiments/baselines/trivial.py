@@ -54,7 +54,7 @@ def training_mean(
     examples, raises InputError.
     """
     if len(source) == 0:
-        raise InputError("data", "holds no examples", "use a set with some")
+        raise InputError("data", "no examples", "use a data set with examples")
     rng = np.random.default_rng(seed)
     rows = np.resize(rng.permutation(len(source)), num_outputs)
     points = np.empty((num_outputs, 3), np.float32)

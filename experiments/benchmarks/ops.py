@@ -51,7 +51,7 @@ def _optional(name: str) -> Any | None:
     try:
         return importlib.import_module(name)
     except ImportError:
-        print(f"{name} is not installed: rows against it are left out", flush=True)
+        print(f"{name} is not installed: its rows are skipped", flush=True)
         return None
 
 

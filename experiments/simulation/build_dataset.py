@@ -63,8 +63,8 @@ def _meshes(
     from experiments.simulation.packing import build_meshes
 
     if mesh_dir is None or data_dir is None:
-        remedy = "name the folder of meshes with --mesh_dir, and --output_dir"
-        raise InputError("meshes", "have no folder of their own", remedy)
+        remedy = "set --mesh_dir to the folder of meshes, and --output_dir"
+        raise InputError("meshes", "need --mesh_dir", remedy)
     return build_meshes(mesh_dir, pathlib.Path(data_dir) / split, num_workers)
 
 

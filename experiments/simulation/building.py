@@ -52,7 +52,7 @@ def build(
             bar.update(sizes[number])
     files = hash_files(folder)
     for name in sorted(set(listed) - set(files)):
-        fault = "is missing from what was finished"
+        fault = "finished file is missing"
         raise InputError(folder / name, fault, "delete the folder and build again")
     write_manifest(folder, {**wanted, "files": files})
     return folder
@@ -69,18 +69,18 @@ def _begun(folder: pathlib.Path, content: dict[str, Any]) -> list[str]:
     path = folder / MANIFEST
     if not path.exists():
         if any(not entry.name.startswith(".") for entry in folder.iterdir()):
-            raise InputError(folder, "is not empty", "name a new folder")
+            raise InputError(folder, "not empty", "choose a new folder")
         write_manifest(folder, {**content, "files": None})
         return []
     try:
         found = json.loads(path.read_text())
         files = list(found.pop("files") or [])
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(path, "is not a manifest", "delete the folder") from None
+        raise InputError(path, "not a valid manifest", "delete the folder") from None
     if found != content:
         changed = [k for k in {*found, *content} if found.get(k) != content.get(k)]
-        fault = f"was built with other settings ({', '.join(sorted(changed))})"
-        remedy = "go on with those, name a new folder, or delete this one"
+        fault = f"built with other settings ({', '.join(sorted(changed))})"
+        remedy = "use those, choose a new folder, or delete this one"
         raise InputError(folder, fault, remedy)
     return files
 

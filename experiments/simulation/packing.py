@@ -108,7 +108,7 @@ def _examples(
     for row in rows:
         example = sources[name][row]
         if example.partial is None or example.complete is None:
-            fault = "has no partial or no complete cloud"
+            fault = "no partial or no complete cloud"
             remedy = "pack a source whose examples have both clouds"
             raise InputError(example.name, fault, remedy)
         if ordered is None or not np.array_equal(given, example.complete):
@@ -197,7 +197,7 @@ def build_meshes(
 def _find(base: pathlib.Path) -> list[pathlib.Path]:
     """All mesh files below a folder, in the order of their paths."""
     if not base.is_dir():
-        raise InputError(base, "no such folder", "name a folder of meshes")
+        raise InputError(base, "no such folder", "give a folder of meshes")
     found = [
         pathlib.Path(folder, name)
         for folder, _, names in os.walk(base)
@@ -205,8 +205,8 @@ def _find(base: pathlib.Path) -> list[pathlib.Path]:
         if pathlib.Path(name).suffix.lower() in SUFFIXES
     ]
     if not found:
-        fault = f"holds no mesh ({' '.join(SUFFIXES)})"
-        raise InputError(base, fault, "name a folder of meshes")
+        fault = f"no meshes ({' '.join(SUFFIXES)})"
+        raise InputError(base, fault, "give a folder of meshes")
     return sorted(found)
 
 
@@ -218,16 +218,16 @@ def parse_mesh(
     What cannot be read, has no area or is not finite raises InputError about the
     subject.
     """
-    remedy = "export it again as a mesh of triangles, or take it away"
+    remedy = "export it again as a triangle mesh, or remove it"
     try:
         mesh = trimesh.load_mesh(io.BytesIO(data), file_type=file_type, process=False)
         mesh.remove_unreferenced_vertices()
         sound = len(mesh.faces) > 0 and bool(np.isfinite(mesh.triangles).all())
     except Exception as error:  # trimesh's parsers raise of every kind
-        fault = f"cannot be read as a mesh ({error})"
+        fault = f"not a readable mesh ({error})"
         raise InputError(subject, fault, remedy) from None
     if not sound or not mesh.area > 0:
-        raise InputError(subject, "has no surface, or one that is not finite", remedy)
+        raise InputError(subject, "no surface, or not finite", remedy)
     return mesh
 
 

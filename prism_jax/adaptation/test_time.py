@@ -59,16 +59,16 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
     exactly ``config.model.backbone.num_points`` points (`prism_jax.geometry.resample`)
     and a camera, both in the unit workspace (`prism_jax.Workspace`), and returns a
     `Completion`. A network that reads visibility can be given that as well; otherwise
-    it has what the cloud says of it. The function is pure: ``jit`` it, ``vmap`` it over
+    it is derived from the cloud. The function is pure: ``jit`` it, ``vmap`` it over
     partials and cameras (each frame then has its own encoders), embed it. Only the two
-    encoders move; everything else, BatchNorm's statistics included, is read and never
-    written. The completion is differentiable in the variables, through the steps; no
-    gradient reaches the cloud or the camera. That of a frame whose adaptation was
-    refused because it was not finite is not finite either.
+    encoders are updated; everything else is constant, BatchNorm statistics included.
+    The completion is differentiable in the variables, through the steps; no gradient
+    reaches the cloud or the camera. If adaptation was rejected because a value was not
+    finite, the gradient is not finite either.
 
-    If a loss or a coordinate is not finite, or the objective after the last step is
-    above that before the first, the completion of the network as it was is returned
-    and ``accepted`` is False. With ``num_steps=0`` nothing is adapted.
+    If a loss or a coordinate is not finite, or the last objective is above the first,
+    adaptation is rejected: ``accepted`` is False, and the completion is that of the
+    network without adaptation. With ``num_steps=0`` nothing is adapted.
     """
 
     settings = config.adapt

@@ -1,11 +1,11 @@
-"""prism-complete: partial scans in; completed clouds, their figures and reports out.
+"""prism-complete: completes partial scans and writes clouds and reports.
 
     prism-complete --input=scan.ply --output_dir=out
     prism-complete scan.ply others/ --output_dir=out
 
-Without a scan it completes a sample that ships with the package. If the input cannot be
-used, it ends with status 2 and one line on stderr. Of several inputs the others are
-done, and the status is 1 unless none could be used.
+Without a scan it completes a bundled sample. If the input cannot be used, it exits with
+status 2 and one line on stderr. If only some of several inputs cannot be used, the
+others are completed and the status is 1.
 """
 
 import contextlib
@@ -61,73 +61,72 @@ def define_flags() -> None:
         "input",
         None,
         "Partial scan: .ply .pcd .npy .npz .xyz .txt .csv, or a 16-bit depth .png. "
-        "A bundled sample if not given.",
+        "Default: a bundled sample.",
     )
     flags.DEFINE_string("ground_truth", None, "Complete cloud to score against.")
     flags.DEFINE_string(
         "camera",
         None,
-        "JSON of the camera that saw the scan. For a depth image: the .json of the "
-        "same name if not given. For a cloud: one at the origin looking at it, or "
-        "where the points look seen from if the origin is far away, as a map's is, "
-        "among the points, or where it would not have seen them.",
+        "Camera JSON. Default for a depth image: the .json of the same name. Default "
+        "for a cloud: a camera at the origin that looks at the points; if the origin "
+        "is too far away, among the points, or on their far side, the position is "
+        "estimated from the points.",
     )
     flags.DEFINE_string(
         "workspace",
         None,
-        "Box to crop the scan to, x0,y0,z0,x1,y1,z1 in the units of the input, and "
-        "the ground truth alike. What is added may reach beyond it, within the "
-        "cube that is completed: its side is 1.4 times the points' longest. What was "
-        "measured outside tells where beside the object nothing can be.",
+        "Box x0,y0,z0,x1,y1,z1 in input units that the scan and the ground truth are "
+        "cropped to. Points outside it still show which space is free. Added points "
+        "may lie outside the box, but inside the completed cube: its side is 1.4 times "
+        "the longest side of the cropped points.",
     )
     flags.DEFINE_integer(
         "max_points",
         io.MAX_POINTS,
-        "A file of more points or pixels is refused before it is read.",
+        "Files with more points or pixels are rejected before they are read.",
         lower_bound=1,
     )
     flags.DEFINE_string(
         "up",
         None,
-        "Direction of the input that points upwards: x, y, z, -x, -y, -z, three "
-        "numbers x,y,z, or auto: across the plane that objects stand on, as the "
-        "camera was held, or z. If not given, -y for a depth image in its camera's "
-        "own axes, and z for one whose camera is turned by 10 degrees or more "
-        "(--camera) and for a cloud.",
+        "Up direction in the input frame: x, y, z, -x, -y, -z, three numbers x,y,z, "
+        "or auto: the normal of the support plane, else the up direction of the "
+        "camera, else z. Default: -y for a depth image in its camera's own axes; z "
+        "for a cloud, and if the camera is rotated by 10 degrees or more (--camera).",
     )
     flags.DEFINE_enum(
         "objects",
         "auto",
         ["auto", "one"],
-        "auto: planes that objects stand on are set aside, and each object is "
-        "completed by itself. one: all points are one object.",
+        "auto: remove support planes and complete each object separately. "
+        "one: treat all points as one object.",
     )
     flags.DEFINE_string(
         "weights",
         "small",
-        f"Name of released weights, or a file of them; {LIST} prints what ships.",
+        f"Name of released weights, or a weights file; {LIST} prints the names.",
     )
-    flags.DEFINE_bool("card", False, "Print all that is known of --weights, and end.")
+    flags.DEFINE_bool("card", False, "Print the model card of --weights and exit.")
     flags.DEFINE_bool(
         "adapt",
         False,
-        "Adapt the network to the scan first, as the paper does. It takes longer and "
-        "gains nothing that can be counted on.",
+        "Adapt the network to the scan first, as in the paper. Slower, with no "
+        "reliable benefit.",
     )
     flags.DEFINE_float(
         "density",
         1.0,
-        "Added points are so many times as dense as the measured ones, where the "
-        "network's output is a surface; 0 leaves them as predicted.",
+        "Density of added points relative to measured ones, where the network "
+        "predicts a surface; 0 keeps the predicted points as they are.",
         lower_bound=0.0,
     )
     flags.DEFINE_enum(
         "background",
         "unknown",
         ["unknown", "empty"],
-        "empty: nothing else was hit around the object, and so nothing is added there.",
+        "empty: the sensor saw nothing else nearby, so no points are added there.",
     )
-    flags.DEFINE_string("output_dir", "prism_output", "Where the results are written.")
+    flags.DEFINE_string("output_dir", "prism_output", "Output folder.")
 
 
 def main(inputs: Sequence[str] = ()) -> None:
@@ -183,8 +182,8 @@ def complete_file(
             truth = io.read_points(ground_truth, max_points)
             truth = io.crop(truth, bounds, ground_truth)
             if not np.ptp(truth, axis=0).any():
-                fault = "has all its points in one place"
-                raise io.InputError(ground_truth, fault, "give a whole cloud")
+                fault = "all points coincide"
+                raise io.InputError(ground_truth, fault, "give the complete cloud")
     folder = io.make_output_dir(output_dir)
     with timed(f"loading the weights {weights}", "load", seconds):
         completer = load_completer(weights)
@@ -214,20 +213,19 @@ def complete_file(
         return _write_scene(folder, result, scan, source, about, seconds)
     if result.sensor == "unknown":
         say(
-            "the origin cannot be the sensor's place: too far away, among the points, "
-            "or on their other side; it is taken to be where they look seen from; "
-            "give it with --camera"
+            "the origin cannot be the sensor position: it is too far away, among the "
+            "points, or on their far side; the position was estimated from the points; "
+            "set it with --camera"
         )
     if result.left_out:
         count = f"{result.left_out:,} of {len(scan.points):,} points"
-        say(f"{count} lie far from all others and were left out")
+        say(f"{count} are far from all others and were removed")
     warn_of_low_trust("this completion", result.verdict)
     doubted = result.verdict is not None and result.verdict.trust != "high"
     if doubted and background == "unknown" and scan.around is None:
         say(
-            "nothing tells what lies around the object; if the sensor saw nothing "
-            "else, and the scan is no crop, --background=empty says so, and fewer "
-            "points go astray"
+            "the surroundings are unknown; if the sensor saw nothing else and the scan "
+            "is not a crop, --background=empty reduces outliers"
         )
     seconds.update(result.seconds)
     summary = summarize(result, scan, source, **about)
@@ -254,8 +252,8 @@ def complete_files(
     done: SomeFailed is raised then, or an InputError if nothing could be used.
     """
     if settings.get("ground_truth") is not None:
-        fault = "is of one scan, and there are several"
-        raise io.InputError("--ground_truth", fault, "score them one by one")
+        fault = "cannot be used with several scans"
+        raise io.InputError("--ground_truth", fault, "score the scans one by one")
     jobs = _jobs(inputs)
     folder = io.make_output_dir(output_dir)
     done: dict[str, dict[str, Any]] = {}
@@ -285,8 +283,8 @@ def _jobs(inputs: Sequence[str]) -> dict[str, pathlib.Path]:
         if given.is_dir():
             inside = sorted(p for p in given.iterdir() if p.suffix.lower() in _SCANS)
             if not inside:
-                remedy = f"it takes {' '.join(_SCANS)}"
-                raise io.InputError(given, "is a folder without scans", remedy)
+                remedy = f"supported suffixes: {' '.join(_SCANS)}"
+                raise io.InputError(given, "no scans in this folder", remedy)
             paths += inside
         else:
             paths.append(given)
@@ -318,8 +316,8 @@ def weights_that_ship() -> str:
 
     return (
         f"{weights_table(available_weights())}\n\n"
-        "CD-L2 x1e4, half the longest side of the true shape being 1; less is better. "
-        f"{NAME} --weights=NAME --card tells all of one set: data, licences, scores."
+        "CD-L2 x1e4, in half the longest side of the true shape; lower is better. "
+        f"{NAME} --weights=NAME --card prints data, licences and all scores."
     )
 
 
@@ -331,24 +329,23 @@ def outcome(summary: dict[str, Any], output_dir: str) -> str:
     if "objects" in summary:
         support, rest = (summary["points"][k] for k in ("support", "left_over"))
         objects = (
-            f"objects     {len(summary['objects'])}; {support:,} points are of planes "
-            f"that were set aside, {rest:,} of no object"
+            f"objects     {len(summary['objects'])}; {support:,} points on removed "
+            f"planes, {rest:,} in no object"
         )
-        trust = f"trust       {verdict_of_scene(summary['objects'])['text']}"
+        trust = f"confidence  {verdict_of_scene(summary['objects'])['text']}"
         return f"{trust}\n{objects}\n{counts}\n{written}"
-    trust = "trust       unknown: these weights come without a calibration"
+    trust = "confidence  unknown: these weights have no calibration"
     if summary["verdict"] is not None:
         verdict = summary["verdict"]
         error = f"{verdict['expected_error']:.3g}"
         trust = (
-            f"trust       {verdict['trust']}: expected error {error}, in the "
-            "input's units"
+            f"confidence  {verdict['trust']}: expected error {error}, in input units"
         )
-    adapted = "not asked for"
+    adapted = "off"
     if summary["adapt"] and len(summary["losses"]["objective"]) == 1:
-        adapted = "none, these weights take no step"
+        adapted = "none, these weights use no adaptation steps"
     elif summary["adapt"]:
-        adapted = "accepted" if summary["accepted"] else "not accepted, left out"
+        adapted = "accepted" if summary["accepted"] else "rejected, not used"
     return f"{trust}\n{counts}\nadaptation  {adapted}\n{written}"
 
 
@@ -371,10 +368,10 @@ def timed(
 
 
 def warn_of_low_trust(what: str, verdict: Any) -> None:
-    """Says why a completion is not to be relied on, and what to do."""
+    """Says why a completion may be wrong, and what to do."""
     if verdict is not None and verdict.trust == "low":
-        why = "; ".join(verdict.reasons) or "all the evidence together says so"
-        say(f"low trust in {what}: {why}")
+        why = "; ".join(verdict.reasons) or "the combined evidence"
+        say(f"low confidence in {what}: {why}")
 
 
 def say(text: str, command: str = NAME) -> None:

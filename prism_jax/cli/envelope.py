@@ -1,11 +1,11 @@
-"""prism-envelope: what of a workspace is taken, what may be, and what is free.
+"""prism-envelope: which parts of a workspace are occupied, uncertain or free.
 
     prism-envelope calibrate RECORDINGS --output=cal.json
     prism-envelope SCAN --calibration=cal.json --alpha=0.1 --output_dir=out
     prism-envelope RECORDING --calibration=cal.json --workspace=-1,-1,0,1,1,2
 
 Not safety-rated; no claim to any standard; people are never predicted. If the input or
-the calibration cannot be used, it ends with status 2 and one line on stderr.
+the calibration cannot be used, it exits with status 2 and one line on stderr.
 """
 
 import dataclasses
@@ -71,102 +71,104 @@ _timed = functools.partial(timed, command=NAME)
 
 def define_flags() -> None:
     """The flags of both uses."""
-    flags.DEFINE_string("calibration", None, "What `calibrate` wrote; needed.")
-    flags.DEFINE_float("alpha", None, "Share of cells to miss; the calibration's own.")
-    flags.DEFINE_bool("scaled", False, "Margins in scales of each point's own error.")
+    flags.DEFINE_string("calibration", None, "File written by `calibrate`; required.")
+    flags.DEFINE_float(
+        "alpha", None, "Share of cells that may be missed. Default: the calibration's."
+    )
+    flags.DEFINE_bool("scaled", False, "Scale margins by each point's expected error.")
     flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_string(
         "camera",
         None,
-        "JSON of the camera; by default a depth image's .json of the same name, and a "
-        "recording's CameraInfo.",
+        "Camera JSON. Default: the .json of the same name for a depth image, the "
+        "CameraInfo for a recording.",
     )
     flags.DEFINE_string(
-        "topic", None, "Which of a recording's topics or sensors, if it has several."
+        "topic", None, "Topic or sensor to read, if the recording has several."
     )
     flags.DEFINE_enum(
-        "pace", "max", ["max", "sensor"], "Of recordings, as prism-stream has it."
+        "pace", "max", ["max", "sensor"], "For recordings, as in prism-stream."
     )
     flags.DEFINE_bool(
         "every_frame",
         False,
-        "All files of each frame of a recording, in a folder of its own, and not of "
-        "the last alone.",
+        "Write all files for every frame of a recording, each into its own folder; "
+        "otherwise only for the last one.",
     )
     flags.DEFINE_string(
         "depth",
         None,
-        "Of a cloud that is part of what a camera saw: its whole 16-bit depth image, "
-        "with --camera. It says what is free.",
+        "For a cloud cropped from a depth image: the whole 16-bit image, with "
+        "--camera. It shows which space is free.",
     )
     flags.DEFINE_string(
         "eye",
         None,
-        "Where the sensor of a cloud stood, x,y,z, if it is not --camera's place. "
-        "Without either nothing is known to be free.",
+        "Sensor position of a cloud, x,y,z, if it is not --camera's. Without either, "
+        "no space is known to be free.",
     )
     flags.DEFINE_string(
-        "sensor", None, "Name of the sensor; by default that of the camera's image."
+        "sensor", None, "Name of the sensor. Default: derived from the camera's image."
     )
     flags.DEFINE_string(
         "workspace",
         None,
-        "Box of the voxels, x0,y0,z0,x1,y1,z1, to which the scan is cropped. By "
-        "default the surfaces with their margin, and some voxels more.",
+        "Box of the voxels, x0,y0,z0,x1,y1,z1, to which the scan is cropped. "
+        "Default: the surfaces with their margin, plus some voxels.",
     )
-    flags.DEFINE_float("voxel", VOXEL, "Side of a voxel, in the input's units.")
+    flags.DEFINE_float("voxel", VOXEL, "Side of a voxel, in input units.")
     flags.DEFINE_float(
         "carving_margin",
         _CARVING.margin,
-        "A voxel is free if what was measured lies so far behind it, at least.",
+        "A voxel is free if the measured surface is at least this far behind it ...",
         lower_bound=0.0,
     )
     flags.DEFINE_float(
         "carving_share",
         _CARVING.share,
-        "... on so large a share of the pixels that it covers.",
+        "... in at least this share of the pixels that it covers.",
         lower_bound=0.0,
         upper_bound=1.0,
     )
-    flags.DEFINE_string("up", None, "Direction upwards, as prism-complete has it.")
+    flags.DEFINE_string("up", None, "Up direction, as in prism-complete.")
     flags.DEFINE_enum(
         "objects",
         _METHOD.objects,
         ["one", "auto"],
-        "one: all points are objects. auto: supports and walls are set aside.",
+        "one: all points belong to objects. auto: remove supports and walls.",
     )
     flags.DEFINE_enum(
         "around",
         _METHOD.around,
         ["everything", "objects"],
-        "What of the measured a margin is laid around; objects are the scan without "
-        "what was set aside.",
+        "Measured points that get a margin: all, or only those on objects (not on "
+        "removed supports and walls).",
     )
     flags.DEFINE_enum(
-        "background", _METHOD.background, ["unknown", "empty"], "As prism-complete."
+        "background", _METHOD.background, ["unknown", "empty"], "As in prism-complete."
     )
-    flags.DEFINE_float("density", _METHOD.density, "As prism-complete.", 0.0)
+    flags.DEFINE_float("density", _METHOD.density, "As in prism-complete.", 0.0)
     flags.DEFINE_bool("adapt", _METHOD.adapt, "Adapt the network to the scan first.")
-    define_robot_flags("told with each frame of recordings, also to `calibrate`")
-    flags.DEFINE_string("ssm", None, "JSON of the terms of a separation distance.")
-    flags.DEFINE_string("query", None, "Cloud of points to tell both distances of.")
-    flags.DEFINE_integer("max_points", io.MAX_POINTS, "As prism-complete.", 1)
-    flags.DEFINE_string(
-        "output_dir", "prism_envelope", "Where the results are written."
-    )
-    flags.DEFINE_string("output", "calibration.json", "What `calibrate` writes.")
+    define_robot_flags("the positions recorded with each frame")
+    flags.DEFINE_string("ssm", None, "JSON with the terms of a separation distance.")
+    flags.DEFINE_string("query", None, "Cloud of points to report both distances for.")
+    flags.DEFINE_integer("max_points", io.MAX_POINTS, "As in prism-complete.", 1)
+    flags.DEFINE_string("output_dir", "prism_envelope", "Output folder.")
+    flags.DEFINE_string("output", "calibration.json", "File that `calibrate` writes.")
 
 
 def main(words: Sequence[str] = ()) -> None:
     """Does what the flags and the words beside them ask for."""
     if words and words[0] == CALIBRATE:
         if len(words) != 2:
-            raise io.InputError(CALIBRATE, "takes one folder", "name the recordings")
+            fault = f"expected one folder, got {len(words) - 1}"
+            raise io.InputError(CALIBRATE, fault, "give the folder of recordings")
         print(calibrate(words[1]))
         return
     if len(words) != 1:
-        remedy = f"give one scan or recording, or: {NAME} {CALIBRATE} RECORDINGS"
-        raise io.InputError(NAME, f"got {len(words)} scans", remedy)
+        fault = f"expected one scan or recording, got {len(words)}"
+        remedy = f"write {NAME} SCAN, or {NAME} {CALIBRATE} RECORDINGS"
+        raise io.InputError(NAME, fault, remedy)
     end_as_interrupted()
     summary = envelope_of(words[0])
     print(f"notice      {NOTICE}")
@@ -224,16 +226,16 @@ def envelope_of(source: str) -> dict[str, Any]:
             scan = _read(source, eye, observed, robot, joints)
             named = scan.named
         if named is None and FLAGS.eye is None:
-            say("nothing is free: give --camera or --eye, the sensor's place", NAME)
+            say("no space is known to be free: set --camera or --eye", NAME)
         terms = None if FLAGS.ssm is None else read_terms(FLAGS.ssm)
         if FLAGS.query is not None:
             asked = io.read_points(FLAGS.query, FLAGS.max_points).astype(np.float64)
     if FLAGS.calibration is None:
         remedy = f"make one with {NAME} {CALIBRATE} RECORDINGS"
-        raise io.InputError("--calibration", "is missing", remedy)
+        raise io.InputError("--calibration", "missing", remedy)
     sensor = FLAGS.sensor or sensor_name(named)
     if sensor is None:
-        raise io.InputError("--sensor", "is missing", "name it as it was calibrated")
+        raise io.InputError("--sensor", "missing", "use the calibration's sensor")
     runs = method.setup(_digest(FLAGS.weights), sensor)
     calibration = read_calibration(FLAGS.calibration, runs)
     alpha = calibration.alpha if FLAGS.alpha is None else FLAGS.alpha
@@ -277,7 +279,7 @@ def envelope_of(source: str) -> dict[str, Any]:
     with _timed(f"completing {count}", "make", {}):
         made = maker.make(scan)
     if made.seen.fault:
-        say(f"nothing is predicted: {made.seen.fault}", NAME)
+        say(f"no prediction: {made.seen.fault}", NAME)
     seconds |= made.seconds
     summary = _summary(about, source, dataclasses.replace(made, seconds=seconds))
     with _timed(f"writing to {folder}", "write", seconds):
@@ -365,7 +367,7 @@ class _Folder:
 def _opened(source: str, joints: Joints | None) -> tuple[Stream, Camera | None]:
     """The recording, and the camera of its first frame."""
     if FLAGS.depth is not None:
-        raise io.InputError("--depth", "is of one scan", "leave it out")
+        raise io.InputError("--depth", "not supported for recordings", "omit it")
     camera = None if FLAGS.camera is None else io.read_camera(FLAGS.camera)
     tell = functools.partial(say, command=NAME)
     stream = open_stream(source, FLAGS.topic, camera, tell, joints)
@@ -384,8 +386,7 @@ def _read(
 ) -> Scanned:
     """One scan, and what its sensor saw beside it."""
     if FLAGS.topic is not None:
-        fault = "is of a recording, not of a scan"
-        raise io.InputError("--topic", fault, "leave it out")
+        raise io.InputError("--topic", "only supported for recordings", "omit it")
     scan = io.read_scan(source, FLAGS.camera, max_points=FLAGS.max_points)
     depth_path = source if source.lower().endswith(".png") else FLAGS.depth
     camera, depth, everything = scan.camera, None, scan.points
@@ -406,8 +407,8 @@ def _read(
     surface = None
     if robot is not None and joints is not None:
         if joints.given is None:
-            fault = "is without --joints, a .json of them"
-            raise io.InputError("--urdf", fault, "give both")
+            fault = "needs --joints, a .json file of joint positions"
+            raise io.InputError("--urdf", fault, "set both")
         base = {} if joints.base is None else {"base": joints.base}
         surface = robot_surface(robot, *joints_from_dict({**joints.given, **base}))
     view = view_from(scan.points, depth, place_of, FLAGS.background)

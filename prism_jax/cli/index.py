@@ -17,7 +17,7 @@ th, td { border-bottom: 1px solid #ccc; padding: .4rem .6rem; text-align: left; 
 </style>
 <h1>{{ results | length }} completed scans</h1>
 <table>
-<tr><th>scan</th><th class="number">objects</th><th>trust</th>
+<tr><th>scan</th><th class="number">objects</th><th>confidence</th>
 <th class="number">observed</th><th class="number">added</th></tr>
 {% for name, result in results.items() %}
 <tr>
@@ -52,10 +52,10 @@ def index_page(
 
 
 def _trust(result: Mapping[str, Any]) -> str:
-    """How many objects are trusted how far, the least first."""
+    """How many objects have which confidence, the lowest first."""
     objects = result.get("objects", [result])
     words = [(one["verdict"] or {}).get("trust", "unknown") for one in objects]
     counted = {word: words.count(word) for word in ("unknown", "low", "fair", "high")}
     if len(words) == 1:
         return words[0]
-    return ", ".join(f"{n} {word}" for word, n in counted.items() if n) or "no object"
+    return ", ".join(f"{n} {word}" for word, n in counted.items() if n) or "no objects"

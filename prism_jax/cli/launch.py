@@ -30,7 +30,7 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         if takes_words:
             return main(argv[1:])
         if len(argv) > 1:
-            raise InputError(argv[1], "is no flag", "write --name=value for each")
+            raise InputError(argv[1], "not a flag", "write flags as --name=value")
         return main()
 
     if isinstance(sys.stdout, io.TextIOWrapper):

@@ -1,10 +1,10 @@
-"""prism-stream: recorded frames in, completed frames out, at the sensor's rate.
+"""prism-stream: completes the frames of a recording, at up to the sensor's rate.
 
     prism-stream recording.mcap --output=completed.mcap
     prism-stream scans/ --workspace=-1,-1,0,1,1,2 --pace=sensor --output=completed
 
-If the recording cannot be used, it ends with status 2 and one line on stderr. Ctrl-C
-ends it with what was done so far written whole, and status 130.
+If the recording cannot be used, it exits with status 2 and one line on stderr. After
+Ctrl-C the frames completed so far are saved, and the status is 130.
 """
 
 import json
@@ -39,79 +39,82 @@ REPORT = "stream.json"
 def define_flags() -> None:
     """The flags."""
     flags.DEFINE_string(
-        "topic", None, "Which of the recording's topics or sensors, if it has several."
+        "topic", None, "Topic or sensor to read, if the recording has several."
     )
     flags.DEFINE_string(
         "camera",
         None,
-        "JSON of the camera's pinhole and pose. For depth images it takes the place of "
-        "their CameraInfo, for clouds it says where the sensor stood.",
+        "JSON of the pinhole camera and its pose. Replaces the CameraInfo of depth "
+        "images; sets the sensor position of clouds.",
     )
     flags.DEFINE_string(
         "workspace", None, "Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres."
     )
-    flags.DEFINE_string("weights", "small", "Name of released weights, or a file.")
+    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_bool("adapt", False, "Adapt the network to each frame first.")
     flags.DEFINE_string(
         "up",
         None,
-        "Direction that points upwards: x, y, z, -x, -y, -z, x,y,z, or auto, which "
-        "looks for it in the first frame. If not given, -y for depth images in their "
-        "camera's own axes, and z for others.",
+        "Up direction: x, y, z, -x, -y, -z, three numbers x,y,z, or auto: estimated "
+        "from the first frame. Default: -y for depth images in their camera's own "
+        "axes, z for others.",
     )
     flags.DEFINE_float(
         "density",
         0.0,
-        "Added points are so many times as dense as the measured ones; 0 leaves "
-        "them as predicted, which is quickest.",
+        "Density of added points relative to measured ones; 0 keeps the predicted "
+        "points as they are, which is fastest.",
         lower_bound=0.0,
     )
     flags.DEFINE_enum(
         "background",
         "unknown",
         ["unknown", "empty"],
-        "empty: nothing else was hit around the object, and so nothing is added there.",
+        "empty: the sensor saw nothing else nearby, so no points are added there.",
     )
     flags.DEFINE_integer(
         "poses",
         1,
-        "In how many poses each frame is completed, up to 3. One is quickest; scans of "
-        "prism-complete have those that their weights say.",
+        "Number of poses in which each frame is completed. 1 is fastest; "
+        "prism-complete uses the number that the weights set.",
         1,
         MAX_POSES,
     )
-    define_robot_flags("that is told with each frame of the recording")
+    define_robot_flags("the positions recorded with each frame")
     flags.DEFINE_enum(
         "pace",
         "max",
         ["max", "sensor"],
-        "max: as fast as it goes. sensor: as recorded, and frames that come too late "
-        "are dropped.",
+        "max: as fast as possible. sensor: at the recorded rate; late frames are "
+        "dropped.",
     )
     flags.DEFINE_string(
         "output",
         "prism_stream",
-        "Where completed frames go: a file that ends in .mcap, else a folder of PLYs.",
+        "Completed frames: a file that ends in .mcap, or a folder for PLYs.",
     )
 
 
 def define_robot_flags(otherwise: str) -> None:
     """Those of a robot that is known; `otherwise` its joints are what that says."""
-    flags.DEFINE_string("urdf", None, "The robot, if it is known: URDF or xacro.")
+    flags.DEFINE_string("urdf", None, "The robot, if known: URDF or xacro.")
     flags.DEFINE_string(
         "joints",
         None,
-        "Its joint positions: a .json of them, or a recording's topic of JointState. "
-        f"By default what is {otherwise}.",
+        "Joint positions of the robot: a .json file, or a JointState topic of the "
+        f"recording. Default: {otherwise}.",
     )
     flags.DEFINE_string(
         "base",
         None,
-        'JSON whose "base" is where the robot stands in the frame of the points, a 4x4 '
-        "pose, if that is neither the identity nor told with the joints.",
+        'JSON with the robot base pose in the frame of the points ("base", 4x4). '
+        "Default: the pose given with the joints, else the identity.",
     )
     flags.DEFINE_float(
-        "robot_margin", MARGIN, "Nearer points are the robot's.", lower_bound=0.0
+        "robot_margin",
+        MARGIN,
+        "Points nearer to the robot belong to it.",
+        lower_bound=0.0,
     )
 
 
@@ -121,7 +124,7 @@ def known_robot(
     """The robot of these flags, and where its joint positions come from."""
     if urdf is None:
         if joints is not None:
-            raise io.InputError("--joints", "are of a robot", "give --urdf too")
+            raise io.InputError("--joints", "needs a robot", "set --urdf too")
         return None, None
     given = topic = None
     if joints is not None and (
@@ -141,8 +144,8 @@ def known_robot(
 def main(words: Sequence[str]) -> None:
     """Does what the flags ask for."""
     if len(words) != 1:
-        fault = f"takes one recording, not {len(words)}"
-        raise io.InputError(NAME, fault, f"write {NAME} RECORDING --output=PLACE")
+        fault = f"expected one recording, got {len(words)}"
+        raise io.InputError(NAME, fault, f"write {NAME} RECORDING --output=PATH")
     end_as_interrupted()
     summary = stream_file(
         words[0],
@@ -213,7 +216,9 @@ def stream_file(
     beside = place.suffix.lower() == ".mcap"
     report_path = place.with_name(REPORT) if beside else place / REPORT
     if pathlib.Path(source).resolve() == place.resolve():
-        raise io.InputError(output, "is the recording itself", "name another output")
+        raise io.InputError(
+            output, "this is the recording itself", "choose another output"
+        )
     robot, positions = known_robot(urdf, joints, base)
     stream = open_stream(source, topic, view_from, say, positions)
     io.make_output_dir(place.parent if beside else place)

@@ -57,12 +57,11 @@ for kind in (Completion, Losses):
 
 
 class Completer:
-    """Weights and what is compiled for them.
+    """Completes scans with one set of weights.
 
-    The function of one configuration is compiled at its first use and kept. Its trace
-    is kept in ``trace_dir``, if one is given, for the next process. With a
-    ``calibration`` every completion has a verdict, with ``point_errors`` every point
-    its sigma.
+    The network is compiled at its first use and kept. If ``trace_dir`` is given, the
+    trace is cached there for the next process. With a ``calibration`` every completion
+    has a confidence (``verdict``), with ``point_errors`` every point has a sigma.
     """
 
     def __init__(
@@ -84,7 +83,7 @@ class Completer:
     def from_pretrained(
         cls, name_or_path: str = "small", trace_dir: pathlib.Path | None = None
     ) -> "Completer":
-        """A completer with released weights, by name or by file."""
+        """A completer with released weights, given by name or file."""
         config, variables = load_pretrained(name_or_path)
         judges = load_calibration(name_or_path), load_point_errors(name_or_path)
         return cls(config, variables, trace_dir, *judges)
@@ -99,18 +98,18 @@ class Completer:
     ) -> CompletedScan:
         """Completes one scan of one object; ``options`` are `CompletionOptions`.
 
-        Points are in any unit of length and any frame, the same for all arguments.
-        ``camera`` says where the sensor stood. If it is None, that is the origin, or
-        where it is likely if the origin cannot be its place (`preprocessing.sensor`).
-        The view is aimed at the points from there, so that its pixels are spent on
-        them. ``workspace`` is the cube to complete, taken from the points if it is
-        None; points outside are left out and counted. ``around`` is what the sensor
-        measured besides in the same scan, occluders, support and walls, with what lies
-        outside a workspace that is given: nothing is added where the sensor looked past
-        the object to it, and networks that gain by it (``uses_visibility``) are given
-        it. It counts only where the sensor's place is known. Clouds of another shape,
-        complex or not finite, fewer than 64 distinct points, an extent of zero or above
-        10,000, and a workspace without volume raise `prism_jax.io.InputError`.
+        All arguments share one frame and unit of length; both are free. ``camera``
+        gives the sensor position. If it is None, the position is the origin, or an
+        estimate if the origin is implausible (`preprocessing.sensor`); the view is
+        aimed at the points from there. ``workspace`` is the cube to complete, by
+        default taken from the points; points outside it are removed and counted.
+        ``around`` holds all other points of the same scan: occluders, support, walls
+        and points outside the workspace. No points are added where the sensor looked
+        past the object to one of these, and networks that use visibility
+        (``uses_visibility``) read them. They only count if the sensor position is
+        known. Raises `prism_jax.io.InputError` for clouds of the wrong shape, complex
+        or non-finite points, fewer than 64 distinct points, an extent of zero or above
+        10,000, and a workspace without volume.
         """
         asked = CompletionOptions(**options)
         points = _checked(points)
@@ -132,13 +131,13 @@ class Completer:
         around: Float[np.ndarray, "R 3"] | None = None,
         **options: Any,
     ) -> CompletedScene:
-        """Completes every object of a scene, each in a workspace of its own.
+        """Completes every object of a scene, each in its own workspace.
 
-        What objects stand on and walls are set aside, and so are outliers and what is
-        too small (`split_scene`, whose result for the same points can be given). Around
-        each lies all that is not its own, beside what is given as ``around`` the scene.
-        One compiled function completes all objects, `SLOTS` in a call. Arguments and
-        errors are those of `complete`, but for ``up``, which is "auto" unless given.
+        Support planes, walls, outliers and very small objects are removed first
+        (`split_scene`, whose result for the same points can be passed in). For each
+        object, ``around`` also holds all points of the scene that are not its own.
+        One compiled function completes all objects, `SLOTS` per call. Arguments and
+        errors are those of `complete`, except that ``up`` defaults to "auto".
         """
         asked = CompletionOptions(**{"up": AUTO, **options})
         points = _checked(points)
@@ -170,7 +169,7 @@ class Completer:
         camera: Camera | None = None,
         up: str | Vector = AUTO,
     ) -> Scene:
-        """Which points are whose; see `segmentation.scene.split_scene`."""
+        """The object of each point; see `segmentation.scene.split_scene`."""
         points = _checked(points)
         asked, _ = _upright(CompletionOptions(up=up), points, camera)
         return split_scene(points, asked.up, _seen_from(points, camera))
@@ -391,14 +390,14 @@ def _checked(points: Any, subject: str = "points") -> Float[np.ndarray, "N 3"]:
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
         remedy = "pass an (N, 3) array, such as points[:, :3]"
-        raise InputError(subject, f"have the shape {points.shape}", remedy)
+        raise InputError(subject, f"invalid shape {points.shape}", remedy)
     if points.dtype.kind not in "fiu":
         remedy = "pass real coordinates, such as points.real"
-        raise InputError(subject, f"are of the type {points.dtype}", remedy)
+        raise InputError(subject, f"invalid type {points.dtype}", remedy)
     if points.dtype.kind != "f":
         points = points.astype(np.float64)
     if not np.isfinite(points).all():
-        raise InputError(subject, "has points that are not finite", "drop them")
+        raise InputError(subject, "some points are not finite", "remove them")
     return points
 
 
@@ -406,5 +405,5 @@ def _check_workspace(workspace: Workspace) -> None:
     """InputError unless it is a cube. `Workspace` itself cannot know under tracing."""
     center, half_extent = np.asarray(workspace.center), workspace.half_extent
     if not (np.isfinite(center).all() and 0 < float(half_extent) < np.inf):
-        fault = f"is no cube: its centre is {center}, its half_extent {half_extent}"
-        raise InputError("workspace", fault, "give finite numbers, the latter positive")
+        fault = f"invalid: centre {center}, half_extent {half_extent}"
+        raise InputError("workspace", fault, "give finite numbers, half_extent > 0")

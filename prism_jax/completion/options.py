@@ -35,8 +35,8 @@ class CompletionOptions:
 
     def __post_init__(self):
         if self.density < 0 or not np.isfinite(self.density):
-            fault = f"cannot be {self.density}"
-            raise InputError("density", fault, "give 0 or a number of times, as 1")
+            fault = f"invalid value {self.density}"
+            raise InputError("density", fault, "give 0 or a positive number, such as 1")
         choose("background", self.background, get_args(Background))
         if not self.finds_up:
             upright(self.up)

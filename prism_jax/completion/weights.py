@@ -32,7 +32,7 @@ from prism_jax.uncertainty.sigma import PointErrors
 from prism_jax.uncertainty.trees import Trees
 
 SUFFIX = ".safetensors"
-NOT_OURS = "it holds no prism_jax configuration"
+NOT_OURS = "no prism_jax configuration in this file"
 RETIRED = {
     "model.backbone.reads_depth": False,
     "adapt.visibility_weight": 0.0,
@@ -52,10 +52,10 @@ def available_weights() -> list[str]:
 
 
 def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables]:
-    """Configuration and variables of released weights, by name or by file.
+    """Configuration and variables of released weights, given by name or file.
 
-    A name that does not ship, or a file that is not such weights, raises
-    `prism_jax.io.InputError`, a ``ValueError`` of one line.
+    An unknown name, or a file without such weights, raises `prism_jax.io.InputError`,
+    a ``ValueError`` with a one-line message.
     """
     path = _locate(name_or_path)
     metadata, arrays = read_file(path)
@@ -64,7 +64,7 @@ def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables
     except (KeyError, TypeError, AttributeError):
         raise InputError(path, NOT_OURS, _remedy()) from None
     except ValueError as error:
-        fault = f"its configuration cannot be used: {error}"
+        fault = f"invalid configuration: {error}"
         raise InputError(path, fault, _remedy()) from None
     if name_or_path in available_weights():
         return config, _tree(arrays)
@@ -210,8 +210,8 @@ def _locate(name_or_path: str) -> pathlib.Path:
 
 
 def _remedy() -> str:
-    names = ", ".join(available_weights()) or "none ship"
-    return f"give a {SUFFIX} file of prism_jax, or a name: {names}"
+    names = ", ".join(available_weights()) or "none are released"
+    return f"give a {SUFFIX} file of prism_jax, or one of: {names}"
 
 
 def _key(path: tuple[Any, ...]) -> str:
@@ -241,7 +241,7 @@ def _checked_tree(
     try:
         wanted = _shapes(config.model)
     except Exception as error:  # sizes that are in range and do not fit together
-        fault = f"its configuration makes no network ({str(error)[:200]})"
+        fault = f"configuration makes no valid network ({str(error)[:200]})"
         raise InputError(path, fault, _remedy()) from None
     return checked_arrays(arrays, wanted, path)
 
@@ -262,7 +262,7 @@ def checked_arrays(
         key = _key(leaf_path)
         array = arrays.pop(key, None)
         if array is None or array.shape != leaf.shape or array.dtype.kind != "f":
-            raise InputError(path, f"{key} is missing or misshapen", _remedy())
+            raise InputError(path, f"{key}: missing or wrong shape", _remedy())
         return jnp.asarray(array, leaf.dtype)
 
     variables = jax.tree_util.tree_map_with_path(pick, wanted)

@@ -30,12 +30,12 @@ class Augmentation:
         shares |= dict(zip(("least", "most"), self.crop_shares, strict=True))
         for name, share in shares.items():
             if not 0 <= share <= 1:
-                raise InputError(name, f"{share} is not a share", "choose 0 to 1")
+                raise InputError(name, f"{share} is out of range", "choose 0 to 1")
         if self.crop_shares[0] > self.crop_shares[1] or self.crop_shares[1] == 1:
-            raise InputError("crop_shares", "do not grow, or reach 1", "choose others")
+            raise InputError("crop_shares", "must increase and be < 1", "choose others")
         if self.fewest < 1 or not 0 <= self.jitter < np.inf:
             fault = f"fewest {self.fewest}, jitter {self.jitter}"
-            raise InputError("augmentation", fault, "choose 1 or more, 0 or more")
+            raise InputError("augmentation", fault, "use fewest >= 1 and jitter >= 0")
 
 
 def augmented(

@@ -182,8 +182,8 @@ def open_dataset(
     taken = tuple(inspect.signature(known.open).parameters)[2:]
     for option in options:
         if option not in taken:
-            fault = f"is no option of {name}"
-            raise InputError(option, fault, f"it has {' '.join(taken) or 'none'}")
+            fault = f"not an option of {name}"
+            raise InputError(option, fault, f"its options: {' '.join(taken) or 'none'}")
     return known.open(root, split, **options)
 
 
@@ -211,7 +211,7 @@ def training_split(name: str) -> str:
     """The split that a training sees; InputError if a set is for tests alone."""
     split = DATASETS[name].training
     if split is None:
-        raise InputError(name, "has no training split", "train on another set")
+        raise InputError(name, "no training split", "train on another set")
     return split
 
 
@@ -221,7 +221,7 @@ def validation_split(name: str) -> str:
     split = DATASETS[name].validation
     if split is None:
         having = (other for other, known in DATASETS.items() if known.validation)
-        fault = "has no validation split of its own"
+        fault = "no validation split"
         raise InputError(name, fault, f"use one of {', '.join(having)}")
     return split
 
@@ -246,7 +246,7 @@ def scored_splits(name: str) -> tuple[str, ...]:
     if there is none."""
     splits = DATASETS[name].scored
     if not splits:
-        fault = "has no split with ground truth that no training sees"
+        fault = "no held-out split with ground truth"
         raise InputError(name, fault, "score on another set")
     return splits
 
@@ -284,5 +284,5 @@ def _root(name: str, data_dir: str | os.PathLike | None) -> pathlib.Path:
     if data_dir is not None:
         return pathlib.Path(data_dir)
     if not DATASETS[name].generated:
-        raise InputError(name, "is not generated", "name its folder with --data_dir")
+        raise InputError(name, "not generated", "set --data_dir to its folder")
     return default_cache_dir()

@@ -30,7 +30,7 @@ def hold_out(source: Source, count: int) -> tuple[Subset, Subset]:
     objects, first = np.unique(source.objects, return_index=True)
     count = min(count, max(1, len(objects) // 10))
     if len(objects) < 2:
-        raise InputError("data", "holds a single object", "add more to train on")
+        raise InputError("data", "only one object", "add more to train on")
     held = np.unique(np.linspace(0, len(objects) - 1, count + 2, dtype=int)[1:-1])
     train = np.flatnonzero(~np.isin(source.objects, held))
     return Subset(source, train), Subset(source, first[held])

@@ -26,15 +26,15 @@ def read_manifest(
         manifest = json.loads(path.read_text())
         files = manifest["files"]
         if any(manifest.get(name) != value for name, value in expected.items()):
-            raise InputError(folder, "was built by another version of prism_jax", anew)
+            raise InputError(folder, "built by another version of prism_jax", anew)
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(folder, "is not built", remedy) from None
+        raise InputError(folder, "not built yet", remedy) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(path, "is not a manifest", anew) from None
+        raise InputError(path, "not a valid manifest", anew) from None
     if not isinstance(files, dict):
-        raise InputError(folder, "is not finished: its build was broken off", remedy)
+        raise InputError(folder, "incomplete: the build was interrupted", remedy)
     return manifest
 
 
@@ -77,9 +77,9 @@ def check_files(folder: pathlib.Path, files: Mapping[str, str], remedy: str) -> 
         raise InputError(error.filename or folder, fault, remedy) from None
     for name in sorted(files.keys() | found.keys()):
         if name not in found:
-            raise InputError(folder / name, "is missing and in the manifest", remedy)
+            raise InputError(folder / name, "missing but in the manifest", remedy)
         if name not in files:
-            fault = "is not in the manifest"
+            fault = "not in the manifest"
             raise InputError(folder / name, fault, "move it elsewhere")
         if files[name] != found[name]:
             fault = "differs from the manifest's sha256"

@@ -119,8 +119,8 @@ def with_partial(example: Example, rng: np.random.Generator | None = None) -> Ex
     workspace. An example without a complete cloud raises InputError.
     """
     if example.complete is None:
-        fault = "has no complete cloud to learn from or to be compared with"
-        raise InputError(example.name, fault, "use it for completion alone")
+        fault = "no complete cloud for training or scoring"
+        raise InputError(example.name, fault, "use it for completion only")
     if example.partial is not None:
         strays = far_outliers(example.partial)
         if not strays.any():
@@ -154,7 +154,7 @@ def training_batches(
     grain = require("grain", "train")
     if len(source) < batch_size:
         fault = f"{len(source)} examples do not fill a batch of {batch_size}"
-        raise InputError("data", fault, "use more data, or a smaller batch")
+        raise InputError("data", fault, "use more data, or smaller batches")
     dataset = (
         grain.MapDataset.source(_WithIndices(source, indices))
         .seed(seed)

@@ -86,7 +86,7 @@ class RecordedCells:
         self.root = pathlib.Path(root)
         found = _find_frames(self.root)
         if verify and (self.root / MANIFEST).exists():
-            manifest = read_manifest(self.root, "let what makes them run to its end")
+            manifest = read_manifest(self.root, "let the recording finish")
             check_files(self.root, manifest["files"], _COPY)
         self.frames = tuple(found)
         sequences = [sequence for sequence, _ in found]
@@ -162,10 +162,10 @@ def read_frame(folder: str | os.PathLike, number: int) -> Frame:
     metres, mask, camera = read_depth(image, camera_path)
     scale = json.loads(read_bytes(camera_path))["depth_scale"]
     if not np.isclose(scale, DEPTH_SCALE, rtol=1e-6):
-        fault = f"has depth_scale {scale:g}, not {DEPTH_SCALE}"
-        raise InputError(camera_path, fault, "convert the image to 0.25 mm a count")
+        fault = f"depth_scale is {scale:g}, not {DEPTH_SCALE}"
+        raise InputError(camera_path, fault, "convert the image to 0.25 mm per count")
     if not mask.any():
-        raise InputError(image, "has no pixel with a return", "check the sensor")
+        raise InputError(image, "no valid depth pixels", "check the sensor")
     partial = _read_cloud(frame_file(path, "partial.ply"))
     _check_on_image(partial, metres, mask, camera, frame_file(path, "partial.ply"))
     complete, labels = frame_file(path, "complete.ply"), frame_file(path, "labels.png")
@@ -200,7 +200,7 @@ def check_recordings(root: str | os.PathLike, verify: bool = True) -> int:
 def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]]:
     """The files of every (sequence, frame), without hidden files and folders."""
     if not root.is_dir():
-        raise InputError(root, "is not a folder", "name the folder of the recordings")
+        raise InputError(root, "not a folder", "give the folder of the recordings")
     frames: dict[tuple[str, str], list[pathlib.Path]] = {}
     for folder in sorted(path for path in root.iterdir() if path.is_dir()):
         if folder.name.startswith("."):
@@ -210,18 +210,18 @@ def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]
                 continue
             name, _, suffix = path.name.partition(".")
             if not re.fullmatch(r"[0-9]{6}", name):
-                raise InputError(path, "is not named by six digits", _LAYOUT)
+                raise InputError(path, "name is not six digits", _LAYOUT)
             if suffix not in NEEDED + OPTIONAL:
                 known = " ".join(NEEDED + OPTIONAL)
-                raise InputError(path, f"is none of {known}", "move it elsewhere")
+                raise InputError(path, f"not one of {known}", "move it elsewhere")
             frames.setdefault((folder.name, name), []).append(path)
     if not frames:
-        raise InputError(root, "holds no recorded frames", _LAYOUT)
+        raise InputError(root, "no recorded frames", _LAYOUT)
     for (sequence, name), files in frames.items():
         for suffix in NEEDED:
             path = root / sequence / f"{name}.{suffix}"
             if path not in files:
-                raise InputError(path, "is missing from its frame", _COPY)
+                raise InputError(path, "file missing from its frame", _COPY)
     return frames
 
 
@@ -229,7 +229,7 @@ def _read_cloud(path: pathlib.Path) -> Float32[np.ndarray, "N 3"]:
     points = read_ply(path)
     check_cloud(points, path)
     if np.abs(points).max() > MAX_METRES:
-        fault = f"reaches {np.abs(points).max():.6g} m from the origin"
+        fault = f"extends to {np.abs(points).max():.6g} m from the origin"
         raise InputError(path, fault, "store metres, in the cell's frame")
     return points.astype(np.float32)
 
@@ -247,8 +247,8 @@ def _check_on_image(partial, metres, mask, camera: Camera, path: pathlib.Path) -
     if 2 * fitting < len(partial):
         raise InputError(
             path,
-            f"has {fitting} of {len(partial)} points where the depth image has them",
-            "store it in metres in the frame that the camera's pose refers to",
+            f"{fitting} of {len(partial)} points match the depth image",
+            "store metres in the frame of the camera's pose",
         )
 
 
@@ -257,14 +257,14 @@ def _read_labels(path: pathlib.Path, camera: Camera) -> UInt8[np.ndarray, "H W"]
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
             if image.mode != "L" or image.size != (camera.width, camera.height):
-                fault = f"is {image.mode} of {image.width}x{image.height} pixels"
+                fault = f"{image.mode} with {image.width}x{image.height} pixels"
                 remedy = f"store 8-bit grey of {camera.width}x{camera.height}"
                 raise InputError(path, fault, remedy)
             labels = np.array(image)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(path, "is not a PNG image", _COPY) from None
+        raise InputError(path, "not a PNG image", _COPY) from None
     if labels.max() > max(LABELS.values()):
-        raise InputError(path, f"has the label {labels.max()}", f"use {LABELS}")
+        raise InputError(path, f"invalid label {labels.max()}", f"use {LABELS}")
     return labels

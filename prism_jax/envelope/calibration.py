@@ -38,7 +38,7 @@ def cell_score(truth: Float[np.ndarray, "N 3"], surfaces: Surfaces) -> float:
     surface; an empty truth raises InputError.
     """
     if len(truth) == 0:
-        raise InputError("truth", "has no points", "give the true surface of the cell")
+        raise InputError("truth", "no points", "give the true surface of the cell")
     return float(surfaces.needed(np.asarray(truth, np.float64)).max())
 
 
@@ -55,23 +55,22 @@ def conformal_margin(scores: Sequence[float], alpha: float) -> float:
     """
     needed = cells_needed(alpha)
     if len(scores) < needed:
-        fault = f"holds {len(scores)} cells, too few for alpha {alpha:g}"
-        remedy = f"calibrate on {needed} or more, or ask for a larger alpha"
+        fault = f"{len(scores)} cells are too few for alpha {alpha:g}"
+        remedy = f"calibrate on {needed} or more, or use a larger alpha"
         raise InputError("calibration", fault, remedy)
     rank = math.ceil((len(scores) + 1) * (1.0 - alpha) - _ROUNDING)
     margin = float(np.sort(np.asarray(scores, np.float64))[max(rank, 1) - 1])
     if not math.isfinite(margin):
-        fault = f"has no finite margin for alpha {alpha:g}: of too many cells no "
-        fault += "surface was measured"
-        raise InputError("calibration", fault, "leave them out, or move the sensor")
+        fault = f"no finite margin for alpha {alpha:g}: too many cells without surface"
+        raise InputError("calibration", fault, "omit them, or move the sensor")
     return margin
 
 
 def check_alpha(alpha: float) -> float:
     """`alpha` if it is a share between 0 and 1, without them; else InputError."""
     if not 0.0 < alpha < 1.0:
-        fault = f"cannot be {alpha:g}"
-        raise InputError("alpha", fault, "give the share of cells to miss, as 0.1")
+        fault = f"{alpha:g} is not between 0 and 1"
+        raise InputError("alpha", fault, "give a share of cells, such as 0.1")
     return alpha
 
 
@@ -122,12 +121,12 @@ class Calibration:
 
     def __post_init__(self):
         if len(set(self.cells)) != len(self.cells):
-            raise InputError("calibration", "names a cell twice", _AGAIN)
+            raise InputError("calibration", "duplicate cell", _AGAIN)
         for scores in (self.scores, self.scaled_scores or self.scores):
             if len(scores) != len(self.cells):
-                raise InputError("calibration", "lacks a score of a cell", _AGAIN)
+                raise InputError("calibration", "missing score for a cell", _AGAIN)
             if not all(score >= 0 for score in scores):
-                raise InputError("calibration", "has a score below zero", _AGAIN)
+                raise InputError("calibration", "negative score", _AGAIN)
         self.margin()
 
     def margin(self, alpha: float | None = None, scaled: bool = False) -> float:
@@ -137,8 +136,8 @@ class Calibration:
         scaled one of a calibration without, raise InputError.
         """
         if scaled and self.scaled_scores is None:
-            fault = "has no scores in scales of a predicted error"
-            raise InputError("calibration", fault, "leave out --scaled")
+            fault = "no scaled scores"
+            raise InputError("calibration", fault, "omit --scaled")
         scores = self.scaled_scores if scaled else self.scores
         return conformal_margin(scores or (), self.alpha if alpha is None else alpha)
 
@@ -180,15 +179,14 @@ def read_calibration(path: str | os.PathLike, runs: Setup | None = None) -> Cali
     try:
         content = json.loads(read_bytes(path))
         if type(content) is not dict or content.get("format") != FORMAT:
-            raise ValueError(f"its format is not {FORMAT!r}")
+            raise ValueError(f"format is not {FORMAT!r}")
         calibration = _from_dict(content)
     except (KeyError, TypeError, ValueError, RecursionError, OverflowError) as error:
-        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        reason = f"missing {error}" if isinstance(error, KeyError) else str(error)
         if isinstance(error, InputError):
-            raise InputError(
-                path, f"is no sound calibration: {reason}", _AGAIN
-            ) from None
-        raise InputError(path, f"is no calibration: {reason}", _AGAIN) from None
+            reason = reason.partition(";")[0].removeprefix("calibration: ")
+            reason = reason.removeprefix(f"{path}: ")
+        raise InputError(path, f"not a valid calibration: {reason}", _AGAIN) from None
     if runs is not None:
         check_setup(calibration, runs, path)
     return calibration
@@ -200,7 +198,7 @@ def check_setup(
     """Raises InputError about `path` if it was calibrated for anything else."""
     found = runs.differences(calibration.setup)
     if found:
-        raise InputError(path, f"is for {'; '.join(found)}", _AGAIN)
+        raise InputError(path, f"calibrated for {'; '.join(found)}", _AGAIN)
 
 
 def _from_dict(content: Mapping[str, Any]) -> Calibration:
@@ -219,7 +217,7 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
         floor=None if scaled is None else float(scaled["floor"]),
     )
     if content["n"] != len(calibration.cells):
-        raise ValueError(f"it says n = {content['n']}")
+        raise ValueError(f"n = {content['n']} is not the number of cells")
     told = float(content["q"])
     if not math.isclose(told, calibration.margin(), rel_tol=1e-9):
         raise ValueError(f"q is {calibration.margin():g} by its scores, not {told:g}")

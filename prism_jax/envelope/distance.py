@@ -60,11 +60,11 @@ class Surfaces:
         self.points = {kind: np.zeros((0, 3)) for kind in KINDS}
         for kind, cloud in points.items():
             if kind not in KINDS:
-                raise InputError(kind, "is no kind of surface", f"use {KINDS}")
+                raise InputError(kind, "unknown kind of surface", f"use {KINDS}")
             cloud = np.asarray(cloud, np.float64).reshape(-1, 3)
             if not np.isfinite(cloud).all():
-                fault = "has points that are not finite"
-                raise InputError(f"{kind} surface", fault, "drop them")
+                fault = "some points are not finite"
+                raise InputError(f"{kind} surface", fault, "remove them")
             self.points[kind] = cloud
         scales = scales or {}
         whose = np.repeat(np.arange(len(KINDS)), [len(self.points[k]) for k in KINDS])
@@ -142,7 +142,7 @@ class Envelope:
         """
         points = np.asarray(points, np.float64).reshape(-1, 3)
         if not np.isfinite(points).all():
-            raise InputError("points", "are not all finite", "drop those that are not")
+            raise InputError("points", "some points are not finite", "remove them")
         surface, kind = self.surfaces.distance(points, self.margin)
         return Distances(self.to_not_free(points), surface, kind)
 
@@ -233,10 +233,10 @@ def _rounded(
     """Scales rounded down, so that a margin is never wider than it was calibrated."""
     scales = np.asarray(scales, np.float64)
     if scales.shape != (len(points),):
-        fault = f"has {scales.size} scales for {len(points)} points"
-        raise InputError(f"{kind} surface", fault, "give one a point")
+        fault = f"{scales.size} scales for {len(points)} points"
+        raise InputError(f"{kind} surface", fault, "give one per point")
     if not (np.isfinite(scales) & (scales > 0)).all():
-        fault = "has scales that are not above zero"
-        raise InputError(f"{kind} surface", fault, "give a predicted error of each")
+        fault = "scales must be positive"
+        raise InputError(f"{kind} surface", fault, "give expected errors")
     # 1 stays 1, whatever the logarithm makes of it.
     return 2.0 ** (np.floor(STEPS * np.log2(scales) + 1e-9) / STEPS)

@@ -74,12 +74,12 @@ def envelope_page(
 def promise(summary: Mapping[str, Any]) -> str:
     """What the margin is, and what it was measured on."""
     told, alpha = summary["calibration"], summary["alpha"]
-    unit = "times each point's expected error" if summary["scaled"] else "in its units"
+    unit = "times each point's expected error" if summary["scaled"] else "input units"
     return (
-        f"Surfaces are inflated by q = {number(summary['q'])}, {unit}, which was "
-        f"chosen on {told['n']} cells: of another cell like these it holds all of the "
-        f"true surface with a probability of at least {100 * (1 - alpha):.3g} %. Of "
-        "cells unlike these it promises nothing."
+        f"Surfaces are inflated by q = {number(summary['q'])} {unit}, calibrated on "
+        f"{told['n']} cells: for another cell like these, the envelope contains the "
+        "whole true surface with a probability of at least "
+        f"{100 * (1 - alpha):.3g} %. Other cells have no such guarantee."
     )
 
 

@@ -36,8 +36,8 @@ def calibrate_on(
         sequence, name = cells.frames[index]
         frame = cells.read(index)
         if frame.complete is None:
-            fault = "has no complete cloud"
-            raise InputError(f"{sequence}/{name}", fault, "calibrate with the truth")
+            fault = "no complete cloud"
+            raise InputError(f"{sequence}/{name}", fault, "add the ground truth")
         sensors.add(sensor or sensor_name(frame.camera))
         surface = None
         if robot is not None:
@@ -50,8 +50,8 @@ def calibrate_on(
         before = scores.get(sequence, np.zeros(2))
         scores[sequence] = np.maximum(before, frame_scores(frame.complete, seen))
     if len(sensors) > 1:
-        fault = f"hold frames of several: {'; '.join(sorted(map(str, sensors)))}"
-        raise InputError(cells.root, fault, "calibrate each sensor by itself")
+        fault = f"frames of several sensors: {'; '.join(sorted(map(str, sensors)))}"
+        raise InputError(cells.root, fault, "calibrate each sensor separately")
     margins, scaled = np.stack(list(scores.values())).T
     told = not np.isnan(scaled).any()
     return Calibration(

@@ -39,7 +39,7 @@ def joints_from_dict(
     """The same of what such a file holds; InputError about `path`."""
     positions = content.get("positions")
     if type(positions) is not dict or not all(map(_is_number, positions.values())):
-        raise InputError(path, "has no positions of joints", LAYOUT)
+        raise InputError(path, "no joint positions", LAYOUT)
     base = np.eye(4)
     if "base" in content:
         try:
@@ -47,7 +47,7 @@ def joints_from_dict(
         except (TypeError, ValueError):
             base = np.zeros(0)
         if base.shape != (4, 4) or not _is_pose(base):
-            raise InputError(path, "has a base that is no 4x4 pose", LAYOUT)
+            raise InputError(path, "base is not a 4x4 pose", LAYOUT)
     return {name: float(value) for name, value in positions.items()}, base
 
 
@@ -65,7 +65,7 @@ def robot_surface(
     """
     missing = [name for name in robot.joints if name not in positions]
     if missing:
-        fault = f"has no position of the joint {missing[0]!r}"
+        fault = f"no position for joint {missing[0]!r}"
         remedy = f"give all of {', '.join(robot.joints)}"
         raise InputError("joints", fault, remedy)
     given = np.array([positions[name] for name in robot.joints])

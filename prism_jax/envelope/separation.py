@@ -85,7 +85,7 @@ def read_terms(path: str | os.PathLike) -> dict[str, dict[str, float]]:
     """
     content = read_json(path, _LAYOUT)
     if not content:
-        raise InputError(path, "holds no terms", _LAYOUT)
+        raise InputError(path, "no terms", _LAYOUT)
     return {name: _checked(path, name, terms) for name, terms in content.items()}
 
 
@@ -119,19 +119,19 @@ def separation(
 
 def _checked(path: str | os.PathLike, name: str, terms: Any) -> dict[str, float]:
     if name not in FORMULAS:
-        raise InputError(path, f"names {name!r}, which is no formula", _LAYOUT)
+        raise InputError(path, f"unknown formula {name!r}", _LAYOUT)
     wanted = FORMULAS[name].terms
     if type(terms) is not dict:
-        raise InputError(path, f"has no terms of {name}", _LAYOUT)
+        raise InputError(path, f"no terms of {name}", _LAYOUT)
     for term in wanted.keys() - terms.keys():
-        fault = f"lacks the term {term} of {name}: {wanted[term].meaning}"
-        raise InputError(path, fault, "give it; no term has a default")
+        fault = f"missing term {term} of {name}: {wanted[term].meaning}"
+        raise InputError(path, fault, "set it; terms have no defaults")
     for term in terms.keys() - wanted.keys():
-        fault = f"has a term {term!r} that {name} has not"
-        raise InputError(path, fault, f"it takes {', '.join(wanted)}")
+        fault = f"unknown term {term!r} of {name}"
+        raise InputError(path, fault, f"use {', '.join(wanted)}")
     for term, value in terms.items():
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not 0.0 <= value <= 1e6:
-            fault = f"has {term} = {value!r} of {name}"
-            raise InputError(path, fault, f"give a number of {wanted[term].unit}")
+            fault = f"invalid {term} = {value!r} of {name}"
+            raise InputError(path, fault, f"give a number in {wanted[term].unit}")
     return {term: float(terms[term]) for term in wanted}

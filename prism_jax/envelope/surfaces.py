@@ -76,8 +76,8 @@ class Seen:
         if floor is None:
             return Surfaces(points)
         if self.sigma is None:
-            fault = "tell no error of a point"
-            raise InputError("the weights", fault, "leave out --scaled")
+            fault = "no per-point errors"
+            raise InputError("the weights", fault, "omit --scaled")
         scales = {kind: np.full(len(cloud), floor) for kind, cloud in points.items()}
         scales["predicted"] = np.maximum(self.sigma, floor)
         return Surfaces(points, scales)
@@ -100,8 +100,8 @@ def see(
     robot where the method knows none, and none where it does, raise InputError.
     """
     if (robot is not None) != (method.robot == "known"):
-        told = "is missing" if robot is None else "is given, and none was calibrated"
-        raise InputError("the robot", told, "give --urdf and --joints, or neither")
+        told = "missing" if robot is None else "not part of the calibration"
+        raise InputError("the robot", told, "use --urdf as in the calibration")
     points = np.asarray(points, np.float64)
     robot = np.zeros((0, 3)) if robot is None else np.asarray(robot, np.float64)
     others = np.zeros((0, 3)) if others is None else thinned(others)

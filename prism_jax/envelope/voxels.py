@@ -65,17 +65,15 @@ class Grid:
         """
         lower, upper = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
         if not (np.isfinite(voxel) and voxel > 0):
-            raise InputError("voxel", f"cannot be {voxel}", "give a length above zero")
+            raise InputError("voxel", f"invalid size {voxel}", "give a positive length")
         if not (np.isfinite([lower, upper]).all() and (upper >= lower).all()):
-            fault = f"is no box: {lower.tolist()} to {upper.tolist()}"
-            raise InputError("workspace", fault, "give its lower and its upper corner")
+            fault = f"not a box: {lower.tolist()} to {upper.tolist()}"
+            raise InputError("workspace", fault, "give a lower and an upper corner")
         # What ends at a voxel's face up to rounding needs no voxel more.
         counts = np.maximum(np.ceil((upper - lower) / voxel - 1e-6), 1)
         if np.prod(counts) > MAX_VOXELS:
-            fault = f"would have {np.prod(counts):,.0f} voxels of {voxel:g}"
-            remedy = (
-                f"give a smaller workspace or larger voxels, {MAX_VOXELS:,} at most"
-            )
+            fault = f"{np.prod(counts):,.0f} voxels of size {voxel:g} are too many"
+            remedy = f"use a smaller box or larger voxels ({MAX_VOXELS:,} at most)"
             raise InputError("workspace", fault, remedy)
         x, y, z = (int(count) for count in counts)
         return cls(lower, float(voxel), (x, y, z))

@@ -80,7 +80,7 @@ class Camera:
         """Pixel coordinates ``(u, v)`` and depth ``z`` of points.
 
         Differentiable in the points and the camera. Where ``z <= MIN_DEPTH`` the point
-        has no image: its pixel coordinates are finite but mean nothing.
+        has no image: its pixel coordinates are finite but meaningless.
         """
         return self._image_of(jnp.asarray(self.to_camera(points)))
 
@@ -90,8 +90,8 @@ class Camera:
     ) -> tuple[Int[Array | np.ndarray, " N"], Float[Array | np.ndarray, " N"]]:
         """The pixel that each point falls on, and its depth ``z``.
 
-        Pixels are numbered row by row. A point that has no image, behind the camera,
-        beside the image or not finite, gets ``height * width``, one past the last.
+        Pixels are numbered row by row. A point behind the camera, outside the image
+        or not finite gets ``height * width``, one past the last.
         The depth is differentiable. NumPy arrays stay NumPy.
         """
         xp: Any = jnp if isinstance(points, jax.Array) else np

@@ -18,13 +18,12 @@ def farthest_point_sample(
     start: int | Int[Array, ""] = 0,
     skip_near_origin: bool = False,
 ) -> Int[Array, " num_samples"]:
-    """Indices of points, each the farthest from those before it.
+    """Indices of points, each the farthest from those chosen before.
 
     Begins at ``start``, which must be an index of the cloud; ties go to the lowest
-    index; no gradient. A shorter sample is the prefix of a longer one. When more
-    samples than distinct points are asked for, the lowest index is repeated.
-    Coordinates must be finite, or what is chosen means nothing; an empty cloud raises
-    ValueError.
+    index; no gradient. A shorter sample is the prefix of a longer one. If there are
+    fewer distinct points than samples, the lowest index is repeated. Coordinates must
+    be finite; an empty cloud raises ValueError.
 
     ``skip_near_origin`` is the rule of the reference implementation (PointNet++,
     CRA-PCN): points with ``|x|^2 <= 1e-3`` are never chosen, save as the start, or as

@@ -18,12 +18,11 @@ from prism_jax.geometry.precision import exact_products
 class Workspace:
     """A cube in the user's frame, in metres: its centre, half side and axes.
 
-    `rotation` takes the frame's axes to the cube's, whose z points upwards; None is
-    for a cube along the frame's own axes. A pytree; every method is differentiable and
-    uses only operators, so NumPy arrays stay NumPy: double precision survives for a
-    cloud far from its frame's origin. A centre that is not finite, and a half side that
-    is not finite and positive, raise ValueError where the numbers are known, that is
-    not under ``jit``.
+    `rotation` takes the frame's axes to the cube's, whose z points up; None means the
+    frame's own axes. A pytree; every method is differentiable and keeps NumPy arrays
+    NumPy, so that double precision survives far from the origin. A non-finite centre,
+    or a half side that is not finite and positive, raises ValueError, but not under
+    ``jit``.
     """
 
     # Pytrees are rebuilt with other leaves than arrays; do not type-check those.
@@ -57,7 +56,7 @@ class Workspace:
 
     @classmethod
     def unit(cls) -> "Workspace":
-        """[-1, 1]^3 itself, for points that are in their workspace already."""
+        """[-1, 1]^3 itself, for points that are already in workspace units."""
         return cls(np.zeros(3), np.ones(()))
 
     @property
@@ -113,8 +112,8 @@ class Workspace:
     ) -> "Workspace":
         """The cube around a cloud: centre of its bounding box, longest side x margin.
 
-        Pass the partial cloud, never the ground truth. With `rotation` the box is along
-        the cube's axes. Only points that `where` marks count, and one must be marked. A
+        Pass the partial cloud, never the ground truth. With `rotation` the box has the
+        cube's axes. Only points marked by `where` count; at least one is needed. A
         cloud without extent (one point) gets a half side of 1; an empty one raises a
         ValueError, and so do points that are not finite.
         """

@@ -40,7 +40,7 @@ def read_npy(
     try:
         return _parse(data, max_points)
     except (ValueError, EOFError) as error:
-        raise unsound(path, "a sound NPY cloud", error, _REMEDY) from None
+        raise unsound(path, "a valid NPY cloud", error, _REMEDY) from None
 
 
 def read_npz(
@@ -54,7 +54,7 @@ def read_npz(
     data = read_bytes(path)
     try:
         if data.count(_ENTRY) > MAX_MEMBERS:
-            raise ValueError(f"it holds more than {MAX_MEMBERS:,} arrays")
+            raise ValueError(f"more than {MAX_MEMBERS:,} arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return _read_member(archive, _choose_member(archive), max_points)
     except (
@@ -67,7 +67,7 @@ def read_npz(
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise unsound(path, "a sound NPZ cloud", error, _REMEDY) from None
+        raise unsound(path, "a valid NPZ cloud", error, _REMEDY) from None
 
 
 def stack_columns(
@@ -96,9 +96,9 @@ def _choose_member(archive: zipfile.ZipFile) -> str:
         if name in clouds and (name in ("xyz", "points") or len(clouds) == 1):
             return clouds[name]
     if clouds:
-        raise ValueError(f"its arrays {', '.join(clouds)} could each be the cloud")
+        raise ValueError(f"several arrays could be the cloud: {', '.join(clouds)}")
     held = ", ".join(f"{name}: {_describe(*entry)}" for name, entry in found.items())
-    raise ValueError(f"it holds no (N, 3) array of numbers ({held or 'nothing'})")
+    raise ValueError(f"no (N, 3) array of numbers ({held or 'nothing'})")
 
 
 def _read_member(archive: zipfile.ZipFile, member: str, max_points: int) -> np.ndarray:
@@ -117,10 +117,10 @@ def _parse(data: bytes, max_points: int) -> np.ndarray:
     """
     shape, is_fortran, dtype, start = _parse_header(data)
     if not _is_cloud(shape, dtype):
-        raise ValueError(f"it holds {_describe(shape, dtype)}")
+        raise ValueError(f"found {_describe(shape, dtype)}")
     check_count(shape[0], max_points)
     if math.prod(shape) * dtype.itemsize > len(data) - start:
-        raise ValueError("it is shorter than its header says")
+        raise ValueError("the file is truncated")
     array = np.frombuffer(data, dtype, math.prod(shape), start)
     array = array.reshape(shape, order="F" if is_fortran else "C")
     return stack_columns(array.T, [dtype])
@@ -131,7 +131,7 @@ def _parse_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
     file = io.BytesIO(data)
     version = npy_format.read_magic(file)
     if version not in _HEADER_READERS:
-        raise ValueError(f"its NPY version {version} is not for plain numbers")
+        raise ValueError(f"NPY version {version} is not supported")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
@@ -145,9 +145,9 @@ def _parse_header(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype, int]:
         RecursionError,
         tokenize.TokenError,
     ):
-        raise ValueError("its header is damaged") from None
+        raise ValueError("damaged header") from None
     if any(type(side) is not int for side in shape):
-        raise ValueError("its header is damaged")  # True is an int to NumPy
+        raise ValueError("damaged header")  # True is an int to NumPy
     return shape, is_fortran, dtype, file.tell()
 
 

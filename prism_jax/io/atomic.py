@@ -45,7 +45,7 @@ def write_together(files: Mapping[Any, bytes]) -> None:
         raise InputError(
             current,
             f"cannot be written ({error.strerror})",
-            "name another place, or free some space",
+            "choose another path, or free some space",
         ) from None
 
 
@@ -75,7 +75,7 @@ def make_output_dir(path: str | os.PathLike) -> pathlib.Path:
         raise InputError(
             path,
             f"cannot be written to ({reason})",
-            "name a directory in which you may create files",
+            "choose a directory that you can write to",
         ) from None
 
 

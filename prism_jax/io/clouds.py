@@ -52,13 +52,13 @@ def read_points_counted(
     if suffix not in READERS:
         raise InputError(
             path,
-            f"has the suffix {suffix!r}, which is not a point cloud's",
+            f"suffix {suffix!r} is not a point cloud format",
             f"convert it to one of {' '.join(READERS)}",
         )
     points = READERS[suffix](path, max_points)
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
-        raise InputError(path, "has no finite point", "check the sensor or the export")
+        raise InputError(path, "no finite points", "check the sensor or the export")
     return points[finite], len(points)
 
 
@@ -78,19 +78,17 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
     64 of them distinct.
     """
     if len(points) == 0:
-        remedy = "check the scan, and that its workspace is in its units and frame"
-        raise InputError(subject, "has no points", remedy)
+        remedy = "check the scan, and the workspace's units and frame"
+        raise InputError(subject, "no points", remedy)
     if not np.isfinite(points).all():
-        raise InputError(subject, "has points that are not finite", "drop them")
+        raise InputError(subject, "some points are not finite", "remove them")
     extent = np.ptp(points.astype(np.float64), axis=0).max()
     if extent == 0:
-        raise InputError(
-            subject, "has an extent of zero: all its points coincide", "check the scan"
-        )
+        raise InputError(subject, "zero extent: all points coincide", "check the scan")
     if extent > MAX_EXTENT:
         raise InputError(
             subject,
-            f"has an extent of {extent:.6g}, above {MAX_EXTENT:,.0f} units of length",
+            f"extent {extent:.6g} is above the limit of {MAX_EXTENT:,.0f} units",
             "scale it to metres, or crop it to one object (--workspace)",
         )
     distinct = np.unique(points[: 4 * MIN_POINTS], axis=0)
@@ -99,7 +97,7 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
     if len(distinct) < MIN_POINTS:
         raise InputError(
             subject,
-            f"has {len(distinct)} distinct points, fewer than {MIN_POINTS}",
+            f"only {len(distinct)} distinct points, at least {MIN_POINTS} are needed",
             "scan more of the object, or widen the workspace (--workspace)",
         )
 
@@ -111,15 +109,15 @@ def check_in_view(
     in_camera = camera.to_camera(points)
     in_front = in_camera[in_camera[:, 2] > MIN_DEPTH]
     remedy = (
-        "check that the camera's rotation and translation take the cloud's frame to "
-        "x right, y down, z forward, or leave --camera out"
+        "check that rotation and translation map the cloud's frame to the camera's "
+        "(x right, y down, z forward), or omit --camera"
     )
     if len(in_front) == 0:
-        raise InputError(subject, "has every point behind the camera", remedy)
+        raise InputError(subject, "all points are behind the camera", remedy)
     image = in_front @ np.asarray(camera.intrinsics).T
     pixels = np.floor(image[:, :2] / image[:, 2:] + 0.5)
     if not inside_image(pixels, camera).any():
-        raise InputError(subject, "has no point in the camera's image", remedy)
+        raise InputError(subject, "no points in the camera's image", remedy)
 
 
 def inside_image(

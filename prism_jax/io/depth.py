@@ -94,7 +94,7 @@ def read_depth(
             raise ValueError("depth_scale must be positive")
     except ValueError as error:
         raise InputError(
-            camera_path, str(error), 'add "depth_scale": metres a count, such as 0.001'
+            camera_path, str(error), 'add "depth_scale": metres per count, as 0.001'
         ) from None
     counts = _read_counts(path, camera, max_points)
     return counts * scale, counts > 0, camera
@@ -124,12 +124,12 @@ def _read_camera_entries(path: str | os.PathLike) -> tuple[Camera, dict[str, Any
     try:
         entries = json.loads(read_bytes(path))
         if type(entries) is not dict:
-            raise ValueError("it is not a JSON object")
+            raise ValueError("not a JSON object")
         return camera_from_dict(entries), entries
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
-        fault = f"is not a camera: {error}"
+        fault = f"not a valid camera: {error}"
         raise InputError(path, fault, _LAYOUT) from None
 
 
@@ -143,20 +143,20 @@ def _read_counts(
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
                 if not image.mode.startswith("I;16"):
-                    raise ValueError(f"its pixels are {image.mode}, not 16-bit grey")
+                    raise ValueError(f"pixels are {image.mode}, not 16-bit grey")
                 check_count(image.width * image.height, max_points, "pixels")
                 if image.size != (camera.width, camera.height):
                     raise ValueError(
-                        f"it is {image.width}x{image.height} and its camera "
+                        f"image is {image.width}x{image.height}, camera is "
                         f"{camera.width}x{camera.height}"
                     )
                 return np.asarray(image)
     except UnidentifiedImageError:
-        fault = ValueError("it is not a PNG")
+        fault = ValueError("not a PNG")
     except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         fault = error
     remedy = "store depth as a 16-bit grey PNG of the camera's size, 0 for no return"
-    raise unsound(path, "a depth image", fault, remedy)
+    raise unsound(path, "a valid depth image", fault, remedy)
 
 
 def _number(entries: dict[str, Any], key: str) -> float:
@@ -171,7 +171,7 @@ def _number(entries: dict[str, Any], key: str) -> float:
 def _integer(entries: dict[str, Any], key: str) -> int:
     value = _number(entries, key)
     if value != int(value) or not 1 <= value <= MAX_SIDE:
-        raise ValueError(f"{key} must be a whole number from 1 to {MAX_SIDE}")
+        raise ValueError(f"{key} must be an integer from 1 to {MAX_SIDE}")
     return int(value)
 
 

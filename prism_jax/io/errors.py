@@ -44,4 +44,4 @@ def require(package: str, extra: str) -> Any:
         if error.name != package.split(".")[0]:
             raise
         remedy = f'install the extra: pip install "prism_jax[{extra}]"'
-        raise InputError(package, "is not installed", remedy) from None
+        raise InputError(package, "not installed", remedy) from None

@@ -27,7 +27,7 @@ class TooManyError(ValueError):
 def check_count(count: int, max_points: int, what: str = "points") -> None:
     """Raise a TooManyError if there are more than `max_points`."""
     if count > max_points:
-        raise TooManyError(f"claims {count:,} {what}, more than {max_points:,}")
+        raise TooManyError(f"{count:,} {what} exceed the limit of {max_points:,}")
 
 
 def unsound(
@@ -35,9 +35,9 @@ def unsound(
 ) -> InputError:
     """The InputError for what a parser of one kind of file raised."""
     if isinstance(error, TooManyError):
-        remedy = "crop or thin it, or allow more with --max_points"
+        remedy = "crop or thin it, or raise --max_points"
         return InputError(path, str(error), remedy)
-    return InputError(path, f"is not {kind}: {error}", remedy)
+    return InputError(path, f"not {kind}: {error}", remedy)
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
@@ -49,11 +49,11 @@ def read_bytes(path: str | os.PathLike) -> bytes:
     try:
         status = os.stat(path)
         if not stat.S_ISREG(status.st_mode):
-            raise InputError(path, "is not a file", "name a file")
+            raise InputError(path, "not a file", "give a file")
         if status.st_size > MAX_FILE_BYTES:
             raise InputError(
                 path,
-                f"holds {status.st_size / 2**30:.1f} GiB",
+                f"{status.st_size / 2**30:.1f} GiB is too large",
                 f"crop or thin it to under {MAX_FILE_BYTES // 2**30} GiB",
             )
         data = pathlib.Path(path).read_bytes()
@@ -67,7 +67,7 @@ def read_bytes(path: str | os.PathLike) -> bytes:
             path, f"cannot be read ({reason})", "check the path and its permissions"
         ) from None
     if not data:
-        raise InputError(path, "is empty", "write the file again at its source")
+        raise InputError(path, "empty file", "export the file again")
     return data
 
 
@@ -78,9 +78,9 @@ def read_json(path: str | os.PathLike, remedy: str) -> dict[str, Any]:
     try:
         content = json.loads(data)
     except (ValueError, RecursionError):
-        raise InputError(path, "is not JSON", remedy) from None
+        raise InputError(path, "not JSON", remedy) from None
     if type(content) is not dict:
-        raise InputError(path, "is not a JSON object", remedy)
+        raise InputError(path, "not a JSON object", remedy)
     return content
 
 
@@ -105,8 +105,8 @@ def _temporary_cache() -> tempfile.TemporaryDirectory:
     can put compiled programs there."""
     folder = tempfile.TemporaryDirectory(prefix="prism_jax_")
     print(
-        f"no home directory: nothing is kept for the next run ({folder.name} is "
-        f"removed at the end); set {CACHE_VARIABLE} to a folder of yours",
+        f"no home directory: compiled programs are not cached ({folder.name} is "
+        f"removed at exit); set {CACHE_VARIABLE} to a folder",
         file=sys.stderr,
     )
     return folder

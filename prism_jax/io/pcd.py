@@ -31,7 +31,7 @@ _LZF_MAX_RATIO = 100  # LZF's longest match is 264 bytes in a token of three
 _MAX_COUNT = 2**16
 """Values of one field for one point; the longest known descriptors have 2,000."""
 _REMEDY = "export it again, for example with pcl_convert_pcd_ascii_binary"
-_SHORT = "it is shorter than its header says"
+_SHORT = "the file is truncated"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +57,7 @@ class _Header:
         known = [field.name for field in self.fields]
         for name in names:
             if [f.count for f in self.fields if f.name == name] != [1]:
-                raise ValueError(f"its fields are {' '.join(known)}, not {name}")
+                raise ValueError(f"fields are {' '.join(known)}, not {name}")
         return [known.index(name) for name in names]
 
 
@@ -99,7 +99,7 @@ def _read(
         indices = header.indices(names)
         return header, _READERS[header.mode](data[header.size :], header, indices)
     except ValueError as error:
-        raise unsound(path, "a sound PCD file", error, _REMEDY) from None
+        raise unsound(path, "a valid PCD file", error, _REMEDY) from None
 
 
 def _parse_header(data: bytes) -> _Header:
@@ -108,14 +108,14 @@ def _parse_header(data: bytes) -> _Header:
     while "DATA" not in entries:
         end = data.find(b"\n", start, 2**16)
         if end < 0:
-            raise ValueError("its header has no DATA line")
+            raise ValueError("no DATA line in the header")
         words = data[start:end].decode("latin-1").split()
         start = end + 1
         if words and not words[0].startswith("#"):
             entries[words[0].upper()] = words[1:]
     mode = " ".join(entries["DATA"]).lower()
     if mode not in _READERS:
-        raise ValueError(f"its DATA mode {mode!r} is unknown")
+        raise ValueError(f"DATA mode {mode!r} is unknown")
     return _Header(_fields(entries), _num_points(entries), mode, start)
 
 
@@ -124,18 +124,18 @@ def _fields(entries: dict[str, list[str]]) -> list[_Field]:
     counts = entries.get("COUNT", ["1"] * len(names))
     sizes, types = entries.get("SIZE", []), entries.get("TYPE", [])
     if not len(names) == len(sizes) == len(types) == len(counts):
-        raise ValueError("its FIELDS, SIZE, TYPE and COUNT differ in length")
+        raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
     fields = []
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
         if kind not in _KINDS or int(size) not in _SIZES[kind]:
-            raise ValueError(f"its field {name!r} has an unknown type")
+            raise ValueError(f"field {name!r} has an unknown type")
         if not 0 <= int(count) <= _MAX_COUNT:
-            raise ValueError(f"its field {name!r} has an impossible count")
+            raise ValueError(f"field {name!r} has an invalid count")
         dtype = np.dtype(f"<{_KINDS[kind]}{int(size)}")
         fields.append(_Field(name.lower(), dtype, int(count)))
     for axis in "xyz":
         if [f.count for f in fields if f.name == axis] != [1]:
-            raise ValueError(f"its fields are {' '.join(names)}, not x y z")
+            raise ValueError(f"fields are {' '.join(names)}, not x y z")
     return fields
 
 
@@ -150,9 +150,9 @@ def _num_points(entries: dict[str, list[str]]) -> int:
     else:
         num_points = sizes.get("POINTS", -1)
     if num_points < 0 or sizes.get("POINTS", num_points) != num_points:
-        raise ValueError("its WIDTH x HEIGHT is not its number of POINTS")
+        raise ValueError("WIDTH x HEIGHT differs from POINTS")
     if num_points == 0:
-        raise ValueError("it holds no points")
+        raise ValueError("no points")
     return num_points
 
 
@@ -197,12 +197,12 @@ def _read_compressed(
     if packed_size > len(body) - 8:
         raise ValueError(_SHORT)
     if size != sum(num_bytes) or size > _LZF_MAX_RATIO * packed_size:
-        raise ValueError("its compressed data has another size than its header says")
+        raise ValueError("compressed size differs from the header")
     if size > MAX_FILE_BYTES:
-        raise ValueError(f"its fields unpack to {size / 2**30:.1f} GiB")
+        raise ValueError(f"fields unpack to {size / 2**30:.1f} GiB")
     plain = lzf.decompress(body[8 : 8 + packed_size], size)
     if plain is None or len(plain) != size:
-        raise ValueError("its compressed data is damaged")
+        raise ValueError("damaged compressed data")
     starts = np.cumsum([0, *num_bytes]).tolist()
     return [
         np.frombuffer(plain, header.fields[i].dtype, header.num_points, starts[i])

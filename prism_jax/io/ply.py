@@ -46,7 +46,7 @@ _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"}
 _NAMES |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 _AXES = ("x", "y", "z")
 _MAX_HEADER_BYTES = 2**18
-_SHORT = "it is shorter than its header says"
+_SHORT = "the file is truncated"
 _REMEDY = "export it again as a PLY point cloud"
 
 
@@ -67,7 +67,7 @@ def read_ply(
         before = list(itertools.takewhile(lambda e: e.name != "vertex", elements))
         count, row = _vertex_row(elements)
         check_count(count, max_points)
-        check_count(sum(e.count for e in before), max_points, "rows before them")
+        check_count(sum(e.count for e in before), max_points, "rows before vertices")
         if layout == "ascii":
             lines = (line for line in io.BytesIO(data[start:]) if not line.isspace())
             skipped = sum(element.count for element in before if element.properties)
@@ -83,7 +83,7 @@ def read_ply(
             columns = [rows[axis] for axis in _AXES]
         return stack_columns(columns, [row[axis] for axis in _AXES])
     except ValueError as error:
-        raise unsound(path, "a sound PLY file", error, _REMEDY) from None
+        raise unsound(path, "a valid PLY file", error, _REMEDY) from None
 
 
 def write_ply(
@@ -171,12 +171,12 @@ class _Element(NamedTuple):
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
     """The format, the elements in the file's order, and where the body starts."""
     if not data.startswith(b"ply"):
-        raise ValueError("it does not start with 'ply'")
+        raise ValueError("does not start with 'ply'")
     layout, elements, start = "", [], 0
     while True:
         end = data.find(b"\n", start, _MAX_HEADER_BYTES)
         if end < 0:
-            raise ValueError("its header has no end")
+            raise ValueError("header without end")
         words = data[start:end].decode("latin-1").split()
         start = end + 1
         match words:
@@ -192,15 +192,15 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
             case ["property", value, name] if elements:
                 elements[-1].properties.append(_Property(name, _dtype(value, layout)))
             case ["format" | "element" | "property", *_]:
-                raise ValueError(f"its header line {' '.join(words)!r} makes no sense")
+                raise ValueError(f"invalid header line {' '.join(words)!r}")
     if not layout:
-        raise ValueError("its header names no format")
+        raise ValueError("no format in the header")
     return layout, elements, start
 
 
 def _dtype(name: str, layout: str) -> np.dtype:
     if name not in _TYPES:
-        raise ValueError(f"its header names an unknown type {name!r}")
+        raise ValueError(f"unknown type {name!r} in the header")
     return np.dtype(_FORMATS.get(layout, "=") + _TYPES[name])
 
 
@@ -208,15 +208,15 @@ def _vertex_row(elements: list[_Element]) -> tuple[int, np.dtype]:
     """How many vertices there are, and what is stored for one."""
     vertex = next((e for e in elements if e.name == "vertex"), None)
     if vertex is None or vertex.count == 0:
-        raise ValueError("it holds no vertices")
+        raise ValueError("no vertices")
     names = [prop.name for prop in vertex.properties]
     if any(names.count(axis) != 1 for axis in _AXES):
         found = ", ".join(names) or "nothing"
-        raise ValueError(f"its vertices have {found}, not x y z")
+        raise ValueError(f"vertices have {found}, not x y z")
     if len(set(names)) < len(names):
-        raise ValueError("its vertices have a property twice")
+        raise ValueError("duplicate vertex property")
     if any(prop.length is not None for prop in vertex.properties):
-        raise ValueError("its vertices have list properties")
+        raise ValueError("vertices have list properties")
     return vertex.count, np.dtype(
         [(prop.name, prop.value) for prop in vertex.properties]
     )
@@ -230,7 +230,7 @@ def _skip(data: bytes, start: int, element: _Element) -> int:
             fixed += prop.value.itemsize
             continue
         if prop.length.kind == "f":
-            raise ValueError(f"its list {prop.name!r} has a length that is no integer")
+            raise ValueError(f"length of list {prop.name!r} is not an integer")
         order = ">" if prop.length.byteorder == ">" else "<"
         head = struct.Struct(f"{order}{fixed}x{prop.length.char}")
         lists.append((head, prop.value.itemsize))
@@ -242,7 +242,7 @@ def _skip(data: bytes, start: int, element: _Element) -> int:
             for head, size in lists:
                 (length,) = head.unpack_from(data, start)
                 if length < 0:
-                    raise ValueError("it has a list of negative length")
+                    raise ValueError("negative list length")
                 start += head.size + length * size
             start += fixed
     except struct.error:

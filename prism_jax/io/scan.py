@@ -65,7 +65,7 @@ def read_scan(
         camera_path = camera_path or _camera_beside(path)
         depth, mask, camera = read_depth(path, camera_path, max_points)
         if not mask.any():
-            raise InputError(path, "has no pixel with a return", "check the sensor")
+            raise InputError(path, "no valid depth pixels", "check the sensor")
         points = points_from_depth(depth, mask, camera)
         in_camera_frame = in_own_axes(camera)
         num_read = len(points)
@@ -101,8 +101,8 @@ def parted(
         spans = ",".join(f"{value:.6g}" for value in (*lower, *upper))
         raise InputError(
             subject,
-            "has no point inside --workspace",
-            f"its points span {spans} (x0,y0,z0,x1,y1,z1)",
+            "no points inside --workspace",
+            f"the points span {spans} (x0,y0,z0,x1,y1,z1)",
         )
     return kept, points[~held]
 
@@ -118,7 +118,7 @@ def parse_bounds(text: str) -> Bounds:
         fault = f"{text!r} is not six finite numbers"
         raise InputError("--workspace", fault, remedy)
     if not (values[:3] < values[3:]).all():
-        raise InputError("--workspace", f"{text!r} holds no volume", remedy)
+        raise InputError("--workspace", f"{text!r} has no volume", remedy)
     return Bounds(values[:3], values[3:])
 
 
@@ -133,6 +133,6 @@ def in_own_axes(camera: Camera) -> bool:
 def _camera_beside(path: str | os.PathLike) -> pathlib.Path:
     camera_path = pathlib.Path(path).with_suffix(".json")
     if not camera_path.exists():
-        remedy = f"give it with --camera, or put it beside as {camera_path.name}"
-        raise InputError(path, "is a depth image without a camera", remedy)
+        remedy = f"set --camera, or add {camera_path.name} next to the image"
+        raise InputError(path, "depth image without a camera", remedy)
     return camera_path

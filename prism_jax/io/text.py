@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
-_REMEDY = "write one point a line as 'x y z' or 'x,y,z'"
+_REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
 
 
 def read_text(
@@ -38,14 +38,14 @@ def read_text(
         lines = [line for line in lines if line]
         rows = [line for line in lines if not _is_comment(line)]
         if not rows:
-            raise ValueError("it holds no points")
+            raise ValueError("no points")
         delimiter = next((mark for mark in ",;\t" if mark in rows[0]), None)
         before = list(itertools.takewhile(_is_comment, lines))
         columns, has_header = _columns(before, rows, delimiter)
         points = itertools.islice(rows, int(has_header), None)
         return parse_rows(points, columns, delimiter=delimiter)
     except ValueError as error:
-        raise unsound(path, "a table of points", error, _REMEDY) from None
+        raise unsound(path, "a valid table of points", error, _REMEDY) from None
 
 
 def parse_rows(
@@ -70,7 +70,7 @@ def parse_rows(
             ndmin=2,
         )
     if len(table) == 0 or (count is not None and len(table) < count):
-        raise ValueError(f"it ends after {len(table)} of {count or 'its'} points")
+        raise ValueError(f"ends after {len(table)} of {count or 'the'} points")
     return table
 
 
@@ -95,7 +95,7 @@ def _columns(
         has_header = True
     widths = {len(row.split(delimiter)) for row in rows[int(has_header) :]}
     if len(widths) > 1:
-        raise ValueError(f"its lines have {min(widths)} to {max(widths)} columns")
+        raise ValueError(f"lines have {min(widths)} to {max(widths)} columns")
     headers = [names(line.lstrip().lstrip("#/")) for line in comments]
     headers = [header for header in headers if {len(header)} == widths]
     if has_header:
@@ -103,9 +103,9 @@ def _columns(
     for header in reversed(headers):
         if all(axis in header for axis in "xyz"):
             if widths and {len(header)} != widths:
-                fault = f"it names {len(header)} columns and has {widths.pop()}"
+                fault = f"header names {len(header)} columns, lines have {widths.pop()}"
                 raise ValueError(fault)
             return [header.index(axis) for axis in "xyz"], has_header
     if has_header and len(words) > 3:
-        raise ValueError(f"its columns {', '.join(words)} are not named x, y and z")
+        raise ValueError(f"columns {', '.join(words)} are not named x, y and z")
     return [0, 1, 2], has_header

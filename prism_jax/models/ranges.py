@@ -9,7 +9,7 @@ MAX_LENGTH = 8  # of a tuple of any length: resolutions, stages and blocks are f
 
 
 class Checked:
-    """Base of configurations. ``Annotated[int, 1, 64]`` is a whole number from 1 to 64.
+    """Base of configurations. ``Annotated[int, 1, 64]`` is an integer from 1 to 64.
 
     Fields are numbers, words of a `Literal`, switches, inner configurations, tuples of
     these, or one of them or None. A range holds for all numbers of a field. A field of
@@ -53,5 +53,5 @@ def _fault(value: Any, kind: Any, within: Sequence[int | float]) -> str:
     is_number = isinstance(value, int if kind is int else int | float)
     if is_number and not isinstance(value, bool) and within[0] <= value <= within[1]:
         return ""
-    name = "a whole number" if kind is int else "a number"
+    name = "an integer" if kind is int else "a number"
     return f"{name} from {within[0]:g} to {within[1]:g}"

@@ -118,22 +118,22 @@ def observe(
     up: str | Vector = "z",
     heading: Heading = "given",
 ) -> Observation:
-    """Points and a sensor in the user's frame as what the network reads.
+    """The network's input, from points and a sensor position in the user's frame.
 
-    `sensor` is its position. None, or one that is not finite, is unknown. "origin" is
-    for points in a sensor's own frame: the origin, unless it cannot be the sensor's
-    place, being inside the workspace or over `FAR_ORIGIN` half extents away from its
-    centre; then it is unknown too.
+    `sensor` is the sensor position; None or a non-finite one means unknown. "origin"
+    is for points in the sensor's own frame: the position is the origin, or unknown if
+    the origin is implausible, that is inside the workspace or more than `FAR_ORIGIN`
+    half extents from its centre.
 
-    `workspace` is the cube to work in; points outside it are not ``inside``. If it is
-    None it is `workspace_around` the points, by `margin`, `up` and `heading`; only
-    strays (`far_outliers`) can lie outside that. One that is given without a rotation
-    has the axes that `up` says.
+    `workspace` is the cube to complete; points outside it are not ``inside``. The
+    default is `workspace_around` the points, with `margin`, `up` and `heading`; only
+    outliers (`far_outliers`) can lie outside that. A workspace without a rotation
+    takes its axes from `up`.
 
-    With NumPy points everything is done in double precision, for frames whose origin is
-    far away. With JAX arrays it can be jitted and mapped; use ``points`` near the
-    origin then. Differentiable but for what is inside. An empty cloud raises
-    ValueError; points must be finite.
+    With NumPy points all is in double precision, for frames with a far origin. With
+    JAX arrays it can be jitted and mapped; use ``points`` near the origin then.
+    Differentiable, except for ``inside``. An empty cloud raises ValueError; points
+    must be finite.
     """
     xp = _numpy_of(points)
     if workspace is None:

@@ -58,7 +58,7 @@ def _unit(vector: Any, subject: str, remedy: str) -> Float64[np.ndarray, "3"]:
     if vector.shape != (3,):
         raise InputError(subject, f"{vector.tolist()} is not three numbers", remedy)
     if not np.isfinite(vector).all() or not vector.any():
-        raise InputError(subject, f"{vector.tolist()} points nowhere", remedy)
+        raise InputError(subject, f"{vector.tolist()} has no direction", remedy)
     # Squares of very large or small numbers would not be representable.
     vector = vector / np.abs(vector).max()
     return vector / np.linalg.norm(vector)

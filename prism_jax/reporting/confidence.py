@@ -15,7 +15,7 @@ TRUST_COLORS = {
 }
 """They differ in lightness too, for readers who tell few hues apart."""
 
-NO_CALIBRATION = "These weights come without a calibration: nothing vouches for {what}."
+NO_CALIBRATION = "These weights have no calibration: confidence in {what} is unknown."
 
 
 def trust_of(entry: Mapping[str, Any]) -> str:
@@ -31,20 +31,25 @@ def verdict_of_scan(summary: Mapping[str, Any], size: float) -> dict[str, Any]:
     trust, verdict = trust_of(summary), summary["verdict"]
     if verdict is None:
         text = NO_CALIBRATION.format(what="this completion")
-        return {"trust": trust, "headline": "No verdict", "text": text, "reasons": []}
+        return {
+            "trust": trust,
+            "headline": "Unknown confidence",
+            "text": text,
+            "reasons": [],
+        }
     error = verdict["expected_error"]
-    text = "The expected error is not a finite number."
+    text = "The expected error is not finite."
     if error is not None:
         share = (
             f", {100 * error / size:.2g} % of the scan's longest side" if size else ""
         )
         text = (
-            f"Completed and true surface are expected to lie {error:.3g} apart on "
-            f"average, in the input's units{share}."
+            f"Expected error: {error:.3g} in input units{share}. This is the mean "
+            "distance between completed and true surface."
         )
     return {
         "trust": trust,
-        "headline": f"{trust.capitalize()} trust",
+        "headline": f"{trust.capitalize()} confidence",
         "text": text,
         "reasons": list(verdict["reasons"]) or _nothing_against(trust),
     }
@@ -56,14 +61,14 @@ def verdict_of_scene(objects: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     headline = f"{count} object{'s' if count != 1 else ''}"
     counts = Counter(map(trust_of, objects))
     lowest = next((trust for trust in TRUST if counts[trust]), "unknown")
-    told = [f"{counts[trust]} of {trust}" for trust in TRUST if counts[trust]]
-    text = f"{', '.join(told)} trust."
+    told = [f"{counts[trust]} {trust}" for trust in TRUST if counts[trust]]
+    text = f"{', '.join(told)} confidence."
     if count == 0:
-        headline, text = "No object", "Nothing was found that could be completed."
+        headline, text = "No objects", "Nothing that can be completed was found."
     elif counts["unknown"] == count:
-        text = NO_CALIBRATION.format(what="a completion")
+        text = NO_CALIBRATION.format(what="the completions")
     return {"trust": lowest, "headline": headline, "text": text, "reasons": []}
 
 
 def _nothing_against(trust: str) -> list[str]:
-    return ["Nothing in the evidence speaks against it."] if trust == "high" else []
+    return ["No evidence speaks against this completion."] if trust == "high" else []

@@ -8,25 +8,25 @@ import numpy as np
 
 LEFT_AWAY = {
     "outside": "outside the workspace",
-    "stray": "strays",
-    "in_front": "in front of what was measured",
-    "looked_through": "where the sensor looked through",
+    "stray": "outliers",
+    "in_front": "in front of measured points",
+    "looked_through": "in space that the sensor saw through",
     "known": "where points were measured",
 }
 """Why predicted points are not among the added ones."""
 
 SENSOR = {
     "given": "given",
-    "origin": "placed at the origin",
-    "unknown": "placed where the points look seen from: the origin cannot be its place",
+    "origin": "assumed at the origin",
+    "unknown": "estimated from the points, as the origin is implausible",
 }
 """Where the view of the depths is from."""
 
 UP_SOURCE = {
-    "given": "as given",
-    "support": "across the plane that objects stand on",
-    "camera": "as the camera was held",
-    "z": "taken to be z, for nothing says more",
+    "given": "given",
+    "support": "the normal of the support plane",
+    "camera": "from the camera's orientation",
+    "z": "the default",
 }
 
 
@@ -39,14 +39,14 @@ def adaptation(entry: Mapping[str, Any], asked: bool) -> str:
     """What became of the adaptation to one object."""
     objective = entry["losses"].get("objective") or [None]
     if len(objective) == 1:
-        why = "these weights take no step" if asked else "which nobody asked for"
-        return f"without test-time adaptation, {why}"
+        why = ": these weights use no adaptation steps" if asked else ""
+        return f"off{why}"
     first, last = number(objective[0]), number(objective[-1])
     steps = f"{len(objective) - 1} step{'s' if len(objective) != 2 else ''}"
-    went = f"the objective went from {first} to {last} in {steps}"
+    went = f"the objective changed from {first} to {last} in {steps}"
     if entry["accepted"]:
-        return f"accepted: {went}. That does not say that the completion is better"
-    return f"not accepted: {went}. This is the completion of the network as released"
+        return f"accepted: {went}. This does not mean that the completion is better"
+    return f"rejected: {went}. The result is from the released network"
 
 
 def left_away(entry: Mapping[str, Any]) -> str:
@@ -63,25 +63,25 @@ def workspace(entry: Mapping[str, Any]) -> str:
     """The cube that was completed."""
     cube = entry["workspace"]
     center = _vector(cube["center"], cube["half_extent"])
-    return f"cube about ({center}), half extent {number(cube['half_extent'])}"
+    return f"cube centred at ({center}), half extent {number(cube['half_extent'])}"
 
 
 def sigma(entry: Mapping[str, Any]) -> str:
     """How far single added points are expected to be off."""
     told = entry.get("sigma")
     if told is None:
-        return "not told: no point was added, or these weights cannot tell"
+        return "unknown: no points were added, or these weights do not estimate it"
     low, middle, high = (number(told[name]) for name in ("q05", "median", "q95"))
     return (
-        f"{middle} at the median of the added points, from {low} to {high} for nine in "
-        "ten, in the input's units"
+        f"median {middle}, 5th to 95th percentile {low} to {high}, of the added "
+        "points, in input units"
     )
 
 
 def evidence(entry: Mapping[str, Any]) -> str:
     """The numbers that the verdict rests on."""
     if entry["verdict"] is None:
-        return "none: these weights come without a calibration"
+        return "none: these weights have no calibration"
     numbers = entry["verdict"]["evidence"].items()
     return ", ".join(f"{k.replace('_', ' ')} {number(v)}" for k, v in numbers)
 
@@ -95,9 +95,9 @@ def of_scan(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         f"{camera['width']} x {camera['height']} pixels, "
         f"{SENSOR[summary['sensor']]}, centre at ({position})"
     )
-    left_out = f" and {summary['input']['points_left_out']:,} left out, far from all"
+    left_out = f" and {summary['input']['points_left_out']:,} removed as outliers"
     rows = [
-        *_of_input(summary, f"{left_out} others"),
+        *_of_input(summary, left_out),
         ("Up", _up(summary["up"])),
         ("Workspace", workspace(summary)),
         ("Camera", view),
@@ -118,8 +118,8 @@ def of_scene(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     support, rest = summary["points"]["support"], summary["points"]["left_over"]
     return [
         *_of_input(summary),
-        ("Support", f"{support:,} points on what objects stand on, and on walls"),
-        ("Left over", f"{rest:,} points of no object, or of one that is too small"),
+        ("Support", f"{support:,} points on support planes and walls"),
+        ("Left over", f"{rest:,} points in no object, or in one that is too small"),
         ("Up", f"{_up(summary['up'])}, {UP_SOURCE[summary['up_source']]}"),
         *_of_run(summary),
     ]
@@ -130,7 +130,7 @@ def _of_input(summary: Mapping[str, Any], more: str = "") -> list[tuple[str, str
     outside = f"{source['points_outside']:,} outside the workspace"
     joint = ", " if more else " and "
     read = (
-        f"{source['points_read']:,}, of them {source['points_not_finite']:,} not "
+        f"{source['points_read']:,}, of which {source['points_not_finite']:,} not "
         f"finite{joint}{outside}{more}"
     )
     return [
@@ -143,7 +143,7 @@ def _of_input(summary: Mapping[str, Any], more: str = "") -> list[tuple[str, str
 def _of_run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     seconds = summary["seconds"].items()
     return [
-        ("Density", f"{number(summary['density'])} of the measured points'"),
+        ("Density", f"{number(summary['density'])} times that of measured points"),
         ("Seconds", ", ".join(f"{name} {value:.2f}" for name, value in seconds)),
         ("Software", f"prism_jax {summary['prism_jax']}"),
     ]

@@ -94,25 +94,25 @@ def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
 def _trust(about: Mapping[str, Any]) -> Iterator[str]:
     """How far the verdicts on their completions are right, if there are any."""
     if "calibration" not in about:
-        yield "No verdicts: they come without a calibration."
+        yield "No confidence: these weights have no calibration."
     elif "trust" in about:
         held_out = about["trust"]["all"]
         yield (
-            f"Verdicts, on {held_out['views']:,} shifted validation views: the rank "
+            f"Confidence, on {held_out['views']:,} shifted validation views: the rank "
             "correlation of expected and true error is "
             f"{held_out['rank_correlation']:.2f}; {held_out['worst_tenth_low']:.0%} of "
-            f"the worst tenth have low trust, {held_out['better_half_low']:.0%} of the "
-            "better half."
+            f"the worst tenth and {held_out['better_half_low']:.0%} of the better half "
+            "have low confidence."
         )
     if "point_errors" not in about:
-        yield "No errors of single points: they come without what tells them."
+        yield "No per-point errors: these weights do not estimate them."
     elif "sigma" in about:
         held_out = about["sigma"]["all"]
         yield (
-            f"Points' sigmas, on {held_out['views']:,} shifted validation views: the "
+            f"Per-point errors, on {held_out['views']:,} shifted validation views: the "
             "rank correlation with the true errors is "
             f"{held_out['rank_correlation']:.2f}; {held_out['below_one']:.0%} of the "
-            f"errors are below one, {held_out['below_two']:.0%} below two."
+            f"errors are below 1 sigma, {held_out['below_two']:.0%} below 2 sigma."
         )
 
 

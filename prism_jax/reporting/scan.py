@@ -34,8 +34,8 @@ METRICS = (
 
 CLOUDS = {
     "partial": "the measured points",
-    "network": "all that the network predicts",
-    "completed": "what you get: observed and added points",
+    "network": "all points that the network predicts",
+    "completed": "the result: observed and added points",
 }
 """What the clouds of a result are."""
 

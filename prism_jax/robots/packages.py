@@ -14,7 +14,7 @@ def named_file(name: str, beside: pathlib.Path) -> pathlib.Path | None:
     scheme, found, rest = name.partition("://")
     if found and scheme not in ("package", "file"):
         raise InputError(
-            beside, f"names a mesh by {scheme}://", "use package:// or a path"
+            beside, f"{scheme}:// is not supported", "use package:// or a path"
         )
     places = [beside.parent / (rest if found else name)]
     if scheme == "package":

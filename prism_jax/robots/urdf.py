@@ -23,7 +23,7 @@ from prism_jax.robots.packages import named_file
 from prism_jax.robots.xacro import plain_urdf, robot_xml
 
 MESH_SUFFIXES = (".dae", ".obj", ".ply", ".stl")
-REMEDY = "mend the URDF, or name that of another robot"
+REMEDY = "fix the URDF, or use another one"
 _EXTRA = "robots"
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -70,7 +70,7 @@ class Linkage:
                 self._link_frames.append(index)
         self.link_names = tuple(self.frames[index] for index in self._link_frames)
         if not self.meshes:
-            raise InputError(path, "has no link with a shape", REMEDY)
+            raise InputError(path, "no link has geometry", REMEDY)
 
     def link_poses(
         self, positions: Float[np.ndarray, "P J"]
@@ -126,7 +126,7 @@ def _parse(path: pathlib.Path) -> Any:
             io.BytesIO(data), build_scene_graph=False, load_meshes=False
         ).robot
     except Exception as error:  # its parser raises whatever a malformed file leads to
-        fault = f"is not a URDF robot: {type(error).__name__} {error}"
+        fault = f"not a valid URDF robot: {type(error).__name__} {error}"
         raise InputError(path, fault, REMEDY) from None
 
 
@@ -138,14 +138,14 @@ def _subtree(robot: Any, root: str | None, path: pathlib.Path) -> tuple[list, li
     if root is None:
         root = tops[0] if len(tops) == 1 else None
     if root not in links:
-        raise InputError(path, f"has no single root link {root or ''}", REMEDY)
+        raise InputError(path, f"no unique root link {root or ''}", REMEDY)
     found = [root]
     chain = [carriers[root]] if root in carriers else []
     for name in found:
         for joint in robot.joints:
             if joint.parent == name:
                 if joint.child in found or joint.child not in links:
-                    fault = f"has a loop or a gap at its joint {joint.name!r}"
+                    fault = f"loop or gap at joint {joint.name!r}"
                     raise InputError(path, fault, REMEDY)
                 found.append(joint.child)
                 chain.append(joint)
@@ -210,10 +210,10 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> Any:
             metres = trimesh.units.unit_conversion(loaded.units, "meters")
             mesh.vertices = mesh.vertices * metres
     except Exception as error:  # one parser for each format, each with its own errors
-        fault = f"is not a readable mesh: {type(error).__name__}"
+        fault = f"not a readable mesh: {type(error).__name__}"
         raise InputError(file, fault, "export it again as STL") from None
     if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
-        raise InputError(file, "has no triangles", "export it again as STL")
+        raise InputError(file, "no triangles", "export it again as STL")
     if geometry.mesh.scale is not None:
         mesh.vertices = mesh.vertices * np.broadcast_to(geometry.mesh.scale, 3)
     return mesh
@@ -223,8 +223,8 @@ def _mesh_file(name: str, urdf: pathlib.Path) -> pathlib.Path:
     """The file of a mesh that a robot's file names."""
     place = named_file(name, urdf)
     if place is None:
-        raise InputError(urdf, f"names a mesh {name!r} that is not there", REMEDY)
+        raise InputError(urdf, f"no such mesh {name!r}", REMEDY)
     if place.suffix.lower() not in MESH_SUFFIXES:
-        fault = f"is no mesh of {' '.join(MESH_SUFFIXES)}"
+        fault = f"not a mesh of type {' '.join(MESH_SUFFIXES)}"
         raise InputError(place, fault, "convert it to STL")
     return place

@@ -20,7 +20,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
 from prism_jax.robots.packages import named_file
 
-_REMEDY = "write the robot out as plain URDF"
+_REMEDY = "convert the robot to plain URDF"
 _OPERATORS: dict[type, Any] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -44,7 +44,7 @@ def robot_xml(path: pathlib.Path) -> bytes:
     """A file's bytes, which declare no XML entities."""
     data = read_bytes(path)
     if b"<!ENTITY" in data or b"<!DOCTYPE" in data:
-        raise InputError(path, "declares XML entities", "write the URDF without them")
+        raise InputError(path, "uses XML entities", "write the URDF without them")
     return data
 
 
@@ -63,7 +63,7 @@ class _Expansion:
         try:
             return ElementTree.fromstring(robot_xml(path))
         except ElementTree.ParseError as error:
-            raise InputError(path, f"is not XML ({error})", _REMEDY) from None
+            raise InputError(path, f"not XML ({error})", _REMEDY) from None
 
     def _children(
         self, element: ElementTree.Element, names: dict[str, Any]
@@ -105,16 +105,16 @@ class _Expansion:
             elif tag in self._macros:
                 return self._called(self._macros[tag], given, names)
             else:
-                raise InputError(self._path, f"uses xacro:{tag}", _REMEDY)
+                raise InputError(self._path, f"xacro:{tag} is not supported", _REMEDY)
         except KeyError as error:
-            fault = f"has a xacro:{tag} without {error.args[0]}"
+            fault = f"xacro:{tag} without {error.args[0]}"
             raise InputError(self._path, fault, _REMEDY) from None
         return []
 
     def _included(self, name: str, names: dict[str, Any]) -> list[ElementTree.Element]:
         place = named_file(name, self._path)
         if place is None:
-            fault = f"includes {name!r}, which is not there"
+            fault = f"no such included file {name!r}"
             raise InputError(self._path, fault, _REMEDY)
         outer, self._path = self._path, place
         written = self._deeper(self._parsed(place), names)
@@ -132,10 +132,10 @@ class _Expansion:
             name, has_default, default = parameter.partition("=")
             name = name.rstrip(":")
             if name.startswith("*"):
-                raise InputError(self._path, "has a macro of blocks", _REMEDY)
+                raise InputError(self._path, "macro with block parameters", _REMEDY)
             value = given.get(name, default if has_default else None)
             if value is None:
-                fault = f"calls {macro.attrib['name']} without {name}"
+                fault = f"call of {macro.attrib['name']} without {name}"
                 raise InputError(self._path, fault, _REMEDY)
             own[name] = self._value(value, names)
         return self._deeper(macro, own)
@@ -144,7 +144,7 @@ class _Expansion:
         self, element: ElementTree.Element, names: dict[str, Any]
     ) -> list[ElementTree.Element]:
         if self._depth == _DEPTH:
-            raise InputError(self._path, "has macros without end", _REMEDY)
+            raise InputError(self._path, "macros are nested too deeply", _REMEDY)
         self._depth += 1
         written = self._children(element, names)
         self._depth -= 1
@@ -175,7 +175,7 @@ class _Expansion:
         try:
             return _result(ast.parse(text.strip(), mode="eval").body, names)
         except (SyntaxError, ValueError, TypeError, KeyError, ArithmeticError):
-            fault = f"has an expression {text!r} that says nothing"
+            fault = f"invalid expression {text!r}"
             raise InputError(self._path, fault, _REMEDY) from None
 
 

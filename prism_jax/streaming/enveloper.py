@@ -76,7 +76,7 @@ def standing(
     if eye is None:
         return camera
     if depth is not None:
-        raise InputError("--eye", "is of a depth image", "leave it out")
+        raise InputError("--eye", "not supported for depth images", "omit it")
     return Camera(np.eye(3), -eye, np.eye(3), 1, 1)
 
 

@@ -86,7 +86,7 @@ class FrameObserver(abc.ABC):
             return np.zeros((0, 3))
         if frame.joints is None:
             remedy = "record joint states, or give them with --joints"
-            raise InputError("the frame", "has no joint positions", remedy)
+            raise InputError("the frame", "no joint positions", remedy)
         return robot_surface(self.robot, *joints_from_dict(frame.joints))
 
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:

@@ -132,7 +132,7 @@ def _completed(
         return complete(frame)
     except InputError as error:
         report.unusable += 1
-        stream.remark("unusable", f"frame {number} is left out: {error}")
+        stream.remark("unusable", f"skipped frame {number}: {error}")
         return None
 
 

@@ -89,5 +89,5 @@ def _undamaged(folder: Any) -> Iterator[None]:
         yield
     except Exception as error:
         fault = f"a damaged checkpoint ({type(error).__name__})"
-        remedy = "put it back from a copy, or delete the folder to lose what it holds"
+        remedy = "restore it from a backup, or delete the folder"
         raise InputError(folder, fault, remedy) from None

@@ -87,8 +87,8 @@ def check_meta(training: MetaTrainConfig) -> None:
     }
     for name, needs_second in learned.items():
         if method.first_order and needs_second:
-            fault = f"constant inner gradients teach nothing to {name}"
-            raise InputError("meta.method.first_order", fault, "leave one of them out")
+            fault = f"first-order gradients cannot train {name}"
+            raise InputError("meta.method.first_order", fault, "omit one of them")
 
 
 def _optimisers(training: MetaTrainConfig) -> optax.GradientTransformation:

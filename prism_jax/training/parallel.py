@@ -22,8 +22,8 @@ def check_batch(batch_size: int) -> None:
     """Raises InputError unless the batch is shared evenly by the devices."""
     count = jax.device_count()
     if batch_size % count:
-        fault = f"{batch_size} examples cannot be shared evenly by {count} devices"
-        remedy = "choose a multiple, or show JAX fewer devices"
+        fault = f"{batch_size} examples cannot be split evenly across {count} devices"
+        remedy = "use a multiple of the number of devices, or fewer devices"
         raise InputError("batch_size", fault, remedy)
 
 

@@ -178,7 +178,7 @@ def steps_of(name: str, num_samples: int, batch_size: int) -> int:
     """Of a phase; InputError if its samples do not fill one batch."""
     if num_samples < batch_size or batch_size < 1:
         fault = f"{num_samples} samples do not fill a batch of {batch_size}"
-        raise InputError(name, fault, "train on more, or in smaller batches")
+        raise InputError(name, fault, "use more samples, or smaller batches")
     return num_samples // batch_size
 
 
@@ -197,7 +197,7 @@ def _check_numbers(variables: Variables, name: str, step: int) -> None:
     """A step may turn a finite loss into variables that are not numbers."""
     # Infinities are the logits of branches that do not count.
     if any(np.isnan(x).any() for x in jax.tree.leaves(jax.device_get(variables))):
-        raise FloatingPointError(f"{name}: variables are not numbers at step {step}")
+        raise FloatingPointError(f"{name}: variables are not finite at step {step}")
 
 
 def validate(phase: Phase, data: Data, variables: Variables) -> np.ndarray:

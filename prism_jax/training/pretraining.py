@@ -74,6 +74,6 @@ def _better_refiner(
     print(f"CD-L2 x1e4: {1e4 * before:.4g} unrefined, {1e4 * after:.4g} refined")
     if after <= before:
         return variables
-    print("the refiner is left as it was before training")
+    print("kept the untrained refiner, which scores better")
     params = {**variables["params"], "refiner": fresh["params"]["refiner"]}
     return {**variables, "params": params}

@@ -42,15 +42,15 @@ def _check_in(
         write_bytes(path, text.encode())
         return
     if not resume:
-        remedy = "pass --resume to go on with it, or choose another --workdir"
-        raise InputError(str(folder), "it holds a run already", remedy)
+        remedy = "resume it with --resume, or choose another --workdir"
+        raise InputError(str(folder), "this folder already holds a run", remedy)
     before = json.loads(path.read_text())
     changes = [*_changes({key: before.get(key) for key in resolved}, resolved)]
     if changes:
         told, others = changes[:_SHOWN], len(changes) - _SHOWN
         told += [f"and {others} more"] if others > 0 else []
-        fault = f"its run has another configuration: {', '.join(told)}"
-        remedy = "resume with the settings, and on the data, of its config.json"
+        fault = f"configuration differs from the run's: {', '.join(told)}"
+        remedy = "resume with the settings and data of its config.json"
         raise InputError(str(folder), fault, remedy)
 
 

@@ -10,22 +10,22 @@ from jaxtyping import Float
 from prism_jax.uncertainty.trees import Trees
 
 EVIDENCE = {
-    "num_points": "few points were measured ({:,.0f}): come closer, or scan longer",
-    "spacing": "what was measured is spread thinly: crop to one object",
+    "num_points": "few points were measured ({:,.0f}): move closer, or scan longer",
+    "spacing": "the measured points are sparse: crop to one object",
     "roughness": "the measured surface is rough or noisy: average several scans",
-    "strays": "{:.0%} of the predicted points stray: crop to one object",
-    "in_front": "{:.0%} of the predicted points would have hidden what was measured: "
-    "say where the sensor stood (--camera)",
-    "looked_through": "{:.0%} of the predicted points are where nothing was measured "
-    "about their line of sight: crop to one object, or scan from another side",
+    "strays": "{:.0%} of the predicted points are outliers: crop to one object",
+    "in_front": "{:.0%} of the predicted points would occlude measured ones: "
+    "set the sensor position (--camera)",
+    "looked_through": "{:.0%} of the predicted points are on lines of sight without "
+    "measurements: crop to one object, or scan from another side",
     "unexplained": "the completion misses measured points: crop to one object, and "
     "check --up",
-    "reach": "most of it was hidden: scan from another side",
-    "disagreement_mirrored": "its mirror image is completed otherwise: check --up, or "
-    "scan from another side",
-    "disagreement_turned": "turned by a quarter it is completed otherwise: check --up, "
+    "reach": "most of the object was hidden: scan from another side",
+    "disagreement_mirrored": "mirroring the scan changes the completion: check --up, "
     "or scan from another side",
-    "novelty": "it looks unlike what the weights were trained on: crop to one object, "
+    "disagreement_turned": "a 90 degree rotation changes the completion: check --up, "
+    "or scan from another side",
+    "novelty": "the scan is unlike the training data: crop to one object, "
     "and check --up",
 }
 """What `prism_jax.uncertainty.evidence.evidence_of` finds, and what to say if it

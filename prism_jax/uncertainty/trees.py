@@ -44,11 +44,11 @@ class Trees:
         """From what `to_dict` gave; anything else raises ValueError."""
         names = [field.name for field in dataclasses.fields(cls)]
         if not isinstance(fields, Mapping) or set(fields) != set(names):
-            raise ValueError(f"{cls.WHAT} has {', '.join(names)}")
+            raise ValueError(f"{cls.WHAT} needs exactly {', '.join(names)}")
         try:
             arrays = {name: np.asarray(fields[name], np.float64) for name in names}
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{cls.WHAT} is made of numbers: {error}") from None
+            raise ValueError(f"{cls.WHAT} must hold numbers: {error}") from None
         trees, nodes = (*arrays["looks_at"].shape, 0, 0)[:2]
         shapes = {
             "base": (),
@@ -64,7 +64,7 @@ class Trees:
             if not np.isfinite(array).all():
                 raise ValueError(f"{cls.WHAT}'s {name} is not finite")
         if not np.isin(arrays["looks_at"], np.arange(len(cls.NAMES))).all():
-            raise ValueError(f"{cls.WHAT}'s looks_at is beyond what there is")
+            raise ValueError(f"{cls.WHAT}'s looks_at is out of range")
         plain: dict[str, Any] = {
             name: float(array) if array.ndim == 0 else array
             for name, array in arrays.items()

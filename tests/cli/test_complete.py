@@ -57,9 +57,9 @@ def test_completes_a_scan(capsys):
     assert run("--input=scan.npy") == 0
     printed = capsys.readouterr()
     assert printed.out == (
-        "trust       unknown: these weights come without a calibration\n"
+        "confidence  unknown: these weights have no calibration\n"
         "points      200 observed, 100 added\n"
-        "adaptation  not asked for\n"
+        "adaptation  off\n"
         "written     prism_output: completed.ply, result.json, report.html\n"
     )
     assert printed.err == ""
@@ -129,7 +129,7 @@ def test_says_how_far_to_trust():
     summary = {"points": {"partial": 1, "completed": 3}, "adapt": False}
     summary |= {"verdict": verdict, "losses": {"objective": [2.0]}}
     told = complete.outcome(summary, "out").splitlines()[0]
-    assert told == "trust       fair: expected error 0.0123, in the input's units"
+    assert told == "confidence  fair: expected error 0.0123, in input units"
 
 
 @pytest.fixture
@@ -153,7 +153,8 @@ def test_warns_of_low_trust_and_says_what_to_do(trust, judge, capsys):
     judge(trust)
     assert run("--input=scan.npy") == 0
     warned = (
-        "low trust in this completion: it strays: crop it" in capsys.readouterr().err
+        "low confidence in this completion: it strays: crop it"
+        in capsys.readouterr().err
     )
     assert warned == (trust == "low")
 
@@ -172,19 +173,19 @@ def test_asks_what_lies_around_a_doubted_scan(trust, flags, asks, judge, capsys)
     judge(trust)
     assert run("--input=scan.npy", *flags) == 0
     told = capsys.readouterr().err
-    assert ("nothing tells what lies around the object" in told) == asks
+    assert ("the surroundings are unknown" in told) == asks
 
 
 def test_says_why_nothing_was_adapted():
     points = {"partial": 1, "completed": 3}
     summary = {"points": points, "adapt": True, "accepted": False, "verdict": None}
     held = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
-    assert "none, these weights take no step" in held
+    assert "none, these weights use no adaptation steps" in held
     refused = complete.outcome(summary | {"losses": {"objective": [1.0, 2.0]}}, "out")
-    assert "not accepted, left out" in refused
+    assert "rejected, not used" in refused
     summary["adapt"] = False
     left_out = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
-    assert "not asked for" in left_out
+    assert "adaptation  off" in left_out
 
 
 def test_without_input_it_completes_the_sample(monkeypatch, folder):
@@ -211,26 +212,26 @@ def test_tells_all_of_one_set_of_weights(capsys):
 
 FAULTS = [
     (["--input=missing.ply"], "missing.ply: no such file; check the path"),
-    (["--input=empty.ply"], "empty.ply: is empty"),
-    (["--input=nonsense.ply"], "nonsense.ply: is not a sound PLY file"),
-    (["--input=scan.obj"], "scan.obj: has the suffix '.obj'"),
-    (["--input=."], ".: has the suffix ''"),
-    (["--input="], ": has the suffix ''"),
-    (["--max_points=199"], "scan.npy: claims 200 points, more than 199; crop or"),
+    (["--input=empty.ply"], "empty.ply: empty file"),
+    (["--input=nonsense.ply"], "nonsense.ply: not a valid PLY file"),
+    (["--input=scan.obj"], "scan.obj: suffix '.obj' is not a point cloud"),
+    (["--input=."], ".: suffix ''"),
+    (["--input="], ": suffix ''"),
+    (["--max_points=199"], "scan.npy: 200 points exceed the limit of 199; crop or"),
     (["--max_points=0"], "flag --max_points=0: 0 is not a positive integer"),
-    (["--max_points=200", "--ground_truth=more.npy"], "more.npy: claims 263 points"),
-    (["--input=few.npy"], "few.npy: has 63 distinct points, fewer than 64"),
-    (["--input=nan.npy"], "nan.npy: has no finite point"),
-    (["--input=point.npy"], "point.npy: has an extent of zero"),
-    (["--input=vast.npy"], "vast.npy: has an extent of 19"),
-    (["--camera=behind.json"], "scan.npy: has every point behind the camera"),
+    (["--max_points=200", "--ground_truth=more.npy"], "more.npy: 263 points exceed"),
+    (["--input=few.npy"], "few.npy: only 63 distinct points, at least 64"),
+    (["--input=nan.npy"], "nan.npy: no finite points"),
+    (["--input=point.npy"], "point.npy: zero extent"),
+    (["--input=vast.npy"], "vast.npy: extent 19"),
+    (["--camera=behind.json"], "scan.npy: all points are behind the camera"),
     (["--camera=missing.json"], "missing.json: no such file"),
-    (["--camera=half.json"], "half.json: is not a camera: height is missing"),
-    (["--camera=scan.npy"], "scan.npy: is not a camera"),
+    (["--camera=half.json"], "half.json: not a valid camera: height is missing"),
+    (["--camera=scan.npy"], "scan.npy: not a valid camera"),
     (["--ground_truth=missing.ply"], "missing.ply: no such file"),
-    (["--ground_truth=nan.npy"], "nan.npy: has no finite point"),
+    (["--ground_truth=nan.npy"], "nan.npy: no finite points"),
     (["--workspace=1,2,3"], "--workspace: '1,2,3' is not six finite numbers"),
-    (["--workspace=8,8,8,9,9,9"], "scan.npy: has no point inside --workspace"),
+    (["--workspace=8,8,8,9,9,9"], "scan.npy: no points inside --workspace"),
     (["--workspace="], "--workspace: cannot read ''"),
     (["--weights=huge"], "huge: no such weights; choose one of small"),
     (["--output_dir=scan.npy"], "scan.npy: cannot be written to"),
@@ -239,7 +240,7 @@ FAULTS = [
     (["--adapt=perhaps"], "flag --adapt=perhaps"),
     (["--camera"], "Missing value for flag --camera"),
     (["--up=w"], "--up: cannot read 'w'; use one of x, y, z"),
-    (["--up=0,0,0"], "--up: [0.0, 0.0, 0.0] points nowhere"),
+    (["--up=0,0,0"], "--up: [0.0, 0.0, 0.0] has no direction"),
     (["--objects=two"], "flag --objects=two"),
 ]
 
@@ -330,7 +331,7 @@ def test_the_weights_are_loaded_once(several, monkeypatch):
 def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
     assert run("few.npy", "scans", "missing.ply", "--output_dir=out") == 1
     lines = capsys.readouterr().err.splitlines()
-    assert lines[-2].startswith("prism-complete: few.npy: has 63 distinct points")
+    assert lines[-2].startswith("prism-complete: few.npy: only 63 distinct points")
     assert lines[-1].startswith("prism-complete: missing.ply: no such file")
     assert sorted(os.listdir("out")) == ["a", "b", "index.html"]
     page = pathlib.Path("out/index.html").read_text()
@@ -340,9 +341,12 @@ def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
 @pytest.mark.parametrize(
     ("given", "fault"),
     [
-        (["few.npy", "missing.ply"], "few.npy: has 63 distinct points"),
-        (["nothing"], "nothing: is a folder without scans; it takes .ply"),
-        (["scans", "--ground_truth=scan.npy"], "--ground_truth: is of one scan"),
+        (["few.npy", "missing.ply"], "few.npy: only 63 distinct points"),
+        (["nothing"], "nothing: no scans in this folder; supported suffixes: .ply"),
+        (
+            ["scans", "--ground_truth=scan.npy"],
+            "--ground_truth: cannot be used with several",
+        ),
     ],
 )
 def test_if_none_can_be_used_the_status_is_2(several, capsys, given, fault):
@@ -361,9 +365,9 @@ def scene(folder):
 def test_a_scene_comes_back_as_its_objects(scene, capsys):
     assert run("--input=scene.npy", "--output_dir=out") == 0
     assert capsys.readouterr().out == (
-        "trust       These weights come without a calibration: nothing vouches for "
-        "a completion.\n"
-        "objects     2; 90 points are of planes that were set aside, 0 of no object\n"
+        "confidence  These weights have no calibration: confidence in the completions "
+        "is unknown.\n"
+        "objects     2; 90 points on removed planes, 0 in no object\n"
         "points      440 observed, 175 added\n"
         "written     out: completed.ply, result.json, report.html\n"
     )

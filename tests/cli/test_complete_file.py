@@ -176,14 +176,14 @@ def test_a_sensor_too_far_away_is_told(given, monkeypatch, capsys):
 
     monkeypatch.setattr(FakeCompleter, "complete", unknown)
     assert complete_file(**given)["sensor"] == "unknown"
-    assert "the origin cannot be the sensor's place" in capsys.readouterr().err
+    assert "the origin cannot be the sensor position" in capsys.readouterr().err
     report = (pathlib.Path(given["output_dir"]) / "report.html").read_text()
-    assert "the origin cannot be its place" in report
+    assert "the origin is implausible" in report
 
 
 def test_points_that_were_left_out_are_told_and_counted(given, monkeypatch, capsys):
     assert complete_file(**given)["input"]["points_left_out"] == 0
-    assert "left out" not in capsys.readouterr().err
+    assert "were removed" not in capsys.readouterr().err
     completed = FakeCompleter.complete
 
     def without_some(*args, **kwargs):
@@ -191,11 +191,13 @@ def test_points_that_were_left_out_are_told_and_counted(given, monkeypatch, caps
 
     monkeypatch.setattr(FakeCompleter, "complete", without_some)
     assert complete_file(**given)["input"]["points_left_out"] == 5
-    told = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
+    told = [
+        line for line in capsys.readouterr().err.splitlines() if "were removed" in line
+    ]
     assert len(told) == 1
-    assert "5 of 300 points lie far from all others" in told[0]
+    assert "5 of 300 points are far from all others" in told[0]
     report = (pathlib.Path(given["output_dir"]) / "report.html").read_text()
-    assert "5 left out, far from all others" in report
+    assert "5 removed as outliers" in report
 
 
 def test_bad_input_is_refused_before_weights_are_loaded(given, tmp_path, monkeypatch):
@@ -203,7 +205,7 @@ def test_bad_input_is_refused_before_weights_are_loaded(given, tmp_path, monkeyp
     with pytest.raises(io.InputError, match=r"truth.*no such file"):
         complete_file(**given | dict(ground_truth="truth.ply"))
     np.save(tmp_path / "point.npy", np.ones((5, 3), np.float32))
-    with pytest.raises(io.InputError, match=r"point.npy.*all its points in one place"):
+    with pytest.raises(io.InputError, match=r"point.npy.*all points coincide"):
         complete_file(**given | dict(ground_truth=str(tmp_path / "point.npy")))
 
 

@@ -129,14 +129,14 @@ def test_the_same_scan_gives_the_same_arrays_and_surface(asked, tmp_path):
         (["--sensor=another"], "sensor"),
         (["--adapt"], "adapt False, not True"),
         (["--alpha=0.05"], "on 19 or more"),
-        (["--alpha=0"], "alpha: cannot be 0"),
-        (["--scaled"], "leave out --scaled"),
+        (["--alpha=0"], "alpha: 0 is not between"),
+        (["--scaled"], "omit --scaled"),
         (["--calibration="], "calibration"),
         (["--ssm=nothing.json"], "no such file"),
-        (["--eye=0,0,0"], "leave it out"),
+        (["--eye=0,0,0"], "omit it"),
         (["--voxel=0"], "voxel"),
         (["--workspace=0,0,0,1,1"], "six"),
-        (["another.ply"], "got 2 scans"),
+        (["another.ply"], "expected one scan or recording, got 2"),
     ],
 )
 def test_what_does_not_match_is_one_line(asked, tmp_path, more, told, capsys):
@@ -149,7 +149,7 @@ def test_what_does_not_match_is_one_line(asked, tmp_path, more, told, capsys):
 def test_fewer_cells_than_can_tell_are_refused_at_once(tmp_path, capsys):
     words = "calibrate", str(asset("roboarm")), f"--output={tmp_path / 'cal.json'}"
     assert launching.run(envelope, *words) == 2
-    assert "holds 1 cells" in capsys.readouterr().err
+    assert "1 cells are too few" in capsys.readouterr().err
     assert not (tmp_path / "cal.json").exists()
 
 
@@ -158,14 +158,14 @@ def test_a_cloud_without_its_sensors_place_frees_nothing(asked, tmp_path, capsys
     flags = [flag for flag in asked[3:] if not flag.startswith("--ssm")]
     sensor = "--sensor=camera 640x480, 70x55 degrees"
     assert launching.run(envelope, cloud, *flags, sensor) == 0
-    assert "nothing is free" in capsys.readouterr().err
+    assert "no space is known to be free" in capsys.readouterr().err
     told = json.loads((tmp_path / "out" / "envelope.json").read_text())
     assert told["volumes"]["free"] == 0
     assert launching.run(envelope, cloud, *flags, sensor, "--eye=2,0,1.5") == 0
     told = json.loads((tmp_path / "out" / "envelope.json").read_text())
     assert told["volumes"]["free"] > 0
     assert launching.run(envelope, cloud, *flags) == 2
-    assert "--sensor: is missing" in capsys.readouterr().err
+    assert "--sensor: missing" in capsys.readouterr().err
 
 
 def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
@@ -185,16 +185,16 @@ def test_a_known_robot_is_put_back_and_needs_its_own_calibration(
     (tmp_path / "joints.json").write_text(text)
     robot = words[0], f"--joints={tmp_path / 'joints.json'}"
     assert launching.run(envelope, *asked, *robot) == 2
-    told = f"{calibration}: is for robot unknown, not known"
+    told = f"{calibration}: calibrated for robot unknown, not known"
     assert told in capsys.readouterr().err
     assert launching.run(envelope, *asked, words[0]) == 2
-    assert "without --joints" in capsys.readouterr().err
+    assert "needs --joints" in capsys.readouterr().err
     assert launching.run(envelope, *asked, *robot, f"--calibration={own}") == 0
     out = json.loads((tmp_path / "out" / "envelope.json").read_text())
     assert out["points"]["robot"] > 100 and out["volumes"]["robot"] > 0
     words = "calibrate", str(recordings), f"--urdf={urdf}"
     assert launching.run(envelope, *words, f"--output={tmp_path / 'no.json'}") == 2
-    assert "has no position of the joint 'yaw'" in capsys.readouterr().err
+    assert "no position for joint 'yaw'" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -223,7 +223,7 @@ def test_each_frame_of_a_recording_has_a_line_and_the_last_its_files(
     assert launching.run(envelope, *stream) == 0
     said = capsys.readouterr()
     assert "2 completed, 0 dropped, 1 unusable" in said.out
-    assert "frame 1 is left out" in said.err
+    assert "skipped frame 1" in said.err
     names = {path.name for path in out.iterdir()}
     assert names == {*NAMES, "envelope.jsonl", "stream.json"}
     report = json.loads((out / "stream.json").read_text())
@@ -297,9 +297,9 @@ def asked_camera(eye, target, folder):
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        (["--depth=d.png"], "is of one scan"),
-        (["--topic=/points"], "leave --topic out"),
-        (["--joints=/joint_states"], "give --urdf too"),
+        (["--depth=d.png"], "not supported for recordings"),
+        (["--topic=/points"], "omit --topic"),
+        (["--joints=/joint_states"], "set --urdf too"),
         (["--calibration=none.json"], "no such file"),
     ],
 )

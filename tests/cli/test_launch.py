@@ -10,9 +10,7 @@ def test_an_output_that_is_no_json_is_refused(tmp_path, capsys):
     path = tmp_path / "new" / "scores.md"
     assert run(evaluate, f"--output={path}") == 2
     message = capsys.readouterr().err.splitlines()[-1]
-    assert message.endswith(
-        "scores.md is no .json file; name a file that ends in .json"
-    )
+    assert message.endswith("scores.md is not a .json file; use the suffix .json")
     assert not path.parent.exists()
 
 
@@ -29,7 +27,7 @@ def test_what_is_no_flag_is_refused(capsys, command, arguments):
     stray = next(word for word in reversed(arguments) if "--" not in word)
     assert run(command, *arguments) == 2
     name = command.__name__.rpartition(".")[2]
-    wanted = f"{name}: {stray}: is no flag; write --name=value for each"
+    wanted = f"{name}: {stray}: not a flag; write flags as --name=value"
     assert capsys.readouterr().err.splitlines()[-1] == wanted
 
 

@@ -59,7 +59,7 @@ def test_a_folder_of_files(scans, weights, tmp_path, capsys):
     assert run(command, str(scans / "scans"), weights, box, f"--output={out}") == 0
     printed = capsys.readouterr()
     assert "4 completed, 0 dropped, 1 unusable" in printed.out
-    assert "frame 2 is left out: the frame: has no point inside" in printed.err
+    assert "skipped frame 2: the frame: no points inside" in printed.err
     names = sorted(path.name for path in out.iterdir())
     assert names == [*(f"00000{n}.ply" for n in (0, 1, 3, 4)), "stream.json"]
     summary = json.loads((out / "stream.json").read_text())
@@ -99,16 +99,16 @@ def test_an_mcap_file(scans, weights, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ([], "takes one recording, not 0"),
-        (["a", "b"], "takes one recording, not 2"),
+        ([], "expected one recording, got 0"),
+        (["a", "b"], "expected one recording, got 2"),
         (["scan.txt"], "check the path"),
-        (["SCANS", "--topic=/points"], "leave --topic out"),
+        (["SCANS", "--topic=/points"], "omit --topic"),
         (["SCANS", "--workspace=1,2"], "is not six finite numbers"),
         (["SCANS", "--up=q"], "cannot read 'q'"),
         (["SCANS", "--camera=no.json"], "no such file"),
         (["SCANS", "--adapt=always"], "--help lists the flags"),
-        (["SCANS", "--joints=j.json"], "give --urdf too"),
-        (["SCANS", "--output=SCANS"], "name another output"),
+        (["SCANS", "--joints=j.json"], "set --urdf too"),
+        (["SCANS", "--output=SCANS"], "choose another output"),
     ],
 )
 def test_faults_are_one_line(scans, arguments, fault, capsys, tmp_path, monkeypatch):
@@ -206,7 +206,7 @@ def test_a_known_robot_from_end_to_end(
     capsys.readouterr()
     only = weights, f"--urdf={urdf}", "--output=c"
     assert run(command, "cell.mcap", *only, "--joints=/arm") == 2
-    assert "choose with --joints one of /joint_states" in capsys.readouterr().err
+    assert "set --joints to one of /joint_states" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
     assert run(command, "cell.mcap", *only) == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -476,7 +476,7 @@ def test_maps_of_several_objects_go_into_their_slots():
 
 def test_what_lies_around_is_checked_as_points_are(completer):
     around = np.where(np.arange(5)[:, None] == 3, np.nan, np.zeros((5, 3)))
-    with pytest.raises(InputError, match=r"around: has points that are not finite"):
+    with pytest.raises(InputError, match=r"around: some points are not finite"):
         completer.complete(scan(), camera_at(EYE), around=around)
 
 
@@ -530,13 +530,13 @@ def test_compilations_would_have_been_seen(caplog):
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
-        (np.zeros((0, 3)), "has no points"),
-        (scan(63), "63 distinct points, fewer than 64"),
-        (np.repeat(scan(40), 5, axis=0), "40 distinct points, fewer than 64"),
-        (np.ones((200, 3)), "extent of zero"),
+        (np.zeros((0, 3)), "no points"),
+        (scan(63), "63 distinct points, at least 64"),
+        (np.repeat(scan(40), 5, axis=0), "40 distinct points, at least 64"),
+        (np.ones((200, 3)), "zero extent"),
         (np.where(np.arange(300)[:, None] == 7, np.nan, scan()), "not finite"),
         (np.where(np.arange(300)[:, None] == 7, np.inf, scan()), "not finite"),
-        (2e4 * scan(), "above 10,000 units"),
+        (2e4 * scan(), "above the limit of 10,000 units"),
     ],
 )
 @pytest.mark.parametrize("framed", [False, True])
@@ -551,7 +551,7 @@ def test_a_workspace_with_too_few_points(completer):
     with pytest.raises(InputError, match="points inside the workspace"):
         completer.complete(scan(), workspace=nowhere)
     corner = Workspace(scan()[0], np.float64(0.2))
-    with pytest.raises(InputError, match="distinct points, fewer than 64; "):
+    with pytest.raises(InputError, match="distinct points, at least 64 are needed; "):
         completer.complete(scan(), workspace=corner)
 
 
@@ -559,14 +559,14 @@ def test_a_workspace_with_too_few_points(completer):
 def test_a_workspace_without_volume(completer, half_extent):
     """As it may come out of a pytree, where it is not checked."""
     workspace = jax.tree.map(lambda x: x * half_extent, Workspace.unit())
-    with pytest.raises(InputError, match="workspace: is no cube"):
+    with pytest.raises(InputError, match="workspace: invalid"):
         completer.complete(scan(), workspace=workspace)
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", [complex, bool, object, "U9"])
 def test_an_array_of_no_real_numbers(kind):
-    with pytest.raises(InputError, match=r"points: are of the type .*real coordinates"):
+    with pytest.raises(InputError, match=r"points: invalid type .*real coordinates"):
         _checked(scan().astype(kind))
 
 
@@ -588,7 +588,7 @@ def test_an_array_of_another_shape():
     lines = done.stdout.splitlines()
     assert len(lines) == 4
     assert lines[0] == (
-        "points: have the shape (100, 4); pass an (N, 3) array, such as points[:, :3]"
+        "points: invalid shape (100, 4); pass an (N, 3) array, such as points[:, :3]"
     )
 
 

@@ -143,7 +143,7 @@ def test_a_pickle_is_refused_and_never_run(tmp_path):
 
 def test_no_metadata(rewritten):
     path = rewritten(lambda arrays, metadata: metadata.clear())
-    assert "it holds no prism_jax configuration" in fault(path)
+    assert "no prism_jax configuration in this file" in fault(path)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_no_metadata(rewritten):
 )
 def test_a_configuration_that_is_none(rewritten, text):
     path = rewritten(lambda arrays, metadata: metadata.update(config=text))
-    assert "it holds no prism_jax configuration" in fault(path)
+    assert "no prism_jax configuration in this file" in fault(path)
 
 
 def settings(fields, path=()):
@@ -216,23 +216,27 @@ def crafted(tiny, tmp_path):
 def test_a_setting_out_of_its_range_is_refused(crafted, path):
     for value in NEVER:
         told = crafted(path, value)
-        assert "its configuration cannot be used" in told or "holds no prism" in told
+        assert "invalid configuration" in told or "no prism" in told
 
 
 @pytest.mark.parametrize(
     ("path", "value", "told"),
     [
-        ("backbone/num_points", 0, "num_points must be a whole number from 1 to 65536"),
-        ("backbone/features", 32, "makes no network (add got incompatible shapes"),
-        ("backbone/num_neighbors", [4], "makes no network (tuple index"),
-        ("backbone/level_rates", [[1, 2]], "makes no network (zip()"),
+        ("backbone/num_points", 0, "num_points must be an integer from 1 to 65536"),
+        (
+            "backbone/features",
+            32,
+            "makes no valid network (add got incompatible shapes",
+        ),
+        ("backbone/num_neighbors", [4], "makes no valid network (tuple index"),
+        ("backbone/level_rates", [[1, 2]], "makes no valid network (zip()"),
         (
             "backbone/up_factors",
             [256, 256],
             "a stage must not have over 262,144 points",
         ),
-        ("backbone/encoder_rates", [1, 256], "makes no network (a search needs"),
-        ("auxiliary/depth_blocks", 10**6, "depth_blocks must be a whole number from 1"),
+        ("backbone/encoder_rates", [1, 256], "makes no valid network (a search needs"),
+        ("auxiliary/depth_blocks", 10**6, "depth_blocks must be an integer from 1"),
         ("auxiliary/depth_features", [4] * 9, "depth_features must be a tuple of 1 to"),
     ],
 )
@@ -270,14 +274,14 @@ def test_a_retired_field_loads_at_its_neutral_value_alone(tiny, name):
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"model": 1' + "0" * 5000 + "}"])
 def test_metadata_that_json_cannot_read(rewritten, text):
     path = rewritten(lambda arrays, metadata: metadata.update(config=text))
-    assert "it holds no prism_jax configuration" in fault(path)
+    assert "no prism_jax configuration in this file" in fault(path)
 
 
 def test_an_array_of_another_type(rewritten):
     def change(arrays, metadata):
         arrays[KERNEL] = arrays[KERNEL].astype(np.int32)
 
-    assert f"{KERNEL} is missing or misshapen" in fault(rewritten(change))
+    assert f"{KERNEL}: missing or wrong shape" in fault(rewritten(change))
 
 
 def test_an_array_of_a_type_that_numpy_lacks(tmp_path):
@@ -292,14 +296,14 @@ KERNEL = "params/refiner/g/dense_0/kernel"
 
 def test_a_missing_array(rewritten):
     path = rewritten(lambda arrays, metadata: arrays.pop(KERNEL))
-    assert f"{KERNEL} is missing or misshapen" in fault(path)
+    assert f"{KERNEL}: missing or wrong shape" in fault(path)
 
 
 def test_an_array_of_another_shape(rewritten):
     def change(arrays, metadata):
         arrays[KERNEL] = np.ascontiguousarray(arrays[KERNEL].T)
 
-    assert f"{KERNEL} is missing or misshapen" in fault(rewritten(change))
+    assert f"{KERNEL}: missing or wrong shape" in fault(rewritten(change))
 
 
 def test_an_array_too_many(rewritten):
@@ -315,7 +319,7 @@ def test_another_configuration_for_the_same_arrays(rewritten):
         config["model"]["auxiliary"]["hidden"] = 16
         metadata["config"] = json.dumps(config)
 
-    assert "is missing or misshapen" in fault(rewritten(change))
+    assert ": missing or wrong shape" in fault(rewritten(change))
 
 
 def test_a_failed_write_leaves_what_was_there(file, tmp_path, tiny, tiny_variables):

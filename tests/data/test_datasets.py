@@ -87,7 +87,9 @@ def test_splits_that_can_be_scored():
     assert scored_splits("shapenet55") == ("test",)
     assert scored_splits("packed") == ("validation",)
     for name in ("recordings", "kitti", "open"):
-        with pytest.raises(InputError, match=f"{name}: has no split with ground truth"):
+        with pytest.raises(
+            InputError, match=f"{name}: no held-out split with ground truth"
+        ):
             scored_splits(name)
 
 
@@ -162,7 +164,7 @@ def test_frames_of_a_sequence_stay_on_one_side(tmp_path, lengths, sizes):
     "name", ["kitti", "shapenet_unseen21", "projected_shapenet_unseen21"]
 )
 def test_sets_without_a_training_split_are_refused(name, tmp_path):
-    with pytest.raises(InputError, match="has no training split"):
+    with pytest.raises(InputError, match="no training split"):
         open_training(name, tmp_path)
 
 
@@ -172,7 +174,7 @@ def test_what_there_is_not_is_refused(tmp_path):
     with pytest.raises(InputError, match="unknown value 'pcn'; use one of shapes"):
         build_dataset("pcn", "train", tmp_path)
     for name in sorted({*DATASETS} - {*GENERATED}):
-        with pytest.raises(InputError, match="name its folder with --data_dir"):
+        with pytest.raises(InputError, match="set --data_dir to its folder"):
             open_dataset(name, "train")
 
 

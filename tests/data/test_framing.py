@@ -167,7 +167,7 @@ def test_where_there_is_no_partial_one_is_cropped(example):
 
 def test_without_a_complete_cloud_there_is_nothing_to_learn(example):
     for rng in (None, np.random.default_rng(0)):
-        with pytest.raises(InputError, match="0: has no complete cloud"):
+        with pytest.raises(InputError, match="0: no complete cloud"):
             frame_example(example._replace(complete=None), FRAMING, rng)
 
 

@@ -57,7 +57,7 @@ def test_they_are_spread_over_the_set_and_always_the_same():
 
 
 def test_of_a_single_object_nothing_can_be_held_out():
-    with pytest.raises(InputError, match="holds a single object"):
+    with pytest.raises(InputError, match="only one object"):
         hold_out(Views(1, 8), 1)
 
 

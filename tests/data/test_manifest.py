@@ -48,7 +48,7 @@ def test_the_digest_is_of_names_and_contents(folder):
 
 def test_a_folder_without_manifest_is_not_built(tmp_path):
     for folder in (tmp_path, tmp_path / "missing"):
-        with pytest.raises(InputError, match="is not built; build it"):
+        with pytest.raises(InputError, match="not built yet; build it"):
             read_manifest(folder, "build it")
 
 
@@ -59,11 +59,11 @@ def test_damaged_missing_and_further_files_are_named(folder):
     with pytest.raises(InputError, match=r"deep/2\.bin: differs from .*; delete it"):
         check_files(folder, files, "delete it")
     (folder / "deep" / "2.bin").unlink()
-    with pytest.raises(InputError, match=r"2\.bin: is missing and in the manifest"):
+    with pytest.raises(InputError, match=r"2\.bin: missing but in the manifest"):
         check_files(folder, files, "delete it")
     (folder / "deep" / "2.bin").write_bytes(b"deep/2.bin")
     (folder / "3.bin").touch()
-    with pytest.raises(InputError, match=r"3\.bin: is not in the manifest; move it"):
+    with pytest.raises(InputError, match=r"3\.bin: not in the manifest; move it"):
         check_files(folder, files, "delete it")
 
 

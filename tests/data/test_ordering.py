@@ -66,5 +66,5 @@ def test_only_an_unordered_cloud_needs_the_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "fpsample", None)
     points = np.random.default_rng(3).normal(size=(50, 3))
     first_points(points, 20, True)
-    with pytest.raises(InputError, match=r"fpsample: is not installed; .*\[data\]"):
+    with pytest.raises(InputError, match=r"fpsample: not installed; .*\[data\]"):
         first_points(points, 20, False)

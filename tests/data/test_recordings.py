@@ -185,16 +185,16 @@ def test_hidden_files_and_loose_files_are_passed_over(root):
 def test_half_a_frame_is_refused(root, suffix):
     path = root / "one" / f"000000.{suffix}"
     path.unlink()
-    with pytest.raises(InputError, match=f"000000.{suffix}: is missing .* again"):
+    with pytest.raises(InputError, match=f"000000.{suffix}: file missing .* again"):
         RecordedCells(root)
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("12.depth.png", "12.depth.png: is not named by six digits"),
-        ("000001.depth.png.part", "000001.depth.png.part: is none of"),
-        ("000000.colour.png", "000000.colour.png: is none of"),
+        ("12.depth.png", "12.depth.png: name is not six digits"),
+        ("000001.depth.png.part", "000001.depth.png.part: not one of"),
+        ("000000.colour.png", "000000.colour.png: not one of"),
     ],
 )
 def test_files_out_of_the_layout_are_refused(root, name, message):
@@ -204,10 +204,10 @@ def test_files_out_of_the_layout_are_refused(root, name, message):
 
 
 def test_a_folder_without_frames_is_refused(tmp_path):
-    with pytest.raises(InputError, match="is not a folder"):
+    with pytest.raises(InputError, match="not a folder"):
         RecordedCells(tmp_path / "none")
     (tmp_path / "sequence").mkdir()
-    with pytest.raises(InputError, match="holds no recorded frames; lay it out"):
+    with pytest.raises(InputError, match="no recorded frames; lay it out"):
         RecordedCells(tmp_path)
 
 
@@ -225,32 +225,32 @@ WALL = np.full((HEIGHT, WIDTH), 6000, np.uint16)
             lambda r: png(r / "one/000000.depth.png", WALL.astype(np.uint8)),
             "depth.png.*16-bit",
         ),
-        (lambda r: png(r / "one/000000.depth.png", WALL * 0), "no pixel with a return"),
+        (lambda r: png(r / "one/000000.depth.png", WALL * 0), "no valid depth pixels"),
         (
             lambda r: (r / "one/000000.depth.png").write_bytes(
                 (r / "one/000000.depth.png").read_bytes()[:60]
             ),
-            "depth.png: is not a depth image",
+            "depth.png: not a valid depth image",
         ),
-        (lambda r: edit_camera(r, depth_scale=0.001), "camera.json: has depth_scale"),
+        (lambda r: edit_camera(r, depth_scale=0.001), "camera.json: depth_scale is"),
         (lambda r: edit_camera(r, depth_scale=None), "camera.json.*depth_scale"),
         (lambda r: edit_camera(r, fx=-1), "camera.json.*positive"),
         (
             lambda r: edit_camera(r, translation=[0, 0, 0]),
-            "partial.ply: has 0 of 744 points where the depth image",
+            "partial.ply: 0 of 744 points match the depth image",
         ),
-        (lambda r: png(r / "one/000000.labels.png", WALL), "labels.png: is I;16"),
+        (lambda r: png(r / "one/000000.labels.png", WALL), "labels.png: I;16"),
         (
             lambda r: png(r / "one/000000.labels.png", WALL[:, 1:].astype(np.uint8)),
-            "labels.png: is L of 31x24",
+            "labels.png: L with 31x24",
         ),
         (
             lambda r: png(r / "one/000000.labels.png", (0 * WALL + 9).astype(np.uint8)),
-            "labels.png: has the label 9",
+            "labels.png: invalid label 9",
         ),
-        (lambda r: (r / "one/000000.labels.png").write_bytes(b"PNG"), "is not a PNG"),
+        (lambda r: (r / "one/000000.labels.png").write_bytes(b"PNG"), "not a PNG"),
         (lambda r: (r / "one/000000.joints.json").write_text("[1]"), "not a JSON obj"),
-        (lambda r: (r / "one/000000.joints.json").write_text("{"), "is not JSON"),
+        (lambda r: (r / "one/000000.joints.json").write_text("{"), "not JSON"),
         (lambda r: (r / "one/000000.partial.ply").write_bytes(b"ply"), "partial.ply"),
         (lambda r: (r / "one/000000.complete.ply").write_bytes(b"x"), "complete.ply"),
     ],
@@ -266,9 +266,9 @@ def test_clouds_in_other_units_or_almost_empty_are_refused(tmp_path, cloud):
     whole = frame()
     points = np.asarray(getattr(whole, cloud))
     for spoilt, message in (
-        (1000 * points, f"{cloud}.ply: reaches .* store metres"),
-        (points[:5], f"{cloud}.ply: has 5 distinct points"),
-        (points * np.float32(np.nan), f"{cloud}.ply: has points that are not finite"),
+        (1000 * points, f"{cloud}.ply: extends to .* store metres"),
+        (points[:5], f"{cloud}.ply: only 5 distinct points"),
+        (points * np.float32(np.nan), f"{cloud}.ply: some points are not finite"),
     ):
         changed = {**vars(whole), cloud: spoilt}
         write_frame(tmp_path / "one", 0, Frame(**changed))
@@ -293,16 +293,16 @@ def test_files_are_held_against_the_manifest(root):
     assert len(RecordedCells(root, verify=False)) == 3
 
     manifest(root, hash_files(root) | {"two/000003.joints.json": "0" * 64})
-    with pytest.raises(InputError, match=r"000003.joints.json: is missing and in"):
+    with pytest.raises(InputError, match=r"000003.joints.json: missing but in"):
         RecordedCells(root)
     manifest(root, {key: sha for key, sha in hash_files(root).items() if key != name})
-    with pytest.raises(InputError, match=f"{name}: is not in the manifest"):
+    with pytest.raises(InputError, match=f"{name}: not in the manifest"):
         RecordedCells(root)
     manifest(root, None)
-    with pytest.raises(InputError, match="not finished"):
+    with pytest.raises(InputError, match="incomplete: the build was interrupted"):
         RecordedCells(root)
     (root / MANIFEST).write_text("no JSON")
-    with pytest.raises(InputError, match=r"manifest.json: is not a manifest"):
+    with pytest.raises(InputError, match=r"manifest.json: not a valid manifest"):
         RecordedCells(root)
 
 

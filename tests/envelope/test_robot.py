@@ -78,14 +78,17 @@ def test_joints_are_read_with_the_base(tmp_path):
     ("content", "told"),
     [
         ([], "not a JSON object"),
-        ({}, "no positions"),
-        ({"positions": {"a": "x"}}, "no positions"),
-        ({"positions": {"a": True}}, "no positions"),
-        ({"positions": {"a": 1e300}}, "no positions"),
-        ({"positions": {}, "base": 3}, "no 4x4 pose"),
-        ({"positions": {}, "base": np.diag([2.0, 1, 1, 1]).tolist()}, "no 4x4 pose"),
-        ({"positions": {}, "base": np.diag([-1.0, 1, 1, 1]).tolist()}, "no 4x4 pose"),
-        ({"positions": {}, "base": [["a"] * 4] * 4}, "no 4x4 pose"),
+        ({}, "no joint positions"),
+        ({"positions": {"a": "x"}}, "no joint positions"),
+        ({"positions": {"a": True}}, "no joint positions"),
+        ({"positions": {"a": 1e300}}, "no joint positions"),
+        ({"positions": {}, "base": 3}, "not a 4x4 pose"),
+        ({"positions": {}, "base": np.diag([2.0, 1, 1, 1]).tolist()}, "not a 4x4 pose"),
+        (
+            {"positions": {}, "base": np.diag([-1.0, 1, 1, 1]).tolist()},
+            "not a 4x4 pose",
+        ),
+        ({"positions": {}, "base": [["a"] * 4] * 4}, "not a 4x4 pose"),
     ],
 )
 def test_joints_that_are_none_are_refused(tmp_path, content, told):

@@ -74,9 +74,9 @@ def test_too_few_points_are_measured_and_not_completed(count):
 
 
 def test_a_robot_that_the_method_does_not_know_is_refused():
-    with pytest.raises(InputError, match="none was calibrated"):
+    with pytest.raises(InputError, match="not part of the calibration"):
         see(FakeCompleter(), POINTS, None, Method(), robot=POINTS)
-    with pytest.raises(InputError, match="is missing"):
+    with pytest.raises(InputError, match="the robot: missing"):
         see(FakeCompleter(), POINTS, None, Method(robot="known"))
 
 
@@ -128,7 +128,7 @@ def test_scales_are_the_expected_errors_above_a_floor():
     point = np.full((1, 3), 50.0)
     # In scales: far away, the widest scale decides.
     assert scaled.needed(point)[0] > seen.surfaces().needed(point)[0]
-    with pytest.raises(InputError, match="tell no error"):
+    with pytest.raises(InputError, match="no per-point errors"):
         see(FakeCompleter(), POINTS, None, Method()).surfaces(FLOOR)
 
 

@@ -55,8 +55,8 @@ def test_a_grid_covers_its_box_and_tells_where_points_are():
     [
         (np.zeros(3), np.ones(3), 0.0, "voxel"),
         (np.zeros(3), np.ones(3), np.nan, "voxel"),
-        (np.ones(3), np.zeros(3), 0.1, "no box"),
-        (np.zeros(3), np.full(3, np.inf), 0.1, "no box"),
+        (np.ones(3), np.zeros(3), 0.1, "not a box"),
+        (np.zeros(3), np.full(3, np.inf), 0.1, "not a box"),
         (np.zeros(3), np.full(3, 1e4), 0.01, "voxels"),
     ],
 )

@@ -40,7 +40,7 @@ def test_of_another_preset(asked):
 
 @pytest.mark.parametrize(
     ("suite", "fault"),
-    [("ops", "--of: ops has no network"), ("training", "none: no such preset")],
+    [("ops", "--of: not used by ops"), ("training", "none: no such preset")],
 )
 def test_what_cannot_be_measured_is_refused(suite, fault, capsys):
     assert launching.run(benchmark, f"--suite={suite}", "--of=none") == 2

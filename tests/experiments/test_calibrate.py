@@ -151,7 +151,7 @@ def test_weights_of_one_pose_are_refused(tmp_path, minimal, minimal_fresh, capsy
     save_weights(weights, minimal.config, minimal_fresh, {})
     assert launching.run(calibrate, f"--weights={weights}") == 2
     said = capsys.readouterr().err
-    assert "one.safetensors: completes in fewer than the 3 poses" in said
+    assert "one.safetensors: uses fewer than the 3 poses" in said
 
 
 def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_fresh):

@@ -186,9 +186,12 @@ def test_the_published_test_of_pcn_prints_its_columns(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        (["--dataset=kitti"], "no published protocol of kitti's split 'test'"),
-        (["--dataset=pcn", "--split=val"], "no published protocol of pcn's split"),
-        (["--dataset=pcn", "--limit=3"], "the published protocol is of the whole test"),
+        (["--dataset=kitti"], "no published protocol for split 'test' of kitti"),
+        (
+            ["--dataset=pcn", "--split=val"],
+            "no published protocol for split 'val' of pcn",
+        ),
+        (["--dataset=pcn", "--limit=3"], "the published protocol uses the whole test"),
     ],
 )
 def test_a_test_that_was_not_published_ends_in_one_line(capsys, arguments, fault):

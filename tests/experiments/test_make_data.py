@@ -50,6 +50,6 @@ def test_settings_of_another_set_are_refused(dataset, capsys):
 def test_a_missing_package_is_one_line(package, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     assert run(f"--output_dir={tmp_path}") == 2
-    told = f'{package}: is not installed; install the extra: pip install "prism_jax['
+    told = f'{package}: not installed; install the extra: pip install "prism_jax['
     assert told in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -24,4 +24,4 @@ def test_faults_are_one_line(capsys):
     assert run(make_recording, "--arm=nobody") == 2
     assert "no such arm 'nobody'; use one of panda" in capsys.readouterr().err
     assert run(make_recording, "--output=cell.bag") == 2
-    assert "is no .mcap file" in capsys.readouterr().err
+    assert "not an .mcap file" in capsys.readouterr().err

@@ -102,7 +102,9 @@ def test_every_scan_has_a_row(folder, tmp_path, capsys):
 
     missing = {"Kinect, depth image", "Ouster, sweep", "Ouster, capture"}
     assert set(result["left_out"]) == missing
-    (line,) = [s for s in told.err.splitlines() if s.startswith("Ouster, sweep is")]
+    (line,) = [
+        s for s in told.err.splitlines() if s.startswith("skipped Ouster, sweep:")
+    ]
     assert "no such file" in line
     assert "| bunny, scan_000 | 200 | 1 | 100 | 0 | 1 | fair |" in told.out
 
@@ -122,7 +124,7 @@ def test_added_points_outside_the_workspace_are_counted(monkeypatch):
 
 def test_a_folder_of_something_else_ends_in_one_line_more(tmp_path, capsys):
     assert launching.run(command, f"--data_dir={tmp_path}") == 2
-    assert "has none of the scans" in capsys.readouterr().err.splitlines()[-1]
+    assert "none of the scans found" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_points_outside_a_box_are_counted(folder):
@@ -168,5 +170,5 @@ def test_the_first_whole_frame_is_taken(monkeypatch, lacking, taken):
 def test_labels_of_another_scan_are_refused(folder):
     path = folder / "kinect" / "mosd_test24.ply"
     path.write_bytes(ply_bytes(POINTS))
-    with pytest.raises(InputError, match="has 300 points, and its labels 1,840"):
+    with pytest.raises(InputError, match="300 points, but 1,840 labels"):
         command.labelled(path)

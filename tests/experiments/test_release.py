@@ -63,7 +63,7 @@ def test_scores_of_other_weights_are_refused(finished, tiny, tiny_variables, cap
     save_weights(path, tiny, tiny_variables, {"seed": 4})
     given = (f"--weights={path}", "--name=new", f"--scores={folder}/test.json")
     assert run(*given) == 2
-    fault = f"is of {path}, not of {path} as it is"
+    fault = f"made for {path}, not for the current {path}"
     assert fault in capsys.readouterr().err
     assert not (folder / "new.safetensors").exists()
     # Wherever the same file lies.
@@ -113,18 +113,18 @@ def test_a_calibration_comes_with_them(finished, tiny_variables, capsys):
     assert load_calibration(str(path)) is None and load_point_errors(str(path)) is None
     place.write_text(json.dumps({**result, "weights_sha256": "0"}))
     assert run(*given) == 2
-    assert "make it for the weights that are released" in capsys.readouterr().err
+    assert "rerun it for the weights to release" in capsys.readouterr().err
 
 
 def test_damaged_point_errors_are_one_line(finished, tiny, tiny_variables):
     _, path = finished
     save_weights(path, tiny, tiny_variables, {"point_errors": {"base": 1}})
-    with pytest.raises(InputError, match="an estimate of points' errors has"):
+    with pytest.raises(InputError, match="an estimate of points' errors needs"):
         load_point_errors(str(path))
 
 
 def test_a_damaged_calibration_is_one_line(finished, tiny, tiny_variables):
     _, path = finished
     save_weights(path, tiny, tiny_variables, {"calibration": {"low": 1}})
-    with pytest.raises(InputError, match="a calibration has"):
+    with pytest.raises(InputError, match="a calibration needs"):
         load_calibration(str(path))

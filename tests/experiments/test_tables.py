@@ -235,7 +235,7 @@ def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
     place = ("--dataset=shapes", f"--data_dir={tmp_path}")
     assert launching.run(module, flag, *place) == 2
     told = capsys.readouterr().err
-    small, sizes = "512 points to 2048, margin 1.4", told.partition("is made for ")[2]
+    small, sizes = "512 points to 2048, margin 1.4", told.partition("made for ")[2]
     assert small in sizes and "64 points to 64, margin 1.4" in sizes
     assert [*tmp_path.iterdir()] == [path]
 

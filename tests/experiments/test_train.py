@@ -98,7 +98,7 @@ def test_pretraining_goes_on_from_weights(
 def test_pretraining_from_nothing_stops_and_resumes(pretrain, tmp_path, capsys):
     assert pretrain(f"--workdir={tmp_path}", "--max_steps=1") == 0
     assert pretrain.calls[0][1] is None
-    stopped = f"stopped; go on with --workdir={tmp_path} --resume"
+    stopped = f"stopped; resume with --workdir={tmp_path} --resume"
     assert stopped in capsys.readouterr().out
     assert pretrain(f"--workdir={tmp_path}", "--resume") == 0
     assert read_metadata(str(tmp_path / "weights.safetensors"))["pretrained"] is None
@@ -213,7 +213,7 @@ def test_stopped_and_resumed_it_ends_the_same(meta, unbroken, weights, tmp_path,
     path, shas = tmp_path / "weights.safetensors", []
     given = f"--workdir={tmp_path}", f"--weights={weights}", *CHANGES
     for flag, told in (
-        ("--max_steps=2", f"stopped; go on with --workdir={tmp_path} --resume\n"),
+        ("--max_steps=2", f"stopped; resume with --workdir={tmp_path} --resume\n"),
         ("--resume", f"written {path}\n"),
         ("--resume", f"written {path}\n"),
     ):
@@ -237,8 +237,11 @@ def refused(capsys, status):
     ("flags", "fault"),
     [
         (["--weights=none"], "none: no such weights; "),
-        (["--set=model.backbone.num_initial=64"], "not weights of tiny; choose "),
-        (["--whole=0.5"], "--whole: is of a mixture; give --mixture too"),
+        (
+            ["--set=model.backbone.num_initial=64"],
+            "not weights of tiny; use the preset",
+        ),
+        (["--whole=0.5"], "--whole: needs a mixture; set --mixture too"),
         (
             ["--phase=pretrain", "--set=meta.num_samples=1"],
             "samples do not fill a batch",
@@ -263,7 +266,7 @@ def test_a_run_is_resumed_only_as_it_was_begun(meta, unbroken, weights, others, 
     given = [f"--workdir={unbroken}", f"--weights={weights}", *CHANGES]
     before = {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")}
     again = refused(capsys, meta(*given))
-    assert "it holds a run already; pass --resume" in again
+    assert "this folder already holds a run; resume it with" in again
     for flag in (
         f"--weights={others}",
         "--set=meta.learning_rate=0.2",

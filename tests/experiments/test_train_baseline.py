@@ -54,10 +54,10 @@ def test_as_many_samples_as_the_presets_own(run, tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(train_baseline, "train_phase", stopped)
     assert run(train_baseline, f"--workdir={tmp_path}", "--network=pcn") == 0
-    assert "stopped; go on with" in capsys.readouterr().out
+    assert "stopped; resume with" in capsys.readouterr().out
     assert begun(tmp_path)["samples"] == 64 + 64 + 128
     assert begun(tmp_path)["data"]["dataset"] == "shapes"
     flags = f"--workdir={tmp_path / 'run'}", "--network=fsc"
     assert run(train_baseline, *flags) == 2
-    assert "fsc has no size for tiny" in capsys.readouterr().err
+    assert "fsc has no preset tiny" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

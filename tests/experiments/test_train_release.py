@@ -99,10 +99,13 @@ def test_what_never_began_may_change(run):
 @pytest.mark.parametrize(
     ("flag", "fault"),
     [
-        ("shapes", "shapes: is no flag"),
-        ("--branches=align,normals", "normals is none; use normal, denoise, align"),
-        ("--workdir=", "--workdir: is missing"),
-        ("--scored=kitti=/nowhere", "kitti: has no split with ground truth"),
+        ("shapes", "shapes: not a flag"),
+        (
+            "--branches=align,normals",
+            "unknown value normals; use normal, denoise, align",
+        ),
+        ("--workdir=", "--workdir: missing"),
+        ("--scored=kitti=/nowhere", "kitti: no held-out split with ground truth"),
     ],
 )
 def test_a_mistake_shows_before_anything_runs(run, tmp_path, flag, fault):

@@ -49,7 +49,7 @@ def test_unknown_suffix_names_those_that_are_known(tmp_path):
 
 def test_no_finite_point(tmp_path):
     np.save(tmp_path / "a.npy", np.full((80, 3), np.nan))
-    with pytest.raises(InputError, match="no finite point"):
+    with pytest.raises(InputError, match="no finite points"):
         read_points(tmp_path / "a.npy")
 
 
@@ -62,14 +62,14 @@ def test_pickle_is_never_opened(tmp_path):
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
-        (POINTS[:63], "63 distinct points, fewer than 64"),
+        (POINTS[:63], "63 distinct points, at least 64"),
         (np.tile(POINTS[:10], (50, 1)), "10 distinct points"),
-        (np.ones((100, 3)), "extent of zero"),
-        (np.ones((1, 3)), "extent of zero"),
-        (np.empty((0, 3)), "has no points"),
+        (np.ones((100, 3)), "zero extent"),
+        (np.ones((1, 3)), "zero extent"),
+        (np.empty((0, 3)), "no points"),
         (np.full((100, 3), np.nan), "not finite"),
-        (POINTS * 1e4, "above 10,000 units"),
-        (POINTS.astype(np.float64) * 1e300, "above 10,000 units"),
+        (POINTS * 1e4, "above the limit of 10,000 units"),
+        (POINTS.astype(np.float64) * 1e300, "above the limit of 10,000 units"),
     ],
 )
 def test_cloud_that_cannot_be_completed(points, fault):
@@ -96,8 +96,8 @@ def test_camera_must_see_something():
     ahead = np.abs(POINTS) * [0.1, 0.1, 1] + [0, 0, 1]
     check_in_view(ahead, camera, "scan.ply")
     check_in_view(np.concatenate([-ahead, ahead[:1]]), camera, "scan.ply")
-    with pytest.raises(InputError, match="every point behind the camera"):
+    with pytest.raises(InputError, match="all points are behind the camera"):
         check_in_view(-ahead, camera, "scan.ply")
     ahead[:, 0] += 100
-    with pytest.raises(InputError, match="no point in the camera's image"):
+    with pytest.raises(InputError, match="no points in the camera's image"):
         check_in_view(ahead, camera, "scan.ply")

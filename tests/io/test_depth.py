@@ -49,9 +49,9 @@ def test_pose_is_the_identity_unless_given(tmp_path):
 
 FAULTS = [
     ({"width": None}, "width is missing"),
-    ({"width": 0}, "whole number"),
-    ({"height": 2.5}, "whole number"),
-    ({"height": 10**9}, "whole number"),
+    ({"width": 0}, "an integer"),
+    ({"height": 2.5}, "an integer"),
+    ({"height": 10**9}, "an integer"),
     ({"fx": 0}, "positive"),
     ({"fy": -1}, "positive"),
     ({"cx": "3"}, "cx is missing or not a finite number"),
@@ -133,7 +133,7 @@ def test_depth_scale_is_needed(tmp_path):
     Image.fromarray(COUNTS).save(tmp_path / "d.png")
     for entries in (PINHOLE, PINHOLE | {"depth_scale": 0}):
         camera_path = write(tmp_path / "c.json", entries)
-        with pytest.raises(InputError, match="metres a count"):
+        with pytest.raises(InputError, match="metres per count"):
             read_depth(tmp_path / "d.png", camera_path)
 
 
@@ -166,6 +166,6 @@ def test_image_that_is_no_depth(tmp_path, kind):
     camera_path = write(tmp_path / "c.json", {**PINHOLE, "depth_scale": 0.001})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(InputError, match="is not a depth image") as caught:
+        with pytest.raises(InputError, match="not a valid depth image") as caught:
             read_depth(tmp_path / "d.png", camera_path)
     assert "\n" not in str(caught.value)

@@ -11,13 +11,13 @@ from prism_jax.io.errors import InputError, require
 
 
 def test_names_subject_fault_and_remedy():
-    error = InputError(pathlib.Path("a.ply"), "is empty", "write it again")
-    assert str(error) == "a.ply: is empty; write it again"
+    error = InputError(pathlib.Path("a.ply"), "empty file", "write it again")
+    assert str(error) == "a.ply: empty file; write it again"
     assert isinstance(error, ValueError)
 
 
 def test_it_comes_through_from_another_process():
-    error = InputError(pathlib.Path("a.ply"), "is empty", "write it again")
+    error = InputError(pathlib.Path("a.ply"), "empty file", "write it again")
     again = pickle.loads(pickle.dumps(error))
     assert type(again) is InputError
     assert str(again) == str(error)
@@ -34,9 +34,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "fpsample", None)
     with pytest.raises(InputError) as error:
         require("fpsample", "data")
-    told = (
-        'fpsample: is not installed; install the extra: pip install "prism_jax[data]"'
-    )
+    told = 'fpsample: not installed; install the extra: pip install "prism_jax[data]"'
     assert str(error.value) == told
 
 

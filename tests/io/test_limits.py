@@ -90,13 +90,15 @@ def test_a_small_file_that_claims_much_is_refused_before_memory_is_taken(
     path = tmp_path / f"scan.{kind}"
     write_huge(path, kind)
     tracemalloc.start()
-    with pytest.raises(InputError, match=r"claims 40,000,000 .*, more than 10,000,000"):
+    with pytest.raises(
+        InputError, match=r": 40,000,000 .* exceed the limit of 10,000,000"
+    ):
         read_scan(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2**21
     # More may be allowed; then it is refused because it is not there.
-    with pytest.raises(InputError, match=r"is not a (sound|depth image)"):
+    with pytest.raises(InputError, match=r"not a valid"):
         read_scan(path, max_points=HUGE)
 
 
@@ -113,7 +115,9 @@ def test_max_points_is_a_limit_of_every_kind_of_cloud(tmp_path, suffix):
         case ".ply":
             write_ply(path, POINTS)
     assert len(read_points(path, max_points=100)) == 100
-    with pytest.raises(InputError, match=r"claims 100 \w+, more than 99; .*max_points"):
+    with pytest.raises(
+        InputError, match=r": 100 \w+ exceed the limit of 99; .*max_points"
+    ):
         read_points(path, max_points=99)
 
 
@@ -121,7 +125,7 @@ def test_an_archive_of_many_arrays_is_refused_at_once(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         for i in range(MAX_MEMBERS + 1):
             archive.writestr(f"{i}.npy", b"")
-    with pytest.raises(InputError, match="holds more than 1,000 arrays"):
+    with pytest.raises(InputError, match="more than 1,000 arrays"):
         read_points(tmp_path / "a.npz")
 
 

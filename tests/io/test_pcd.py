@@ -138,26 +138,31 @@ FAULTS = [
     ("not x y z", "binary", replaced(" x y", " a b"), None),
     ("not x y z", "binary", replaced("COUNT 1 1", "COUNT 1 2"), None),
     (
-        "impossible count",
+        "invalid count",
         "binary",
         replaced("COUNT 1 1 3", "COUNT 1 1 " + "9" * 30),
         None,
     ),
     (
-        "impossible count",
+        "invalid count",
         "ascii",
         replaced("COUNT 1 1 3", "COUNT 1 1 " + "9" * 30),
         None,
     ),
-    ("impossible count", "binary", replaced("COUNT 1 1 3", "COUNT 1 1 -3"), None),
+    ("invalid count", "binary", replaced("COUNT 1 1 3", "COUNT 1 1 -3"), None),
     ("4300 digits", "binary", replaced("COUNT 1 1 3", "COUNT 1 1 " + "9" * 5000), None),
     ("WIDTH x HEIGHT", "binary", replaced("POINTS 6", "POINTS 7"), None),
     ("WIDTH x HEIGHT", "binary", replaced("WIDTH 3", "WIDTH -3"), None),
     ("no points", "binary", replaced("WIDTH 3", "WIDTH 0").replace("S 6", "S 0"), b"x"),
-    ("shorter than", "binary", HEADER, body("binary")[:-1]),
-    ("shorter than", "binary_compressed", HEADER, b"123"),
-    ("shorter than", "binary_compressed", HEADER, PACKED[:-1]),
-    ("another size", "binary_compressed", HEADER, struct.pack("<II", 4, 7) + b"1234"),
+    ("the file is truncated", "binary", HEADER, body("binary")[:-1]),
+    ("the file is truncated", "binary_compressed", HEADER, b"123"),
+    ("the file is truncated", "binary_compressed", HEADER, PACKED[:-1]),
+    (
+        "compressed size differs",
+        "binary_compressed",
+        HEADER,
+        struct.pack("<II", 4, 7) + b"1234",
+    ),
     ("damaged", "binary_compressed", HEADER, PACKED[:8] + b"\xff" * (len(PACKED) - 8)),
     ("ends after 5 of 6", "ascii", HEADER, body("ascii", POINTS[:5])),
     ("column", "ascii", HEADER, b"1 2 3 4\n" * 6),
@@ -186,7 +191,7 @@ def test_compressed_size_that_no_data_can_unpack_to(tmp_path):
     header = HEADER.replace("WIDTH 3", f"WIDTH {10**6}").replace("HEIGHT 2", "HEIGHT 1")
     header = header.replace("POINTS 6", f"POINTS {10**6}")
     data = struct.pack("<II", 4, 19 * 10**6) + b"1234"
-    with pytest.raises(InputError, match="another size"):
+    with pytest.raises(InputError, match="compressed size differs"):
         read_pcd(pcd(tmp_path, "binary_compressed", data, header))
 
 

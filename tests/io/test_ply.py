@@ -100,22 +100,22 @@ BINARY = "binary_little_endian"
 VERTEX = f"element vertex 1\n{XYZ}"
 GRID = "element grid 1\nproperty list {} int b\n"
 FAULTS = [
-    ("holds no vertices", BINARY, "element face 0\nproperty list uchar int i\n", b""),
-    ("holds no vertices", BINARY, f"element vertex 0\n{XYZ}", b""),
+    ("no vertices", BINARY, "element face 0\nproperty list uchar int i\n", b""),
+    ("no vertices", BINARY, f"element vertex 0\n{XYZ}", b""),
     ("not x y z", BINARY, "element vertex 1\nproperty float x\n", bytes(4)),
     ("x, y, z, x, not x y z", BINARY, VERTEX + "property float x\n", bytes(16)),
     ("list properties", BINARY, VERTEX + "property list int int a\n", bytes(99)),
     ("type 'quad'", BINARY, VERTEX + "property quad a\n", bytes(99)),
     ("line 'format binary 1.0'", "binary", VERTEX, bytes(12)),
-    ("shorter than its header", BINARY, VERTEX, bytes(11)),
-    ("shorter than its header", BINARY, VERTEX.replace("1", "9" * 6), bytes(12)),
+    ("the file is truncated", BINARY, VERTEX, bytes(11)),
+    ("the file is truncated", BINARY, VERTEX.replace("1", "9" * 6), bytes(12)),
     ("ends after 1 of 999999", "ascii", VERTEX.replace("1", "9" * 6), b"1 2 3"),
     ("line 'element vertex -1'", BINARY, "element vertex -1\n", b""),
     ("line 'property float x'", BINARY, XYZ, b""),
     ("line 'property float x'", BINARY, XYZ + VERTEX, b""),
     ("line 'property list int x'", BINARY, VERTEX + "property list int x\n", b""),
-    ("length that is no integer", BINARY, GRID.format("float") + VERTEX, bytes(99)),
-    ("negative length", BINARY, GRID.format("char") + VERTEX, b"\xff" + bytes(99)),
+    ("is not an integer", BINARY, GRID.format("float") + VERTEX, bytes(99)),
+    ("negative list length", BINARY, GRID.format("char") + VERTEX, b"\xff" + bytes(99)),
     ("ends after 1 of 2", "ascii", VERTEX.replace("1", "2"), b"1 2 3\n\n\n\n"),
     ("ends after 0 of 1", "ascii", VERTEX, b"\n\n\n"),
     ("'a'", "ascii", VERTEX, b"1 2 a\n"),
@@ -137,11 +137,11 @@ def test_malformed_file_is_one_line(tmp_path, fault, layout, header, body):
     ("data", "fault"),
     [
         (b"not a ply", "does not start with 'ply'"),
-        (b"ply\nformat ascii 1.0\nelement vertex 1\n", "header has no end"),
-        (b"ply\nend_header\n", "names no format"),
+        (b"ply\nformat ascii 1.0\nelement vertex 1\n", "header without end"),
+        (b"ply\nend_header\n", "no format in the header"),
         (b"ply\nelement vertex 1\nproperty float x\nproperty float y\n"
-         b"property float z\nend_header\n", "names no format"),
-        (b"ply\n" + b"comment\n" * 2**18, "header has no end"),
+         b"property float z\nend_header\n", "no format in the header"),
+        (b"ply\n" + b"comment\n" * 2**18, "header without end"),
     ],
 )  # fmt: skip
 def test_malformed_header(tmp_path, data, fault):
@@ -153,7 +153,7 @@ def test_malformed_header(tmp_path, data, fault):
 def test_list_that_claims_more_than_the_file_holds(tmp_path):
     header = "element a 2\nproperty list uint double b\n" + VERTEX
     body = struct.pack("<I", 2**32 - 1) + bytes(64)
-    with pytest.raises(InputError, match="shorter than its header"):
+    with pytest.raises(InputError, match="the file is truncated"):
         read_ply(ply(tmp_path, BINARY, header, body))
 
 

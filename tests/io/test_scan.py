@@ -60,8 +60,8 @@ def test_of_a_depth_image_all_that_was_cropped_away_is_around(depth_image):
 @pytest.mark.parametrize(
     ("box", "fault"),
     [
-        ("5,5,5,6,6,6", "no point inside --workspace; its points span -0.9"),
-        ("-1,-1,-1,-0.5,0,0", "distinct points, fewer than 64; .*--workspace"),
+        ("5,5,5,6,6,6", "no points inside --workspace; the points span -0.9"),
+        ("-1,-1,-1,-0.5,0,0", "distinct points, at least 64 .*--workspace"),
     ],
 )
 def test_crop_that_leaves_too_little(cloud, box, fault):
@@ -95,7 +95,7 @@ def test_cloud_with_a_camera(cloud, tmp_path):
     np.testing.assert_array_equal(scan.camera.translation, [0, 0, 3])
     posed["translation"] = [0, 0, -3]
     (tmp_path / "c.json").write_text(json.dumps(posed))
-    with pytest.raises(InputError, match=r"scan\.npy: has every point behind"):
+    with pytest.raises(InputError, match=r"scan\.npy: all points are behind"):
         read_scan(cloud, tmp_path / "c.json")
 
 
@@ -127,7 +127,7 @@ def test_depth_image_whose_camera_is_turned_is_in_the_world_frame():
 
 def test_depth_image_with_a_named_camera(depth_image, tmp_path):
     (tmp_path / "scan.json").rename(tmp_path / "other.json")
-    with pytest.raises(InputError, match=r"without a camera; give it with --camera"):
+    with pytest.raises(InputError, match=r"without a camera; set --camera"):
         read_scan(depth_image)
     scan = read_scan(depth_image, tmp_path / "other.json")
     assert scan.points.shape == (160, 3)
@@ -135,7 +135,7 @@ def test_depth_image_with_a_named_camera(depth_image, tmp_path):
 
 def test_depth_image_without_a_return(depth_image):
     Image.fromarray(np.zeros((10, 20), np.uint16)).save(depth_image)
-    with pytest.raises(InputError, match="no pixel with a return"):
+    with pytest.raises(InputError, match="no valid depth pixels"):
         read_scan(depth_image)
 
 

@@ -50,14 +50,14 @@ def test_keeps_points_that_are_not_finite(tmp_path):
 @pytest.mark.parametrize(
     ("data", "fault"),
     [
-        (b"# nothing\n\n", "holds no points"),
+        (b"# nothing\n\n", "no points"),
         (b"x y z\n", "ends after 0"),
         (
             b"row,col,x1,y1,z1\n0,0,1,2,3\n",
             "row, col, x1, y1, z1 are not named x, y and",
         ),
-        (b"Scan Pos X Y Z\n1 0.1 0.2 0.3\n", "it names 5 columns and has 4"),
-        (b"x,y,z\n1,5,2,5,3,5\n", "it names 3 columns and has 6"),
+        (b"Scan Pos X Y Z\n1 0.1 0.2 0.3\n", "names 5 columns, lines have 4"),
+        (b"x,y,z\n1,5,2,5,3,5\n", "names 3 columns, lines have 6"),
         (b"1 2 3\n1 2\n", "have 2 to 3 columns"),
         (b"id x y z\n1 2 3 4\n1 2 3 4 5\n", "have 4 to 5 columns"),
         (b"1 2\n3 4\n", "column"),
@@ -74,4 +74,4 @@ def test_malformed_table_is_one_line(tmp_path, data, fault):
         read_text(tmp_path / "a.txt")
     assert fault in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert "one point a line" in str(caught.value)
+    assert "one point per line" in str(caught.value)

@@ -42,18 +42,18 @@ def test_in_range(changes):
 @pytest.mark.parametrize(
     ("name", "values", "wanted"),
     [
-        ("count", (0, 10, 10**400, 3.0, "3", None, True), "a whole number from 1 to 9"),
+        ("count", (0, 10, 10**400, 3.0, "3", None, True), "an integer from 1 to 9"),
         ("rate", (-0.1, 1.1, math.nan, math.inf, "1", None), "a number from 0 to 1"),
         ("pair", ([1, 2], 1, None, "12"), "a tuple"),
         ("pair", ((), (1,), (1, 2, 3)), "a tuple of 2"),
-        ("pair", ((1, 10), (1, 2.0), (1, {})), "a whole number from 1 to 9"),
+        ("pair", ((1, 10), (1, 2.0), (1, {})), "an integer from 1 to 9"),
         ("levels", ((), ((),), ((1,),) * 9, ((1,) * 9,)), "a tuple of 1 to 8"),
-        ("levels", (((1,), (0,)), ((1, math.nan),)), "a whole number from 1 to 9"),
+        ("levels", (((1,), (0,)), ((1, math.nan),)), "an integer from 1 to 9"),
         ("switch", (1, 0, "yes", None), "a bool"),
         ("word", ("away", None, 1), "one of near, far"),
         ("words", (("far", "away"), ("away",), (None,)), "one of near, far"),
         ("words", ((),), "a tuple of 1 to 8"),
-        ("some", (0, 10, 1.5, "1", True), "a whole number from 1 to 9"),
+        ("some", (0, 10, 1.5, "1", True), "an integer from 1 to 9"),
     ],
 )
 def test_out_of_range(name, values, wanted):

@@ -56,8 +56,8 @@ def test_texts():
         ("", "cannot read ''"),
         ("1,2", "is not three numbers"),
         ("1,2,3,4", "not three numbers"),
-        ("0,0,0", "points nowhere"),
-        ("0,nan,1", "points nowhere"),
+        ("0,0,0", "has no direction"),
+        ("0,nan,1", "has no direction"),
         ("1 2 3", "cannot read"),
     ],
 )

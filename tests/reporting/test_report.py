@@ -81,10 +81,10 @@ def test_says_what_result_json_says():
     text = Outline(page).text
     assert "300 points observed, 150 added, weights small" in text
     assert "compile 12.50, run 0.25" in text
-    assert "1 strays, 2 in front of what was measured, 3 where points were" in text
-    assert "318, of them 7 not finite, 11 outside the workspace and 0 left out" in text
+    assert "1 outliers, 2 in front of measured points, 3 where points were" in text
+    assert "318, of which 7 not finite, 11 outside the workspace and 0 removed" in text
     assert "normal 0.5, denoise 0.25, align 0.25" in text
-    assert "the objective went from 1 to 0.5 in 3 steps" in text
+    assert "the objective changed from 1 to 0.5 in 3 steps" in text
     strays = summary["scores"]["strays"]
     assert f"{100 * strays['added']:.3g} % of the added" in text
     clouds = summary["scores"]["clouds"]
@@ -97,13 +97,17 @@ def test_says_what_result_json_says():
 @pytest.mark.parametrize(
     ("verdict", "headline", "said"),
     [
-        (LOW, "Low trust", "expected to lie 0.0321 apart"),
-        (LOW, "Low trust", "<Few> points: come closer."),
-        (FAIR, "Fair trust", "expected to lie 0.01 apart"),
-        (HIGH, "High trust", "Nothing in the evidence speaks against it."),
-        (HIGH, "High trust", "strays 0.5"),
-        (HIGH._replace(expected_error=np.inf), "High trust", "not a finite number"),
-        (None, "No verdict", "nothing vouches for this completion"),
+        (LOW, "Low confidence", "Expected error: 0.0321 in input units"),
+        (LOW, "Low confidence", "<Few> points: come closer."),
+        (FAIR, "Fair confidence", "Expected error: 0.01 in input units"),
+        (HIGH, "High confidence", "No evidence speaks against this completion."),
+        (HIGH, "High confidence", "strays 0.5"),
+        (
+            HIGH._replace(expected_error=np.inf),
+            "High confidence",
+            "error is not finite",
+        ),
+        (None, "Unknown confidence", "confidence in this completion is unknown"),
     ],
 )
 def test_opens_with_the_verdict(verdict, headline, said):
@@ -133,13 +137,25 @@ def test_trust_differs_in_lightness_too():
 @pytest.mark.parametrize(
     ("adapt", "changes", "said"),
     [
-        (True, {"accepted": True}, "accepted: the objective went from 1 to 0.5 in 3"),
-        (True, {"accepted": True}, "does not say that the completion is better"),
-        (True, {"accepted": False}, "not accepted: the objective went from 1 to 0.5"),
-        (False, {}, "without test-time adaptation, which nobody asked for"),
+        (
+            True,
+            {"accepted": True},
+            "accepted: the objective changed from 1 to 0.5 in 3",
+        ),
+        (True, {"accepted": True}, "does not mean that the completion is better"),
+        (
+            True,
+            {"accepted": False},
+            "rejected: the objective changed from 1 to 0.5",
+        ),
+        (False, {}, "off\nNetwork output"),
         (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
-        (False, {"losses": {}}, "without test-time adaptation"),
-        (True, {"losses": {"objective": [1.0]}}, "these weights take no step"),
+        (False, {"losses": {}}, "off\nNetwork output"),
+        (
+            True,
+            {"losses": {"objective": [1.0]}},
+            "off: these weights use no adaptation steps",
+        ),
     ],
 )
 def test_details_say_what_became_of_the_adaptation(adapt, changes, said):
@@ -224,14 +240,14 @@ def test_added_points_can_be_coloured_by_their_errors():
     )
     told = summary["sigma"]
     assert 0.2 < told["q05"] < told["median"] < told["q95"] < 0.3
-    said = f"{told['median']:.4g} at the median of the added points"
+    said = f"median {told['median']:.4g}, 5th to 95th percentile"
     assert said in Outline(page).text
 
 
 def test_without_errors_there_is_nothing_to_colour_by():
     page, summary = report()
     assert 'data-colors="' not in page and summary["sigma"] is None
-    assert "not told" in Outline(page).text
+    assert "these weights do not estimate it" in Outline(page).text
 
 
 def scene_report(verdicts, stray=None, name="<scan>.ply", error=None):
@@ -266,7 +282,7 @@ def boxes_of(page):
 def test_a_scene_opens_with_how_many_objects_of_which_trust():
     page = scene_report([HIGH, LOW, HIGH, FAIR])
     outline = Outline(page)
-    assert "4 objects\n1 of low, 1 of fair, 2 of high trust." in outline.text
+    assert "4 objects\n1 low, 1 fair, 2 high confidence." in outline.text
     assert outline.fetched == [] and "<scan>" not in page
     assert '<header class="verdict low">' in page
 
@@ -285,10 +301,10 @@ def test_a_scene_lists_its_objects():
 @pytest.mark.parametrize(
     ("verdicts", "said"),
     [
-        ([None, None], "2 objects\nThese weights come without a calibration"),
-        ([None, HIGH], "2 objects\n1 of unknown, 1 of high trust."),
-        ([HIGH], "1 object\n1 of high trust."),
-        ([], "No object\nNothing was found that could be completed."),
+        ([None, None], "2 objects\nThese weights have no calibration"),
+        ([None, HIGH], "2 objects\n1 unknown, 1 high confidence."),
+        ([HIGH], "1 object\n1 high confidence."),
+        ([], "No objects\nNothing that can be completed was found."),
     ],
 )
 def test_a_scene_says_whose_trust_is_not_known(verdicts, said):
@@ -319,4 +335,4 @@ def test_a_scene_can_be_coloured_by_trust_and_by_errors():
     figure = page.split("Plotly.newPlot")[1]
     numbers = re.findall(r'"error":\[([^\]]*)\]', figure)
     assert [set(found.split(",")) for found in numbers] == [{"0.25"}] * 2
-    assert "0.25 at the median of the added points" in Outline(page).text
+    assert "median 0.25, 5th to 95th percentile" in Outline(page).text

@@ -64,7 +64,7 @@ class Instant(FrameCompleter):
 
     def complete(self, frame):
         if len(frame.points) == 0:
-            raise InputError("the frame", "has no points", "see the sensor")
+            raise InputError("the frame", "no points", "see the sensor")
         time.sleep(self.seconds)
         label = np.zeros(len(frame.points), np.uint8)
         stages = dict.fromkeys(("observe", "network", "assemble"), self.seconds / 3)

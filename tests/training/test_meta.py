@@ -464,8 +464,8 @@ def test_validation_scores(phase_of, batch, variables, measured):
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        ({"first_order": True, "weight_rule": "meta"}, "teach nothing to weight_rule"),
-        ({"first_order": True, "learn_auxiliary": True}, "teach nothing to learn_aux"),
+        ({"first_order": True, "weight_rule": "meta"}, "cannot train weight_rule"),
+        ({"first_order": True, "learn_auxiliary": True}, "cannot train learn_aux"),
     ],
 )
 def test_settings_under_which_nothing_is_learned_are_refused(changes, fault):

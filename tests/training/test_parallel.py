@@ -71,8 +71,8 @@ def test_a_batch_that_is_shared_evenly(eight_devices, size):
 
 @pytest.mark.parametrize("size", [1, 4, 12, 31])
 def test_a_batch_that_is_not(eight_devices, size):
-    fault = f"^batch_size: {size} examples cannot be shared evenly by 8 devices; "
-    with pytest.raises(InputError, match=fault + "choose a multiple, or show JAX"):
+    fault = f"^batch_size: {size} examples cannot be split evenly across 8 devices; "
+    with pytest.raises(InputError, match=fault + "use a multiple of the number"):
         parallel.check_batch(size)
 
 
@@ -85,7 +85,7 @@ def test_it_is_refused_before_anything_is_written(
     start = TrainState(jnp.int32(0), {"params": {"w": jnp.zeros(3)}}, ())
     phase = Phase("toy", 48, 12, 128, start, never, never, ("loss",), ("score",))
     data = Data(examples, validation_examples, 64, 1.4, 7, 48)
-    with pytest.raises(InputError, match="12 examples cannot be shared"):
+    with pytest.raises(InputError, match="12 examples cannot be split"):
         train_phase(phase, data, tmp_path)
     assert not list(tmp_path.iterdir())
 

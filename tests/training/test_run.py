@@ -36,7 +36,7 @@ def test_a_used_folder_needs_resume(tmp_path):
     workdir = str(tmp_path / "run")
     open_run(workdir, PRESET, 0, resume=False)
     before = (tmp_path / "run" / "config.json").read_bytes()
-    with pytest.raises(InputError, match="holds a run already; pass --resume"):
+    with pytest.raises(InputError, match="already holds a run; resume it with"):
         open_run(workdir, PRESET, 0, resume=False)
     assert open_run(workdir, PRESET, 0, resume=True) == tmp_path / "run"
     assert (tmp_path / "run" / "config.json").read_bytes() == before
@@ -61,7 +61,9 @@ def test_a_used_folder_needs_resume(tmp_path):
 )
 def test_another_configuration_does_not_go_on(tmp_path, preset, seed, told):
     open_run(str(tmp_path), PRESET, 0, resume=False)
-    with pytest.raises(InputError, match=f"another configuration: .*{told}"):
+    with pytest.raises(
+        InputError, match=f"configuration differs from the run's: .*{told}"
+    ):
         open_run(str(tmp_path), preset, seed, resume=True)
 
 

@@ -86,7 +86,7 @@ def test_the_reasons_are_what_makes_the_error_large_the_worst_first():
     assert [reason.split(":")[0][:10] for reason in low.reasons] == [
         "few points",
         f"{spreads(strays=1.0)['strays']:.0%} of the"[:10],
-        "it looks u",
+        "the scan i",
     ]
     assert found.judge(USUAL, 1.0).reasons == ()
 
@@ -159,7 +159,7 @@ def test_one_that_lacks_something_is_refused():
     fields = calibration().to_dict()
     del fields["bounds"]
     for damaged in (fields, {}):
-        with pytest.raises(ValueError, match="a calibration has"):
+        with pytest.raises(ValueError, match="a calibration needs"):
             Calibration.from_dict(damaged)
 
 

@@ -54,7 +54,7 @@ def test_no_tree_and_no_row():
 def test_what_looks_beyond_the_numbers_is_refused():
     one = Five(0.5, *np.zeros((2, 1, 1)), np.ones((1, 2)), np.array([0.0, 1.0]))
     beyond = dataclasses.replace(one, looks_at=np.full((1, 1), 5.0))
-    with pytest.raises(ValueError, match="a sum of trees's looks_at is beyond"):
+    with pytest.raises(ValueError, match="a sum of trees's looks_at is out of range"):
         Five.from_dict(beyond.to_dict())
     with pytest.raises(ValueError, match="a sum of trees has base, looks_at"):
         Five.from_dict({})

@@ -89,7 +89,7 @@ def read_catalogue(path: str | os.PathLike, licence: str) -> tuple[str, list[Mod
         models = [_model(path, licence, entries[number]) for number in sorted(entries)]
         return own["version"], models
     except (KeyError, ValueError) as error:
-        fault = f"is not a catalogue of models ({error})"
+        fault = f"not a catalogue of models ({error})"
         raise InputError(path, fault, REMEDY) from None
 
 
@@ -106,15 +106,15 @@ def read_member(path: str | os.PathLike, name: str, max_bytes: int) -> bytes:
             member = archive.getinfo(name)
             if not 0 < member.file_size <= max_bytes:
                 size = f"{member.file_size:,} bytes"
-                fault = f"claims {size}, which is not within 1 to {max_bytes:,}"
+                fault = f"size {size} is not within 1 to {max_bytes:,}"
                 raise InputError(subject, fault, REMEDY)
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise InputError(subject, "is not stored or deflated", REMEDY)
+                raise InputError(subject, "compression is not supported", REMEDY)
             return archive.read(member)
     except FileNotFoundError:
         raise InputError(path, "no such file", "check the path") from None
     except KeyError:
-        raise InputError(subject, "is not in the archive", REMEDY) from None
+        raise InputError(subject, "not in the archive", REMEDY) from None
     except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(subject, f"cannot be read ({error})", REMEDY) from None
 

@@ -52,7 +52,7 @@ def build_roboarm(
         urdf_path(model)
     if min(num_sequences, num_frames) < 1 or seed < 0:
         fault = f"{num_sequences} sequences of {num_frames} frames, seed {seed}"
-        raise InputError("roboarm", fault, "ask for one or more, and a seed from 0 on")
+        raise InputError("roboarm", fault, "use at least one of each, and a seed >= 0")
     folder = pathlib.Path(output_dir)
     names = [
         f"{index:03d}-{arms[index % len(arms)].name}" for index in range(num_sequences)

@@ -75,7 +75,7 @@ def urdf_path(model: ArmModel) -> pathlib.Path:
     if not path.is_absolute():
         path = robots_folder(model.package) / path
     if not path.is_file():
-        raise InputError(path, "no such file", "name the URDF of another robot")
+        raise InputError(path, "no such file", "check the path")
     return path
 
 
@@ -86,7 +86,7 @@ def robots_folder(package: str) -> pathlib.Path:
     try:
         files = importlib.metadata.files(package) or []
     except importlib.metadata.PackageNotFoundError:
-        raise InputError(package, "is not installed", remedy) from None
+        raise InputError(package, "not installed", remedy) from None
     for file in files:
         before, found, _ = f"/{file.as_posix()}".partition(f"/{FOLDERS[package]}/")
         if file.suffix in (".urdf", ".xacro") and found:
@@ -94,4 +94,4 @@ def robots_folder(package: str) -> pathlib.Path:
             path = pathlib.Path(os.path.abspath(file.locate()))
             if path.parents[above].is_dir():
                 return path.parents[above]
-    raise InputError(package, "has no robots", remedy)
+    raise InputError(package, "no robots in this package", remedy)

@@ -117,7 +117,7 @@ def _limits(joint: Any, path: pathlib.Path) -> tuple[float, float]:
         return -MAX_TURN, MAX_TURN
     lower, upper = float(limit.lower), float(limit.upper)
     if not -np.inf < lower <= upper < np.inf:
-        fault = f"limits its joint {joint.name!r} to {lower:g} to {upper:g}"
+        fault = f"invalid limits of joint {joint.name!r}: {lower:g} to {upper:g}"
         raise InputError(path, fault, REMEDY)
     if joint.type == "prismatic":
         return lower, upper

@@ -101,8 +101,8 @@ def _random_free_pose(
         free = clearance.is_free(drawn)
         if free.any():
             return drawn[np.argmax(free)]
-    fault = f"touches itself or the ground in each of {_MAX_DRAWS} random poses"
-    remedy = "name the arm alone, without what carries it, and check its joints' limits"
+    fault = f"collides with itself or the ground in {_MAX_DRAWS} random poses"
+    remedy = "use the arm without its base, and check its joint limits"
     raise InputError(robot.name, fault, remedy)
 
 

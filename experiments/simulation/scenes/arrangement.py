@@ -65,8 +65,8 @@ def check_sources(sources: Sequence[str], split: str) -> None:
     for source in sources:
         choose("sources", source, SOURCES)
     if not any(split in SOURCES[source] for source in sources):
-        fault = f"{', '.join(sources) or 'none'} cannot stand in scenes of {split}"
-        raise InputError("sources", fault, "name shapes or objects too")
+        fault = f"{', '.join(sources) or 'none'} cannot be used in scenes of {split}"
+        raise InputError("sources", fault, "add shapes or objects")
 
 
 def pools_of(

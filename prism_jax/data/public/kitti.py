@@ -89,6 +89,6 @@ def read_corners(path: str | os.PathLike) -> Float64[np.ndarray, "8 3"]:
     corners = read_text(path)
     is_box = corners.shape == (8, 3) and bool(np.isfinite(corners).all())
     if not is_box or np.array_equal(corners[0, :2], corners[3, :2]):
-        fault = "does not hold the eight corners of a box"
-        raise InputError(path, fault, "copy this file again from the set")
+        fault = "not the eight corners of a box"
+        raise InputError(path, fault, "copy this file again from the data set")
     return corners

@@ -21,8 +21,8 @@ from prism_jax.io.files import read_bytes
 from prism_jax.io.pcd import read_pcd
 
 _SHOWN = 3
-_TAKE_LIST = "take the list that the set publishes"
-_COPY_AGAIN = "copy this file again from the set"
+_TAKE_LIST = "use the list published with the data set"
+_COPY_AGAIN = "copy this file again from the data set"
 _ID = re.compile(r"[\w-]+")
 _READERS = {".npy": read_npy, ".pcd": read_pcd}
 
@@ -74,7 +74,7 @@ def read_list(
     matches = [re.fullmatch(pattern, line) for line in lines]
     for line, match in zip(lines, matches, strict=True):
         if match is None:
-            fault = f"has the line {line[:80]!r}, not {form}"
+            fault = f"invalid line {line[:80]!r}, expected {form}"
             raise InputError(path, fault, _TAKE_LIST)
     _refuse_doubles(path, lines)
     return [match.groups() for match in matches if match]
@@ -91,7 +91,7 @@ def read_json_list(path: str | os.PathLike, split: str) -> list[Model]:
         entries = json.loads(text)
         models = [model for entry in entries for model in _models(entry, split)]
     except (ValueError, TypeError, KeyError, RecursionError):
-        fault = f"is not a list of categories with the ids of the split {split!r}"
+        fault = f"not a list of categories with the ids of split {split!r}"
         raise InputError(path, fault, _TAKE_LIST) from None
     _refuse_doubles(path, models)
     return models
@@ -119,9 +119,8 @@ def require_files(
         first = ", ".join(paths + ["..."] * (len(missing) > _SHOWN))
         raise InputError(
             root,
-            f"{len(missing)} of the {total} files that {listed_in} asks for are "
-            f"missing: {first}",
-            f"copy the set here whole, as {layout}",
+            f"{len(missing)} of the {total} files in {listed_in} are missing: {first}",
+            f"copy the whole data set here, as {layout}",
         )
 
 
@@ -138,15 +137,15 @@ def sound_cloud(
     """The points as float32; another shape or count, or a NaN, raises InputError."""
     is_cloud = points.ndim == 2 and points.shape[1] == 3 and len(points) > 0
     if not is_cloud or points.dtype.kind not in "fiu":
-        fault = f"holds an array of shape {points.shape} and type {points.dtype}"
-        raise InputError(subject, f"{fault}, which is no cloud", _COPY_AGAIN)
+        fault = f"array of shape {points.shape} and type {points.dtype}"
+        raise InputError(subject, f"{fault} is not a cloud", _COPY_AGAIN)
     if num_points is not None and len(points) != num_points:
-        fault = f"holds {len(points)} points, where the set has {num_points}"
+        fault = f"{len(points)} points instead of {num_points}"
         raise InputError(subject, fault, _COPY_AGAIN)
     with np.errstate(over="ignore"):
         cloud = np.ascontiguousarray(points, np.float32)
     if not np.isfinite(cloud).all():
-        raise InputError(subject, "has points that are not finite", _COPY_AGAIN)
+        raise InputError(subject, "some points are not finite", _COPY_AGAIN)
     return cloud
 
 
@@ -154,7 +153,7 @@ def _read_text(path: str | os.PathLike) -> str:
     try:
         return read_bytes(path).decode()
     except UnicodeDecodeError:
-        raise InputError(path, "is not a text file", _TAKE_LIST) from None
+        raise InputError(path, "not a text file", _TAKE_LIST) from None
 
 
 def _models(entry: dict[str, Any], split: str) -> Iterator[Model]:
@@ -169,9 +168,9 @@ def _models(entry: dict[str, Any], split: str) -> Iterator[Model]:
 
 def _refuse_doubles(path: str | os.PathLike, entries: Sequence[object]) -> None:
     if not entries:
-        raise InputError(path, "names no object", _TAKE_LIST)
+        raise InputError(path, "no objects listed", _TAKE_LIST)
     if len(set(entries)) < len(entries):
-        raise InputError(path, "names an object twice", _TAKE_LIST)
+        raise InputError(path, "duplicate object", _TAKE_LIST)
 
 
 def _names_in(folder: pathlib.Path) -> set[str]:

@@ -144,6 +144,6 @@ def _normalised(path: pathlib.Path) -> Float32[np.ndarray, "8192 3"]:
     points -= points.mean(axis=0)
     radius = np.linalg.norm(points, axis=1).max()
     if radius == 0:
-        fault = "has an extent of zero: all its points coincide"
-        raise InputError(path, fault, "copy this file again from the set")
+        fault = "zero extent: all points coincide"
+        raise InputError(path, fault, "copy this file again from the data set")
     return (points / radius).astype(np.float32)

@@ -44,7 +44,7 @@ class BagFile(MessageFile):
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
         for number, names, time, data in self._messages({}):
             if number not in names:
-                raise CutError("it has a message of no connection")
+                raise CutError("message without connection")
             if names[number] in wanted:
                 yield Message(names[number], time, bytes(data))
 
@@ -68,7 +68,7 @@ class BagFile(MessageFile):
                 else:
                     continue
             except (KeyError, IndexError, UnicodeDecodeError, struct.error):
-                raise CutError("it is damaged") from None
+                raise CutError("damaged record") from None
             if code == _MESSAGE:
                 yield number, names, seconds * 1_000_000_000 + nanoseconds, data
 
@@ -88,24 +88,24 @@ class BagFile(MessageFile):
                 else:
                     file.seek(length, os.SEEK_CUR)
                 if not whole:
-                    raise CutError("it ends within a record")
+                    raise CutError("ends within a record")
 
 
 def _head(file: BinaryIO, size: int) -> tuple[_Fields, int]:
     """A record's fields and the length of its data."""
     (length,) = _numbers(file.read(4))
     if length > min(_HEADER_LIMIT, size):
-        raise CutError("it is damaged")
+        raise CutError("damaged record")
     header = file.read(length)
     if len(header) < length:
-        raise CutError("it ends within a record")
+        raise CutError("ends within a record")
     fields = _fields(memoryview(header))
     return fields, _numbers(file.read(4))[0]
 
 
 def _numbers(data: bytes) -> tuple[int]:
     if len(data) < 4:
-        raise CutError("it ends within a record")
+        raise CutError("ends within a record")
     return struct.unpack("<I", data)
 
 
@@ -117,7 +117,7 @@ def _in_chunk(
         (size,) = struct.unpack("<I", fields[b"size"])
         records = memoryview(unpack(data, fields[b"compression"].decode(), size))
     except (KeyError, struct.error, ValueError) as error:
-        raise CutError(f"it is damaged ({error})") from None
+        raise CutError(f"damaged record ({error})") from None
     start = 0
     while start + 4 <= len(records):
         (header,) = struct.unpack_from("<I", records, start)
@@ -140,7 +140,7 @@ def _fields(header: memoryview) -> _Fields:
         entry = bytes(header[start + 4 : start + 4 + length])
         name, equals, value = entry.partition(b"=")
         if len(entry) < length or not equals:
-            raise CutError("it is damaged")
+            raise CutError("damaged record")
         fields[name] = value
         start += 4 + length
     return fields

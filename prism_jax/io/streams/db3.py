@@ -44,10 +44,10 @@ class Db3File(MessageFile):
                     if number not in names:
                         continue
                     if type(time) is not int or type(data) is not bytes:
-                        raise CutError("it has a message without time or data")
+                        raise CutError("message without time or data")
                     yield Message(names[number], time, data)
             except sqlite3.DatabaseError as error:
-                raise CutError(f"it is damaged ({error})") from None
+                raise CutError(f"damaged record ({error})") from None
 
     def _count(self, topic: str) -> int:
         """How many messages there are of a topic; of a file that is cut, whole ones."""
@@ -76,7 +76,7 @@ class Db3File(MessageFile):
             rest = file.read(16)
         if len(rest) < 16:
             remedy = "check how it was recorded or copied"
-            raise InputError(self.path, "is not a ROS 2 bag in SQLite", remedy)
+            raise InputError(self.path, "not a ROS 2 bag in SQLite", remedy)
         (page,) = struct.unpack_from(">H", rest)
         (count,) = struct.unpack_from(">I", rest, 12)
         return 65536 if page == 1 else max(page, 512), count
@@ -111,5 +111,5 @@ class Db3File(MessageFile):
                 raise sqlite3.DatabaseError("a topic without name, type or encoding")
             return rows
         except sqlite3.DatabaseError as error:
-            fault = f"is not a ROS 2 bag ({error})"
+            fault = f"not a ROS 2 bag ({error})"
             raise InputError(self.path, fault, "check how it was recorded") from None

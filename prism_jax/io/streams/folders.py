@@ -44,11 +44,11 @@ class CloudFolder(Stream):
         clouds = [p for p in files if p.suffix.lower() in READERS]
         images = [p for p in files if p.suffix.lower() == ".png"]
         if not clouds and not images:
-            remedy = f"it takes files of {' '.join(READERS)} .png, and ROS 2 bags"
-            raise InputError(path, "is a folder without frames", remedy)
+            remedy = f"supported: {' '.join(READERS)} .png, and ROS 2 bags"
+            raise InputError(path, "no frames in this folder", remedy)
         if clouds and images:
-            fault = f"holds {len(clouds)} clouds and {len(images)} images"
-            raise InputError(path, fault, "put them into folders of their own")
+            fault = f"folder mixes {len(clouds)} clouds and {len(images)} images"
+            raise InputError(path, fault, "put them into separate folders")
         self._paths = sorted(clouds or images, key=natural)
 
     def __len__(self) -> int:
@@ -59,7 +59,7 @@ class CloudFolder(Stream):
             try:
                 yield self._read(path, number * PERIOD)
             except InputError as error:
-                self.remark("damaged", f"{path.name} is left out: {error}")
+                self.remark("damaged", f"skipped {path.name}: {error}")
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:
         if path.suffix.lower() == ".png":
@@ -86,10 +86,10 @@ class RecordedFrames(Stream):
     ):
         super().__init__(path, tell)
         if topic not in TOPICS:
-            fault = f"has {len(TOPICS)} topics of clouds and depth images"
+            fault = f"{len(TOPICS)} topics with clouds or depth images"
             if topic is not None:
-                fault = f"has no clouds and no depth images on {topic}"
-            remedy = f"choose with --topic one of {', '.join(TOPICS)}"
+                fault = f"no clouds or depth images on {topic}"
+            remedy = f"set --topic to one of {', '.join(TOPICS)}"
             raise InputError(path, fault, remedy)
         self.topic = topic
         root = pathlib.Path(path)
@@ -119,12 +119,12 @@ class RecordedFrames(Stream):
                     frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
                 yield frame
             except InputError as error:
-                self.remark("damaged", f"{path.name} is left out: {error}")
+                self.remark("damaged", f"skipped {path.name}: {error}")
 
     def _check_joints(self, topic: str | None) -> None:
         if topic is not None:
-            fault = f"has no topic {topic} of joints, but files beside its frames"
-            raise InputError(self.path, fault, "leave --joints out")
+            fault = f"no joint topic {topic}; joints are in files next to the frames"
+            raise InputError(self.path, fault, "omit --joints")
 
 
 def is_recordings(path: pathlib.Path) -> bool:
@@ -149,5 +149,5 @@ def _depth_frame(path: pathlib.Path, camera: pathlib.Path, time: int) -> Frame:
 
 def _check_no_topic(path: str | os.PathLike, topic: str | None) -> None:
     if topic is not None:
-        fault = f"has no topics, and so none that is {topic}"
-        raise InputError(path, fault, "leave --topic out")
+        fault = f"no topics in this recording, so no {topic}"
+        raise InputError(path, fault, "omit --topic")

@@ -72,9 +72,7 @@ class Frame:
             return dataclasses.replace(self, camera=camera)
         height, width = self.depth.shape
         if (height, width) != (camera.height, camera.width):
-            fault = (
-                f"has {camera.width}x{camera.height} pixels, images {width}x{height}"
-            )
+            fault = f"{camera.width}x{camera.height} pixels, images {width}x{height}"
             raise InputError("--camera", fault, "give the camera of these images")
         seen = Frame.of_depth(self.depth, camera, self.timestamp)
         return dataclasses.replace(seen, joints=self.joints)
@@ -128,8 +126,8 @@ class Stream(abc.ABC):
 
     def _check_joints(self, topic: str | None) -> None:
         """Looks for joint positions in the recording."""
-        named = "tells no joint positions" + (f" on {topic}" if topic else "")
-        raise InputError(self.path, named, "give --joints=FILE, a .json of them")
+        named = "no joint positions" + (f" on {topic}" if topic else "")
+        raise InputError(self.path, named, "set --joints to a .json file")
 
     def _with_joints(self, number: int, frame: Frame) -> Frame:
         if self.joints is None:
@@ -151,7 +149,7 @@ class Stream(abc.ABC):
         if len(frame.points) == 0:
             if frame.num_not_finite:
                 count = f"{frame.num_not_finite:,}"
-                line = f"frame {number}: none of its {count} points is finite"
+                line = f"frame {number}: none of {count} points are finite"
                 self.remark("not_finite", line)
             else:
                 self.remark("empty", f"frame {number} is empty")
@@ -160,11 +158,11 @@ class Stream(abc.ABC):
         behind = before.timestamp - frame.timestamp
         if behind > _LATE:
             line = f"frame {number} is {behind / 1e9:.3f} s older than the one before"
-            self.remark("backward", f"{line}; it is taken as it comes")
+            self.remark("backward", f"{line}; used anyway")
         if frame.size != before.size and None not in (frame.size, before.size):
             one, other = ("x".join(map(str, f.size or ())) for f in (frame, before))
             line = f"frame {number} has {one} rows and columns, the one before {other}"
-            self.remark("size", f"{line}; both are taken")
+            self.remark("size", f"{line}; both are used")
 
 
 _NONE = np.zeros((0, 3), np.float32)

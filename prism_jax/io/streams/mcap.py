@@ -59,9 +59,9 @@ class McapFile(MessageFile):
                     continue
                 channel, _, time, _ = _MESSAGE_HEAD.unpack_from(content)
             except (struct.error, ValueError) as error:
-                raise CutError(f"it is damaged ({error})") from None
+                raise CutError(f"damaged record ({error})") from None
             if channel not in known.channels:
-                raise CutError("it has a message of no channel")
+                raise CutError("message without channel")
             yield channel, time, content[_MESSAGE_HEAD.size :]
 
     def _records(self) -> Iterator[tuple[int, memoryview]]:
@@ -71,13 +71,13 @@ class McapFile(MessageFile):
             while True:
                 head = file.read(_HEAD.size)
                 if len(head) < _HEAD.size:
-                    raise CutError("it ends without an end mark")
+                    raise CutError("no end mark")
                 code, length = _HEAD.unpack(head)
                 if code == _DATA_END:
                     return
                 whole = file.tell() + length <= size
                 if not whole and code != _CHUNK:
-                    raise CutError("it ends within a record")
+                    raise CutError("ends within a record")
                 content = memoryview(file.read(min(length, size)))
                 try:
                     if code == _CHUNK:
@@ -85,11 +85,11 @@ class McapFile(MessageFile):
                     else:
                         yield code, content
                 except (struct.error, UnicodeDecodeError) as error:
-                    raise CutError(f"it is damaged ({error})") from None
+                    raise CutError(f"damaged record ({error})") from None
                 except ValueError as error:
                     raise CutError(str(error)) from None
                 if not whole:
-                    raise CutError("it ends within a chunk")
+                    raise CutError("ends within a chunk")
 
     def _counts_at_the_end(self, known: "_Channels") -> dict[int, int] | None:
         """Messages of each channel by the file's own statistics, if there are any."""

@@ -78,7 +78,7 @@ class McapOutput:
 
     def _fail(self, error: OSError) -> None:
         fault = f"cannot be written ({error.strerror})"
-        remedy = "name another place, or free some space"
+        remedy = "choose another path, or free some space"
         raise InputError(self.path, fault, remedy) from None
 
 

@@ -60,7 +60,7 @@ class MessageFile(abc.ABC):
                 raise InputError(self.path, fault, "check the path") from None
             if start != magic:
                 remedy = "check how it was recorded or copied"
-                raise InputError(self.path, f"is not {kind}", remedy)
+                raise InputError(self.path, f"not {kind}", remedy)
             yield file
 
 

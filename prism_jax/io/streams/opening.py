@@ -82,8 +82,8 @@ def _opened(
     elif suffix in OUSTER:
         kind = OusterStream
     else:
-        remedy = f"name a folder or a file of {' '.join(SUFFIXES)}"
-        raise InputError(path, f"has the suffix {suffix!r}, no recording's", remedy)
+        remedy = f"use a folder or one of {' '.join(SUFFIXES)}"
+        raise InputError(path, f"suffix {suffix!r} is not a recording format", remedy)
     stream = kind(path, topic, tell)
     stream.camera = camera
     return stream

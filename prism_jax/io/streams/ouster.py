@@ -32,11 +32,11 @@ class OusterStream(Stream):
         source = self._open()
         names = [str(info.sn) for info in source.sensor_info]
         if topic is None and len(names) > 1:
-            remedy = f"choose with --topic one of {', '.join(names)}"
-            raise InputError(path, f"has {len(names)} sensors", remedy)
+            remedy = f"set --topic to one of {', '.join(names)}"
+            raise InputError(path, f"{len(names)} sensors", remedy)
         if topic is not None and topic not in names:
-            remedy = f"choose with --topic one of {', '.join(names)}"
-            raise InputError(path, f"has no sensor {topic}", remedy)
+            remedy = f"set --topic to one of {', '.join(names)}"
+            raise InputError(path, f"no sensor {topic}", remedy)
         self._place = 0 if topic is None else names.index(topic)
         self.topic = names[self._place]
         self._count = len(source)
@@ -55,8 +55,9 @@ class OusterStream(Stream):
                     continue
                 if not sweep.complete():
                     seen = np.count_nonzero(np.asarray(sweep.status) & 1)
-                    line = f"sweep {number} lacks {sweep.w - seen} of {sweep.w} columns"
-                    self.remark("incomplete", f"{line}; what is there is taken")
+                    lost = f"{sweep.w - seen} of {sweep.w} columns"
+                    line = f"sweep {number} is missing {lost}; the rest is used"
+                    self.remark("incomplete", line)
                 hit = np.asarray(sweep.field("RANGE")) > 0
                 yield Frame(
                     points=to_xyz(sweep)[hit].astype(np.float32),
@@ -73,6 +74,6 @@ class OusterStream(Stream):
             fault = str(error).rpartition("more details:")[2].strip()
             raise InputError(
                 self.path,
-                f"is not an Ouster's recording that can be read ({fault})",
-                "put the sensor's metadata beside it as a .json of the same name",
+                f"not a readable Ouster recording ({fault})",
+                "add the sensor's metadata as a .json of the same name",
             ) from None

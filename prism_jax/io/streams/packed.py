@@ -16,7 +16,7 @@ def unpack(data: bytes | memoryview, compression: str, size: int) -> bytes:
     size above `MAX_FILE_BYTES` and damaged data raise ValueError.
     """
     if size > MAX_FILE_BYTES:
-        raise ValueError(f"a chunk claims {size:,} bytes")
+        raise ValueError(f"a chunk of {size:,} bytes is too large")
     if compression in ("", "none"):
         return bytes(data[:size])
     if compression == "zstd":
@@ -34,4 +34,4 @@ def unpack(data: bytes | memoryview, compression: str, size: int) -> bytes:
             return bz2.BZ2Decompressor().decompress(bytes(data), max_length=size)
     except (OSError, EOFError, RuntimeError) as error:
         raise ValueError(str(error)) from None
-    raise ValueError(f"a chunk is packed by {compression!r}")
+    raise ValueError(f"compression {compression!r} is not supported")

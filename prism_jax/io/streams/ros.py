@@ -89,15 +89,15 @@ class RosStream(Stream):
                     depth = _depth(content)
                     if depth.shape != (camera.height, camera.width):
                         raise ValueError(
-                            f"it has {depth.shape[1]}x{depth.shape[0]} pixels and its "
-                            f"camera {camera.width}x{camera.height}"
+                            f"image is {depth.shape[1]}x{depth.shape[0]}, camera is "
+                            f"{camera.width}x{camera.height}"
                         )
                     time = _time(content, message)
                     yield joints.put_into(Frame.of_depth(depth, camera, time))
             except ValueError as error:
                 if isinstance(error, InputError):
                     raise
-                line = f"a message of {message.topic} is left out: {error}"
+                line = f"skipped a message on {message.topic}: {error}"
                 self.remark("damaged", line)
 
     def _messages(self, wanted: set[str | None]) -> Iterator[Message]:
@@ -109,8 +109,8 @@ class RosStream(Stream):
                     count += message.topic == self.topic
                     yield message
             except CutError as error:
-                line = f"{file.path.name} is cut or damaged: {error}"
-                self.remark("cut", f"{line}; the {count} whole messages are taken")
+                line = f"{file.path.name} is truncated or damaged: {error}"
+                self.remark("cut", f"{line}; the {count} complete messages are used")
 
     def _read(self, message: Message) -> Any:
         """A message's content. Whatever is wrong with it raises ValueError."""
@@ -121,16 +121,16 @@ class RosStream(Stream):
                 return store.deserialize_ros1(message.data, kind)
             return store.deserialize_cdr(message.data, kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
-            raise ValueError(f"it is no {kind} ({type(error).__name__})") from None
+            raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
     def _check_joints(self, topic: str | None) -> None:
         found = [name for name, held in self._topics.items() if held.kind == JOINTS]
         if topic in found or (topic is None and len(found) == 1):
             self._joints = topic or found[0]
         elif found:
-            fault = f"has {len(found)} topics of joint positions"
-            fault = fault if topic is None else f"has no joint positions on {topic}"
-            remedy = f"choose with --joints one of {', '.join(found)}"
+            fault = f"{len(found)} topics with joint positions"
+            fault = fault if topic is None else f"no joint positions on {topic}"
+            remedy = f"set --joints to one of {', '.join(found)}"
             raise InputError(self.path, fault, remedy)
         else:
             super()._check_joints(topic)
@@ -141,17 +141,17 @@ class RosStream(Stream):
         if topic is not None:
             if topic in fitting:
                 return topic
-            fault = f"has no clouds and no depth images on {topic}"
+            fault = f"no clouds or depth images on {topic}"
         elif len(fitting) == 1:
             return fitting[0]
         else:
-            fault = f"has {len(fitting)} topics of clouds and depth images"
+            fault = f"{len(fitting)} topics with clouds or depth images"
         if fitting:
-            remedy = f"choose with --topic one of {', '.join(fitting)}"
+            remedy = f"set --topic to one of {', '.join(fitting)}"
             raise InputError(self.path, fault, remedy)
-        fault = "has neither PointCloud2 nor depth Image messages"
+        fault = "no PointCloud2 or depth Image messages"
         held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
-        remedy = f"record one; it holds {held or 'nothing'}"
+        remedy = f"record one of them; found {held or 'nothing'}"
         raise InputError(self.path, fault, remedy)
 
     def _fitting(self, topic: str | None) -> list[str]:
@@ -194,8 +194,8 @@ class RosStream(Stream):
             return beside
         if len(infos) == 1:
             return infos[0]
-        fault = f"has depth images on {topic} but no CameraInfo on {beside}"
-        remedy = f"record {beside} too, or give the camera with --camera"
+        fault = f"depth images on {topic} but no CameraInfo on {beside}"
+        remedy = f"record {beside} too, or set --camera"
         raise InputError(self.path, fault, remedy)
 
     def _pinhole(self, content: Any) -> Camera:
@@ -207,7 +207,7 @@ class RosStream(Stream):
             entries[name] = float(matrix[place])
         camera = camera_from_dict(entries)
         if np.any(distortion):
-            line = f"{self._info} has a distortion, which is not undone"
+            line = f"{self._info} has lens distortion, which is ignored"
             self.remark("distortion", line)
         return camera
 
@@ -221,7 +221,7 @@ class RosStream(Stream):
                         continue
             except CutError:
                 continue
-        fault = f"has no CameraInfo on {self._info} that could be read"
+        fault = f"no readable CameraInfo on {self._info}"
         raise InputError(self.path, fault, "record it again")
 
 
@@ -284,13 +284,13 @@ def _time(content: Any, message: Message) -> int:
 def _depth(content: Any) -> Float[np.ndarray, "H W"]:
     """Depth in metres of an Image; ValueError if it is not as it says."""
     if content.encoding not in DEPTH:
-        raise ValueError(f"it is an image of {content.encoding}")
+        raise ValueError(f"image encoding {content.encoding} is not supported")
     kind, scale = DEPTH[content.encoding]
     kind = np.dtype((">" if content.is_bigendian else "<") + kind)
     height, width, step = content.height, content.width, content.step
     _check_size(height * width, step * height, len(content.data))
     if step < width * kind.itemsize:
-        raise ValueError("its rows are shorter than it says")
+        raise ValueError("rows are shorter than declared")
     rows = np.asarray(content.data, np.uint8)[: step * height].reshape(height, step)
     counts = np.ascontiguousarray(rows[:, : width * kind.itemsize]).view(kind)
     return counts * scale if kind.kind == "u" else counts.astype(np.float32)
@@ -300,7 +300,7 @@ def _cloud(content: Any, time: int) -> Frame:
     """The frame of a PointCloud2; ValueError if it is not as it says."""
     fields = {field.name: field for field in content.fields}
     if not fields.keys() >= set("xyz"):
-        raise ValueError(f"its points have {', '.join(fields) or 'nothing'}, not x y z")
+        raise ValueError(f"points have {', '.join(fields) or 'nothing'}, not x y z")
     height, width = content.height, content.width
     step, row = content.point_step, content.row_step
     _check_size(height * width, row * height, len(content.data))
@@ -312,7 +312,7 @@ def _cloud(content: Any, time: int) -> Frame:
         if kind in ("f4", "f8")
     ]
     if len(ends) < 3 or max(ends) > step or row < step * width:
-        raise ValueError("its points are not laid out as it says")
+        raise ValueError("point layout differs from the header")
     layout = np.dtype(
         {
             "names": list("xyz"),
@@ -339,6 +339,6 @@ def _cloud(content: Any, time: int) -> Frame:
 
 def _check_size(count: int, claimed: int, held: int) -> None:
     if count > MAX_POINTS:
-        raise ValueError(f"it claims {count:,} points, more than {MAX_POINTS:,}")
+        raise ValueError(f"{count:,} points exceed the limit of {MAX_POINTS:,}")
     if held < claimed:
-        raise ValueError(f"it claims {claimed:,} bytes and holds {held:,}")
+        raise ValueError(f"{claimed:,} bytes declared, {held:,} found")

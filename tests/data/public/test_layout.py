@@ -19,9 +19,9 @@ def test_a_list_is_read_in_its_order_without_blank_lines(tmp_path, write):
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        ("\n \n", "names no object"),
-        ("a/1\n../secret\n", "has the line '../secret', not a pair"),
-        ("a/1\nb/2\na/1\n", "names an object twice"),
+        ("\n \n", "no objects listed"),
+        ("a/1\n../secret\n", "invalid line '../secret', expected a pair"),
+        ("a/1\nb/2\na/1\n", "duplicate object"),
     ],
 )
 def test_an_unsound_list_is_refused(tmp_path, write, content, fault):
@@ -33,7 +33,7 @@ def test_an_unsound_list_is_refused(tmp_path, write, content, fault):
 def test_a_list_that_is_no_text_is_refused(tmp_path):
     path = tmp_path / "a.list"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="is not a text file"):
+    with pytest.raises(InputError, match="not a text file"):
         layout.read_list(path, r"(\w)/(\d)", "a pair")
 
 
@@ -58,15 +58,15 @@ def test_a_json_list_gives_the_ids_of_one_split(tmp_path, write):
 )
 def test_json_of_another_form_is_refused(tmp_path, write, content):
     path = write(tmp_path / "l.json", content)
-    with pytest.raises(InputError, match="is not a list of categories"):
+    with pytest.raises(InputError, match="not a list of categories"):
         layout.read_json_list(path, "test")
 
 
 def test_a_json_list_without_the_split_or_without_models_is_refused(tmp_path, write):
     path = write(tmp_path / "l.json", [ENTRY | {"val": []}])
-    with pytest.raises(InputError, match="ids of the split 'train'"):
+    with pytest.raises(InputError, match="ids of split 'train'"):
         layout.read_json_list(path, "train")
-    with pytest.raises(InputError, match="names no object"):
+    with pytest.raises(InputError, match="no objects listed"):
         layout.read_json_list(path, "val")
 
 
@@ -76,8 +76,8 @@ def test_missing_files_are_counted_and_the_first_named(tmp_path, write):
     with pytest.raises(InputError) as error:
         layout.require_files(tmp_path, wanted, "the list", "a/<n>.txt")
     assert str(error.value) == (
-        f"{tmp_path}: 4 of the 5 files that the list asks for are missing: "
-        "a/2.txt, a/3.txt, b/1.txt, ...; copy the set here whole, as a/<n>.txt"
+        f"{tmp_path}: 4 of the 5 files in the list are missing: "
+        "a/2.txt, a/3.txt, b/1.txt, ...; copy the whole data set here, as a/<n>.txt"
     )
     layout.require_files(tmp_path, {"a": ["1.txt"]}, "the list", "a/<n>.txt")
 
@@ -91,13 +91,13 @@ def test_a_file_in_a_folders_place_counts_as_missing(tmp_path, write):
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
-        (np.zeros((0, 3)), "no cloud"),
-        (np.zeros((4, 4)), "no cloud"),
-        (np.zeros(3), "no cloud"),
-        (np.zeros((4, 3), "S3"), "no cloud"),
+        (np.zeros((0, 3)), "is not a cloud"),
+        (np.zeros((4, 4)), "is not a cloud"),
+        (np.zeros(3), "is not a cloud"),
+        (np.zeros((4, 3), "S3"), "is not a cloud"),
         (np.full((4, 3), np.nan), "not finite"),
         (np.full((4, 3), 1e300), "not finite"),
-        (np.zeros((5, 3)), "holds 5 points, where the set has 4"),
+        (np.zeros((5, 3)), "5 points instead of 4"),
     ],
 )
 def test_an_unsound_cloud_is_refused(points, fault):

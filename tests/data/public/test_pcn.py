@@ -57,7 +57,7 @@ def test_missing_views_and_models_are_refused(root):
     with pytest.raises(InputError) as error:
         PCN(root, "train")
     assert (
-        "2 of the 18 files that PCN.json asks for are missing: "
+        "2 of the 18 files in PCN.json are missing: "
         "train/complete/02958343/train1.pcd, train/partial/02691156/train0/03.pcd; "
     ) in str(error.value)
     assert len(PCN(root, "test")) == 2
@@ -74,11 +74,11 @@ def test_a_damaged_cloud_is_refused_by_name(root, cloud, write):
     source = PCN(root, "test")
     path = root / "test" / "partial" / "02691156" / "test0" / "00.pcd"
     path.write_bytes(path.read_bytes()[:-8])
-    with pytest.raises(InputError, match=r"test0/00.pcd: is not a sound PCD file"):
+    with pytest.raises(InputError, match=r"test0/00.pcd: not a valid PCD file"):
         source[0]
     write(path, np.full((4, 3), np.nan))
     with pytest.raises(InputError, match=r"test0/00.pcd: .* not finite"):
         source[0]
     write(root / "test" / "complete" / "02691156" / "test0.pcd", cloud(0, 2048))
-    with pytest.raises(InputError, match=r"test0.pcd: holds 2048 points"):
+    with pytest.raises(InputError, match=r"test0.pcd: 2048 points instead"):
         source[0]

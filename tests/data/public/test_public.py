@@ -34,9 +34,11 @@ def test_options_reach_the_loader(tmp_path, cloud, write):
 def test_an_unknown_set_or_option_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"^data set: unknown value 'scannet'; use "):
         open_dataset("scannet", "test", tmp_path)
-    with pytest.raises(InputError, match=r"^num_points: is no option of pcn; .*list_f"):
+    with pytest.raises(
+        InputError, match=r"^num_points: not an option of pcn; .*list_f"
+    ):
         open_dataset("pcn", "test", tmp_path, num_points=2048)
-    with pytest.raises(InputError, match=r"^subset: is no option of shapenet55"):
+    with pytest.raises(InputError, match=r"^subset: not an option of shapenet55"):
         open_dataset("shapenet55", "test", tmp_path, subset="ShapeNet-34")
 
 

@@ -158,10 +158,10 @@ def test_missing_projections_are_refused(tmp_path, cloud, write):
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
-        (np.zeros((100, 3)), "holds 100 points, where the set has 8192"),
-        (np.ones((8192, 3)), "extent of zero"),
+        (np.zeros((100, 3)), "100 points instead of 8192"),
+        (np.ones((8192, 3)), "zero extent"),
         (np.full((8192, 3), np.inf), "not finite"),
-        (np.zeros((8192, 2)), "not a sound NPY cloud"),
+        (np.zeros((8192, 2)), "not a valid NPY cloud"),
     ],
 )
 def test_a_damaged_cloud_is_refused_by_name(tmp_path, write, points, fault):

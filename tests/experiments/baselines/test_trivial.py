@@ -192,7 +192,7 @@ def test_where_there_is_no_partial_one_is_cropped():
 
 
 def test_without_complete_clouds_there_is_no_mean():
-    with pytest.raises(InputError, match="the one: has no complete cloud"):
+    with pytest.raises(InputError, match="the one: no complete cloud"):
         training_mean(Single(None, PARTIAL[0]), 1.4, 4)
-    with pytest.raises(InputError, match="data: holds no examples"):
+    with pytest.raises(InputError, match="data: no examples"):
         training_mean(Shapes(0), 1.4, 4)

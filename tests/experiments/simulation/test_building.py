@@ -86,7 +86,7 @@ def test_broken_off_it_leaves_whole_items_and_a_later_run_goes_on(tmp_path, squa
         broken.build()
     names = {path.name for path in broken.folder.iterdir()}
     assert names == {"manifest.json", "0.bin"}
-    with pytest.raises(InputError, match="was broken off; build it"):
+    with pytest.raises(InputError, match="build was interrupted; build it"):
         manifest.read_manifest(broken.folder, "build it")
     resumed = Squares(tmp_path / "broken")
     resumed.build()
@@ -110,7 +110,7 @@ def test_other_content_is_refused(tmp_path, finished):
 
 def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="is not empty"):
+    with pytest.raises(InputError, match="not empty"):
         Squares(tmp_path).build()
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
@@ -118,9 +118,9 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '"a"', "null"])
 def test_a_manifest_that_is_none_is_named(squares, text):
     (squares.folder / "manifest.json").write_text(text)
-    with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
+    with pytest.raises(InputError, match=r"manifest\.json: not a valid manifest"):
         manifest.read_manifest(squares.folder, "build it")
-    with pytest.raises(InputError, match=r"manifest\.json: is not a manifest"):
+    with pytest.raises(InputError, match=r"manifest\.json: not a valid manifest"):
         Squares(squares.folder).build()
 
 

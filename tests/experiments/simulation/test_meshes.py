@@ -63,7 +63,7 @@ def test_a_folder_that_is_missing_or_holds_no_mesh_is_refused(root):
     with pytest.raises(InputError, match=r"val: no such folder"):
         Meshes(root / "val")
     (root / "empty").mkdir()
-    with pytest.raises(InputError, match=r"empty: holds no mesh \(.obj .off"):
+    with pytest.raises(InputError, match=r"empty: no meshes \(.obj .off"):
         Meshes(root / "empty")
 
 

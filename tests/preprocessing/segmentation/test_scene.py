@@ -306,7 +306,7 @@ def test_duplicates_change_nothing(tabletop):
 
 
 def test_a_direction_that_is_none():
-    with pytest.raises(InputError, match="points nowhere"):
+    with pytest.raises(InputError, match="has no direction"):
         split_scene(np.ones((5, 3)), np.zeros(3))
 
 

@@ -98,13 +98,13 @@ def test_a_mimic_follows_and_belongs_to_the_part_that_carries_it(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("<box", "<bx"), "not a URDF|mesh"),
+        (("<box", "<bx"), "not a valid URDF|mesh"),
         (('<?xml version="1.0"?>', "<!DOCTYPE a><!ENTITY b>"), "entities"),
-        (('lower="-2" upper="2"', 'lower="2" upper="-2"'), "limits its joint"),
-        (('lower="-2" upper="2"', 'lower="nan" upper="2"'), "limits its joint"),
+        (('lower="-2" upper="2"', 'lower="2" upper="-2"'), "invalid limits of joint"),
+        (('lower="-2" upper="2"', 'lower="nan" upper="2"'), "invalid limits of joint"),
         (('<child link="lower"/>', '<child link="gone"/>'), "gap|root"),
         (('<child link="lower"/>', '<child link="turret"/>'), "loop|root"),
-        (('<box size="0.05 0.05 0.3"/>', '<mesh filename="a.stl"/>'), "not there"),
+        (('<box size="0.05 0.05 0.3"/>', '<mesh filename="a.stl"/>'), "no such mesh"),
         (
             ('<box size="0.05 0.05 0.3"/>', '<mesh filename="http://a/b.stl"/>'),
             "http",
