@@ -169,6 +169,7 @@ def test_point_transformer_agrees_with_a_loop(quick_jit):
         np.testing.assert_allclose(actual[i], expected, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_gradient_of_the_upsample_transformer(x64):
     module = UpsampleTransformer(TINY, 2)
     inputs = upsampling_inputs(True)
