@@ -224,7 +224,9 @@ def test_table_three_asks_for_a_label(tmp_path, capsys):
     assert "write LABEL=NAME|FILE" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("module", [table_3, table_2, table_1])
+@pytest.mark.parametrize(
+    "module", [table_3, table_2, pytest.param(table_1, marks=pytest.mark.slow)]
+)
 def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
     module, tmp_path, capsys, monkeypatch, minimal, minimal_variables
 ):

@@ -277,15 +277,6 @@ def test_small_warms_up_and_follows_a_cosine(phase_of, batch):
     assert (moves(states, "params", "refiner") == 0).all()
 
 
-def test_a_phase_shorter_than_its_warm_up_gets_half_of_it(phase_of, batch):
-    config = MetaTrainConfig(
-        EVERYTHING, 8 * 4, 4, optimiser="adam", learning_rate=0.1, warmup_steps=1000
-    )
-    states, _ = steps(at_zero(phase_of(config)), batch, 5)
-    found = moves(states, "params", "decoder")
-    np.testing.assert_allclose(found, [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
-
-
 def test_gradients_are_clipped_together_but_not_with_the_refiners(phase_of, batch):
     """Encoders and decoder have 27 numbers, the refiner nine."""
     slope = slope_of(batch)
