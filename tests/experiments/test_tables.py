@@ -187,19 +187,19 @@ def test_table_two(tmp_path, monkeypatch):
         return fake(config, table_2.equally_weighted(variables))
 
     monkeypatch.setattr(table_2, "online_completer", online)
-    arguments = ("--pretrained=small-meta-pretrained", "--steps=1", "--steps=4")
+    arguments = ("--pretrained=small-meta-pretrained", "--steps=2")
     table, _ = run(table_2, tmp_path / "2.json", *arguments)
     rows = table["rows"]
     steps = load_pretrained(located("small-meta"))[0].adapt.num_steps
     assert list(rows) == [
-        *(f"pretrained, K = {k}" for k in (0, 1, 4)),
-        *(f"meta-trained, K = {k}" for k in (0, 1, 4)),
+        *(f"pretrained, K = {k}" for k in (0, 2)),
+        *(f"meta-trained, K = {k}" for k in (0, 2)),
         f"meta-trained, K = {steps}, equal weights",
         f"meta-trained, K = {steps}, online",
     ]
     means = {label: row["mean"]["cd_l2"] for label, row in rows.items()}
     assert means["pretrained, K = 0"] == means["meta-trained, K = 0"]
-    assert len({means[f"meta-trained, K = {k}"] for k in (0, 1, 4)}) == 3
+    assert means["meta-trained, K = 0"] != means["meta-trained, K = 2"]
     assert table["against"] == "pretrained, K = 0"
 
 
