@@ -23,66 +23,6 @@ def quadratic(x, target=TARGET):
     return 0.5 * away @ jnp.asarray(HESSIAN) @ away, x
 
 
-def closed_form(num_steps, start=START, step_size=STEP_SIZE):
-    """x_k - target = (I - a H)^k (x_0 - target)."""
-    shrink = np.eye(SIZE) - step_size * HESSIAN
-    return TARGET + np.linalg.matrix_power(shrink, num_steps) @ (start - TARGET)
-
-
-@pytest.mark.parametrize("num_steps", [0, 1, 4])
-def test_parameters_losses_and_extras(x64, num_steps):
-    adapted, (losses, seen) = unroll(quadratic, jnp.array(START), STEP_SIZE, num_steps)
-    np.testing.assert_allclose(adapted, closed_form(num_steps), rtol=1e-12)
-    before = [closed_form(k) for k in range(num_steps)]
-    expected = [float(quadratic(x)[0]) for x in before]
-    np.testing.assert_allclose(losses, expected, rtol=1e-12)
-    assert losses.shape == (num_steps,)
-    np.testing.assert_allclose(seen, np.reshape(before, (-1, SIZE)), rtol=1e-12)
-
-
-def test_trees_of_parameters(x64):
-    first = {"a": jnp.array(START[:2]), "b": {"c": jnp.array(START[2:])}}
-    adapted, _ = unroll(
-        lambda tree: quadratic(jnp.concatenate(jax.tree.leaves(tree))),
-        first,
-        STEP_SIZE,
-        3,
-    )
-    assert jax.tree.structure(adapted) == jax.tree.structure(first)
-    together = jnp.concatenate(jax.tree.leaves(adapted))
-    np.testing.assert_allclose(together, closed_form(3), rtol=1e-12)
-
-
-def test_derivative_in_the_initial_parameters_is_of_second_order(x64):
-    """d x_K / d x_0 = (I - a H)^K; a first-order loop would give the identity."""
-    jacobian = jax.jacrev(lambda x: unroll(quadratic, x, STEP_SIZE, 3)[0])
-    shrink = np.eye(SIZE) - STEP_SIZE * HESSIAN
-    expected = np.linalg.matrix_power(shrink, 3)
-    np.testing.assert_allclose(jacobian(jnp.array(START)), expected, rtol=1e-11)
-    assert np.abs(expected - np.eye(SIZE)).max() > 0.1
-
-
-def test_derivative_in_the_step_size(x64):
-    """d x_K / d a = -K H (I - a H)^(K - 1) (x_0 - target)."""
-    derivative = jax.jacfwd(lambda a: unroll(quadratic, jnp.array(START), a, 3)[0])
-    shrink = np.eye(SIZE) - STEP_SIZE * HESSIAN
-    expected = -3 * HESSIAN @ shrink @ shrink @ (START - TARGET)
-    np.testing.assert_allclose(derivative(STEP_SIZE), expected, rtol=1e-11)
-
-
-def test_derivative_in_what_the_loss_closes_over(x64):
-    """d x_K / d target = I - (I - a H)^K."""
-
-    def adapted(target):
-        start = jnp.array(START)
-        return unroll(lambda x: quadratic(x, target), start, STEP_SIZE, 3)[0]
-
-    shrink = np.eye(SIZE) - STEP_SIZE * HESSIAN
-    expected = np.eye(SIZE) - np.linalg.matrix_power(shrink, 3)
-    jacobian = jax.jacrev(adapted)(jnp.array(TARGET))
-    np.testing.assert_allclose(jacobian, expected, rtol=1e-10, atol=1e-14)
-
-
 def test_the_body_is_traced_once_for_any_number_of_steps():
     def traces(num_steps):
         count = 0
@@ -97,17 +37,6 @@ def test_the_body_is_traced_once_for_any_number_of_steps():
         return count
 
     assert traces(1) == traces(100) == 1
-
-
-def test_mapped_over_starts():
-    starts = jnp.asarray(RNG.normal(size=(3, SIZE)), jnp.float32)
-    target = jnp.asarray(TARGET, jnp.float32)
-
-    def adapted(start):
-        return unroll(lambda x: quadratic(x, target), start, STEP_SIZE, 2)[0]
-
-    expected = [closed_form(2, np.asarray(start)) for start in starts]
-    np.testing.assert_allclose(jax.jit(jax.vmap(adapted))(starts), expected, rtol=1e-5)
 
 
 def test_a_loss_that_is_not_finite_stays_visible():
@@ -161,6 +90,26 @@ def meta_gradients():
         return jax.device_get(orders)
 
 
+def test_parameters_losses_and_extras(x64):
+    """x_k - target = M^k (x_0 - target); losses and extras are those before a step."""
+
+    def loss(tree):
+        return quadratic(flat(tree))
+
+    for num_steps in (0, 4):
+        adapted, (losses, seen) = unroll(loss, grouped(START), SIZES, num_steps)
+        assert jax.tree.structure(adapted) == jax.tree.structure(grouped(START))
+        power = [
+            np.linalg.matrix_power(shrink_by(SIZES), k) for k in range(num_steps + 1)
+        ]
+        *before, end = (TARGET + each @ (START - TARGET) for each in power)
+        np.testing.assert_allclose(flat(adapted), end, rtol=1e-12)
+        expected = [float(quadratic(x)[0]) for x in before]
+        np.testing.assert_allclose(losses, expected, rtol=1e-12)
+        assert losses.shape == (num_steps,)
+        np.testing.assert_allclose(seen, np.reshape(before, (-1, SIZE)), rtol=1e-12)
+
+
 def test_meta_gradient_is_the_closed_form(meta_gradients):
     value, (by_start, by_sizes, by_target) = meta_gradients[0]
     shrink = shrink_by(SIZES)
@@ -197,68 +146,20 @@ def test_first_order_takes_the_inner_gradients_as_constants(meta_gradients):
     assert np.abs(by_start - exact[0]).max() > 0.1 * np.abs(exact[0]).max()
 
 
-def test_orders_agree_where_the_loss_has_no_curvature(x64):
-    slope = jnp.array(RNG.normal(size=SIZE))
-
-    def loss(start, sizes, first_order):
-        adapted, _ = unroll(
-            lambda tree: (slope @ flat(tree), None),
-            grouped(start),
-            sizes,
-            STEPS,
-            first_order,
-        )
-        return (flat(adapted) ** 3).sum()
-
-    gradient = jax.grad(loss, argnums=(0, 1))
-    arguments = jnp.array(START), jax.tree.map(jnp.array, SIZES)
-    second, first = gradient(*arguments, False), gradient(*arguments, True)
-    for a, b in zip(*map(jax.tree.leaves, (first, second)), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-12)
-        assert np.abs(a).max() > 0.01
-
-
-def test_one_step_is_descend(x64):
-    """The same values and derivatives, by either name, in either order."""
-
-    def once(start, sizes, first_order):
-        grads = jax.grad(lambda tree: quadratic(flat(tree))[0])(grouped(start))
-        return flat(descend(grouped(start), grads, sizes, first_order))
-
-    def unrolled(start, sizes, first_order):
-        def loss_fn(tree):
-            return quadratic(flat(tree))
-
-        return flat(unroll(loss_fn, grouped(start), sizes, 1, first_order)[0])
-
-    arguments = jnp.array(START), jax.tree.map(jnp.array, SIZES)
-    expected = TARGET + shrink_by(SIZES) @ (START - TARGET)
-    for first_order in (False, True):
-        np.testing.assert_allclose(once(*arguments, first_order), expected, rtol=1e-12)
-        pair = [
-            jax.jacrev(fn, argnums=(0, 1))(*arguments, first_order)
-            for fn in (once, unrolled)
-        ]
-        for a, b in zip(*map(jax.tree.leaves, pair), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
-        shrink = np.eye(SIZE) if first_order else shrink_by(SIZES)
-        np.testing.assert_allclose(pair[0][0], shrink, rtol=1e-12, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "expected"),
-    [
+def test_a_step_size_holds_for_all_below_its_place():
+    params = {"a": jnp.zeros(2), "b": {"c": jnp.zeros(()), "d": jnp.zeros((1, 3))}}
+    for sizes, expected in (
         (0.5, [0.5, 0.5, 0.5]),
         ({"a": 0.5, "b": 0.25}, [0.5, 0.25, 0.25]),
         ({"a": 0.5, "b": {"c": 0.25, "d": 0.0}}, [0.5, 0.25, 0.0]),
-    ],
-)
-def test_a_step_size_holds_for_all_below_its_place(sizes, expected):
-    params = {"a": jnp.zeros(2), "b": {"c": jnp.zeros(()), "d": jnp.zeros((1, 3))}}
-    moved = descend(params, jax.tree.map(jnp.ones_like, params), sizes)
-    assert jax.tree.structure(moved) == jax.tree.structure(params)
-    for leaf, size in zip(jax.tree.leaves(moved), expected, strict=True):
-        assert (np.asarray(leaf) == -size).all()
+    ):
+        moved = descend(params, jax.tree.map(jnp.ones_like, params), sizes)
+        assert jax.tree.structure(moved) == jax.tree.structure(params)
+        for leaf, size in zip(jax.tree.leaves(moved), expected, strict=True):
+            assert (np.asarray(leaf) == -size).all()
+    for sizes in ({"a": 0.1}, {"a": 0.1, "c": 0.1}):
+        with pytest.raises(ValueError, match="tree"):
+            descend(params, params, sizes)
 
 
 def test_a_gradient_above_the_bound_is_scaled_down_to_it(x64):
@@ -305,13 +206,6 @@ def test_a_gradient_of_zero_can_be_bounded(x64):
     np.testing.assert_allclose(jacobian, np.eye(SIZE) - STEP_SIZE * HESSIAN, rtol=1e-12)
 
 
-@pytest.mark.parametrize("sizes", [{"a": 0.1}, {"a": 0.1, "c": 0.1}])
-def test_step_sizes_of_another_tree_are_refused(sizes):
-    params = {"a": jnp.zeros(2), "b": jnp.zeros(2)}
-    with pytest.raises(ValueError, match="tree"):
-        descend(params, params, sizes)
-
-
 def test_a_tree_of_step_sizes_in_jit_and_vmap():
     starts = jnp.asarray(RNG.normal(size=(3, SIZE)), jnp.float32)
     scales = jnp.array([0.5, 1.0, 2.0])
@@ -352,17 +246,6 @@ def test_learned_step_sizes_are_multiples_of_the_configurations(
         encoder, module = path[0].key, path[1].key
         expected = 0.25 * np.exp(np.float64(learned[encoder][module]))
         np.testing.assert_allclose(leaf, np.full(leaf.shape, expected), rtol=1e-6)
-
-
-def test_unlearned_step_sizes_are_the_configurations(minimal, minimal_variables):
-    weighting = minimal_variables["weighting"]
-    unlearned = jax.tree.map(jnp.zeros_like, weighting["log_steps"])
-    variables = {
-        **minimal_variables,
-        "weighting": {**weighting, "log_steps": unlearned},
-    }
-    for _, leaf in moved_by_ones(variables, minimal.adapt):
-        assert (np.asarray(leaf) == np.float32(minimal.adapt.step_size)).all()
 
 
 def test_held_norms_are_the_modules_that_have_statistics(minimal, minimal_variables):

@@ -1,7 +1,6 @@
 """The meta-objective, Eq. 12, in double precision, against finite differences on the
 smallest network."""
 
-import functools
 import types
 
 import jax
@@ -14,10 +13,8 @@ from prism_jax.adaptation.meta import meta_gradients
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
-from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.prism import hold_decoding, predict, prepare_input
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
-from tests.toy_functions import of_the_weighted_sum
 from tests.trees import as_double, assert_close, dot, is_zero, mean, row
 
 pytestmark = pytest.mark.slow
@@ -92,21 +89,16 @@ def variables(minimal_variables, double):
 
 @pytest.fixture(scope="module")
 def look(config, frames, complete, quick_jit):
-    """``look(variables, i, rehearse)``: all that frame i tells to first order."""
+    """``look(variables, i)``: all that frame i tells to first order."""
 
     @quick_jit
-    def compiled(variables, frame, complete, depth_weight):
+    def compiled(variables, frame, complete):
         encoders, rest = pop_encoders(variables)
         refiner = variables["params"]["refiner"]
-        weighting = variables["weighting"]
 
         def inner(encoders):
             losses, _ = objective(put_encoders(encoders, rest), frame, config)
-            terms = jnp.stack([losses.normal, losses.denoise, losses.align])
-            weighted = weighted_auxiliary(
-                weighting["logits"], terms, weighting["scales"]
-            )
-            return depth_weight * losses.depth_consistency + weighted, losses
+            return losses.objective, losses
 
         def with_params(changed):
             return {**variables, "params": {**variables["params"], **changed}}
@@ -120,11 +112,11 @@ def look(config, frames, complete, quick_jit):
             return depth_supervised(made.points, complete, frame.view)
 
         moving = {**encoders, "decoder": variables["params"]["decoder"]}
-        (total, losses), descent = jax.value_and_grad(inner, has_aux=True)(encoders)
+        (_, losses), descent = jax.value_and_grad(inner, has_aux=True)(encoders)
         value, by_primary = jax.value_and_grad(primary)(moving)
         error, by_refined = jax.value_and_grad(refined)(refiner)
         return {
-            "losses": losses._replace(objective=total),
+            "losses": losses,
             "descent": descent,
             "primary": value,
             "by_primary": by_primary,
@@ -132,9 +124,8 @@ def look(config, frames, complete, quick_jit):
             "by_refined": by_refined,
         }
 
-    def seen(variables, i, rehearse):
-        weight = jnp.float64(config.adapt.depth_weight if rehearse else 0.0)
-        found = compiled(variables, row(frames, i), complete[i], weight)
+    def seen(variables, i):
+        found = compiled(variables, row(frames, i), complete[i])
         return types.SimpleNamespace(**jax.device_get(found))
 
     return seen
@@ -143,47 +134,36 @@ def look(config, frames, complete, quick_jit):
 def one_step(look, variables, i, config):
     """The variables with the encoders that frame i adapts."""
     encoders, rest = pop_encoders(variables)
-    descent = look(variables, i, True).descent
+    descent = look(variables, i).descent
     return put_encoders(by_hand(encoders, descent, variables, config.adapt), rest)
 
 
 @pytest.fixture(scope="module")
-def compiled(config, variables, frames, complete, quick_jit):
-    """``compiled(meta)``: gradients and terms of the network, in NumPy."""
-
-    @functools.cache
-    def of(meta):
-        run = quick_jit(lambda v, f, c: meta_gradients(v, f, c, config, meta))
-        return jax.device_get(run(variables, frames, complete))
-
-    return of
-
-
-@pytest.fixture(scope="module")
-def second_order(compiled):
-    """Everything that can learn does, through one rehearsed step."""
-    return compiled(
-        MetaConfig(
-            beta_0=BETA,
-            lambda_aux=LAMBDA,
-            weight_rule="meta",
-            rehearse_depth=True,
-            learn_steps=True,
-            learn_auxiliary=True,
-        )
+def second_order(config, variables, frames, complete, quick_jit):
+    """Gradients and terms where everything that can learn does, through one rehearsed
+    step."""
+    meta = MetaConfig(
+        beta_0=BETA,
+        lambda_aux=LAMBDA,
+        weight_rule="meta",
+        rehearse_depth=True,
+        learn_steps=True,
+        learn_auxiliary=True,
     )
+    run = quick_jit(lambda v, f, c: meta_gradients(v, f, c, config, meta))
+    return jax.device_get(run(variables, frames, complete))
 
 
 @pytest.fixture(scope="module")
 def before(look, variables):
-    return [look(variables, i, True) for i in range(FRAMES)]
+    return [look(variables, i) for i in range(FRAMES)]
 
 
 @pytest.fixture(scope="module")
 def after(look, variables, config):
     """What the adapted encoders see."""
     moved = [one_step(look, variables, i, config) for i in range(FRAMES)]
-    return [look(moved[i], i, True) for i in range(FRAMES)]
+    return [look(moved[i], i) for i in range(FRAMES)]
 
 
 def test_terms_are_those_before_and_after_the_step(second_order, before, after):
@@ -214,8 +194,8 @@ def differences(look, variables, config):
         for i in range(FRAMES):
             encoders = one_step(look, moved, i, config)["params"]
             params = {**decodes["params"], **{n: encoders[n] for n in ENCODERS}}
-            end = look({**decodes, "params": params}, i, True).primary
-            total += (1 - BETA) * end + BETA * look(moved, i, True).primary
+            end = look({**decodes, "params": params}, i).primary
+            total += (1 - BETA) * end + BETA * look(moved, i).primary
         return total / FRAMES
 
     def differences(name):
@@ -276,21 +256,3 @@ def test_refiner_learns_from_eq_3_of_the_adapted_completion(second_order, after)
     expected = mean([seen.by_refined for seen in after])
     assert_close(grads["params"]["refiner"], expected, 1e-9)
     assert not is_zero(expected)
-
-
-def test_without_steps_it_is_the_supervised_loss(compiled, look, variables):
-    """Eq. 10 of the network as it is: value and gradients."""
-    grads, terms = compiled(
-        MetaConfig(num_steps=0, beta_0=BETA, lambda_aux=0.0, learn_refiner=False)
-    )
-    seen = [look(variables, i, False) for i in range(FRAMES)]
-    expected = mean([each.by_primary for each in seen])
-    assert_close(grads["params"], expected, 1e-9)
-    assert is_zero(grads["params"]["depth_encoder"])
-    value = np.mean([each.primary for each in seen])
-    assert_close(terms.adapted, value, 1e-11)
-    assert terms.adapted == terms.zero_step
-    losses = mean([each.losses for each in seen])
-    expected = of_the_weighted_sum(np.array(LOGITS), losses, np.array(SCALES))
-    assert_close(grads["weighting"], {"logits": expected}, 1e-9)
-    assert np.abs(expected).max() > 0.01

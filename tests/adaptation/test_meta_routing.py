@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from prism_jax.adaptation.config import MetaConfig
-from prism_jax.adaptation.inner_loop import step_sizes
 from prism_jax.adaptation.meta import (
     Functions,
     MetaTerms,
@@ -20,14 +19,12 @@ from prism_jax.adaptation.meta import (
     put_learned,
 )
 from prism_jax.adaptation.objective import Losses
-from prism_jax.models.variables import ENCODERS, pop_encoders
 from tests.toy_functions import (
     CLOUDS,
     TOY,
     eq_3,
     expected_gradients,
     gradients_of_toys,
-    inner_loss,
     toy_adapted,
     toy_inputs,
     toy_objective,
@@ -65,27 +62,29 @@ def toy_gradients(toy):
     return gradients
 
 
-SMALL = {
-    "lambda_aux": 0.0,
-    "weight_rule": "meta",
-    "rehearse_depth": True,
-    "learn_steps": True,
-    "learn_auxiliary": True,
-    "learn_refiner": False,
-}
+# Every choice is made one way and the other; what learns and what is bounded too.
 VARIATIONS = {
     "paper": {},
-    "small": SMALL,
-    "three steps": {"num_steps": 3, "beta_0": 0.4, "learn_steps": True},
-    "small, three steps": SMALL | {"num_steps": 3},
-    "small, with an auxiliary loss": SMALL | {"lambda_aux": 3.0},
-    "no step": {"num_steps": 0},
-    "no step, rehearsed": SMALL | {"num_steps": 0, "lambda_aux": 3.0},
-    "first order": {"first_order": True, "weight_rule": "meta", "learn_steps": True},
-    "first order, three steps": SMALL | {"first_order": True, "num_steps": 3},
-    "squared distances": {"norm": "l2", "rehearse_depth": True},
-    "bounded": {"clip_norm": 0.3, "learn_steps": True},
-    "bounded, three steps": SMALL | {"clip_norm": 0.3, "num_steps": 3},
+    "all that learns, three bounded steps": {
+        "num_steps": 3,
+        "beta_0": 0.4,
+        "lambda_aux": 3.0,
+        "weight_rule": "meta",
+        "rehearse_depth": True,
+        "learn_steps": True,
+        "learn_auxiliary": True,
+        "learn_refiner": False,
+        "norm": "l2",
+        "clip_norm": 0.3,
+    },
+    "no step": {"num_steps": 0, "weight_rule": "meta", "lambda_aux": 3.0},
+    "first order": {
+        "first_order": True,
+        "num_steps": 3,
+        "weight_rule": "meta",
+        "learn_steps": True,
+        "learn_auxiliary": True,
+    },
 }
 
 
@@ -135,173 +134,53 @@ def test_on_a_quadratic_it_is_the_closed_form():
 
 @pytest.mark.parametrize("changes", VARIATIONS.values(), ids=VARIATIONS)
 def test_every_gradient_is_that_of_its_own_objective(toy, toy_gradients, changes):
+    """And there is one for what learns, and for nothing else."""
     grads, _ = toy_gradients(**changes)
     changes = dict(changes)
     config = TOY.with_adapt(clip_norm=changes.pop("clip_norm", 0.0))
-    expected = expected_gradients(toy, config, MetaConfig(**changes))
-    assert_close(grads, expected, 1e-10)
+    meta = MetaConfig(**changes)
+    assert_close(grads, expected_gradients(toy, config, meta), 1e-10)
+    # What acts through the second derivatives alone, of which there may be none.
+    through = not meta.first_order and meta.num_steps > 0
+    if meta.weight_rule == "meta":
+        assert is_zero(grads["weighting"]["logits"]) != through
+    assert meta.lambda_aux or is_zero(grads["params"]["depth_encoder"]) != through
+    if meta.learn_auxiliary:
+        assert is_zero(grads["params"]["auxiliary"]) != through
+    # Put back, what was learned changes nothing else.
+    variables, *_ = toy
+    learned = learned_part(variables, meta)
+    assert jax.tree.structure(grads) == jax.tree.structure(learned)
+    moved = jax.tree.map(lambda leaf: leaf + 1, learned)
+    together = put_learned(moved, variables)
+    assert equal(learned_part(together, meta), moved)
+    assert equal(put_learned(learned, together), variables)
 
 
-@pytest.mark.parametrize("num_steps", [0, 1, 3])
-def test_computed_anew_in_the_backward_pass_they_are_the_same(toy_gradients, num_steps):
-    plain = toy_gradients(num_steps=num_steps, learn_steps=True)
-    anew = toy_gradients(num_steps=num_steps, learn_steps=True, remat=True)
-    assert_close(anew, plain, 1e-12)
-
-
-@pytest.mark.parametrize("first_order", [False, True])
-@pytest.mark.parametrize("num_steps", [0, 1, 3])
-def test_what_the_auxiliary_loss_teaches(toy, toy_gradients, num_steps, first_order):
-    """The encoders its own gradient at the start, whatever the steps; no one else."""
-    same = {"num_steps": num_steps, "first_order": first_order, "weight_rule": "meta"}
-    none, _ = toy_gradients(lambda_aux=0.0, **same)
-    ten, _ = toy_gradients(lambda_aux=10.0, **same)
-    variables, inputs, _ = toy
-    encoders, _ = pop_encoders(variables)
-    shares = mean(
-        [
-            jax.grad(inner_loss)(encoders, variables, row(inputs, i), TOY, MetaConfig())
-            for i in range(CLOUDS)
-        ]
-    )
-    for name in ENCODERS:
-        expected = jax.tree.map(
-            lambda g, a: g + 0.9 * 10.0 * a, none["params"][name], shares[name]
-        )
-        assert_close(ten["params"][name], expected, 1e-12)
-        assert not is_zero(shares[name])
-    for name in ("decoder", "refiner"):
-        assert equal(none["params"][name], ten["params"][name]), name
-    assert equal(none["weighting"], ten["weighting"])
-
-
-def test_eq_3_teaches_the_refiner_alone(toy, toy_gradients):
-    """Where Eq. 3 is another, or nothing learns from it, the others' are the same."""
-    with_it, terms = toy_gradients()
-    without, _ = toy_gradients(learn_refiner=False)
-    assert set(without["params"]) == {*ENCODERS, "decoder"}
-    assert equal(
-        {**with_it["params"], "refiner": None}, {**without["params"], "refiner": None}
-    )
-    assert equal(with_it["weighting"], without["weighting"])
-    variables, inputs, complete = toy
-    other = inputs._replace(view=2.0 * inputs.view)
-    moved, others = gradients_of_toys(variables, other, complete, TOY, MetaConfig())
-    for name in (*ENCODERS, "decoder"):
-        assert_close(moved["params"][name], with_it["params"][name], 1e-12)
-    assert abs(others.refined - terms.refined) > 0.01
-    assert not np.allclose(
-        moved["params"]["refiner"]["only"], with_it["params"]["refiner"]["only"]
-    )
-
-
-def test_the_refiner_sees_the_adapted_completion(toy_gradients):
-    zero, _ = toy_gradients(num_steps=0)
-    three, _ = toy_gradients(num_steps=3)
-    there = zero["params"]["refiner"]["only"], three["params"]["refiner"]["only"]
-    assert not np.allclose(*there, rtol=1e-3)
-
-
-def test_meta_weights_need_the_second_order(toy_gradients):
-    """And Eq. 11's own do not: they follow from the losses as they are."""
-    meta_rule, _ = toy_gradients(weight_rule="meta")
-    first, _ = toy_gradients(weight_rule="meta", first_order=True)
-    own, _ = toy_gradients()
-    own_first, _ = toy_gradients(first_order=True)
-    none, _ = toy_gradients(weight_rule="meta", num_steps=0)
-    logits = [
-        grads["weighting"]["logits"]
-        for grads in (meta_rule, first, own, own_first, none)
-    ]
-    assert np.abs(logits[0]).max() > 1e-4
-    assert is_zero(logits[1])
-    assert is_zero(logits[4])
-    assert not np.allclose(logits[0], logits[2], rtol=0.1)
-    np.testing.assert_allclose(logits[2], logits[3], rtol=1e-12)
-    # Softmax weights know their logits up to a constant.
-    for each in (logits[0], logits[2]):
-        assert abs(each.sum()) < 1e-12
-
-
-def test_step_sizes_learn_in_either_order_but_not_alike(toy_gradients):
-    """After one step alike: its size scales a gradient that both know. The depth
-    stream's has an effect from the second on, and to second order alone."""
-    for num_steps in (1, 3):
-        same = {"learn_steps": True, "num_steps": num_steps}
-        second, _ = toy_gradients(**same)
-        first, _ = toy_gradients(first_order=True, **same)
-        steps = [grads["weighting"]["log_steps"] for grads in (first, second)]
-        points = [list(each["point_encoder"].values()) for each in steps]
-        assert np.abs(points).min() > 1e-3
-        assert np.allclose(*points, rtol=1e-9) == (num_steps == 1)
-        assert is_zero(steps[0]["depth_encoder"])
-        assert is_zero(steps[1]["depth_encoder"]) == (num_steps == 1)
-    without, _ = toy_gradients()
-    assert "log_steps" not in without["weighting"]
-
-
-def test_the_depth_stream_learns_through_the_inner_loop_alone(toy_gradients):
-    """It decodes nothing: to first order the primary losses do not see it."""
-    second, _ = toy_gradients(lambda_aux=0.0)
-    first, _ = toy_gradients(lambda_aux=0.0, first_order=True)
-    assert not is_zero(second["params"]["depth_encoder"])
-    assert is_zero(first["params"]["depth_encoder"])
-    assert not is_zero(first["params"]["point_encoder"])
+def test_computed_anew_in_the_backward_pass_they_are_the_same(toy_gradients):
+    plain = toy_gradients()
+    assert_close(toy_gradients(remat=True), plain, 1e-12)
 
 
 def test_terms_of_the_toy(toy, toy_gradients):
     variables, inputs, complete = toy
-    config = MetaConfig(num_steps=3, rehearse_depth=True)
-    _, terms = toy_gradients(num_steps=3, rehearse_depth=True)
+    changes = dict(VARIATIONS["all that learns, three bounded steps"])
+    bounded = TOY.with_adapt(clip_norm=changes["clip_norm"])
+    _, terms = toy_gradients(**changes)
+    config = MetaConfig(**{k: v for k, v in changes.items() if k != "clip_norm"})
 
     def of_cloud(one, complete):
-        end = toy_adapted(variables, one, TOY, config)
+        end = toy_adapted(variables, one, bounded, config)
         refiner = variables["params"]["refiner"]
         return MetaTerms(
             toy_primary(end, one, complete, config),
             toy_primary(variables, one, complete, config),
             toy_objective(variables, one, TOY.adapt.depth_weight)[0],
-            eq_3(refiner, variables, one, complete, TOY, config),
+            eq_3(refiner, variables, one, complete, bounded, config),
         )
 
     parts = [of_cloud(row(inputs, i), complete[i]) for i in range(CLOUDS)]
     assert_close(terms, mean(parts), 1e-12)
-
-
-def test_the_objective_is_what_the_inner_loop_descends(toy_gradients):
-    _, plain = toy_gradients()
-    _, rehearsed = toy_gradients(rehearse_depth=True)
-    assert plain.losses.depth_consistency == rehearsed.losses.depth_consistency > 0
-    extra = rehearsed.losses.objective - plain.losses.objective
-    expected = TOY.adapt.depth_weight * plain.losses.depth_consistency
-    np.testing.assert_allclose(extra, expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("learn_refiner", [False, True])
-@pytest.mark.parametrize("learn_steps", [False, True])
-def test_gradients_are_for_what_learns(toy, toy_gradients, learn_steps, learn_refiner):
-    variables, *_ = toy
-    changes = {"learn_steps": learn_steps, "learn_refiner": learn_refiner}
-    grads, _ = toy_gradients(**changes)
-    learned = learned_part(variables, MetaConfig(**changes))
-    assert jax.tree.structure(grads) == jax.tree.structure(learned)
-    kept = {*ENCODERS, "decoder"} | ({"refiner"} if learn_refiner else set())
-    assert set(learned["params"]) == kept
-    assert set(learned["weighting"]) == {"logits"} | (
-        {"log_steps"} if learn_steps else set()
-    )
-
-
-def test_what_was_learned_goes_back_to_its_place(toy):
-    variables, *_ = toy
-    for changes in ({}, SMALL):
-        learned = learned_part(variables, MetaConfig(**changes))
-        moved = jax.tree.map(lambda leaf: leaf + 1, learned)
-        together = put_learned(moved, variables)
-        assert jax.tree.structure(together) == jax.tree.structure(variables)
-        assert equal(learned_part(together, MetaConfig(**changes)), moved)
-        back = put_learned(learned, together)
-        assert equal(back, variables)
 
 
 def test_scales_move_towards_what_was_measured(toy, toy_gradients):
@@ -314,26 +193,3 @@ def test_scales_move_towards_what_was_measured(toy, toy_gradients):
     expected = 0.99 * scales + 0.01 * np.array(losses)
     expected[0] = losses[0]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
-
-
-def test_held_norms_have_no_step_to_learn(toy):
-    """Their step is none, whatever was learned for their module."""
-    variables, *_ = toy
-    params = variables["params"]
-    normed = {"kernel": jnp.ones(2), "norm": {"scale": jnp.ones(2)}}
-    params = {**params, "depth_encoder": {"only": normed}}
-    variables = {**variables, "params": params}
-    held = dataclasses.replace(TOY.adapt, adapt_norm=False)
-
-    def reached(steps):
-        weighting = {**variables["weighting"], "log_steps": steps}
-        sizes = step_sizes({**variables, "weighting": weighting}, held)
-        return sizes["depth_encoder"]["only"]
-
-    jacobian = jax.jacobian(reached)(variables["weighting"]["log_steps"])
-    assert is_zero(jacobian["norm"])
-    own = jacobian["kernel"]["depth_encoder"]["only"]
-    expected = 0.2 * np.exp(
-        variables["weighting"]["log_steps"]["depth_encoder"]["only"]
-    )
-    np.testing.assert_allclose(own, expected, rtol=1e-12)

@@ -116,18 +116,18 @@ def test_objective_is_the_sum_of_the_terms_at_every_step(adapted):
     np.testing.assert_allclose(losses.objective, expected, rtol=1e-6)
 
 
-def test_both_encoders_move_and_nothing_else_does(
-    adapted, decoded_by, minimal_fresh, frames
-):
-    """The rest that comes with the new encoders is, bit for bit, the one given.
-
-    That it explains the completion says that nothing else was used either.
-    """
+def test_both_encoders_move(adapted, minimal_fresh):
     originals, _ = pop_encoders(minimal_fresh)
-    for completion, frame in zip(adapted, frames, strict=True):
+    for completion in adapted:
         assert set(completion.encoders) == set(ENCODERS)
         for name in ENCODERS:
             assert not bitwise(completion.encoders[name], originals[name])
+
+
+@pytest.mark.slow
+def test_they_explain_the_completion(adapted, decoded_by, frames):
+    """With the rest that was given: so nothing else was used."""
+    for completion, frame in zip(adapted, frames, strict=True):
         losses, prediction = decoded_by(completion.encoders, *frame)
         # Two programs: XLA fuses, and so rounds, each in its own way.
         np.testing.assert_allclose(prediction.points, completion.points, atol=1e-5)
@@ -234,11 +234,10 @@ def test_a_point_that_is_not_a_number_is_refused(adapt, minimal_fresh, frames):
     assert refused(completion, minimal_fresh)
 
 
-@pytest.mark.parametrize("bad", [jnp.nan, jnp.inf])
-def test_a_broken_branch_is_refused(adapt, minimal_fresh, frames, adapted, bad):
+def test_a_broken_branch_is_refused(adapt, minimal_fresh, frames, adapted):
     """The completion itself is sound, and comes back."""
     branch = minimal_fresh["params"]["auxiliary"]
-    broken = jax.tree.map(lambda leaf: leaf * bad, branch["normal"])
+    broken = jax.tree.map(lambda leaf: leaf * jnp.inf, branch["normal"])
     params = {**minimal_fresh["params"], "auxiliary": {**branch, "normal": broken}}
     variables = {**minimal_fresh, "params": params}
     completion = adapt(variables, *frames[0])
@@ -257,17 +256,23 @@ def test_enormous_steps_are_refused(adapt, minimal_fresh, frames, adapted):
     assert bitwise(completion.points, adapted[0].before)
 
 
-def test_an_objective_that_rose_is_refused(
-    minimal, minimal_variables, frames, quick_jit
-):
-    """As it surely does uphill."""
-    config = minimal.config.with_adapt(num_steps=1, step_size=-1e-3)
-    completion = quick_jit(make_adapt(config))(minimal_variables, *frames[1])
-    objective = np.asarray(completion.losses.objective)
-    assert np.isfinite(np.stack(list(completion.losses._asdict().values()))).all()
-    assert objective[-1] > 1.01 * objective[0]
-    assert refused(completion, minimal_variables)
-    assert np.isfinite(completion.points).all()
+def test_an_objective_that_rose_is_refused(adapt, minimal_fresh, frames, adapted):
+    """As it does where long steps leave encoders that have adapted already."""
+    learned = minimal_fresh["weighting"]["log_steps"]
+    longer = jax.tree.map(lambda step: step + 6.0, learned)
+    weighting = {**minimal_fresh["weighting"], "log_steps": longer}
+    _, rest = pop_encoders({**minimal_fresh, "weighting": weighting})
+    rose = []
+    for done, frame in zip(adapted, frames, strict=True):
+        variables = put_encoders(done.encoders, rest)
+        completion = adapt(variables, *frame)
+        objective = np.asarray(completion.losses.objective)
+        assert np.isfinite(np.stack(list(completion.losses._asdict().values()))).all()
+        assert np.isfinite(completion.points).all()
+        rose.append(objective[-1] > 1.01 * objective[0])
+        if rose[-1]:
+            assert refused(completion, variables)
+    assert any(rose)
 
 
 @pytest.mark.parametrize("kind", ["one place", "a line", "out of view"])
@@ -294,11 +299,11 @@ def test_the_camera_matters(adapt, minimal_fresh, frames, adapted):
     assert bitwise(other.before, adapted[0].before)
 
 
-@pytest.mark.parametrize("count", [0, 63, 65])
-def test_another_number_of_points(config, minimal_fresh, frames, count):
+def test_another_number_of_points(config, minimal_fresh, frames):
     camera = frames[0][1]
-    with pytest.raises(ValueError, match="one cloud of 64 points"):
-        make_adapt(config)(minimal_fresh, jnp.zeros((count, 3)), camera)
+    for count in (0, 63, 65):
+        with pytest.raises(ValueError, match="one cloud of 64 points"):
+            make_adapt(config)(minimal_fresh, jnp.zeros((count, 3)), camera)
 
 
 @pytest.mark.slow

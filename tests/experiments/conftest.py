@@ -8,14 +8,18 @@ import sys
 import pytest
 
 from experiments.simulation.shapes.build import ShapesConfig, build_shapes
-from prism_jax.evaluation import bootstrap
+from prism_jax.evaluation import bootstrap, scoring
+from prism_jax.evaluation import run as evaluation
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_resamples():
-    """`tests/evaluation` looks at the intervals of as many as the figures have."""
+def quick_scores():
+    """`tests/evaluation` has intervals and distances of as many draws and points as the
+    figures have."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bootstrap, "_RESAMPLES", 50)
+        for module in (scoring, evaluation):
+            patch.setattr(module, "EMD_POINTS", 64)
         yield
 
 

@@ -19,6 +19,14 @@ RNG = np.random.default_rng(0)
 BLANK = unfitted(RNG.normal(size=(200, 30)) * np.geomspace(1, 1e-3, 30))
 
 
+@pytest.fixture
+def quick(monkeypatch):
+    changes = {"n_estimators": 40, "learning_rate": 0.2, "min_samples_leaf": 5}
+    monkeypatch.setattr(calibrate, "SIGMA_TREES", calibrate.SIGMA_TREES | changes)
+    changes = {"n_estimators": 30, "learning_rate": 0.15}
+    monkeypatch.setattr(calibrate, "VERDICT_TREES", calibrate.VERDICT_TREES | changes)
+
+
 def scans(count, seed, noise=0.1):
     """The error grows with the square of what strays, whatever the rest is."""
     rng = np.random.default_rng(seed)
@@ -55,7 +63,7 @@ def test_verdicts_find_a_law_and_are_right_about_others():
     assert row["expected"] == pytest.approx(row["error"], rel=0.15)
 
 
-def test_no_object_is_judged_by_what_saw_it():
+def test_no_object_is_judged_by_what_saw_it(quick):
     """What sets one object apart and makes its error is no evidence for itself."""
     others = [s._replace(group=5 * s.group + 1 + s.group % 2) for s in scans(40, 6)]
     usual = scans(1, 7)[0]
@@ -82,12 +90,6 @@ def test_what_is_familiar_is_a_spread_away():
     assert np.sqrt((novelties**2).mean()) == pytest.approx(1.0, rel=0.02)
     assert found.novelty(features[0] + 1.0) > 3.0
     assert np.isfinite(unfitted(np.ones((3, 5))).novelty(np.ones(5)))
-
-
-@pytest.fixture
-def quick(monkeypatch):
-    changes = {"n_estimators": 40, "learning_rate": 0.2, "min_samples_leaf": 5}
-    monkeypatch.setattr(calibrate, "SIGMA_TREES", calibrate.SIGMA_TREES | changes)
 
 
 def points(count, law, each=30):
@@ -154,7 +156,9 @@ def test_weights_of_one_pose_are_refused(tmp_path, minimal, minimal_fresh, capsy
     assert "one.safetensors: uses fewer than the 3 poses" in said
 
 
-def test_the_command_fits_and_measures(tmp_path, monkeypatch, minimal, minimal_fresh):
+def test_the_command_fits_and_measures(
+    quick, tmp_path, monkeypatch, minimal, minimal_fresh
+):
     """On boxes, with a network of few points; errors are distances to the truth."""
     weights, output = tmp_path / "weights.safetensors", tmp_path / "calibration.json"
     save_weights(weights, minimal.config.with_model(poses=3), minimal_fresh, {})

@@ -13,14 +13,13 @@ def run(*arguments) -> int:
 
 
 @pytest.mark.parametrize(
-    ("few", "across"),
-    [(["--category=mug", "--category=bowl"], 3), (["--dataset=open", "--rows=2"], 3)],
+    "few", [["--category=mug", "--category=bowl"], ["--dataset=open", "--rows=2"]]
 )
-def test_a_sheet_has_a_labelled_row_of_pictures_each(few, across, tmp_path):
+def test_a_sheet_has_a_labelled_row_of_pictures_each(few, tmp_path):
     output = tmp_path / "sheet.png"
-    assert run(f"--output={output}", "--columns=1", "--seeds=3", "--size=32", *few) == 0
+    assert run(f"--output={output}", "--columns=1", "--seeds=2", "--size=32", *few) == 0
     with Image.open(output) as sheet:
-        assert sheet.size == (across * 32, 2 * (32 + 15))
+        assert sheet.size == (2 * 32, 2 * (32 + 15))
         assert len(sheet.getcolors()) > 8
 
 

@@ -58,6 +58,7 @@ def test_it_lies_between_the_two(files, tmp_path):
     assert "calibration" not in known
 
 
+@pytest.mark.slow
 def test_nothing_of_the_way_is_the_start_and_all_of_it_the_end(files, tmp_path):
     (_, start), (_, end) = (load_pretrained(str(path)) for path in files)
     for share, expected in ((0.0, start), (1.0, end)):

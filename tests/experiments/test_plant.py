@@ -79,7 +79,7 @@ def part(points, eye, seed):
     return parts.occluded(example, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_cloud_is_parted(seed):
     kept, hidden, eye = part(CLOUD, EYE, seed)
     both = np.concatenate([kept, hidden])
@@ -190,17 +190,15 @@ def adapted(read, config, minimal_fresh):
     )
 
 
-@pytest.fixture(scope="module")
-def twice(adapted):
-    return adapted()
-
-
+@pytest.mark.slow
 def test_no_truth_is_looked_at_and_the_bytes_are_the_same(
-    adapted, twice, moved, minimal_fresh
+    adapted, moved, minimal_fresh
 ):
     """It is not a number in one, and zero in the other, which the clock might end."""
-    zero, told = adapted(truth=0.0, minutes=1e6)
-    assert bitwise(zero, twice[0]) and told == twice[1] and told["steps"] == 2
+    twice, zero = adapted(), adapted(truth=0.0, minutes=1e6)
+    assert bitwise(zero[0], twice[0]) and zero[1] == twice[1]
+    zero, told = zero
+    assert told["steps"] == 2
     pairs = minimal_fresh["params"], zero["params"]
     same = {name for name in pairs[0] if equal(*(pair[name] for pair in pairs))}
     assert same == {*pairs[0]} - {*moved}
@@ -230,10 +228,11 @@ def test_steps_lower_the_loss(batch, moved, config, minimal_fresh):
     assert not equal(state.variables["decoder"], state.kept["decoder"])
 
 
-def test_no_minutes_leave_all_as_it_was(adapted, minimal_fresh, twice):
+def test_no_minutes_leave_all_as_it_was(adapted, minimal_fresh):
     variables, told = adapted(steps=None, minutes=0.0)
     assert told["steps"] == 0 and equal(variables, minimal_fresh)
-    assert told["check"]["hidden"] == 2 * twice[1]["check"]["hidden"][:1]
+    before, after = told["check"]["hidden"]
+    assert before == after > 0
     assert not told["check"]["passed"]
 
 

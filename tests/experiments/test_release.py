@@ -26,12 +26,17 @@ def run(*arguments) -> int:
     return launching.run(release, *arguments)
 
 
+@pytest.fixture(scope="module")
+def config(minimal):
+    return minimal.config
+
+
 @pytest.fixture
-def finished(tmp_path, tiny, tiny_variables, monkeypatch):
+def finished(tmp_path, config, minimal_variables, monkeypatch):
     """A run's file, and two results of it."""
     monkeypatch.setattr(release, "ASSETS", tmp_path)
     path = tmp_path / "run.safetensors"
-    save_weights(path, tiny, tiny_variables, {"seed": 3, "commit": "c0ffee"})
+    save_weights(path, config, minimal_variables, {"seed": 3, "commit": "c0ffee"})
     for split in ("test", "unseen"):
         result = {"data": "shapes", "split": split, "mean": {"cd_l2": 0.1}}
         result |= {"weights": str(path), "per_example": {"name": ["a"]}}
@@ -41,13 +46,13 @@ def finished(tmp_path, tiny, tiny_variables, monkeypatch):
     return tmp_path, path
 
 
-def test_arrays_stay_and_scores_come_with_them(finished, tiny, tiny_variables):
+def test_arrays_stay_and_scores_come_with_them(finished, config, minimal_variables):
     folder, path = finished
     scores = [f"--scores={folder / split}.json" for split in ("test", "unseen")]
     assert run(f"--weights={path}", "--name=new", *scores, "--note=a trial") == 0
-    config, variables = load_pretrained(str(folder / "new.safetensors"))
-    assert config == tiny
-    assert sha256(variables) == sha256(tiny_variables)
+    found, variables = load_pretrained(str(folder / "new.safetensors"))
+    assert found == config
+    assert sha256(variables) == sha256(minimal_variables)
     about = read_metadata(str(folder / "new.safetensors"))
     assert (about["seed"], about["commit"]) == (3, "c0ffee")
     assert list(about["scores"]) == ["shapes-test", "shapes-unseen"]
@@ -57,10 +62,12 @@ def test_arrays_stay_and_scores_come_with_them(finished, tiny, tiny_variables):
     assert about["notes"] == ["a trial"]
 
 
-def test_scores_of_other_weights_are_refused(finished, tiny, tiny_variables, capsys):
+def test_scores_of_other_weights_are_refused(
+    finished, config, minimal_variables, capsys
+):
     folder, path = finished
     before = path.read_bytes()
-    save_weights(path, tiny, tiny_variables, {"seed": 4})
+    save_weights(path, config, minimal_variables, {"seed": 4})
     given = (f"--weights={path}", "--name=new", f"--scores={folder}/test.json")
     assert run(*given) == 2
     fault = f"made for {path}, not for the current {path}"
@@ -72,14 +79,14 @@ def test_scores_of_other_weights_are_refused(finished, tiny, tiny_variables, cap
     assert run(f"--weights={moved}", *given[1:]) == 0
 
 
-def test_a_setting_may_change(finished, tiny):
+def test_a_setting_may_change(finished, config):
     folder, path = finished
     changes = ["--set=model.auxiliary.max_coordinate=3", "--set=adapt.num_steps=7"]
     assert run(f"--weights={path}", "--name=new", *changes) == 0
-    config, _ = load_pretrained(str(folder / "new.safetensors"))
-    assert config.model.auxiliary.max_coordinate == 3.0
-    assert config.adapt.num_steps == 7
-    assert config.model.backbone == tiny.model.backbone
+    found, _ = load_pretrained(str(folder / "new.safetensors"))
+    assert found.model.auxiliary.max_coordinate == 3.0
+    assert found.adapt.num_steps == 7
+    assert found.model.backbone == config.model.backbone
 
 
 def test_an_unknown_setting_ships_nothing(finished, capsys):
@@ -89,7 +96,7 @@ def test_an_unknown_setting_ships_nothing(finished, capsys):
     assert not (folder / "new.safetensors").exists()
 
 
-def test_a_calibration_comes_with_them(finished, tiny_variables, capsys):
+def test_a_calibration_comes_with_them(finished, minimal_variables, capsys):
     """Beside what was there, and only with weights that it is of."""
     folder, path = finished
     given = ("--note=a trial", f"--scores={folder}/test.json")
@@ -109,22 +116,22 @@ def test_a_calibration_comes_with_them(finished, tiny_variables, capsys):
     assert read_metadata(new) == {**before, **fitted}
     assert load_calibration(new).to_dict() == fitted["calibration"]
     assert load_point_errors(new).to_dict() == fitted["point_errors"]
-    assert sha256(load_pretrained(new)[1]) == sha256(tiny_variables)
+    assert sha256(load_pretrained(new)[1]) == sha256(minimal_variables)
     assert load_calibration(str(path)) is None and load_point_errors(str(path)) is None
     place.write_text(json.dumps({**result, "weights_sha256": "0"}))
     assert run(*given) == 2
     assert "rerun it for the weights to release" in capsys.readouterr().err
 
 
-def test_damaged_point_errors_are_one_line(finished, tiny, tiny_variables):
+def test_damaged_point_errors_are_one_line(finished, config, minimal_variables):
     _, path = finished
-    save_weights(path, tiny, tiny_variables, {"point_errors": {"base": 1}})
+    save_weights(path, config, minimal_variables, {"point_errors": {"base": 1}})
     with pytest.raises(InputError, match="an estimate of points' errors needs"):
         load_point_errors(str(path))
 
 
-def test_a_damaged_calibration_is_one_line(finished, tiny, tiny_variables):
+def test_a_damaged_calibration_is_one_line(finished, config, minimal_variables):
     _, path = finished
-    save_weights(path, tiny, tiny_variables, {"calibration": {"low": 1}})
+    save_weights(path, config, minimal_variables, {"calibration": {"low": 1}})
     with pytest.raises(InputError, match="a calibration needs"):
         load_calibration(str(path))

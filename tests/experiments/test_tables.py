@@ -187,19 +187,19 @@ def test_table_two(tmp_path, monkeypatch):
         return fake(config, table_2.equally_weighted(variables))
 
     monkeypatch.setattr(table_2, "online_completer", online)
-    arguments = ("--pretrained=small-meta-pretrained", "--steps=1", "--steps=4")
+    arguments = ("--pretrained=small-meta-pretrained", "--steps=2")
     table, _ = run(table_2, tmp_path / "2.json", *arguments)
     rows = table["rows"]
     steps = load_pretrained(located("small-meta"))[0].adapt.num_steps
     assert list(rows) == [
-        *(f"pretrained, K = {k}" for k in (0, 1, 4)),
-        *(f"meta-trained, K = {k}" for k in (0, 1, 4)),
+        *(f"pretrained, K = {k}" for k in (0, 2)),
+        *(f"meta-trained, K = {k}" for k in (0, 2)),
         f"meta-trained, K = {steps}, equal weights",
         f"meta-trained, K = {steps}, online",
     ]
     means = {label: row["mean"]["cd_l2"] for label, row in rows.items()}
     assert means["pretrained, K = 0"] == means["meta-trained, K = 0"]
-    assert len({means[f"meta-trained, K = {k}"] for k in (0, 1, 4)}) == 3
+    assert means["meta-trained, K = 0"] != means["meta-trained, K = 2"]
     assert table["against"] == "pretrained, K = 0"
 
 
@@ -224,7 +224,9 @@ def test_table_three_asks_for_a_label(tmp_path, capsys):
     assert "write LABEL=NAME|FILE" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("module", [table_3, table_2, table_1])
+@pytest.mark.parametrize(
+    "module", [table_3, table_2, pytest.param(table_1, marks=pytest.mark.slow)]
+)
 def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
     module, tmp_path, capsys, monkeypatch, minimal, minimal_variables
 ):

@@ -53,7 +53,8 @@ def cloud(kind: str, count: int) -> jax.Array:
 
 
 KINDS = ["random", "clustered", "planar", "collinear", "duplicated", "far"]
-SIZES = [(130, 70), (5, 200), (1, 1)]
+SIZES = [(130, 70, 8), (5, 200, 3), (1, 1, 1)]
+CASES = [(kind, SIZES[0]) for kind in KINDS] + [("random", size) for size in SIZES[1:]]
 
 
 def squared(query, support, indices):
@@ -63,10 +64,9 @@ def squared(query, support, indices):
     return (difference**2).sum(-1)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize(("kind", "sizes"), CASES)
 def test_nearest(kind, sizes):
-    query, support = (cloud(kind, count) for count in sizes)
+    query, support = (cloud(kind, count) for count in sizes[:2])
     _, expected = nearest(query, support)
     found = nearest_indices(query, support)
     same = squared(query, support, np.asarray(found)[:, None])
@@ -83,10 +83,10 @@ def test_nearest_block_by_block():
     np.testing.assert_array_equal(blocks, nearest_indices(query, support))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("sizes", "k"), [((130, 70), 8), ((5, 40), 3), ((1, 1), 1)])
-def test_knn(kind, sizes, k):
-    query, support = (cloud(kind, count) for count in sizes)
+@pytest.mark.parametrize(("kind", "sizes"), CASES)
+def test_knn(kind, sizes):
+    *counts, k = sizes
+    query, support = (cloud(kind, count) for count in counts)
     expected = knn(query, support, k)
     found = knn_indices(query, support, k, INTERPRETED)
     assert found.shape == expected.shape

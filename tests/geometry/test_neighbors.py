@@ -24,14 +24,18 @@ def cloud(count: int, kind: str = "gaussian") -> np.ndarray:
         points = points[:, :1] * np.array([[1.0, 2.0, -1.0]])
     if kind == "grid":
         points = np.round(points * 2)
+    if kind == "clustered":
+        points = np.round(points) + 1e-3 * points
     if kind == "far":
         points = points + 1000.0
     return points.astype(np.float32)
 
 
-KINDS = ["gaussian", "duplicates", "collinear", "grid", "far"]
+KINDS = ["gaussian", "duplicates", "collinear", "grid", "clustered", "far"]
 # Below, at and above the lengths of the runs and the size searched directly.
 SIZES = [(1, 1), (7, 31), (40, 33), (60, 1024), (50, 1500)]
+# And above those at which `top_k` takes the place of sorted lists.
+MANY = [(SIZES[-1], 16), (SIZES[-1], 40), ((50, 4500), 16)]
 
 
 def squared(query, support, indices):
@@ -51,9 +55,7 @@ def test_nearest_agrees_with_a_tree(sizes, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    ("sizes", "k"), [*[(s, 3) for s in SIZES[1:]], (SIZES[-1], 16)]
-)
+@pytest.mark.parametrize(("sizes", "k"), [*[(s, 3) for s in SIZES[1:]], *MANY])
 def test_knn_agrees_with_a_tree(sizes, k, kind):
     query, support = cloud(sizes[0], kind), cloud(sizes[1], kind)
     indices = np.asarray(jit_knn(query, support, k))
@@ -63,8 +65,7 @@ def test_knn_agrees_with_a_tree(sizes, k, kind):
     assert all(len(set(row)) == k for row in indices)
 
 
-@pytest.mark.parametrize("support_size", [40, 2000])
-def test_blocks_of_queries_change_nothing(support_size, monkeypatch):
+def test_blocks_of_queries_change_nothing(monkeypatch, support_size=2000):
     support = cloud(support_size)
     query = cloud(50) + np.float32(0.05)
 

@@ -112,9 +112,3 @@ def test_collinear_and_distant_tokens_have_finite_gradients():
     for a, b in ((line, line), (line, far), (far, far)):
         assert np.isfinite(align(a, b))
         assert all(np.all(np.isfinite(g)) for g in gradients(a, b))
-
-
-def test_vmap_is_a_loop():
-    a, b = tokens(3, 8), tokens(3, 11)
-    looped = [align(a[i], b[i]) for i in range(3)]
-    assert np.allclose(jax.vmap(align)(a, b), looped, rtol=1e-5)

@@ -169,13 +169,6 @@ def test_midpoints_pass_half_of_the_gradient_to_each_end():
     assert np.allclose(evaluate(points)[:, 0], [1.0, 1.5, 0.5])
 
 
-def test_midpoints_vmap_is_a_loop():
-    points = cloud(3, 25)
-    batched = jax.vmap(upsample)(points)
-    for i in range(3):
-        assert np.array_equal(batched[i], upsample(points[i]))
-
-
 @pytest.mark.parametrize("norm", ["l2", "l1"])
 def test_loss_is_chamfer_plus_offsets(norm):
     denoised, target, offsets = cloud(30), cloud(60), cloud(30)

@@ -127,10 +127,3 @@ def test_repeated_points_count_as_edges_to_their_copies():
     normals = np.eye(3, dtype=np.float32)[:2]
     smooth = loss(normals, points, 1.0) - loss(normals, points, 0.0)
     assert np.allclose(smooth, 2.0)
-
-
-def test_vmap_is_a_loop():
-    points, normals = jnp.asarray(surface(3, 40)), jnp.asarray(directions(3, 40))
-    batched = jax.vmap(lambda n, p: loss(n, p, k=8))(normals, points)
-    looped = [loss(normals[i], points[i], k=8) for i in range(3)]
-    assert np.allclose(batched, looped, rtol=1e-5)

@@ -14,7 +14,7 @@ from prism_jax.models.attention import (
     VectorAttention,
     attend,
 )
-from prism_jax.models.pyramid import Level, build_pyramid
+from prism_jax.models.pyramid import build_pyramid
 
 RNG = np.random.default_rng(0)
 WIDTH, INNER, RATIO = 6, 4, 3
@@ -103,29 +103,6 @@ def test_vector_attention_agrees_with_a_loop():
     np.testing.assert_allclose(together, mapped, rtol=1e-4, atol=1e-5)
 
 
-def test_the_order_of_neighbours_is_free():
-    inputs = clouds()
-    variables = randomised(ATTENTION, *inputs)
-    reversed_neighbors = (*inputs[:4], inputs[4][:, ::-1])
-    np.testing.assert_allclose(
-        attention(variables, *inputs),
-        attention(variables, *reversed_neighbors),
-        rtol=1e-5,
-        atol=1e-6,
-    )
-
-
-def test_vector_attention_sees_offsets_alone():
-    query_xyz, query, support_xyz, support, neighbors = clouds()
-    variables = randomised(ATTENTION, query_xyz, query, support_xyz, support, neighbors)
-
-    def apply(shift):
-        moved = query_xyz + shift, query, support_xyz + shift, support
-        return attention(variables, *moved, neighbors)
-
-    np.testing.assert_allclose(apply(0.0), apply(4.0), rtol=1e-3, atol=1e-4)
-
-
 def test_vector_attention_without_norm():
     module, inputs = VectorAttention(WIDTH, INNER, RATIO, use_norm=False), clouds()
     variables = randomised(module, *inputs)
@@ -148,7 +125,7 @@ def test_training_changes_the_statistics_alone():
     assert not any(jax.tree.leaves(jax.tree.map(np.array_equal, old, new)))
 
 
-@pytest.mark.parametrize("times", [1, 2, 3])
+@pytest.mark.parametrize("times", [1, 3])
 def test_upsampling_attention_agrees_with_a_loop(times):
     xyz, features = normal(5, 3), normal(5, WIDTH)
     neighbors = jnp.asarray(RNG.integers(0, 5, (5, 4)))
@@ -249,17 +226,6 @@ def test_transformer_agrees_with_a_loop():
     )
     actual = transformer(variables, *inputs, pyramid)
     np.testing.assert_allclose(actual, expected, rtol=1e-3, atol=1e-4)
-
-
-def test_transformer_of_one_level_is_an_attention():
-    inputs = clouds()
-    level = Level(jnp.arange(7), jnp.arange(9), jnp.asarray(inputs[4]), None, None)
-    variables = randomised(TRANSFORMER, *inputs[:4], (level,))
-    alone = {kind: tree["attention_0"] for kind, tree in variables.items()}
-    np.testing.assert_array_equal(
-        transformer(variables, *inputs[:4], (level,)),
-        attention(alone, *inputs),
-    )
 
 
 @jax.jit

@@ -129,7 +129,12 @@ def unused(name):
 
 
 @pytest.mark.parametrize(
-    ("config", "num_parameters"), [(TINY, None), (PCN, 7471212), (SHAPENET55, 7454828)]
+    ("config", "num_parameters"),
+    [
+        (TINY, None),
+        (PCN, 7471212),
+        pytest.param(SHAPENET55, 7454828, marks=pytest.mark.slow),
+    ],
 )
 def test_gives_the_variables_of_the_modules(config, num_parameters):
     state = {n: np.zeros(s, np.float16) for n, s in torch_shapes(config).items()}

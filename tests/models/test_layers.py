@@ -156,7 +156,7 @@ def test_residual_mlp():
     np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("times", [1, 2, 3])
+@pytest.mark.parametrize("times", [1, 3])
 def test_repeat_in_place(times):
     x = normal(2, 4, 3)
     repeated = jax.jit(repeat_in_place, static_argnums=1)(x, times)
@@ -248,7 +248,7 @@ def test_statistics_are_not_touched_unless_asked_for():
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     "module",
-    [MLP((3,)), MLP((4, 3)), ResidualMLP(4, 3)],
+    [MLP((4, 3)), ResidualMLP(4, 3)],
     ids=lambda m: type(m).__name__,
 )
 def test_gradients(module):
@@ -288,8 +288,13 @@ def test_conv_for_a_gpu_keeps_its_windows_apart(monkeypatch):
     jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
-@pytest.mark.parametrize(("size", "strides"), [(1, 1), (1, 2), (3, 1), (3, 2), (7, 2)])
-@pytest.mark.parametrize("pixels", [(8, 8), (9, 6)])
+@pytest.mark.parametrize(
+    ("size", "strides", "pixels"),
+    [
+        *((1, 2, (9, 6)), (3, 1, (9, 6)), (3, 2, (9, 6))),
+        *((3, 2, (8, 8)), (7, 2, (8, 8))),
+    ],
+)
 def test_conv_is_flax_conv(size, strides, pixels):
     x = normal(2, *pixels, 3)
     module = Conv(4, size, strides)

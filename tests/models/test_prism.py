@@ -26,9 +26,9 @@ def camera(tiny_frames):
 
 
 @pytest.fixture(scope="module")
-def prepare(tiny):
+def prepare(minimal):
     return jax.jit(
-        lambda partial, camera: prepare_input(partial, camera, KEY, tiny.model)
+        lambda partial, camera: prepare_input(partial, camera, KEY, minimal.model)
     )
 
 
@@ -38,22 +38,22 @@ def frame(prepare, partial, camera):
 
 
 @pytest.fixture(scope="module")
-def run(tiny, quick_jit):
+def run(minimal, quick_jit):
     """The whole network on one frame, compiled once."""
 
     @quick_jit
     def run(variables, frame):
-        prediction = predict(variables, frame, tiny.model)
-        depth = read_depth(variables, frame, tiny.model)
-        seen = branches(variables, frame, prediction, depth, tiny.model)
+        prediction = predict(variables, frame, minimal.model)
+        depth = read_depth(variables, frame, minimal.model)
+        seen = branches(variables, frame, prediction, depth, minimal.model)
         return prediction, depth, seen
 
     return run
 
 
 @pytest.fixture(scope="module")
-def outputs(run, tiny_variables, frame):
-    return run(tiny_variables, frame)
+def outputs(run, minimal_fresh, frame):
+    return run(minimal_fresh, frame)
 
 
 def test_depth_is_relative_to_the_workspace_and_zero_where_nothing_is(
@@ -89,60 +89,60 @@ def test_what_the_denoiser_gets(frame, partial, camera):
     np.testing.assert_allclose(found, nearest, atol=1e-6)
 
 
-def test_indices_are_the_encoders(frame, partial, tiny):
-    expected = jax.jit(lambda p: encoder_indices(p, tiny.model.backbone))(partial)
+def test_indices_are_the_encoders(frame, partial, minimal):
+    expected = jax.jit(lambda p: encoder_indices(p, minimal.model.backbone))(partial)
     for a, b in zip(
         jax.tree.leaves(frame.indices), jax.tree.leaves(expected), strict=True
     ):
         assert np.array_equal(a, b)
 
 
-def test_a_frame_carries_no_gradient_of_the_partial(tiny, partial, camera):
+def test_a_frame_carries_no_gradient_of_the_partial(minimal, partial, camera):
     def total(partial):
-        frame = prepare_input(partial, camera, KEY, tiny.model)
+        frame = prepare_input(partial, camera, KEY, minimal.model)
         leaves = jax.tree.leaves(frame._replace(view=None))
         return sum(x.sum() for x in leaves if jnp.issubdtype(x.dtype, jnp.floating))
 
     assert np.array_equal(jax.jit(jax.grad(total))(partial), np.zeros((64, 3)))
 
 
-def test_an_empty_view_is_finite(prepare, run, tiny_variables, partial, camera):
+def test_an_empty_view_is_finite(prepare, run, minimal_fresh, partial, camera):
     """The camera looks away from everything."""
     behind = dataclasses.replace(camera, translation=-camera.translation)
     frame = prepare(partial, behind)
     assert not frame.depth_mask.any()
     assert not frame.reference_mask.any()
-    outputs = run(tiny_variables, frame)
+    outputs = run(minimal_fresh, frame)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(outputs))
 
 
-def test_stages_have_the_configured_sizes(outputs, tiny):
+def test_stages_have_the_configured_sizes(outputs, minimal):
     prediction, _, _ = outputs
     sizes = tuple(len(stage) for stage in prediction.stages)
-    assert sizes == tiny.model.backbone.stage_sizes
+    assert sizes == minimal.model.backbone.stage_sizes
     assert prediction.points.shape == prediction.stages[-1].shape
-    assert prediction.features.shape == (sizes[-1], tiny.model.backbone.features)
+    assert prediction.features.shape == (sizes[-1], minimal.model.backbone.features)
 
 
 def test_prediction_is_the_last_stage_refined_within_bounds(
-    outputs, run, tiny, tiny_variables, frame
+    outputs, run, minimal, minimal_fresh, frame
 ):
     """Eq. 2: at first the last stage itself, kept in the workspace."""
     fresh, _, _ = outputs
     inside = np.clip(fresh.stages[-1], -1, 1)
     assert np.array_equal(fresh.points, inside)
-    trained = jax.tree.map(lambda x: x + 0.3, tiny_variables["params"]["refiner"])
-    params = {**tiny_variables["params"], "refiner": trained}
-    prediction, _, _ = run({**tiny_variables, "params": params}, frame)
+    trained = jax.tree.map(lambda x: x + 0.3, minimal_fresh["params"]["refiner"])
+    params = {**minimal_fresh["params"], "refiner": trained}
+    prediction, _, _ = run({**minimal_fresh, "params": params}, frame)
     points = np.asarray(prediction.points)
     assert np.abs(points).max() <= 1.0
-    assert np.abs(points - inside).max() <= tiny.model.auxiliary.max_offset + 1e-7
+    assert np.abs(points - inside).max() <= minimal.model.auxiliary.max_offset + 1e-7
     assert not np.array_equal(points, inside)
 
 
-def test_branches(outputs, tiny):
+def test_branches(outputs, minimal):
     prediction, depth, seen = outputs
-    sizes = tiny.model.auxiliary
+    sizes = minimal.model.auxiliary
     assert seen.normals.shape == prediction.points.shape
     np.testing.assert_allclose(np.linalg.norm(seen.normals, axis=-1), 1, atol=1e-3)
     assert seen.offsets.shape == (64, 3)
@@ -150,11 +150,11 @@ def test_branches(outputs, tiny):
     assert seen.tokens_depth.shape == (len(depth.tokens), sizes.token_features)
 
 
-def test_each_encoder_feeds_its_own_stream(outputs, run, tiny_variables, frame):
+def test_each_encoder_feeds_its_own_stream(outputs, run, minimal_fresh, frame):
     def moved(name):
-        params = dict(tiny_variables["params"])
+        params = dict(minimal_fresh["params"])
         params[name] = jax.tree.map(lambda leaf: 1.1 * leaf, params[name])
-        return run({**tiny_variables, "params": params}, frame)
+        return run({**minimal_fresh, "params": params}, frame)
 
     prediction, _, seen = outputs
     by_depth = moved("depth_encoder")

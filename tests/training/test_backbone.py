@@ -83,11 +83,12 @@ def indexed(batch, examples, preset):
 @pytest.fixture(scope="module")
 def after_seeds(seeds, batch):
     state = seeds.start
-    for _ in range(3):
+    for _ in range(2):
         state, losses = seeds.step_fn(state, batch)
     return state, losses
 
 
+@pytest.mark.slow
 def test_losses_fall_on_one_batch(stages, indexed):
     """Every stage's, over a phase of sixty steps."""
     state, history = stages.start, []

@@ -61,6 +61,20 @@ def test_latest_and_best(checkpoints, tmp_path):
     assert score == pytest.approx(0.3)
 
 
+def test_the_best_is_written_before_the_latest(checkpoints, monkeypatch):
+    """A run that ends in between goes on from the latest before, and finds it again."""
+    save(checkpoints, 2, 0.5)
+
+    def ended(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoints._latest, "save", ended)
+    with pytest.raises(KeyboardInterrupt):
+        save(checkpoints, 4, 0.3)
+    assert bitwise(checkpoints.restore_latest(LIKE), state(2))
+    assert bitwise(checkpoints.restore_best(LIKE), state(4))
+
+
 def test_an_equal_score_does_not_replace_the_best(checkpoints):
     save(checkpoints, 1, 0.5)
     save(checkpoints, 2, 0.5)

@@ -277,15 +277,6 @@ def test_small_warms_up_and_follows_a_cosine(phase_of, batch):
     assert (moves(states, "params", "refiner") == 0).all()
 
 
-def test_a_phase_shorter_than_its_warm_up_gets_half_of_it(phase_of, batch):
-    config = MetaTrainConfig(
-        EVERYTHING, 8 * 4, 4, optimiser="adam", learning_rate=0.1, warmup_steps=1000
-    )
-    states, _ = steps(at_zero(phase_of(config)), batch, 5)
-    found = moves(states, "params", "decoder")
-    np.testing.assert_allclose(found, [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
-
-
 def test_gradients_are_clipped_together_but_not_with_the_refiners(phase_of, batch):
     """Encoders and decoder have 27 numbers, the refiner nine."""
     slope = slope_of(batch)
@@ -302,7 +293,7 @@ def test_gradients_are_clipped_together_but_not_with_the_refiners(phase_of, batc
     np.testing.assert_allclose(moves(states, "weighting", "logits"), slope, rtol=1e-5)
 
 
-@pytest.mark.parametrize("at_once", [2, 3, 32])
+@pytest.mark.parametrize("at_once", [2, 3])
 def test_parts_of_a_batch_add_up_to_it(phase_of, batch, monkeypatch, at_once):
     """To float32's rounding; and no more frames are seen at once than were asked."""
     whole = MetaTrainConfig(EVERYTHING, 40, 4, **dict.fromkeys(RATES, 0.1))
@@ -317,7 +308,7 @@ def test_parts_of_a_batch_add_up_to_it(phase_of, batch, monkeypatch, at_once):
     states, others = steps(
         phase_of(dataclasses.replace(whole, at_once=at_once)), batch, 3
     )
-    assert set(sizes) == {{2: 2, 3: 1, 32: 4}[at_once]}
+    assert set(sizes) == {{2: 2, 3: 1}[at_once]}
     for a, b in zip(
         *map(jax.tree.leaves, (states[3].variables, expected[3].variables)), strict=True
     ):

@@ -99,17 +99,22 @@ def recording(phase, seen):
     return phase._replace(step_fn=step)
 
 
-def test_it_learns(regression, data, tmp_path):
+def test_it_learns_and_logs(regression, data, tmp_path):
     variables, last, done = train(regression, data, tmp_path)
     assert done
-    losses = [line["losses"]["loss"] for line in lines(tmp_path) if "losses" in line]
+    written = lines(tmp_path)
+    losses = [line["losses"]["loss"] for line in written if "losses" in line]
     assert losses[-1] < losses[0]
+    assert [line["step"] for line in written if "validation" in line] == [4, 8, 12]
+    assert [line["samples"] for line in written if "losses" in line] == [16, 32, 48]
+    assert {line["phase"] for line in written} == {"toy"}
+    assert all(0 <= line["data_wait"] <= 1 for line in written)
     assert bitwise(variables, latest(regression, tmp_path).variables)
     assert bitwise(last, latest(regression, tmp_path))
 
 
-@pytest.mark.parametrize("broken_at", [[4], [3, 8], [1, 2, 3]])
-def test_broken_off_and_resumed_it_ends_the_same(regression, data, tmp_path, broken_at):
+def test_broken_off_and_resumed_it_ends_the_same(regression, data, tmp_path):
+    broken_at = (3, 8)
     expected, *_ = train(regression, data, tmp_path / "unbroken")
     for steps in broken_at:
         *_, done = train(regression, data, tmp_path / "broken", max_steps=steps)
@@ -279,18 +284,3 @@ def test_ended_early_nothing_is_kept_that_an_unbroken_phase_would_not(data, tmp_
     assert not [line for line in lines(tmp_path) if "validation" in line]
     variables, *_ = train(counting(scores), data, tmp_path)
     assert np.array_equal(variables["params"]["w"], [8, 8, 8])
-
-
-def test_the_log_tells_losses_and_validation(regression, data, tmp_path):
-    train(regression, data, tmp_path)
-    written = lines(tmp_path)
-    assert [line["step"] for line in written if "validation" in line] == [4, 8, 12]
-    assert [line["samples"] for line in written if "losses" in line] == [16, 32, 48]
-    assert {line["phase"] for line in written} == {"toy"}
-    assert all(0 <= line["data_wait"] <= 1 for line in written)
-
-
-def test_another_seed_sees_other_batches(regression, data, tmp_path):
-    first, *_ = train(regression, data, tmp_path / "0")
-    second, *_ = train(regression, data._replace(seed=8), tmp_path / "1")
-    assert not bitwise(first, second)

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
 from scipy.spatial import KDTree
 
 from experiments.baselines.pointr import (
@@ -212,16 +211,6 @@ def test_mlp_joins_its_inputs_and_leaks(quick_jit):
     np.testing.assert_allclose(made, expected, rtol=1e-5, atol=1e-5)
 
 
-def test_derivatives_of_a_block(x64):
-    """Attentions and edge convolutions, among the tokens and to the encoder's."""
-    x, encoded = normal(4, 6), normal(5, 6)
-    neighbors, around = integers(4, 4, 3), integers(5, 4, 3)
-    module = Block(2, 2)
-    variables = randomised(module, x, neighbors, encoded, around)
-    fn = jax.jit(lambda v: module.apply(v, x, neighbors, encoded, around))
-    check_grads(fn, (variables,), order=1, modes=["rev"], rtol=1e-4)
-
-
 def test_what_is_appended_and_what_is_folded(complete_fn):
     coarse, dense = complete_fn(VARIABLES, PARTIAL)
     np.testing.assert_array_equal(coarse[:, 8:], FARTHEST[:, :8])
@@ -235,30 +224,6 @@ def test_what_is_appended_and_what_is_folded(complete_fn):
     np.testing.assert_array_equal(folded[:, :32], np.repeat(coarse[:, :8], 4, axis=1))
     patches = np.asarray(dense[:, :32] - folded[:, :32]).reshape(-1, 4, 3)
     assert (np.ptp(patches, axis=1).max(-1) > 1e-4).all()
-
-
-@pytest.mark.slow
-def test_training_moves_the_statistics_of_batch_norm(quick_jit):
-    module = PoinTr(dataclasses.replace(TINY, use_norm=True))
-    variables = randomised(module, PARTIAL)
-    zeros = jax.tree.map(jnp.zeros_like, variables["batch_stats"])
-    train = quick_jit(
-        lambda params: module.apply(
-            {"params": params, "batch_stats": zeros},
-            PARTIAL,
-            train=True,
-            mutable=["batch_stats"],
-        )
-    )
-    (_, dense), updated = train(variables["params"])
-    assert dense.shape == (3, 96, 3) and np.isfinite(dense).all()
-    found = updated["batch_stats"]
-    assert all(np.abs(leaf).min() > 0 for leaf in jax.tree.leaves(found))
-    layer = jax.tree.map(np.asarray, variables["params"]["position"]["dense_0"])
-    hidden = FARTHEST.reshape(-1, 3) @ layer["kernel"] + layer["bias"]
-    statistics = found["position"]["norm_0"]
-    np.testing.assert_allclose(statistics["mean"], 0.1 * hidden.mean(0), atol=1e-5)
-    np.testing.assert_allclose(statistics["var"], 0.1 * hidden.var(0), rtol=1e-4)
 
 
 def test_wrong_sizes_are_refused():

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
 
 from experiments.baselines.seedformer import (
     Patches,
@@ -167,20 +166,6 @@ def test_point_transformer_agrees_with_a_loop(quick_jit):
         attended = (softmax(logits) * (value[near] + offset)).sum(0)
         expected = dense(params["end"], attended) + np.float64(features[i])
         np.testing.assert_allclose(actual[i], expected, rtol=1e-4, atol=1e-4)
-
-
-def test_gradient_of_the_upsample_transformer(x64):
-    module = UpsampleTransformer(TINY, 2)
-    inputs = upsampling_inputs(True)
-    variables, neighbors = drawn(module, *inputs), inputs[3]
-
-    @jax.jit
-    def total(variables, xyz, query, key, seed):
-        made = module.apply(variables, xyz, query, key, neighbors, seed)
-        return jnp.sin(made).sum()
-
-    floats = (*inputs[:3], inputs[4])
-    check_grads(total, (variables, *floats), order=1, modes=["rev"])
 
 
 def test_without_offsets_every_stage_is_made_of_seeds_and_partial(

@@ -31,8 +31,7 @@ def test_anything_else_is_left_to_the_package(name):
     assert located(name) == name
 
 
-@pytest.mark.parametrize("name", ["pcn", "seedformer", "fsc"])
-def test_a_network_to_compare_with_comes_back(tmp_path, name):
+def test_a_network_to_compare_with_comes_back(tmp_path, name="pcn"):
     module = NETWORKS[name]["small"]
     cloud = jnp.zeros((1, module.config.num_points, 3))
     shapes = jax.eval_shape(lambda: module.init(jax.random.key(0), cloud))
@@ -49,10 +48,11 @@ def test_a_network_to_compare_with_comes_back(tmp_path, name):
         load_pretrained(str(path))
 
 
-def test_what_is_not_a_network_to_compare_with(tmp_path, tiny, tiny_variables):
-    save_weights(tmp_path / "ours.safetensors", tiny, tiny_variables, {})
+def test_what_is_not_a_network_to_compare_with(tmp_path, minimal, minimal_variables):
+    ours = tmp_path / "ours.safetensors"
+    save_weights(ours, minimal.config, minimal_variables, {})
     with pytest.raises(InputError, match="not a network to compare with"):
-        load_network(str(tmp_path / "ours.safetensors"))
+        load_network(str(ours))
     with pytest.raises(InputError, match="no such network"):
         load_network("resnet")
 

@@ -53,6 +53,7 @@ def squares(tmp_path):
     return made
 
 
+@pytest.mark.slow
 def test_bytes_depend_neither_on_workers_nor_on_runs(tmp_path, digests, monkeypatch):
     """Three shapes in shards of their own."""
     config = ShapesConfig("test", num_shapes=3, shard_shapes=1)
@@ -140,6 +141,7 @@ if __name__ == "__main__":
 """An item that leaves its process's number and never ends."""
 
 
+@pytest.mark.slow
 def test_workers_end_with_a_build_that_is_killed(tmp_path):
     script = tmp_path / "build.py"
     script.write_text(_WAITING)
