@@ -5,9 +5,9 @@ import pickle
 import numpy as np
 import pytest
 
+from experiments import mixture
 from experiments.assets import CELLS
 from experiments.simulation.packing import PackConfig, pack
-from prism_jax.data import mixture
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.shards import Shards
