@@ -428,7 +428,7 @@ def main() -> None:
         "trust": rightness(scans, judged_unseen(blank, scans)),
         **sigmas(points, FLAGS.points),
     }
-    both = table("trust", result["trust"]), table("sigma", result["sigma"])
+    both = table("confidence", result["trust"]), table("sigma", result["sigma"])
     print_and_write(result, "\n\n".join(both))
 
 
