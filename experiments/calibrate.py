@@ -358,7 +358,8 @@ def main() -> None:
         "trust": rightness(scans, judged_unseen(blank, scans)),
         **sigmas(points, FLAGS.points),
     }
-    both = [robustness.table(name, result[name]) for name in ("trust", "sigma")]
+    names = {"confidence": "trust", "sigma": "sigma"}
+    both = [robustness.table(name, result[key]) for name, key in names.items()]
     print_and_write(result, "\n\n".join(both))
 
 

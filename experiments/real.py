@@ -232,7 +232,7 @@ def main() -> None:
     completer = Completer.from_pretrained(located(FLAGS.weights))
     rows = [row_of(completer, spec, scan) for spec, scan in tqdm(given.items())]
     result = {"commit": commit(), "unit": UNIT, "left_out": left_out, "scans": rows}
-    head = ["scan", "points", "objects", "added", "outside", "strays", "trust"]
+    head = ["scan", "points", "objects", "added", "outside", "strays", "confidence"]
     cells = []
     for row in rows:
         trust = ", ".join(verdict["trust"] for verdict in row["verdicts"])

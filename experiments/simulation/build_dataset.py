@@ -64,7 +64,7 @@ def _meshes(
 
     if mesh_dir is None or data_dir is None:
         remedy = "set --mesh_dir to the folder of meshes, and --output_dir"
-        raise InputError("meshes", "need --mesh_dir", remedy)
+        raise InputError("meshes", "no folder given", remedy)
     return build_meshes(mesh_dir, pathlib.Path(data_dir) / split, num_workers)
 
 

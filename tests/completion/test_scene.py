@@ -130,7 +130,7 @@ def test_a_scene_without_objects(completer, scene, camera):
 
 def test_what_cannot_be_completed_is_refused(completer, scene, camera):
     points, _ = scene
-    with pytest.raises(InputError, match="fewer than 64"):
+    with pytest.raises(InputError, match="at least 64"):
         completer.complete_scene(points[:50], camera)
     with pytest.raises(InputError, match="density"):
         completer.complete_scene(points, camera, density=-1.0)

@@ -105,4 +105,4 @@ def test_the_command_calibrates_and_tests(tmp_path, monkeypatch, capsys):
 
 def test_too_few_cells_are_refused(capsys):
     assert launching.run(coverage, "--num_cells=8") == 2
-    assert "take 9 or more" in capsys.readouterr().err
+    assert "use 9 or more" in capsys.readouterr().err

@@ -27,7 +27,7 @@ def test_meshes_become_a_packed_set(tmp_path, capsys):
     trimesh.creation.icosphere(2).export(tmp_path / "ball.ply")
     place = [f"--mesh_dir={tmp_path}", f"--output_dir={tmp_path / 'built'}"]
     assert run("--dataset=meshes", *place[:1], "--num_workers=0") == 2
-    assert "name the folder of meshes with --mesh_dir, and" in capsys.readouterr().err
+    assert "set --mesh_dir to the folder of meshes, and" in capsys.readouterr().err
     assert run("--dataset=meshes", *place, "--num_workers=0") == 0
     source = open_dataset("packed", "train", tmp_path / "built")
     assert [example.name for example in source] == ["meshes/ball.ply"]

@@ -345,5 +345,5 @@ def test_what_is_no_better_is_not_written(run, capsys):
     assert (status, ending) == (1, [None, 15.0])
     assert not [*output.parent.iterdir()]
     error = capsys.readouterr().err
-    assert "plant: not written: what is hidden of held-out frames" in error
+    assert "plant: not written: no certain 10 % gain on hidden points" in error
     assert error.count("\n") == 1

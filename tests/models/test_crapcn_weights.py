@@ -294,7 +294,7 @@ def test_load_torch_runs_nothing(tmp_path):
 
     path = tmp_path / "weights.pth"
     torch.save({"model": Command()}, path)
-    with pytest.raises(InputError, match="tensors alone"):
+    with pytest.raises(InputError, match="tensors only"):
         load_torch(path, TINY)
     assert not written.exists()
 
