@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Iterator
+from typing import Any
 
 import jax
 import numpy as np
@@ -92,7 +93,8 @@ def completed_clouds(
         from_own, _ = into_scored(example, protocol)
         complete = from_own(example.complete)
         few = first_points(complete, EMD_POINTS, example.ordered)
-        alone = Predictions(*(None if x is None else x[0] for x in done))  # pyright: ignore
+        rows: Any = (None if x is None else x[0] for x in done)
+        alone = Predictions(*rows)
         yield scored_clouds(example, partials[0], alone, protocol), complete, few
 
 

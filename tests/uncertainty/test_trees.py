@@ -56,7 +56,7 @@ def test_what_looks_beyond_the_numbers_is_refused():
     beyond = dataclasses.replace(one, looks_at=np.full((1, 1), 5.0))
     with pytest.raises(ValueError, match="a sum of trees's looks_at is out of range"):
         Five.from_dict(beyond.to_dict())
-    with pytest.raises(ValueError, match="a sum of trees has base, looks_at"):
+    with pytest.raises(ValueError, match="a sum of trees needs exactly base, looks_at"):
         Five.from_dict({})
 
 
