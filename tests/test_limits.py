@@ -75,8 +75,8 @@ def test_pages_are_narrow(page):
 
 
 def test_code_is_narrow():
-    """As ruff counts, which leaves its own comments out."""
+    """As ruff counts, which leaves comments to checkers out."""
     for path in CODE:
         for number, line in enumerate(path.read_text().splitlines(), 1):
-            line = re.sub(r"\s*# noqa.*", "", line)
+            line = re.sub(r"\s*# (noqa|pyright: ignore).*", "", line)
             assert len(line) <= CODE_WIDTH, f"{path.relative_to(ROOT)}:{number}"
