@@ -53,7 +53,7 @@ def envelope_page(
     if camera is not None:
         toward = viewing_direction(camera, up)
     bounds = np.stack([envelope.grid.lower, envelope.grid.upper])
-    figure = clouds_figure(panels, toward, up, bounds)
+    figure: Any = clouds_figure(panels, toward, up, bounds)
     names = [cloud.name for panel in panels for cloud in panel.clouds]
     for trace, name in zip(figure.data, names, strict=True):
         trace.meta = {"cloud": name}

@@ -52,7 +52,7 @@ def weights_table(names: Sequence[str]) -> str:
     from the truth the scan is and what a user gets of it, without adaptation."""
     rows = [("weights", "samples", "scored on", "the scan", "completed", "worst at")]
     for name in names:
-        told = (name, f"{samples_seen(read_metadata(name)):,}")
+        told: Any = (name, f"{samples_seen(read_metadata(name)):,}")
         for split, result in released_scores(name).items():
             clouds = result["clouds"]
             done = clouds.get("completed_unadapted", clouds["completed"])

@@ -30,11 +30,12 @@ def render(template: str = "page.html", **content: Any) -> str:
 
 def clouds_html(figure: go.Figure) -> str:
     """Clouds that fill the box that the page gives them."""
+    layout: Any = figure.layout
     figure.update_layout(
         height=None,
         showlegend=False,
         modebar={"orientation": "v"},  # Beside the titles, not over them.
-        margin={"t": 26 if figure.layout.annotations else 0, "b": 0},
+        margin={"t": 26 if layout.annotations else 0, "b": 0},
     )
     return _html(figure, "clouds", modeBarButtons=_BUTTONS)
 

@@ -61,7 +61,7 @@ def render_report(
     if ground_truth is not None:
         truth = Cloud("ground truth", ground_truth, GROUND_TRUTH_COLOR)
         panels.append(Panel(f"Ground truth: {len(ground_truth):,} points", [truth]))
-    clouds = clouds_figure(
+    clouds: Any = clouds_figure(
         panels,
         viewing_direction(result.camera, up),
         up,

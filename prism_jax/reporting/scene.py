@@ -61,7 +61,7 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         camera = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     up = np.asarray(scene.up, np.float64)
     toward = viewing_direction(camera, up, turn_degrees=20.0, rise_degrees=35.0)
-    figure = clouds_figure([Panel("", clouds)], toward, up, bounds)
+    figure: Any = clouds_figure([Panel("", clouds)], toward, up, bounds)
     boxes = [
         shown_bounds(one.points[one.observed], one.points[~one.observed], one.workspace)
         for one in scene.objects
