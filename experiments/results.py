@@ -15,6 +15,7 @@ from typing import Any
 
 import jinja2
 
+from prism_jax.cli.launch import launch
 from prism_jax.evaluation.tables import COLUMNS, percent, table_lines
 from prism_jax.io.atomic import write_bytes
 
@@ -32,6 +33,7 @@ def main() -> None:
     """Writes every page that shows figures."""
     for path, text in pages().items():
         write_bytes(path, text.encode())
+        print(f"written {path.relative_to(ROOT)}")
 
 
 def pages() -> dict[pathlib.Path, str]:
@@ -112,4 +114,4 @@ def _fill(paragraph: str) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    launch("results", main)

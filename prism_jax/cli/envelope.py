@@ -234,6 +234,8 @@ def envelope_of(source: str) -> dict[str, Any]:
         remedy = f"make one with {NAME} {CALIBRATE} RECORDINGS"
         raise io.InputError("--calibration", "missing", remedy)
     sensor = FLAGS.sensor or sensor_name(named)
+    if sensor is None and not pathlib.Path(FLAGS.calibration).is_file():
+        raise io.InputError(FLAGS.calibration, "no such file", "check the path")
     if sensor is None:
         raise io.InputError("--sensor", "missing", "use the calibration's sensor")
     runs = method.setup(_digest(FLAGS.weights), sensor)

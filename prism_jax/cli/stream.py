@@ -145,7 +145,7 @@ def main(words: Sequence[str]) -> None:
     """Does what the flags ask for."""
     if len(words) != 1:
         fault = f"expected one recording, got {len(words)}"
-        raise io.InputError(NAME, fault, f"write {NAME} RECORDING --output=PATH")
+        raise io.InputError("input", fault, f"write {NAME} RECORDING --output=PATH")
     end_as_interrupted()
     summary = stream_file(
         words[0],
