@@ -31,8 +31,6 @@ UNITS = {
 }
 """What scores can be in, and in words."""
 
-NUM_COMPLETE = 2048
-
 
 @dataclasses.dataclass(frozen=True)
 class Protocol:
