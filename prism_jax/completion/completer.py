@@ -43,7 +43,6 @@ from prism_jax.preprocessing.observation import (
 )
 from prism_jax.preprocessing.segmentation.scene import Scene, split_scene
 from prism_jax.preprocessing.segmentation.support import find_up
-from prism_jax.preprocessing.sensor import is_believable, likely_eye
 from prism_jax.preprocessing.upright import upright
 from prism_jax.preprocessing.visibility_map import seen_among, some_of
 from prism_jax.uncertainty.confidence import Calibration
@@ -188,15 +187,9 @@ class Completer:
         """
         model = self.config.model
         framing = workspace, model.margin, options.up, model.heading
-        sensor = "origin" if camera is None else np.asarray(camera.position)
+        sensor = "likely" if camera is None else np.asarray(camera.position)
         seen = observe(points, sensor, *framing)
-        inside = points[seen.inside]
-        check_cloud(inside, "points inside the workspace")
-        if camera is None:
-            likely = likely_eye(inside, seen.workspace.up)
-            if not (seen.sensor_known and is_believable(inside, np.zeros(3), likely)):
-                seen = observe(points, likely, *framing)
-                seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
+        check_cloud(points[seen.inside], "points inside the workspace")
         place = "unknown" if not seen.sensor_known else "origin"
         place = "given" if camera is not None and seen.sensor_known else place
         read = seen.sampled(model.backbone.num_points)
@@ -354,13 +347,12 @@ def _known(
 ) -> Visibility:
     """What the sensor knows of its view of what was observed, in the unit workspace and
     in single precision: the object alone if nobody knows where it stood."""
-    points = np.asarray(seen.partial)[np.asarray(seen.inside)]
     beside = some_of(around).astype(np.float64)
     beside = np.asarray(seen.workspace.to_unit(beside))
     if not seen.sensor_known:
         beside = beside[:0]
     eye = np.asarray(seen.eye)
-    known = seen_among(points, beside, eye, Workspace.unit(), background)
+    known = seen_among(seen.cloud, beside, eye, Workspace.unit(), background)
     camera = jax.tree.map(lambda array: array.astype(np.float32), known.camera)
     return known._replace(camera=camera)
 

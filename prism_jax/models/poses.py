@@ -9,11 +9,10 @@ from jaxtyping import Array, Float
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility, mirrored, seen_by, turned
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import NetworkInput, predict, prepare_input
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view
 
 POSES = np.array(
     [
@@ -67,7 +66,7 @@ def in_other_poses(
     ]
 
     def one(cloud: Array, eye: Array, known: Visibility | None) -> NetworkInput:
-        view = observe(cloud, eye, Workspace.unit()).camera
+        view = framed_view(cloud, eye)
         return prepare_input(cloud, view, key, config, visibility=known)
 
     beside = jax.tree.map(lambda *maps: jnp.stack(maps), *known)
