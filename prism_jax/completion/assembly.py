@@ -140,8 +140,10 @@ def assemble(
     need three poses.
     """
     seen, read, view = task.seen, task.read, task.view
+    # Filter and densify.
     joined = join(task, completion.points, options)
     prediction, selection = joined.prediction, joined.selection
+    # Judge: the confidence of the whole, and the sigma of each point.
     looks = pose_predictions(completion.before, poses)
     verdict = None
     if looks is not None and calibration is not None:
@@ -157,6 +159,7 @@ def assemble(
         expected = spread(joined.new, kept, point_errors.sigma(clues))
         none = np.zeros(int(joined.observed.sum()))
         sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
+    # Assemble, in the user's frame and unit.
     return CompletedScan(
         points=joined.points,
         observed=joined.observed,

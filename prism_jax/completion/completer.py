@@ -110,6 +110,7 @@ class Completer:
         or non-finite points, fewer than 64 distinct points, an extent of zero or above
         10,000, and a workspace without volume.
         """
+        # Read: check what was given.
         asked = CompletionOptions(**options)
         points = _checked(points)
         around = None if around is None else _checked(around, "around")
@@ -117,9 +118,13 @@ class Completer:
             check_cloud(points, "points")
         else:
             _check_workspace(workspace)
+        # Frame: turn the object upright, find its workspace, the view and what of it
+        # is visible.
         asked, _ = _upright(asked, points, camera)
         task = self.task(points, camera, workspace, around, asked)
+        # Complete: run the network, with label-free steps first if asked to.
         completion, seconds = self.run(task, asked)
+        # Filter, densify, judge, and assemble in the user's frame.
         return self._assemble(task, completion, asked, seconds)
 
     def complete_scene(
@@ -142,20 +147,24 @@ class Completer:
         points = _checked(points)
         beyond = np.zeros((0, 3)) if around is None else _checked(around, "around")
         check_cloud(points, "points")
+        # Segment: find up, the support and the objects.
         asked, up_source = _upright(asked, points, camera)
         if scene is None:
             scene = split_scene(points, asked.up, _seen_from(points, camera))
+        # Frame each object as `complete` does, the rest of the scene around it.
         tasks = []
         for number in range(len(scene.num_points)):
             own = scene.object == number
             others = np.concatenate([points[~own], beyond])
             tasks.append(self.task(points[own], camera, None, others, asked))
+        # Complete `SLOTS` objects at a time; filter, densify and judge each.
         objects = []
         for start in range(0, len(tasks), SLOTS):
             batch = tasks[start : start + SLOTS]
             completions, seconds = self._run_together(batch, asked)
             for task, done in zip(batch, completions, strict=True):
                 objects.append(self._assemble(task, done, asked, seconds))
+        # Assemble the scene.
         turn = upright(asked.up)
         vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
         return in_one_scene(

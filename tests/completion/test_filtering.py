@@ -134,7 +134,9 @@ def test_denser_points_lie_between(times):
     # As even as it is dense: no far place is left without, none is crowded.
     gaps = KDTree(dense).query(grid(90))[0]
     assert gaps.max() < 4 / np.sqrt(IndexedCloud(dense).density)
-    assert 0.6 < IndexedCloud(dense).density / IndexedCloud(sparse).density / times < 1.7
+    assert (
+        0.6 < IndexedCloud(dense).density / IndexedCloud(sparse).density / times < 1.7
+    )
 
 
 def test_gaps_stay_gaps():
