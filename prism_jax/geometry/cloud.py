@@ -45,6 +45,8 @@ class IndexedCloud:
         distinct = IndexedCloud(np.unique(self.points, axis=0))
         if len(distinct) == len(self):
             distinct.tree = self.tree
+            if len(self) <= MAX_SIGHTS:  # the same lines of sight, in another order
+                distinct._sights = self._sights
         return distinct
 
     @functools.cached_property

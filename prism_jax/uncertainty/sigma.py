@@ -88,7 +88,7 @@ def clues_of(
     normals, thickness = _planes(near)
     ray = points - eye
     length = np.maximum(np.linalg.norm(ray, axis=1), np.finfo(np.float64).tiny)
-    beside, behind = beside_and_behind(points, measured, eye)
+    beside, behind = beside_and_behind(points, measured.distinct, eye)
     mirrored, turned = looks.distance(points, 1), looks.distance(points, 2)
     known = measured.distance(points)
     found = {
