@@ -1,0 +1,273 @@
+"""Free space: what measured rays prove to be empty."""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from prism_jax.envelope.voxels import Grid
+from prism_jax.geometry.camera import MIN_DEPTH, Camera, Vector
+
+MAX_CELLS = 8_000_000  # of a range image: a finer one is not made
+
+LEVELS = 5  # range images that are made of a cloud, each twice as coarse as the last
+
+BESIDE = 32  # cells of them beside the voxels, for holes that reach beyond
+
+
+class Carving(NamedTuple):
+    """What it takes for a voxel to be free."""
+
+    # How far behind the whole voxel everything must have been measured, in units of
+    # length: for errors of the measured depths and of the sensor's pose.
+    margin: float = 0.04
+    # The diameter of the smallest ball that free space must not hold.
+    body: float = 0.02
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthView:
+    """A depth image: one measured ray a pixel, through its centre.
+
+    Depths are along the camera's z, and infinite where nothing was measured.
+    """
+
+    camera: Camera
+    depth: Float[np.ndarray, "H W"]
+
+    def carve(self, grid: Grid, carving: Carving) -> Bool[np.ndarray, "X Y Z"]:
+        """The voxels that are free; see `carve`."""
+        row, column, z = _corners_in_image(grid, self.camera)
+        (top, bottom), (left, right), (near, far) = _span(row), _span(column), _span(z)
+        which = np.flatnonzero(near > MIN_DEPTH)
+        first, last = (
+            np.stack([rows.ravel()[which], columns.ravel()[which]], axis=1)
+            for rows, columns in ((top, left), (bottom, right))
+        )
+        pitch = 1.0 / np.diag(np.asarray(self.camera.intrinsics, np.float64))[:2].min()
+        sure = proven(self.depth, pitch, carving.body, cells=False)
+        free = np.zeros(grid.shape, bool)
+        least = _least(sure, first - 1, last + 1)
+        free.ravel()[which] = least > far.ravel()[which] + sum(carving)
+        return free
+
+
+@dataclasses.dataclass(frozen=True)
+class CloudView:
+    """A cloud and the place of its sensor: rays that were measured, in any pattern, all
+    around it or not."""
+
+    eye: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "N 3"]
+
+    def carve(self, grid: Grid, carving: Carving) -> Bool[np.ndarray, "X Y Z"]:
+        """The voxels that are free; see `carve`.
+
+        The rays are sorted into cells of azimuth and elevation, and the nearest of each
+        counts. What one size of cell proves is proven, so several are tried.
+        """
+        free = np.zeros(grid.shape, bool)
+        if len(self.points) == 0:
+            return free
+        toward = 0.5 * (grid.lower + grid.upper) - self.eye
+        heading = math.atan2(toward[1], toward[0])
+        rays, distance = _angles(self.points - self.eye, heading)
+        least, most, far = _voxels_around(grid, self.eye, heading, carving.body)
+        reach = far.max(initial=0.0, where=np.isfinite(far))
+        for level in range(LEVELS):
+            pitch = _cell(carving.body, reach / 2**level)
+            first, last = (np.floor(ends / pitch).astype(int) for ends in (least, most))
+            corner = first.min(axis=0) - BESIDE
+            shape = last.max(axis=0) - corner + BESIDE
+            if np.prod(shape) > MAX_CELLS:
+                continue
+            image = np.full(shape, np.inf)
+            for turn in (-2 * np.pi, 0.0, 2 * np.pi):
+                cell = np.floor((rays + [0.0, turn]) / pitch).astype(int) - corner
+                held = ((cell >= 0) & (cell < shape)).all(axis=1)
+                np.minimum.at(image, tuple(cell[held].T), distance[held])
+            sure = proven(image, pitch, carving.body, cells=True)
+            shown = _least(sure, first - corner - 2, last - corner + 2)
+            free |= (shown > far + sum(carving)).reshape(grid.shape)
+        return free
+
+
+View = DepthView | CloudView
+
+
+def view_of_depth(
+    depth: Float[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"], camera: Camera
+) -> DepthView:
+    """A depth image as its rays. `mask` says where anything was measured."""
+    return DepthView(camera, np.where(mask, depth, np.inf).astype(np.float64))
+
+
+def view_of_cloud(points: Float[np.ndarray, "N 3"], eye: Vector) -> CloudView:
+    """A cloud as the rays from its sensor at `eye`. Every point is one."""
+    return CloudView(np.asarray(eye, np.float64), np.asarray(points, np.float64))
+
+
+def carve(
+    grid: Grid, view: View, carving: Carving = Carving()
+) -> Bool[np.ndarray, "X Y Z"]:
+    """The voxels that measured rays prove to be free.
+
+    A voxel is free if on all pixels that it covers, and those around them, what
+    `proven` gives lies behind it, by the `margin` and the diameter of the smallest
+    `body`. Then no opaque body crosses it that is a union of balls of that diameter,
+    whether it returns light or not, as long as measured depths and the sensor's pose
+    are right within the margin.
+
+    Proof. Say that such a body crosses a free voxel. Then so does a ball of diameter d
+    inside the body, no part of which lies farther than d behind the voxel. A ray that
+    meets the ball returns nothing, or a depth that is not behind the voxel by the
+    margin and d: call its pixel bad (of a cloud: a cell all of whose rays meet it). The
+    ball's image holds a square of n x n bad pixels, connected by bad ones to one that
+    the voxel covers or that is next to those. Were that one measured, the voxel would
+    not be free. So it is in a hole. If the whole image is in the hole, n x n pixels
+    fit into that, and `proven` is nearer than the voxel. If not, a bad pixel at the
+    hole's border was measured, and `proven` is no farther than that. If n is 0, the
+    ball is too small to be noticed there, and `proven` is nearer than the voxel.
+
+    Grid and view are in one frame and unit; NumPy, not differentiable.
+    """
+    return view.carve(grid, carving)
+
+
+def proven(
+    depth: Float[np.ndarray, "H W"], pitch: float, body: float, cells: bool
+) -> Float[np.ndarray, "H W"]:
+    """How far each pixel's rays prove that no ball of a diameter crosses them.
+
+    `depth` is what was measured, infinite where nothing was; `pitch` the tangent or
+    angle between pixels. A ball is noticed as far away as it fills a pixel. A hole, of
+    pixels without a measurement that touch at sides or corners, proves no more than the
+    nearest depth at its border, nor farther than where a ball would fit into it. What
+    is outside of the image is a hole without a border.
+    """
+    padded = np.pad(depth, 1, constant_values=np.inf)
+    hole = ~np.isfinite(padded)
+    number, count = ndimage.label(hole, np.ones((3, 3)))
+    outside = number[0, 0]
+    # The side of the largest square of pixels in each hole.
+    side = np.zeros(count + 1)
+    square = hole & (number != outside)
+    while square.any():
+        side[np.unique(number[: square.shape[0], : square.shape[1]][square])] += 1
+        square = square[1:, 1:] & square[1:, :-1] & square[:-1, 1:] & square[:-1, :-1]
+    side[outside] = np.inf
+    nearest = ndimage.minimum_filter(padded, 3)
+    border = ndimage.minimum(nearest, number, np.arange(count + 1))
+    # As far as a ball's image holds a square that is larger than the hole.
+    reach = body / math.sqrt(2.0) / pitch / (side + (2.0 if cells else 1.0))
+    limit = np.minimum(border, reach)
+    shown = np.where(hole, limit[number], np.minimum(padded, reach[0]))
+    return shown[1:-1, 1:-1]
+
+
+def _cell(body: float, distance: float) -> float:
+    """The angle of the largest cells in which a ball is noticed at a distance."""
+    return body / (2.0 * math.sqrt(2.0) * max(distance, body))
+
+
+def _angles(
+    rays: Float[np.ndarray, "N 3"], heading: float
+) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"]]:
+    """Elevation, azimuth from a heading on, and length."""
+    flat = np.hypot(rays[:, 0], rays[:, 1])
+    azimuth = np.arctan2(rays[:, 1], rays[:, 0]) - heading
+    azimuth = (azimuth + np.pi) % (2 * np.pi) - np.pi
+    elevation = np.arctan2(rays[:, 2], flat)
+    return np.stack([elevation, azimuth], axis=1), np.hypot(flat, rays[:, 2])
+
+
+def _voxels_around(
+    grid: Grid, eye: Float[np.ndarray, "3"], heading: float, body: float
+) -> tuple[Float[np.ndarray, "V 2"], Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
+    """Of each voxel the least and the largest elevation and azimuth, and the distance
+    of its farthest corner; outer bounds of all. Above and below the eye the distance is
+    infinite: a body there may be on all azimuths."""
+    rays = grid.centers() - eye
+    half = 0.5 * grid.voxel
+    inner = np.maximum(np.abs(rays[:, :2]) - half, 0.0)
+    nearest, farthest = np.hypot(*inner.T), np.hypot(*(np.abs(rays[:, :2]) + half).T)
+    around = np.maximum(np.hypot(*rays[:, :2].T), 1e-300)
+    width = np.arcsin(np.minimum(half * math.sqrt(2.0) / around, 1.0))
+    bottom, top = rays[:, 2] - half, rays[:, 2] + half
+    low = np.arctan2(bottom, np.where(bottom > 0, farthest, nearest))
+    high = np.arctan2(top, np.where(top > 0, nearest, farthest))
+    azimuth = _angles(rays, heading)[0][:, 1]
+    far = np.linalg.norm(np.abs(rays) + half, axis=1)
+    far[around < 4.0 * (half + body)] = np.inf
+    least = np.stack([low, azimuth - width], axis=1)
+    return least, np.stack([high, azimuth + width], axis=1), far
+
+
+def _corners_in_image(
+    grid: Grid, camera: Camera
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixel row, pixel column and depth of every corner of every voxel."""
+    steps = [np.arange(count + 1) * grid.voxel for count in grid.shape]
+    corners = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    rotation = np.asarray(camera.rotation, np.float64)
+    offset = rotation @ grid.lower + np.asarray(camera.translation, np.float64)
+    in_camera = corners @ rotation.T + offset
+    z = in_camera[:, 2]
+    image = in_camera @ np.asarray(camera.intrinsics, np.float64).T
+    pixels = np.floor(image[:, :2] / np.where(z > MIN_DEPTH, z, 1.0)[:, None] + 0.5)
+    shape = tuple(count + 1 for count in grid.shape)
+    return tuple(values.reshape(shape) for values in (pixels[:, 1], pixels[:, 0], z))  # pyright: ignore
+
+
+def _span(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest value at the eight corners of each voxel."""
+    least = largest = corners
+    for axis in range(3):
+        ahead = [slice(None)] * 3
+        ahead[axis] = slice(1, None)
+        behind = [slice(None)] * 3
+        behind[axis] = slice(None, -1)
+        least = np.minimum(least[tuple(ahead)], least[tuple(behind)])
+        largest = np.maximum(largest[tuple(ahead)], largest[tuple(behind)])
+    return least, largest
+
+
+def _least(
+    image: Float[np.ndarray, "H W"],
+    first: Int[np.ndarray, "N 2"],
+    last: Int[np.ndarray, "N 2"],
+) -> Float[np.ndarray, " N"]:
+    """The least value in a square about each rectangle, both corners included.
+
+    Squares of a power of two as side are put in each of its corners, and reach beyond
+    the rectangle where it is narrower than that: the least value is never above the
+    rectangle's own.
+    """
+    # What is outside of the image proves nothing.
+    image = np.pad(image, 1)
+    first, last = (
+        np.clip(ends.astype(int) + 1, 0, np.array(image.shape) - 1)
+        for ends in (first, last)
+    )
+    sides = (last - first + 1).max(axis=1, initial=1)
+    levels = np.floor(np.log2(sides)).astype(int)
+    least = np.full(len(first), np.inf)
+    squares = image
+    for level in range(levels.max(initial=0) + 1):
+        side = 2**level
+        mine = np.nonzero(levels == level)[0]
+        highest = np.maximum(np.array(image.shape) - side, 0)
+        near = np.minimum(first[mine], highest)
+        far = np.clip(last[mine] - side + 1, 0, highest)
+        for rows in (near[:, 0], far[:, 0]):
+            for columns in (near[:, 1], far[:, 1]):
+                least[mine] = np.minimum(least[mine], squares[rows, columns])
+        # A square of twice the side; at the image's edge, what there is of it.
+        down = np.pad(squares, ((0, side), (0, 0)), constant_values=np.inf)[side:]
+        squares = np.minimum(squares, down)
+        across = np.pad(squares, ((0, 0), (0, side)), constant_values=np.inf)
+        squares = np.minimum(squares, across[:, side:])
+    return least
