@@ -28,12 +28,9 @@ _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=..
 def read_npy(
     path: str | os.PathLike, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
-    """The array of an NPY file: float32 stays so, other real numbers become float64.
-
-    Rows that are not finite are kept. An array of another shape, of complex numbers or
-    of objects, one with more than `max_points` rows, and a file that is cut raise an
-    InputError.
-    """
+    """The array of an NPY file: float32 stays so, other real numbers become float64. An
+    array that is not (N, 3), of complex numbers or of objects, more than `max_points`
+    rows, and a file that is cut raise an InputError."""
     data = read_bytes(path)
     try:
         return _parse(data, max_points)
@@ -44,11 +41,9 @@ def read_npy(
 def read_npz(
     path: str | os.PathLike, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
-    """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array.
-
-    Of other arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
-    InputError. Otherwise as `read_npy`.
-    """
+    """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array. Of other
+    arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
+    InputError. Otherwise as `read_npy`."""
     data = read_bytes(path)
     try:
         if data.count(_ENTRY) > MAX_MEMBERS:
@@ -62,10 +57,8 @@ def read_npz(
 def stack_columns(
     columns: Iterable[np.ndarray], stored: Iterable[np.dtype]
 ) -> Float[np.ndarray, "N 3"]:
-    """Three columns as a cloud: float32 if all were stored so, else float64.
-
-    What does not fit the type becomes infinite, without a warning.
-    """
+    """Three columns as a cloud: float32 if all were stored so, else float64. What does
+    not fit the type becomes infinite, without a warning."""
     is_single = all(dtype.kind == "f" and dtype.itemsize == 4 for dtype in stored)
     target = np.float32 if is_single else np.float64
     with np.errstate(over="ignore", invalid="ignore"):
@@ -114,9 +107,7 @@ def _read_archive(archive: zipfile.ZipFile, max_points: int) -> np.ndarray:
 
 def _parse(data: bytes, max_points: int) -> np.ndarray:
     """The cloud in an NPY file's bytes; nothing is allocated before it is known to fit.
-
-    Whatever is wrong with them raises a ValueError.
-    """
+    Whatever is wrong with them raises a ValueError."""
     header = _parse_header(data)
     if not header.is_cloud:
         raise ValueError(f"found {header}")

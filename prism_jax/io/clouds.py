@@ -33,15 +33,11 @@ READERS = {
 def read_points(
     path: str | os.PathLike, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
-    """The finite points of a cloud file, in its units and frame.
-
-    float32 where the file stores that, else float64, each value as stored. The suffix
-    says whether it is PLY, PCD, NPY, NPZ, XYZ, TXT or CSV. A malformed file, more than
-    `max_points` points and a cloud without a finite point raise an InputError. The
-    number of points is checked before memory is taken for them.
-    """
-    points, _ = read_points_counted(path, max_points)
-    return points
+    """The finite points of a cloud file, in its units and frame: PLY, PCD, NPY, NPZ,
+    XYZ, TXT or CSV by its suffix, each value as stored. A malformed file, more than
+    `max_points` points and a cloud without a finite point raise an InputError, before
+    memory is taken for what a header claims."""
+    return read_points_counted(path, max_points)[0]
 
 
 def read_points_counted(
@@ -50,11 +46,8 @@ def read_points_counted(
     """As `read_points`, with the number of points in the file, finite or not."""
     suffix = pathlib.Path(path).suffix.lower()
     if suffix not in READERS:
-        raise InputError(
-            path,
-            f"suffix {suffix!r} is not a point cloud format",
-            f"convert it to one of {' '.join(READERS)}",
-        )
+        fault = f"suffix {suffix!r} is not a point cloud format"
+        raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
     points = READERS[suffix](path, max_points)
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
@@ -72,11 +65,9 @@ def inside(
 
 
 def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) -> None:
-    """Raise an InputError about `subject` if the points cannot be completed.
-
-    They must be finite, with an extent above zero and up to 10,000 units, and at least
-    64 of them distinct.
-    """
+    """Raise an InputError about `subject` if the points cannot be completed. They must
+    be finite, with an extent above zero and up to 10,000 units, and at least 64 of them
+    distinct."""
     if len(points) == 0:
         remedy = "check the scan, and the workspace's units and frame"
         raise InputError(subject, "no points", remedy)
@@ -86,20 +77,17 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
     if extent == 0:
         raise InputError(subject, "zero extent: all points coincide", "check the scan")
     if extent > MAX_EXTENT:
-        raise InputError(
-            subject,
-            f"extent {extent:.6g} is above the limit of {MAX_EXTENT:,.0f} units",
-            "scale it to metres, or crop it to one object (--workspace)",
-        )
+        fault = f"extent {extent:.6g} is above the limit of {MAX_EXTENT:,.0f} units"
+        remedy = "scale it to metres, or crop it to one object (--workspace)"
+        raise InputError(subject, fault, remedy)
     distinct = np.unique(points[: 4 * MIN_POINTS], axis=0)
     if len(distinct) < MIN_POINTS:
         distinct = np.unique(points, axis=0)
     if len(distinct) < MIN_POINTS:
-        raise InputError(
-            subject,
-            f"only {len(distinct)} distinct points, at least {MIN_POINTS} are needed",
-            "scan more of the object, or widen the workspace (--workspace)",
-        )
+        count = len(distinct)
+        fault = f"only {count} distinct points, at least {MIN_POINTS} are needed"
+        remedy = "scan more of the object, or widen the workspace (--workspace)"
+        raise InputError(subject, fault, remedy)
 
 
 def check_in_view(

@@ -7,11 +7,9 @@ from typing import Any
 
 
 class InputError(ValueError):
-    """Input that cannot be used: one printable line with subject, fault and remedy.
-
-    The subject is a file, a flag or an argument. The launchers print the line and end
-    with exit status 2; a library caller catches it as a ``ValueError``.
-    """
+    """Input that cannot be used: one printable line with subject, fault and remedy. The
+    subject is a file, a flag or an argument. The launchers print the line and end with
+    exit status 2; a library caller catches it as a ``ValueError``."""
 
     def __init__(self, subject: str | os.PathLike, fault: str, remedy: str):
         line = f"{os.fspath(subject)}: {fault}; {remedy}"
@@ -24,6 +22,22 @@ class InputError(ValueError):
         return type(self), self._parts
 
 
+def unreadable(path: str | os.PathLike, error: Exception) -> InputError:
+    """The InputError for what the system says of reading a path."""
+    fault = f"cannot be read ({_reason(error)})"
+    return InputError(path, fault, "check the path and its permissions")
+
+
+def unwritable(path: str | os.PathLike, error: Exception) -> InputError:
+    """The InputError for what the system says of writing a file."""
+    fault = f"cannot be written ({_reason(error)})"
+    return InputError(path, fault, "choose another path, or free some space")
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
 def choose(flag: str, value: str, choices: Iterable[str]) -> str:
     """`value` if it is one of the choices; else raises InputError about the flag."""
     choices = tuple(choices)
@@ -34,10 +48,8 @@ def choose(flag: str, value: str, choices: Iterable[str]) -> str:
 
 
 def require(package: str, extra: str) -> Any:
-    """The imported package of an optional extra; InputError where it is missing.
-
-    Called where the package is used, so that nothing else needs it.
-    """
+    """The imported package of an optional extra; InputError where it is missing. Called
+    where the package is used, so that nothing else needs it."""
     try:
         return importlib.import_module(package)
     except ModuleNotFoundError as error:

@@ -62,10 +62,9 @@ def read_pcd(
 ) -> Float[np.ndarray, "N 3"]:
     """Positions as stored: float32 where x, y and z are, else float64.
 
-    Fields may come in any order, type and count. Rows that are not finite, as where an
-    organised cloud saw nothing, are kept; VIEWPOINT is not applied. A malformed or cut
-    file and one of more than `max_points` points raise an InputError; what the header
-    claims is checked before memory is taken for it.
+    Rows that are not finite, as where an organised cloud saw nothing, are kept;
+    VIEWPOINT is not applied. A malformed or cut file and one of more than `max_points`
+    points raise an InputError.
     """
     return stack_columns(*_read(path, "xyz", max_points))
 
@@ -73,11 +72,9 @@ def read_pcd(
 def read_pcd_field(
     path: str | os.PathLike, name: str, max_points: int = MAX_POINTS
 ) -> Num[np.ndarray, " N"]:
-    """One more field of every point, such as a label, in the order of `read_pcd`.
-
-    As stored; ASCII numbers are float64. A file without it, or with several values of
-    it for a point, raises InputError, as does what `read_pcd` refuses.
-    """
+    """One more field of every point, such as a label, in the order of `read_pcd`. As
+    stored; ASCII numbers are float64. A file without it, or with several values of it
+    for a point, raises InputError, as does what `read_pcd` refuses."""
     return _read(path, [name], max_points)[0][0]
 
 

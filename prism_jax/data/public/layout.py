@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from prism_jax.io.arrays import read_npy
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, unreadable
 from prism_jax.io.files import read_bytes
 from prism_jax.io.pcd import read_pcd
 
@@ -36,11 +36,9 @@ class Model(NamedTuple):
 
 
 class ListedSource:
-    """The objects of a list, each seen in `views` partial clouds.
-
-    Index i is view `i % views` of object `i // views`, in the list's order. Subclasses
-    add `__getitem__`. It holds nothing but strings, so it can be pickled.
-    """
+    """The objects of a list, each seen in `views` partial clouds. Index i is view `i %
+    views` of object `i // views`, in the list's order. Subclasses add `__getitem__`. It
+    holds nothing but strings, so it can be pickled."""
 
     def __init__(self, root: pathlib.Path, models: Sequence[Model], views: int):
         self.root = root
@@ -65,11 +63,9 @@ class ListedSource:
 def read_list(
     path: str | os.PathLike, pattern: str, form: str
 ) -> list[tuple[str, ...]]:
-    """The groups of a pattern for each line of a list file that is not blank.
-
-    A list that is missing or empty, or that has a line of another form or the same line
-    twice, raises InputError.
-    """
+    """The groups of a pattern for each line of a list file that is not blank. A list
+    that is missing or empty, or that has a line of another form or the same line twice,
+    raises InputError."""
     lines = [line.strip() for line in _read_text(path).splitlines() if line.strip()]
     matches = [re.fullmatch(pattern, line) for line in lines]
     for line, match in zip(lines, matches, strict=True):
@@ -81,11 +77,9 @@ def read_list(
 
 
 def read_json_list(path: str | os.PathLike, split: str) -> list[Model]:
-    """The objects of a split, from a category list as GRNet publishes them.
-
-    It is a JSON list of objects with `taxonomy_id`, `taxonomy_name` and, for each
-    split, a list of ids. Anything else raises InputError.
-    """
+    """The objects of a split, from a category list as GRNet publishes them. It is a
+    JSON list of objects with `taxonomy_id`, `taxonomy_name` and, for each split, a list
+    of ids. Anything else raises InputError."""
     text = _read_text(path)
     try:
         entries = json.loads(text)
@@ -103,11 +97,8 @@ def require_files(
     listed_in: str,
     layout: str,
 ) -> None:
-    """Raises InputError unless every wanted file is there: folder -> names in it.
-
-    The error counts the missing files, names the first few, and gives the published
-    layout.
-    """
+    """Raises InputError, with the first few missing files and the published layout,
+    unless every wanted file is there: folder -> names in it."""
     missing: list[tuple[str, str]] = []
     total = 0
     for folder, names in wanted.items():
@@ -117,11 +108,9 @@ def require_files(
     if missing:
         paths = [str(pathlib.PurePosixPath(*parts)) for parts in missing[:_SHOWN]]
         first = ", ".join(paths + ["..."] * (len(missing) > _SHOWN))
-        raise InputError(
-            root,
-            f"{len(missing)} of the {total} files in {listed_in} are missing: {first}",
-            f"copy the whole data set here, as {layout}",
-        )
+        fault = f"{len(missing)} of the {total} files in {listed_in} are missing"
+        remedy = f"copy the whole data set here, as {layout}"
+        raise InputError(root, f"{fault}: {first}", remedy)
 
 
 def read_cloud(
@@ -179,6 +168,4 @@ def _names_in(folder: pathlib.Path) -> set[str]:
     except (FileNotFoundError, NotADirectoryError):
         return set()
     except OSError as error:
-        raise InputError(
-            folder, f"cannot be listed ({error.strerror})", "check its permissions"
-        ) from None
+        raise unreadable(folder, error) from None

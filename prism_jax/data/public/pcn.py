@@ -25,11 +25,9 @@ TRAIN_VIEWS = 8
 
 
 class PCN(ListedSource):
-    """Eight partial clouds a model in training, one in validation and test.
-
-    Both clouds are in the model's own frame, as ShapeNet has it; the cameras are not
-    published. The list of models is `root`/`list_file`.
-    """
+    """Eight partial clouds a model in training, one in validation and test. Both clouds
+    are in the model's own frame, as ShapeNet has it; the cameras are not published. The
+    list of models is `root`/`list_file`."""
 
     def __init__(
         self, root: str | os.PathLike, split: str, list_file: str = "PCN.json"

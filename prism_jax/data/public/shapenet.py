@@ -43,14 +43,11 @@ _FORM = "a line such as 02691156-1a04e3eab45ca15dd86060f189eb133.npy"
 class ShapeNet(ListedSource):
     """Complete clouds, cropped from eight fixed viewpoints for the published test.
 
-    As PoinTr's loader does, each complete cloud is normalised: its centroid goes to the
-    origin and its farthest point to distance one. Without `difficulty` there is one
-    item a model, `partial` is None, and whoever trains crops it. With it there are
-    eight, one a viewpoint, in PoinTr's order: the share of the points nearest to
-    (+-1, +-1, +-1) is taken away, the viewpoint as it stands, not scaled to length one,
-    and what is left is not normalised again. PoinTr feeds its networks 2,048 farthest
-    points of that. The difficulty "all" has the three one after the other for each
-    model. A viewpoint of a crop is no sensor's place: `eye` is None.
+    As in PoinTr's loader, each complete cloud's centroid goes to the origin and its
+    farthest point to distance one. Without `difficulty` there is one item a model, and
+    whoever trains crops it. With it there are eight, one a viewpoint: the share of the
+    points nearest to (+-1, +-1, +-1) is taken away, and what is left is not normalised
+    again. The difficulty "all" has the three one after the other for each model.
     """
 
     def __init__(
@@ -84,11 +81,9 @@ class ShapeNet(ListedSource):
 
 
 class ProjectedShapeNet(ListedSource):
-    """Complete clouds with partial ones projected from depth images with noise.
-
-    Sixteen partials a model in training, the first alone in the test; as AdaPoinTr's
-    loader does, neither cloud is normalised. The cameras are not published.
-    """
+    """Complete clouds with partial ones projected from depth images with noise. Sixteen
+    partials a model in training, the first alone in the test; as AdaPoinTr's loader
+    does, neither cloud is normalised. The cameras are not published."""
 
     def __init__(self, subset: str, root: str | os.PathLike, split: str):
         root = pathlib.Path(root)
