@@ -25,9 +25,7 @@ CROP_VIEWPOINTS = np.array(
 
 
 def crop(
-    complete: Float[np.ndarray, "M 3"],
-    viewpoint: Float[np.ndarray, "3"],
-    share: float,
+    complete: Float[np.ndarray, "M 3"], viewpoint: Float[np.ndarray, "3"], share: float
 ) -> Float[np.ndarray, "N 3"]:
     """The cloud without the `share` of its points that is nearest to the viewpoint:
     `int(share * M)` points go; the rest keeps its order. The benchmark tests with

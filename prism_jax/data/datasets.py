@@ -2,7 +2,6 @@
 
 import dataclasses
 import inspect
-import os
 import pathlib
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -19,7 +18,7 @@ from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.files import default_cache_dir
 
 SHAPES_VERSION, OPEN_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1, 1
@@ -131,7 +130,7 @@ GENERATED = tuple(name for name, known in DATASETS.items() if known.generated)
 
 
 def open_dataset(
-    name: str, split: str, data_dir: str | os.PathLike | None = None, **options: Any
+    name: str, split: str, data_dir: StrPath | None = None, **options: Any
 ) -> Source:
     """A data set's split as a Source.
 
@@ -152,9 +151,7 @@ def open_dataset(
     return known.open(root, split, **options)
 
 
-def folder_of(
-    name: str, split: str, data_dir: str | os.PathLike | None = None
-) -> pathlib.Path:
+def folder_of(name: str, split: str, data_dir: StrPath | None = None) -> pathlib.Path:
     """Where a split lies, of a set whose splits are folders with manifests."""
     known = DATASETS[name]
     if known.splits:
@@ -162,9 +159,7 @@ def folder_of(
     return _root(name, data_dir) / str(known.folder).format(split=split)
 
 
-def digest_of(
-    name: str, split: str, data_dir: str | os.PathLike | None = None
-) -> str | None:
+def digest_of(name: str, split: str, data_dir: StrPath | None = None) -> str | None:
     """Twelve digits of a split's files (`content_digest`); None for a set that has no
     manifest."""
     if DATASETS[name].folder is None:
@@ -192,7 +187,7 @@ def validation_split(name: str) -> str:
 
 
 def validation_rows(
-    name: str, data_dir: str | os.PathLike | None = None, count: int = 200
+    name: str, data_dir: StrPath | None = None, count: int = 200
 ) -> Subset:
     """So many examples of a set's validation split, or all, evenly spaced."""
     validation = open_dataset(name, validation_split(name), data_dir)
@@ -217,7 +212,7 @@ def scored_splits(name: str) -> tuple[str, ...]:
 
 
 def open_training(
-    name: str, data_dir: str | os.PathLike | None = None, num_validation: int = 200
+    name: str, data_dir: StrPath | None = None, num_validation: int = 200
 ) -> tuple[Source, Source]:
     """What to train on, and `num_validation` examples to validate with: of a split of
     their own where the set has one, else as many objects, evenly spaced and no more
@@ -229,7 +224,7 @@ def open_training(
     return train, validation_rows(name, data_dir, num_validation)
 
 
-def parts_of(name: str, data_dir: str | os.PathLike | None = None) -> list[str]:
+def parts_of(name: str, data_dir: StrPath | None = None) -> list[str]:
     """The sets that a training on this one sees: those packed into it, or itself."""
     if name == "packed" and data_dir is not None:
         manifest = read_manifest(folder_of(name, "train", data_dir), "pack it")
@@ -242,7 +237,7 @@ def mesh_licences(name: str) -> str:
     return DATASETS[name].licence if name in DATASETS else DataSet.licence
 
 
-def _root(name: str, data_dir: str | os.PathLike | None) -> pathlib.Path:
+def _root(name: str, data_dir: StrPath | None) -> pathlib.Path:
     if data_dir is not None:
         return pathlib.Path(data_dir)
     if not DATASETS[name].generated:

@@ -2,19 +2,16 @@
 
 import hashlib
 import json
-import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-from prism_jax.io.errors import InputError, unreadable
+from prism_jax.io.errors import InputError, StrPath, unreadable
 
 MANIFEST = "manifest.json"
 
 
-def read_manifest(
-    folder: str | os.PathLike, remedy: str, **expected: Any
-) -> dict[str, Any]:
+def read_manifest(folder: StrPath, remedy: str, **expected: Any) -> dict[str, Any]:
     """The manifest of a folder that was built to its end. Where there is none, or where
     it does not have these entries, which say what version of prism_jax the reader
     understands, InputError with the remedy."""
@@ -36,7 +33,7 @@ def read_manifest(
     return manifest
 
 
-def content_digest(folder: str | os.PathLike) -> str | None:
+def content_digest(folder: StrPath) -> str | None:
     """Twelve digits that tell a folder's files from all others; None where there is no
     finished build."""
     try:

@@ -15,7 +15,6 @@ frame that has one is complete.
 
 import dataclasses
 import json
-import os
 import pathlib
 import re
 from collections.abc import Mapping
@@ -32,7 +31,7 @@ from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.io.clouds import check_cloud, inside_image
 from prism_jax.io.depth import points_from_depth, read_depth, read_grey
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import read_bytes, read_json
 from prism_jax.io.ply import read_ply
 from prism_jax.preprocessing.visibility_map import seen_among
@@ -79,7 +78,7 @@ class RecordedCells:
     labels.
     """
 
-    def __init__(self, root: str | os.PathLike, verify: bool = True):
+    def __init__(self, root: StrPath, verify: bool = True):
         self.root = pathlib.Path(root)
         found = _find_frames(self.root)
         if verify and (self.root / MANIFEST).exists():
@@ -145,7 +144,7 @@ def _category(sequence: str) -> str:
     return "robot cell" if named is None else named[1]
 
 
-def read_frame(folder: str | os.PathLike, number: int) -> Frame:
+def read_frame(folder: StrPath, number: int) -> Frame:
     """A frame of a sequence's folder. Files that do not fit each other raise
     InputError: images of another size than the camera's, another unit of depth, a
     partial cloud that lies elsewhere than the depth image, labels that do not exist."""
@@ -177,7 +176,7 @@ def frame_file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
     return frame.with_name(f"{frame.name}.{suffix}")
 
 
-def check_recordings(root: str | os.PathLike, verify: bool = True) -> int:
+def check_recordings(root: StrPath, verify: bool = True) -> int:
     """Reads every frame below a folder and returns their number. The first fault raises
     InputError with the file, what is wrong with it, and what to do about it."""
     cells = RecordedCells(root, verify)

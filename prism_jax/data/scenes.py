@@ -13,7 +13,6 @@ metres. Beside these each shard has, of S scenes of P points in all,
 """
 
 import dataclasses
-import os
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from jaxtyping import Float32, Float64, Int
 
 from prism_jax.data.shards import NAMES, Shards, restored
 from prism_jax.data.source import Example
+from prism_jax.io.errors import StrPath
 from prism_jax.preprocessing.visibility_map import seen_among
 
 TRAITS = "traits.json"
@@ -64,7 +64,7 @@ class Scenes(Shards):
     the others, or whole by `scene`. All things of a scene count as one object, since
     what holds for one of them does for another."""
 
-    def __init__(self, root: str | os.PathLike, *arguments: Any, **expected: Any):
+    def __init__(self, root: StrPath, *arguments: Any, **expected: Any):
         super().__init__(root, *arguments, **expected)
         count = len(self._starts) - 1
         frames = [self._array(shard, "frames") for shard in range(count)]

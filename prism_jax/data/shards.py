@@ -20,7 +20,6 @@ or of each complete cloud, is a file of its own, so that a later version can add
 """
 
 import json
-import os
 import pathlib
 from typing import Any
 
@@ -30,6 +29,7 @@ from jaxtyping import Bool, Float32, Int, UInt16
 from prism_jax.data.manifest import check_files, read_manifest
 from prism_jax.data.maps import decode
 from prism_jax.data.source import Example
+from prism_jax.io.errors import StrPath
 
 FORMAT_VERSION = 3
 """Raised with every change of the layout: folders of another one are refused."""
@@ -63,7 +63,7 @@ class Shards:
 
     def __init__(
         self,
-        root: str | os.PathLike,
+        root: StrPath,
         remedy: str = "write it with experiments.pack",
         **expected: Any,
     ):

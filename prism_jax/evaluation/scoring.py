@@ -14,13 +14,7 @@ from prism_jax.evaluation.metrics import Scores
 EMD_POINTS = 1024
 """The exact earth mover's distance is computed between this many farthest points."""
 
-CLOUDS = (
-    "partial",
-    "network_unadapted",
-    "network",
-    "completed_unadapted",
-    "completed",
-)
+CLOUDS = ("partial", "network_unadapted", "network", "completed_unadapted", "completed")
 """Names of the clouds that are scored, in the order in which tables list them:
 
 partial: the measured points.

@@ -2,7 +2,6 @@
 
 import io
 import math
-import os
 import warnings
 import zipfile
 from collections.abc import Iterable
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib import format as npy_format
 
+from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
@@ -25,9 +25,7 @@ _ENTRY = b"PK\1\2"  # every entry of an archive's directory starts with it
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
 
 
-def read_npy(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
-) -> Float[np.ndarray, "N 3"]:
+def read_npy(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """The array of an NPY file: float32 stays so, other real numbers become float64. An
     array that is not (N, 3), of complex numbers or of objects, more than `max_points`
     rows, and a file that is cut raise an InputError."""
@@ -38,9 +36,7 @@ def read_npy(
         raise unsound(path, "a valid NPY cloud", error, _REMEDY) from None
 
 
-def read_npz(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
-) -> Float[np.ndarray, "N 3"]:
+def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array. Of other
     arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
     InputError. Otherwise as `read_npy`."""

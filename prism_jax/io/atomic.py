@@ -8,10 +8,10 @@ import uuid
 from collections.abc import Mapping
 from typing import Any
 
-from prism_jax.io.errors import InputError, unwritable
+from prism_jax.io.errors import InputError, StrPath, unwritable
 
 
-def write_bytes(path: str | os.PathLike, data: bytes) -> None:
+def write_bytes(path: StrPath, data: bytes) -> None:
     """Write a file so that its name never stands for half of it (`write_together`)."""
     write_together({path: data})
 
@@ -45,7 +45,7 @@ def write_together(files: Mapping[Any, bytes]) -> None:
         raise unwritable(current, error) from None
 
 
-def remove_unfinished(folder: str | os.PathLike) -> None:
+def remove_unfinished(folder: StrPath) -> None:
     """Remove the temporary files that killed writers left in a folder. For a folder
     that has one writer, when it starts: it cannot tell a killed writer's files from
     those of another that is at work."""
@@ -54,7 +54,7 @@ def remove_unfinished(folder: str | os.PathLike) -> None:
         path.unlink(missing_ok=True)
 
 
-def make_output_dir(path: str | os.PathLike) -> pathlib.Path:
+def make_output_dir(path: StrPath) -> pathlib.Path:
     """Create a directory if need be, and prove that files can be written in it. Called
     before hours of work rather than after. Where it cannot be, an InputError."""
     directory = pathlib.Path(path)

@@ -1,6 +1,5 @@
 """Point clouds from files of every kind, checked and cropped."""
 
-import os
 import pathlib
 
 import numpy as np
@@ -8,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
 from prism_jax.io.arrays import read_npy, read_npz
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.pcd import read_pcd
 from prism_jax.io.ply import read_ply
@@ -31,7 +30,7 @@ READERS = {
 
 
 def read_points(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
+    path: StrPath, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
     """The finite points of a cloud file, in its units and frame: PLY, PCD, NPY, NPZ,
     XYZ, TXT or CSV by its suffix, each value as stored. A malformed file, more than
@@ -41,7 +40,7 @@ def read_points(
 
 
 def read_points_counted(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
+    path: StrPath, max_points: int = MAX_POINTS
 ) -> tuple[Float[np.ndarray, "N 3"], int]:
     """As `read_points`, with the number of points in the file, finite or not."""
     suffix = pathlib.Path(path).suffix.lower()
@@ -64,7 +63,7 @@ def inside(
     return np.all((points >= lower) & (points <= upper), axis=1)
 
 
-def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) -> None:
+def check_cloud(points: Float[np.ndarray, "N 3"], subject: StrPath) -> None:
     """Raise an InputError about `subject` if the points cannot be completed. They must
     be finite, with an extent above zero and up to 10,000 units, and at least 64 of them
     distinct."""
@@ -91,7 +90,7 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
 
 
 def check_in_view(
-    points: Float[np.ndarray, "N 3"], camera: Camera, subject: str | os.PathLike
+    points: Float[np.ndarray, "N 3"], camera: Camera, subject: StrPath
 ) -> None:
     """Raise an InputError about `subject` if the camera sees none of the points."""
     in_camera = camera.to_camera(points)

@@ -2,7 +2,6 @@
 
 import io
 import math
-import os
 import sys
 import warnings
 from typing import Any
@@ -12,14 +11,8 @@ from jaxtyping import Bool, Float, UInt
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError
-from prism_jax.io.files import (
-    MAX_POINTS,
-    check_count,
-    read_bytes,
-    read_json,
-    unsound,
-)
+from prism_jax.io.errors import InputError, StrPath
+from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, read_json, unsound
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
 
@@ -71,15 +64,13 @@ def camera_from_dict(entries: dict[str, Any]) -> Camera:
     )
 
 
-def read_camera(path: str | os.PathLike) -> Camera:
+def read_camera(path: StrPath) -> Camera:
     """The camera of a JSON file, as `camera_from_dict`; InputError if it has none."""
     return _read_camera_entries(path)[0]
 
 
 def read_depth(
-    path: str | os.PathLike,
-    camera_path: str | os.PathLike,
-    max_points: int = MAX_POINTS,
+    path: StrPath, camera_path: StrPath, max_points: int = MAX_POINTS
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
     """Depth in metres, the mask of measured pixels (not 0), and the camera. The image
     is a 16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count.
@@ -114,7 +105,7 @@ def points_from_depth(
     return points
 
 
-def _read_camera_entries(path: str | os.PathLike) -> tuple[Camera, dict[str, Any]]:
+def _read_camera_entries(path: StrPath) -> tuple[Camera, dict[str, Any]]:
     entries = read_json(path, _LAYOUT)
     try:
         return camera_from_dict(entries), entries
@@ -123,7 +114,7 @@ def _read_camera_entries(path: str | os.PathLike) -> tuple[Camera, dict[str, Any
 
 
 def read_grey(
-    path: str | os.PathLike, camera: Camera, bits: int, max_points: int = MAX_POINTS
+    path: StrPath, camera: Camera, bits: int, max_points: int = MAX_POINTS
 ) -> UInt[np.ndarray, "H W"]:
     """The pixels of a PNG of the camera's size, 8 or 16 bits each; InputError if it has
     others, or more than `max_points`, before it is unpacked."""

@@ -5,13 +5,15 @@ import os
 from collections.abc import Iterable
 from typing import Any
 
+StrPath = str | os.PathLike
+
 
 class InputError(ValueError):
     """Input that cannot be used: one printable line with subject, fault and remedy. The
     subject is a file, a flag or an argument. The launchers print the line and end with
     exit status 2; a library caller catches it as a ``ValueError``."""
 
-    def __init__(self, subject: str | os.PathLike, fault: str, remedy: str):
+    def __init__(self, subject: StrPath, fault: str, remedy: str):
         line = f"{os.fspath(subject)}: {fault}; {remedy}"
         printable = "".join(c if c.isprintable() else " " for c in line)
         super().__init__(" ".join(printable.split()))
@@ -22,13 +24,13 @@ class InputError(ValueError):
         return type(self), self._parts
 
 
-def unreadable(path: str | os.PathLike, error: Exception) -> InputError:
+def unreadable(path: StrPath, error: Exception) -> InputError:
     """The InputError for what the system says of reading a path."""
     fault = f"cannot be read ({_reason(error)})"
     return InputError(path, fault, "check the path and its permissions")
 
 
-def unwritable(path: str | os.PathLike, error: Exception) -> InputError:
+def unwritable(path: StrPath, error: Exception) -> InputError:
     """The InputError for what the system says of writing a file."""
     fault = f"cannot be written ({_reason(error)})"
     return InputError(path, fault, "choose another path, or free some space")

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from typing import Any
 
-from prism_jax.io.errors import InputError, unreadable
+from prism_jax.io.errors import InputError, StrPath, unreadable
 
 CACHE_VARIABLE = "PRISM_JAX_CACHE"
 
@@ -30,9 +30,7 @@ def check_count(count: int, max_points: int, what: str = "points") -> None:
         raise TooManyError(f"{count:,} {what} exceed the limit of {max_points:,}")
 
 
-def unsound(
-    path: str | os.PathLike, kind: str, error: Exception, remedy: str
-) -> InputError:
+def unsound(path: StrPath, kind: str, error: Exception, remedy: str) -> InputError:
     """The InputError for what a parser of one kind of file raised."""
     if isinstance(error, TooManyError):
         remedy = "crop or thin it, or raise --max_points"
@@ -40,7 +38,7 @@ def unsound(
     return InputError(path, f"not {kind}: {error}", remedy)
 
 
-def read_bytes(path: str | os.PathLike) -> bytes:
+def read_bytes(path: StrPath) -> bytes:
     """All bytes of a regular file; InputError where it cannot be read, is empty, or is
     too large."""
     try:
@@ -63,7 +61,7 @@ def read_bytes(path: str | os.PathLike) -> bytes:
     return data
 
 
-def read_json(path: str | os.PathLike, remedy: str) -> dict[str, Any]:
+def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
     """The JSON object that a file holds; InputError, with the remedy, where it holds
     anything else, and as for `read_bytes`."""
     data = read_bytes(path)

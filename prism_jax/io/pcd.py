@@ -6,7 +6,6 @@ header's sizes.
 """
 
 import io
-import os
 import struct
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prism_jax.io.arrays import stack_columns
+from prism_jax.io.errors import StrPath
 from prism_jax.io.files import (
     MAX_FILE_BYTES,
     MAX_POINTS,
@@ -57,9 +57,7 @@ class _Header(NamedTuple):
         return [known.index(name) for name in names]
 
 
-def read_pcd(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
-) -> Float[np.ndarray, "N 3"]:
+def read_pcd(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """Positions as stored: float32 where x, y and z are, else float64.
 
     Rows that are not finite, as where an organised cloud saw nothing, are kept;
@@ -70,7 +68,7 @@ def read_pcd(
 
 
 def read_pcd_field(
-    path: str | os.PathLike, name: str, max_points: int = MAX_POINTS
+    path: StrPath, name: str, max_points: int = MAX_POINTS
 ) -> Num[np.ndarray, " N"]:
     """One more field of every point, such as a label, in the order of `read_pcd`. As
     stored; ASCII numbers are float64. A file without it, or with several values of it
@@ -79,7 +77,7 @@ def read_pcd_field(
 
 
 def _read(
-    path: str | os.PathLike, names: Sequence[str], max_points: int
+    path: StrPath, names: Sequence[str], max_points: int
 ) -> tuple[list[np.ndarray], list[np.dtype]]:
     """The columns of these fields, and the types that they are declared with."""
     data = read_bytes(path)

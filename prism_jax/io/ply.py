@@ -5,7 +5,6 @@ The format is Greg Turk's, "The PLY Polygon File Format" (1994).
 
 import io
 import itertools
-import os
 import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from prism_jax.io import atomic
 from prism_jax.io.arrays import stack_columns
+from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 from prism_jax.io.text import parse_rows
 
@@ -38,9 +38,7 @@ _SHORT = "the file is truncated"
 _REMEDY = "export it again as a PLY point cloud"
 
 
-def read_ply(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
-) -> Float[np.ndarray, "N 3"]:
+def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """Vertex positions as stored: float32 where the file says float, else float64.
 
     Elements before the vertices are skipped; what comes after is not looked at. Rows
@@ -73,7 +71,7 @@ def read_ply(
 
 
 def write_ply(
-    path: str | os.PathLike,
+    path: StrPath,
     points: Float[np.ndarray, "M 3"],
     labels: Bool[np.ndarray, " M"] | None = None,
 ) -> None:

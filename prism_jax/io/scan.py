@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import os
 import pathlib
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_points_counted
 from prism_jax.io.depth import points_from_depth, read_camera, read_depth
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import MAX_POINTS
 
 CAMERA_FRAME_DEGREES = 10.0
@@ -42,8 +41,8 @@ class Scan:
 
 
 def read_scan(
-    path: str | os.PathLike,
-    camera_path: str | os.PathLike | None = None,
+    path: StrPath,
+    camera_path: StrPath | None = None,
     bounds: Bounds | None = None,
     max_points: int = MAX_POINTS,
 ) -> Scan:
@@ -79,14 +78,14 @@ def read_scan(
 
 
 def crop(
-    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: str | os.PathLike
+    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
 ) -> Float[np.ndarray, "K 3"]:
     """The points inside the bounds; InputError about `subject` if there are none."""
     return parted(points, bounds, subject)[0]
 
 
 def parted(
-    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: str | os.PathLike
+    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "R 3"] | None]:
     """As `crop`, and the points outside; None of these without bounds."""
     if bounds is None:

@@ -2,21 +2,19 @@
 
 import io
 import itertools
-import os
 import warnings
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 _REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
 
 
-def read_text(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
-) -> Float[np.ndarray, "N 3"]:
+def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """Positions, float64, from lines of numbers with commas, semicolons, tabs or blanks
     between them; blank lines and those that start with '#' or '//' are skipped.
 

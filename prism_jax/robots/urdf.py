@@ -9,7 +9,6 @@ The extra `robots` reads the XML and the meshes; it is imported when a robot is 
 """
 
 import io
-import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
-from prism_jax.io.errors import InputError, require
+from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.robots.packages import named_file
 from prism_jax.robots.xacro import plain_urdf, robot_xml
 
@@ -42,7 +41,7 @@ class Linkage:
 
     def __init__(
         self,
-        path: str | os.PathLike,
+        path: StrPath,
         root: str | None = None,
         mount: Float[np.ndarray, "4 4"] | None = None,
         tools: Mapping[str, Any] | None = None,

@@ -7,7 +7,6 @@ with the corners of the car's box. Points and corners are in the scanner's frame
 metres: x forward, y left, z up, the scanner at the origin.
 """
 
-import os
 import pathlib
 
 import numpy as np
@@ -21,7 +20,7 @@ from prism_jax.data.public.layout import (
     sound_cloud,
 )
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.text import read_text
 
 SPLITS = ("test",)
@@ -32,10 +31,7 @@ class KITTI(ListedSource):
     `eye` is the scanner's position in that frame. The list is `root`/`list_file`."""
 
     def __init__(
-        self,
-        root: str | os.PathLike,
-        split: str = "test",
-        list_file: str = "KITTI.json",
+        self, root: StrPath, split: str = "test", list_file: str = "KITTI.json"
     ):
         root = pathlib.Path(root)
         choose("split", split, SPLITS)
@@ -78,7 +74,7 @@ def to_box_frame(
     return np.stack([forward, z, left], axis=1) / length
 
 
-def read_corners(path: str | os.PathLike) -> Float64[np.ndarray, "8 3"]:
+def read_corners(path: StrPath) -> Float64[np.ndarray, "8 3"]:
     """The corners of a car's box, in the scanner's frame; InputError of anything else.
     From corner 0 edges lead to 1, 3 and 4, and that to 3 is the heading."""
     corners = read_text(path)

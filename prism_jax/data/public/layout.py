@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from prism_jax.io.arrays import read_npy
-from prism_jax.io.errors import InputError, unreadable
+from prism_jax.io.errors import InputError, StrPath, unreadable
 from prism_jax.io.files import read_bytes
 from prism_jax.io.pcd import read_pcd
 
@@ -60,9 +60,7 @@ class ListedSource:
         return self.models[number], view
 
 
-def read_list(
-    path: str | os.PathLike, pattern: str, form: str
-) -> list[tuple[str, ...]]:
+def read_list(path: StrPath, pattern: str, form: str) -> list[tuple[str, ...]]:
     """The groups of a pattern for each line of a list file that is not blank. A list
     that is missing or empty, or that has a line of another form or the same line twice,
     raises InputError."""
@@ -76,7 +74,7 @@ def read_list(
     return [match.groups() for match in matches if match]
 
 
-def read_json_list(path: str | os.PathLike, split: str) -> list[Model]:
+def read_json_list(path: StrPath, split: str) -> list[Model]:
     """The objects of a split, from a category list as GRNet publishes them. It is a
     JSON list of objects with `taxonomy_id`, `taxonomy_name` and, for each split, a list
     of ids. Anything else raises InputError."""
@@ -92,10 +90,7 @@ def read_json_list(path: str | os.PathLike, split: str) -> list[Model]:
 
 
 def require_files(
-    root: pathlib.Path,
-    wanted: Mapping[str, Sequence[str]],
-    listed_in: str,
-    layout: str,
+    root: pathlib.Path, wanted: Mapping[str, Sequence[str]], listed_in: str, layout: str
 ) -> None:
     """Raises InputError, with the first few missing files and the published layout,
     unless every wanted file is there: folder -> names in it."""
@@ -121,7 +116,7 @@ def read_cloud(
 
 
 def sound_cloud(
-    points: np.ndarray, subject: str | os.PathLike, num_points: int | None = None
+    points: np.ndarray, subject: StrPath, num_points: int | None = None
 ) -> Float32[np.ndarray, "N 3"]:
     """The points as float32; another shape or count, or a NaN, raises InputError."""
     is_cloud = points.ndim == 2 and points.shape[1] == 3 and len(points) > 0
@@ -138,7 +133,7 @@ def sound_cloud(
     return cloud
 
 
-def _read_text(path: str | os.PathLike) -> str:
+def _read_text(path: StrPath) -> str:
     try:
         return read_bytes(path).decode()
     except UnicodeDecodeError:
@@ -155,7 +150,7 @@ def _models(entry: dict[str, Any], split: str) -> Iterator[Model]:
         yield Model(name, folder, item)
 
 
-def _refuse_doubles(path: str | os.PathLike, entries: Sequence[object]) -> None:
+def _refuse_doubles(path: StrPath, entries: Sequence[object]) -> None:
     if not entries:
         raise InputError(path, "no objects listed", _TAKE_LIST)
     if len(set(entries)) < len(entries):

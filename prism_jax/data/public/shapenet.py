@@ -8,7 +8,6 @@ Projected_<subset>_noise/, of names with shapenet_pc/ before them, and
 projected_partial_noise/<synset>/<model>/models/<0 to 15>.pcd.
 """
 
-import os
 import pathlib
 
 import numpy as np
@@ -24,7 +23,7 @@ from prism_jax.data.public.layout import (
 )
 from prism_jax.data.public.synsets import SYNSETS
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError, StrPath, choose
 
 SUBSETS = {
     "ShapeNet-55": ("train", "test"),
@@ -51,11 +50,7 @@ class ShapeNet(ListedSource):
     """
 
     def __init__(
-        self,
-        subset: str,
-        root: str | os.PathLike,
-        split: str,
-        difficulty: str | None = None,
+        self, subset: str, root: StrPath, split: str, difficulty: str | None = None
     ):
         root = pathlib.Path(root)
         self.difficulties: tuple[str, ...] = ()
@@ -85,7 +80,7 @@ class ProjectedShapeNet(ListedSource):
     partials a model in training, the first alone in the test; as AdaPoinTr's loader
     does, neither cloud is normalised. The cameras are not published."""
 
-    def __init__(self, subset: str, root: str | os.PathLike, split: str):
+    def __init__(self, subset: str, root: StrPath, split: str):
         root = pathlib.Path(root)
         models = _read_models(root, split, subset, f"Projected_{subset}_noise")
         views = TRAIN_PROJECTIONS if split == "train" else 1

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath
 
 Tell = Callable[[str], None]  # takes one line for the user
 
@@ -90,7 +90,7 @@ class Stream(abc.ABC):
     camera: Camera | None = None
     joints: Joints | None = None
 
-    def __init__(self, path: str | os.PathLike, tell: Tell | None = None):
+    def __init__(self, path: StrPath, tell: Tell | None = None):
         self.path = os.fspath(path)
         self.remarks: Counter[str] = Counter()
         self._tell = tell or functools.partial(print, file=sys.stderr, flush=True)
@@ -160,7 +160,7 @@ class Stream(abc.ABC):
 
 
 def chosen_topic(
-    path: str | os.PathLike,
+    path: StrPath,
     topic: str | None,
     fitting: Collection[str],
     content: str,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from prism_jax.io.errors import require, unwritable
+from prism_jax.io.errors import StrPath, require, unwritable
 from prism_jax.io.streams.packed import EXTRA
 
 _STAMP, _HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
@@ -23,7 +23,7 @@ class McapOutput:
     `close` its name ends in `.part.mcap`: what a killed program leaves there can be
     read up to the last whole message, and an older file of the name is still whole."""
 
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: StrPath):
         writer = require("mcap.writer", EXTRA)
         types = require("rosbags.typesys", EXTRA)
         self._store = types.get_typestore(types.Stores.ROS2_HUMBLE)

@@ -2,12 +2,11 @@
 
 import abc
 import contextlib
-import os
 import pathlib
 from collections.abc import Collection, Iterator
 from typing import BinaryIO, NamedTuple
 
-from prism_jax.io.errors import InputError, unreadable
+from prism_jax.io.errors import InputError, StrPath, unreadable
 
 
 class Topic(NamedTuple):
@@ -34,7 +33,7 @@ class CutError(ValueError):
 class MessageFile(abc.ABC):
     """One file of messages. What is no such file at all raises InputError."""
 
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: StrPath):
         self.path = pathlib.Path(path)
 
     @abc.abstractmethod

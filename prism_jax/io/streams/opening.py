@@ -1,11 +1,10 @@
 """Which format a recording has, by its name."""
 
-import os
 import pathlib
 from collections.abc import Callable
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError, unreadable
+from prism_jax.io.errors import InputError, StrPath, unreadable
 from prism_jax.io.streams.bag import BagFile
 from prism_jax.io.streams.db3 import Db3File
 from prism_jax.io.streams.folders import (
@@ -30,7 +29,7 @@ SUFFIXES = (*MESSAGES, *OUSTER)
 
 
 def open_stream(
-    path: str | os.PathLike,
+    path: StrPath,
     topic: str | None = None,
     camera: Camera | None = None,
     tell: Tell | None = None,
@@ -51,7 +50,7 @@ def open_stream(
     return stream
 
 
-def is_stream(path: str | os.PathLike) -> bool:
+def is_stream(path: StrPath) -> bool:
     """Whether a name is a recording's and no scan's: a folder, or by its suffix."""
     place = pathlib.Path(path)
     return place.is_dir() or place.suffix.lower() in SUFFIXES

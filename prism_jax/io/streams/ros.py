@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import os
 import posixpath
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -15,7 +14,7 @@ from jaxtyping import Float
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.arrays import stack_columns
 from prism_jax.io.depth import camera_from_dict
-from prism_jax.io.errors import InputError, require
+from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
@@ -45,7 +44,7 @@ class RosStream(Stream):
 
     def __init__(
         self,
-        path: str | os.PathLike,
+        path: StrPath,
         files: Sequence[MessageFile],
         topic: str | None = None,
         camera: Camera | None = None,
