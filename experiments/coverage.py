@@ -43,16 +43,14 @@ from prism_jax.envelope.calibration import (
     conformal_margin,
     coverage_interval,
 )
+from prism_jax.envelope.carving import carve, view_of_cloud, view_of_depth
 from prism_jax.envelope.distance import Surfaces
 from prism_jax.envelope.robot import of_robot, on_triangles
 from prism_jax.envelope.surfaces import FLOOR, Method, see, thinned
 from prism_jax.envelope.voxels import (
     FREE,
     Grid,
-    carve,
     label,
-    view_of_cloud,
-    view_of_depth,
 )
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera

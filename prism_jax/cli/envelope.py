@@ -38,6 +38,7 @@ from prism_jax.cli.stream import (
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.envelope import NOTICE
 from prism_jax.envelope.calibration import conformal_margin, read_calibration
+from prism_jax.envelope.carving import Carving
 from prism_jax.envelope.files import (
     NAMES,
     distances_summary,
@@ -48,7 +49,7 @@ from prism_jax.envelope.recorded import calibrate_on
 from prism_jax.envelope.robot import joints_from_dict, robot_surface
 from prism_jax.envelope.separation import read_terms, separation
 from prism_jax.envelope.surfaces import Method, sensor_name
-from prism_jax.envelope.voxels import VOXEL, Carving
+from prism_jax.envelope.voxels import VOXEL
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
@@ -109,15 +110,16 @@ def define_flags() -> None:
     flags.DEFINE_float(
         "carving_margin",
         _CARVING.margin,
-        "A voxel is free if the measured surface is at least this far behind it ...",
+        "A voxel is free only if everything measured there is at least this far behind "
+        "it, and behind a body of --smallest_body: errors of depths and of the pose.",
         lower_bound=0.0,
     )
     flags.DEFINE_float(
-        "carving_share",
-        _CARVING.share,
-        "... in at least this share of the pixels that it covers.",
-        lower_bound=0.0,
-        upper_bound=1.0,
+        "smallest_body",
+        _CARVING.body,
+        "Diameter of the smallest ball that free space must not hold, in input units. "
+        "Sparse sensors prove nothing free for small ones: see docs/envelope.md.",
+        lower_bound=1e-3,
     )
     flags.DEFINE_enum(
         "objects",
@@ -219,7 +221,7 @@ def envelope_of(source: str) -> dict[str, Any]:
     calibration = read_calibration(FLAGS.calibration, runs)
     alpha = calibration.alpha if FLAGS.alpha is None else FLAGS.alpha
     margin = calibration.margin(alpha, FLAGS.scaled)
-    carving = Carving(FLAGS.carving_margin, FLAGS.carving_share)
+    carving = Carving(FLAGS.carving_margin, FLAGS.smallest_body)
     about = {
         "notice": NOTICE,
         "prism_jax": software(),

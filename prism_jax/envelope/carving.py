@@ -10,10 +10,15 @@ from scipy import ndimage
 
 from prism_jax.envelope.voxels import Grid
 from prism_jax.geometry.camera import MIN_DEPTH, Camera, Vector
+from prism_jax.io.errors import InputError
 
 MAX_CELLS = 8_000_000  # of a range image: a finer one is not made
 
 LEVELS = 5  # range images that are made of a cloud, each twice as coarse as the last
+
+AGREE = 0.5  # of a scan's points lie on the surface of its depth image
+
+CONFLICTS = 0.01  # of the voxels with measured points may be called free, at most
 
 BESIDE = 32  # cells of them beside the voxels, for holes that reach beyond
 
@@ -135,6 +140,40 @@ def carve(
     Grid and view are in one frame and unit; NumPy, not differentiable.
     """
     return view.carve(grid, carving)
+
+
+def check_agreement(
+    view: View, points: Float[np.ndarray, "N 3"], carving: Carving
+) -> None:
+    """Raises InputError if less than half of a scan's points lie on the surface of its
+    depth image, within the carving margin."""
+    if not isinstance(view, DepthView) or len(points) == 0:
+        return
+    pixel, z = map(np.asarray, view.camera.pixel_of(np.asarray(points, np.float64)))
+    depth = np.append(view.depth.ravel(), np.inf)[np.minimum(pixel, view.depth.size)]
+    agree = float((np.abs(depth - z) <= carving.margin).mean())
+    if agree < AGREE:
+        fault = (
+            f"only {agree:.0%} of the scan's points lie on the depth image's surface"
+        )
+        remedy = "check the camera's pose, depth_scale, and the units of both"
+        raise InputError("--depth", fault, remedy)
+
+
+def check_conflicts(
+    grid: Grid, free: Bool[np.ndarray, "X Y Z"], measured: Float[np.ndarray, "N 3"]
+) -> None:
+    """Raises InputError if over a hundredth of the voxels that hold a measured point
+    are called free: the rays and the points do not belong together."""
+    index = grid.index_of(measured)
+    held = np.unique(index[index >= 0])
+    wrong = int(free.ravel()[held].sum())
+    if wrong > CONFLICTS * len(held):
+        fault = (
+            f"{wrong:,} of {len(held):,} voxels with measured points are called free"
+        )
+        remedy = "check the sensor's position, its pose, and the units"
+        raise InputError("the view", fault, remedy)
 
 
 def proven(

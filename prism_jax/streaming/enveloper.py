@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax.envelope.distance import Distances, Envelope
-from prism_jax.envelope.robot import of_robot
-from prism_jax.envelope.surfaces import Method, Seen, see
-from prism_jax.envelope.voxels import (
-    VOXEL,
+from prism_jax.envelope.carving import (
     Carving,
-    Grid,
+    View,
     carve,
-    label,
+    check_agreement,
+    check_conflicts,
     view_of_cloud,
     view_of_depth,
 )
+from prism_jax.envelope.distance import Distances, Envelope
+from prism_jax.envelope.robot import of_robot
+from prism_jax.envelope.surfaces import Method, Seen, see
+from prism_jax.envelope.voxels import VOXEL, Grid, label
 from prism_jax.geometry.camera import Camera, Vector
-from prism_jax.geometry.visibility import Visibility
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.frame import Frame
 from prism_jax.streaming.observer import FrameObserver
@@ -142,11 +142,13 @@ class FrameEnveloper(FrameObserver):
             reach = surfaces.reach(self.margin) + AROUND * self.voxel
             grid = Grid.over(held.min(0) - reach, held.max(0) + reach, self.voxel)
         free = np.zeros(grid.shape, bool)
-        view = self._view(scan)
-        if view is not None:
-            free = carve(grid, view, self.carving)
         own = of_robot(scan.everything, seen.robot, self.method.robot_margin)
         measured = scan.everything[~own]
+        view = _view(scan)
+        if view is not None:
+            check_agreement(view, scan.points, self.carving)
+            free = carve(grid, view, self.carving)
+            check_conflicts(grid, free, scan.everything)
         state = label(grid, free, measured, seen.predicted, seen.robot)
         envelope = Envelope(grid, state, surfaces, self.margin)
         asked = self.asked
@@ -156,12 +158,11 @@ class FrameEnveloper(FrameObserver):
         seconds = {"complete": completed - start, "envelope": done - completed}
         return MadeEnvelope(scan, seen, envelope, query, seconds)
 
-    def _view(self, scan: Scanned) -> Visibility | None:
-        """What the sensor knows, by its depth image or by its cloud, if its place is
-        known."""
-        if scan.camera is None:
-            return None
-        if scan.depth is not None:
-            return view_of_depth(scan.depth, scan.depth > 0, scan.camera)
-        place = np.asarray(scan.camera.position)
-        return view_of_cloud(scan.everything, place, self.method.background)
+
+def _view(scan: Scanned) -> View | None:
+    """The rays that the sensor measured, if its place is known."""
+    if scan.camera is None:
+        return None
+    if scan.depth is not None:
+        return view_of_depth(scan.depth, scan.depth > 0, scan.camera)
+    return view_of_cloud(scan.everything, np.asarray(scan.camera.position))
