@@ -26,13 +26,13 @@ class Augmentation:
     jitter: float = 0.0
 
     def __post_init__(self):
-        shares = {"crop": self.crop, "thin": self.thin}
-        shares |= dict(zip(("least", "most"), self.crop_shares, strict=True))
-        for name, share in shares.items():
+        least, most = self.crop_shares
+        for name, share in {"crop": self.crop, "thin": self.thin}.items():
             if not 0 <= share <= 1:
                 raise InputError(name, f"{share} is out of range", "choose 0 to 1")
-        if self.crop_shares[0] > self.crop_shares[1] or self.crop_shares[1] == 1:
-            raise InputError("crop_shares", "must increase and be < 1", "choose others")
+        if not 0 <= least <= most < 1:
+            remedy = "choose increasing shares from 0 to below 1"
+            raise InputError("crop_shares", f"{least} to {most}", remedy)
         if self.fewest < 1 or not 0 <= self.jitter < np.inf:
             fault = f"fewest {self.fewest}, jitter {self.jitter}"
             raise InputError("augmentation", fault, "use fewest >= 1 and jitter >= 0")

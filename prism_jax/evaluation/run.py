@@ -37,16 +37,11 @@ from prism_jax.preprocessing.observation import observe
 
 
 class Predictions(NamedTuple):
-    """What a completer returns for a batch, in the unit workspace.
+    """What a completer returns for a batch, in the unit workspace."""
 
-    Attributes:
-      network: the points that are scored.
-      network_unadapted: the same without test-time adaptation; None if the completer
-        does not adapt.
-      accepted: whether the adaptation of each example was accepted; None likewise.
-    """
-
-    network: Float[Array | np.ndarray, "B P 3"]
+    network: Float[Array | np.ndarray, "B P 3"]  # the points that are scored
+    # The same without test-time adaptation, and whether it was accepted for each; None
+    # if the completer does not adapt.
     network_unadapted: Float[Array | np.ndarray, "B P 3"] | None = None
     accepted: Bool[Array | np.ndarray, " B"] | None = None
 

@@ -1,6 +1,7 @@
 """What frames hold for completing, whatever is made of them."""
 
 import abc
+import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ class Observed(NamedTuple):
     around: Float[np.ndarray, "S 3"] | None
 
 
+@dataclasses.dataclass(kw_only=True, eq=False)
 class FrameObserver(abc.ABC):
     """Frames of one sensor as scans, whatever is made of each.
 
@@ -36,18 +38,10 @@ class FrameObserver(abc.ABC):
     joints put it are cut out.
     """
 
-    def __init__(
-        self,
-        *,
-        bounds: Bounds | None = None,
-        up: str | Vector | None = None,
-        robot: Linkage | None = None,
-        robot_margin: float = MARGIN,
-    ):
-        self.bounds = bounds
-        self.up = up
-        self.robot = robot
-        self.robot_margin = robot_margin
+    bounds: Bounds | None = None
+    up: str | Vector | None = None
+    robot: Linkage | None = None
+    robot_margin: float = MARGIN
 
     @abc.abstractmethod
     def complete(self, frame: Frame) -> Any:
