@@ -31,9 +31,8 @@ from prism_jax.evaluation.protocol import (
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view, observe
 
 
 class Predictions(NamedTuple):
@@ -59,7 +58,7 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     adapt = make_adapt(config)
 
     def one(variables: Variables, partial: Array, eye: Array, known: Any):
-        camera = observe(partial, eye, Workspace.unit()).camera
+        camera = framed_view(partial, eye)
         done = adapt(variables, partial, camera, known)
         if config.adapt.num_steps == 0:
             return done.points, None, None
@@ -186,7 +185,7 @@ def scored_clouds(
         network = np.asarray(output, np.float64)
         clouds[f"network{suffix}"] = from_workspace(network)
         if protocol.with_measured:
-            new, _ = added_points(
+            new, *_ = added_points(
                 network,
                 measured,
                 partial,
