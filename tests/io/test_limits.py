@@ -1,6 +1,7 @@
 """Small files that claim much, and damaged files of every kind: one line, soon."""
 
 import json
+import shutil
 import struct
 import time
 import tracemalloc
@@ -73,20 +74,10 @@ def write_huge(path, kind):
 
 @pytest.mark.parametrize(
     "kind",
-    [
-        "npy",
-        "npz",
-        "ascii.pcd",
-        "binary.pcd",
-        "binary_compressed.pcd",
-        "vertices.ply",
-        "lists.ply",
-        "png",
-    ],
+    ["npy", "npz", "ascii.pcd", "binary.pcd", "binary_compressed.pcd"]
+    + ["vertices.ply", "lists.ply", "png"],
 )
-def test_a_small_file_that_claims_much_is_refused_before_memory_is_taken(
-    tmp_path, kind
-):
+def test_a_small_file_that_claims_much_takes_no_memory(tmp_path, kind):
     path = tmp_path / f"scan.{kind}"
     write_huge(path, kind)
     tracemalloc.start()
@@ -102,23 +93,15 @@ def test_a_small_file_that_claims_much_is_refused_before_memory_is_taken(
         read_scan(path, max_points=HUGE)
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz", ".xyz", ".ply"])
-def test_max_points_is_a_limit_of_every_kind_of_cloud(tmp_path, suffix):
-    path = tmp_path / f"scan{suffix}"
-    match suffix:
-        case ".npy":
-            np.save(path, POINTS)
-        case ".npz":
-            np.savez(path, points=POINTS)
-        case ".xyz":
-            np.savetxt(path, POINTS)
-        case ".ply":
-            write_ply(path, POINTS)
-    assert len(read_points(path, max_points=100)) == 100
-    with pytest.raises(
-        InputError, match=r": 100 \w+ exceed the limit of 99; .*max_points"
-    ):
-        read_points(path, max_points=99)
+def test_max_points_is_a_limit_of_every_kind_of_cloud(tmp_path):
+    for path in whole_files(tmp_path):
+        if path.suffix in (".json", ".png", ".csv"):
+            continue
+        assert len(read_points(path, max_points=100)) == 100
+        with pytest.raises(
+            InputError, match=r": 100 \w+ exceed the limit of 99; .*max_points"
+        ):
+            read_points(path, max_points=99)
 
 
 def test_an_archive_of_many_arrays_is_refused_at_once(tmp_path):
@@ -202,30 +185,22 @@ def test_whatever_is_damaged_is_one_line_within_a_second(tmp_path):
     """Some damage is not noticed, since numbers stay numbers. No memory is taken."""
     rng = np.random.default_rng(0)
     (tmp_path / "whole").mkdir()
-    (tmp_path / "l.json").touch()
     refused = 0
     for whole in whole_files(tmp_path / "whole"):
-        data = whole.read_bytes()
-        scan = tmp_path / whole.name
-        is_camera = whole.suffix == ".json"
-        if not is_camera:
-            read_scan(whole)
-        for _ in range(60):
-            scan.write_bytes(damage(data, rng))
-            if is_camera:
-                (tmp_path / "l.png").write_bytes(whole.with_suffix(".png").read_bytes())
-            else:
-                (tmp_path / "l.json").write_bytes(
-                    (tmp_path / "whole/l.json").read_bytes()
-                )
+        shutil.copytree(tmp_path / "whole", tmp_path, dirs_exist_ok=True)
+        damaged = tmp_path / whole.name
+        scan = damaged.with_suffix(".png") if whole.suffix == ".json" else damaged
+        read_scan(scan)
+        for _ in range(40):
+            damaged.write_bytes(damage(whole.read_bytes(), rng))
             started = time.process_time()
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 try:
-                    read_scan(scan.with_suffix(".png") if is_camera else scan)
+                    read_scan(scan)
                 except InputError as error:
                     refused += 1
                     assert str(error).isprintable()
                     assert len(str(error)) < 1000
             assert time.process_time() - started < 1
-    assert refused > 300
+    assert refused > 200

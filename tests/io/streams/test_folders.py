@@ -10,7 +10,6 @@ from PIL import Image
 
 from prism_jax.assets import asset
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.io.clouds import read_points
 from prism_jax.io.depth import camera_to_dict, points_from_depth, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.ply import write_ply
@@ -30,6 +29,7 @@ def test_clouds_by_the_numbers_in_their_names(tmp_path):
     frames = list(stream)
     for frame, number in zip(frames, (9, 10, 11, 100), strict=True):
         np.testing.assert_array_equal(frame.points, POINTS + number)
+        assert frame.points.dtype == np.float32
     assert [frame.timestamp for frame in frames] == [0, 10**8, 2 * 10**8, 3 * 10**8]
 
 
@@ -114,13 +114,6 @@ def test_what_cannot_be_a_stream_is_one_line(tmp_path):
     Image.fromarray(np.ones((4, 4), np.uint16)).save(tmp_path / "depth.png")
     with pytest.raises(InputError, match="folder mixes 1 clouds and 1 images"):
         open_stream(tmp_path)
-
-
-def test_a_cloud_is_what_read_points_gives(tmp_path):
-    np.savetxt(tmp_path / "a.xyz", POINTS)
-    (frame,) = open_stream(tmp_path)
-    np.testing.assert_array_equal(frame.points, read_points(tmp_path / "a.xyz"))
-    assert frame.points.dtype == np.float64
 
 
 def test_recordings_tell_their_joints_if_asked(tmp_path):

@@ -12,9 +12,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import read_points
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams import open_stream
-from prism_jax.io.streams.mcap_output import (
-    McapOutput,
-)
+from prism_jax.io.streams.mcap_output import McapOutput
 from prism_jax.io.streams.sinks import TOPIC, Labelled, open_sink
 
 highlevel = pytest.importorskip("rosbags.highlevel")

@@ -73,15 +73,15 @@ def seen(things, eye=EYE, shape=(120, 160), noise=0.001, seed=0):
     down = (rows - shape[0] / 2) / shape[1]
     rays = forward + np.outer(across, right) + np.outer(down, np.cross(forward, right))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return measured(things, eye, rays, noise, rng)
+
+
+def measured(things, eye, rays, noise, rng, farthest=np.inf):
     ranges = np.stack([thing(eye, rays) for thing in things])
     nearest = ranges.min(axis=0)
-    hit = np.isfinite(nearest)
-    ranges = (nearest + noise * rng.normal(size=len(rays)))[hit]
-    return eye + ranges[:, None] * rays[hit], ranges_of(things, eye, rays)[hit]
-
-
-def ranges_of(things, eye, rays):
-    return np.argmin([thing(eye, rays) for thing in things], axis=0)
+    hit = nearest < farthest
+    noisy = nearest[hit] + noise * rng.normal(size=hit.sum())
+    return eye + noisy[:, None] * rays[hit], ranges.argmin(axis=0)[hit]
 
 
 def overlaps(labels, found, first=1):
@@ -107,50 +107,48 @@ THINGS = [
 
 @pytest.fixture(scope="module")
 def tabletop():
-    return seen(THINGS)
+    points, labels = seen(THINGS)
+    return points, labels, split_scene(points, "z", EYE)
 
 
-@pytest.mark.parametrize("unit", [1, 1000])
-@pytest.mark.parametrize("origin", [np.zeros(3), np.array([5e5, 5.4e6, 300])])
-def test_a_tabletop(tabletop, unit, origin):
-    points, labels = tabletop
-    points, eye = unit * points @ TURN.T + origin, unit * TURN @ EYE + origin
+def test_a_tabletop(tabletop):
+    """Tilted, in millimetres and far from the origin."""
+    points, labels, _ = tabletop
+    origin = np.array([5e5, 5.4e6, 300])
+    points, eye = 1000 * points @ TURN.T + origin, 1000 * TURN @ EYE + origin
     scene = split_scene(points, find_up(points, eye).vector, eye)
     assert len(scene.num_points) == 4
     assert min(overlaps(labels, scene.object)) > 0.85
     assert ((scene.object == SUPPORT) == (labels == 0)).mean() > 0.98
-    normal = TURN @ [0, 0, 1]
     assert len(scene.planes) == 1
-    assert scene.planes[0].normal @ normal > 0.9999
-    assert scene.planes[0].tolerance == pytest.approx(unit * 0.003, rel=0.6)
+    assert scene.planes[0].normal @ TURN @ [0, 0, 1] > 0.9999
+    assert scene.planes[0].tolerance == pytest.approx(1000 * 0.003, rel=0.6)
 
 
 def test_counts_and_order(tabletop):
-    points, _ = tabletop
-    scene = split_scene(points, "z", EYE)
-    numbers = np.arange(len(scene.num_points))
-    counted = tuple((scene.object == number).sum() for number in numbers)
+    points, labels, scene = tabletop
+    assert min(overlaps(labels, scene.object)) > 0.85
+    counted = tuple((scene.object == number).sum() for number in range(4))
     assert scene.num_points == counted
     assert sorted(counted, reverse=True) == list(counted)
     assert scene.num_support == (scene.object == SUPPORT).sum()
     assert scene.num_left_over == (scene.object == LEFT_OVER).sum()
     assert sum(counted) + scene.num_support + scene.num_left_over == len(points)
+    again = split_scene(points.copy(), "z", EYE)
+    assert np.array_equal(again.object, scene.object)
 
 
-def test_the_same_points_give_the_same_scene(tabletop):
-    points, _ = tabletop
-    one, other = split_scene(points, "z", EYE), split_scene(points.copy(), "z", EYE)
-    assert np.array_equal(one.object, other.object)
-
-
-def test_the_sensor_need_not_be_known(tabletop):
-    points, labels = tabletop
-    assert min(overlaps(labels, split_scene(points).object)) > 0.85
+def test_the_sensor_need_not_be_known_and_duplicates_change_nothing(tabletop):
+    points, labels, _ = tabletop
+    once, twice = split_scene(points), split_scene(np.tile(points, (2, 1)))
+    assert min(overlaps(labels, once.object)) > 0.85
+    assert len(twice.num_points) == 4
+    assert np.array_equal(twice.object[: len(points)], twice.object[len(points) :])
     nowhere = split_scene(points, "z", np.full(3, np.nan))
-    assert np.array_equal(nowhere.object, split_scene(points).object)
+    assert np.array_equal(nowhere.object, once.object)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_things_anywhere_of_any_size(seed):
     rng = np.random.default_rng(seed)
     places = [(x, y) for x in (-0.4, 0, 0.4) for y in (-0.2, 0.25)]
@@ -180,10 +178,7 @@ def test_near_and_far_objects():
     things = [box([50, 0, -0.5], [100, 100, 1])]
     for distance, side in [(8, -2), (15, 4), (25, -6), (35, 5)]:
         things.append(box([distance, side, 0.8], [4, 1.8, 1.6]))
-    ranges = np.min([thing(eye, rays) for thing in things], axis=0)
-    hit = ranges < 60
-    noisy = ranges[hit] + 0.01 * rng.normal(size=hit.sum())
-    points, labels = eye + noisy[:, None] * rays[hit], ranges_of(things, eye, rays)[hit]
+    points, labels = measured(things, eye, rays, 0.01, rng, 60)
     scene = split_scene(points, "z", eye)
     assert len(scene.num_points) == 4
     assert min(overlaps(labels, scene.object)) > 0.85
@@ -194,10 +189,6 @@ def test_near_and_far_objects():
     [
         (box([-0.1, 0, 0.1], [0.2, 0.2, 0.2]), cylinder([0.1, 0, 0.15], 0.1, 0.3)),
         (cylinder([-0.1, 0, 0.1], 0.1, 0.2), sphere([0.1, 0, 0.1], 0.1)),
-        (
-            box([-0.1, -0.05, 0.1], [0.2, 0.2, 0.2], 10),
-            box([0.15, 0, 0.15], [0.2, 0.2, 0.3], -25),
-        ),
     ],
 )
 def test_things_that_touch_meet_in_a_crease(pair):
@@ -240,7 +231,7 @@ def test_a_shelf_is_one_thing_though_it_has_a_back_and_sides():
 
 
 def test_strays_are_left_over(tabletop):
-    points, labels = tabletop
+    points, labels, _ = tabletop
     strays = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 3)) + [0, 0, 0.9]
     scene = split_scene(np.concatenate([points, strays, [[0, 0, 90.0]]]), "z", EYE)
     assert (scene.object[len(points) :] == LEFT_OVER).all()
@@ -258,7 +249,7 @@ def test_a_table_is_the_support_though_the_wall_behind_is_larger():
     assert min(overlaps(labels, scene.object, first=2)) > 0.8
 
 
-@pytest.mark.parametrize("thing", THINGS[1:])
+@pytest.mark.parametrize("thing", THINGS[1:4])
 def test_one_thing_alone_is_one_object(thing):
     points, _ = seen([thing], shape=(300, 400))
     scene = split_scene(points, "z", EYE)
@@ -269,40 +260,26 @@ def test_one_thing_alone_is_one_object(thing):
 def test_two_things_far_apart_without_a_table_are_two():
     points, labels = seen([THINGS[1], THINGS[3]])
     scene = split_scene(points, "z", EYE)
-    assert np.array_equal(np.bincount(labels), scene.num_points) or np.array_equal(
-        np.bincount(labels)[::-1], scene.num_points
-    )
+    assert sorted(np.bincount(labels)) == sorted(scene.num_points)
 
 
-@pytest.mark.parametrize("turn", [np.eye(3), TURN])
-def test_a_plane_alone_is_all_support(turn):
+def test_a_plane_alone_is_all_support():
     points, _ = seen([THINGS[0]])
-    scene = split_scene(points @ turn.T, "z", turn @ EYE)
+    scene = split_scene(points @ TURN.T, "z", TURN @ EYE)
     assert len(scene.planes) == 1
     assert (scene.object == SUPPORT).mean() > 0.98
     assert scene.num_points == ()
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 5, 63])
-def test_too_few_points_are_left_over(count):
-    points = np.random.default_rng(0).uniform(0, 1, (count, 3))
-    scene = split_scene(points, "z", EYE)
-    assert (scene.object == LEFT_OVER).all()
-    assert (scene.num_left_over, scene.num_points) == (count, ())
-
-
-def test_points_in_a_line_or_one_place_are_one_object():
+def test_few_points_are_left_over_and_a_line_or_one_place_is_one_object():
+    for count in (0, 1, 2, 63):
+        points = np.random.default_rng(0).uniform(0, 1, (count, 3))
+        scene = split_scene(points, "z", EYE)
+        assert (scene.object == LEFT_OVER).all()
+        assert (scene.num_left_over, scene.num_points) == (count, ())
     for points in [np.outer(np.arange(300.0), [1, 2, 3]), np.ones((300, 3))]:
         scene = split_scene(points, "z", EYE)
-        assert scene.num_points == (300,)
-        assert scene.planes == ()
-
-
-def test_duplicates_change_nothing(tabletop):
-    points, _ = tabletop
-    once, twice = split_scene(points, "z", EYE), split_scene(np.tile(points, (2, 1)))
-    assert len(once.num_points) == len(twice.num_points)
-    assert np.array_equal(twice.object[: len(points)], twice.object[len(points) :])
+        assert (scene.num_points, scene.planes) == ((300,), ())
 
 
 def test_a_direction_that_is_none():
