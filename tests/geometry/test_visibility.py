@@ -198,8 +198,7 @@ def test_a_cloud_by_itself_tells_its_surface_and_no_more():
     state = np.asarray(known.state)
     assert (state[inside < 0.95] == SURFACE).all()  # the holes are closed
     assert (state[inside > 1.05] == UNKNOWN).all()
-    # Depth is that of the nearest point, which lies within a spacing of 0.1. There the
-    # sphere falls off by less than three quarters of that.
+    # The nearest point lies within a spacing of 0.1, where the sphere falls off less.
     middle = inside < 0.6
     expected = 20 - np.sqrt(1 - np.minimum(inside, 0.6) ** 2)
     np.testing.assert_allclose(known.depth[middle], expected[middle], atol=0.08)
@@ -225,11 +224,7 @@ def test_a_gap_wider_than_the_spacing_stays_open():
 
 
 def test_clouds_of_few_points_or_of_one_place():
-    for cloud in (
-        sphere(2),
-        jnp.zeros((2, 3)),
-        sphere(2) * jnp.array([1.0, 0, 0]),
-    ):
+    for cloud in (sphere(2), jnp.zeros((2, 3)), sphere(2) * jnp.array([1.0, 0, 0])):
         known = see(cloud, FAR_EYE, "empty")
         state = np.asarray(known.state)
         assert 0 < (state == SURFACE).sum() < state.size

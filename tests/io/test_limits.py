@@ -1,5 +1,6 @@
 """Small files that claim much, and damaged files of every kind: one line, soon."""
 
+import io
 import json
 import shutil
 import struct
@@ -32,7 +33,7 @@ def npy_header(shape) -> bytes:
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
-def write_png_header(path, width, height):
+def png_header(width, height) -> bytes:
     """A PNG of one compressed byte that says how large it is."""
 
     def chunk(name, data):
@@ -41,45 +42,42 @@ def write_png_header(path, width, height):
 
     size = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     chunks = chunk(b"IHDR", size) + chunk(b"IDAT", zlib.compress(b"0"))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks + chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + chunks + chunk(b"IEND", b"")
 
 
-def write_huge(path, kind):
-    """A file of at most 160 kB, of which `kind` claims some 40 million points."""
-    match kind:
-        case "npy":
-            path.write_bytes(npy_header((HUGE, 3)))
-        case "npz":
-            with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-                archive.writestr("xyz.npy", npy_header((HUGE, 3)) + bytes(10**7))
-        case "ascii.pcd" | "binary.pcd":
-            mode = kind.removesuffix(".pcd")
-            path.write_bytes(PCD.format(HUGE, mode).encode() + b"1 2 3\n")
-        case "binary_compressed.pcd":
-            packed = lzf.compress(bytes(10**7), 10**6)
-            sizes = struct.pack("<II", len(packed), 12 * HUGE)
-            path.write_bytes(
-                PCD.format(HUGE, "binary_compressed").encode() + sizes + packed
-            )
-        case "vertices.ply":
-            path.write_bytes(PLY.format("ascii", "", HUGE).encode() + b"1 2 3\n")
-        case "lists.ply":
-            header = PLY.format("binary_little_endian", LISTS, 1)
-            path.write_bytes(header.encode() + bytes(10**5))
-        case "png":
-            write_png_header(path, 10_000, 4_000)
-            camera = CAMERA | {"width": 10_000, "height": 4_000, "depth_scale": 1}
-            path.with_suffix(".json").write_text(json.dumps(camera))
+def archive(array: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("xyz.npy", array)
+    return buffer.getvalue()
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["npy", "npz", "ascii.pcd", "binary.pcd", "binary_compressed.pcd"]
-    + ["vertices.ply", "lists.ply", "png"],
-)
+def compressed(plain: bytes, size: int) -> bytes:
+    packed = lzf.compress(plain, len(plain) + 4)
+    return struct.pack("<II", len(packed), size) + packed
+
+
+HUGE_LISTS = PLY.format("binary_little_endian", LISTS, 1).encode()
+HUGE_FILES = {
+    "npy": npy_header((HUGE, 3)),
+    "npz": archive(npy_header((HUGE, 3)) + bytes(10**7)),
+    "ascii.pcd": PCD.format(HUGE, "ascii").encode() + b"1 2 3\n",
+    "binary.pcd": PCD.format(HUGE, "binary").encode() + b"1 2 3\n",
+    "binary_compressed.pcd": PCD.format(HUGE, "binary_compressed").encode()
+    + compressed(bytes(10**6), 12 * HUGE),
+    "vertices.ply": PLY.format("ascii", "", HUGE).encode() + b"1 2 3\n",
+    "lists.ply": HUGE_LISTS + bytes(10**5),
+    "png": png_header(10_000, 4_000),
+}
+"""Files of at most 100 kB that claim some 40 million points."""
+
+
+@pytest.mark.parametrize("kind", HUGE_FILES)
 def test_a_small_file_that_claims_much_takes_no_memory(tmp_path, kind):
     path = tmp_path / f"scan.{kind}"
-    write_huge(path, kind)
+    path.write_bytes(HUGE_FILES[kind])
+    camera = CAMERA | {"width": 10_000, "height": 4_000, "depth_scale": 1}
+    (tmp_path / "scan.json").write_text(json.dumps(camera))
     tracemalloc.start()
     with pytest.raises(
         InputError, match=r": 40,000,000 .* exceed the limit of 10,000,000"
@@ -114,11 +112,11 @@ def test_an_archive_of_many_arrays_is_refused_at_once(tmp_path):
 
 def test_an_archive_that_unpacks_to_more_than_its_cloud(tmp_path):
     """What follows the cloud inside its own member is not unpacked."""
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        cloud = POINTS.astype(np.float64).tobytes()
-        archive.writestr("xyz.npy", npy_header((100, 3)) + cloud + bytes(10**7))
+    cloud = POINTS.astype(np.float64).tobytes()
+    path = tmp_path / "a.npz"
+    path.write_bytes(archive(npy_header((100, 3)) + cloud + bytes(10**7)))
     tracemalloc.start()
-    np.testing.assert_array_equal(read_points(tmp_path / "a.npz"), POINTS)
+    np.testing.assert_array_equal(read_points(path), POINTS)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2**20
@@ -147,12 +145,10 @@ def whole_files(folder):
     binary = PCD.format(100, "binary").encode()
     (folder / "j.pcd").write_bytes(binary + POINTS.tobytes())
     plain = POINTS.T.tobytes() + bytes(1200)
-    packed = lzf.compress(plain, 2 * len(plain))
     header = PCD.format(100, "binary_compressed").replace("z\n", "z w\n", 1)
     header = header.replace("4 4 4", "4 4 4 4").replace("F F F", "F F F F")
-    header = header.replace("POINTS", "COUNT 1 1 1 3\nPOINTS")
-    sizes = struct.pack("<II", len(packed), len(plain))
-    (folder / "k.pcd").write_bytes(header.encode() + sizes + packed)
+    header = header.replace("POINTS", "COUNT 1 1 1 3\nPOINTS").encode()
+    (folder / "k.pcd").write_bytes(header + compressed(plain, len(plain)))
     Image.fromarray(np.full((10, 10), 900, np.uint16)).save(folder / "l.png")
     camera = CAMERA | {"translation": [0, 0, 0.5], "rotation": np.eye(3).tolist()}
     camera |= {"depth_scale": 1e-3}

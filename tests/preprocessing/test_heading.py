@@ -64,14 +64,11 @@ def test_the_sensor_comes_to_stand_in_front(view):
         assert turned[1] > 0 and abs(turned[0]) <= turned[1] + 1e-9
 
 
-def test_what_does_not_count_does_not_matter(view):
+def test_what_does_not_count_does_not_matter_and_of_many_points_some_decide(view):
     more = np.concatenate([view, [[50.0, 3.0, 0.0], [0.0, 80.0, 0.0]]])
     where = np.arange(len(more)) < len(view)
     found = level_heading(more, EYE, np.array(True), where)
     np.testing.assert_allclose(found, np.eye(3), atol=0.02)
-
-
-def test_of_a_large_cloud_evenly_spaced_points_decide(view):
     large = np.repeat(view, 3, axis=0)
     assert len(large) > MAX_POINTS
     np.testing.assert_array_equal(level(large, EYE), level(large[::3], EYE))

@@ -145,15 +145,12 @@ def test_what_cannot_be_seen_does_not_count():
         np.testing.assert_array_equal(known.depth, alone.depth)
 
 
-def test_of_one_place_there_is_a_map():
+def test_of_one_place_and_of_points_around_the_eye_there_is_a_map():
     for points in (np.zeros((1, 3)), np.zeros((3, 3)), EYE[None]):
         for around in (AROUND[:1], AROUND):
             known = seen_among(points, around, EYE, CUBE)
             assert np.isfinite(known.depth).all()
             assert (known.state == SURFACE).sum() == (points != EYE).any()
-
-
-def test_points_around_the_eye_widen_the_view_to_a_bound():
     around_eye = np.concatenate([PLATE, PLATE - [0, 8, 0]])
     known = seen_among(around_eye, AROUND, EYE, CUBE)
     np.testing.assert_allclose(known.camera.intrinsics[0, 0], 32 / 3**0.5)

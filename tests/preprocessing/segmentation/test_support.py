@@ -100,18 +100,11 @@ def test_without_a_support_the_camera_says_it_and_then_z():
     box = view_of_box([1, 0.8, 0.6], [0, 0, 0], 1500)
     rotation = Rotation.from_rotvec([0.4, 1, -0.3]).as_matrix()
     up = find_up(box, EYE, rotation)
-    assert up.source == "camera"
     # The camera sees up as -y of its image.
     np.testing.assert_allclose(rotation @ up.vector, [0, -1, 0], atol=1e-12)
+    assert up.source == "camera"
     up = find_up(box, EYE)
-    assert up.source == "z"
-    assert np.array_equal(up.vector, Z)
-
-
-def test_the_same_points_give_the_same_bits(scene):
-    one, other = find_support(scene, EYE), find_support(scene.copy(), EYE)
-    assert np.array_equal(one.normal, other.normal)
-    assert (one.offset, one.tolerance) == (other.offset, other.tolerance)
+    assert up.source == "z" and np.array_equal(up.vector, Z)
 
 
 def test_clouds_without_a_plane():
@@ -135,13 +128,11 @@ def test_several_planes_come_largest_first():
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["kitti/frame_0_car_0.pcd", "shapenet/airplane_partial_2048.ply"]
-    + ["bunny/raw_scan_000.ply"],
+    "name", ["kitti/frame_0_car_0.pcd", "shapenet/airplane_partial_2048.ply"]
 )
-@pytest.mark.parametrize("sensor", [np.zeros(3), None])
-def test_a_scanned_object_is_no_support(real, name, sensor):
-    assert find_support(read_points(real(name)), sensor) is None
+def test_a_scanned_object_is_no_support(real, name):
+    for sensor in (np.zeros(3), None):
+        assert find_support(read_points(real(name)), sensor) is None
 
 
 def test_a_scanned_table_is_one(real):
