@@ -7,12 +7,9 @@ import pytest
 from jax.test_util import check_grads
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.workspace import Workspace
 
 RNG = np.random.default_rng(0)
-render = jax.jit(render_depth)
-WORKSPACE = Workspace(jnp.array([0.4, -0.2, 1.5]), jnp.array(0.7))
 
 
 TURN = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
@@ -57,17 +54,6 @@ def test_a_cloud_without_extent_and_what_is_refused(array):
     for value in (np.nan, np.inf):
         with pytest.raises(ValueError, match="finite"):
             Workspace.from_points(array([[0.0, 0, 0], [1, value, 0]]))
-
-
-def test_camera_to_unit_sees_the_same_pixels():
-    camera = Camera.look_at((2.0, 1.0, 2.5), WORKSPACE.center, height=32, width=40)
-    points = jnp.asarray(RNG.uniform(-0.7, 0.7, (300, 3)), jnp.float32)
-    points = points + WORKSPACE.center
-    depth, mask = render(points, camera)
-    unit_camera = WORKSPACE.camera_to_unit(camera)
-    unit_depth, unit_mask = render(WORKSPACE.to_unit(points), unit_camera)
-    assert mask.sum() > 50 and np.array_equal(mask, unit_mask)
-    assert np.allclose(unit_depth, np.asarray(depth) / 0.7, atol=1e-5)
 
 
 @pytest.mark.parametrize("rotation", [TURN, turned_about(0.7) @ TURN])

@@ -36,19 +36,6 @@ def test_failure_leaves_the_old_file_and_no_other(tmp_path, monkeypatch, call, e
     assert os.listdir(tmp_path) == ["a.bin"]
 
 
-def test_name_never_stands_for_half_a_file(tmp_path, monkeypatch):
-    path, seen = tmp_path / "a.bin", []
-    replace = os.replace
-
-    def look(source, target):
-        seen.append((os.path.exists(target), os.path.getsize(source)))
-        replace(source, target)
-
-    monkeypatch.setattr("os.replace", look)
-    atomic.write_bytes(path, b"x" * 4096)
-    assert seen == [(False, 4096)]
-
-
 def test_an_output_directory_is_made_where_it_can_be_written_to(tmp_path):
     made = atomic.make_output_dir(tmp_path / "a" / "b")
     assert made.is_dir() and os.listdir(made) == []

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import trimesh
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io import InputError, check_cloud, check_in_view, clouds, read_points
@@ -10,34 +9,14 @@ from prism_jax.io import InputError, check_cloud, check_in_view, clouds, read_po
 POINTS = np.random.default_rng(0).normal(size=(80, 3)).astype(np.float32)
 
 
-def save(path, points):
-    match path.suffix.lower():
-        case ".ply":
-            path.write_bytes(trimesh.PointCloud(points).export(file_type="ply"))
-        case ".pcd":
-            header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\n"
-            header += f"POINTS {len(points)}\nDATA binary\n"
-            path.write_bytes(header.encode() + points.tobytes())
-        case ".npy":
-            np.save(path, points)
-        case ".npz":
-            with open(path, "wb") as file:
-                np.savez(file, points=points)
-        case ".csv":
-            np.savetxt(path, points, delimiter=",", header="x,y,z", comments="")
-        case _:
-            np.savetxt(path, points)
-
-
-@pytest.mark.parametrize("suffix", [*clouds.READERS, ".PLY"])
-def test_suffix_decides_and_points_that_are_not_finite_go(tmp_path, suffix):
-    path = tmp_path / f"scan{suffix}"
+def test_points_that_are_not_finite_go(tmp_path):
     points = POINTS.copy()
     points[3, 1], points[10] = np.nan, np.inf
-    save(path, points)
-    read, num_read = clouds.read_points_counted(path)
+    np.save(tmp_path / "scan.npy", points)
+    (tmp_path / "scan.npy").rename(tmp_path / "scan.NPY")
+    read, num_read = clouds.read_points_counted(tmp_path / "scan.NPY")
     np.testing.assert_array_equal(read, points[np.isfinite(points).all(axis=1)])
-    np.testing.assert_array_equal(read_points(str(path)), read)
+    np.testing.assert_array_equal(read_points(str(tmp_path / "scan.NPY")), read)
     assert num_read == 80
 
 

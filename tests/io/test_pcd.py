@@ -73,32 +73,14 @@ def test_fields_in_any_order_type_and_count(tmp_path, mode):
             read_pcd_field(path, name)
 
 
-def test_compressed_bytes_written_by_hand(tmp_path):
-    # LZF: 0x03 is four literal bytes; 0x20 n + 0x03 repeats seven from four back.
-    one = np.float32(1).tobytes()
-    packed = b"\x03" + one + b"\xe0\x17\x03"
-    header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 3\nDATA {}\n"
-    data = struct.pack("<II", len(packed), 36) + packed
-    path = pcd(tmp_path, "binary_compressed", data, header)
-    np.testing.assert_array_equal(read_pcd(path), np.ones((3, 3)))
-
-
-@pytest.mark.parametrize("mode", ["ascii", "binary"])
-def test_old_version_without_count_and_double_coordinates(tmp_path, mode):
-    header = """VERSION .5
-FIELDS x y z
-SIZE 8 8 8
-TYPE F F F
-POINTS 6
-DATA {}
-"""
+def test_old_version_without_count_and_double_coordinates(tmp_path):
+    header = "VERSION .5\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nPOINTS 6\nDATA {}\n"
     points = POINTS.astype(np.float64) + 1e6
-    data = points.tobytes()
-    if mode == "ascii":
-        data = "\n".join(" ".join(map(repr, p)) for p in points.tolist()).encode()
-    read = read_pcd(pcd(tmp_path, mode, data, header))
-    assert read.dtype == np.float64
-    np.testing.assert_array_equal(read, points)
+    text = "\n".join(" ".join(map(repr, p)) for p in points.tolist())
+    for mode, data in (("ascii", text.encode()), ("binary", points.tobytes())):
+        read = read_pcd(pcd(tmp_path, mode, data, header))
+        assert read.dtype == np.float64
+        np.testing.assert_array_equal(read, points)
 
 
 def replaced(old: str, new: str) -> str:

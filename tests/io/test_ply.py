@@ -23,7 +23,7 @@ def ply(tmp_path, layout: str, header: str, body: bytes):
 
 @pytest.mark.parametrize(("text", "order"), [(True, "="), (False, "<"), (False, ">")])
 def test_reads_what_plyfile_writes_with_a_range_grid(tmp_path, text, order):
-    grid = np.empty(4, dtype=[("vertex_indices", object)])
+    grid = np.zeros(4, dtype=[("vertex_indices", object), ("flag", "u2")])
     grid["vertex_indices"] = [np.arange(n, dtype=np.int32) for n in (0, 1, 3, 0)]
     lengths = {"vertex_indices": "u2"}
     grid = plyfile.PlyElement.describe(grid, "range_grid", len_types=lengths)
@@ -53,33 +53,6 @@ def test_binary_values_come_back_bit_for_bit(tmp_path, order, scalar):
     read = read_ply(path)
     assert read.dtype == (np.float32 if scalar == "float" else np.float64)
     np.testing.assert_array_equal(read, stored)
-
-
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_skips_lists_of_any_length_before_the_vertices(tmp_path, order):
-    cells = [[], [0], [1, 2, 3], []]
-    header = "element empty 3\nelement range_grid 4\n"
-    header += "property list uchar int vertex_indices\nproperty ushort flag\n"
-    header += f"element vertex 100\n{XYZ}element face 1\nproperty list uchar int i\n"
-    body = b"".join(
-        struct.pack(f"{order}B{len(cell)}iH", len(cell), *cell, 7) for cell in cells
-    )
-    body += POINTS.astype(order + "f4").tobytes() + b"\x03" + bytes(12)
-    name = {"<": "little", ">": "big"}[order]
-    path = ply(tmp_path, f"binary_{name}_endian", header, body)
-    np.testing.assert_array_equal(read_ply(path), POINTS)
-
-
-def test_ascii_with_a_range_grid_on_either_side(tmp_path):
-    grid = b"0\n1 5\n\n2 1 2\n"
-    element = "element {} 3\nproperty list uchar int vertex_indices\n"
-    header = element.format("before") + "element vertex 100\nproperty uchar q\n" + XYZ
-    rows = b"".join(b"9 %r %r %r\r\n" % tuple(map(float, p)) for p in POINTS)
-    path = ply(tmp_path, "ascii", header + element.format("range_grid"), b"")
-    path.write_bytes(path.read_bytes() + grid + rows + grid)
-    read = read_ply(path)
-    assert read.dtype == np.float32
-    np.testing.assert_array_equal(read, POINTS)
 
 
 def test_keeps_points_that_are_not_finite(tmp_path):

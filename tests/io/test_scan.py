@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from experiments.assets import CELLS
 from prism_jax.io import InputError, parse_bounds, read_points, read_scan
 
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(300, 3)).astype(np.float32)
@@ -104,14 +103,6 @@ def test_a_camera_hardly_turned_keeps_its_own_axes(depth_image, degrees, is_came
     turned = {**CAMERA, "depth_scale": 1e-3, "rotation": rotation.tolist()}
     depth_image.with_suffix(".json").write_text(json.dumps(turned))
     assert read_scan(depth_image).in_camera_frame == is_camera
-
-
-def test_depth_image_whose_camera_is_turned_is_in_the_world_frame():
-    """z up, and the floor at 0."""
-    frame = CELLS / "001-ur5" / "000000"
-    scan = read_scan(f"{frame}.depth.png", f"{frame}.camera.json")
-    assert not scan.in_camera_frame
-    assert -0.05 < scan.points[:, 2].min() < 0.05
 
 
 def test_depth_image_and_cloud_of_one_frame_agree(real):
