@@ -14,6 +14,9 @@ from prism_jax.geometry import kernels
 from prism_jax.geometry.neighbors import knn, nearest
 from prism_jax.geometry.sampling import farthest_point_sample
 
+# They share what they compile.
+pytestmark = pytest.mark.xdist_group("geometry/kernels")
+
 RNG = np.random.default_rng(0)
 
 INTERPRETED = not kernels.on_gpu()

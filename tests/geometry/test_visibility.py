@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
@@ -28,6 +29,9 @@ from prism_jax.geometry.visibility import (
     turned,
 )
 from prism_jax.geometry.workspace import Workspace
+
+# They share what they compile.
+pytestmark = pytest.mark.xdist_group("geometry/visibility")
 
 
 def view_along_x() -> Visibility:
@@ -249,21 +253,17 @@ def test_clues_are_continuous_and_have_their_derivative(x64):
     path = start + np.linspace(0, 1e-3, 200)[:, None, None] * step
     weights = rng.normal(size=NUM_CLUES)
 
-    @jax.jit
-    @jax.vmap
-    def read_and_slope(points):
-        def total(points):
-            found = clues(known, points)
-            return (found * weights).sum(), found
+    def total(points):
+        found = clues(known, points)
+        return (found * weights).sum(), found
 
-        (value, found), gradient = jax.value_and_grad(total, has_aux=True)(points)
-        return value, found, (gradient * step).sum()
-
-    _, found, slope = read_and_slope(jnp.asarray(path))
+    read_and_slope = jax.jit(jax.vmap(jax.value_and_grad(total, has_aux=True)))
+    (_, found), gradient = read_and_slope(jnp.asarray(path))
     assert np.abs(np.diff(found, axis=0)).max() < 1e-2
+    slope = (gradient[0] * step).sum()
     ends = jnp.asarray([start - 1e-6 * step, start + 1e-6 * step])
-    before, after = read_and_slope(ends)[0]
-    np.testing.assert_allclose(slope[0], (after - before) / 2e-6, rtol=1e-4, atol=1e-4)
+    (before, after), _ = read_and_slope(ends)[0]
+    np.testing.assert_allclose(slope, (after - before) / 2e-6, rtol=1e-4, atol=1e-4)
 
 
 def test_points_without_an_image_have_clues_of_nothing():

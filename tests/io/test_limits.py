@@ -53,7 +53,7 @@ def archive(array: bytes) -> bytes:
 
 
 def compressed(plain: bytes, size: int) -> bytes:
-    packed = lzf.compress(plain, len(plain) + 4)
+    packed = lzf.compress(plain, 2 * len(plain))
     return struct.pack("<II", len(packed), size) + packed
 
 
@@ -72,23 +72,23 @@ HUGE_FILES = {
 """Files of at most 100 kB that claim some 40 million points."""
 
 
-@pytest.mark.parametrize("kind", HUGE_FILES)
-def test_a_small_file_that_claims_much_takes_no_memory(tmp_path, kind):
-    path = tmp_path / f"scan.{kind}"
-    path.write_bytes(HUGE_FILES[kind])
+def test_a_small_file_that_claims_much_takes_no_memory(tmp_path):
     camera = CAMERA | {"width": 10_000, "height": 4_000, "depth_scale": 1}
     (tmp_path / "scan.json").write_text(json.dumps(camera))
-    tracemalloc.start()
-    with pytest.raises(
-        InputError, match=r": 40,000,000 .* exceed the limit of 10,000,000"
-    ):
-        read_scan(path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 2**21
-    # More may be allowed; then it is refused because it is not there.
-    with pytest.raises(InputError, match=r"not a valid"):
-        read_scan(path, max_points=HUGE)
+    for kind, data in HUGE_FILES.items():
+        path = tmp_path / f"scan.{kind}"
+        path.write_bytes(data)
+        tracemalloc.start()
+        with pytest.raises(
+            InputError, match=r": 40,000,000 .* exceed the limit of 10,000,000"
+        ):
+            read_scan(path)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 2**21
+        # More may be allowed; then it is refused because it is not there.
+        with pytest.raises(InputError, match=r"not a valid"):
+            read_scan(path, max_points=HUGE)
 
 
 def test_max_points_is_a_limit_of_every_kind_of_cloud(tmp_path):
@@ -130,25 +130,21 @@ def whole_files(folder):
     np.savetxt(folder / "d.xyz", POINTS)
     np.savetxt(folder / "e.csv", POINTS, delimiter=",", header="x,y,z", comments="")
     write_ply(folder / "f.ply", POINTS, np.arange(100) > 50)
-    cells = b"\x00\x01abcd\x02abcdefgh"
-    lists = LISTS.replace(str(HUGE), "3")
-    (folder / "g.ply").write_bytes(
-        PLY.format("binary_big_endian", lists, 100).encode()
-        + cells
-        + POINTS.astype(">f4").tobytes()
-    )
     rows = "".join(f"{x} {y} {z}\n" for x, y, z in POINTS)
-    (folder / "h.ply").write_text(
-        PLY.format("ascii", lists, 100) + "0\n1 2\n0\n" + rows
+    lists = LISTS.replace(str(HUGE), "3")
+    big, text = (PLY.format(k, lists, 100) for k in ("binary_big_endian", "ascii"))
+    cells = b"\x00\x01abcd\x02abcdefgh"
+    (folder / "g.ply").write_bytes(
+        big.encode() + cells + POINTS.astype(">f4").tobytes()
     )
+    (folder / "h.ply").write_text(text + "0\n1 2\n0\n" + rows)
     (folder / "i.pcd").write_text(PCD.format(100, "ascii") + rows)
-    binary = PCD.format(100, "binary").encode()
+    binary, packed = (
+        PCD.format(100, mode).encode() for mode in ("binary", "binary_compressed")
+    )
     (folder / "j.pcd").write_bytes(binary + POINTS.tobytes())
-    plain = POINTS.T.tobytes() + bytes(1200)
-    header = PCD.format(100, "binary_compressed").replace("z\n", "z w\n", 1)
-    header = header.replace("4 4 4", "4 4 4 4").replace("F F F", "F F F F")
-    header = header.replace("POINTS", "COUNT 1 1 1 3\nPOINTS").encode()
-    (folder / "k.pcd").write_bytes(header + compressed(plain, len(plain)))
+    plain = POINTS.T.tobytes()
+    (folder / "k.pcd").write_bytes(packed + compressed(plain, len(plain)))
     Image.fromarray(np.full((10, 10), 900, np.uint16)).save(folder / "l.png")
     camera = CAMERA | {"translation": [0, 0, 0.5], "rotation": np.eye(3).tolist()}
     camera |= {"depth_scale": 1e-3}
@@ -157,23 +153,16 @@ def whole_files(folder):
 
 
 def damage(data: bytes, rng: np.random.Generator) -> bytes:
-    """Some bytes replaced, bits flipped, digits added, or the file cut."""
+    """Some bytes replaced, digits added, some left out, or the file cut."""
     damaged = bytearray(data)
     # Headers are short beside the numbers, and more can go wrong there.
     end = len(data) if rng.random() < 0.3 else min(len(data), 250)
     for _ in range(rng.integers(1, 4)):
         place = int(rng.integers(end))
-        match rng.integers(5):
-            case 0:
-                damaged[place : place + 1] = bytes([rng.integers(256)])
-            case 1:
-                damaged[place : place + 1] = bytes([data[place] ^ 1 << rng.integers(8)])
-            case 2:
-                damaged[place:place] = b"9" * int(rng.integers(1, 30))
-            case 3:
-                del damaged[place : place + int(rng.integers(1, 20))]
-            case 4:
-                del damaged[int(rng.integers(len(damaged) + 1)) :]
+        new = [rng.bytes(1), b"9" * int(rng.integers(1, 30)), b""][rng.integers(3)]
+        damaged[place : place + int(rng.integers(1, 20) ** rng.integers(2))] = new
+    if rng.random() < 0.3:
+        del damaged[int(rng.integers(len(damaged))) :]
     return bytes(damaged)
 
 
