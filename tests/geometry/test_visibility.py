@@ -14,7 +14,6 @@ from prism_jax.geometry.visibility import (
     BACKGROUND,
     MAP_SIZE,
     NEARER,
-    NUM_CLUES,
     SURFACE,
     UNKNOWN,
     Visibility,
@@ -238,7 +237,7 @@ def test_clues_in_closed_form():
     )
     found = np.asarray(read(view_along_x(), jnp.asarray(middle, jnp.float32)))
     shares = np.eye(4)[[SURFACE, SURFACE, NEARER, UNKNOWN, BACKGROUND, UNKNOWN]]
-    assert found.shape == (6, NUM_CLUES)
+    assert found.shape == (6, 6)
     np.testing.assert_allclose(found[:, :4], shares, atol=1e-6)
     np.testing.assert_allclose(found[:, 4], [0.5, -0.5, 1, 0, -1, 0], atol=1e-6)
     # One and two pixels from the surface, but no more than one unit.
@@ -251,7 +250,7 @@ def test_clues_are_continuous_and_have_their_derivative(x64):
     # Far from the surface, or its depth would be bounded or doubled on the way.
     start, step = rng.uniform(-1, 1, (2, 50, 3))
     path = start + np.linspace(0, 1e-3, 200)[:, None, None] * step
-    weights = rng.normal(size=NUM_CLUES)
+    weights = rng.normal(size=6)
 
     def total(points):
         found = clues(known, points)

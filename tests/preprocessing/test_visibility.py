@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from prism_jax.preprocessing.visibility import MAX_MEASURED, beside_and_behind, in_front
+from prism_jax.geometry.cloud import MAX_SIGHTS
+from prism_jax.preprocessing.visibility import beside_and_behind, in_front
 
 EYE = np.array([0.0, 0.0, 5.0])
 SHIFT = np.array([4e5, 5e6, 100.0])
@@ -43,7 +44,7 @@ def test_unit_place_and_more_of_the_same_points_do_not_matter(plane):
     np.testing.assert_array_equal(here, there)
     # Of a large cloud evenly spaced rows are asked.
     large = np.repeat(plane, 12, axis=0)
-    assert len(large) > MAX_MEASURED
+    assert len(large) > MAX_SIGHTS
     np.testing.assert_array_equal(in_front(points, large, EYE, 0.05, 4.0), here)
 
 
