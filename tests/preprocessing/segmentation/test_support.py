@@ -81,6 +81,9 @@ def test_neither_is_a_chairs_seat_nor_a_table_without_anything_on_it():
     top = table(1.5, noise=0)
     assert find_support(np.concatenate([top, chair()[1600:]]), EYE) is None
     assert find_support(table(3), EYE) is None
+    # A low back along the seat's rear end is joined to it, and stands on nothing.
+    low = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)) * [1.5, 0, 0.3]
+    assert find_support(np.concatenate([top, low + [0, -0.75, 0.15]]), EYE) is None
 
 
 def test_what_is_below_is_no_object_on_it(scene):
