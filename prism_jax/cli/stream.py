@@ -19,7 +19,7 @@ from absl import flags
 
 from prism_jax import io
 from prism_jax.cli.launch import launch
-from prism_jax.envelope.robot import LAYOUT, MARGIN, joints_from_dict
+from prism_jax.envelope.robot import LAYOUT, ROBOT_MARGIN, joints_from_dict
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import require
 from prism_jax.io.files import read_json
@@ -112,7 +112,7 @@ def define_robot_flags(otherwise: str) -> None:
     )
     flags.DEFINE_float(
         "robot_margin",
-        MARGIN,
+        ROBOT_MARGIN,
         "Points nearer to the robot belong to it.",
         lower_bound=0.0,
     )
@@ -183,7 +183,7 @@ def stream_file(
     urdf: str | None = None,
     joints: str | None = None,
     base: str | None = None,
-    robot_margin: float = MARGIN,
+    robot_margin: float = ROBOT_MARGIN,
     pace: str = "max",
     output: str = "prism_stream",
 ) -> dict[str, Any]:
@@ -211,7 +211,7 @@ def stream_file(
     }
     bounds = None if workspace is None else io.parse_bounds(workspace)
     direction = None if up is None else parse_up(up)
-    view_from = None if camera is None else io.read_camera(camera)
+    view = None if camera is None else io.read_camera(camera)
     place = pathlib.Path(output)
     beside = place.suffix.lower() == ".mcap"
     report_path = place.with_name(REPORT) if beside else place / REPORT
@@ -220,7 +220,7 @@ def stream_file(
             output, "this is the recording itself", "choose another output"
         )
     robot, positions = known_robot(urdf, joints, base)
-    stream = open_stream(source, topic, view_from, say, positions)
+    stream = open_stream(source, topic, view, say, positions)
     io.make_output_dir(place.parent if beside else place)
     if beside:
         require("mcap.writer", EXTRA)

@@ -65,9 +65,9 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     """
     adapt = make_adapt(config)
 
-    def one(variables: Variables, partial: Array, eye: Array, known: Any):
+    def one(variables: Variables, partial: Array, eye: Array, visibility: Any):
         camera = observe(partial, eye, Workspace.unit()).camera
-        done = adapt(variables, partial, camera, known)
+        done = adapt(variables, partial, camera, visibility)
         if config.adapt.num_steps == 0:
             return done.points, None, None
         return done.points, done.before, done.accepted
@@ -77,9 +77,9 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     def complete(
         partials: np.ndarray | Array,
         eyes: np.ndarray | Array,
-        known: Visibility | None = None,
+        visibility: Visibility | None = None,
     ) -> Predictions:
-        return Predictions(*batched(variables, partials, eyes, known))
+        return Predictions(*batched(variables, partials, eyes, visibility))
 
     return complete
 
@@ -191,9 +191,9 @@ def scored_clouds(
         workspace_for(example, protocol),
     )
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
-    known = None
+    visibility = None
     if protocol.uses_visibility:
-        known = map_of(example, workspace_for(example, protocol))
+        visibility = map_of(example, workspace_for(example, protocol))
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:
         clouds["partial"] = from_own(example.partial)
@@ -213,7 +213,7 @@ def scored_clouds(
                 partial,
                 eye if seen.sensor_known else None,
                 background=protocol.background,
-                known=known,
+                known=visibility,
             )
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud

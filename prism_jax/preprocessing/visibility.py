@@ -14,7 +14,7 @@ sight means that the sensor looked through it, or away from it."""
 
 NUM_RAYS = 8  # measured points about a line of sight that are asked
 
-REACH = 3.0  # in spacings: lines of sight that pass each other by less are neighbours
+RAY_SPACINGS = 3.0  # lines of sight that pass each other by less are neighbours
 
 MAX_MEASURED = 16_384  # of a larger cloud, evenly spaced rows are asked
 
@@ -29,7 +29,7 @@ def in_front(
     """Which points would have hidden a measured surface from a sensor at `eye`.
 
     `spacing` is the usual distance between measured neighbours. A point is in front if
-    something was measured about its line of sight, within `REACH` spacings at the
+    something was measured about its line of sight, within `RAY_SPACINGS` at the
     measured surface's usual distance, and all of it more than `tolerance` spacings
     farther from the sensor. Behind the surface, and where nothing was measured, none
     is.
@@ -43,7 +43,9 @@ def in_front(
     sight, distance = _rays(measured, eye)
     wanted, away = _rays(points, eye)
     apart, rows = KDTree(sight).query(
-        wanted, k=NUM_RAYS, distance_upper_bound=REACH * spacing / np.median(distance)
+        wanted,
+        k=NUM_RAYS,
+        distance_upper_bound=RAY_SPACINGS * spacing / np.median(distance),
     )
     near = np.isfinite(apart)
     farther = np.append(distance, np.inf)[rows] - away[:, None] > tolerance * spacing

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.envelope.robot import (
-    MARGIN,
+    ROBOT_MARGIN,
     joints_from_dict,
     of_robot,
     robot_surface,
@@ -50,7 +50,7 @@ class FrameObserver(abc.ABC):
         bounds: Bounds | None = None,
         up: str | Vector | None = None,
         robot: Linkage | None = None,
-        robot_margin: float = MARGIN,
+        robot_margin: float = ROBOT_MARGIN,
     ):
         self.bounds = bounds
         self.up = up

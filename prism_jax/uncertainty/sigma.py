@@ -40,7 +40,7 @@ CLUES = (
 """What the error of a predicted point is told from, without the truth. Lengths are in
 half sides of the workspace."""
 
-NEIGHBORS = 12  # of a predicted point, itself included, that a plane is laid through
+PLANE_NEIGHBORS = 12  # of a predicted point and itself, that a plane is laid through
 
 BETWEEN = 3  # predicted points that say how far off one is that was added between them
 
@@ -87,7 +87,7 @@ def clues_of(
     lower, upper = distinct.min(axis=0), distinct.max(axis=0)
     sides = np.sort(upper - lower)
     longest = sides[2] or 1.0
-    near = KDTree(prediction).query(points, k=min(NEIGHBORS, len(prediction)))[1]
+    near = KDTree(prediction).query(points, k=min(PLANE_NEIGHBORS, len(prediction)))[1]
     near = prediction[np.reshape(near, (len(points), -1))]
     normals, thickness = _planes(near)
     ray = points - eye
