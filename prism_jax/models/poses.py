@@ -9,11 +9,10 @@ from jaxtyping import Array, Float
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility, mirrored, seen_by, turned
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import NetworkInput, predict, prepare_input
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view
 
 _QUARTER_TURN = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
 POSES = np.array([np.eye(3), np.diag([-1, 1, 1]), _QUARTER_TURN], np.float32)
@@ -59,7 +58,7 @@ def in_other_poses(
     ]
 
     def one(cloud: Array, eye: Array, visibility: Visibility | None) -> NetworkInput:
-        view = observe(cloud, eye, Workspace.unit()).camera
+        view = framed_view(cloud, eye)
         return prepare_input(cloud, view, key, config, visibility=visibility)
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *maps)

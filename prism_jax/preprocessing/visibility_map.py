@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.framing import WIDEST, framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
@@ -30,7 +31,7 @@ ENOUGH = 5 * MAP_SIZE**2  # points around an object: more say no more, and take 
 
 
 def seen_among(
-    points: Float[np.ndarray, "N 3"],
+    points: IndexedCloud | Float[np.ndarray, "N 3"],
     around: Float[np.ndarray, "R 3"],
     eye: Float[np.ndarray, "3"],
     workspace: Workspace | None = None,
@@ -50,15 +51,16 @@ def seen_among(
     with `CUBE_MARGIN` unless it is given. At least one point. NumPy, in double
     precision but for the depths; not differentiable.
     """
-    points, around = (np.asarray(cloud, np.float64) for cloud in (points, around))
-    eye = np.asarray(eye, np.float64)
+    cloud, around = IndexedCloud.of(points), np.asarray(around, np.float64)
+    points, eye = cloud.points, np.asarray(eye, np.float64)
     if workspace is None:
         workspace = Workspace.from_points(points, CUBE_MARGIN)
     camera = framing_camera(points, eye, WIDEST)
     pixel, z = map(np.asarray, camera.pixel_of(points))
     row = _nearest(pixel, z)
     focal = camera.intrinsics[0, 0]
-    reach = 0.5 * CLOSED * _spacing(points) * focal / max(z.mean(), MIN_DEPTH)
+    apart = _spacing(points, cloud.tree) * focal / max(z.mean(), MIN_DEPTH)
+    reach = 0.5 * CLOSED * apart
     surface, nearest = closed(row >= 0, float(min(reach, MAX_REACH)))
     state = np.where(surface, SURFACE, UNKNOWN).astype(np.uint8)
     depth = np.where(surface, z[row.ravel()[nearest]], 0.0)
@@ -133,7 +135,8 @@ def _without_holes(
     in_camera = np.asarray(camera.to_camera(around))
     focal = float(camera.intrinsics[0, 0])
     image = focal * in_camera[:, :2] / in_camera[:, 2:]
-    reach = float(min(0.5 * CLOSED * _spacing(image), MAX_REACH))
+    tree = KDTree(image, compact_nodes=False, balanced_tree=False)
+    reach = float(min(0.5 * CLOSED * _spacing(image, tree), MAX_REACH))
     # What lies beyond the map's edge is not known, and so no side of a hole.
     known, nearest = closed(np.pad(row >= 0, MAX_REACH), reach)
     inside = slice(MAX_REACH, MAX_REACH + MAP_SIZE)
@@ -154,9 +157,8 @@ def _hides(
     return far > z + BEHIND * float(workspace.half_extent)
 
 
-def _spacing(points: Float[np.ndarray, "N D"]) -> float:
+def _spacing(points: Float[np.ndarray, "N D"], tree: KDTree) -> float:
     """Median distance of points, evenly spaced rows, from their nearest neighbours;
     infinite for one."""
     some = points[:: -(-len(points) // FEW)]
-    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
     return float(np.median(tree.query(some, k=2)[0][:, 1]))

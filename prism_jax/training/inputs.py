@@ -8,10 +8,9 @@ from jaxtyping import Array, Key
 
 from prism_jax.data.pipeline import Batch
 from prism_jax.geometry.visibility import Visibility, seen_by, surface_alone
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.config import BackboneConfig, ModelConfig
 from prism_jax.models.prism import NetworkInput, prepare_input
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view
 
 
 def inputs_of(
@@ -21,7 +20,7 @@ def inputs_of(
     a key of its own, or all alike by a single one."""
 
     def inputs(partial, eye, indices, visibility, key):
-        camera = observe(partial, eye, Workspace.unit()).camera
+        camera = framed_view(partial, eye)
         return prepare_input(partial, camera, key, config, indices, visibility)
 
     arrays = jnp.asarray(batch.partial), jnp.asarray(batch.eye), indices_of(batch)

@@ -14,12 +14,11 @@ from prism_jax.adaptation.meta import learned_part, meta_gradients, put_learned
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.weighting import BRANCHES, entropy, loss_weights, update_scale
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser
@@ -189,7 +188,7 @@ def _validation(
     @jax.jit
     def validate(variables: Variables, batch: Batch):
         def one(partial, eye, complete, scale, visibility):
-            camera = observe(partial, eye, Workspace.unit()).camera
+            camera = framed_view(partial, eye)
             done = complete_frame(variables, partial, camera, visibility)
             before, after = (
                 chamfer(points, complete) * scale**2
