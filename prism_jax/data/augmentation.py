@@ -44,7 +44,7 @@ def augmented(
     """The example with another partial, in the order of the one it has. Of what the
     sensor knows, the surface that is cropped away is forgotten; thinning and noise
     leave it as it is. An example without a partial raises ValueError."""
-    partial, known = example.partial, example.visibility
+    partial, visibility = example.partial, example.visibility
     if partial is None:
         raise ValueError(f"{example.name} has no partial to change")
     if rng.random() < settings.crop:
@@ -53,7 +53,8 @@ def augmented(
         along = partial @ normal
         bound = np.quantile(along, 1 - rng.uniform(*settings.crop_shares))
         partial = partial[along <= bound]
-        known = None if known is None else _forgotten(known, normal, float(bound))
+        if visibility is not None:
+            visibility = _forgotten(visibility, normal, float(bound))
     if rng.random() < settings.thin and len(partial) > settings.fewest:
         span = np.log((settings.fewest, len(partial) + 1))
         count = int(np.exp(rng.uniform(*span)))
@@ -64,22 +65,22 @@ def augmented(
         deviation = rng.uniform(0.0, settings.jitter) * side
         noise = deviation * rng.standard_normal(partial.shape)
         partial = (partial + noise).astype(np.float32)
-    return example._replace(partial=partial, visibility=known)
+    return example._replace(partial=partial, visibility=visibility)
 
 
 def _forgotten(
-    known: Visibility, normal: Float[np.ndarray, "3"], bound: float
+    visibility: Visibility, normal: Float[np.ndarray, "3"], bound: float
 ) -> Visibility:
     """Without the surface that lies beyond a plane."""
-    camera = known.camera
+    camera = visibility.camera
     direction = camera.rotation @ normal
     # Of each pixel's ray of depth one, in the camera's frame.
     slopes = np.linalg.inv(camera.intrinsics).T @ direction
     columns, rows = np.arange(camera.width), np.arange(camera.height)[:, None]
     slopes = columns * slopes[0] + rows * slopes[1] + slopes[2]
-    along = known.depth * slopes - camera.translation @ direction
-    beyond = (known.state == SURFACE) & (along > bound)
-    return known._replace(
-        state=np.where(beyond, np.uint8(UNKNOWN), known.state),
-        depth=np.where(beyond, np.float32(0), known.depth),
+    along = visibility.depth * slopes - camera.translation @ direction
+    beyond = (visibility.state == SURFACE) & (along > bound)
+    return visibility._replace(
+        state=np.where(beyond, np.uint8(UNKNOWN), visibility.state),
+        depth=np.where(beyond, np.float32(0), visibility.depth),
     )

@@ -76,8 +76,8 @@ class Scenes(Shards):
         scene, first = self.scene(number), np.searchsorted(self.objects, number)
         others = scene.points[scene.labels != index - first]
         assert example.partial is not None
-        known = seen_among(example.partial, others, scene.eye)
-        return example._replace(visibility=known)
+        visibility = seen_among(example.partial, others, scene.eye)
+        return example._replace(visibility=visibility)
 
     @property
     def num_scenes(self) -> int:

@@ -121,5 +121,5 @@ def side_by_side(
 def map_of(example: Example, workspace: Workspace) -> Visibility | None:
     """What the sensor knows, in the unit of the workspace; None where the source does
     not say."""
-    known = example.visibility
-    return None if known is None else framed_map(known, workspace)
+    visibility = example.visibility
+    return None if visibility is None else framed_map(visibility, workspace)

@@ -7,7 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax.envelope.robot import MARGIN, joints_from_dict, of_robot, robot_surface
+from prism_jax.envelope.robot import (
+    ROBOT_MARGIN,
+    joints_from_dict,
+    of_robot,
+    robot_surface,
+)
 from prism_jax.geometry.camera import Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
@@ -41,7 +46,7 @@ class FrameObserver(abc.ABC):
     bounds: Bounds | None = None
     up: str | Vector | None = None
     robot: Linkage | None = None
-    robot_margin: float = MARGIN
+    robot_margin: float = ROBOT_MARGIN
 
     @abc.abstractmethod
     def complete(self, frame: Frame) -> Any:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from prism_jax.preprocessing.outliers import REACH, TAIL, far_outliers
+from prism_jax.preprocessing.outliers import OUTLIER_SIDES, TAIL, far_outliers
 
 
 def blob(count=948, seed=0):
@@ -36,9 +36,9 @@ def test_how_far_is_too_far():
     box = line[10:-10, 1]
     side = box[-1] - box[0]
     for share, expected in [(0.99, False), (1.01, True)]:
-        line[-1, 2] = share * REACH * side
+        line[-1, 2] = share * OUTLIER_SIDES * side
         assert far_outliers(line)[-1] == expected
-    line[-1] = [0, box[-1] + 0.99 * REACH * side, 0]
+    line[-1] = [0, box[-1] + 0.99 * OUTLIER_SIDES * side, 0]
     assert not far_outliers(line).any()
 
 
