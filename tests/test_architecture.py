@@ -4,8 +4,6 @@ import ast
 import pathlib
 import tomllib
 
-import pytest
-
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 
 # From the top down: a module imports from its own line and from those below it.
@@ -49,18 +47,15 @@ ONLY = {
 }
 
 NO_FLAX = (*READING, "prism_jax.losses", "prism_jax.data")
-MAKERS = {"trimesh", "manifold3d", "embreex", "fpsample", "grain"}
+# Packages, and the parts that must not import some, wherever the import stands. What
+# reads with one of the makers asks for it when it does (`io.errors.require`).
+FORBIDDEN = {
+    **dict.fromkeys(("flax", "optax", "orbax"), NO_FLAX),
+    **dict.fromkeys(
+        ("trimesh", "manifold3d", "embreex", "fpsample", "grain"), ("prism_jax",)
+    ),
+}
 UNPICKLERS = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "shelve"}
-
-
-def source_files():
-    """``{module name: syntax tree}`` of everything that is shipped."""
-    trees = {}
-    for path in sorted(ROOT.glob("prism_jax/**/*.py")):
-        trees[module_name(path)] = ast.parse(path.read_text())
-    for path in sorted(ROOT.glob("experiments/**/*.py")):
-        trees[module_name(path)] = ast.parse(path.read_text())
-    return trees
 
 
 def module_name(path):
@@ -68,7 +63,12 @@ def module_name(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-TREES = source_files()
+TREES = {
+    module_name(path): ast.parse(path.read_text())
+    for package in ("prism_jax", "experiments")
+    for path in sorted(ROOT.glob(f"{package}/**/*.py"))
+}
+"""Syntax trees of everything that is shipped."""
 
 
 def imported(tree):
@@ -83,16 +83,19 @@ def imported(tree):
                 yield inside if inside in TREES else node.module
 
 
+def inside(name, package):
+    return f"{name}.".startswith(f"{package}.")
+
+
 def layer(name):
     """Index of the longest entry of LAYERS that the module lies in."""
-    found = {
-        entry: index
-        for index, line in enumerate(LAYERS)
-        for entry in line.split()
-        if name == entry or (entry != "prism_jax" and name.startswith(f"{entry}."))
-    }
+    found = [
+        entry
+        for entry in LAYERS
+        if name == entry or (entry != "prism_jax" and inside(name, entry))
+    ]
     assert found, f"{name} has no place in LAYERS"
-    return found[max(found, key=len)]
+    return LAYERS.index(max(found, key=len))
 
 
 def own(name):
@@ -111,13 +114,14 @@ def test_no_import_points_up():
 
 
 def test_some_know_less_than_the_order_allows():
-    faults = []
-    for package, known in ONLY.items():
-        for name, tree in TREES.items():
-            if f"{name}.".startswith(f"{package}."):
-                for target in filter(own, imported(tree)):
-                    if ".".join(target.split(".")[:2]) not in known:
-                        faults.append(f"{name} imports {target}")
+    faults = [
+        f"{name} imports {target}"
+        for package, known in ONLY.items()
+        for name, tree in TREES.items()
+        if inside(name, package)
+        for target in filter(own, imported(tree))
+        if ".".join(target.split(".")[:2]) not in known
+    ]
     assert not faults
 
 
@@ -135,30 +139,28 @@ def test_adaptation_never_reaches_a_dataset():
     assert "prism_jax.models.prism" in reached
 
 
-def test_arrays_below_the_models_know_nothing_of_flax():
-    faults = []
-    for name, tree in TREES.items():
-        if f"{name}.".startswith(tuple(f"{package}." for package in NO_FLAX)):
-            roots = {target.split(".")[0] for target in imported(tree)}
-            faults += [name] if roots & {"flax", "optax", "orbax"} else []
+def test_some_packages_are_not_imported_everywhere():
+    assert len(TREES) > 200
+    faults = [
+        f"{name} imports {target}"
+        for name, tree in TREES.items()
+        for target in imported(tree)
+        for package in FORBIDDEN.get(target.split(".")[0], ())
+        if inside(name, package)
+    ]
     assert not faults
 
 
-def test_no_library_module_imports_experiments():
-    ours = {n: t for n, t in TREES.items() if n.split(".")[0] == "prism_jax"}
-    names = {name for tree in ours.values() for name in imported(tree)}
-    assert len(ours) > 150
-    assert not [name for name in names if name.split(".")[0] == "experiments"]
-
-
-def test_packages_that_make_data_are_imported_by_the_simulator_alone():
-    """What reads with one of them asks for it when it does (`io.errors.require`)."""
-    faults = []
+def test_no_name_is_exported_twice():
+    exports = []
     for name, tree in TREES.items():
-        if not name.startswith(("experiments.simulation", "experiments")):
-            roots = {target.split(".")[0] for target in imported(tree)}
-            faults += [name] if roots & MAKERS else []
-    assert not faults
+        for node in tree.body if own(name) else ():
+            if (
+                isinstance(node, ast.Assign)
+                and ast.unparse(node.targets[0]) == "__all__"
+            ):
+                exports += ast.literal_eval(node.value)
+    assert len(exports) == len(set(exports)) > 14
 
 
 def test_nothing_unpickles():
@@ -179,20 +181,17 @@ def unpickles(tree):
     return bool({t.split(".")[0] for t in imported(tree)} & UNPICKLERS)
 
 
-@pytest.mark.parametrize(
-    ("source", "fault"),
-    [
-        ("import pickle", True),
-        ("from joblib import load", True),
-        ("np.load(path)", True),
-        ("np.load(path, allow_pickle=True)", True),
-        ("torch.load(path)", True),
-        ("torch.load(path, weights_only=True)", False),
-        ("np.load(path, allow_pickle=False)", False),
-    ],
-)
-def test_what_unpickles_is_found(source, fault):
-    assert unpickles(ast.parse(source)) == fault
+def test_what_unpickles_is_found():
+    for source in (
+        *("import pickle", "from joblib import load", "np.load(path)"),
+        *("np.load(path, allow_pickle=True)", "torch.load(path)"),
+    ):
+        assert unpickles(ast.parse(source)), source
+    for source in (
+        "torch.load(path, weights_only=True)",
+        "np.load(path, allow_pickle=False)",
+    ):
+        assert not unpickles(ast.parse(source)), source
 
 
 def test_the_wheel_takes_all_assets():
