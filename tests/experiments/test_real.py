@@ -11,7 +11,6 @@ from experiments import real as command
 from experiments.real import SPECS
 from prism_jax.evaluation import metrics
 from prism_jax.io import ply_bytes
-from prism_jax.io.streams import Frame, Stream
 from prism_jax.uncertainty.confidence import Verdict
 from tests import launching
 from tests.fake_completer import FakeCompleter
@@ -137,19 +136,6 @@ def test_points_outside_a_box_are_counted(folder):
         assert outside(both) == {"measured": 0.25, "added": 0.5}
 
 
-def test_the_first_whole_frame_is_taken(monkeypatch):
-    class Sweeps(Stream):
-        def __len__(self):
-            return 3
-
-        def _frames(self):
-            for number in range(3):
-                if number < 2:
-                    self.remark("incomplete", "lacks columns")
-                yield Frame(np.full((2, 3), number + 1, np.float32), number)
-
-    monkeypatch.setattr(command, "open_stream", Sweeps)
-    assert (command.captured("some.pcap").points == 3).all()
-    # What lies at the sensor or beyond its reach goes.
+def test_a_lidar_reaches_so_far():
     points = np.array([[0, 0, 0], [5.9, 0, 0], [0, 6.1, 0], [4, 4, 4.0], [0, -1, 0]])
     np.testing.assert_array_equal(command.near(points), points[[1, 4]])
