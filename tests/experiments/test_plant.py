@@ -227,8 +227,7 @@ def test_the_loss_is_eq_10_and_what_was_hidden(read, framing, config, monkeypatc
         points = inputs + variables["params"]["decoder"]
         return types.SimpleNamespace(stages=(inputs[:32], inputs), points=points)
 
-    nothing = types.SimpleNamespace(camera=None)
-    monkeypatch.setattr(plant, "observe", lambda *given: nothing)
+    monkeypatch.setattr(plant, "framed_view", lambda *given: None)
     monkeypatch.setattr(plant, "prepare_input", lambda partial, *given: partial)
     monkeypatch.setattr(plant, "predict", predict)
     rng, example = np.random.default_rng(0), read(1)[0].example

@@ -119,10 +119,14 @@ def test_the_order_of_batches_is_that_of_the_start(pretrain, weights, others, tm
 
 
 def test_networks_go_on_from_those_with_a_block_less(
-    pretrain, weights, minimal_variables, tmp_path, monkeypatch, as_fresh
+    pretrain, weights, minimal, minimal_variables, tmp_path, monkeypatch, as_fresh
 ):
     """And what is no matter of size can change."""
-    monkeypatch.setattr(training, "init_backbone", lambda key, model: as_fresh(model))
+
+    def fresh(key, backbone):
+        return as_fresh(dataclasses.replace(minimal.model, backbone=backbone))
+
+    monkeypatch.setattr(training, "init_backbone", fresh)
     more = ("backbone.up_factors=(2,4)", "backbone.level_rates=((1,),(1,))")
     other = ("uses_visibility=True", "background=empty", "backbone.offset_reach=0.2")
     for n, changes in enumerate((more, other)):
