@@ -2,7 +2,6 @@
 
 import pytest
 
-from experiments.assets import CELLS
 from experiments.simulation.build_dataset import build_dataset, build_if_missing
 from experiments.simulation.building import write_manifest
 from experiments.simulation.shapes import build as shapes_build
@@ -52,13 +51,6 @@ def test_what_another_version_built_is_refused(name, tmp_path):
         build_if_missing(name, "train", tmp_path / "file")
 
 
-def test_recordings_have_one_split():
-    assert len(open_dataset("recordings", "all", CELLS)) == 12
-    with pytest.raises(InputError, match="unknown value 'test'; use all"):
-        open_dataset("recordings", "test", CELLS)
-    assert digest_of("recordings", "all", CELLS) is not None
-
-
 def test_splits_that_can_be_scored():
     assert scored_splits("shapes") == ("validation", "test", "unseen", "novel")
     assert scored_splits("pcn") == ("val", "test")
@@ -66,14 +58,6 @@ def test_splits_that_can_be_scored():
     for name in ("recordings", "kitti", "open"):
         with pytest.raises(InputError, match=f"{name}: no held-out split"):
             scored_splits(name)
-
-
-def test_a_set_with_a_validation_split_trains_on_all_of_its_training_split(shapes_dir):
-    train, validation = open_training("shapes", shapes_dir)
-    assert train.objects.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
-    whole = open_dataset("shapes", "validation", shapes_dir)
-    assert names(validation) == names(whole)
-    assert len(open_training("shapes", shapes_dir, 2)[1]) == 2
 
 
 @pytest.mark.parametrize(

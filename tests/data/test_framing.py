@@ -133,11 +133,6 @@ def test_where_there_is_no_partial_one_is_cropped(example):
         frame_example(example._replace(complete=None), FRAMING)
 
 
-def test_a_sensor_at_no_known_place_stands_in_front_left_and_above(example):
-    batch = frame_example(example._replace(eye=None), FRAMING)
-    np.testing.assert_allclose(batch.eye, [3**0.5] * 3, rtol=1e-6)
-
-
 def test_a_level_heading_is_found_whatever_the_pose(example):
     """In validation by the example's name; in training at random, tilts and quarter
     turns among them. The clouds stay together, and in the unit of the scores."""

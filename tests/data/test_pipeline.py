@@ -75,15 +75,6 @@ def test_half_are_mirrored_and_others_each_time():
         assert abs(share - 0.5) < 4 * 0.5 / np.sqrt(200)
 
 
-def test_indices_travel_with_their_example():
-    """Where the sensor stands in the workspace tells which example it is."""
-    for batch in batches_of(Numbered(10), 4, 3):
-        size = batch.indices["row"] + 1.0
-        expected = abs(3 - 0.5 * size) / (0.7 * size)
-        np.testing.assert_allclose(abs(batch.eye[:, 0]), expected, atol=1e-6)
-        assert batch.indices["row"].dtype == np.uint16
-
-
 def test_a_later_start_goes_on_with_the_next_batch():
     expected = batches_of(Numbered(10), 4, 9)
     for start in (0, 1, 7):

@@ -156,14 +156,6 @@ def test_files_that_lack_or_are_out_of_the_layout_are_refused(root, name, messag
         RecordedCells(root)
 
 
-def test_a_folder_without_frames_is_refused(tmp_path):
-    with pytest.raises(InputError, match="not a folder"):
-        RecordedCells(tmp_path / "none")
-    (tmp_path / "sequence").mkdir()
-    with pytest.raises(InputError, match="no recorded frames; lay it out"):
-        RecordedCells(tmp_path)
-
-
 def png(pixels):
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG")

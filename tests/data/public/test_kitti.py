@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prism_jax.data.public.kitti import KITTI, to_box_frame
+from prism_jax.data.public.kitti import KITTI
 from prism_jax.io import InputError
 from prism_jax.io.text import read_text
 
@@ -37,19 +37,6 @@ def root(tmp_path, write):
     entry = {"taxonomy_id": "kitti-car", "taxonomy_name": "Car", "train": []}
     write(tmp_path / "KITTI.json", [entry | {"test": list(cars)}])
     return tmp_path
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.3, -2.5])
-def test_a_turned_box_comes_back_upright(yaw):
-    points = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
-    points *= [LENGTH, WIDTH, HEIGHT]
-    corners = placed(CORNERS, yaw)
-    np.testing.assert_allclose(
-        to_box_frame(placed(points, yaw), corners), as_published(points), atol=1e-12
-    )
-    np.testing.assert_allclose(
-        to_box_frame(corners, corners), as_published(CORNERS), atol=1e-12
-    )
 
 
 def test_cars_come_in_their_box_with_the_scanner_and_without_truth(root):

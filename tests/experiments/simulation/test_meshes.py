@@ -55,13 +55,6 @@ def test_a_damaged_mesh_is_refused_by_name(tmp_path, name, content):
         Meshes(tmp_path)[0]
 
 
-def test_a_folder_that_is_missing_or_holds_no_mesh_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"val: no such folder"):
-        Meshes(tmp_path / "val")
-    with pytest.raises(InputError, match=r"no meshes \(.obj .off"):
-        Meshes(tmp_path)
-
-
 def test_they_are_packed_and_open_as_a_data_set(root, tmp_path_factory):
     folder = tmp_path_factory.mktemp("built")
 

@@ -126,12 +126,6 @@ def test_views_of_an_object_share_its_complete_cloud(tmp_path):
         np.testing.assert_allclose(found.complete, given.complete[:128], atol=step)
 
 
-def test_a_limit_takes_evenly(tmp_path):
-    source = packed(tmp_path, PackConfig(8, 8, limit=3), a=Balls(9), b=Balls(2))
-    names = [source[index].name for index in range(5)]
-    assert names == ["a/0", "a/4", "a/8", "b/0", "b/1"]
-
-
 def test_an_example_without_a_partial_is_refused(tmp_path):
     with pytest.raises(InputError, match="both clouds"):
         packed(tmp_path / "x", whole=Balls(partial=None))

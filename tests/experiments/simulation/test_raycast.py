@@ -113,10 +113,3 @@ def test_samples_are_uniform_on_what_is_seen(two_sided):
     counts = np.bincount(2 * sides + across, minlength=12).reshape(6, 2)
     expected = 2000 * np.array([0.65, 0.35])
     assert np.sum((counts - expected) ** 2 / expected) < 31.3  # 11 degrees, p = 0.001
-
-
-def test_a_surface_that_nobody_sees_is_refused():
-    inverted = trimesh.creation.box((1, 1, 1))
-    inverted.invert()
-    with pytest.raises(ValueError, match="seen"):
-        sample_outside(Scene(inverted), 100, np.random.default_rng(0))

@@ -11,8 +11,6 @@ from experiments.simulation.raycast import Scene
 from experiments.simulation.sensors import (
     L515Config,
     OusterConfig,
-    cropped_to,
-    l515_camera,
     l515_depth,
     ouster_scan,
 )
@@ -153,42 +151,3 @@ def test_pixels_at_an_edge_are_mixed_as_often_as_claimed():
     for surface in (near, ~near):
         between = (depth[mixed & surface] - 1.001) / 0.998
         assert stats.kstest(between, "uniform").pvalue > 1e-3
-
-
-def test_columns_of_a_turn_close_up():
-    """An edge between the last column and the first mixes both."""
-    corners = [[2, -0.005, -1], [2, 1, -1], [2, 1, 1], [2, -0.005, 1]]
-    plate = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
-    scene = Scene(trimesh.util.concatenate([plate, wall(4.0, 6.0).mesh]))
-    config = OusterConfig(beams=9, elevation_degrees=(-4.0, 4.0)).exact()
-    mixing = dataclasses.replace(config, mixed_share=1.0)
-    exact = ouster_scan(scene, ORIGIN, np.random.default_rng(0), config)
-    mixed = ouster_scan(scene, ORIGIN, np.random.default_rng(0), mixing)
-    moved = np.abs(mixed.ranges - exact.ranges) > 0.002
-    azimuth = np.arctan2(mixed.points[:, 1], mixed.points[:, 0])
-    column = np.rint(azimuth / (2 * np.pi / 1024)).astype(int)
-    assert set(column[moved & (np.abs(column) < 20)]) == {-1, 0}
-
-
-def test_what_is_too_near_or_too_far_gives_no_return():
-    rng = np.random.default_rng(5)
-    for distance in (0.2, 9.5):
-        counts, faces = l515_depth(wall(distance), small_camera(), rng)
-        assert not counts.any() and np.all(faces == -1)
-    config = OusterConfig(beams=5, elevation_degrees=(-2.0, 2.0)).exact()
-    for distance in (0.25, 101.0):
-        sphere = Scene(trimesh.creation.icosphere(4, radius=distance))
-        assert len(ouster_scan(sphere, ORIGIN, rng, config).ranges) == 0
-
-
-def test_a_cropped_image_is_a_part_of_the_whole():
-    scene = Scene(trimesh.creation.box((0.3, 0.4, 0.5)))
-    camera = l515_camera(ALONG_X, np.array([-1.5, 0.1, 0.0]))
-    part = cropped_to(camera, np.asarray(scene.mesh.vertices))
-    config, rng = L515Config().exact(), np.random.default_rng(8)
-    whole, _ = l515_depth(scene, camera, rng, config)
-    counts, _ = l515_depth(scene, part, rng, config)
-    column, row = np.asarray(camera.intrinsics - part.intrinsics)[:2, 2].astype(int)
-    window = whole[row : row + part.height, column : column + part.width]
-    np.testing.assert_array_equal(window, counts)
-    assert np.count_nonzero(whole) == np.count_nonzero(counts)

@@ -13,7 +13,6 @@ from experiments.simulation.solids import (
     slab,
     sweep,
     torus,
-    tube,
 )
 
 
@@ -33,13 +32,6 @@ def test_a_torus_and_a_swept_circle_have_the_volume_of_pappus():
         solid = sweep(np.roll(path, turn, axis=1), section)
         assert solid.volume() == pytest.approx(np.pi * 0.04 * 1.5 * np.pi, rel=2e-3)
         assert solid.genus() == 0
-
-
-def test_tube_is_a_cylinder_without_its_bore():
-    start, end = np.array((0.3, -1.0, 2.0)), np.array((1.3, 1.0, 0.0))
-    pipe = tube(start, end, 0.5, 0.3, 400)
-    assert pipe.volume() == pytest.approx(3 * np.pi * (0.5**2 - 0.3**2), rel=1e-3)
-    assert pipe.genus() == 1
 
 
 @pytest.mark.parametrize(("profile", "axis"), [(front_profile, 1), (side_profile, 0)])

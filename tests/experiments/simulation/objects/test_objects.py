@@ -16,8 +16,7 @@ from experiments.simulation.objects.catalogues import (
     read_catalogue,
     read_member,
 )
-from experiments.simulation.objects.survey import digest_of, fault_of, survey
-from experiments.simulation.packing import normalised
+from experiments.simulation.objects.survey import survey
 from prism_jax.data.datasets import folder_of, open_dataset
 from prism_jax.io.errors import InputError
 from tests.experiments.simulation.objects.conftest import entry, knobbed
@@ -133,29 +132,6 @@ def test_every_model_is_taken_or_left_out_with_a_reason(catalogue_dir):
         found = survey([split], catalogue_dir)
         assert [model.identity for model, _ in found.models] == taken
         assert found.left_out == left_out
-
-
-@pytest.mark.parametrize(
-    ("size", "fault"),
-    [
-        ((0.03, 4, 2), "is flat"),
-        ((4, 2, 0.19), "is a slab"),
-        ((4, 2, 0.21), None),
-        ((4, 0.1, 0.05), None),
-    ],
-)
-def test_thin_things_are_left_out_and_slender_ones_are_not(size, fault):
-    assert fault_of(normalised(trimesh.creation.box(size))) == fault
-
-
-def test_a_digest_is_of_corners_and_nothing_else():
-    mesh = normalised(knobbed())
-    order = np.random.default_rng(0).permutation(len(mesh.vertices))
-    faces = np.argsort(order)[mesh.faces][::-1, ::-1]
-    shuffled = trimesh.Trimesh(mesh.vertices[order] + 1e-6, faces, process=False)
-    assert digest_of(mesh) == digest_of(shuffled)
-    mirrored = trimesh.Trimesh(mesh.vertices * (-1, 1, 1), mesh.faces, process=False)
-    assert digest_of(mesh) != digest_of(mirrored)
 
 
 def test_what_looks_alike_has_the_same_sides_and_cells(tmp_path, write_catalogue):

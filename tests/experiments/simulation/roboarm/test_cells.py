@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from experiments.simulation.roboarm import cell_views
 from experiments.simulation.roboarm.cell_views import make_cell_view
 from experiments.simulation.roboarm.cells import CellsConfig, build_cells
 from experiments.simulation.roboarm.cells import cell_views as cell_views_of
@@ -16,9 +15,7 @@ from experiments.simulation.sensors import L515Config
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.geometry.visibility import NEARER, UNKNOWN, look_up
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.depth import points_from_depth
-from prism_jax.preprocessing.visibility_map import seen_among
 
 SENSOR = L515Config().exact()
 
@@ -38,24 +35,6 @@ def seen(model):
         if len(found) == 4:
             return found
     raise AssertionError("no cells")
-
-
-def test_the_map_is_what_a_whole_image_tells_without_labels(seen):
-    """`seen_among` of the object's pixels and all others. Its cube is not the cell's
-    box, so hidden and background are compared as one: measured beside."""
-    for cell, view in seen:
-        depth = (view.depth * DEPTH_SCALE).reshape(-1)
-        rays = cell_views.pixel_rays(view.camera)
-        own = cell_views._measured(depth, view.labels, rays, cell)
-        points = view.eye + depth[:, None] * rays
-        among = points[own], points[~own & (depth > 0)]
-        cube = Workspace.from_points(among[0], 1.4)
-        known = seen_among(*among, view.eye.astype(float), cube)
-        kinds = [np.minimum(one.state, NEARER) for one in (known, view.visibility)]
-        assert np.mean(kinds[0] == kinds[1]) > 0.95
-        both = (kinds[0] == kinds[1]) & (kinds[0] != UNKNOWN)
-        gap = np.abs(known.depth - view.visibility.depth)[both]
-        assert np.mean(gap < 0.02) > 0.97
 
 
 def test_who_stands_before_the_cell_is_nearer_and_not_in_the_truth(seen):

@@ -41,35 +41,6 @@ def variant(tmp_path, *changes, root=None):
     return ArmModel("variant", "test", str(path), root)
 
 
-def test_links_are_where_trigonometry_puts_them(model):
-    robot = Robot(model)
-    assert robot.joints == ("yaw", "shoulder", "elbow")
-    rng = np.random.default_rng(0)
-    positions = rng.uniform(robot.lower, robot.upper, (20, 3))
-    poses = robot.link_poses(positions)
-    yaw, first, second = positions.T
-    for tip, reach in ((0.0, boxes.UPPER), (boxes.LOWER, boxes.UPPER)):
-        across = reach * np.sin(first) + tip * np.sin(first + second)
-        height = reach * np.cos(first) + tip * np.cos(first + second)
-        expected = np.stack(
-            [across * np.cos(yaw), across * np.sin(yaw), boxes.SHOULDER + height],
-            axis=1,
-        )
-        found = poses[:, 3, :3, 3] + tip * poses[:, 3, :3, 2]
-        np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_an_arm_can_be_taken_off_a_robot(tmp_path, model):
-    """From the turret on, with its joint: the same motions, the base left out."""
-    whole, part = Robot(model), Robot(variant(tmp_path, root="turret"))
-    assert part.joints == whole.joints
-    positions = np.array([[0.4, 0.9, -1.2]])
-    expected, found = whole.link_poses(positions)[:, 1:], part.link_poses(positions)
-    expected[..., :3, 3] += found[0, 0, :3, 3] - expected[0, 0, :3, 3]
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-    assert part.mesh(np.zeros(3)).bounds[0, 2] == pytest.approx(0)
-
-
 def test_a_mimic_follows_and_belongs_to_the_part_that_carries_it(tmp_path):
     mimic = '<mimic joint="shoulder" multiplier="-0.5" offset="0.1"/>'
     joint = boxes.joint("elbow", "upper", "lower", boxes.UPPER, "0 1 0")

@@ -50,20 +50,6 @@ def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
     assert len(frame.partial) > 0.8 * len(rows)
 
 
-def test_hidden_share_is_that_of_pixels(sequence, frame, small):
-    """Against a frame of the same cell without its clutter."""
-    bare = dataclasses.replace(sequence.cell, clutter=sequence.cell.clutter.copy())
-    bare.clutter.update_faces(np.zeros(len(bare.clutter.faces), bool))
-    free = make_frame(
-        dataclasses.replace(sequence, cell=bare), 1, small, np.random.default_rng(0)
-    )
-    seen = [np.count_nonzero(f.labels == LABELS["robot"]) for f in (frame, free)]
-    # Fine pixels at the edge of both range limits apart, exact sensors see the same.
-    hidden = 1 - seen[0] / seen[1]
-    assert frame.joints["hidden_share"] == pytest.approx(hidden, abs=0.01)
-    assert free.joints["hidden_share"] == 0
-
-
 def test_flying_pixels_are_those_between_two_surfaces():
     depth = np.full((20, 30), 1.0)
     depth[:, 15:] = 2.0

@@ -1,17 +1,14 @@
 """The procedural shapes on disk, and as a source."""
 
-import dataclasses
 import pickle
 
 import numpy as np
 import pytest
 
 from experiments.simulation import building
-from experiments.simulation.open_shapes import make_open_shape
-from experiments.simulation.open_shapes.build import OpenConfig
-from experiments.simulation.shapes import TRAIN_CATEGORIES, category_rng
+from experiments.simulation.shapes import TRAIN_CATEGORIES
 from experiments.simulation.shapes.build import ShapesConfig, build_shapes, shape_seed
-from experiments.simulation.views import make_views, views_of
+from experiments.simulation.views import make_views
 from prism_jax.data.datasets import folder_of, open_dataset
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
@@ -45,15 +42,6 @@ def test_items_are_the_views_of_shape_after_shape(shapes_dir, train_config):
     data = pickle.dumps(train)
     assert len(data) < 2000
     assert_made(pickle.loads(data)[7], made, 1)
-
-
-def test_open_shapes_are_built_alike(tmp_path):
-    build_shapes(OpenConfig(num_shapes=2, num_views=2), tmp_path, 0, progress=False)
-    source = open_dataset("open", "train", tmp_path)
-    made = views_of(make_open_shape(1), category_rng("open", 1, 1), 2)
-    for view in range(2):
-        assert_made(source[2 + view], made, view)
-        assert source[2 + view].name == f"000001/{view:02d}"
 
 
 def test_a_mixture_keeps_what_the_sensors_knew_and_says_the_kinds(tmp_path):
@@ -120,16 +108,6 @@ def test_seeds_are_disjoint_and_those_that_results_were_recorded_with():
         for index in (*range(10), 23999, 2**32 - 1)
     ]
     assert len(set(seeds)) == len(seeds)
-
-
-def test_sizes_are_the_splits_own_unless_given():
-    for split, sizes in ShapesConfig.SIZES.items():
-        config = ShapesConfig(split)
-        assert sizes.items() <= dataclasses.asdict(config).items()
-        # Every category as often as every other, but for one.
-        counts = np.bincount(np.arange(config.num_shapes) % len(config.categories))
-        assert np.ptp(counts) <= 1
-    assert ShapesConfig("train", num_views=1).num_views == 1
 
 
 @pytest.mark.parametrize(
