@@ -58,14 +58,6 @@ def test_frame_is_the_workspace_of_the_partial(example, ordered):
         assert ordered or np.diff(steps).max() <= 1e-6 * np.abs(mapped).max()
 
 
-@pytest.mark.parametrize("ordered", [True, False])
-def test_a_cloud_of_too_few_points_is_repeated(example, ordered):
-    few = example._replace(partial=example.partial[:40], ordered=ordered)
-    partial = frame_example(few, FRAMING).partial
-    assert len(np.unique(partial[:40], axis=0)) == 40
-    assert np.array_equal(partial[40:], partial[:24])
-
-
 def test_the_scale_leads_to_the_unit_of_the_scores(example):
     """There the longest side of the complete cloud has length two."""
     example = example._replace(partial=example.partial / 3)

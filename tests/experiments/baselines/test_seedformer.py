@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.baselines.seedformer import PointTransformer, UpsampleTransformer
+from experiments.baselines.seedformer import UpsampleTransformer
 from tests.experiments.baselines.conftest import TINY, drawn
 
 RNG = np.random.default_rng(0)
@@ -98,25 +98,6 @@ def test_upsample_transformer_agrees_with_a_loop(
     expected = looped_upsampling(as_numpy(variables), times, *inputs)
     assert actual.shape == (7 * times, NORMED.features)
     np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=1e-4)
-
-
-def test_point_transformer_agrees_with_a_loop(quick_jit):
-    module = PointTransformer(NORMED)
-    xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
-    variables = drawn(module, xyz, features, neighbors)
-    actual = quick_jit(module.apply)(variables, xyz, features, neighbors)
-
-    params = as_numpy(variables)
-    x = dense(params["start"], np.float64(features))
-    query, key, value = (dense(params[name], x) for name in ("query", "key", "value"))
-    for i, near in enumerate(np.asarray(neighbors)):
-        offset = dense(params["position_0"], np.float64(xyz[i] - xyz[near]))
-        offset = dense(params["position_1"], norm_relu(params["position_norm"], offset))
-        hidden = dense(params["attention_0"], query[i] - key[near] + offset)
-        logits = dense(params["attention_1"], norm_relu(params["norm"], hidden))
-        attended = (softmax(logits) * (value[near] + offset)).sum(0)
-        expected = dense(params["end"], attended) + np.float64(features[i])
-        np.testing.assert_allclose(actual[i], expected, rtol=1e-4, atol=1e-4)
 
 
 def test_without_offsets_every_stage_is_made_of_seeds_and_partial(tiny_network):

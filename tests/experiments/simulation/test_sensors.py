@@ -125,29 +125,3 @@ def test_losses_grow_with_the_angle_and_are_independent(tilt, kept):
         counts, faces = l515_depth(scene, camera, rng, config, flags)
         np.testing.assert_array_equal(faces == -1, counts == 0)
         assert np.mean(counts > 0) == pytest.approx(expected, abs=0.02)
-
-
-def test_pixels_at_an_edge_are_mixed_as_often_as_claimed():
-    """A plate before a wall: its silhouette's pixels, on both sides of the edge."""
-    plate = wall(1.0, size=0.2).mesh
-    scene = Scene(trimesh.util.concatenate([plate, wall(2.0).mesh]))
-    config = dataclasses.replace(L515Config().exact(), mixed_share=0.3)
-    camera = small_camera(100, 20.0)
-    depths = []
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        counts, faces = l515_depth(scene, camera, rng, config)
-        depths.append(counts * 0.00025)
-    near = faces < 2
-    beside = np.zeros_like(near)
-    for axis in (0, 1):
-        for step in (-1, 1):
-            beside |= np.roll(near, step, axis) != near
-    depth = np.array(depths)
-    mixed = (depth > 1.001) & (depth < 1.999)
-    assert not mixed[:, ~beside].any()
-    trials = 20 * beside.sum()
-    assert abs(mixed.sum() / trials - 0.3) < 4 * np.sqrt(0.3 * 0.7 / trials) + 0.002
-    for surface in (near, ~near):
-        between = (depth[mixed & surface] - 1.001) / 0.998
-        assert stats.kstest(between, "uniform").pvalue > 1e-3

@@ -16,21 +16,6 @@ SLAB = np.array([(0.0, 1, 0, 1), (0, -1, 0, 1), (1, 0, 0, 2), (-1, 0, 0, 2)])
 """What is kept lies within |y| <= 1 and |x| <= 2."""
 
 
-def test_planes_are_hit_where_the_sides_of_a_box_are():
-    box = trimesh.creation.box(bounds=[(-50, -3, -2.0), (4, 50, 50.0)])
-    eye = np.array([1.0, -1, 2])
-    expected = Scene(box).cast(eye, RAYS)
-    hits = Surroundings(planes=ROOM).cast(eye, RAYS)
-    near = expected.points.min(axis=1) > -4
-    near &= expected.points.max(axis=1) < 49
-    assert near.sum() > 500
-    kept = np.isin(hits.ray, expected.ray[near])
-    for name in ("points", "distances", "cosines"):
-        found, given = getattr(hits, name)[kept], getattr(expected, name)[near]
-        np.testing.assert_allclose(found, given, atol=1e-4)
-    assert np.all(hits.faces == -1)
-
-
 def test_the_nearest_of_planes_and_occluders_is_hit():
     ball = Scene(trimesh.creation.icosphere(3))
     eye = np.array([0.5, 4.0, 1.0])

@@ -134,21 +134,6 @@ def test_every_model_is_taken_or_left_out_with_a_reason(catalogue_dir):
         assert found.left_out == left_out
 
 
-def test_what_looks_alike_has_the_same_sides_and_cells(tmp_path, write_catalogue):
-    """Two poles differ where a third of their width is another; a cube is no tower."""
-    made = {
-        "square": trimesh.creation.box((0.1, 4, 0.1)),
-        "round": turned(trimesh.creation.cylinder(0.05, 4), np.pi / 2),
-        "thicker": trimesh.creation.box((0.103, 4, 0.1)).subdivide(),
-        "cube": trimesh.creation.box((1, 1, 1)),
-        "tower": trimesh.creation.box((1, 1.3, 1)),
-    }
-    entries = [entry(name, mesh, name) for name, mesh in made.items()]
-    write_catalogue(tmp_path, "Scopia", entries)
-    found = survey(["test"], tmp_path)
-    assert found.left_out == {"Scopia/thicker": "looks like Scopia/square"}
-
-
 def test_items_are_the_views_of_model_after_model(
     catalogue_dir, tmp_path, write_catalogue
 ):
