@@ -21,8 +21,8 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
+    MAP_MARGIN,
     MAP_SIZE,
-    MARGIN,
     NEARER,
     SURFACE,
     UNKNOWN,
@@ -98,7 +98,7 @@ def test_noise_is_in_metres(ball):
 def test_the_camera_of_a_map_is_that_of_framing():
     eye = (3, 1, 1.0)
     found = framing_camera(POINTS, np.array(eye))
-    expected = Camera.framing(jnp.asarray(POINTS), eye, MARGIN, MAP_SIZE, MAP_SIZE)
+    expected = Camera.framing(jnp.asarray(POINTS), eye, MAP_MARGIN, MAP_SIZE, MAP_SIZE)
     assert (found.height, found.width) == (expected.height, expected.width)
     pixels = [camera.project(POINTS)[0] for camera in (found, expected)]
     np.testing.assert_allclose(*pixels, atol=1e-3)
