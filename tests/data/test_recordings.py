@@ -168,7 +168,7 @@ def png(pixels):
         ("depth.png", png(WALL[1:]), "depth.png.*32x23.*32x24"),
         ("depth.png", png(WALL.astype(np.uint8)), "depth.png.*16-bit"),
         ("depth.png", png(WALL * 0), "no valid depth pixels"),
-        ("depth.png", png(WALL)[:60], "depth.png: not a valid depth image"),
+        ("depth.png", png(WALL)[:60], "depth.png: not a valid image"),
         ("camera.json", {"depth_scale": 0.001}, "camera.json: depth_scale is"),
         ("camera.json", {"fx": -1}, "camera.json.*positive"),
         ("camera.json", {"translation": [0, 0, 0]}, "0 of 744 points match the depth"),
@@ -178,6 +178,7 @@ def png(pixels):
         ("joints.json", b"[1]", "not a JSON obj"),
         ("complete.ply", b"x", "complete.ply"),
     ],
+    ids=range(12),
 )
 def test_files_that_do_not_fit_are_named(tmp_path, suffix, spoilt, message):
     write_frame(tmp_path / "one", 0, frame())
