@@ -14,8 +14,8 @@ from prism_jax.data.manifest import MANIFEST, hash_files
 from prism_jax.data.recordings import (
     DEPTH_SCALE,
     LABELS,
-    Frame,
     RecordedCells,
+    RecordedFrame,
     check_recordings,
     read_frame,
 )
@@ -45,7 +45,7 @@ def frame(complete=True):
     y, z = -(columns - 15.5) / FOCAL * 1.5, 1.0 - (rows - 11.5) / FOCAL * 1.5
     partial = np.stack([0 * y, y, z], axis=1).astype(np.float32)
     labels = np.where(depth > 0, LABELS["robot"], LABELS["nothing"]).astype(np.uint8)
-    return Frame(
+    return RecordedFrame(
         depth=depth,
         camera=camera(),
         partial=partial,
