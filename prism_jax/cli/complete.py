@@ -22,7 +22,7 @@ from prism_jax import io
 from prism_jax.assets import asset
 from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
-from prism_jax.preprocessing.upright import parse_up
+from prism_jax.preprocessing.upright import AUTO, parse_up
 from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.confidence import trust_of_all
 from prism_jax.reporting.page import render
@@ -144,6 +144,8 @@ def complete_file(
                 *given, scene=scene, around=scan.around, **asked
             )
         else:
+            if scene is not None and up == AUTO:
+                asked["up"] = scene.up.vector
             result = completer.complete(*given, around=scan.around, **asked)
     about = {"weights": weights, "bounds": workspace, **asked}
     if taken_apart:
