@@ -5,6 +5,7 @@ are forked from one process that has imported everything and run nothing.
 """
 
 import json
+import math
 import multiprocessing
 import os
 import pathlib
@@ -33,11 +34,12 @@ def train(folder, dies_at):
 
     def die(event, arguments):
         nonlocal count
-        changes = event in ("os.mkdir", "os.rename", "os.remove", "os.rmdir")
-        opens = event == "open" and str(arguments[0]).startswith(str(folder))
-        count += changes or opens
-        if count == dies_at:
-            os.kill(os.getpid(), signal.SIGKILL)
+        if event in ("os.mkdir", "os.rename", "os.remove", "os.rmdir") or (
+            event == "open" and str(arguments[0]).startswith(str(folder))
+        ):
+            count += 1
+            if count >= dies_at:
+                os.kill(os.getpid(), signal.SIGKILL)
 
     sys.addaudithook(die)
     open_run(str(folder), {}, 0, resume=True)
@@ -49,7 +51,7 @@ def train(folder, dies_at):
     (folder / "ended.json").write_text(json.dumps(ended))
 
 
-def run(folder, dies_at=0):
+def run(folder, dies_at=math.inf):
     """How a training ended, whether in a save, and where the next one begins."""
     process = multiprocessing.get_context("fork").Process(
         target=train, args=(folder, dies_at)
