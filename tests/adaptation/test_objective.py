@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from prism_jax.adaptation import meta
 from prism_jax.adaptation.config import MetaConfig
-from prism_jax.adaptation.meta import _descended
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
-from prism_jax.losses.depth import depth_consistency
+from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.normal import normal_loss
 from prism_jax.models.prism import branches, prepare_input, read_depth
 from tests.trees import as_double, row
@@ -44,7 +44,7 @@ def test_it_is_the_weighted_sum_of_its_terms(
         seen = branches(variables, frame, made, features, config.model)
         neighbors, denoised = config.adapt.normal_neighbors, frame.perturbed
         terms = (
-            depth_consistency(made.points, frame.partial, frame.view),
+            depth_supervised(made.points, frame.partial, frame.view),
             normal_loss(seen.normals, made.points, 0.3, neighbors),
             denoise_loss(denoised + seen.offsets, frame.upsampled, seen.offsets, 0.7),
             alignment_loss(seen.tokens_3d, seen.tokens_depth, 1.3, 0.6, 0.07),
@@ -63,9 +63,14 @@ def test_it_is_the_weighted_sum_of_its_terms(
     np.testing.assert_allclose(losses.objective, expected, rtol=1e-7)
 
 
-def test_what_the_inner_loop_of_training_descends(minimal):
+def test_what_the_inner_loop_of_training_descends(minimal, monkeypatch):
     """Eq. 11, or all of Eq. 13 where that is rehearsed."""
     config = minimal.config.with_adapt(depth_weight=2.0, auxiliary_weight=3.0)
-    assert _descended(config, MetaConfig(rehearse_depth=True)) == config
-    adapt = _descended(config, MetaConfig()).adapt
+    monkeypatch.setattr(meta, "test_time_objective", lambda *arguments: arguments[-1])
+
+    def descended(method):
+        return meta.network_functions(config, method).auxiliary_loss(None, None)
+
+    assert descended(MetaConfig(rehearse_depth=True)) == config
+    adapt = descended(MetaConfig()).adapt
     assert (adapt.depth_weight, adapt.auxiliary_weight) == (0.0, 1.0)

@@ -30,7 +30,7 @@ CAMERA = {"width": 64, "height": 48, "fx": 40, "fy": 40, "cx": 31.5, "cy": 23.5}
 def folder(tmp_path, monkeypatch):
     load = FakeCompleter.from_pretrained
     monkeypatch.setattr(complete, "load_completer", load)
-    monkeypatch.setattr(complete, "PATIENCE", 600.0)
+    monkeypatch.setattr("prism_jax.cli.launch.PATIENCE", 600.0)
     monkeypatch.chdir(tmp_path)
     np.save("scan.npy", POINTS)
     np.save("few.npy", POINTS[:63])
@@ -215,7 +215,7 @@ FAULTS = [
     (["--input=empty.ply"], "empty.ply: empty file"),
     (["--input=nonsense.ply"], "nonsense.ply: not a valid PLY file"),
     (["--input=scan.obj"], "scan.obj: suffix '.obj' is not a point cloud"),
-    (["--input=."], ".: suffix ''"),
+    (["--input=."], ".: a folder, not a scan; to complete all scans in it, give"),
     (["--input="], ": suffix ''"),
     (["--max_points=199"], "scan.npy: 200 points exceed the limit of 199; crop or"),
     (["--max_points=0"], "flag --max_points=0: 0 is not a positive integer"),
@@ -227,10 +227,10 @@ FAULTS = [
     (["--camera=behind.json"], "scan.npy: all points are behind the camera"),
     (["--camera=missing.json"], "missing.json: no such file"),
     (["--camera=half.json"], "half.json: not a valid camera: height is missing"),
-    (["--camera=scan.npy"], "scan.npy: not a valid camera"),
+    (["--camera=scan.npy"], 'scan.npy: not JSON; write {"width":'),
     (["--ground_truth=missing.ply"], "missing.ply: no such file"),
     (["--ground_truth=nan.npy"], "nan.npy: no finite points"),
-    (["--workspace=1,2,3"], "--workspace: '1,2,3' is not six finite numbers"),
+    (["--workspace=1,2,3"], "--workspace: cannot read '1,2,3'; give x0,y0,z0"),
     (["--workspace=8,8,8,9,9,9"], "scan.npy: no points inside --workspace"),
     (["--workspace="], "--workspace: cannot read ''"),
     (["--weights=huge"], "huge: no such weights; choose one of small"),
@@ -365,8 +365,7 @@ def scene(folder):
 def test_a_scene_comes_back_as_its_objects(scene, capsys):
     assert run("--input=scene.npy", "--output_dir=out") == 0
     assert capsys.readouterr().out == (
-        "confidence  These weights have no calibration: confidence in the completions "
-        "is unknown.\n"
+        "confidence  unknown: these weights have no calibration\n"
         "objects     2; 90 points on removed planes, 0 in no object\n"
         "points      440 observed, 175 added\n"
         "written     out: completed.ply, result.json, report.html\n"

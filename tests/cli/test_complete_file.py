@@ -15,7 +15,8 @@ from PIL import Image
 
 from prism_jax import io
 from prism_jax.cli import complete
-from prism_jax.cli.complete import complete_file, timed
+from prism_jax.cli.complete import _timed as timed
+from prism_jax.cli.complete import complete_file
 from prism_jax.io.ply import read_ply
 from prism_jax.preprocessing.segmentation.planes import Plane
 from prism_jax.preprocessing.segmentation.scene import Scene
@@ -210,7 +211,7 @@ def test_bad_input_is_refused_before_weights_are_loaded(given, tmp_path, monkeyp
 
 
 def test_a_long_step_is_told(capsys, monkeypatch):
-    monkeypatch.setattr(complete, "PATIENCE", 0.02)
+    monkeypatch.setattr("prism_jax.cli.launch.PATIENCE", 0.02)
     seconds = {}
     with timed("loading", "load", seconds):
         time.sleep(0.1)

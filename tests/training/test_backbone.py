@@ -35,7 +35,7 @@ def phase_of(minimal, minimal_variables):
             minimal.pretrain.backbone[0], num_blocks=num_blocks, **samples
         )
         training = dataclasses.replace(minimal.pretrain, batch_size=BATCH, **changes)
-        return backbone_phase(backbone, minimal.model, phase, training)
+        return backbone_phase(backbone, minimal.model.backbone, phase, training)
 
     return make
 
