@@ -19,7 +19,7 @@ from prism_jax.cli.complete import _timed as timed
 from prism_jax.cli.complete import complete_file
 from prism_jax.io.ply import read_ply
 from prism_jax.preprocessing.segmentation.planes import Plane
-from prism_jax.preprocessing.segmentation.scene import Scene
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 from tests.fake_completer import FakeCompleter
 
 PLANE = Plane(np.array([0, 0, 1.0]), 0.0, 0.1)
@@ -110,7 +110,9 @@ def test_what_the_workspace_crops_away_is_told_as_around(given, monkeypatch, obj
 
     monkeypatch.setattr(FakeCompleter, "complete", complete)
     if objects == "auto":
-        parted = Scene(np.repeat([0, -1], [500, 100]), (PLANE,), (500,), 100, 0)
+        parted = SegmentedScene(
+            np.repeat([0, -1], [500, 100]), (PLANE,), (500,), 100, 0
+        )
         monkeypatch.setattr(FakeCompleter, "split_scene", lambda *_: parted)
     image = given | dict(input=str(folder / "scan.png"), objects=objects)
     complete_file(**image, workspace="0,-9,-9,9,9,9")

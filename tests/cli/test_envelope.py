@@ -135,7 +135,7 @@ def test_the_same_scan_gives_the_same_arrays_and_surface(asked, tmp_path):
         (["--ssm=nothing.json"], "no such file"),
         (["--eye=0,0,0"], "omit it"),
         (["--voxel=0"], "voxel"),
-        (["--workspace=0,0,0,1,1"], "six"),
+        (["--workspace=0,0,0,1,1"], "--workspace: cannot read"),
         (["another.ply"], "expected one scan or recording, got 2"),
     ],
 )

@@ -103,7 +103,7 @@ def test_an_mcap_file(scans, weights, tmp_path):
         (["a", "b"], "expected one recording, got 2"),
         (["scan.txt"], "check the path"),
         (["SCANS", "--topic=/points"], "omit --topic"),
-        (["SCANS", "--workspace=1,2"], "is not six finite numbers"),
+        (["SCANS", "--workspace=1,2"], "--workspace: cannot read"),
         (["SCANS", "--up=q"], "cannot read 'q'"),
         (["SCANS", "--camera=no.json"], "no such file"),
         (["SCANS", "--adapt=always"], "--help lists the flags"),

@@ -26,7 +26,7 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
-from prism_jax.preprocessing.segmentation.scene import Scene
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 from prism_jax.preprocessing.sensor import likely_eye
 from prism_jax.uncertainty.confidence import EVIDENCE
 from prism_jax.uncertainty.evidence import LOOKS
@@ -449,7 +449,7 @@ def test_around_an_object_of_a_scene_lies_all_that_is_not_its_own(minimal, monke
     monkeypatch.setattr(Completer, "_run_together", stop)
     points = np.concatenate([scan(), scan() - 2 * EYE, wall()[::2]])
     number = np.repeat([0, 1, -1], [300, 300, len(wall()[::2])])
-    scene = Scene(number, (), (300, 300), len(wall()[::2]), 0)
+    scene = SegmentedScene(number, (), (300, 300), len(wall()[::2]), 0)
     completer = Completer(minimal.config, {})
     with pytest.raises(StopIteration):
         completer.complete_scene(

@@ -10,7 +10,7 @@ from prism_jax.completion.assembly import in_one_scene
 from prism_jax.completion.completer import Completer
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
-from prism_jax.preprocessing.segmentation.scene import Scene
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 
 EYE = np.array([0.0, -8.0, 6.0])
 FAR = np.array([4e5, 5e6, 100.0])
@@ -43,7 +43,7 @@ def completer(minimal, minimal_variables):
 def taken_apart(scene):
     """By construction, so that this file tests the completion alone."""
     _, number = scene
-    return Scene(number, (), (300, 300, 300), 4000, 0)
+    return SegmentedScene(number, (), (300, 300, 300), 4000, 0)
 
 
 @pytest.fixture(scope="module")
