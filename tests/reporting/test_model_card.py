@@ -10,6 +10,8 @@ from prism_jax.completion.weights import available_weights, read_metadata, save_
 from prism_jax.evaluation.tables import markdown
 from prism_jax.reporting.model_card import model_card, released_scores, weights_table
 
+pytestmark = pytest.mark.xdist_group("weights")
+
 README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
 
 
