@@ -45,16 +45,15 @@ from prism_jax.completion.weights import (
 from prism_jax.data.datasets import digest_of, open_dataset
 from prism_jax.data.pipeline import Batch, Framing, stack
 from prism_jax.evaluation.bootstrap import change_interval, resampled_means
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.neighbors import nearest
-from prism_jax.geometry.spacing import median_spacing
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import SQUARED_DISTANCE_FLOOR
 from prism_jax.losses.primary import primary_loss
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.models.variables import ENCODERS, Variables
-from prism_jax.preprocessing.observation import Observation, observe
+from prism_jax.preprocessing.observation import Observation, framed_view
 from prism_jax.preprocessing.visibility import IN_FRONT, in_front
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import TrainState
@@ -199,7 +198,7 @@ def complete(variables: Variables, seen: Observation, model: ModelConfig) -> Clo
 
 @functools.partial(jax.jit, static_argnames="model")
 def _points(variables, partial, eye, model):
-    camera = observe(partial, eye, Workspace.unit()).camera
+    camera = framed_view(partial, eye)
     inputs = prepare_input(partial, camera, jax.random.key(0), model)
     return predict(variables, inputs, model).points
 
@@ -221,7 +220,7 @@ def student_loss(moved, fixed, batch, key, config, settings) -> Float[Array, ""]
     which stands behind them in ``batch.complete``, and Eq. 13."""
 
     def one(partial, eye, wanted, key):
-        camera = observe(partial, eye, Workspace.unit()).camera
+        camera = framed_view(partial, eye)
         inputs = prepare_input(partial, camera, key, config.model)
         if settings.auxiliary_weight:
             losses, prediction = test_time_objective(variables, inputs, config)
@@ -253,7 +252,7 @@ def evidence(variables, frames: list[Frame], model) -> Float[np.ndarray, "L 3"]:
         wrong = 0.0
         if example.eye is not None:
             few = np.asarray(whole.workspace.from_unit(whole.partial))
-            ray = example.partial, example.eye, median_spacing(few), IN_FRONT
+            ray = example.partial, example.eye, IndexedCloud(few).spacing, IN_FRONT
             wrong = in_front(added, *ray).mean()
         rows.append((number if several else row, distance, wrong))
     return np.array(rows, np.float64)

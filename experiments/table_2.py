@@ -27,9 +27,8 @@ from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch
 from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view
 
 FLAGS = flags.FLAGS
 PRETRAINED, META = "pretrained", "meta-trained"
@@ -96,7 +95,7 @@ def online_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
 
     @jax.jit
     def one(encoders: Variables, partial: jax.Array, eye: jax.Array):
-        camera = observe(partial, eye, Workspace.unit()).camera
+        camera = framed_view(partial, eye)
         done = adapt(put_encoders(encoders, rest), partial, camera)
         return done.encoders, (done.points, done.before, done.accepted)
 

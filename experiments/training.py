@@ -84,7 +84,7 @@ def beginning(
         raise InputError(weights, f"not weights of {whose}", remedy)
     reach = wanted.backbone.offset_reach
     if dataclasses.replace(given, offset_reach=reach) != wanted.backbone:
-        fresh = init_backbone(jax.random.key(seed or 0), wanted)
+        fresh = init_backbone(jax.random.key(seed or 0), wanted.backbone)
         variables = overlaid(fresh, variables)
     return variables
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
 from prism_jax.models.attention import attend, hidden_and_values, interpolate
-from prism_jax.models.decoder import initial_points, initial_rows
+from prism_jax.models.decoder import sampled_rows
 from prism_jax.models.encoder import SetAbstraction
 from prism_jax.models.layers import (
     MLP,
@@ -26,7 +26,6 @@ from prism_jax.models.layers import (
     repeat_in_place,
     take,
 )
-from prism_jax.models.pyramid import farthest_order
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,8 +140,8 @@ class SeedFormer(nn.Module):
         config = self.config
         patches = Encoder(config, name="encoder")(partial, train)
         seeds = SeedGenerator(config, name="seed_generator")(patches, train)
-        rows = initial_rows(seeds[0], partial, config.num_initial)
-        xyz = initial_points(seeds[0], partial, rows)
+        joined = jnp.concatenate([seeds[0], partial], axis=-2)
+        xyz = take(joined, sampled_rows(joined, config.num_initial))
         stages, features = [seeds[0]], None
         for i, times in enumerate(config.up_factors):
             layer = UpsamplingLayer(config, times, name=f"layer_{i}")
@@ -162,8 +161,7 @@ class Encoder(nn.Module):
     ) -> Patches:
         config = self.config
         # A shorter farthest-point sample is the prefix of a longer one.
-        sample = over_batch(lambda cloud: farthest_order(cloud, config.patch_points[0]))
-        sampled = take(partial, sample(partial))
+        sampled = take(partial, sampled_rows(partial, config.patch_points[0]))
         xyz = features = partial
         neighbors = jnp.zeros((), int)
         levels = zip(config.patch_points, config.patch_features, strict=True)
@@ -263,12 +261,7 @@ class PointTransformer(nn.Module):
         x = Dense(width, name="start")(features)
         query, key, value = (Dense(width, name=n)(x) for n in ("query", "key", "value"))
         hidden, values = hidden_and_values(
-            (xyz, query),
-            (xyz, key, value),
-            neighbors,
-            config.attention_ratio,
-            config.use_norm,
-            train,
+            (xyz, query), (xyz, key, value), neighbors, config, train
         )
         logits = Dense(width, name="attention_1")(hidden)
         attended = attend(logits, values)
@@ -308,12 +301,7 @@ class UpsampleTransformer(nn.Module):
             seed = Dense(width, name="seed")(seed_features)
             query, key, value = query + seed, key + seed, value - seed
         hidden, values = hidden_and_values(
-            (xyz, query),
-            (xyz, key, value),
-            neighbors,
-            config.attention_ratio,
-            config.use_norm,
-            train,
+            (xyz, query), (xyz, key, value), neighbors, config, train
         )
         logits = SplitPoints(width, self.times, name="attention_1")(hidden)
         logits = logits.reshape(*hidden.shape[:-1], self.times, width)

@@ -28,7 +28,7 @@ def network_phase(
         made = module.init(second, cloud)
         return {kind: made.get(kind, {}) for kind in ("params", "batch_stats")}
 
-    def train(variables: Variables, batch: Batch, _: Array):
+    def train(variables: Variables, batch: Batch):
         partial = jnp.asarray(batch.partial)
         stages, statistics = apply_training(module, variables, partial)
         return stage_losses(stages, batch, training.norm), statistics

@@ -26,7 +26,7 @@ def suite(preset: str = "paper") -> Iterator[Row]:
     backbone = settings.model.backbone
     phases = [
         *(
-            backbone_phase(variables, settings.model, each, settings.pretrain)
+            backbone_phase(variables, settings.model.backbone, each, settings.pretrain)
             for each in settings.pretrain.backbone
         ),
         auxiliary_phase(variables, settings.config, settings.pretrain, 0),

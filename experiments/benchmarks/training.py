@@ -45,7 +45,7 @@ def suite(preset: str = "small") -> Iterator[Row]:
     best = np.median(products) / product.flops
     wanted = [1e3 * config.batch_size / SAMPLES_PER_SECOND]
     for phase in config.backbone:
-        step = _step(backbone_phase(own, settings.model, phase, config), batch)
+        step = _step(backbone_phase(own, settings.model.backbone, phase, config), batch)
         (times,) = in_turn(step, seconds=20.0)
         name = f"{preset}, {phase.name}, step of {config.batch_size} samples"
         peer = f"{SAMPLES_PER_SECOND} samples a second"
@@ -57,10 +57,9 @@ def suite(preset: str = "small") -> Iterator[Row]:
         backbone = dataclasses.replace(
             backbone, reads_visibility=False, seeds_read_visibility=False
         )
-        model = dataclasses.replace(settings.model, backbone=backbone)
-        fresh = init_backbone(jax.random.key(0), model)
+        fresh = init_backbone(jax.random.key(0), backbone)
         phase = config.backbone[-1]
-        blind = _step(backbone_phase(fresh, model, phase, config), batch)
+        blind = _step(backbone_phase(fresh, backbone, phase, config), batch)
         ours, theirs = in_turn(step, blind, seconds=30.0)
         name = f"{preset}, {phase.name}, step of {config.batch_size} samples"
         yield row(name, ours, "the same, not told what the sensor knows", theirs)

@@ -18,12 +18,12 @@ from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.pipeline import Batch, Framing, frame_example
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import Protocol, observed
-from prism_jax.geometry.spacing import median_spacing
+from prism_jax.geometry.cloud import IndexedCloud, sight
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import Observation
 from prism_jax.preprocessing.outliers import far_outliers
-from prism_jax.preprocessing.visibility import IN_FRONT, NUM_RAYS, REACH
+from prism_jax.preprocessing.visibility import IN_FRONT, NUM_RAYS, SIGHT_REACH
 
 MAX_MEASURED = 8192  # points that are kept of a frame: evenly spaced rows of it
 HIDDEN_SHARES = (0.1, 0.75)  # of the points: the least and the most that are hidden
@@ -160,10 +160,9 @@ def _seen_from_elsewhere(points, eye, rng):
 def seen_from(points: Cloud, eye: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " N"]:
     """Which points no other one hides: none about their line of sight is nearer to the
     eye by more than `IN_FRONT` spacings."""
-    rays = points - eye
-    distance = np.maximum(np.linalg.norm(rays, axis=1), np.finfo(np.float64).tiny)
-    spacing, sight = median_spacing(points), rays / distance[:, None]
-    reach = REACH * spacing / np.median(distance)
-    _, rows = KDTree(sight).query(sight, k=NUM_RAYS, distance_upper_bound=reach)
+    (directions, distance), spacing = sight(points, eye), IndexedCloud(points).spacing
+    reach = SIGHT_REACH * spacing / np.median(distance)
+    tree = KDTree(directions)
+    _, rows = tree.query(directions, k=NUM_RAYS, distance_upper_bound=reach)
     nearest = np.append(distance, np.inf)[rows].min(axis=1)
     return distance - nearest <= IN_FRONT * spacing

@@ -30,11 +30,9 @@ def unroll(
 
     A gradient whose global norm is above ``clip_norm``, if that is not zero, is scaled
     down to it. ``loss_fn`` returns the loss and anything else worth keeping. Returns
-    the adapted parameters, and the losses and extras *before* each step, stacked. The
-    body is traced once, whatever the number of steps. Differentiable in ``params``,
-    ``step_sizes`` and all that ``loss_fn`` closes over, to second order (MAML, Finn et
-    al., ICML 2017); with ``first_order`` the gradients count as constants, and only
-    ``params`` and ``step_sizes`` have a derivative through the steps.
+    the adapted parameters, and the losses and extras *before* each step, stacked.
+    Differentiable in all that enters, to second order (MAML, Finn et al., ICML 2017);
+    with ``first_order`` the gradients count as constants.
     """
     value_and_grad = jax.value_and_grad(loss_fn, has_aux=True)
 
@@ -57,7 +55,12 @@ def descend(
     if first_order:
         grads = jax.lax.stop_gradient(grads)
     if clip_norm:
-        grads = _clipped(grads, clip_norm)
+        # As one vector: of a sum over a hundred leaves, and of its derivative, XLA on a
+        # CPU computes every term again wherever the gradients are used.
+        flat, unravel = ravel_pytree(grads)
+        # The norm's derivative at zero would not be finite.
+        norm = jnp.sqrt(jnp.maximum((flat**2).sum(), clip_norm**2))
+        grads = unravel(flat * (clip_norm / norm))
 
     def below(step_size: Any, params: Params, grads: Params) -> Params:
         return jax.tree.map(lambda p, g: p - step_size * g, params, grads)
@@ -65,20 +68,9 @@ def descend(
     return jax.tree.map(below, step_sizes, params, grads)
 
 
-def _clipped(grads: Params, clip_norm: float) -> Params:
-    # As one vector: of a sum over a hundred leaves, and of its derivative, XLA's CPU
-    # backend computes every term anew wherever the gradients are used.
-    flat, unravel = ravel_pytree(grads)
-    # The norm's derivative at zero would not be finite.
-    norm = jnp.sqrt(jnp.maximum((flat**2).sum(), clip_norm**2))
-    return unravel(flat * (clip_norm / norm))
-
-
 def step_sizes(variables: Variables, config: AdaptConfig) -> StepSizes:
     """Of every encoder parameter: the configuration's times what was learned.
-
-    BatchNorm's scales and biases stay where they are if ``adapt_norm`` is off.
-    """
+    BatchNorm's scales and biases stay where they are if ``adapt_norm`` is off."""
     encoders, _ = pop_encoders(variables)
     sizes = jax.tree.map(
         lambda log_step: config.step_size * jnp.exp(log_step),

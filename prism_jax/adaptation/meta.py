@@ -17,14 +17,9 @@ from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
 from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.primary import primary_loss
-from prism_jax.losses.weighting import update_scale, weighted_auxiliary
+from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.prism import decode_and_refine, encode, hold_decoding, refine
-from prism_jax.models.variables import (
-    ENCODERS,
-    Variables,
-    pop_encoders,
-    put_encoders,
-)
+from prism_jax.models.variables import ENCODERS, Variables, pop_encoders, put_encoders
 
 
 class Functions(NamedTuple):
@@ -111,9 +106,8 @@ def meta_loss(
         zero_step = primary(before, complete).mean()
     loss = (1.0 - meta.beta_0) * adapted + meta.beta_0 * zero_step
 
-    refined = functions.refiner_loss(
-        variables, jax.lax.stop_gradient(after), inputs, complete
-    )
+    fixed = jax.lax.stop_gradient(after)
+    refined = functions.refiner_loss(variables, fixed, inputs, complete)
     loss += refined
     if own_rule:
         weighting = variables["weighting"]
@@ -138,8 +132,8 @@ def meta_gradients(
 ) -> tuple[Variables, MetaTerms]:
     """Gradients of `meta_loss` of the network, in the tree of `learned_part`.
 
-    `complete` is in farthest-point order. BatchNorm statistics are read as they are,
-    and each cloud's decoding is held through its episode, as at test time.
+    `complete` is in farthest-point order. Each cloud's decoding is held through its
+    episode, as at test time.
     """
     if meta.num_steps:
         hold = functools.partial(hold_decoding, config=config.model)
@@ -152,7 +146,11 @@ def meta_gradients(
 
 def network_functions(config: PrismConfig, meta: MetaConfig) -> Functions:
     """The functions that Eq. 12 is composed of, of PRISM's network."""
-    model, inner = config.model, _descended(config, meta)
+    model = config.model
+    # What the inner loop descends: Eq. 13 or Eq. 11.
+    inner = config
+    if not meta.rehearse_depth:
+        inner = config.with_adapt(depth_weight=0.0, auxiliary_weight=1.0)
 
     def refiner_loss(variables: Variables, after: Any, inputs: Any, complete: Array):
         points = refine(variables, after, model)
@@ -167,13 +165,6 @@ def network_functions(config: PrismConfig, meta: MetaConfig) -> Functions:
         lambda stages, complete: primary_loss(stages, complete, meta.norm),
         refiner_loss,
     )
-
-
-def _descended(config: PrismConfig, meta: MetaConfig) -> PrismConfig:
-    """The configuration whose objective the inner loop descends: Eq. 13 or Eq. 11."""
-    if meta.rehearse_depth:
-        return config
-    return config.with_adapt(depth_weight=0.0, auxiliary_weight=1.0)
 
 
 def learned_part(variables: Variables, meta: MetaConfig) -> Variables:
@@ -209,8 +200,3 @@ def _stopped(variables: Variables, *names: str) -> Variables:
 
     changed = {kind: stop(variables[kind]) for kind in ("params", "weighting")}
     return {**variables, **changed}
-
-
-def measured_scales(variables: Variables, terms: MetaTerms) -> Float[Array, "3"]:
-    """The scales of Eq. 11, moved towards what this step measured."""
-    return update_scale(variables["weighting"]["scales"], terms.losses.auxiliary)

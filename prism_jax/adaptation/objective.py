@@ -37,49 +37,27 @@ class Losses(NamedTuple):
         return jnp.stack([getattr(self, name) for name in BRANCHES], -1)
 
 
-def _normal(
+def auxiliary_losses(
     inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
-) -> Float[Array, ""]:
-    """Eq. 5."""
-    return normal_loss(
+) -> Float[Array, "3"]:
+    """Eq. 5, 6 and 9 of one cloud, in the order of `BRANCHES`."""
+    normal = normal_loss(
         seen.normals,
         prediction.points,
         config.lambda_smooth,
         config.normal_neighbors,
-        stride=config.normal_stride,
+        config.normal_stride,
     )
-
-
-def _denoise(
-    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
-) -> Float[Array, ""]:
-    """Eq. 6."""
-    denoised = inputs.perturbed + seen.offsets
-    return denoise_loss(denoised, inputs.upsampled, seen.offsets, config.lambda_offset)
-
-
-def _align(
-    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
-) -> Float[Array, ""]:
-    """Eq. 9."""
-    return alignment_loss(
+    moved = inputs.perturbed + seen.offsets
+    denoise = denoise_loss(moved, inputs.upsampled, seen.offsets, config.lambda_offset)
+    align = alignment_loss(
         seen.tokens_3d,
         seen.tokens_depth,
         config.lambda_sigma,
         config.lambda_transport,
         config.transport_epsilon,
     )
-
-
-_LOSSES = {"normal": _normal, "denoise": _denoise, "align": _align}
-
-
-def auxiliary_losses(
-    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
-) -> Float[Array, " K"]:
-    """The losses of one cloud's branches, in the order of `BRANCHES`."""
-    arguments = (inputs, prediction, seen, config)
-    return jnp.stack([_LOSSES[name](*arguments) for name in BRANCHES])
+    return jnp.stack([normal, denoise, align])
 
 
 def test_time_objective(

@@ -27,11 +27,9 @@ class Completion(NamedTuple):
         in other poses, if there are some (``config.model.poses``), by the same
         encoders. No loss looks at those.
       before: the completion of the network as it was.
-      accepted: whether the adapted completion is the one returned. It means that the
-        objective of Eq. 13 did not rise and that everything stayed finite. It does not
-        mean that the completion is nearer to the truth: the objective knows none. Nor
-        did every term fall; the depth consistency alone may have risen, and in about
-        half of the frames it does.
+      accepted: whether the adapted completion is the one returned: the objective of
+        Eq. 13 did not rise, and everything stayed finite. That does not mean that it is
+        nearer to the truth, nor that every term fell.
       losses: every term before each step, and after the last: K + 1 values.
       weights: of the auxiliary losses, softmax(eta*).
       encoders: the encoders' parameters that made ``points``, with the samples
@@ -55,22 +53,18 @@ AdaptFn = Callable[..., Completion]
 def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
     """The adaptation function of a configuration.
 
-    The function takes variables (`prism_jax.load_pretrained`), a partial cloud of
-    exactly ``config.model.backbone.num_points`` points (`prism_jax.geometry.resample`)
-    and a camera, both in the unit workspace (`prism_jax.Workspace`), and returns a
-    `Completion`. A network that reads visibility can be given that as well; otherwise
-    it is derived from the cloud. The function is pure: ``jit`` it, ``vmap`` it over
-    partials and cameras (each frame then has its own encoders), embed it. Only the two
-    encoders are updated; everything else is constant, BatchNorm statistics included.
+    It takes variables (`prism_jax.load_pretrained`), a partial cloud of exactly
+    ``config.model.backbone.num_points`` points (`prism_jax.geometry.resample`), a
+    camera, and optionally visibility, all in the unit workspace
+    (`prism_jax.Workspace`). It is pure: ``jit`` it, ``vmap`` it over partials and
+    cameras (each frame then has its own encoders). Only the two encoders are updated.
     The completion is differentiable in the variables, through the steps; no gradient
-    reaches the cloud or the camera. If adaptation was rejected because a value was not
-    finite, the gradient is not finite either.
+    reaches the cloud or the camera. If a value was not finite, neither is the gradient.
 
     If a loss or a coordinate is not finite, or the last objective is above the first,
     adaptation is rejected: ``accepted`` is False, and the completion is that of the
     network without adaptation. With ``num_steps=0`` nothing is adapted.
     """
-
     settings = config.adapt
 
     def adapt(
@@ -79,18 +73,22 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         camera: Camera,
         visibility: Visibility | None = None,
     ) -> Completion:
-        _check(partial, config)
+        model, wanted = config.model, config.model.backbone.num_points
+        if partial.ndim != 2 or partial.shape[0] != wanted:
+            raise ValueError(
+                f"adapt takes one cloud of {wanted} points, not an array of shape "
+                f"{partial.shape}; use prism_jax.geometry.resample, and jax.vmap for "
+                "frames"
+            )
         key = jax.random.key(settings.seed)
-        inputs = prepare_input(
-            partial, camera, key, config.model, visibility=visibility
-        )
+        inputs = prepare_input(partial, camera, key, model, visibility=visibility)
         others = None
-        if config.model.poses > 1:
-            others = in_other_poses(partial, camera, key, config.model, visibility)
+        if model.poses > 1:
+            others = in_other_poses(partial, camera, key, model, visibility)
         if settings.num_steps:
-            inputs = hold_decoding(variables, inputs, config.model)
+            inputs = hold_decoding(variables, inputs, model)
             if others is not None:
-                hold_each = functools.partial(hold_decoding, config=config.model)
+                hold_each = functools.partial(hold_decoding, config=model)
                 others = jax.vmap(hold_each, (None, 0))(variables, others)
         encoders, rest = pop_encoders(variables)
 
@@ -98,17 +96,14 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             """The points, and those of the frame in other poses."""
             if others is None:
                 return points
-            own = put_encoders(moving, rest)
-            return jnp.concatenate(
-                [points, to_original_frame(own, others, config.model)]
-            )
+            beside = to_original_frame(put_encoders(moving, rest), others, model)
+            return jnp.concatenate([points, beside])
 
         # Compiled, so that it is traced once for the steps and for what follows them.
         @jax.jit
         def loss_fn(moving: Variables):
-            losses, prediction = test_time_objective(
-                put_encoders(moving, rest), inputs, config
-            )
+            whole = put_encoders(moving, rest)
+            losses, prediction = test_time_objective(whole, inputs, config)
             features = prediction.encoded.global_feature
             return losses.objective, (losses, prediction.points, features)
 
@@ -116,11 +111,9 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         if settings.num_steps == 0:
             _, (losses, points, features) = loss_fn(encoders)
             losses = jax.tree.map(lambda loss: loss[None], losses)
-            refused = jnp.zeros((), bool)
             points = with_others(points, encoders)
-            return Completion(
-                points, points, refused, losses, weights, encoders, features
-            )
+            made = points, points, jnp.zeros((), bool), losses
+            return Completion(*made, weights, encoders, features)
         adapted, (_, (before, points, features)) = unroll(
             loss_fn,
             encoders,
@@ -134,7 +127,9 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             lambda steps, final: jnp.concatenate([steps, final[None]]), before, after
         )
         first = with_others(points[0], encoders)
-        accepted = _improved(losses) & jnp.isfinite(last).all()
+        finite = jnp.isfinite(jnp.stack(jax.tree.leaves(losses))).all()
+        improved = finite & (losses.objective[-1] <= losses.objective[0])
+        accepted = improved & jnp.isfinite(last).all()
         return Completion(
             jnp.where(accepted, last, first),
             first,
@@ -146,17 +141,3 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         )
 
     return adapt
-
-
-def _improved(losses: Losses) -> Bool[Array, ""]:
-    finite = jnp.isfinite(jnp.stack(jax.tree.leaves(losses))).all()
-    return finite & (losses.objective[-1] <= losses.objective[0])
-
-
-def _check(partial: Array, config: PrismConfig) -> None:
-    wanted = config.model.backbone.num_points
-    if partial.ndim != 2 or partial.shape[0] != wanted:
-        raise ValueError(
-            f"adapt takes one cloud of {wanted} points, not an array of shape "
-            f"{partial.shape}; use prism_jax.geometry.resample, and jax.vmap for frames"
-        )

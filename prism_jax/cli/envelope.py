@@ -21,11 +21,15 @@ from absl import flags
 from jaxtyping import Float
 
 from prism_jax import io
-from prism_jax.cli.complete import load_completer, say, timed
-from prism_jax.cli.launch import launch
+from prism_jax.cli.launch import launch, load_completer, say, timed
+from prism_jax.cli.shared_flags import (
+    define_completion_flags,
+    define_max_points,
+    define_recording_flags,
+    define_strings,
+)
 from prism_jax.cli.stream import (
     REPORT,
-    define_robot_flags,
     end_as_interrupted,
     follow,
     known_robot,
@@ -46,6 +50,9 @@ from prism_jax.envelope.separation import read_terms, separation
 from prism_jax.envelope.surfaces import Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL, Carving
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import unwritable
+from prism_jax.io.files import read_bytes
+from prism_jax.io.scan import parse_numbers
 from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
 from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.preprocessing.upright import parse_up, upright
@@ -56,7 +63,6 @@ from prism_jax.streaming.enveloper import (
     MadeEnvelope,
     Scanned,
     standing,
-    view_from,
 )
 
 FLAGS = flags.FLAGS
@@ -66,55 +72,38 @@ _METHOD = Method()
 _CARVING = Carving()
 LINES = "envelope.jsonl"  # of a stream, a line a frame
 
-_timed = functools.partial(timed, command=NAME)
+_timed = functools.partial(timed, NAME)
+_say = functools.partial(say, NAME)
 
 
 def define_flags() -> None:
     """The flags of both uses."""
-    flags.DEFINE_string("calibration", None, "File written by `calibrate`; required.")
+    define_strings(
+        calibration="File written by `calibrate`; required.",
+        camera="Camera JSON. Default: the .json of the same name for a depth image, "
+        "the CameraInfo for a recording.",
+        depth="For a cloud cropped from a depth image: the whole 16-bit image, with "
+        "--camera. It shows which space is free.",
+        eye="Sensor position of a cloud, x,y,z, if it is not --camera's. Without "
+        "either, no space is known to be free.",
+        sensor="Name of the sensor. Default: derived from the camera's image.",
+        workspace="Box of the voxels, x0,y0,z0,x1,y1,z1, to which the scan is "
+        "cropped. Default: the surfaces with their margin, plus some voxels.",
+        ssm="JSON with the terms of a separation distance.",
+        query="Cloud of points to report both distances for.",
+    )
     flags.DEFINE_float(
         "alpha", None, "Share of cells that may be missed. Default: the calibration's."
     )
     flags.DEFINE_bool("scaled", False, "Scale margins by each point's expected error.")
-    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
-    flags.DEFINE_string(
-        "camera",
-        None,
-        "Camera JSON. Default: the .json of the same name for a depth image, the "
-        "CameraInfo for a recording.",
-    )
-    flags.DEFINE_string(
-        "topic", None, "Topic or sensor to read, if the recording has several."
-    )
-    flags.DEFINE_enum(
-        "pace", "max", ["max", "sensor"], "For recordings, as in prism-stream."
-    )
+    define_completion_flags(_METHOD.density)
+    define_recording_flags()
+    define_max_points(io.MAX_POINTS)
     flags.DEFINE_bool(
         "every_frame",
         False,
         "Write all files for every frame of a recording, each into its own folder; "
         "otherwise only for the last one.",
-    )
-    flags.DEFINE_string(
-        "depth",
-        None,
-        "For a cloud cropped from a depth image: the whole 16-bit image, with "
-        "--camera. It shows which space is free.",
-    )
-    flags.DEFINE_string(
-        "eye",
-        None,
-        "Sensor position of a cloud, x,y,z, if it is not --camera's. Without either, "
-        "no space is known to be free.",
-    )
-    flags.DEFINE_string(
-        "sensor", None, "Name of the sensor. Default: derived from the camera's image."
-    )
-    flags.DEFINE_string(
-        "workspace",
-        None,
-        "Box of the voxels, x0,y0,z0,x1,y1,z1, to which the scan is cropped. "
-        "Default: the surfaces with their margin, plus some voxels.",
     )
     flags.DEFINE_float("voxel", VOXEL, "Side of a voxel, in input units.")
     flags.DEFINE_float(
@@ -130,7 +119,6 @@ def define_flags() -> None:
         lower_bound=0.0,
         upper_bound=1.0,
     )
-    flags.DEFINE_string("up", None, "Up direction, as in prism-complete.")
     flags.DEFINE_enum(
         "objects",
         _METHOD.objects,
@@ -144,15 +132,6 @@ def define_flags() -> None:
         "Measured points that get a margin: all, or only those on objects (not on "
         "removed supports and walls).",
     )
-    flags.DEFINE_enum(
-        "background", _METHOD.background, ["unknown", "empty"], "As in prism-complete."
-    )
-    flags.DEFINE_float("density", _METHOD.density, "As in prism-complete.", 0.0)
-    flags.DEFINE_bool("adapt", _METHOD.adapt, "Adapt the network to the scan first.")
-    define_robot_flags("the positions recorded with each frame")
-    flags.DEFINE_string("ssm", None, "JSON with the terms of a separation distance.")
-    flags.DEFINE_string("query", None, "Cloud of points to report both distances for.")
-    flags.DEFINE_integer("max_points", io.MAX_POINTS, "As in prism-complete.", 1)
     flags.DEFINE_string("output_dir", "prism_envelope", "Output folder.")
     flags.DEFINE_string("output", "calibration.json", "File that `calibrate` writes.")
 
@@ -209,24 +188,23 @@ def calibrate(folder: str) -> str:
 
 def envelope_of(source: str) -> dict[str, Any]:
     """Makes the envelope of a scan, or of each frame of a recording; writes the files.
-
     Returns what the JSON says, of a recording what `stream.json` does. What the user
-    can put right raises InputError, before the weights are loaded if it can be known by
-    then.
-    """
+    can put right raises InputError, if possible before the weights are loaded."""
     seconds: dict[str, float] = {}
     method, observed = _method(), _observed()
-    eye = None if FLAGS.eye is None else _vector("--eye", FLAGS.eye)
+    eye = None
+    if FLAGS.eye is not None:
+        eye = parse_numbers("--eye", FLAGS.eye, 3, "give x,y,z")
     stream = scan = asked = None
     with _timed(f"reading {source}", "read", seconds):
-        robot, joints = known_robot(FLAGS.urdf, FLAGS.joints, FLAGS.base)
+        robot, joints = known_robot()
         if is_stream(source):
             stream, named = _opened(source, joints)
         else:
             scan = _read(source, eye, observed, robot, joints)
             named = scan.named
         if named is None and FLAGS.eye is None:
-            say("no space is known to be free: set --camera or --eye", NAME)
+            _say("no space is known to be free: set --camera or --eye")
         terms = None if FLAGS.ssm is None else read_terms(FLAGS.ssm)
         if FLAGS.query is not None:
             asked = io.read_points(FLAGS.query, FLAGS.max_points).astype(np.float64)
@@ -234,9 +212,8 @@ def envelope_of(source: str) -> dict[str, Any]:
         remedy = f"make one with {NAME} {CALIBRATE} RECORDINGS"
         raise io.InputError("--calibration", "missing", remedy)
     sensor = FLAGS.sensor or sensor_name(named)
-    if sensor is None and not pathlib.Path(FLAGS.calibration).is_file():
-        raise io.InputError(FLAGS.calibration, "no such file", "check the path")
     if sensor is None:
+        read_bytes(FLAGS.calibration)  # whose absence is the first fault
         raise io.InputError("--sensor", "missing", "use the calibration's sensor")
     runs = method.setup(_digest(FLAGS.weights), sensor)
     calibration = read_calibration(FLAGS.calibration, runs)
@@ -273,15 +250,14 @@ def envelope_of(source: str) -> dict[str, Any]:
         )
     if stream is not None:
         sink = _Folder(folder, functools.partial(_summary, about, source))
-        tell = functools.partial(say, command=NAME)
         told = {**about, "pace": FLAGS.pace}
-        return follow(stream, maker, [sink], told, folder / REPORT, tell)
+        return follow(stream, maker, [sink], told, folder / REPORT, _say)
     assert scan is not None
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     with _timed(f"completing {count}", "make", {}):
         made = maker.make(scan)
     if made.seen.fault:
-        say(f"no prediction: {made.seen.fault}", NAME)
+        _say(f"no prediction: {made.seen.fault}")
     seconds |= made.seconds
     summary = _summary(about, source, dataclasses.replace(made, seconds=seconds))
     with _timed(f"writing to {folder}", "write", seconds):
@@ -323,16 +299,14 @@ def _write(folder: pathlib.Path, made: MadeEnvelope, summary: dict[str, Any]) ->
     """All files of one envelope."""
     turn = upright(made.scan.up)
     vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
-    about = made.scan.named, vertical, made.query
-    files = envelope_files(made.envelope, summary, *about)
+    about = summary, made.scan.named, vertical, made.query
+    files = envelope_files(made.envelope, *about)
     io.write_together({folder / name: data for name, data in files.items()})
 
 
 class _Folder:
     """A sink: a line for each frame as it comes, and all files of the last, or of each.
-
-    Until it is closed the lines' file ends in `.part.jsonl`.
-    """
+    Until it is closed the lines' file ends in `.part.jsonl`."""
 
     def __init__(
         self, folder: pathlib.Path, summary: Callable[[MadeEnvelope], dict[str, Any]]
@@ -345,17 +319,13 @@ class _Folder:
     def write(self, frame: MadeEnvelope) -> None:
         summary, self._last = self._summary(frame), frame
         told = ("points", "volumes", "q", "query", "not_completed", "seconds")
-        line = {
-            "frame": frame.number,
-            "timestamp": frame.timestamp,
-            **{name: summary[name] for name in told},
-        }
+        line = {"frame": frame.number, "timestamp": frame.timestamp}
+        line |= {name: summary[name] for name in told}
         try:
             with open(self._part, "a") as file:
                 file.write(json.dumps(line, allow_nan=False) + "\n")
         except OSError as error:
-            fault = f"cannot be written ({error.strerror})"
-            raise io.InputError(self._part, fault, "free some space") from None
+            raise unwritable(self._part, error) from None
         if FLAGS.every_frame:
             own = io.make_output_dir(self._folder / f"{frame.number:06d}")
             _write(own, frame, summary)
@@ -371,8 +341,7 @@ def _opened(source: str, joints: Joints | None) -> tuple[Stream, Camera | None]:
     if FLAGS.depth is not None:
         raise io.InputError("--depth", "not supported for recordings", "omit it")
     camera = None if FLAGS.camera is None else io.read_camera(FLAGS.camera)
-    tell = functools.partial(say, command=NAME)
-    stream = open_stream(source, FLAGS.topic, camera, tell, joints)
+    stream = open_stream(source, FLAGS.topic, camera, _say, joints)
     # By a second look, so that nothing is told and counted twice.
     looked = open_stream(source, FLAGS.topic, camera, lambda _: None)
     first = next(iter(looked), None)
@@ -398,12 +367,12 @@ def _read(
         seen = io.points_from_depth(metres, mask, camera)
         everything = np.concatenate([scan.points, seen])
         depth = np.where(mask, metres, 0.0)
-    place_of = standing(depth, camera, eye)
+    stood = standing(depth, camera, eye)
     direction = observed["up"]
     if direction is None:
         direction = "-y" if scan.in_camera_frame else "z"
     if isinstance(direction, str) and direction == "auto":
-        place = None if place_of is None else np.asarray(place_of.position)
+        place = None if stood is None else np.asarray(stood.position)
         rotation = None if camera is None else camera.rotation
         direction = find_up(scan.points, place, rotation).vector
     surface = None
@@ -413,9 +382,8 @@ def _read(
             raise io.InputError("--urdf", fault, "set both")
         base = {} if joints.base is None else {"base": joints.base}
         surface = robot_surface(robot, *joints_from_dict({**joints.given, **base}))
-    view = view_from(scan.points, depth, place_of, FLAGS.background)
     points = io.crop(scan.points, observed["bounds"], source)
-    return Scanned(points, everything, view, place_of, camera, direction, surface)
+    return Scanned(points, everything, depth, stood, camera, direction, surface)
 
 
 def _method() -> Method:
@@ -437,23 +405,9 @@ def _digest(weights: str) -> str:
     return file_sha256(weights)
 
 
-def _vector(flag: str, text: str) -> np.ndarray:
-    try:
-        vector = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise io.InputError(flag, f"cannot read {text!r}", "give x,y,z")
-    return vector
-
-
 def _told(numbers: dict[str, Any]) -> str:
-    return ", ".join(
-        f"{name.replace('_', ' ')} {value:.4g}"
-        if isinstance(value, float)
-        else f"{name.replace('_', ' ')} {value}"
-        for name, value in numbers.items()
-    )
+    told = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in numbers.items()}
+    return ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in told.items())
 
 
 def run() -> None:

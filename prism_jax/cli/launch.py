@@ -1,9 +1,14 @@
 """What every command shares: a quiet log, and the user's mistakes in one line."""
 
+import contextlib
+import functools
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import jax
 from absl import app, flags, logging
@@ -12,6 +17,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 
 FLAGS = flags.FLAGS
+PATIENCE = 2.0  # seconds after which a step says what it is doing
 
 
 class SomeFailed(Exception):
@@ -19,12 +25,9 @@ class SomeFailed(Exception):
 
 
 def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> None:
-    """Runs ``main`` under absl.
-
-    An `InputError` or a fault in the flags ends in one line on stderr and status 2,
-    `SomeFailed` in a line for each and status 1, Ctrl-C in one line and status 130.
-    ``main`` gets the words that are no flags if it takes them; else there must be none.
-    """
+    """Runs `main` under absl. An `InputError` or a fault in the flags ends in one line
+    on stderr and status 2, `SomeFailed` in a line for each and status 1, Ctrl-C in one
+    line and status 130. `main` gets the words that are no flags if it takes them."""
 
     def with_words(argv: Sequence[str]) -> None:
         if takes_words:
@@ -37,8 +40,9 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         # A folder's name may hold what the terminal cannot show.
         sys.stdout.reconfigure(errors="backslashreplace")
     # --help lists the flags of the program that was started, and that may be a wrapper.
-    for flag in FLAGS.get_flags_for_module(main.__module__):
-        FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+    for module in (main.__module__, "prism_jax.cli.shared_flags"):
+        for flag in FLAGS.get_flags_for_module(module):
+            FLAGS.register_key_flag_for_module(sys.argv[0], flag)
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:
@@ -55,13 +59,43 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
 
 def keep_compiled() -> None:
     """Has JAX keep what it compiles in the cache folder, for the next run.
-
-    $JAX_COMPILATION_CACHE_DIR says where else; set to nothing, that nothing is kept.
-    """
+    $JAX_COMPILATION_CACHE_DIR says where else; set to nothing, that nothing is kept."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         folder = str(default_cache_dir() / "jax")
         jax.config.update("jax_compilation_cache_dir", folder)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def say(command: str, text: str) -> None:
+    """One line to the user, on stderr."""
+    print(f"{command}: {text}", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def timed(
+    command: str, text: str, name: str, seconds: dict[str, float]
+) -> Iterator[None]:
+    """Puts the time it took into `seconds`; says on stderr what takes long."""
+    start = time.perf_counter()
+    timer = threading.Timer(PATIENCE, say, (command, f"{text} ..."))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+        seconds[name] = time.perf_counter() - start
+        if seconds[name] > PATIENCE:
+            say(command, f"... done in {seconds[name]:.1f} s")
+    finally:
+        timer.cancel()
+
+
+@functools.cache
+def load_completer(weights: str) -> Any:
+    """The completer, imported this late so that bad input is refused in a moment. The
+    same one for the same weights, so that several scans compile once."""
+    from prism_jax.completion.completer import Completer
+
+    return Completer.from_pretrained(weights, default_cache_dir() / "traced")
 
 
 def _end(name: str, fault: str, status: int = 2) -> None:

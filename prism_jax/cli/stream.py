@@ -7,19 +7,23 @@ If the recording cannot be used, it exits with status 2 and one line on stderr. 
 Ctrl-C the frames completed so far are saved, and the status is 130.
 """
 
+import functools
 import json
 import pathlib
 import signal
-import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from absl import flags
 
 from prism_jax import io
-from prism_jax.cli.launch import launch
-from prism_jax.envelope.robot import LAYOUT, MARGIN, joints_from_dict
+from prism_jax.cli.launch import launch, load_completer, say
+from prism_jax.cli.shared_flags import (
+    define_completion_flags,
+    define_recording_flags,
+    define_strings,
+)
+from prism_jax.envelope.robot import LAYOUT, joints_from_dict
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import require
 from prism_jax.io.files import read_json
@@ -34,44 +38,20 @@ from prism_jax.robots.urdf import Linkage
 FLAGS = flags.FLAGS
 NAME = "prism-stream"
 REPORT = "stream.json"
+_TOLD = "camera workspace weights adapt up density background poses urdf joints base "
+_TOLD += "robot_margin pace"  # flags that the report repeats
+_say = functools.partial(say, NAME)
 
 
 def define_flags() -> None:
     """The flags."""
-    flags.DEFINE_string(
-        "topic", None, "Topic or sensor to read, if the recording has several."
+    define_strings(
+        camera="JSON of the pinhole camera and its pose. Replaces the CameraInfo of "
+        "depth images; sets the sensor position of clouds.",
+        workspace="Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres.",
     )
-    flags.DEFINE_string(
-        "camera",
-        None,
-        "JSON of the pinhole camera and its pose. Replaces the CameraInfo of depth "
-        "images; sets the sensor position of clouds.",
-    )
-    flags.DEFINE_string(
-        "workspace", None, "Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres."
-    )
-    flags.DEFINE_string("weights", "small", "Released weights, name or file.")
-    flags.DEFINE_bool("adapt", False, "Adapt the network to each frame first.")
-    flags.DEFINE_string(
-        "up",
-        None,
-        "Up direction: x, y, z, -x, -y, -z, three numbers x,y,z, or auto: estimated "
-        "from the first frame. Default: -y for depth images in their camera's own "
-        "axes, z for others.",
-    )
-    flags.DEFINE_float(
-        "density",
-        0.0,
-        "Density of added points relative to measured ones; 0 keeps the predicted "
-        "points as they are, which is fastest.",
-        lower_bound=0.0,
-    )
-    flags.DEFINE_enum(
-        "background",
-        "unknown",
-        ["unknown", "empty"],
-        "empty: the sensor saw nothing else nearby, so no points are added there.",
-    )
+    define_recording_flags()
+    define_completion_flags(density=0.0)
     flags.DEFINE_integer(
         "poses",
         1,
@@ -80,14 +60,6 @@ def define_flags() -> None:
         1,
         MAX_POSES,
     )
-    define_robot_flags("the positions recorded with each frame")
-    flags.DEFINE_enum(
-        "pace",
-        "max",
-        ["max", "sensor"],
-        "max: as fast as possible. sensor: at the recorded rate; late frames are "
-        "dropped.",
-    )
     flags.DEFINE_string(
         "output",
         "prism_stream",
@@ -95,50 +67,21 @@ def define_flags() -> None:
     )
 
 
-def define_robot_flags(otherwise: str) -> None:
-    """Those of a robot that is known; `otherwise` its joints are what that says."""
-    flags.DEFINE_string("urdf", None, "The robot, if known: URDF or xacro.")
-    flags.DEFINE_string(
-        "joints",
-        None,
-        "Joint positions of the robot: a .json file, or a JointState topic of the "
-        f"recording. Default: {otherwise}.",
-    )
-    flags.DEFINE_string(
-        "base",
-        None,
-        'JSON with the robot base pose in the frame of the points ("base", 4x4). '
-        "Default: the pose given with the joints, else the identity.",
-    )
-    flags.DEFINE_float(
-        "robot_margin",
-        MARGIN,
-        "Points nearer to the robot belong to it.",
-        lower_bound=0.0,
-    )
-
-
-def known_robot(
-    urdf: str | None, joints: str | None, base: str | None
-) -> tuple[Linkage | None, Joints | None]:
-    """The robot of these flags, and where its joint positions come from."""
-    if urdf is None:
+def known_robot() -> tuple[Linkage | None, Joints | None]:
+    """The robot of the flags, and where its joint positions come from."""
+    joints = FLAGS.joints
+    if FLAGS.urdf is None:
         if joints is not None:
             raise io.InputError("--joints", "needs a robot", "set --urdf too")
         return None, None
-    given = topic = None
-    if joints is not None and (
-        joints.endswith(".json") or pathlib.Path(joints).is_file()
-    ):
+    given = pose = None
+    if joints and (joints.endswith(".json") or pathlib.Path(joints).is_file()):
         given = read_json(joints, LAYOUT)
         joints_from_dict(given, joints)
-    else:
-        topic = joints
-    pose = None
-    if base is not None:
-        content = read_json(base, LAYOUT)
-        pose = joints_from_dict({"positions": {}} | content, base)[1].tolist()
-    return Linkage(urdf), Joints(topic, given, pose)
+    if FLAGS.base is not None:
+        content = read_json(FLAGS.base, LAYOUT)
+        pose = joints_from_dict({"positions": {}} | content, FLAGS.base)[1].tolist()
+    return Linkage(FLAGS.urdf), Joints(None if given else joints, given, pose)
 
 
 def main(words: Sequence[str]) -> None:
@@ -147,99 +90,45 @@ def main(words: Sequence[str]) -> None:
         fault = f"expected one recording, got {len(words)}"
         raise io.InputError("input", fault, f"write {NAME} RECORDING --output=PATH")
     end_as_interrupted()
-    summary = stream_file(
-        words[0],
-        topic=FLAGS.topic,
-        camera=FLAGS.camera,
-        workspace=FLAGS.workspace,
-        weights=FLAGS.weights,
-        adapt=FLAGS.adapt,
-        up=FLAGS.up,
-        density=FLAGS.density,
-        background=FLAGS.background,
-        poses=FLAGS.poses,
-        urdf=FLAGS.urdf,
-        joints=FLAGS.joints,
-        base=FLAGS.base,
-        robot_margin=FLAGS.robot_margin,
-        pace=FLAGS.pace,
-        output=FLAGS.output,
-    )
-    print(outcome(summary, FLAGS.output))
+    summary = stream_file(words[0])
+    print(f"{told_frames(summary)}\nwritten     {FLAGS.output} and {REPORT}")
 
 
-def stream_file(
-    source: str,
-    *,
-    topic: str | None = None,
-    camera: str | None = None,
-    workspace: str | None = None,
-    weights: str = "small",
-    adapt: bool = False,
-    up: str | None = None,
-    density: float = 0.0,
-    background: str = "unknown",
-    poses: int = 1,
-    urdf: str | None = None,
-    joints: str | None = None,
-    base: str | None = None,
-    robot_margin: float = MARGIN,
-    pace: str = "max",
-    output: str = "prism_stream",
-) -> dict[str, Any]:
-    """Completes a recording; the arguments are the flags of the command.
-
-    Returns the content of `stream.json`, which is written last, beside an MCAP file or
-    into the folder, also when the stream is broken off. Everything the user can put
-    right raises an InputError, and all that can be known to be wrong does so before the
-    weights are loaded.
-    """
-    asked = {
-        "camera": camera,
-        "workspace": workspace,
-        "weights": weights,
-        "adapt": adapt,
-        "up": up,
-        "density": density,
-        "background": background,
-        "poses": poses,
-        "urdf": urdf,
-        "joints": joints,
-        "base": base,
-        "robot_margin": robot_margin,
-        "pace": pace,
-    }
-    bounds = None if workspace is None else io.parse_bounds(workspace)
-    direction = None if up is None else parse_up(up)
-    view_from = None if camera is None else io.read_camera(camera)
-    place = pathlib.Path(output)
+def stream_file(source: str) -> dict[str, Any]:
+    """Completes a recording as the flags say. Returns the content of `stream.json`,
+    which is written last, beside an MCAP file or into the folder, also when the stream
+    is broken off. What the user can put right raises an InputError, if possible before
+    the weights are loaded."""
+    bounds = None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace)
+    direction = None if FLAGS.up is None else parse_up(FLAGS.up)
+    camera = None if FLAGS.camera is None else io.read_camera(FLAGS.camera)
+    place = pathlib.Path(FLAGS.output)
     beside = place.suffix.lower() == ".mcap"
     report_path = place.with_name(REPORT) if beside else place / REPORT
     if pathlib.Path(source).resolve() == place.resolve():
-        raise io.InputError(
-            output, "this is the recording itself", "choose another output"
-        )
-    robot, positions = known_robot(urdf, joints, base)
-    stream = open_stream(source, topic, view_from, say, positions)
+        fault = "this is the recording itself"
+        raise io.InputError(FLAGS.output, fault, "choose another output")
+    robot, positions = known_robot()
+    stream = open_stream(source, FLAGS.topic, camera, _say, positions)
     io.make_output_dir(place.parent if beside else place)
     if beside:
         require("mcap.writer", EXTRA)
     # Imported this late, so that a wrong recording is refused in a moment.
-    from prism_jax.cli.complete import load_completer
     from prism_jax.streaming.completer import FrameCompleter
 
-    completer: Any = FrameCompleter(
-        load_completer(weights),
+    completer = FrameCompleter(
+        load_completer(FLAGS.weights),
         bounds=bounds,
-        adapt=adapt,
+        adapt=FLAGS.adapt,
         up=direction,
-        density=density,
-        background=background,  # pyright: ignore
-        poses=poses,
+        density=FLAGS.density,
+        background=FLAGS.background,
+        poses=FLAGS.poses,
         robot=robot,
-        robot_margin=robot_margin,
+        robot_margin=FLAGS.robot_margin,
     )
-    return follow(stream, completer, [open_sink(place)], asked, report_path, say)
+    asked = {name: getattr(FLAGS, name) for name in _TOLD.split()}
+    return follow(stream, completer, [open_sink(place)], asked, report_path, _say)
 
 
 def follow(
@@ -257,42 +146,32 @@ def follow(
     report = StreamReport()
     whole = False
     tell(f"{len(stream)} frames; the first run on a machine also compiles")
-    pace = asked.get("pace", "max")
     try:
-        with _progress(len(stream)) as progress:
-            run_stream(stream, completer, [*sinks, progress], pace, report)
+        every = [*sinks, _Progress(len(stream))]
+        run_stream(stream, completer, every, asked["pace"], report)
         whole = True
     finally:
-        summary = _summary(asked, stream, report) | {"whole": whole}
-        text = json.dumps(plain(summary), indent=2, allow_nan=False)
+        summary = plain(_summary(asked, stream, report) | {"whole": whole})
+        text = json.dumps(summary, indent=2, allow_nan=False)
         write_bytes(report_path, f"{text}\n".encode())
-    return plain(summary)
+    return summary
 
 
 def _summary(asked: Mapping[str, Any], stream: Stream, report: Any) -> dict[str, Any]:
     """What `stream.json` says of a stream, whole or broken off."""
-    frames = {
-        "in_recording": len(stream),
-        "completed": report.completed,
-        "dropped": report.dropped,
-        "unusable": report.unusable,
-    }
+    counted = ("completed", "dropped", "unusable")
+    frames = {name: getattr(report, name) for name in counted}
     rate = report.completed / report.duration if report.duration else 0.0
     return {
         "source": stream.path,
         "topic": stream.topic,
         **asked,
-        "frames": frames,
+        "frames": {"in_recording": len(stream), **frames},
         "remarks": dict(stream.remarks),
         "frames_a_second": rate,
         "milliseconds": report.latency(),
         "seconds": {"warm_up": report.warm_up, "stream": report.duration},
     }
-
-
-def outcome(summary: dict[str, Any], output: str) -> str:
-    """What was done, in a few lines."""
-    return f"{told_frames(summary)}\nwritten     {output} and {REPORT}"
 
 
 def told_frames(summary: dict[str, Any]) -> str:
@@ -306,11 +185,6 @@ def told_frames(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def say(text: str) -> None:
-    """One line to the user, on stderr."""
-    print(f"{NAME}: {text}", file=sys.stderr, flush=True)
-
-
 def end_as_interrupted() -> None:
     """Has a signal to end do what Ctrl-C does, so that all files are whole."""
 
@@ -320,26 +194,19 @@ def end_as_interrupted() -> None:
     signal.signal(signal.SIGTERM, end)
 
 
-class _progress:
+class _Progress:
     """A bar on stderr that counts frames as they are written."""
 
     def __init__(self, total: int):
         from tqdm import tqdm
 
         self._bar = tqdm(total=total, unit="frame", delay=2.0, disable=None)
-        self._start = time.perf_counter()
 
     def write(self, frame: Any) -> None:
         self._bar.update()
 
     def close(self) -> None:
         self._bar.close()
-
-    def __enter__(self) -> "_progress":
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()
 
 
 def run() -> None:

@@ -12,6 +12,7 @@ from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.filtering import Selection, added_points
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.geometry.workspace import Workspace
@@ -139,8 +140,10 @@ def assemble(
     need three poses.
     """
     seen, read, view = task.seen, task.read, task.view
+    # Filter and densify.
     joined = join(task, completion.points, options)
     prediction, selection = joined.prediction, joined.selection
+    # Judge: the confidence of the whole, and the sigma of each point.
     looks = pose_predictions(completion.before, poses)
     verdict = None
     if looks is not None and calibration is not None:
@@ -151,16 +154,16 @@ def assemble(
         verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
     sigma = None
     if looks is not None and point_errors is not None:
-        kept = prediction[selection.kept]
-        clues = clues_of(kept, seen, read, prediction, looks)
+        kept = joined.kept
+        clues = clues_of(kept.points, seen, read, prediction, looks)
         expected = spread(joined.new, kept, point_errors.sigma(clues))
         none = np.zeros(int(joined.observed.sum()))
         sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
-    unit = np.asarray(seen.partial)[seen.inside]
+    # Assemble, in the user's frame and unit.
     return CompletedScan(
         points=joined.points,
         observed=joined.observed,
-        prediction=np.asarray(seen.workspace.from_unit(prediction)),
+        prediction=np.asarray(seen.workspace.from_unit(prediction.points)),
         left_out=len(task.points) - int(joined.observed.sum()),
         left_away={
             reason: int(which.sum())
@@ -179,7 +182,7 @@ def assemble(
         seconds=seconds,
         verdict=verdict,
         sigma=sigma,
-        **_depth_maps(unit, joined.new, view, seen.workspace),
+        **_depth_maps(seen.cloud.points, joined.new, view, seen.workspace),
     )
 
 
@@ -190,9 +193,10 @@ class Joined(NamedTuple):
     points: Float[np.ndarray, "M 3"]
     observed: Bool[np.ndarray, " M"]
     # The network's own output, in the unit workspace.
-    prediction: Float[np.ndarray, "P 3"]
-    # What of it, and between it, is among the points, in the unit workspace.
+    prediction: IndexedCloud
+    # What of it, and between it, is among the points, and what of it alone.
     new: Float[np.ndarray, "Q 3"]
+    kept: IndexedCloud
     selection: Selection  # what became of each point of the prediction
 
 
@@ -204,12 +208,11 @@ def join(
     """The measured points as they were, and behind them those of the network's
     ``predicted`` ones, in the unit workspace, that are new."""
     points, seen = task.points, task.seen
-    measured, unit = points[seen.inside], np.asarray(seen.partial)[seen.inside]
-    prediction = np.asarray(predicted, np.float64)
-    new, selection = added_points(
+    measured, prediction = points[seen.inside], IndexedCloud(predicted)
+    new, kept, selection = added_points(
         prediction,
-        unit,
-        task.read.partial,
+        seen.cloud,
+        task.read.cloud,
         task.eye,
         options.density,
         options.background,
@@ -218,7 +221,7 @@ def join(
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])
     observed = np.arange(len(together)) < len(measured)
-    return Joined(together, observed, prediction, new, selection)
+    return Joined(together, observed, prediction, new, kept, selection)
 
 
 def in_one_scene(

@@ -43,7 +43,6 @@ from prism_jax.preprocessing.observation import (
 )
 from prism_jax.preprocessing.segmentation.scene import Scene, split_scene
 from prism_jax.preprocessing.segmentation.support import find_up
-from prism_jax.preprocessing.sensor import is_believable, likely_eye
 from prism_jax.preprocessing.upright import upright
 from prism_jax.preprocessing.visibility_map import seen_among, some_of
 from prism_jax.uncertainty.confidence import Calibration
@@ -111,6 +110,7 @@ class Completer:
         or non-finite points, fewer than 64 distinct points, an extent of zero or above
         10,000, and a workspace without volume.
         """
+        # Read: check what was given.
         asked = CompletionOptions(**options)
         points = _checked(points)
         around = None if around is None else _checked(around, "around")
@@ -118,9 +118,13 @@ class Completer:
             check_cloud(points, "points")
         else:
             _check_workspace(workspace)
+        # Frame: turn the object upright, find its workspace, the view and what of it
+        # is visible.
         asked, _ = _upright(asked, points, camera)
         task = self.task(points, camera, workspace, around, asked)
+        # Complete: run the network, with label-free steps first if asked to.
         completion, seconds = self.run(task, asked)
+        # Filter, densify, judge, and assemble in the user's frame.
         return self._assemble(task, completion, asked, seconds)
 
     def complete_scene(
@@ -143,20 +147,24 @@ class Completer:
         points = _checked(points)
         beyond = np.zeros((0, 3)) if around is None else _checked(around, "around")
         check_cloud(points, "points")
+        # Segment: find up, the support and the objects.
         asked, up_source = _upright(asked, points, camera)
         if scene is None:
             scene = split_scene(points, asked.up, _seen_from(points, camera))
+        # Frame each object as `complete` does, the rest of the scene around it.
         tasks = []
         for number in range(len(scene.num_points)):
             own = scene.object == number
             others = np.concatenate([points[~own], beyond])
             tasks.append(self.task(points[own], camera, None, others, asked))
+        # Complete `SLOTS` objects at a time; filter, densify and judge each.
         objects = []
         for start in range(0, len(tasks), SLOTS):
             batch = tasks[start : start + SLOTS]
             completions, seconds = self._run_together(batch, asked)
             for task, done in zip(batch, completions, strict=True):
                 objects.append(self._assemble(task, done, asked, seconds))
+        # Assemble the scene.
         turn = upright(asked.up)
         vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
         return in_one_scene(
@@ -188,15 +196,9 @@ class Completer:
         """
         model = self.config.model
         framing = workspace, model.margin, options.up, model.heading
-        sensor = "origin" if camera is None else np.asarray(camera.position)
+        sensor = "likely" if camera is None else np.asarray(camera.position)
         seen = observe(points, sensor, *framing)
-        inside = points[seen.inside]
-        check_cloud(inside, "points inside the workspace")
-        if camera is None:
-            likely = likely_eye(inside, seen.workspace.up)
-            if not (seen.sensor_known and is_believable(inside, np.zeros(3), likely)):
-                seen = observe(points, likely, *framing)
-                seen = dataclasses.replace(seen, sensor_known=np.bool_(False))
+        check_cloud(points[seen.inside], "points inside the workspace")
         place = "unknown" if not seen.sensor_known else "origin"
         place = "given" if camera is not None and seen.sensor_known else place
         read = seen.sampled(model.backbone.num_points)
@@ -354,13 +356,12 @@ def _known(
 ) -> Visibility:
     """What the sensor knows of its view of what was observed, in the unit workspace and
     in single precision: the object alone if nobody knows where it stood."""
-    points = np.asarray(seen.partial)[np.asarray(seen.inside)]
     beside = some_of(around).astype(np.float64)
     beside = np.asarray(seen.workspace.to_unit(beside))
     if not seen.sensor_known:
         beside = beside[:0]
     eye = np.asarray(seen.eye)
-    known = seen_among(points, beside, eye, Workspace.unit(), background)
+    known = seen_among(seen.cloud, beside, eye, Workspace.unit(), background)
     camera = jax.tree.map(lambda array: array.astype(np.float32), known.camera)
     return known._replace(camera=camera)
 

@@ -1,12 +1,11 @@
 """Which predicted points a user gets beside the measured ones, and how many."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.spatial import KDTree
 
-from prism_jax.geometry.spacing import median_spacing, surface_density
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.preprocessing.visibility import (
     IN_FRONT,
@@ -28,6 +27,9 @@ LONG_EDGE = 2.0  # in usual spacings: points farther apart span no surface
 NUM_EDGES = 6  # nearest neighbours of a point that edges lead to
 
 
+Points = IndexedCloud | Float[Array | np.ndarray, "_ 3"]
+
+
 class Selection(NamedTuple):
     """What became of each predicted point."""
 
@@ -43,33 +45,34 @@ class Selection(NamedTuple):
 
 
 def added_points(
-    prediction: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
-    partial: Float[Array | np.ndarray, "M 3"],
+    prediction: Points,
+    measured: Points,
+    partial: Points,
     eye: Float[np.ndarray, "3"] | None,
     density: float = 1.0,
     background: Background = "unknown",
     known: Visibility | None = None,
-) -> tuple[Float[np.ndarray, "Q 3"], Selection]:
-    """What a user gets beside the measured points, and what became of the predicted.
+) -> tuple[Float[np.ndarray, "Q 3"], IndexedCloud, Selection]:
+    """What a user gets beside the measured points, which of these the network
+    predicted, and what became of each that it predicted.
 
     Those that `select` keeps, and between them so many more that all are `density`
     times as dense as the measured ones, where they are not so anyway; 0 leaves them as
     predicted. All in the unit workspace, and within it.
     """
+    prediction, measured = IndexedCloud.of(prediction), IndexedCloud.of(measured)
     selection = select(prediction, measured, partial, eye, background, known)
-    kept = prediction[selection.kept]
-    predicted = surface_density(kept) if density else 0.0
-    if predicted == 0:
-        return kept, selection
-    dense = densify(kept, density * surface_density(measured) / predicted)
-    return dense[(np.abs(dense) <= 1.0).all(axis=1)], selection
+    kept = IndexedCloud(prediction.points[selection.kept])
+    if density == 0 or kept.density == 0:
+        return kept.points, kept, selection
+    dense = densify(kept, density * measured.density / kept.density)
+    return dense[(np.abs(dense) <= 1.0).all(axis=1)], kept, selection
 
 
 def select(
-    prediction: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
-    partial: Float[Array | np.ndarray, "M 3"],
+    prediction: Points,
+    measured: Points,
+    partial: Points,
     eye: Float[np.ndarray, "3"] | None,
     background: Background = "unknown",
     known: Visibility | None = None,
@@ -86,26 +89,27 @@ def select(
     views are cropped, or cells are full of things, it did not see them for other
     reasons.
     """
-    spacing = median_spacing(np.asarray(partial))
-    outside = np.asarray(~(np.abs(prediction) <= 1.0).all(axis=1))
+    prediction, measured = IndexedCloud.of(prediction), IndexedCloud.of(measured)
+    spacing, points = IndexedCloud.of(partial).spacing, prediction.points
+    outside = np.asarray(~(np.abs(points) <= 1.0).all(axis=1))
     stray = outlier_mask(prediction, measured)
-    hides = through = np.zeros(len(prediction), bool)
+    hides = through = np.zeros(len(points), bool)
     if eye is not None:
-        hides = in_front(prediction, measured, eye, spacing, IN_FRONT)
-        past = np.full(len(prediction), background == "empty")
+        hides = in_front(points, measured, eye, spacing, IN_FRONT)
+        past = np.full(len(points), background == "empty")
         if known is not None:
-            past |= in_free_space(prediction, known, IN_FRONT * spacing)
+            past |= in_free_space(points, known, IN_FRONT * spacing)
         if past.any():
-            through = past & looked_through(prediction, measured, eye, PAST * spacing)
+            through = past & looked_through(points, measured, eye, PAST * spacing)
     old = ~mask_unobserved(prediction, measured, partial)
     kept = ~(outside | stray | hides | through | old)
     return Selection(kept, outside, stray, hides, through, old)
 
 
 def mask_unobserved(
-    prediction: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
-    partial: Float[Array | np.ndarray, "M 3"],
+    prediction: Points,
+    measured: Points,
+    partial: Points,
     spacing: float = 0.5,
 ) -> Bool[np.ndarray, " P"]:
     """Which predicted points lie where nothing was measured.
@@ -113,29 +117,32 @@ def mask_unobserved(
     All in one frame. A predicted point nearer to a measured one than ``spacing`` times
     the typical distance between neighbours of the network's input says nothing new.
     """
-    reach = spacing * median_spacing(np.asarray(partial))
-    return _tree(measured).query(prediction)[0] > reach
+    reach = spacing * IndexedCloud.of(partial).spacing
+    return (
+        IndexedCloud.of(measured).distance(IndexedCloud.of(prediction).points) > reach
+    )
 
 
-def densify(points: Float[np.ndarray, "P 3"], times: float) -> Float[np.ndarray, "Q 3"]:
+def densify(points: Points, times: float) -> Float[np.ndarray, "Q 3"]:
     """The points, and between them so many more that there are `times` as many.
 
     New points halve the edges between near neighbours, so they lie on the surface that
     those span, and none where the cloud has a gap. The given points come first. It
     never returns fewer than these, and never more than `MAX_DENSE` unless these are.
     """
-    dense, reach = points, median_spacing(points)
+    dense = IndexedCloud.of(points)
+    reach = dense.spacing
     if not np.isfinite(reach):
-        return dense
-    wanted = max(len(points), int(min(MAX_DENSE, np.ceil(len(points) * times))))
+        return dense.points
+    wanted = max(len(dense), int(min(MAX_DENSE, np.ceil(len(dense) * times))))
     rng = np.random.default_rng(0)
     while len(dense) < wanted:
         middles = _middles(dense, LONG_EDGE * reach)
         if len(middles) == 0:
             break
-        dense = np.concatenate([dense, rng.permutation(middles)])
+        dense = IndexedCloud(np.concatenate([dense.points, rng.permutation(middles)]))
         reach *= 0.5
-    return dense[:wanted]
+    return dense.points[:wanted]
 
 
 def min_neighbors(num_points: int) -> int:
@@ -146,31 +153,27 @@ def min_neighbors(num_points: int) -> int:
 
 
 def outlier_mask(
-    prediction: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
+    prediction: Points,
+    measured: Points,
     reach: float = STRAY,
     count: int | None = None,
 ) -> Bool[np.ndarray, " P"]:
     """Points of a prediction that fewer than ``count`` others of either cloud are near,
     `min_neighbors` of it if that is None."""
+    prediction, measured = IndexedCloud.of(prediction), IndexedCloud.of(measured)
     if count is None:
         count = min_neighbors(len(prediction))
-    others = _tree(np.concatenate([prediction, measured]))
     # The first is the point itself.
-    apart = others.query(prediction, k=[count + 1])[0][:, 0]  # pyright: ignore
-    return ~(apart <= reach)
+    nearest: Any = range(1, count + 2)
+    clouds = (prediction, measured)
+    apart = [cloud.tree.query(prediction.points, nearest)[0] for cloud in clouds]
+    return ~(np.sort(np.concatenate(apart, axis=1))[:, count] <= reach)
 
 
-def _tree(cloud: Float[np.ndarray, "N 3"]) -> KDTree:
-    """Of which few are asked: made in half the time, and with the same distances."""
-    return KDTree(cloud, compact_nodes=False, balanced_tree=False)
-
-
-def _middles(
-    points: Float[np.ndarray, "P 3"], longest: float
-) -> Float[np.ndarray, "M 3"]:
+def _middles(cloud: IndexedCloud, longest: float) -> Float[np.ndarray, "M 3"]:
     """Middles of edges between near neighbours, no two of them close together."""
-    apart, rows = KDTree(points).query(points, k=NUM_EDGES + 1)
+    points = cloud.points
+    apart, rows = cloud.tree.query(points, k=NUM_EDGES + 1)
     first = np.repeat(np.arange(len(points)), NUM_EDGES)
     second, length = np.asarray(rows)[:, 1:].ravel(), apart[:, 1:].ravel()
     # A missing neighbour is infinitely far away.

@@ -41,12 +41,9 @@ class Augmentation:
 def augmented(
     example: Example, settings: Augmentation, rng: np.random.Generator
 ) -> Example:
-    """The example with another partial, in the order of the one it has.
-
-    Of what the sensor knows, the surface that is cropped away is forgotten, as if no
-    more had been handed on; thinning and noise leave it as it is. The complete cloud
-    stays. An example without a partial raises ValueError.
-    """
+    """The example with another partial, in the order of the one it has. Of what the
+    sensor knows, the surface that is cropped away is forgotten; thinning and noise
+    leave it as it is. An example without a partial raises ValueError."""
     partial, known = example.partial, example.visibility
     if partial is None:
         raise ValueError(f"{example.name} has no partial to change")

@@ -25,16 +25,12 @@ CROP_VIEWPOINTS = np.array(
 
 
 def crop(
-    complete: Float[np.ndarray, "M 3"],
-    viewpoint: Float[np.ndarray, "3"],
-    share: float,
+    complete: Float[np.ndarray, "M 3"], viewpoint: Float[np.ndarray, "3"], share: float
 ) -> Float[np.ndarray, "N 3"]:
-    """The cloud without the `share` of its points that is nearest to the viewpoint.
-
-    `int(share * M)` points go; the rest keeps its order, frame and scale. The benchmark
-    tests with `CROP_SHARES` from each of `CROP_VIEWPOINTS`. A share outside [0, 1)
-    raises ValueError.
-    """
+    """The cloud without the `share` of its points that is nearest to the viewpoint:
+    `int(share * M)` points go; the rest keeps its order. The benchmark tests with
+    `CROP_SHARES` from each of `CROP_VIEWPOINTS`. A share outside [0, 1) raises
+    ValueError."""
     if not 0 <= share < 1:
         raise ValueError("the share to crop must be at least 0 and below 1")
     gaps = np.sum((complete - viewpoint) ** 2, axis=1)

@@ -1,9 +1,7 @@
 """Every data set by the name that flags use, its splits, and how it is opened."""
 
 import dataclasses
-import functools
 import inspect
-import os
 import pathlib
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -20,7 +18,7 @@ from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.files import default_cache_dir
 
 SHAPES_VERSION, OPEN_VERSION, ROBOARM_VERSION, OBJECTS_VERSION = 2, 1, 1, 1
@@ -51,18 +49,32 @@ class DataSet:
 
 
 def _open_built(
-    name: str, version: int, root: pathlib.Path, split: str, kind: type[Shards] = Shards
+    kind: type, name: str, version: int, root: pathlib.Path, split: str
 ) -> Source:
-    """A split that was built in shards, by the version of what draws it."""
-    folder, remedy = folder_of(name, split, root), _build_it(name, split, root)
-    return kind(folder, remedy, generator_version=version)
-
-
-def _open_roboarm(root: pathlib.Path, split: str) -> Source:
-    folder = folder_of("roboarm", split, root)
-    remedy = _build_it("roboarm", split, root)
-    read_manifest(folder, remedy, generator_version=ROBOARM_VERSION)
+    """A split that was built on the machine, by the version of what draws it."""
+    folder = folder_of(name, split, root)
+    command = f"python -m experiments.make_data --dataset={name} --split={split}"
+    remedy = f"build it in a clone of the repository: {command} --output_dir={root}"
+    if issubclass(kind, Shards):
+        return kind(folder, remedy, generator_version=version)
+    read_manifest(folder, remedy, generator_version=version)
     return RecordedCells(folder)
+
+
+def _built(
+    name: str, version: int, splits: str, licence: str, kind: type = Shards
+) -> DataSet:
+    """What is known of a set that `experiments.make_data` builds."""
+    _, *scored = splits.split()
+    return DataSet(
+        partial(_open_built, kind, name, version),
+        splits=tuple(splits.split()),
+        validation="validation" if scored else None,
+        scored=tuple(scored),
+        folder=f"{name}-{{split}}",
+        generated=True,
+        licence=licence,
+    )
 
 
 def _open_packed(root: pathlib.Path, split: str) -> Source:
@@ -73,70 +85,23 @@ def _open_recordings(root: pathlib.Path, split: str) -> Source:
     return RecordedCells(root)
 
 
-def _build_it(name: str, split: str, root: pathlib.Path) -> str:
-    command = f"python -m experiments.make_data --dataset={name} --split={split}"
-    return f"build it in a clone of the repository: {command} --output_dir={root}"
-
-
+_ALL = "train validation test"
 _PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
+_ARMS = "arms of example-robot-data (tiago Apache-2.0, pr2 BSD, tiago_pro Apache-2.0, "
+_ARMS += "romeo BSD, talos Apache-2.0), the rest procedural"
+_SWEET_HOME = "Blend Swap models of Debian's sweethome3d-furniture (CC0 1.0, CC BY "
+_SWEET_HOME += "3.0), whose makers docs/data.md and the manifest name"
+_MORE_ARMS = "arms of example-robot-data as in roboarm; of rtb-data, KUKA arms by "
+_MORE_ARMS += "ROS-Industrial (BSD, Apache-2.0); the rest procedural"
+_SCENES = f"{_PROCEDURAL}, unless built with objects"
 
 DATASETS: Mapping[str, DataSet] = {
-    "shapes": DataSet(
-        functools.partial(_open_built, "shapes", SHAPES_VERSION),
-        splits=("train", "validation", "test", "unseen", "novel"),
-        validation="validation",
-        scored=("validation", "test", "unseen", "novel"),
-        folder="shapes-{split}",
-        generated=True,
-        licence=_PROCEDURAL,
-    ),
-    "open": DataSet(
-        functools.partial(_open_built, "open", OPEN_VERSION),
-        splits=("train",),
-        scored=(),
-        folder="open-{split}",
-        generated=True,
-        licence=_PROCEDURAL,
-    ),
-    "roboarm": DataSet(
-        _open_roboarm,
-        splits=("train", "validation", "test"),
-        validation="validation",
-        scored=("validation", "test"),
-        folder="roboarm-{split}",
-        generated=True,
-        licence="arms of example-robot-data (tiago Apache-2.0, pr2 BSD, "
-        "tiago_pro Apache-2.0, romeo BSD, talos Apache-2.0), the rest procedural",
-    ),
-    "objects": DataSet(
-        functools.partial(_open_built, "objects", OBJECTS_VERSION),
-        splits=("train", "validation", "test"),
-        validation="validation",
-        scored=("validation", "test"),
-        folder="objects-{split}",
-        generated=True,
-        licence="Blend Swap models of Debian's sweethome3d-furniture (CC0 1.0, "
-        "CC BY 3.0), whose makers docs/data.md and the manifest name",
-    ),
-    "cells": DataSet(
-        functools.partial(_open_built, "cells", CELLS_VERSION),
-        splits=("train", "validation"),
-        validation="validation",
-        scored=("validation",),
-        folder="cells-{split}",
-        generated=True,
-        licence="arms of example-robot-data as in roboarm; of rtb-data, KUKA arms by "
-        "ROS-Industrial (BSD, Apache-2.0); the rest procedural",
-    ),
-    "scenes": DataSet(
-        functools.partial(_open_built, "scenes", SCENES_VERSION, kind=Scenes),
-        splits=("train", "validation", "test"),
-        validation="validation",
-        scored=("validation", "test"),
-        folder="scenes-{split}",
-        generated=True,
-        licence=f"{_PROCEDURAL}, unless built with objects",
-    ),
+    "shapes": _built("shapes", SHAPES_VERSION, f"{_ALL} unseen novel", _PROCEDURAL),
+    "open": _built("open", OPEN_VERSION, "train", _PROCEDURAL),
+    "roboarm": _built("roboarm", ROBOARM_VERSION, _ALL, _ARMS, RecordedCells),
+    "objects": _built("objects", OBJECTS_VERSION, _ALL, _SWEET_HOME),
+    "cells": _built("cells", CELLS_VERSION, "train validation", _MORE_ARMS),
+    "scenes": _built("scenes", SCENES_VERSION, _ALL, _SCENES, Scenes),
     "packed": DataSet(
         _open_packed,
         validation="validation",
@@ -165,15 +130,14 @@ GENERATED = tuple(name for name, known in DATASETS.items() if known.generated)
 
 
 def open_dataset(
-    name: str, split: str, data_dir: str | os.PathLike | None = None, **options: Any
+    name: str, split: str, data_dir: StrPath | None = None, **options: Any
 ) -> Source:
     """A data set's split as a Source.
 
     `data_dir` holds the set: the folder given to `make_data` or to `experiments.pack`,
     or the root of recordings or of a public set in its published layout. Recordings
     have the one split "all". `options` are the set's own, such as ShapeNet's
-    `difficulty`. Anything that is not there, or not as it should
-    be, raises InputError.
+    `difficulty`. Anything that is not there, or not as it should be, raises InputError.
     """
     known = DATASETS[choose("data set", name, DATASETS)]
     root = _root(name, data_dir)
@@ -187,9 +151,7 @@ def open_dataset(
     return known.open(root, split, **options)
 
 
-def folder_of(
-    name: str, split: str, data_dir: str | os.PathLike | None = None
-) -> pathlib.Path:
+def folder_of(name: str, split: str, data_dir: StrPath | None = None) -> pathlib.Path:
     """Where a split lies, of a set whose splits are folders with manifests."""
     known = DATASETS[name]
     if known.splits:
@@ -197,9 +159,7 @@ def folder_of(
     return _root(name, data_dir) / str(known.folder).format(split=split)
 
 
-def digest_of(
-    name: str, split: str, data_dir: str | os.PathLike | None = None
-) -> str | None:
+def digest_of(name: str, split: str, data_dir: StrPath | None = None) -> str | None:
     """Twelve digits of a split's files (`content_digest`); None for a set that has no
     manifest."""
     if DATASETS[name].folder is None:
@@ -227,7 +187,7 @@ def validation_split(name: str) -> str:
 
 
 def validation_rows(
-    name: str, data_dir: str | os.PathLike | None = None, count: int = 200
+    name: str, data_dir: StrPath | None = None, count: int = 200
 ) -> Subset:
     """So many examples of a set's validation split, or all, evenly spaced."""
     validation = open_dataset(name, validation_split(name), data_dir)
@@ -252,14 +212,11 @@ def scored_splits(name: str) -> tuple[str, ...]:
 
 
 def open_training(
-    name: str, data_dir: str | os.PathLike | None = None, num_validation: int = 200
+    name: str, data_dir: StrPath | None = None, num_validation: int = 200
 ) -> tuple[Source, Source]:
-    """What to train on, and `num_validation` examples to validate with.
-
-    These are a split of their own where the set has one. Else as many objects, evenly
-    spaced through the set and no more than a tenth of it, are held out with all their
-    views. The test split is not opened.
-    """
+    """What to train on, and `num_validation` examples to validate with: of a split of
+    their own where the set has one, else as many objects, evenly spaced and no more
+    than a tenth of all, held out with all their views."""
     train = open_dataset(name, training_split(name), data_dir)
     split = DATASETS[name].validation
     if split is None:
@@ -267,7 +224,7 @@ def open_training(
     return train, validation_rows(name, data_dir, num_validation)
 
 
-def parts_of(name: str, data_dir: str | os.PathLike | None = None) -> list[str]:
+def parts_of(name: str, data_dir: StrPath | None = None) -> list[str]:
     """The sets that a training on this one sees: those packed into it, or itself."""
     if name == "packed" and data_dir is not None:
         manifest = read_manifest(folder_of(name, "train", data_dir), "pack it")
@@ -280,7 +237,7 @@ def mesh_licences(name: str) -> str:
     return DATASETS[name].licence if name in DATASETS else DataSet.licence
 
 
-def _root(name: str, data_dir: str | os.PathLike | None) -> pathlib.Path:
+def _root(name: str, data_dir: StrPath | None) -> pathlib.Path:
     if data_dir is not None:
         return pathlib.Path(data_dir)
     if not DATASETS[name].generated:

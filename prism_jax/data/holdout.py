@@ -22,11 +22,9 @@ class Subset:
 
 
 def hold_out(source: Source, count: int) -> tuple[Subset, Subset]:
-    """The source without some objects, and the first view of each of those.
-
-    `count` objects, evenly spaced, or a tenth of all if that is fewer. A source of a
-    single object raises InputError.
-    """
+    """The source without some objects, and the first view of each of those. `count`
+    objects, evenly spaced, or a tenth of all if that is fewer. A source of a single
+    object raises InputError."""
     objects, first = np.unique(source.objects, return_index=True)
     count = min(count, max(1, len(objects) // 10))
     if len(objects) < 2:

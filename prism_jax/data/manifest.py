@@ -2,24 +2,19 @@
 
 import hashlib
 import json
-import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath, unreadable
 
 MANIFEST = "manifest.json"
 
 
-def read_manifest(
-    folder: str | os.PathLike, remedy: str, **expected: Any
-) -> dict[str, Any]:
-    """The manifest of a folder that was built to its end.
-
-    Where there is none, or where it does not have these entries, which say what version
-    of prism_jax the reader understands, InputError with the remedy.
-    """
+def read_manifest(folder: StrPath, remedy: str, **expected: Any) -> dict[str, Any]:
+    """The manifest of a folder that was built to its end. Where there is none, or where
+    it does not have these entries, which say what version of prism_jax the reader
+    understands, InputError with the remedy."""
     path = pathlib.Path(folder) / MANIFEST
     anew = f"delete it, then {remedy}"
     try:
@@ -29,16 +24,16 @@ def read_manifest(
             raise InputError(folder, "built by another version of prism_jax", anew)
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(folder, "not built yet", remedy) from None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "not a valid manifest", anew) from None
     if not isinstance(files, dict):
         raise InputError(folder, "incomplete: the build was interrupted", remedy)
     return manifest
 
 
-def content_digest(folder: str | os.PathLike) -> str | None:
+def content_digest(folder: StrPath) -> str | None:
     """Twelve digits that tell a folder's files from all others; None where there is no
     finished build."""
     try:
@@ -73,14 +68,12 @@ def check_files(folder: pathlib.Path, files: Mapping[str, str], remedy: str) -> 
     try:
         found = hash_files(folder)
     except OSError as error:
-        fault = f"cannot be read ({error.strerror})"
-        raise InputError(error.filename or folder, fault, remedy) from None
+        raise unreadable(error.filename or folder, error) from None
     for name in sorted(files.keys() | found.keys()):
         if name not in found:
             raise InputError(folder / name, "missing but in the manifest", remedy)
         if name not in files:
-            fault = "not in the manifest"
-            raise InputError(folder / name, fault, "move it elsewhere")
+            raise InputError(folder / name, "not in the manifest", "move it elsewhere")
         if files[name] != found[name]:
             fault = "differs from the manifest's sha256"
             raise InputError(folder / name, fault, remedy)

@@ -12,12 +12,9 @@ BUCKET_LEVELS = 5
 def farthest_point_order(
     points: Float[np.ndarray, "N 3"], num_points: int
 ) -> Float[np.ndarray, "M 3"]:
-    """The first `num_points` points in exact farthest-point order.
-
-    A cloud of fewer points is repeated from its start. The first point is whichever the
-    bucket search visits first: arbitrary, but the same for the same cloud. An empty
-    cloud raises ValueError; without the package fpsample this raises InputError.
-    """
+    """The first `num_points` points in exact farthest-point order, repeated if there
+    are fewer. The first point is arbitrary, but the same for the same cloud. An empty
+    cloud raises ValueError; without fpsample this raises InputError."""
     fpsample = require("fpsample", "data")
     if len(points) == 0:
         raise ValueError("cannot sample an empty cloud")

@@ -26,6 +26,8 @@ from prism_jax.preprocessing.visibility_map import seen_among
 MAX_TILT = np.deg2rad(20.0)
 """Of training examples whose heading the network finds itself."""
 
+_MOVED = ("partial", "complete", "eye")  # what is turned or mirrored with a batch
+
 ASIDE = 4  # one in so many of those gets a random quarter turn
 
 
@@ -62,18 +64,15 @@ def frame_example(
 ) -> Batch:
     """One example in the workspace of its partial, without a batch axis.
 
-    With `rng`, for training: mirrored along x with probability one half, which makes
-    an object of the same kind where left and right are x; turned about the vertical at
-    random where it may have any heading; spoiled as the framing says; and a partial
-    that is None is cropped at random. Without, it is cropped as the median test from
-    the first fixed viewpoint. What the sensor knows goes the clouds' way.
+    With `rng`, for training: mirrored along x with probability one half; turned about
+    the vertical at random where it may have any heading; spoiled as the framing says;
+    and a partial that is None is cropped at random. Without, it is cropped as the
+    median test from the first fixed viewpoint.
 
     Where the network finds the heading itself, each example has any heading, and every
-    other a tilt of up to `MAX_TILT`, before the rule has its way; without `rng` these
-    are a function of the example's name. For training, one in `ASIDE` then gets a
-    random quarter turn: the rule will take one side for another now and then.
-
-    An example without a complete cloud raises InputError.
+    other a tilt of up to `MAX_TILT`; without `rng` these are a function of the
+    example's name. For training, one in `ASIDE` then gets a random quarter turn: the
+    rule will take one side for another now and then.
     """
     example = with_partial(example, rng)
     if rng is not None and framing.augmentation is not None:
@@ -114,10 +113,8 @@ def frame_example(
 
 def with_partial(example: Example, rng: np.random.Generator | None = None) -> Example:
     """The example with a partial, cropped as `frame_example` has it if it had none.
-
     Without strays (`prism_jax.preprocessing.outliers`), which would decide the
-    workspace. An example without a complete cloud raises InputError.
-    """
+    workspace. An example without a complete cloud raises InputError."""
     if example.complete is None:
         fault = "no complete cloud for training or scoring"
         raise InputError(example.name, fault, "use it for completion only")
@@ -147,9 +144,7 @@ def training_batches(
     What the n-th batch holds is a function of the source, the framing, the size, the
     seed and n alone; `start` is the n of the first. `num_workers` processes read ahead,
     0 for threads of this one. `indices`, a tree of arrays with a row for each item,
-    come with the batches; they must not change under mirroring, turning and the
-    framing's augmentation. A source that does not fill one batch, and a missing package
-    grain, raise InputError.
+    come with the batches; augmentation must not change them.
     """
     grain = require("grain", "train")
     if len(source) < batch_size:
@@ -176,10 +171,8 @@ def training_batches(
 
 
 def stack(rows: Sequence[Batch]) -> Batch:
-    """Examples side by side along a new first axis.
-
-    Where some have maps, others get what their clouds say, with nothing around them.
-    """
+    """Examples side by side along a new first axis. Where some have maps, others get
+    what their clouds say, with nothing around them."""
     if any(row.visibility is not None for row in rows):
         rows = [_with_map(row) for row in rows]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
@@ -216,9 +209,7 @@ def _pose(
     example: Example, framing: Framing, rng: np.random.Generator | None
 ) -> Float32[np.ndarray, "3 3"] | None:
     """What turns an example's points, as rows, before it is framed, if anything does.
-
-    Framing takes no notice of where the axes are.
-    """
+    Framing takes no notice of where the axes are."""
     if framing.heading == "given":
         if rng is None or not example.any_heading:
             return None
@@ -250,22 +241,14 @@ def framed_map(known: Visibility, workspace: Workspace) -> Visibility:
 def _turned(batch: Batch, quarters: int) -> Batch:
     """By quarter turns about the middle of the unit workspace."""
     turn = np.rint(_about_vertical(quarters * 0.5 * np.pi))
-    known = batch.visibility
-    return batch._replace(
-        partial=batch.partial @ turn,
-        complete=batch.complete @ turn,
-        eye=batch.eye @ turn,
-        visibility=None if known is None else turned(known, turn),
-    )
+    known = None if batch.visibility is None else turned(batch.visibility, turn)
+    moved = {name: getattr(batch, name) @ turn for name in _MOVED}
+    return batch._replace(**moved, visibility=known)
 
 
 def _mirrored(batch: Batch) -> Batch:
     """Along x, which in the unit workspace is a matter of signs."""
     sign = np.array([-1, 1, 1], np.float32)
-    known = batch.visibility
-    return batch._replace(
-        partial=batch.partial * sign,
-        complete=batch.complete * sign,
-        eye=batch.eye * sign,
-        visibility=None if known is None else mirrored(known),
-    )
+    known = None if batch.visibility is None else mirrored(batch.visibility)
+    moved = {name: getattr(batch, name) * sign for name in _MOVED}
+    return batch._replace(**moved, visibility=known)

@@ -14,9 +14,7 @@ frame that has one is complete.
 """
 
 import dataclasses
-import io
 import json
-import os
 import pathlib
 import re
 from collections.abc import Mapping
@@ -24,7 +22,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8, UInt16
-from PIL import Image, UnidentifiedImageError
 
 from prism_jax.assets import asset
 from prism_jax.data.manifest import MANIFEST, check_files, read_manifest
@@ -33,8 +30,8 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.io.clouds import check_cloud, inside_image
-from prism_jax.io.depth import points_from_depth, read_depth
-from prism_jax.io.errors import InputError
+from prism_jax.io.depth import points_from_depth, read_depth, read_grey
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import read_bytes, read_json
 from prism_jax.io.ply import read_ply
 from prism_jax.preprocessing.visibility_map import seen_among
@@ -74,15 +71,14 @@ class Frame:
 class RecordedCells:
     """The frames below a folder as a `Source` of examples, in order of their names.
 
-    File names are checked when this is made, contents when an example is read. A file
-    that the layout does not know, an incomplete frame and, with `verify`, a file that
-    differs from the manifest raise InputError. A sequence counts as one object. Its
-    category is the robot if its name tells it, as 003-ur5 does, else "robot cell".
-    What the sensor knows (`Example.visibility`) is told by the whole depth image, and
-    by no labels, which no user has.
+    File names are checked when this is made, contents when an example is read; faults
+    and, with `verify`, a file that differs from the manifest raise InputError. A
+    sequence counts as one object. Its category is the robot if its name tells it, as
+    003-ur5 does. What the sensor knows is told by the whole depth image, and by no
+    labels.
     """
 
-    def __init__(self, root: str | os.PathLike, verify: bool = True):
+    def __init__(self, root: StrPath, verify: bool = True):
         self.root = pathlib.Path(root)
         found = _find_frames(self.root)
         if verify and (self.root / MANIFEST).exists():
@@ -130,11 +126,9 @@ def map_of_image(
     mask: Bool[np.ndarray, "H W"],
     camera: Camera,
 ) -> Visibility:
-    """What a depth camera knows of its view of a partial cloud, by its whole image.
-
-    Of the image's pixels about `RAYS_A_PIXEL` are taken for each of the map's. All in
-    one frame and unit; see `prism_jax.preprocessing.visibility_map.seen_among`.
-    """
+    """What a depth camera knows of its view of a partial cloud, by its whole image. Of
+    the image's pixels about `RAYS_A_PIXEL` are taken for each of the map's. All in one
+    frame and unit; see `prism_jax.preprocessing.visibility_map.seen_among`."""
     eye = np.asarray(camera.position, np.float64)
     close = framing_camera(partial.astype(np.float64), eye).intrinsics[0, 0]
     step = max(1, int(camera.intrinsics[0, 0] / close / np.sqrt(RAYS_A_PIXEL)))
@@ -150,13 +144,10 @@ def _category(sequence: str) -> str:
     return "robot cell" if named is None else named[1]
 
 
-def read_frame(folder: str | os.PathLike, number: int) -> Frame:
-    """A frame of a sequence's folder.
-
-    Files that do not fit each other raise InputError: images of another size than the
-    camera's, another unit of depth, a partial cloud that lies elsewhere than the depth
-    image (it is then in another frame or unit), labels that do not exist.
-    """
+def read_frame(folder: StrPath, number: int) -> Frame:
+    """A frame of a sequence's folder. Files that do not fit each other raise
+    InputError: images of another size than the camera's, another unit of depth, a
+    partial cloud that lies elsewhere than the depth image, labels that do not exist."""
     path = pathlib.Path(folder) / f"{number:06d}"
     image, camera_path = frame_file(path, "depth.png"), frame_file(path, "camera.json")
     metres, mask, camera = read_depth(image, camera_path)
@@ -185,12 +176,9 @@ def frame_file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
     return frame.with_name(f"{frame.name}.{suffix}")
 
 
-def check_recordings(root: str | os.PathLike, verify: bool = True) -> int:
-    """Reads every frame below a folder and returns their number.
-
-    The first fault raises InputError with the file, what is wrong with it, and what to
-    do about it.
-    """
+def check_recordings(root: StrPath, verify: bool = True) -> int:
+    """Reads every frame below a folder and returns their number. The first fault raises
+    InputError with the file, what is wrong with it, and what to do about it."""
     cells = RecordedCells(root, verify)
     for index in range(len(cells)):
         cells.read(index)
@@ -202,12 +190,8 @@ def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]
     if not root.is_dir():
         raise InputError(root, "not a folder", "give the folder of the recordings")
     frames: dict[tuple[str, str], list[pathlib.Path]] = {}
-    for folder in sorted(path for path in root.iterdir() if path.is_dir()):
-        if folder.name.startswith("."):
-            continue
-        for path in sorted(folder.iterdir()):
-            if path.name.startswith("."):
-                continue
+    for folder in filter(pathlib.Path.is_dir, _shown(root)):
+        for path in _shown(folder):
             name, _, suffix = path.name.partition(".")
             if not re.fullmatch(r"[0-9]{6}", name):
                 raise InputError(path, "name is not six digits", _LAYOUT)
@@ -223,6 +207,10 @@ def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]
             if path not in files:
                 raise InputError(path, "file missing from its frame", _COPY)
     return frames
+
+
+def _shown(folder: pathlib.Path) -> list[pathlib.Path]:
+    return sorted(path for path in folder.iterdir() if path.name[0] != ".")
 
 
 def _read_cloud(path: pathlib.Path) -> Float32[np.ndarray, "N 3"]:
@@ -245,26 +233,12 @@ def _check_on_image(partial, metres, mask, camera: Camera, path: pathlib.Path) -
     gap = np.abs(metres[rows, columns] - in_camera[seen, 2])
     fitting = np.count_nonzero((gap < NEAR) & mask[rows, columns])
     if 2 * fitting < len(partial):
-        raise InputError(
-            path,
-            f"{fitting} of {len(partial)} points match the depth image",
-            "store metres in the frame of the camera's pose",
-        )
+        fault = f"{fitting} of {len(partial)} points match the depth image"
+        raise InputError(path, fault, "store metres in the frame of the camera's pose")
 
 
 def _read_labels(path: pathlib.Path, camera: Camera) -> UInt8[np.ndarray, "H W"]:
-    data = read_bytes(path)
-    try:
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            if image.mode != "L" or image.size != (camera.width, camera.height):
-                fault = f"{image.mode} with {image.width}x{image.height} pixels"
-                remedy = f"store 8-bit grey of {camera.width}x{camera.height}"
-                raise InputError(path, fault, remedy)
-            labels = np.array(image)
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(path, "not a PNG image", _COPY) from None
+    labels = read_grey(path, camera, 8)
     if labels.max() > max(LABELS.values()):
         raise InputError(path, f"invalid label {labels.max()}", f"use {LABELS}")
     return labels

@@ -13,15 +13,14 @@ metres. Beside these each shard has, of S scenes of P points in all,
 """
 
 import dataclasses
-import json
-import os
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from prism_jax.data.shards import Shards, restored, shard_file
+from prism_jax.data.shards import NAMES, Shards, restored
 from prism_jax.data.source import Example
+from prism_jax.io.errors import StrPath
 from prism_jax.preprocessing.visibility_map import seen_among
 
 TRAITS = "traits.json"
@@ -61,14 +60,11 @@ class LabelledScene:
 
 
 class Scenes(Shards):
-    """A folder of scenes: things one by one as a `Source`, or whole by `scene`.
+    """A folder of scenes: things one by one as a `Source`, as each was measured among
+    the others, or whole by `scene`. All things of a scene count as one object, since
+    what holds for one of them does for another."""
 
-    As a source each item is one thing as it was measured among the others, and what the
-    sensor knows of it is told by all that it measured. All things of a scene count as
-    one object, since what holds for one of them does for another.
-    """
-
-    def __init__(self, root: str | os.PathLike, *arguments: Any, **expected: Any):
+    def __init__(self, root: StrPath, *arguments: Any, **expected: Any):
         super().__init__(root, *arguments, **expected)
         count = len(self._starts) - 1
         frames = [self._array(shard, "frames") for shard in range(count)]
@@ -99,27 +95,18 @@ class Scenes(Shards):
         own = slice(starts[row], starts[row + 1])
         views = self._array(shard, "views")
         (things,) = np.nonzero(views[:, 1] == row)
-        names = self._names(shard)
+        names = self._array(shard, NAMES)
         boxes, clouds = self._array(shard, "box"), self._array(shard, "complete")
-        name, traits = self._traits(shard)[row]
+        name, traits = self._array(shard, TRAITS)[row]
+        box = frames[row, :4].astype(np.float32)
+        complete = [restored(clouds[cloud], boxes[cloud]) for cloud in views[things, 0]]
         return LabelledScene(
-            points=restored(
-                self._array(shard, "points")[own], frames[row, :4].astype(np.float32)
-            ),
+            points=restored(self._array(shard, "points")[own], box),
             labels=self._array(shard, "labels")[own].astype(int),
-            complete=np.stack(
-                [restored(clouds[cloud], boxes[cloud]) for cloud in views[things, 0]]
-            ),
+            complete=np.stack(complete),
             categories=tuple(names[thing][0] for thing in things),
             eye=np.array(frames[row, 4:7]),
             rotation=np.array(frames[row, 7:16]).reshape(3, 3),
             name=name,
             traits=tuple(traits),
         )
-
-    def _traits(self, shard: int) -> list[Any]:
-        key = shard, TRAITS
-        if key not in self._mapped:
-            path = shard_file(self.root, shard, TRAITS)
-            self._mapped[key] = json.loads(path.read_text())
-        return self._mapped[key]

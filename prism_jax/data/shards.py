@@ -20,7 +20,6 @@ or of each complete cloud, is a file of its own, so that a later version can add
 """
 
 import json
-import os
 import pathlib
 from typing import Any
 
@@ -30,6 +29,7 @@ from jaxtyping import Bool, Float32, Int, UInt16
 from prism_jax.data.manifest import check_files, read_manifest
 from prism_jax.data.maps import decode
 from prism_jax.data.source import Example
+from prism_jax.io.errors import StrPath
 
 FORMAT_VERSION = 3
 """Raised with every change of the layout: folders of another one are refused."""
@@ -57,14 +57,13 @@ class Shards:
     """A folder of shards as a `Source`: object after object, view after view.
 
     `remedy` says how such a folder is made, and `expected` what its manifest has to
-    say. One that is missing, unfinished, damaged or of another version raises
-    InputError. Every file is read once for its sha256; after that, arrays are mapped
+    say; else InputError. Every file is read once for its sha256; then arrays are mapped
     into memory as they are used.
     """
 
     def __init__(
         self,
-        root: str | os.PathLike,
+        root: StrPath,
         remedy: str = "write it with experiments.pack",
         **expected: Any,
     ):
@@ -91,7 +90,7 @@ class Shards:
         view = index - self._starts[shard]
         cloud = self._array(shard, "views")[view, 0]
         box, eye = self._array(shard, "box")[cloud], self._array(shard, "eye")[view]
-        category, name, any_heading = self._names(shard)[view]
+        category, name, any_heading = self._array(shard, NAMES)[view]
         known = None
         if self._has_maps:
             known = decode(*(np.array(self._array(shard, n)[view]) for n in MAPS))
@@ -113,7 +112,7 @@ class Shards:
         names = [
             name
             for shard in range(len(self._starts) - 1)
-            for _, name, _ in self._names(shard)
+            for _, name, _ in self._array(shard, NAMES)
         ]
         kinds = [set(name.rsplit("/", 1)[-1].split("+")) for name in names]
         return np.array([kind <= WHOLE for kind in kinds], bool)
@@ -121,16 +120,13 @@ class Shards:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_mapped": {}}
 
-    def _array(self, shard: int, name: str) -> np.ndarray:
+    def _array(self, shard: int, name: str) -> Any:
+        """One of a shard's arrays, or what its JSON file holds."""
         key = shard, name
         if key not in self._mapped:
             path = shard_file(self.root, shard, name)
-            self._mapped[key] = np.load(path, mmap_mode="r", allow_pickle=False)
-        return self._mapped[key]
-
-    def _names(self, shard: int) -> list[list[Any]]:
-        key = shard, NAMES
-        if key not in self._mapped:
-            path = shard_file(self.root, shard, NAMES)
-            self._mapped[key] = json.loads(path.read_text())
+            if path.suffix == ".json":
+                self._mapped[key] = json.loads(path.read_text())
+            else:
+                self._mapped[key] = np.load(path, mmap_mode="r", allow_pickle=False)
         return self._mapped[key]

@@ -34,10 +34,8 @@ class Example(NamedTuple):
 @runtime_checkable
 class Source(Protocol):
     """A data set of Examples, read by index, as Grain wants its random-access sources.
-
     The same index gives the same arrays in every process. It can be pickled, and an
-    index outside the range raises IndexError.
-    """
+    index outside the range raises IndexError."""
 
     @property
     def categories(self) -> tuple[str, ...]:

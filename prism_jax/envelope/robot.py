@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Float64, Int
 from scipy.spatial import KDTree
 
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_json
 from prism_jax.robots.urdf import Linkage
 
 SPACING = 0.02  # metres between points on a robot's surface, about
@@ -22,21 +21,15 @@ LAYOUT = 'write {"positions": {JOINT: radians or metres}} and, if it is not the 
 LAYOUT += '\'s own origin, "base": a 4x4 pose of the robot'
 
 
-def read_joints(
-    path: str | os.PathLike,
-) -> tuple[dict[str, float], Float64[np.ndarray, "4 4"]]:
-    """Joint positions by name and the base's pose in the scan's frame, from JSON.
-
-    The file is that of the recordings: `positions` are needed; `base` is a 4x4 matrix,
-    the identity unless given; all else is left alone.
-    """
-    return joints_from_dict(read_json(path, LAYOUT), path)
-
-
 def joints_from_dict(
     content: Mapping[str, Any], path: str | os.PathLike = "joints"
 ) -> tuple[dict[str, float], Float64[np.ndarray, "4 4"]]:
-    """The same of what such a file holds; InputError about `path`."""
+    """Joint positions by name and the base's pose in the scan's frame, from the JSON of
+    the recordings; InputError about `path`.
+
+    `positions` are needed; `base` is a 4x4 matrix, the identity unless given; all else
+    is left alone.
+    """
     positions = content.get("positions")
     if type(positions) is not dict or not all(map(_is_number, positions.values())):
         raise InputError(path, "no joint positions", LAYOUT)

@@ -55,26 +55,25 @@ def score(
     threshold: float = F_SCORE_THRESHOLD,
 ) -> Scores:
     """All metrics but `emd` of one pair of clouds, with one search each way."""
-    return from_distances(*_both_ways(prediction, target), threshold)
+    prediction, target = _checked(prediction, target)
+    forward, _ = KDTree(target).query(prediction)
+    backward, _ = KDTree(prediction).query(target)
+    return from_distances(forward, backward, threshold)
 
 
 def cd_l1(
     prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
 ) -> float:
-    """Half the sum of the two mean unsquared nearest-neighbour distances.
-
-    As PoinTr and CRA-PCN report it on PCN.
-    """
+    """Half the sum of the two mean unsquared nearest-neighbour distances. As PoinTr and
+    CRA-PCN report it on PCN."""
     return score(prediction, target).cd_l1
 
 
 def cd_l2(
     prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
 ) -> float:
-    """Sum, not halved, of the two mean squared nearest-neighbour distances.
-
-    As PoinTr and CRA-PCN report it on ShapeNet-55.
-    """
+    """Sum, not halved, of the two mean squared nearest-neighbour distances. As PoinTr
+    and CRA-PCN report it on ShapeNet-55."""
     return score(prediction, target).cd_l2
 
 
@@ -83,12 +82,9 @@ def f_score(
     target: Float[np.ndarray, "M 3"],
     threshold: float = F_SCORE_THRESHOLD,
 ) -> float:
-    """Harmonic mean of precision and recall at an unsquared distance, strictly below.
-
-    Precision is the share of the prediction that has a target point nearer than
-    `threshold`, recall the reverse. Zero when both are zero. Source: Tatarchenko et
-    al., "What Do Single-view 3D Reconstruction Networks Learn?", CVPR 2019.
-    """
+    """Harmonic mean of precision and recall at an unsquared distance, strictly below;
+    zero when both are zero. Source: Tatarchenko et al., "What Do Single-view 3D
+    Reconstruction Networks Learn?", CVPR 2019."""
     return score(prediction, target, threshold).f_score
 
 
@@ -104,11 +100,8 @@ def from_distances(
     backward: Float[np.ndarray, " M"],
     threshold: float = F_SCORE_THRESHOLD,
 ) -> Scores:
-    """`score` of distances that are already known.
-
-    `forward` are those of the prediction's points to their nearest target points,
-    `backward` the reverse.
-    """
+    """`score` of known distances: of the prediction's points to their nearest target
+    points (`forward`), and the reverse."""
     precision, recall = np.mean(forward < threshold), np.mean(backward < threshold)
     both = precision + recall
     to_truth, from_truth = np.mean(forward**2), np.mean(backward**2)
@@ -126,27 +119,26 @@ def from_distances(
 def emd(
     prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
 ) -> float:
-    """Mean unsquared distance of the best one-to-one assignment, exact.
-
-    The clouds need equal counts of at most `MAX_EXACT_POINTS`; others raise
-    `ValueError`. Memory is quadratic (some 24 bytes a pair), time up to cubic. Clouds
-    in farthest-point order take less, since the assignment of the first few is a good
-    start for the whole one.
-    """
+    """Mean unsquared distance of the best one-to-one assignment, exact. The clouds need
+    equal counts of at most `MAX_EXACT_POINTS`, or ValueError. Memory is quadratic, time
+    up to cubic; clouds in farthest-point order take less."""
     return emds([prediction], target)[0]
 
 
 def emds(
     predictions: Sequence[Float[np.ndarray, "N 3"]], target: Float[np.ndarray, "M 3"]
 ) -> list[float]:
-    """`emd` of several clouds to one target: the same values as one by one.
-
-    Faster for clouds that are alike: each starts from the assignment of the first.
-    """
+    """`emd` of several clouds to one target: the same values as one by one. Faster for
+    clouds that are alike: each starts from the assignment of the first."""
     values, prices = [], None
     for prediction in predictions:
         cloud, goal = _checked(prediction, target)
-        _check_counts(cloud, goal)
+        if len(cloud) != len(goal):
+            counts = f"{len(cloud)} and {len(goal)}"
+            raise ValueError(f"emd needs equal counts, not {counts}: resample one")
+        if len(cloud) > MAX_EXACT_POINTS:
+            fault = f"emd takes up to {MAX_EXACT_POINTS} points, not {len(cloud)}"
+            raise ValueError(f"{fault}: use fewer")
         cost = cdist(cloud, goal)
         start = _coarse_prices(cost) if prices is None else prices
         columns = linear_sum_assignment(_reduced(cost, start))[1]
@@ -156,26 +148,10 @@ def emds(
     return values
 
 
-def _check_counts(prediction: np.ndarray, target: np.ndarray) -> None:
-    if len(prediction) != len(target):
-        raise ValueError(
-            f"emd is one-to-one and needs equal counts, not {len(prediction)} and "
-            f"{len(target)}: resample one"
-        )
-    if len(prediction) > MAX_EXACT_POINTS:
-        raise ValueError(
-            f"emd is exact and takes up to {MAX_EXACT_POINTS} points, not "
-            f"{len(prediction)}: use fewer"
-        )
-
-
 def _reduced(cost: np.ndarray, prices: np.ndarray) -> np.ndarray:
     """The costs minus each column's price, and minus what is then each row's minimum.
-
-    This lowers every assignment by the same sum, so the best one stays the best for any
-    prices. If the prices are close to its dual variables, SciPy's augmenting paths are
-    short.
-    """
+    The best assignment stays the best; if the prices are close to its dual variables,
+    SciPy's augmenting paths are short."""
     reduced = cost - prices
     reduced -= reduced.min(axis=1, keepdims=True)
     return reduced
@@ -197,12 +173,9 @@ def _coarse_prices(cost: np.ndarray) -> np.ndarray:
 def _relaxed(
     prices: np.ndarray, cost: np.ndarray, columns: np.ndarray, rounds: int
 ) -> np.ndarray:
-    """Prices closer to the dual variables of the best assignment, `columns`.
-
-    The dual variables are shortest path lengths between columns, by Bellman-Ford: an
-    edge from one column to another costs what the row assigned to the first would pay
-    extra for the second.
-    """
+    """Prices closer to the dual variables of the best assignment, `columns`: shortest
+    path lengths between columns, by Bellman-Ford, where an edge costs what the row
+    assigned to one column would pay extra for the other."""
     more = cost - np.take_along_axis(cost, columns[:, None], axis=1)
     for _ in range(rounds):
         lower = np.minimum(prices, np.min(prices[columns][:, None] + more, axis=0))
@@ -210,16 +183,6 @@ def _relaxed(
             break
         prices = lower
     return prices
-
-
-def _both_ways(
-    prediction: np.ndarray, target: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest-neighbour distances, prediction to target and target to prediction."""
-    prediction, target = _checked(prediction, target)
-    forward, _ = KDTree(target).query(prediction)
-    backward, _ = KDTree(prediction).query(target)
-    return forward, backward
 
 
 def _checked(

@@ -1,7 +1,7 @@
 """How much a metric differs between two clouds of the same examples, and where."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,23 +15,16 @@ from prism_jax.evaluation.bootstrap import (
 ADAPTED = ("network", "completed")  # clouds that there are unadapted, too
 
 
-class Measure(NamedTuple):
-    """A metric and what is taken of it over examples: ``mean`` or ``median``."""
-
-    metric: str
-    statistic: str
-
-
 MEASURES = {
-    "cd_l2": Measure("cd_l2", "mean"),
-    "cd_l2_median": Measure("cd_l2", "median"),
-    "prediction_to_truth": Measure("prediction_to_truth", "mean"),
-    "truth_to_prediction": Measure("truth_to_prediction", "mean"),
-    "cd_l1": Measure("cd_l1", "mean"),
-    "f_score": Measure("f_score", "mean"),
+    "cd_l2": ("cd_l2", "mean"),
+    "cd_l2_median": ("cd_l2", "median"),
+    "prediction_to_truth": ("prediction_to_truth", "mean"),
+    "truth_to_prediction": ("truth_to_prediction", "mean"),
+    "cd_l1": ("cd_l1", "mean"),
+    "f_score": ("f_score", "mean"),
 }
-"""What comparisons tell. The mean of CD-L2 hangs on a few bad examples: the median and
-CD-L1 do so less."""
+"""What comparisons tell: a metric, and what is taken of it over examples. The mean of
+CD-L2 hangs on a few bad examples: the median and CD-L1 do so less."""
 
 
 def paired_difference(
@@ -43,20 +36,15 @@ def paired_difference(
 ) -> dict[str, Any]:
     """How much higher a metric is in `b` than in `a`, as a share of what it is in `a`.
 
-    `a` and `b` are results of the same examples, from `evaluate` or read from its JSON.
-    `clouds` names what to compare in each: ``paired_difference(r, r,
-    clouds=("network_unadapted", "network"))`` is what adaptation changes.
+    `a` and `b` are results of the same examples, from `evaluate` or read from its JSON;
+    `clouds` names what to compare in each.
 
-    Returns ``change`` (-0.1 is ten percent lower) of the `statistic`, ``mean`` or
-    ``median``, and its 95 % bootstrap ``interval`` over objects. Both sides are drawn
-    together, so that what is hard for both cancels out. That interval holds for other
-    objects of the same categories (kinds of shapes, robot arms). What holds for other
-    categories is told by ``category_interval``, over categories, if there are several.
-
-    Of a mean's change each category contributes a part. ``carried_by`` names the
-    ``category`` with the largest part in the change's own direction: its
-    ``contribution``, its number of examples, and what is left without it,
-    ``change_without`` and ``interval_without`` (over objects).
+    Returns `change` (-0.1 is ten percent lower) of the `statistic`, and its 95 %
+    bootstrap `interval` over objects. Both sides are drawn together, so that what is
+    hard for both cancels out. What holds for other categories is told by
+    `category_interval`, if there are several. `carried_by` names the `category` with
+    the largest part in a mean's change: its `contribution`, its number of examples, and
+    what is left without it.
 
     Other examples, a metric or a cloud that is not there, and a zero in `a` raise
     ValueError.
@@ -138,10 +126,8 @@ def all_differences(
 
 def adaptation_effect(result: Mapping[str, Any]) -> dict[str, Any]:
     """What adaptation changes in each of a result's clouds that are `ADAPTED`."""
-    pairs = {cloud: (f"{cloud}_unadapted", cloud) for cloud in ADAPTED}
-    known = result["per_example"]["clouds"]
     return {
-        cloud: all_differences(result, result, pair)
-        for cloud, pair in pairs.items()
-        if pair[0] in known
+        cloud: all_differences(result, result, (f"{cloud}_unadapted", cloud))
+        for cloud in ADAPTED
+        if f"{cloud}_unadapted" in result["per_example"]["clouds"]
     }

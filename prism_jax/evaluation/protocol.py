@@ -25,10 +25,7 @@ from prism_jax.preprocessing.observation import (
 
 NORMALISATIONS = ("partial", "oracle", "own")
 
-UNITS = {
-    "complete": metrics.UNIT,
-    "own": "the data set's own unit",
-}
+UNITS = {"complete": metrics.UNIT, "own": "the data set's own unit"}
 """What scores can be in, and in words."""
 
 
@@ -110,10 +107,8 @@ def into_scored(
 
 
 def observed(example: Example, protocol: Protocol) -> Observation:
-    """What the completer gets of an example.
-
-    The points are sampled first, in the order that the example's source decides.
-    """
+    """What the completer gets of an example. The points are sampled first, in the order
+    that the example's source decides."""
     assert example.partial is not None
     few = first_points(example.partial, protocol.num_partial, example.ordered)
     return observe(few, example.eye, workspace_for(example, protocol))

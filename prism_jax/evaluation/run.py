@@ -31,9 +31,8 @@ from prism_jax.evaluation.protocol import (
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.variables import Variables, apply
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view, observe
 
 
 class Predictions(NamedTuple):
@@ -58,15 +57,13 @@ maps (None where the source has none). It may be jitted."""
 
 
 def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
-    """PRISM with its test-time adaptation, jitted; compiled for each batch size.
-
-    With ``num_steps=0`` it returns ``network`` alone. Without maps it has what the
-    clouds say.
-    """
+    """PRISM with its test-time adaptation, jitted; compiled for each batch size. With
+    ``num_steps=0`` it returns ``network`` alone. Without maps it has what the clouds
+    say."""
     adapt = make_adapt(config)
 
     def one(variables: Variables, partial: Array, eye: Array, known: Any):
-        camera = observe(partial, eye, Workspace.unit()).camera
+        camera = framed_view(partial, eye)
         done = adapt(variables, partial, camera, known)
         if config.adapt.num_steps == 0:
             return done.points, None, None
@@ -101,17 +98,15 @@ def evaluate(
 ) -> dict[str, Any]:
     """Scores of all `CLOUDS` over a data set, as JSON.
 
-    ``clouds`` holds for each cloud the ``mean``, its ``intervals``, the ``median`` and
-    the means ``per_category`` of every metric; all but ``network`` and
-    ``network_unadapted`` only with `Protocol.with_measured`. Distances are in ``unit``,
-    squared where the metric is, and nothing is scaled. If the completer adapts,
-    ``accepted`` is the share of examples whose adaptation was accepted, and
-    ``adaptation`` says what it changes (`adaptation_effect`). ``per_example`` holds
+    `clouds` holds for each cloud the `mean`, its `intervals`, the `median` and the
+    means `per_category` of every metric. Distances are in `unit`, squared where the
+    metric is. If the completer adapts, `accepted` is the share of examples whose
+    adaptation was accepted, and `adaptation` says what it changes. `per_example` holds
     what `paired_difference` needs.
 
-    Only the first ``limit`` examples of the source count; one without a complete cloud
-    raises InputError. While one batch is completed, the one before is scored by
-    `num_workers` threads, one a core by default.
+    Only the first `limit` examples count; one without a complete cloud raises
+    InputError. While one batch is completed, the one before is scored by `num_workers`
+    threads.
     """
     count = len(source) if limit is None else min(limit, len(source))
     size = min(batch_size, count)
@@ -144,15 +139,11 @@ class _Item(NamedTuple):
 
 
 def _complete(
-    complete_fn: CompleteFn,
-    source: Source,
-    protocol: Protocol,
-    count: int,
-    batch_size: int,
+    complete_fn: CompleteFn, source: Source, protocol: Protocol, count: int, size: int
 ) -> Iterator[list[_Item]]:
     """Batches of one size; the last is filled up with the first examples."""
-    for start in range(0, count, batch_size):
-        rows = np.arange(start, start + batch_size) % count
+    for start in range(0, count, size):
+        rows = np.arange(start, start + size) % count
         examples = [with_partial(source[int(row)]) for row in rows]
         seen = [observed(example, protocol) for example in examples]
         partials, eyes = side_by_side(seen)
@@ -163,12 +154,11 @@ def _complete(
         predictions = jax.device_get(complete_fn(partials, eyes, *maps))
         yield [
             _Item(examples[i], partials[i], _one(predictions, i))
-            for i in range(min(batch_size, count - start))
+            for i in range(min(size, count - start))
         ]
 
 
 def _one(predictions: Predictions, row: int) -> Predictions:
-    """Those of one example of a batch."""
     return jax.tree.map(lambda array: array[row], predictions)
 
 
@@ -179,21 +169,14 @@ def scored_clouds(
     protocol: Protocol,
 ) -> dict[str, Float[np.ndarray, "_ 3"]]:
     """Those of `CLOUDS` that there are of an example, in the frame of the scores.
-
     `partial` is what the completer read of it, and `predictions` are of it alone, both
-    in the workspace.
-    """
+    in the workspace."""
     assert example.partial is not None
     from_own, from_workspace = into_scored(example, protocol)
-    seen = observe(
-        example.partial.astype(np.float64),
-        example.eye,
-        workspace_for(example, protocol),
-    )
+    workspace = workspace_for(example, protocol)
+    seen = observe(example.partial.astype(np.float64), example.eye, workspace)
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
-    known = None
-    if protocol.uses_visibility:
-        known = map_of(example, workspace_for(example, protocol))
+    known = map_of(example, workspace) if protocol.uses_visibility else None
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:
         clouds["partial"] = from_own(example.partial)
@@ -207,7 +190,7 @@ def scored_clouds(
         network = np.asarray(output, np.float64)
         clouds[f"network{suffix}"] = from_workspace(network)
         if protocol.with_measured:
-            new, _ = added_points(
+            new, *_ = added_points(
                 network,
                 measured,
                 partial,

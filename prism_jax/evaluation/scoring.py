@@ -14,13 +14,7 @@ from prism_jax.evaluation.metrics import Scores
 EMD_POINTS = 1024
 """The exact earth mover's distance is computed between this many farthest points."""
 
-CLOUDS = (
-    "partial",
-    "network_unadapted",
-    "network",
-    "completed_unadapted",
-    "completed",
-)
+CLOUDS = ("partial", "network_unadapted", "network", "completed_unadapted", "completed")
 """Names of the clouds that are scored, in the order in which tables list them:
 
 partial: the measured points.
@@ -46,13 +40,12 @@ def score(
     complete: Float[np.ndarray, "M 3"],
     complete_few: Float[np.ndarray, "E 3"] | None = None,
 ) -> dict[str, Scores]:
-    """The scores of those of `CLOUDS` that there are of an example.
+    """The scores of those of `CLOUDS` that there are of an example, in the frame and
+    unit of the scores.
 
     `complete` is the ground truth, and `complete_few` `EMD_POINTS` farthest points of
-    it; without them the earth mover's distance is not computed. All in the frame and
-    unit of the scores. Values are those of the functions of
-    `prism_jax.evaluation.metrics`, except for the last bits; one array under two names
-    is scored once. Runs on one thread, mostly without holding Python's lock.
+    it; without them there is no earth mover's distance. One array under two names is
+    scored once. Runs on one thread, mostly without holding Python's lock.
     """
     tree = KDTree(complete)
     apart = {id(cloud): name for name, cloud in reversed(clouds.items())}  # pyright: ignore

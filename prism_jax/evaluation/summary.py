@@ -26,16 +26,15 @@ def summarise(
     categories: Sequence[str],
     objects: Int[np.ndarray, " E"],
 ) -> dict[str, Any]:
-    """The part of `evaluate`'s result that is made of scores.
-
-    `objects` numbers the object that each example shows. Intervals of means are over
-    objects. Categories without an example are left out.
-    """
+    """The part of `evaluate`'s result that is made of scores. `objects` numbers the
+    object that each example shows. Intervals of means are over objects. Categories
+    without an example are left out."""
     present = np.array([row.category for row in rows])
-    clouds = list(rows[0].clouds)
+    clouds = {
+        cloud: [row.clouds[cloud].named() for row in rows] for cloud in rows[0].clouds
+    }
 
-    def summary(cloud: str) -> dict[str, Any]:
-        named = [row.clouds[cloud].named() for row in rows]
+    def summary(named: Sequence[dict[str, float]]) -> dict[str, Any]:
         metrics = list(named[0])
         values = np.array([list(one.values()) for one in named])
         low, high = mean_intervals(values, objects)
@@ -54,21 +53,20 @@ def summarise(
             },
         }
 
-    def kept(cloud: str) -> dict[str, list[float]]:
-        named = [row.clouds[cloud].named() for row in rows]
-        return {m: [_short(one[m]) for one in named] for m in named[0]}
-
     accepted = [row.accepted for row in rows if row.accepted is not None]
     result = {
         "num_examples": len(rows),
         "num_objects": int(objects[-1]) + 1,
         **({"accepted": float(np.mean(accepted))} if accepted else {}),
-        "clouds": {cloud: summary(cloud) for cloud in clouds},
+        "clouds": {cloud: summary(named) for cloud, named in clouds.items()},
         "per_example": {
             "name": [row.name for row in rows],
             "category": present.tolist(),
             "object": objects.tolist(),
-            "clouds": {cloud: kept(cloud) for cloud in clouds},
+            "clouds": {
+                cloud: {m: [_short(one[m]) for one in named] for m in named[0]}
+                for cloud, named in clouds.items()
+            },
         },
     }
     effect = adaptation_effect(result)

@@ -44,11 +44,10 @@ class Camera:
     """A calibrated pinhole view: ``x = R p + t`` and ``(u, v) = K x / z``.
 
     Axes are OpenCV's: +x right, +y down, +z forward. Pixel centres lie at integer
-    coordinates: the image covers ``u`` from -0.5 to ``width - 0.5``, and a point falls
-    on the pixel ``floor((u, v) + 0.5)``. Lengths are those of the points (metres, or
-    half extents of a unit workspace). The arrays are pytree leaves, so cameras can
-    be stacked, mapped with ``jax.vmap`` and differentiated; the image size is static.
-    Methods take one camera and one cloud.
+    coordinates: a point falls on the pixel ``floor((u, v) + 0.5)``. Lengths are those
+    of the points (metres, or half extents of a unit workspace). The arrays are pytree
+    leaves, so cameras can be stacked, mapped with ``jax.vmap`` and differentiated; the
+    image size is static. Methods take one camera and one cloud.
     """
 
     # JAX rebuilds pytrees with placeholders for leaves; do not type-check those.
@@ -77,11 +76,8 @@ class Camera:
     def project(
         self, points: Float[Array | np.ndarray, "N 3"]
     ) -> tuple[Float[Array, "N 2"], Float[Array, " N"]]:
-        """Pixel coordinates ``(u, v)`` and depth ``z`` of points.
-
-        Differentiable in the points and the camera. Where ``z <= MIN_DEPTH`` the point
-        has no image: its pixel coordinates are finite but meaningless.
-        """
+        """Pixel coordinates ``(u, v)`` and depth ``z`` of points, differentiable.
+        Where ``z <= MIN_DEPTH`` the pixel is finite but meaningless."""
         return self._image_of(jnp.asarray(self.to_camera(points)))
 
     @exact_products
@@ -91,8 +87,7 @@ class Camera:
         """The pixel that each point falls on, and its depth ``z``.
 
         Pixels are numbered row by row. A point behind the camera, outside the image
-        or not finite gets ``height * width``, one past the last.
-        The depth is differentiable. NumPy arrays stay NumPy.
+        or not finite gets ``height * width``. NumPy arrays stay NumPy.
         """
         xp: Any = jnp if isinstance(points, jax.Array) else np
         # Projected, they would turn the pose's gradient into NaN, dropped or not.
@@ -127,14 +122,12 @@ class Camera:
     def resized(self, height: int, width: int) -> "Camera":
         """The same view on another pixel grid covering the same field of view."""
         x_scale, y_scale = width / self.width, height / self.height
-        scaling = np.array(
-            [
-                [x_scale, 0.0, 0.5 * x_scale - 0.5],
-                [0.0, y_scale, 0.5 * y_scale - 0.5],
-                [0.0, 0.0, 1.0],
-            ],
-            dtype=self.intrinsics.dtype,
-        )
+        scaling = [
+            [x_scale, 0.0, 0.5 * x_scale - 0.5],
+            [0.0, y_scale, 0.5 * y_scale - 0.5],
+            [0.0, 0.0, 1.0],
+        ]
+        scaling = np.array(scaling, self.intrinsics.dtype)
         return dataclasses.replace(
             self, intrinsics=scaling @ self.intrinsics, height=height, width=width
         )
@@ -162,9 +155,8 @@ class Camera:
 
         ``fov_degrees`` spans the shorter side of the image. Where ``up`` is parallel to
         the line of sight (or zero) a coordinate axis takes its place, and an eye at
-        the target looks along +x, so the pose is always a rotation. Differentiable
-        in eye, target and field of view away from these two cases. The pose is no more
-        exact than the default float: prefer a frame whose origin is near the scene.
+        the target looks along +x. Differentiable in eye, target and field of view away
+        from these two cases. In the default float: prefer an origin near the scene.
         """
         eye, target, up = (jnp.asarray(x, dtype=float) for x in (eye, target, up))
         sight = target - eye
@@ -175,13 +167,8 @@ class Camera:
         right = _normalized(jnp.cross(forward, jnp.where(parallel, least_aligned, up)))
         rotation = jnp.stack([right, jnp.cross(forward, right), forward])
         focal = 0.5 * min(height, width) / jnp.tan(0.5 * jnp.deg2rad(fov_degrees))
-        return cls(
-            rotation=rotation,
-            translation=-rotation @ eye,
-            intrinsics=_intrinsics(focal, focal, height, width),
-            height=height,
-            width=width,
-        )
+        pose = rotation, -rotation @ eye
+        return cls(*pose, _intrinsics(focal, focal, height, width), height, width)
 
     @classmethod
     def framing(
@@ -195,7 +182,7 @@ class Camera:
         """A camera at ``eye`` whose view is filled by the points, with some margin.
 
         It looks at the centre of their bounding box. Points beside or behind the eye
-        widen the view to at most 120 degrees. Points and eye share frame and units.
+        widen the view to at most 120 degrees.
         """
         center = 0.5 * (points.min(axis=0) + points.max(axis=0))
         aimed = cls.look_at(eye, center, height=height, width=width)
@@ -234,24 +221,15 @@ class Camera:
         rotation: Float[Array | np.ndarray, "3 3"] | None = None,
         translation: Vector | None = None,
     ) -> "Camera":
-        """The depth view of an Intel RealSense L515: 640x480, about 70x55 degrees.
-
-        Nominal intrinsics from the data sheet's field of view, for simulation; for
-        measured data use the unit's own calibration. The pose is the identity unless
-        given: points are in the sensor's optical frame, in metres.
-        """
+        """The nominal depth view of an Intel RealSense L515: 640x480, about 70x55
+        degrees. The pose is the identity unless given. In metres."""
         height, width = 480, 640
         focal_x = 0.5 * width / np.tan(np.deg2rad(35.0))
         focal_y = 0.5 * height / np.tan(np.deg2rad(27.5))
-        return cls(
-            rotation=jnp.eye(3) if rotation is None else jnp.asarray(rotation, float),
-            translation=(
-                jnp.zeros(3) if translation is None else jnp.asarray(translation, float)
-            ),
-            intrinsics=_intrinsics(focal_x, focal_y, height, width),
-            height=height,
-            width=width,
-        )
+        rotation = np.eye(3) if rotation is None else rotation
+        translation = np.zeros(3) if translation is None else translation
+        pose = jnp.asarray(rotation, float), jnp.asarray(translation, float)
+        return cls(*pose, _intrinsics(focal_x, focal_y, height, width), height, width)
 
 
 def _intrinsics(focal_x, focal_y, height: int, width: int) -> Float[Array, "3 3"]:

@@ -8,18 +8,12 @@ from jaxtyping import Array, Float, Int
 
 
 def first_lowest(values: Float[Array, "... N"]) -> Int[Array, "..."]:
-    """Index of the lowest value of the last axis, the first of several.
-
-    Values must not be NaN.
-    """
+    """Index of the lowest value of the last axis, the first of several; no NaN."""
     return _first(values == values.min(-1, keepdims=True))
 
 
 def first_highest(values: Float[Array, "... N"]) -> Int[Array, "..."]:
-    """Index of the highest value of the last axis, the first of several.
-
-    Values must not be NaN.
-    """
+    """Index of the highest value of the last axis, the first of several; no NaN."""
     return _first(values == values.max(-1, keepdims=True))
 
 

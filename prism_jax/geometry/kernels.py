@@ -3,12 +3,11 @@
 What XLA makes is bound by launches (farthest points: some for every sample) or by
 memory (neighbours: distances written and read again). A kernel is launched once, and
 distances never leave registers. The results are those of the forms for a CPU, ties
-included, which remain the fallback:
-`prism_jax.geometry.neighbors` and `sampling` choose by platform.
-
-``interpret=True`` runs a kernel without a GPU, for tests.
+included, between which `prism_jax.geometry.neighbors` and `sampling` choose by
+platform. ``interpret=True`` runs a kernel without a GPU, for tests.
 """
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -27,11 +26,8 @@ _QUERIES = 128
 def nearest_indices(
     query: Float[Array, "N 3"], support: Float[Array, "M 3"]
 ) -> Int[Array, " N"]:
-    """Index of each query's nearest support point; ties go to the lowest.
-
-    No kernel of ours: XLA reduces the distances as it makes them and keeps none
-    (docs/findings.md, "Speed and numbers").
-    """
+    """Index of each query's nearest support point; ties go to the lowest. XLA reduces
+    the distances as it makes them (docs/findings.md, "Speed and numbers")."""
     squared = ((query[:, None] - support) ** 2).sum(-1)
     return jax.lax.argmin(squared, 1, jnp.int32)
 
@@ -42,11 +38,8 @@ def knn_indices(
     k: int,
     interpret: bool = False,
 ) -> Int[Array, "N k"]:
-    """Indices of the k nearest support points, nearest first; k is at most M.
-
-    Every query keeps its k best in order, and each support point sinks to its place
-    among them. Ties go to the lowest index.
-    """
+    """Indices of the k nearest support points, nearest first; k is at most M. Ties go
+    to the lowest index."""
     queries = _rows(query, _QUERIES)
     supports = support.T
     num_supports = support.shape[0]
@@ -60,12 +53,8 @@ def knn_indices(
             # After the first points hardly one enters any of the lists.
             enters = jnp.max((squared < best[0][-1]).astype(jnp.int32)) > 0
             index = jnp.full(_QUERIES, j, jnp.int32)
-            return jax.lax.cond(
-                enters,
-                lambda best: inserted(best, squared, index),
-                lambda best: best,
-                best,
-            )
+            insert = functools.partial(inserted, new=squared, index=index)
+            return jax.lax.cond(enters, insert, lambda best: best, best)
 
         farthest = jnp.full(_QUERIES, jnp.inf, query.dtype)
         none = jnp.zeros(_QUERIES, jnp.int32)
@@ -96,10 +85,8 @@ def farthest_indices(
     num_samples: int,
     interpret: bool = False,
 ) -> Int[Array, " num_samples"]:
-    """Farthest-point sampling from ``start``, among the points that may be chosen.
-
-    One program holds the whole cloud, up to `MAX_FARTHEST_POINTS`.
-    """
+    """Farthest-point sampling from ``start``, among the points that may be chosen. One
+    program holds the whole cloud, up to `MAX_FARTHEST_POINTS`."""
     size = pl.next_power_of_2(points.shape[0])
     cloud = _rows(points, size)
     allowed = jnp.pad(chosen_from.astype(jnp.int32), (0, size - points.shape[0]))

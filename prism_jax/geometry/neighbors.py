@@ -1,12 +1,9 @@
 """Exact nearest neighbours, and interpolation from them.
 
-Neighbour indices are integers without a gradient. They are computed once for a pair
-of clouds and passed on; only coordinates and features carry derivatives.
-
 The searches are exact and brute force, in two levels: the minimum over short runs of
-the support is fused and vectorised, and only the runs that can hold a
-neighbour are looked at point by point. Differences of coordinates are taken directly,
-since ``|x|^2 + |y|^2 - 2xy`` cancels for close points. On a GPU, kernels of one level.
+the support is fused and vectorised, and only the runs that can hold a neighbour are
+looked at point by point. Differences of coordinates are taken directly, since
+``|x|^2 + |y|^2 - 2xy`` cancels for close points. On a GPU, kernels of one level.
 """
 
 import functools
@@ -83,9 +80,9 @@ def three_point_interpolate(
 ) -> Float[Array, "N C"]:
     """Features at the queries, by inverse squared distance from three supports.
 
-    Weights are ``1 / (d^2 + 1e-8)``, normalised (PointNet++, section 3.4, as
-    CRA-PCN uses it). Differentiable in all three arrays. ``neighbors`` passes on the
-    three nearest supports where they are known already.
+    Weights are ``1 / (d^2 + 1e-8)``, normalised (PointNet++, section 3.4, as CRA-PCN
+    uses it). Differentiable in all three arrays. ``neighbors`` are the three nearest
+    supports, if known.
     """
     if neighbors is None:
         neighbors = knn(query, support, 3)
@@ -130,11 +127,9 @@ def _squared_distances(query: Array, points: Array) -> Array:
 
 
 def _run_minima(query: Array, runs: Array) -> Array:
-    """Least squared distance of each query to each run.
-
-    The minimum is taken member by member, over vectors of runs. A gather lays the
-    members out for it: XLA would fuse a transposition, and read with a stride.
-    """
+    """Least squared distance of each query to each run. The minimum is taken member by
+    member, over vectors of runs. A gather lays the members out for it: XLA would fuse a
+    transposition, and read with a stride."""
     number, length, _ = runs.shape
     rows = np.arange(number * length).reshape(number, length).T
     members = runs.reshape(-1, 3)[rows.reshape(-1)].reshape(length, number, 3)
@@ -152,9 +147,8 @@ def _nearest_indices(query: Array, support: Array) -> Array:
 def _knn_indices(query: Array, support: Array, k: int) -> Array:
     if support.shape[0] <= max(_DIRECT_SUPPORT, k * _KNN_RUN):
         if k > _LISTED_K:
-            return _k_lowest_columns(
-                _squared_distances(query[:, None], support[None]), k
-            )
+            distances = _squared_distances(query[:, None], support[None])
+            return _k_lowest_columns(distances, k)
         return _k_lowest(lambda point: _squared_distances(query, point), support, k)
     # The k nearest lie in the k runs whose nearest points are nearest.
     runs = _runs(support, _KNN_RUN)
@@ -184,8 +178,8 @@ def _k_lowest(
     """For each of N queries, the k members of lowest value, lowest first.
 
     Of equal values the first comes first. ``value_fn`` gives all queries' values of one
-    member. Every query keeps a sorted list, into which the members are inserted one
-    after the other: that runs along the queries, where ``top_k`` sorts row by row.
+    member, which is inserted into their sorted lists: that runs along the queries,
+    where ``top_k`` sorts row by row.
     """
 
     def insert(lists, indexed):

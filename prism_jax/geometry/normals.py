@@ -18,10 +18,9 @@ def pca_normals(
 
     The neighbourhood is the ``k`` nearest points, self included (all of them if there
     are fewer), or the given ``neighbors`` indices, a row for each normal. Signs are
-    arbitrary but repeatable. No gradient flows (the anchors of PRISM, Eq. 5): that of
-    an eigenvector is infinite at equal eigenvalues. Units do not matter. Collinear
-    neighbours give some direction across their line, coincident ones (1, 0, 0). Points
-    must be finite; an empty cloud raises ValueError.
+    arbitrary but repeatable. No gradient: that of an eigenvector is infinite at equal
+    eigenvalues. Collinear neighbours give some direction across their line, coincident
+    ones (1, 0, 0). Points must be finite; an empty cloud raises ValueError.
 
     H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
@@ -39,11 +38,9 @@ def pca_normals(
 
 
 def _least_eigenvector(matrix: list[list[Array]]) -> Float[Array, "N 3"]:
-    """Of symmetric 3 x 3 matrices, given entry by entry: cyclic Jacobi rotations.
-
-    A sweep roughly squares what is left off the diagonal; five reach float32. Much
-    faster than ``eigh``, which calls LAPACK once a matrix.
-    """
+    """Of symmetric 3 x 3 matrices, given entry by entry: cyclic Jacobi rotations. A
+    sweep roughly squares what is left off the diagonal; five reach float32. Much faster
+    than ``eigh``, which calls LAPACK once a matrix."""
     largest = jnp.maximum(matrix[0][0], jnp.maximum(matrix[1][1], matrix[2][2]))
     scale = jnp.where(largest > 0, largest, 1.0)
     a = {(i, j): matrix[i][j] / scale for i in range(3) for j in range(i, 3)}
@@ -68,10 +65,8 @@ def _least_eigenvector(matrix: list[list[Array]]) -> Float[Array, "N 3"]:
 
 
 def _rotate(a: dict, vectors: list, p: int, q: int) -> tuple[dict, list]:
-    """The rotation in the plane of axes p and q that makes entry (p, q) zero.
-
-    G. Golub, C. Van Loan, "Matrix computations", section 8.5.
-    """
+    """The rotation in the plane of axes p and q that makes entry (p, q) zero. G. Golub,
+    C. Van Loan, "Matrix computations", section 8.5."""
     r = 3 - p - q
     pr, qr = (min(p, r), max(p, r)), (min(q, r), max(q, r))
     off = a[p, q]
@@ -90,12 +85,9 @@ def _rotate(a: dict, vectors: list, p: int, q: int) -> tuple[dict, list]:
         pr: cosine * a[pr] - sine * a[qr],
         qr: sine * a[pr] + cosine * a[qr],
     }
-    turned = []
+    vectors = [list(row) for row in vectors]
     for row in vectors:
-        row = list(row)
-        row[p], row[q] = (
-            cosine * row[p] - sine * row[q],
-            sine * row[p] + cosine * row[q],
-        )
-        turned.append(row)
-    return rotated, turned
+        along, across = row[p], row[q]
+        row[p] = cosine * along - sine * across
+        row[q] = sine * along + cosine * across
+    return rotated, vectors

@@ -32,11 +32,9 @@ def farthest_point_sample(
     points = jax.lax.stop_gradient(jnp.asarray(points))
     if points.shape[0] == 0:
         raise ValueError("nothing can be sampled from an empty cloud")
+    chosen_from = jnp.ones(points.shape[0], bool)
     if skip_near_origin:
         chosen_from = (points**2).sum(-1) > NEAR_ORIGIN
-    else:
-        chosen_from = jnp.ones(points.shape[0], bool)
-
     first = jnp.asarray(start, jnp.int32)
     if points.shape[0] > kernels.MAX_FARTHEST_POINTS:
         return _farthest_indices(points, chosen_from, first, num_samples)

@@ -15,15 +15,12 @@ def sinkhorn(
 ) -> tuple[Float[Array, "M N"], Float[Array, ""]]:
     """The entropic transport plan and its cost ``<plan, cost>`` (PRISM, Eq. 8).
 
-    ``epsilon`` is in the cost's units and must be positive; small against the mean cost
-    needs more iterations. ``a`` and ``b`` are the marginals, non-negative with equal
-    sums (uniform, of sum 1, by default); an entry of zero leaves its row or column
-    out.
-    The plan's column sums equal ``b`` after any number of iterations, its row sums
-    equal ``a`` in the limit.
-
-    Differentiable to any order in ``cost`` and ``epsilon``, by unrolled iterations.
-    The returned cost has no entropy term, so its gradient is not the plan itself.
+    ``epsilon`` is in the cost's units and must be positive; a small one needs more
+    iterations. ``a`` and ``b`` are the marginals, non-negative with equal sums (1
+    and uniform by default); an entry of zero leaves its row or column out. The plan's
+    column sums equal ``b`` after any number of iterations, its row sums ``a`` in the
+    limit. Differentiable to any order in ``cost`` and ``epsilon``, by unrolled
+    iterations. The returned cost has no entropy term.
 
     M. Cuturi, "Sinkhorn distances", NeurIPS 2013; log domain: G. Peyre, M. Cuturi,
     "Computational optimal transport", 2019, section 4.4.

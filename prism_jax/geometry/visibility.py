@@ -1,6 +1,7 @@
-"""What a view knows: where it measured a surface, what hides it, where it is empty.
+"""Visibility: where a view measured a surface, what hides it, where it is empty.
 
-A lost return says nothing. What is not known is never free.
+A lost return says nothing. What is not known is never free. NumPy arrays stay NumPy
+where both kinds are allowed.
 """
 
 import dataclasses
@@ -19,28 +20,20 @@ from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.workspace import Workspace
 
 UNKNOWN, SURFACE, NEARER, BACKGROUND = range(4)
-"""States of a pixel. Nothing was measured; the object was; something nearer was, which
-hides all behind it; or the sensor looked past the object, to what lies beyond."""
+"""States of a pixel: nothing was measured; the object was; something nearer was, which
+hides all behind it; or what lies beyond the object."""
 
 MAP_SIZE = 64  # pixels of the side of the maps that are made and stored
-
-MARGIN = 1.4
-"""Of a map around what was measured of the object: it sees past the silhouette."""
-
+MAP_MARGIN = 1.4  # of a map around the object's points: it sees past the silhouette
 CLOSED = 3.0  # in spacings of the points: holes in a cloud that are no wider are closed
+ABOUT = 2  # what is measured so many pixels away may as well be measured here
 
 Background = Literal["unknown", "empty"]
 """What lies around a cloud in its sensor's view: nobody knows, or nothing was hit."""
 
-ABOUT = 2
-"""In pixels: what is measured so near to a pixel may as well be measured there."""
-
-NUM_CLUES = 6
-"""Of a point: the shares of the four states, how far behind, and how far aside."""
-
 
 class Visibility(NamedTuple):
-    """A map of what one sensor knows, in the frame and the unit of its clouds."""
+    """A map of what one sensor measured, in the frame and the unit of its clouds."""
 
     camera: Camera  # the view whose pixels these are, from where the sensor stood
     # One of the four states of each pixel.
@@ -54,12 +47,10 @@ def look_up(
     visibility: Visibility, points: Float[Array | np.ndarray, "N 3"]
 ) -> tuple[UInt8[Array | np.ndarray, " N"], Float[Array | np.ndarray, " N"]]:
     """What the map says of points: the state of each one's pixel, and how far behind
-    what was measured there it lies.
+    what was measured there it lies (negative in front, and so in free space).
 
-    Negative is in front of it, and so in free space. Points that have no image are
-    `UNKNOWN`, and of what is unknown the depth behind is 0. Differentiable in points,
-    pose and measured depth, but for the choice of the pixel. One map and one cloud, in
-    one frame and unit; NumPy arrays stay NumPy.
+    Points that have no image are `UNKNOWN`, and of what is unknown the depth behind is
+    0. Differentiable in points, pose and depth, but for the choice of the pixel.
     """
     leaves = jax.tree.leaves((visibility, points))
     xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in leaves) else np
@@ -82,18 +73,14 @@ def turned(
 
 def to_unit(visibility: Visibility, workspace: Workspace) -> Visibility:
     """The same of points in the unit of a workspace."""
-    camera = workspace.camera_to_unit(visibility.camera)
-    return Visibility(
-        camera, visibility.state, visibility.depth / workspace.half_extent
-    )
+    camera, state, depth = visibility
+    unit = workspace.camera_to_unit(camera)
+    return Visibility(unit, state, depth / workspace.half_extent)
 
 
 def mirrored(visibility: Visibility) -> Visibility:
-    """The same of the mirror image along x, of clouds and sensor.
-
-    The camera's rotation stays one: the image's columns change places instead. Of one
-    map, or of several with leading axes.
-    """
+    """The same of the mirror image along x, of clouds and sensor. The camera's rotation
+    stays one: the image's columns change places instead. Any leading axes."""
     camera = visibility.camera
     flip = np.array([-1, 1, 1], np.float32)
     # u becomes width - 1 - u: the skew changes its sign, and so does the middle.
@@ -111,21 +98,13 @@ def mirrored(visibility: Visibility) -> Visibility:
 
 def nothing_known(size: int = MAP_SIZE) -> Visibility:
     """A square map that knows nothing, for views of which none was kept."""
-    camera = Camera(
-        rotation=np.eye(3, dtype=np.float32),
-        translation=np.zeros(3, np.float32),
-        intrinsics=np.eye(3, dtype=np.float32),
-        height=size,
-        width=size,
-    )
-    shape = size, size
+    axes, shape = np.eye(3, dtype=np.float32), (size, size)
+    camera = Camera(axes, np.zeros(3, np.float32), axes, *shape)
     return Visibility(camera, np.zeros(shape, np.uint8), np.zeros(shape, np.float32))
 
 
 def seen_by(
-    points: Float[Array, "N 3"],
-    eye: Vector,
-    background: Background = "unknown",
+    points: Float[Array, "N 3"], eye: Vector, background: Background = "unknown"
 ) -> Visibility:
     """What a cloud says by itself of the view of the sensor at `eye`.
 
@@ -133,18 +112,17 @@ def seen_by(
     between them: what is no wider than `CLOSED` spacings, the median distance of the
     points from their nearest neighbours, at their mean distance from the eye. All else
     is `UNKNOWN`; or, if the `background` is "empty", `BACKGROUND` at twice the depth
-    of the farthest point, for whoever knows that nothing else was hit around the
-    object.
+    of the farthest point: nothing else was hit around the object.
 
-    A square map of `MAP_SIZE`, filled by the points with `MARGIN`, in their frame and
-    unit. Points are finite and at least two. ``jit`` and ``vmap`` it; no gradient
-    passes.
+    A square map of `MAP_SIZE`, filled by the points with `MAP_MARGIN`, in their frame
+    and unit. Points are finite and at least two. No gradient passes.
     """
     points = jax.lax.stop_gradient(points)
-    camera = Camera.framing(points, eye, MARGIN, MAP_SIZE, MAP_SIZE)
+    camera = Camera.framing(points, eye, MAP_MARGIN, MAP_SIZE, MAP_SIZE)
     depth, hit = render_depth(points, camera)
     z = camera.to_camera(points)[:, 2]
-    spacing = spacing_of(points)
+    near = points[knn(points, points, 2)[:, 1]]
+    spacing = jnp.median(jnp.linalg.norm(points - near, axis=1))
     focal = camera.intrinsics[0, 0]
     reach = 0.5 * CLOSED * spacing * focal / jnp.maximum(z.mean(), MIN_DEPTH)
     # Within the margin, or the image's edge would be part of a hole.
@@ -162,38 +140,24 @@ def closed(
     marked: Bool[Array | np.ndarray, "H W"], reach: Float[Array, ""] | float
 ) -> tuple[Bool[Array | np.ndarray, "H W"], Int[Array | np.ndarray, "H W"]]:
     """The marked pixels and the holes between them that are at most twice as wide as
-    the reach in pixels, and the marked pixel that is nearest to each.
-
-    Grown by the reach and shrunk again; the image's edge counts as marked. NumPy arrays
-    stay NumPy.
-    """
+    the reach in pixels, and the marked pixel that is nearest to each. The image's edge
+    counts as marked."""
     apart, nearest = nearest_marked(marked)
     return marked | (nearest_marked(apart > reach)[0] > reach), nearest
 
 
-def spacing_of(points: Float[Array, "N 3"]) -> Float[Array, ""]:
-    """Median distance of the points from their nearest neighbours: at least two points,
-    in their unit."""
-    near = points[knn(points, points, 2)[:, 1]]
-    return jnp.median(jnp.linalg.norm(points - near, axis=1))
-
-
 def surface_alone(visibility: Visibility) -> Visibility:
     """The same without what lies around the surface, as if only it had been kept."""
-    kept = visibility.state == SURFACE
-    return visibility._replace(
-        state=visibility.state * kept, depth=visibility.depth * kept
-    )
+    camera, state, depth = visibility
+    kept = state == SURFACE
+    return Visibility(camera, state * kept, depth * kept)
 
 
 def nearest_marked(
     marked: Bool[Array | np.ndarray, "H W"],
 ) -> tuple[Float[Array | np.ndarray, "H W"], Int[Array | np.ndarray, "H W"]]:
-    """How far each pixel lies from the nearest marked one, in pixels, and which it is.
-
-    Exact, in two passes. Where none is marked the distance is infinite. NumPy arrays
-    stay NumPy.
-    """
+    """How far each pixel lies from the nearest marked one, in pixels, and which it is;
+    infinitely, where none is marked."""
     xp: Any = jnp if isinstance(marked, jax.Array) else np
     height, width = marked.shape
     rows, columns = xp.arange(height), xp.arange(width)
@@ -215,14 +179,13 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
     aside of the measured surface, at the point's depth. Both lengths are bounded to
     [-1, 1] and 1. Between the middles of four pixels everything is interpolated, so it
     is continuous, and differentiable almost everywhere. Beside the image, and for
-    points that are not in front of the camera, all is unknown.
-
-    One map and one cloud in the unit workspace. Without any surface, and beside the
-    image, a point is as many pixels aside as the image is high.
+    points that are not in front of the camera, all is unknown; there, and without any
+    surface, a point is as many pixels aside as the image is high. One map and one cloud
+    in the unit workspace.
     """
     camera, (state, depth) = visibility.camera, map(jnp.asarray, visibility[1:])
     shares = jax.nn.one_hot(state, 4)
-    aside = _pixels_aside(visibility)
+    aside = jnp.minimum(nearest_marked(state == SURFACE)[0], camera.height)
     channels = [shares, depth[..., None] * (state != UNKNOWN)[..., None]]
     image = jnp.concatenate([*channels, aside[..., None]], axis=-1)
     beyond = jnp.array([1.0, 0, 0, 0, 0, camera.height])
@@ -238,12 +201,8 @@ def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "
 
 def free_depth(visibility: Visibility) -> Float[Array | np.ndarray, "H W"]:
     """How far each pixel of one map is free for sure: to the nearest of all depths that
-    were measured within `ABOUT` of it, rows and columns alike.
-
-    Between its points a cloud's map has depths of neighbours, and at an edge a pixel
-    sees one side of two. 0 where nothing was measured. In the unit of the map, without
-    a gradient. NumPy arrays stay NumPy.
-    """
+    were measured within `ABOUT` of it, rows and columns alike; 0 where nothing was.
+    Between points and at edges a pixel's own depth is a neighbour's. No gradient."""
     xp: Any = jnp if any(isinstance(leaf, jax.Array) for leaf in visibility[1:]) else np
     known = xp.asarray(visibility.state) != UNKNOWN
     depth = visibility.depth if xp is np else jax.lax.stop_gradient(visibility.depth)
@@ -259,21 +218,10 @@ def free_depth(visibility: Visibility) -> Float[Array | np.ndarray, "H W"]:
     return xp.where(known, nearest, 0.0).astype(depth.dtype)
 
 
-def _pixels_aside(visibility: Visibility) -> Float[Array, "H W"]:
-    """How many pixels each is away from the measured surface, at most the height."""
-    surface = jnp.asarray(visibility.state) == SURFACE
-    return jnp.minimum(nearest_marked(surface)[0], visibility.camera.height)
-
-
 def interpolated(
-    image: Float[Array, "H W C"],
-    uv: Float[Array, "N 2"],
-    beyond: Float[Array, " C"],
+    image: Float[Array, "H W C"], uv: Float[Array, "N 2"], beyond: Float[Array, " C"]
 ) -> Float[Array, "N C"]:
-    """Bilinear between the middles of pixels; `beyond` is what lies around them.
-
-    Continuous in the pixel coordinates, and differentiable almost everywhere.
-    """
+    """Bilinear between the middles of pixels; `beyond` is what lies around them."""
     height, width, _ = image.shape
     padded = jnp.pad(image - beyond, ((1, 1), (1, 1), (0, 0))) + beyond
     # In the coordinates of the padded image; farther out it is the same.

@@ -20,9 +20,8 @@ class Workspace:
 
     `rotation` takes the frame's axes to the cube's, whose z points up; None means the
     frame's own axes. A pytree; every method is differentiable and keeps NumPy arrays
-    NumPy, so that double precision survives far from the origin. A non-finite centre,
-    or a half side that is not finite and positive, raises ValueError, but not under
-    ``jit``.
+    NumPy, so that double precision survives far from the origin. A centre that is not
+    finite, or a half side not finite and positive, raises ValueError outside ``jit``.
     """
 
     # Pytrees are rebuilt with other leaves than arrays; do not type-check those.
@@ -84,13 +83,10 @@ class Workspace:
     @exact_products
     def camera_to_unit(self, camera: Camera) -> Camera:
         """The same view for points in workspace units: same pixels, depth / half side.
-
-        With ``p = c + h S^T q``: ``(R p + t) / h = R S^T q + (R c + t) / h``.
-        """
-        translation = camera.rotation @ self.center + camera.translation
-        turned = camera.rotation
+        With ``p = c + h S^T q``: ``(R p + t) / h = R S^T q + (R c + t) / h``."""
+        turned, translation = camera.rotation, camera.translation
+        translation = (turned @ self.center + translation) / self.half_extent
         turned = turned if self.rotation is None else turned @ self.rotation.T
-        translation = translation / self.half_extent
         return dataclasses.replace(camera, rotation=turned, translation=translation)
 
     @exact_products
@@ -113,9 +109,9 @@ class Workspace:
         """The cube around a cloud: centre of its bounding box, longest side x margin.
 
         Pass the partial cloud, never the ground truth. With `rotation` the box has the
-        cube's axes. Only points marked by `where` count; at least one is needed. A
-        cloud without extent (one point) gets a half side of 1; an empty one raises a
-        ValueError, and so do points that are not finite.
+        cube's axes. Only points marked by `where` count; at least one is needed. One
+        point gets a half side of 1. None, or points that are not finite, raise
+        ValueError.
         """
         if points.shape[0] == 0:
             raise ValueError("a workspace cannot be taken from an empty cloud")
@@ -133,9 +129,7 @@ class Workspace:
     @classmethod
     def from_bounds(cls, lower, upper, margin: float = 1.0) -> "Workspace":
         """The smallest cube, times a margin, around an axis-aligned box (metres).
-
-        Bounds without extent give a half side of 1.
-        """
+        Bounds without extent give a half side of 1."""
         xp = jnp if isinstance(lower, jax.Array) else np
         lower, upper = xp.asarray(lower, float), xp.asarray(upper, float)
         half_extent = 0.5 * margin * (upper - lower).max(axis=-1)

@@ -1,5 +1,6 @@
 """Files that are written whole or not at all."""
 
+import contextlib
 import os
 import pathlib
 import tempfile
@@ -7,10 +8,10 @@ import uuid
 from collections.abc import Mapping
 from typing import Any
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath, unwritable
 
 
-def write_bytes(path: str | os.PathLike, data: bytes) -> None:
+def write_bytes(path: StrPath, data: bytes) -> None:
     """Write a file so that its name never stands for half of it (`write_together`)."""
     write_together({path: data})
 
@@ -18,10 +19,9 @@ def write_bytes(path: str | os.PathLike, data: bytes) -> None:
 def write_together(files: Mapping[Any, bytes]) -> None:
     """Write files, by their paths, of which no name ever stands for half of one.
 
-    The bytes go to temporary files in the same directories and are flushed to the disk;
-    only when all are there, they are renamed, in order. What was there stays until
-    then. An OSError becomes an InputError; one of the renaming, or a kill between two
-    renames, leaves the first files new and the last as they were.
+    Only when the bytes of all are on the disk under other names, these are renamed, in
+    order. An OSError becomes an InputError; one between two renames, or a kill there,
+    leaves the first files new and the last as they were.
     """
     named = {pathlib.Path(path): data for path, data in files.items()}
     mark = uuid.uuid4().hex
@@ -42,29 +42,21 @@ def write_together(files: Mapping[Any, bytes]) -> None:
         for directory in {path.parent for path in named}:
             _sync_directory(directory)
     except OSError as error:
-        raise InputError(
-            current,
-            f"cannot be written ({error.strerror})",
-            "choose another path, or free some space",
-        ) from None
+        raise unwritable(current, error) from None
 
 
-def remove_unfinished(folder: str | os.PathLike) -> None:
-    """Remove the temporary files that killed writers left in a folder.
-
-    For a folder that has one writer, when it starts: it cannot tell a killed writer's
-    files from those of another that is at work.
-    """
+def remove_unfinished(folder: StrPath) -> None:
+    """Remove the temporary files that killed writers left in a folder. For a folder
+    that has one writer, when it starts: it cannot tell a killed writer's files from
+    those of another that is at work."""
     mark = "[0-9a-f]" * len(uuid.uuid4().hex)
     for path in pathlib.Path(folder).glob(f".*.{mark}.tmp"):
         path.unlink(missing_ok=True)
 
 
-def make_output_dir(path: str | os.PathLike) -> pathlib.Path:
-    """Create a directory if need be, and prove that files can be written in it.
-
-    Called before hours of work rather than after. Where it cannot be, an InputError.
-    """
+def make_output_dir(path: StrPath) -> pathlib.Path:
+    """Create a directory if need be, and prove that files can be written in it. Called
+    before hours of work rather than after. Where it cannot be, an InputError."""
     directory = pathlib.Path(path)
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -72,11 +64,8 @@ def make_output_dir(path: str | os.PathLike) -> pathlib.Path:
             return directory
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(
-            path,
-            f"cannot be written to ({reason})",
-            "choose a directory that you can write to",
-        ) from None
+        remedy = "choose a directory that you can write to"
+        raise InputError(path, f"cannot be written to ({reason})", remedy) from None
 
 
 def _sync_directory(directory: pathlib.Path) -> None:
@@ -84,9 +73,6 @@ def _sync_directory(directory: pathlib.Path) -> None:
     if not hasattr(os, "O_DIRECTORY"):
         return
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
+    with contextlib.suppress(OSError):
         os.fsync(descriptor)
-    except OSError:
-        pass
-    finally:
-        os.close(descriptor)
+    os.close(descriptor)

@@ -1,6 +1,5 @@
 """Point clouds from files of every kind, checked and cropped."""
 
-import os
 import pathlib
 
 import numpy as np
@@ -8,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
 from prism_jax.io.arrays import read_npy, read_npz
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.pcd import read_pcd
 from prism_jax.io.ply import read_ply
@@ -31,30 +30,23 @@ READERS = {
 
 
 def read_points(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
+    path: StrPath, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
-    """The finite points of a cloud file, in its units and frame.
-
-    float32 where the file stores that, else float64, each value as stored. The suffix
-    says whether it is PLY, PCD, NPY, NPZ, XYZ, TXT or CSV. A malformed file, more than
-    `max_points` points and a cloud without a finite point raise an InputError. The
-    number of points is checked before memory is taken for them.
-    """
-    points, _ = read_points_counted(path, max_points)
-    return points
+    """The finite points of a cloud file, in its units and frame: PLY, PCD, NPY, NPZ,
+    XYZ, TXT or CSV by its suffix, each value as stored. A malformed file, more than
+    `max_points` points and a cloud without a finite point raise an InputError, before
+    memory is taken for what a header claims."""
+    return read_points_counted(path, max_points)[0]
 
 
 def read_points_counted(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
+    path: StrPath, max_points: int = MAX_POINTS
 ) -> tuple[Float[np.ndarray, "N 3"], int]:
     """As `read_points`, with the number of points in the file, finite or not."""
     suffix = pathlib.Path(path).suffix.lower()
     if suffix not in READERS:
-        raise InputError(
-            path,
-            f"suffix {suffix!r} is not a point cloud format",
-            f"convert it to one of {' '.join(READERS)}",
-        )
+        fault = f"suffix {suffix!r} is not a point cloud format"
+        raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
     points = READERS[suffix](path, max_points)
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
@@ -71,12 +63,10 @@ def inside(
     return np.all((points >= lower) & (points <= upper), axis=1)
 
 
-def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) -> None:
-    """Raise an InputError about `subject` if the points cannot be completed.
-
-    They must be finite, with an extent above zero and up to 10,000 units, and at least
-    64 of them distinct.
-    """
+def check_cloud(points: Float[np.ndarray, "N 3"], subject: StrPath) -> None:
+    """Raise an InputError about `subject` if the points cannot be completed. They must
+    be finite, with an extent above zero and up to 10,000 units, and at least 64 of them
+    distinct."""
     if len(points) == 0:
         remedy = "check the scan, and the workspace's units and frame"
         raise InputError(subject, "no points", remedy)
@@ -86,24 +76,21 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: str | os.PathLike) ->
     if extent == 0:
         raise InputError(subject, "zero extent: all points coincide", "check the scan")
     if extent > MAX_EXTENT:
-        raise InputError(
-            subject,
-            f"extent {extent:.6g} is above the limit of {MAX_EXTENT:,.0f} units",
-            "scale it to metres, or crop it to one object (--workspace)",
-        )
+        fault = f"extent {extent:.6g} is above the limit of {MAX_EXTENT:,.0f} units"
+        remedy = "scale it to metres, or crop it to one object (--workspace)"
+        raise InputError(subject, fault, remedy)
     distinct = np.unique(points[: 4 * MIN_POINTS], axis=0)
     if len(distinct) < MIN_POINTS:
         distinct = np.unique(points, axis=0)
     if len(distinct) < MIN_POINTS:
-        raise InputError(
-            subject,
-            f"only {len(distinct)} distinct points, at least {MIN_POINTS} are needed",
-            "scan more of the object, or widen the workspace (--workspace)",
-        )
+        count = len(distinct)
+        fault = f"only {count} distinct points, at least {MIN_POINTS} are needed"
+        remedy = "scan more of the object, or widen the workspace (--workspace)"
+        raise InputError(subject, fault, remedy)
 
 
 def check_in_view(
-    points: Float[np.ndarray, "N 3"], camera: Camera, subject: str | os.PathLike
+    points: Float[np.ndarray, "N 3"], camera: Camera, subject: StrPath
 ) -> None:
     """Raise an InputError about `subject` if the camera sees none of the points."""
     in_camera = camera.to_camera(points)

@@ -1,20 +1,18 @@
 """Cameras as JSON, and 16-bit depth images."""
 
 import io
-import json
 import math
-import os
 import sys
 import warnings
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError
-from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
+from prism_jax.io.errors import InputError, StrPath
+from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, read_json, unsound
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
 
@@ -29,14 +27,11 @@ _LAYOUT = (
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
     """A camera as JSON values; `camera_from_dict` gives the same camera back."""
-    intrinsics = np.asarray(camera.intrinsics).tolist()
+    (fx, _, cx), (_, fy, cy), _ = np.asarray(camera.intrinsics).tolist()
     return {
         "width": camera.width,
         "height": camera.height,
-        "fx": intrinsics[0][0],
-        "fy": intrinsics[1][1],
-        "cx": intrinsics[0][2],
-        "cy": intrinsics[1][2],
+        **{"fx": fx, "fy": fy, "cx": cx, "cy": cy},
         "rotation": np.asarray(camera.rotation).tolist(),
         "translation": np.asarray(camera.translation).tolist(),
     }
@@ -45,10 +40,9 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
 def camera_from_dict(entries: dict[str, Any]) -> Camera:
     """A camera of NumPy float64 arrays from its JSON values.
 
-    `width height fx fy cx cy` are in pixels, with pixel centres at integers;
-    `rotation` and `translation` take the points' frame to the camera's and are the
-    identity unless given. Other keys are ignored. Anything missing or impossible
-    raises a ValueError that says what.
+    `width height fx fy cx cy` are in pixels, with pixel centres at integers; `rotation`
+    and `translation` take the points' frame to the camera's, by default the identity.
+    Anything missing or impossible raises a ValueError that says what.
     """
     width, height = (_integer(entries, key) for key in ("width", "height"))
     fx, fy, cx, cy = (_number(entries, key) for key in ("fx", "fy", "cx", "cy"))
@@ -70,33 +64,26 @@ def camera_from_dict(entries: dict[str, Any]) -> Camera:
     )
 
 
-def read_camera(path: str | os.PathLike) -> Camera:
+def read_camera(path: StrPath) -> Camera:
     """The camera of a JSON file, as `camera_from_dict`; InputError if it has none."""
-    camera, _ = _read_camera_entries(path)
-    return camera
+    return _read_camera_entries(path)[0]
 
 
 def read_depth(
-    path: str | os.PathLike,
-    camera_path: str | os.PathLike,
-    max_points: int = MAX_POINTS,
+    path: StrPath, camera_path: StrPath, max_points: int = MAX_POINTS
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
-    """Depth in metres, the mask of measured pixels (not 0), and the camera.
-
-    The image is a 16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a
-    count. Whatever does not fit, and more than `max_points` pixels, raises an
-    InputError before the image is unpacked.
-    """
+    """Depth in metres, the mask of measured pixels (not 0), and the camera. The image
+    is a 16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count.
+    Whatever does not fit raises an InputError before the image is unpacked."""
     camera, entries = _read_camera_entries(camera_path)
     try:
         scale = _number(entries, "depth_scale")
         if scale <= 0:
             raise ValueError("depth_scale must be positive")
     except ValueError as error:
-        raise InputError(
-            camera_path, str(error), 'add "depth_scale": metres per count, as 0.001'
-        ) from None
-    counts = _read_counts(path, camera, max_points)
+        remedy = 'add "depth_scale": metres per count, as 0.001'
+        raise InputError(camera_path, str(error), remedy) from None
+    counts = read_grey(path, camera, 16, max_points)
     return counts * scale, counts > 0, camera
 
 
@@ -104,9 +91,7 @@ def points_from_depth(
     depth: Float[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"], camera: Camera
 ) -> Float[np.ndarray, "N 3"]:
     """The measured pixels as points in the frame the camera's pose refers to, float64.
-
-    Row by row, in the units of `depth`, which is measured along the camera's +z.
-    """
+    Row by row, in the units of `depth`, which is measured along the camera's +z."""
     rows, columns = np.nonzero(mask)
     (fx, skew, cx), (_, fy, cy), _ = np.asarray(camera.intrinsics, np.float64)
     y = (rows - cy) * (1.0 / fy)
@@ -120,43 +105,39 @@ def points_from_depth(
     return points
 
 
-def _read_camera_entries(path: str | os.PathLike) -> tuple[Camera, dict[str, Any]]:
+def _read_camera_entries(path: StrPath) -> tuple[Camera, dict[str, Any]]:
+    entries = read_json(path, _LAYOUT)
     try:
-        entries = json.loads(read_bytes(path))
-        if type(entries) is not dict:
-            raise ValueError("not a JSON object")
         return camera_from_dict(entries), entries
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        fault = f"not a valid camera: {error}"
-        raise InputError(path, fault, _LAYOUT) from None
+    except ValueError as error:
+        raise unsound(path, "a valid camera", error, _LAYOUT) from None
 
 
-def _read_counts(
-    path: str | os.PathLike, camera: Camera, max_points: int
-) -> np.ndarray:
+def read_grey(
+    path: StrPath, camera: Camera, bits: int, max_points: int = MAX_POINTS
+) -> UInt[np.ndarray, "H W"]:
+    """The pixels of a PNG of the camera's size, 8 or 16 bits each; InputError if it has
+    others, or more than `max_points`, before it is unpacked."""
     data = read_bytes(path)
     try:
         with warnings.catch_warnings():
             # Pillow warns at its own limit, which is above ours.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-                if not image.mode.startswith("I;16"):
-                    raise ValueError(f"pixels are {image.mode}, not 16-bit grey")
+                if not image.mode.startswith({8: "L", 16: "I;16"}[bits]):
+                    raise ValueError(f"pixels are {image.mode}, not {bits}-bit grey")
                 check_count(image.width * image.height, max_points, "pixels")
                 if image.size != (camera.width, camera.height):
-                    raise ValueError(
-                        f"image is {image.width}x{image.height}, camera is "
-                        f"{camera.width}x{camera.height}"
-                    )
+                    sizes = f"{image.width}x{image.height}, camera is "
+                    sizes += f"{camera.width}x{camera.height}"
+                    raise ValueError(f"image is {sizes}")
                 return np.asarray(image)
     except UnidentifiedImageError:
         fault = ValueError("not a PNG")
     except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         fault = error
-    remedy = "store depth as a 16-bit grey PNG of the camera's size, 0 for no return"
-    raise unsound(path, "a valid depth image", fault, remedy)
+    remedy = f"store {bits}-bit grey of the camera's size, 0 for no return"
+    raise unsound(path, "a valid image", fault, remedy)
 
 
 def _number(entries: dict[str, Any], key: str) -> float:

@@ -5,15 +5,15 @@ import os
 from collections.abc import Iterable
 from typing import Any
 
+StrPath = str | os.PathLike
+
 
 class InputError(ValueError):
-    """Input that cannot be used: one printable line with subject, fault and remedy.
+    """Input that cannot be used: one printable line with subject, fault and remedy. The
+    subject is a file, a flag or an argument. The launchers print the line and end with
+    exit status 2; a library caller catches it as a ``ValueError``."""
 
-    The subject is a file, a flag or an argument. The launchers print the line and end
-    with exit status 2; a library caller catches it as a ``ValueError``.
-    """
-
-    def __init__(self, subject: str | os.PathLike, fault: str, remedy: str):
+    def __init__(self, subject: StrPath, fault: str, remedy: str):
         line = f"{os.fspath(subject)}: {fault}; {remedy}"
         printable = "".join(c if c.isprintable() else " " for c in line)
         super().__init__(" ".join(printable.split()))
@@ -22,6 +22,22 @@ class InputError(ValueError):
     def __reduce__(self):
         """From a process of a pool to the one that waits for it."""
         return type(self), self._parts
+
+
+def unreadable(path: StrPath, error: Exception) -> InputError:
+    """The InputError for what the system says of reading a path."""
+    fault = f"cannot be read ({_reason(error)})"
+    return InputError(path, fault, "check the path and its permissions")
+
+
+def unwritable(path: StrPath, error: Exception) -> InputError:
+    """The InputError for what the system says of writing a file."""
+    fault = f"cannot be written ({_reason(error)})"
+    return InputError(path, fault, "choose another path, or free some space")
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def choose(flag: str, value: str, choices: Iterable[str]) -> str:
@@ -34,10 +50,8 @@ def choose(flag: str, value: str, choices: Iterable[str]) -> str:
 
 
 def require(package: str, extra: str) -> Any:
-    """The imported package of an optional extra; InputError where it is missing.
-
-    Called where the package is used, so that nothing else needs it.
-    """
+    """The imported package of an optional extra; InputError where it is missing. Called
+    where the package is used, so that nothing else needs it."""
     try:
         return importlib.import_module(package)
     except ModuleNotFoundError as error:

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from typing import Any
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath, unreadable
 
 CACHE_VARIABLE = "PRISM_JAX_CACHE"
 
@@ -30,9 +30,7 @@ def check_count(count: int, max_points: int, what: str = "points") -> None:
         raise TooManyError(f"{count:,} {what} exceed the limit of {max_points:,}")
 
 
-def unsound(
-    path: str | os.PathLike, kind: str, error: Exception, remedy: str
-) -> InputError:
+def unsound(path: StrPath, kind: str, error: Exception, remedy: str) -> InputError:
     """The InputError for what a parser of one kind of file raised."""
     if isinstance(error, TooManyError):
         remedy = "crop or thin it, or raise --max_points"
@@ -40,38 +38,30 @@ def unsound(
     return InputError(path, f"not {kind}: {error}", remedy)
 
 
-def read_bytes(path: str | os.PathLike) -> bytes:
-    """All bytes of a regular file.
-
-    A file that is missing, empty, too large, not a file or not readable raises an
-    InputError.
-    """
+def read_bytes(path: StrPath) -> bytes:
+    """All bytes of a regular file; InputError where it cannot be read, is empty, or is
+    too large."""
     try:
         status = os.stat(path)
         if not stat.S_ISREG(status.st_mode):
             raise InputError(path, "not a file", "give a file")
         if status.st_size > MAX_FILE_BYTES:
-            raise InputError(
-                path,
-                f"{status.st_size / 2**30:.1f} GiB is too large",
-                f"crop or thin it to under {MAX_FILE_BYTES // 2**30} GiB",
-            )
+            fault = f"{status.st_size / 2**30:.1f} GiB is too large"
+            remedy = f"crop or thin it to under {MAX_FILE_BYTES // 2**30} GiB"
+            raise InputError(path, fault, remedy)
         data = pathlib.Path(path).read_bytes()
     except FileNotFoundError:
         raise InputError(path, "no such file", "check the path") from None
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(
-            path, f"cannot be read ({reason})", "check the path and its permissions"
-        ) from None
+        raise unreadable(path, error) from None
     if not data:
         raise InputError(path, "empty file", "export the file again")
     return data
 
 
-def read_json(path: str | os.PathLike, remedy: str) -> dict[str, Any]:
+def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
     """The JSON object that a file holds; InputError, with the remedy, where it holds
     anything else, and as for `read_bytes`."""
     data = read_bytes(path)
@@ -85,11 +75,8 @@ def read_json(path: str | os.PathLike, remedy: str) -> dict[str, Any]:
 
 
 def default_cache_dir() -> pathlib.Path:
-    """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache.
-
-    Where a user has no home, a temporary folder of this process, and a line on stderr
-    says so.
-    """
+    """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache. Where a user
+    has no home, a temporary folder of this process, and a line on stderr says so."""
     if CACHE_VARIABLE in os.environ:
         return pathlib.Path(os.environ[CACHE_VARIABLE])
     root = os.environ.get("XDG_CACHE_HOME")

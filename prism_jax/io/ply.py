@@ -5,7 +5,6 @@ The format is Greg Turk's, "The PLY Polygon File Format" (1994).
 
 import io
 import itertools
-import os
 import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -15,6 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from prism_jax.io import atomic
 from prism_jax.io.arrays import stack_columns
+from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 from prism_jax.io.text import parse_rows
 
@@ -28,38 +28,22 @@ SIGMA = "sigma: expected distance from the true surface, 0 for observed points"
 COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34), KNOWN: (120, 94, 160)}
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-_TYPES = {
-    name: code
-    for names, code in (
-        ("char int8", "i1"),
-        ("uchar uint8", "u1"),
-        ("short int16", "i2"),
-        ("ushort uint16", "u2"),
-        ("int int32", "i4"),
-        ("uint uint32", "u4"),
-        ("float float32", "f4"),
-        ("double float64", "f8"),
-    )
-    for name in names.split()
-}
 _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"}
 _NAMES |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
+_TYPES = {name: code for code, name in _NAMES.items()}
+_TYPES |= {np.dtype(code).name: code for code in _NAMES}
 _AXES = ("x", "y", "z")
 _MAX_HEADER_BYTES = 2**18
 _SHORT = "the file is truncated"
 _REMEDY = "export it again as a PLY point cloud"
 
 
-def read_ply(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
-) -> Float[np.ndarray, "N 3"]:
+def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """Vertex positions as stored: float32 where the file says float, else float64.
 
-    ASCII and binary of either byte order. Elements before the vertices are skipped,
-    with lists of any length; what comes after is not looked at. Rows that are not
-    finite are kept. A malformed or cut file, and one of more than `max_points` vertices
-    or rows before them, raise an InputError before memory is taken for what the header
-    claims.
+    Elements before the vertices are skipped; what comes after is not looked at. Rows
+    that are not finite are kept. A malformed or cut file, and one of more than
+    `max_points` vertices or rows before them, raise an InputError.
     """
     data = read_bytes(path)
     try:
@@ -87,7 +71,7 @@ def read_ply(
 
 
 def write_ply(
-    path: str | os.PathLike,
+    path: StrPath,
     points: Float[np.ndarray, "M 3"],
     labels: Bool[np.ndarray, " M"] | None = None,
 ) -> None:
@@ -101,13 +85,10 @@ def ply_bytes(
     objects: Int[np.ndarray, " M"] | None = None,
     sigma: Float[np.ndarray, " M"] | None = None,
 ) -> bytes:
-    """A file of points, which `read_ply` reads back bit for bit.
-
-    With `labels`, True for completed points, each has a `label` (0 observed,
-    1 completed, 2 a known robot's) and a colour; with `objects` too, the number of an
-    `object`; with `sigma`, a float32 of that name. Binary little-endian, x y z in
-    the type of `points` (float32 or float64).
-    """
+    """A file of points, which `read_ply` reads back bit for bit: binary little-endian,
+    x y z in the type of `points`. With `labels` (True for completed points, or 0 to 2),
+    each has a `label` and a colour; with `objects` too, the number of an `object`; with
+    `sigma`, a float32 of that name."""
     columns = {}
     comments = []
     if labels is not None:
@@ -132,10 +113,8 @@ def vertices_bytes(
     comments: Sequence[str] = (),
 ) -> bytes:
     """A file of points with further properties: a column of numbers each, by name.
-
     Binary little-endian; x y z in the type of `points` (float32 or float64), columns in
-    theirs. Comments are lines of the header.
-    """
+    theirs. Comments are lines of the header."""
     scalar = np.float64 if points.dtype == np.float64 else np.float32
     table = dict(zip(_AXES, points.astype(scalar).T, strict=True)) | (columns or {})  # pyright: ignore
     kinds = {name: _NAMES[column.dtype.str[1:]] for name, column in table.items()}
@@ -211,15 +190,12 @@ def _vertex_row(elements: list[_Element]) -> tuple[int, np.dtype]:
         raise ValueError("no vertices")
     names = [prop.name for prop in vertex.properties]
     if any(names.count(axis) != 1 for axis in _AXES):
-        found = ", ".join(names) or "nothing"
-        raise ValueError(f"vertices have {found}, not x y z")
+        raise ValueError(f"vertices have {', '.join(names) or 'nothing'}, not x y z")
     if len(set(names)) < len(names):
         raise ValueError("duplicate vertex property")
     if any(prop.length is not None for prop in vertex.properties):
         raise ValueError("vertices have list properties")
-    return vertex.count, np.dtype(
-        [(prop.name, prop.value) for prop in vertex.properties]
-    )
+    return vertex.count, np.dtype([(p.name, p.value) for p in vertex.properties])
 
 
 def _skip(data: bytes, start: int, element: _Element) -> int:

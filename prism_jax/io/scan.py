@@ -2,21 +2,15 @@
 
 import dataclasses
 import math
-import os
 import pathlib
 
 import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.clouds import (
-    check_cloud,
-    check_in_view,
-    inside,
-    read_points_counted,
-)
+from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_points_counted
 from prism_jax.io.depth import points_from_depth, read_camera, read_depth
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import MAX_POINTS
 
 CAMERA_FRAME_DEGREES = 10.0
@@ -47,22 +41,24 @@ class Scan:
 
 
 def read_scan(
-    path: str | os.PathLike,
-    camera_path: str | os.PathLike | None = None,
+    path: StrPath,
+    camera_path: StrPath | None = None,
     bounds: Bounds | None = None,
     max_points: int = MAX_POINTS,
 ) -> Scan:
     """A scan ready to be completed; an InputError says why there is none.
 
-    A `.png` is a depth image (pixels without a return are no points); its camera is
-    `camera_path`, or the `.json` of the same name beside it, and the points are in
-    the frame the camera's pose refers to: the camera's own unless it has one. For any
-    other file see `read_points`. Points outside `bounds` are kept apart. An image
-    of more than `max_points` pixels, or a cloud of more points, is refused.
+    A `.png` is a depth image; its camera is `camera_path`, or the `.json` of the same
+    name beside it, and the points are in the frame that the camera's pose refers to.
+    For any other file see `read_points`. Points outside `bounds` are kept apart.
     """
     in_camera_frame = False
     if pathlib.Path(path).suffix.lower() == ".png":
-        camera_path = camera_path or _camera_beside(path)
+        beside = pathlib.Path(path).with_suffix(".json")
+        if not camera_path and not beside.exists():
+            remedy = f"set --camera, or add {beside.name} next to the image"
+            raise InputError(path, "depth image without a camera", remedy)
+        camera_path = camera_path or beside
         depth, mask, camera = read_depth(path, camera_path, max_points)
         if not mask.any():
             raise InputError(path, "no valid depth pixels", "check the sensor")
@@ -82,14 +78,14 @@ def read_scan(
 
 
 def crop(
-    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: str | os.PathLike
+    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
 ) -> Float[np.ndarray, "K 3"]:
     """The points inside the bounds; InputError about `subject` if there are none."""
     return parted(points, bounds, subject)[0]
 
 
 def parted(
-    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: str | os.PathLike
+    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "R 3"] | None]:
     """As `crop`, and the points outside; None of these without bounds."""
     if bounds is None:
@@ -99,27 +95,31 @@ def parted(
     if len(kept) == 0:
         lower, upper = points.min(axis=0), points.max(axis=0)
         spans = ",".join(f"{value:.6g}" for value in (*lower, *upper))
-        raise InputError(
-            subject,
-            "no points inside --workspace",
-            f"the points span {spans} (x0,y0,z0,x1,y1,z1)",
-        )
+        remedy = f"the points span {spans} (x0,y0,z0,x1,y1,z1)"
+        raise InputError(subject, "no points inside --workspace", remedy)
     return kept, points[~held]
 
 
 def parse_bounds(text: str) -> Bounds:
     """Bounds from `x0,y0,z0,x1,y1,z1`; InputError if that is not a box."""
     remedy = "give x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 and z0 < z1"
-    try:
-        values = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        raise InputError("--workspace", f"cannot read {text!r}", remedy) from None
-    if len(values) != 6 or not np.isfinite(values).all():
-        fault = f"{text!r} is not six finite numbers"
-        raise InputError("--workspace", fault, remedy)
+    values = parse_numbers("--workspace", text, 6, remedy)
     if not (values[:3] < values[3:]).all():
         raise InputError("--workspace", f"{text!r} has no volume", remedy)
     return Bounds(values[:3], values[3:])
+
+
+def parse_numbers(
+    flag: str, text: str, count: int, remedy: str
+) -> Float[np.ndarray, " count"]:
+    """So many finite numbers with commas between them; InputError of anything else."""
+    try:
+        values = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError(flag, f"cannot read {text!r}", remedy)
+    return values
 
 
 def in_own_axes(camera: Camera) -> bool:
@@ -128,11 +128,3 @@ def in_own_axes(camera: Camera) -> bool:
     cosine = (np.trace(np.asarray(camera.rotation)) - 1.0) / 2.0
     degrees = math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
     return degrees < CAMERA_FRAME_DEGREES
-
-
-def _camera_beside(path: str | os.PathLike) -> pathlib.Path:
-    camera_path = pathlib.Path(path).with_suffix(".json")
-    if not camera_path.exists():
-        remedy = f"set --camera, or add {camera_path.name} next to the image"
-        raise InputError(path, "depth image without a camera", remedy)
-    return camera_path

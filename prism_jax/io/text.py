@@ -2,33 +2,26 @@
 
 import io
 import itertools
-import os
 import warnings
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 _REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
 
 
-def read_text(
-    path: str | os.PathLike, max_points: int = MAX_POINTS
-) -> Float[np.ndarray, "N 3"]:
-    """Positions, float64, from lines of numbers.
+def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
+    """Positions, float64, from lines of numbers with commas, semicolons, tabs or blanks
+    between them; blank lines and those that start with '#' or '//' are skipped.
 
-    Commas, semicolons, tabs or blanks stand between the numbers. Blank lines and those
-    that start with '#' or '//' are skipped. Columns are named by a first line of words,
-    or by a comment before the first point with as many words as there are columns, if
-    x, y and z are among the words; otherwise the first three are taken. 'nan' and 'inf'
-    are kept.
-
-    An InputError is raised by a line that does not fit or has another number of columns
-    than the others, by a first line that names more than three columns but not x, y and
-    z, or another number of columns than the points have, and by more than `max_points`
-    lines.
+    Columns are named by a first line of words, or by a comment before the first point
+    with as many words as there are columns, if x, y and z are among the words;
+    otherwise the first three are taken. Lines of different widths, a header of other
+    columns, and more than `max_points` lines raise an InputError.
     """
     data = read_bytes(path)
     try:
@@ -54,10 +47,8 @@ def parse_rows(
     count: int | None = None,
     delimiter: str | None = None,
 ) -> Float[np.ndarray, "N C"]:
-    """The chosen columns of lines of numbers, at most `count` lines, as float64.
-
-    A line without these numbers, fewer lines than `count`, or none raise a ValueError.
-    """
+    """The chosen columns of lines of numbers, at most `count` lines, as float64. A line
+    without these numbers, fewer lines than `count`, or none raise a ValueError."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         table = np.loadtxt(

@@ -18,9 +18,8 @@ def manifold_matching(
 ) -> Float[Array, ""]:
     """Eq. 7: squared differences of the means and of the covariances.
 
-    Statistics are taken over the rows: the tokens of one frame while adapting, or
-    those of a whole batch put one below the other. The covariance is divided by
-    the number of rows, so that one token gives zero. Differentiable in both.
+    Statistics are taken over the rows: the tokens of one frame while adapting, or those
+    of a whole batch. One token has a covariance of zero. Differentiable in both.
     """
     mean_3d, covariance_3d = _mean_and_covariance(tokens_3d)
     mean_depth, covariance_depth = _mean_and_covariance(tokens_depth)
@@ -37,16 +36,14 @@ def transport_alignment(
 ) -> Float[Array, ""]:
     """Eq. 8: cost of the entropic transport plan between the two token sets.
 
-    The cost is the squared distance; the regularisation is `epsilon_relative`
-    times the mean cost, without a gradient. Differentiable in both token sets,
-    through the plan as well. Equal sets do not give zero: the plan is blurred.
+    The cost is the squared distance; the regularisation is `epsilon_relative` times the
+    mean cost, without a gradient. Differentiable in both, through the plan as well.
+    Equal sets do not give zero: the plan is blurred.
     """
     cost = _squared_distances(tokens_3d, tokens_depth)
     mean_cost = jnp.maximum(jax.lax.stop_gradient(jnp.mean(cost)), MIN_MEAN_COST)
     # Scaling the cost and not epsilon keeps the solver's numbers near one.
-    _, relative_cost = sinkhorn(
-        cost / mean_cost, epsilon_relative, num_iterations=num_iterations
-    )
+    _, relative_cost = sinkhorn(cost / mean_cost, epsilon_relative, num_iterations)
     return mean_cost * relative_cost
 
 
@@ -56,13 +53,10 @@ def alignment_loss(
     lambda_sigma: float = 1.0,
     lambda_ot: float = 1.0,
     epsilon_relative: float = 0.05,
-    num_iterations: int = 30,
 ) -> Float[Array, ""]:
     """Eq. 9: `manifold_matching` plus `lambda_ot` times `transport_alignment`."""
     matching = manifold_matching(tokens_3d, tokens_depth, lambda_sigma)
-    transport = transport_alignment(
-        tokens_3d, tokens_depth, epsilon_relative, num_iterations
-    )
+    transport = transport_alignment(tokens_3d, tokens_depth, epsilon_relative)
     return matching + lambda_ot * transport
 
 

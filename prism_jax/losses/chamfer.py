@@ -23,17 +23,15 @@ def chamfer(
 
     `"l2"`: mean squared distance to the nearest neighbour, summed over both
     directions and not halved. `"l1"`: half the sum of the two mean unsquared
-    distances, none of which counts as less than 3.2e-5. In squared (`"l2"`) or plain
-    (`"l1"`) units of the points.
+    distances, none of which counts as less than 3.2e-5. These are the CD-L2 and CD-L1
+    of the completion literature.
 
-    Differentiable twice in both clouds, through the nearest neighbours found;
-    piecewise smooth, with a kink where a nearest neighbour changes. Memory is
+    Differentiable twice in both clouds, through the nearest neighbours found. Memory is
     linear in the number of points. An empty cloud or an unknown norm raises
     `ValueError`; NaN coordinates give NaN.
 
-    Source: Fan et al., "A Point Set Generation Network for 3D Object
-    Reconstruction from a Single Image", CVPR 2017; the conventions are those of
-    the completion literature (CD-L1 and CD-L2).
+    Fan et al., "A Point Set Generation Network for 3D Object Reconstruction from a
+    Single Image", CVPR 2017.
     """
     if prediction.shape[0] == 0 or target.shape[0] == 0:
         raise ValueError("chamfer needs at least one point in each cloud")

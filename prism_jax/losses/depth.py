@@ -17,24 +17,10 @@ def depth_supervised(
 ) -> Float[Array, ""]:
     """Eq. 3: mean depth error against the rendered ground-truth complete cloud.
 
-    Points and camera share one frame; the result is in its unit of length.
-    Gradients reach the front-most points of `predicted` only; the caller keeps
-    them to the refiner's parameters. No shared pixel gives zero, with zero
-    gradients.
+    In the unit of the points. Gradients reach the front-most points of `predicted`
+    only. No shared pixel gives zero, with zero gradients.
     """
     return depth_error(predicted, *render_depth(complete, camera), camera)
-
-
-def depth_consistency(
-    predicted: Float[Array, "N 3"],
-    partial: Float[Array, "M 3"],
-    camera: Camera,
-) -> Float[Array, ""]:
-    """Eq. 4: mean depth error against the rendered partial input, label-free.
-
-    Units, gradients and degenerate views as in `depth_supervised`.
-    """
-    return depth_error(predicted, *render_depth(partial, camera), camera)
 
 
 def depth_error(
@@ -43,11 +29,11 @@ def depth_error(
     reference_mask: Bool[Array, "H W"],
     camera: Camera,
 ) -> Float[Array, ""]:
-    """Mean |D_pred - D_ref| over the pixels valid in both, the body of Eq. 3 and 4.
+    """Mean |D_pred - D_ref| over the pixels valid in both: Eq. 4, if the reference is
+    the rendered partial, which is rendered once for all steps.
 
-    For a reference that is rendered once and used many times, or that a sensor
-    measured. What stands in `reference_depth` outside its mask has no influence,
-    NaN included. No gradient reaches the reference.
+    Otherwise as `depth_supervised`. What stands in `reference_depth` outside its mask
+    has no influence, NaN included. No gradient reaches the reference.
     """
     depth, mask = render_depth(predicted, camera)
     shared = mask & reference_mask

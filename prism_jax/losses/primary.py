@@ -29,8 +29,6 @@ def primary_loss(
     complete: Float[Array, "M 3"],
     norm: ChamferNorm = "l2",
 ) -> Float[Array, ""]:
-    """Eq. 10: the sum of the Chamfer distances of all stages, equally weighted.
-
-    Inputs, gradients and faults as in `stage_chamfers`.
-    """
+    """Eq. 10: the sum of the Chamfer distances of all stages, equally weighted. Inputs,
+    gradients and faults as in `stage_chamfers`."""
     return jnp.sum(stage_chamfers(stages, complete, norm))

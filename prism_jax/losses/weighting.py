@@ -20,11 +20,8 @@ def loss_weights(logits: Float[Array, " K"]) -> Float[Array, " K"]:
 def update_scale(
     scale: Float[Array, " K"], values: Float[Array, " K"], decay: float = 0.99
 ) -> Float[Array, " K"]:
-    """Moving average of the losses' own values, by which Eq. 11 normalises them.
-
-    `values` are non-negative losses. A scale of zero is one not measured yet, and
-    takes the value as it is: start from `jnp.zeros`.
-    """
+    """Moving average of the losses' own values, by which Eq. 11 normalises them. A
+    scale of zero is not measured yet, and takes the value as it is."""
     average = decay * scale + (1.0 - decay) * values
     return jax.lax.stop_gradient(jnp.where(scale > 0, average, values))
 
@@ -32,19 +29,14 @@ def update_scale(
 def weighted_auxiliary(
     logits: Float[Array, " K"], losses: Float[Array, " K"], scales: Float[Array, " K"]
 ) -> Float[Array, ""]:
-    """Eq. 11: the softmax-weighted sum of the losses, each divided by its scale.
-
-    Differentiable in `logits` and `losses`, not in `scales`. A loss whose scale is
-    zero, not measured yet, enters undivided.
-    """
+    """Eq. 11: the softmax-weighted sum of the losses, each divided by its scale, unless
+    that is zero, not measured yet. Differentiable in `logits` and `losses`."""
     scales = jax.lax.stop_gradient(jnp.where(scales > 0, scales, 1.0))
     return jnp.sum(loss_weights(logits) * losses / scales)
 
 
 def entropy(weights: Float[Array, " K"]) -> Float[Array, ""]:
-    """Entropy of the weights in nats: log K when equal, zero when one has it all.
-
-    To be logged: it falls as the weights drift to a single loss.
-    """
+    """Entropy of the weights in nats: log K when equal, zero when one has it all. To be
+    logged: it falls as the weights drift to a single loss."""
     tiny = jnp.finfo(weights.dtype).tiny
     return -jnp.sum(weights * jnp.log(jnp.maximum(weights, tiny)))

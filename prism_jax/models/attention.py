@@ -5,6 +5,7 @@ Cross-Resolution Transformers, AAAI 2024, section 3.3.
 """
 
 import functools
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import three_point_interpolate
+from prism_jax.models.config import BackboneConfig
 from prism_jax.models.layers import (
     Dense,
     ResidualMLP,
@@ -29,16 +31,10 @@ interpolate = jnp.vectorize(
 
 
 class VectorAttention(nn.Module):
-    """Attention over neighbours with one weight per channel.
+    """PointTransformer's attention, with one weight per channel: the query feature plus
+    ``sum_k softmax(gamma(q - k + delta)) * (v + delta)``, delta the embedded offset."""
 
-    Of PointTransformer: ``sum_k softmax(gamma(q - k + delta)) * (v + delta)``, delta
-    the embedded offset, plus the raw query feature.
-    """
-
-    features: int
-    attention_features: int
-    ratio: int
-    use_norm: bool
+    config: BackboneConfig
 
     @nn.compact
     def __call__(
@@ -50,26 +46,19 @@ class VectorAttention(nn.Module):
         neighbors: Int[Array, "... N k"],
         train: bool = False,
     ) -> Float[Array, "... N C"]:
-        logits, values = _logits_and_values(
-            self,
-            (query_xyz, query_features, support_xyz, support_features),
-            neighbors,
-            train,
-        )
-        logits = Dense(self.attention_features, name="attention_1")(logits)
+        config = self.config
+        clouds = (query_xyz, query_features), (support_xyz, support_features)
+        logits, values = _logits_and_values(config, *clouds, neighbors, train)
+        logits = Dense(config.attention_features, name="attention_1")(logits)
         attended = attend(logits, values)
-        return Dense(self.features, name="end")(attended) + query_features
+        return Dense(config.features, name="end")(attended) + query_features
 
 
 class UpsamplingAttention(nn.Module):
-    """Vector attention that splits each point in ``times``, without a softmax
+    """Vector attention that splits each point in ``seed_times``, without a softmax
     (SeedFormer's upsample transformer, as CRA-PCN's seed generator uses it)."""
 
-    features: int
-    attention_features: int
-    ratio: int
-    times: int
-    use_norm: bool
+    config: BackboneConfig
 
     @nn.compact
     def __call__(
@@ -79,34 +68,32 @@ class UpsamplingAttention(nn.Module):
         neighbors: Int[Array, "... N k"],
         train: bool = False,
     ) -> Float[Array, "... M D"]:
-        logits, values = _logits_and_values(
-            self, (xyz, features, xyz, features), neighbors, train
-        )
+        config, times = self.config, self.config.seed_times
+        clouds = (xyz, features), (xyz, features)
+        logits, values = _logits_and_values(config, *clouds, neighbors, train)
         # The kernel runs over the points: (..., N, k, C) -> (..., k, N * times, D).
-        split = SplitPoints(self.attention_features, self.times, name="attention_1")
+        split = SplitPoints(config.attention_features, times, name="attention_1")
         weights = split(jnp.swapaxes(logits, -3, -2))
-        values = repeat_in_place(jnp.swapaxes(values, -3, -2), self.times)
+        values = repeat_in_place(jnp.swapaxes(values, -3, -2), times)
         attended = (weights * values).sum(-3)
-        residual = Dense(self.features, name="residual")(features)
-        end = Dense(self.features, name="end")(attended)
-        return end + repeat_in_place(residual, self.times)
+        residual = Dense(config.features, name="residual")(features)
+        end = Dense(config.features, name="end")(attended)
+        return end + repeat_in_place(residual, times)
 
 
 def _logits_and_values(
-    module: VectorAttention | UpsamplingAttention,
-    clouds: tuple[Array, Array, Array, Array],
+    config: BackboneConfig,
+    queries: tuple[Array, Array],
+    supports: tuple[Array, Array],
     neighbors: Array,
     train: bool,
 ) -> tuple[Array, Array]:
-    """`hidden_and_values` of features; submodules belong to the caller."""
-    query_xyz, query_features, support_xyz, support_features = clouds
-    width = module.attention_features
-    query = Dense(width, name="query")(query_features)
-    key = Dense(width, name="key")(support_features)
-    value = Dense(width, name="value")(support_features)
-    queries, supports = (query_xyz, query), (support_xyz, key, value)
-    norm = module.use_norm
-    return hidden_and_values(queries, supports, neighbors, module.ratio, norm, train)
+    """`hidden_and_values` of points and features; submodules belong to the caller."""
+    width = config.attention_features
+    query = queries[0], Dense(width, name="query")(queries[1])
+    key, value = (Dense(width, name=name)(supports[1]) for name in ("key", "value"))
+    support = supports[0], key, value
+    return hidden_and_values(query, support, neighbors, config, train)
 
 
 def hidden_and_values(
@@ -115,15 +102,12 @@ def hidden_and_values(
         Float[Array, "... M 3"], Float[Array, "... M C"], Float[Array, "... M C"]
     ],
     neighbors: Int[Array, "... N k"],
-    ratio: int,
-    use_norm: bool,
+    config: Any,
     train: bool,
 ) -> tuple[Float[Array, "... N k H"], Float[Array, "... N k C"]]:
-    """The hidden attention layer and ``v + delta``, for each query and neighbour.
-
-    Of queries ``(xyz, q)`` and supports ``(xyz, k, v)``. To be called inside a compact
-    module, to which the submodules made here belong.
-    """
+    """The hidden attention layer and ``v + delta``, for each query and neighbour, of
+    queries ``(xyz, q)`` and supports ``(xyz, k, v)``. The submodules made here belong
+    to the compact module that calls it."""
     (query_xyz, query), (support_xyz, key, value) = queries, supports
     width = query.shape[-1]
     position = Dense(width, name="position_0")
@@ -135,13 +119,12 @@ def hidden_and_values(
     support = jax.lax.optimization_barrier(jnp.concatenate(support, axis=-1))
     key, offset, value = jnp.split(gather(support, neighbors), 3, -1)
     offset = position(query_xyz)[..., None, :] - offset
-    if use_norm:
+    if config.use_norm:
         offset = batch_norm(train, "position_norm")(offset)
     embedding = Dense(width, name="position_1")(nn.relu(offset))
-    logits = Dense(ratio * width, name="attention_0")(
-        query[..., None, :] - key + embedding
-    )
-    if use_norm:
+    hidden = Dense(config.attention_ratio * width, name="attention_0")
+    logits = hidden(query[..., None, :] - key + embedding)
+    if config.use_norm:
         logits = batch_norm(train)(logits)
     return nn.relu(logits), value + embedding
 
@@ -150,11 +133,8 @@ def hidden_and_values(
 def attend(
     logits: Float[Array, "... k C"], values: Float[Array, "... k C"]
 ) -> Float[Array, "... C"]:
-    """``sum_k softmax(logits) * values``, channel by channel.
-
-    Written over the few neighbours one by one, and with its own derivative, so that
-    neither pass reduces over an inner axis: on a CPU that is most of its time.
-    """
+    """``sum_k softmax(logits) * values``, channel by channel: over the few neighbours
+    one by one, and with its own derivative, since CPUs reduce inner axes slowly."""
     exponents, total = _exponents(logits)
     products = [e * v for e, v in zip(exponents, _neighbors(values), strict=True)]
     return functools.reduce(jnp.add, products) / total
@@ -183,16 +163,10 @@ def _neighbors(pairs: Array) -> list[Array]:
 
 
 class CrossResolutionTransformer(nn.Module):
-    """Attention from the coarsest resolution to the finest.
+    """Attention from the coarsest resolution to the finest: each coarser result is
+    interpolated to the next and joined to the features of both clouds there."""
 
-    Each coarser result is interpolated to the next finer one and joined to the
-    features of both clouds there.
-    """
-
-    features: int
-    attention_features: int
-    ratio: int
-    use_norm: bool
+    config: BackboneConfig
 
     @nn.compact
     def __call__(
@@ -216,16 +190,11 @@ class CrossResolutionTransformer(nn.Module):
                 q = self._join(f"query_{i}")(q, raised)
                 raised = interpolate(s_xyz, coarser_xyz, coarser, level.support_coarser)
                 s = self._join(f"support_{i}")(s, raised)
-            attention = VectorAttention(
-                self.features,
-                self.attention_features,
-                self.ratio,
-                self.use_norm,
-                name=f"attention_{i}",
-            )
+            attention = VectorAttention(self.config, name=f"attention_{i}")
             coarser = attention(q_xyz, q, s_xyz, s, level.neighbors, train)
             coarser_xyz = q_xyz
         return coarser
 
     def _join(self, name: str) -> ResidualMLP:
-        return ResidualMLP(self.features, self.features, name=name)
+        width = self.config.features
+        return ResidualMLP(width, width, name=name)

@@ -26,9 +26,7 @@ class Tokens(NamedTuple):
 
 class TokenIntegrator(nn.Module):
     """I_TSI: learned queries, shifted by the global feature, look at the patches.
-
-    Normalised over channels and not over a batch, so that one frame will do.
-    """
+    Normalised over channels and not over a batch, so that one frame will do."""
 
     config: AuxiliaryConfig
 
@@ -79,10 +77,8 @@ class NormalHead(nn.Module):
 
 
 class Denoiser(nn.Module):
-    """Offsets that undo a perturbation of the partial cloud (Eq. 6).
-
-    Each point sees its offsets to its neighbours and the latent of the whole cloud.
-    """
+    """Offsets that undo a perturbation of the partial cloud (Eq. 6). Each point sees
+    its offsets to its neighbours and the latent of the whole cloud."""
 
     config: AuxiliaryConfig
 

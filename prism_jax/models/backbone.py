@@ -1,11 +1,10 @@
 """The completion backbone as functions: encode the partial, decode every stage."""
 
 import jax
-import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from prism_jax.geometry.visibility import Visibility, nothing_known
-from prism_jax.models.config import BackboneConfig, ModelConfig
+from prism_jax.models.config import BackboneConfig
 from prism_jax.models.decoder import Decoded, Decoder, DecoderIndices
 from prism_jax.models.encoder import (
     EncoderIndices,
@@ -14,19 +13,12 @@ from prism_jax.models.encoder import (
     encoder_indices,
 )
 from prism_jax.models.layers import over_batch
-from prism_jax.models.variables import (
-    Variables,
-    apply,
-    apply_training,
-    on_cpu,
-    part,
-)
+from prism_jax.models.variables import Variables, apply, apply_training, on_cpu, part
 
 
-def init_backbone(key: PRNGKeyArray, model: ModelConfig) -> Variables:
+def init_backbone(key: PRNGKeyArray, config: BackboneConfig) -> Variables:
     """Fresh variables of the encoder and the decoder, made on the CPU, so that a seed
     means the same everywhere."""
-    config = model.backbone
 
     def init(key: PRNGKeyArray) -> Variables:
         keys = jax.random.split(key, 3)
@@ -35,11 +27,11 @@ def init_backbone(key: PRNGKeyArray, model: ModelConfig) -> Variables:
         indices = partial_indices(partial, config)
         encoder = PointEncoder(config).init(keys[1], partial, indices)
         encoded = PointEncoder(config).apply(encoder, partial, indices)
-        known = nothing_of(partial) if config.reads_visibility else None
-        parts = {"point_encoder": encoder}
-        parts["decoder"] = Decoder(config).init(
-            keys[2], partial, encoded, visibility=known
-        )
+        visibility = None
+        if config.reads_visibility:
+            visibility = jax.tree.map(lambda leaf: leaf[None], nothing_known())
+        decoder = Decoder(config).init(keys[2], partial, encoded, visibility=visibility)
+        parts = {"point_encoder": encoder, "decoder": decoder}
         return {
             collection: {name: own.get(collection, {}) for name, own in parts.items()}
             for collection in ("params", "batch_stats")
@@ -63,8 +55,9 @@ def encode_points(
     indices: EncoderIndices,
 ) -> PointFeatures:
     """The point stream, with BatchNorm statistics as they are."""
-    own = part(variables, "point_encoder")
-    return apply(PointEncoder(config), own, partial, indices)
+    return apply(
+        PointEncoder(config), part(variables, "point_encoder"), partial, indices
+    )
 
 
 def decode(
@@ -81,17 +74,9 @@ def decode(
     return apply(Decoder(config), own, partial, encoded, **given)
 
 
-def nothing_of(partial: Float[Array, "*B N 3"]) -> Visibility:
-    """A map that knows nothing for each cloud."""
-    batch = partial.shape[:-2]
-    return jax.tree.map(
-        lambda leaf: np.broadcast_to(leaf, (*batch, *leaf.shape)), nothing_known()
-    )
-
-
 def train_backbone(
     variables: Variables,
-    model: ModelConfig,
+    config: BackboneConfig,
     partial: Float[Array, "B N 3"],
     indices: EncoderIndices,
     num_blocks: int | None = None,
@@ -99,24 +84,12 @@ def train_backbone(
 ) -> tuple[Decoded, Variables]:
     """All stages with statistics of the batch, and the updated running statistics. A
     decoder that reads visibility needs the map."""
-    config, updated = model.backbone, {}
-    encoded, updated["point_encoder"] = apply_training(
-        PointEncoder(config),
-        part(variables, "point_encoder"),
-        partial,
-        indices,
-    )
+    statistics, own = variables["batch_stats"], part(variables, "point_encoder")
+    encoded, encoder = apply_training(PointEncoder(config), own, partial, indices)
+    own = part(variables, "decoder")
+    settings = {"num_blocks": num_blocks, "visibility": visibility}
     decoded, decoder = apply_training(
-        Decoder(config),
-        part(variables, "decoder"),
-        partial,
-        encoded,
-        num_blocks=num_blocks,
-        visibility=visibility,
+        Decoder(config), own, partial, encoded, **settings
     )
-    statistics = {
-        **variables["batch_stats"],
-        **updated,
-        "decoder": {**variables["batch_stats"]["decoder"], **decoder},
-    }
-    return decoded, statistics
+    decoder = {**statistics["decoder"], **decoder}
+    return decoded, {**statistics, "point_encoder": encoder, "decoder": decoder}

@@ -82,13 +82,9 @@ class BackboneConfig(Checked):
             raise ValueError(f"a stage must not have over {MAX_POINTS:,} points")
 
     @property
-    def num_seeds(self) -> int:
-        return self.patch_points[1] * self.seed_times
-
-    @property
     def stage_sizes(self) -> tuple[int, ...]:
         """Points of every stage, seeds first."""
-        sizes, current = [self.num_seeds], self.num_initial
+        sizes, current = [self.patch_points[1] * self.seed_times], self.num_initial
         for factor in self.up_factors:
             current *= factor
             sizes.append(current)
@@ -152,7 +148,5 @@ class ModelConfig(Checked):
 
 
 SHAPENET55 = BackboneConfig(up_factors=(1, 4, 4))
-"""The published CRA-PCN variant for ShapeNet-55: 256 / 512 / 2,048 / 8,192 points."""
-
 PCN = BackboneConfig()
-"""The published CRA-PCN variant for PCN: 256 / 512 / 2,048 / 16,384 points."""
+"""The published CRA-PCN variants, of 8,192 and 16,384 points."""

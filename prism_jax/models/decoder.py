@@ -31,15 +31,13 @@ from prism_jax.models.pyramid import (
 )
 
 _ALONG = np.linspace(-1.5, 1.5, 7)
+# Where the seeds read visibility: points in and around the workspace.
 _LATTICE = np.stack(np.meshgrid(_ALONG, _ALONG, _ALONG), -1).reshape(-1, 3)
-"""Where the seeds read what the sensor knows: points in and around the workspace."""
 
 
 class DecoderIndices(NamedTuple):
-    """The samples and neighbours of one decoding.
-
-    They jump where its points move by a little, and have no derivative.
-    """
+    """The samples and neighbours of one decoding. They jump where its points move by a
+    little, and have no derivative."""
 
     # Rows of the seeds and the partial, joined, that the blocks start from.
     initial: Int[Array, "... n"]
@@ -74,14 +72,8 @@ class SeedGenerator(nn.Module):
     ) -> tuple[Float[Array, "... S 3"], Float[Array, "... S C"]]:
         config = self.config
         width = config.features
-        x = UpsamplingAttention(
-            width,
-            config.attention_features,
-            config.attention_ratio,
-            config.seed_times,
-            config.use_norm,
-            name="upsample",
-        )(encoded.patch_xyz, encoded.patch_features, encoded.patch_neighbors, train)
+        patches = encoded.patch_xyz, encoded.patch_features, encoded.patch_neighbors
+        x = UpsamplingAttention(config, name="upsample")(*patches, train)
         context = encoded.global_feature[..., None, :]
         x = ResidualMLP(width, width, name="mlp_1")(x, context)
         x = ResidualMLP(width // 2, width, name="mlp_2")(x)
@@ -93,9 +85,8 @@ class SeedGenerator(nn.Module):
 
 
 class VisibilityPooling(nn.Module):
-    """One feature of all that the sensor knows: its clues at a lattice of points, a
-    shared MLP, the maximum. Nothing at first, so that training can go on from weights
-    without it."""
+    """One feature of the visibility: clues at a lattice of points, a shared MLP, the
+    maximum. Zero at first, so that training can go on from weights without it."""
 
     config: BackboneConfig
 
@@ -104,10 +95,10 @@ class VisibilityPooling(nn.Module):
         self, partial: Float[Array, "... N 3"], visibility: Visibility
     ) -> Float[Array, "... G"]:
         at = jnp.asarray(_LATTICE, partial.dtype)
-        told = over_batch(lambda _, known: clues(known, at))(partial, visibility)
-        at = jnp.broadcast_to(at, (*told.shape[:-1], 3))
+        found = over_batch(lambda _, seen: clues(seen, at))(partial, visibility)
+        at = jnp.broadcast_to(at, (*found.shape[:-1], 3))
         width = self.config.features
-        each = MLP((width, width), name="point")(jnp.concatenate([at, told], axis=-1))
+        each = MLP((width, width), name="point")(jnp.concatenate([at, found], axis=-1))
         out = MLP((self.config.global_features[-1],), nn.initializers.zeros, name="out")
         return out(nn.relu(highest(each))[..., None, :])[..., 0, :]
 
@@ -130,9 +121,10 @@ class UpsamplingBlock(nn.Module):
         visibility: Visibility | None = None,
     ) -> tuple[Float[Array, "... M 3"], Float[Array, "... N C"], Array]:
         x = self._point_features(xyz, global_feature, visibility)
-        transformer = self._transformer("inter")
+        transformer = CrossResolutionTransformer(self.config, name="inter")
         x = transformer(xyz, x, support.xyz, support.features, inter, train)
-        x = self._transformer("intra")(xyz, x, xyz, x, intra, train)
+        transformer = CrossResolutionTransformer(self.config, name="intra")
+        x = transformer(xyz, x, xyz, x, intra, train)
         offsets, child_features = self._children(x, train)
         return repeat_in_place(xyz, self.times) + offsets, x, child_features
 
@@ -142,25 +134,14 @@ class UpsamplingBlock(nn.Module):
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
         if self.config.reads_visibility:
-            told = over_batch(lambda cloud, known: clues(known, cloud))
-            known = _given(visibility)
-            x = x + self._reading("clues", width // 2)(told(xyz, known))
+            at_points = over_batch(lambda cloud, seen: clues(seen, cloud))
+            # Zero at first, so that training can go on from weights without it.
+            zeros = nn.initializers.zeros
+            reading = MLP((width // 2, width), zeros, name="clues")
+            x = x + reading(at_points(xyz, _given(visibility)))
         whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
         return mlp(x, whole, global_feature[..., None, :])
-
-    def _reading(self, name: str, hidden: int) -> MLP:
-        """Nothing at first, so that training can go on from weights without it."""
-        return MLP((hidden, self.config.features), nn.initializers.zeros, name=name)
-
-    def _transformer(self, name: str) -> CrossResolutionTransformer:
-        return CrossResolutionTransformer(
-            self.config.features,
-            self.config.attention_features,
-            self.config.attention_ratio,
-            self.config.use_norm,
-            name=name,
-        )
 
     def _children(self, x: Array, train: bool) -> tuple[Array, Array]:
         width = self.config.features
@@ -179,10 +160,9 @@ class UpsamplingBlock(nn.Module):
 class Decoder(nn.Module):
     """CRA-PCN's decoder, from the encoded partial to every stage's points.
 
-    ``num_blocks`` stops after so many up-sampling blocks, for training coarse stages
-    first; the default is all. With the ``indices`` of another decoding, whose points
-    are near, the stages are a continuous function of what is encoded. ``visibility`` is
-    what the sensor knows, for configurations that read it.
+    It stops after ``num_blocks``, if that is given. With the ``indices`` of another
+    decoding, whose points are near, the stages are a continuous function of what is
+    encoded. ``visibility`` is for configurations that read it.
     """
 
     config: BackboneConfig
@@ -203,19 +183,21 @@ class Decoder(nn.Module):
             whole = encoded.global_feature + pooled(partial, _given(visibility))
             encoded = encoded._replace(global_feature=whole)
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
+        joined = jnp.concatenate([seeds, partial], axis=-2)
         if indices is None:
-            initial = initial_rows(seeds, partial, config.num_initial)
+            initial = sampled_rows(joined, config.num_initial)
             order = jnp.broadcast_to(jnp.arange(config.num_initial), initial.shape)
-            support_order = _order(seeds, seeds.shape[-2] // 2)
+            support_order = sampled_rows(seeds, seeds.shape[-2] // 2)
         else:
             initial = indices.initial
         stages, pyramids = [seeds], []
-        previous, xyz = Cloud(seeds, features), initial_points(seeds, partial, initial)
+        previous, xyz = Cloud(seeds, features), take(joined, initial)
         blocks = list(zip(config.up_factors, config.level_rates, strict=True))
         for i, (times, rates) in enumerate(blocks[:num_blocks]):
             if indices is None:
                 if i:
-                    support_order, order = order, _order(xyz, xyz.shape[-2] // 2)
+                    half = xyz.shape[-2] // 2
+                    support_order, order = order, sampled_rows(xyz, half)
                 orders, near = (order, support_order), config.num_neighbors
                 pair = _pyramids(xyz, previous.xyz, orders, rates, near)
             else:
@@ -223,12 +205,7 @@ class Decoder(nn.Module):
             pyramids.append(pair)
             block = UpsamplingBlock(config, times, name=f"block_{i}")
             children, block_features, features = block(
-                xyz,
-                encoded.global_feature,
-                previous,
-                *pair,
-                train,
-                visibility,
+                xyz, encoded.global_feature, previous, *pair, train, visibility
             )
             previous, xyz = Cloud(xyz, block_features), children
             stages.append(xyz)
@@ -241,25 +218,11 @@ def _given(visibility: Visibility | None) -> Visibility:
     return visibility
 
 
-def initial_rows(
-    seeds: Float[Array, "... S 3"], partial: Float[Array, "... N 3"], num_points: int
-) -> Int[Array, "... num_points"]:
-    """Farthest points of the seeds and the partial, joined in this order."""
-    return _order(jnp.concatenate([seeds, partial], axis=-2), num_points)
-
-
-def initial_points(
-    seeds: Float[Array, "... S 3"],
-    partial: Float[Array, "... N 3"],
-    rows: Int[Array, "... n"],
-) -> Float[Array, "... n 3"]:
-    """These rows of the seeds and the partial, joined in this order."""
-    return take(jnp.concatenate([seeds, partial], axis=-2), rows)
-
-
-def _order(xyz: Array, num_samples: int) -> Array:
-    """Farthest-point order, as far as anything looks at it."""
-    return over_batch(lambda cloud: farthest_order(cloud, num_samples))(xyz)
+def sampled_rows(
+    clouds: Float[Array, "... N 3"], num_samples: int
+) -> Int[Array, "... num_samples"]:
+    """Each cloud's first rows in farthest-point order."""
+    return over_batch(lambda cloud: farthest_order(cloud, num_samples))(clouds)
 
 
 def _pyramids(

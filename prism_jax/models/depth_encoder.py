@@ -18,11 +18,8 @@ class DepthFeatures(NamedTuple):
 
 
 class DepthEncoder(nn.Module):
-    """ResNet (He et al., CVPR 2016) of a depth map and its mask.
-
-    Depths are in workspace units, relative to the workspace's centre; where the mask
-    is False their value has no influence.
-    """
+    """ResNet (He et al., CVPR 2016) of a depth map, in workspace units relative to the
+    workspace's centre, and its mask; where that is False, depth has no influence."""
 
     config: AuxiliaryConfig
 

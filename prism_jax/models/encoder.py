@@ -30,8 +30,7 @@ class EncoderIndices(NamedTuple):
 
 class PointFeatures(NamedTuple):
     """What the decoder and the auxiliary branches see of the partial: its patches,
-    their neighbours among each other, and all of it at once; and the depth stream's
-    maps, for a decoder that reads them."""
+    their neighbours among each other, and all of it at once."""
 
     patch_xyz: Float[Array, "... M 3"]
     patch_features: Float[Array, "... M C"]
@@ -42,11 +41,8 @@ class PointFeatures(NamedTuple):
 def encoder_indices(
     partial: Float[Array, "N 3"], config: BackboneConfig
 ) -> EncoderIndices:
-    """Samples and neighbours of one partial cloud.
-
-    A cloud made by farthest-point sampling is in farthest-point order, so it is
-    sampled once and every coarser resolution is a prefix.
-    """
+    """Samples and neighbours of one partial cloud, which is sampled once: coarser
+    resolutions are prefixes of its farthest-point order."""
     rows, neighbors, pyramids = [], [], []
     cloud, order = partial, farthest_order(partial, config.patch_points[0])
     for num_points in config.patch_points:
@@ -55,11 +51,8 @@ def encoder_indices(
         neighbors.append(knn(patches, cloud, config.patch_neighbors))
         order = jnp.arange(num_points)
         levels = resolution_rows(order, num_points, config.encoder_rates)
-        pyramids.append(
-            build_pyramid(
-                patches, patches, levels, levels, config.num_neighbors, same=True
-            )
-        )
+        both = patches, patches, levels, levels
+        pyramids.append(build_pyramid(*both, config.num_neighbors, same=True))
         cloud = patches
     around = knn(cloud, cloud, config.patch_neighbors)
     return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids), around)
@@ -101,33 +94,19 @@ class PointEncoder(nn.Module):
         xyz_1 = take(partial, indices.rows[0])
         abstract = SetAbstraction(config.patch_features[0], name="abstraction_1")
         features_1 = abstract(xyz_1, partial, partial, indices.neighbors[0])
-        features_1 = self._transform(1, xyz_1, features_1, indices, train)
+        transformer = CrossResolutionTransformer(config, name="transformer_1")
+        same = xyz_1, features_1, xyz_1, features_1
+        features_1 = transformer(*same, indices.pyramids[0], train)
 
         xyz_2 = take(xyz_1, indices.rows[1])
         abstract = SetAbstraction(config.patch_features[1], name="abstraction_2")
         patches = abstract(xyz_2, xyz_1, features_1, indices.neighbors[1])
         reduced = Dense(config.features, name="reduce")(patches)
-        reduced = self._transform(2, xyz_2, reduced, indices, train)
+        transformer = CrossResolutionTransformer(config, name="transformer_2")
+        same = xyz_2, reduced, xyz_2, reduced
+        reduced = transformer(*same, indices.pyramids[1], train)
         patches = Dense(patches.shape[-1], name="expand")(reduced) + patches
 
         pointwise = MLP(config.global_features, name="global")(xyz_2, patches)
         global_feature = highest(pointwise)
         return PointFeatures(xyz_2, patches, global_feature, indices.patch_neighbors)
-
-    def _transform(
-        self,
-        number: int,
-        xyz: Array,
-        features: Array,
-        indices: EncoderIndices,
-        train: bool,
-    ) -> Array:
-        transformer = CrossResolutionTransformer(
-            self.config.features,
-            self.config.attention_features,
-            self.config.attention_ratio,
-            self.config.use_norm,
-            name=f"transformer_{number}",
-        )
-        pyramid = indices.pyramids[number - 1]
-        return transformer(xyz, features, xyz, features, pyramid, train)

@@ -25,14 +25,14 @@ from prism_jax.models.variables import Variables, on_cpu, unlearned_steps
 def init_variables(key: PRNGKeyArray, config: ModelConfig) -> Variables:
     """Everything that ``adapt`` and training need, in the structure of `variables`."""
     first, second = jax.random.split(key)
-    return init_auxiliary(second, init_backbone(first, config), config)
+    return init_auxiliary(second, init_backbone(first, config.backbone), config)
 
 
 def init_auxiliary(
     key: PRNGKeyArray, backbone: Variables, config: ModelConfig
 ) -> Variables:
-    """A backbone's variables with fresh ones for all that reads it. Made on
-    the CPU, as the backbone's are: nothing depends on the backbone's values."""
+    """A backbone's variables with fresh ones for all that reads it, made on the CPU as
+    the backbone's are; nothing depends on the backbone's values."""
     sizes = config.auxiliary
     shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), backbone)
 
@@ -43,18 +43,14 @@ def init_auxiliary(
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
         inputs = prepare_input(cloud, Camera.fixed_view(), keys[0], config)
         encoded = encode(backbone, inputs, config)
-        known = inputs.visibility
-        decoded = decode(backbone, config.backbone, cloud, encoded, visibility=known)
+        seen = inputs.visibility
+        decoded = decode(backbone, config.backbone, cloud, encoded, visibility=seen)
         points, features = decoded.stages[-1], decoded.features
-        depth_encoder = DepthEncoder(sizes)
-        depth = depth_encoder.init(keys[1], inputs.depth, inputs.depth_mask)
-        depth_features: Any = depth_encoder.apply(
-            depth, inputs.depth, inputs.depth_mask
+        fresh = {"refiner": Refiner(sizes).init(keys[2], points, features)}
+        image = inputs.depth, inputs.depth_mask
+        depth_features, fresh["depth_encoder"] = DepthEncoder(sizes).init_with_output(
+            keys[1], *image
         )
-        fresh = {
-            "depth_encoder": depth,
-            "refiner": Refiner(sizes).init(keys[2], points, features),
-        }
 
         def made(name: str, *arguments: Any) -> Any:
             module, key = AUXILIARY[name](sizes), keys[3 + [*AUXILIARY].index(name)]
@@ -75,15 +71,10 @@ def init_auxiliary(
         "refiner": params.pop("refiner"),
         "auxiliary": params,
     }
-    return {
-        "params": params,
-        "batch_stats": {
-            **backbone["batch_stats"],
-            "depth_encoder": depth["batch_stats"],
-        },
-        "weighting": {
-            "logits": jnp.zeros(len(BRANCHES)),
-            "scales": jnp.zeros(len(BRANCHES)),
-            "log_steps": unlearned_steps(params),
-        },
+    statistics = {**backbone["batch_stats"], "depth_encoder": depth["batch_stats"]}
+    weighting = {
+        "logits": jnp.zeros(len(BRANCHES)),
+        "scales": jnp.zeros(len(BRANCHES)),
+        "log_steps": unlearned_steps(params),
     }
+    return {"params": params, "batch_stats": statistics, "weighting": weighting}

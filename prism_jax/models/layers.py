@@ -22,9 +22,8 @@ take = jnp.vectorize(lambda features, i: features[i], signature="(n,c),(m)->(m,c
 def highest(features: Float[Array, "... N C"]) -> Float[Array, "... C"]:
     """The maximum over the points; the first of several has the derivative.
 
-    The derivative of `jnp.max` compares the maximum with its operand, and divides by
-    how many are equal. Compiled, the two may come from different fusions and differ in
-    the last bit: none is equal then, and the derivative is NaN. NaN gives NaN.
+    The derivative of `jnp.max` divides by how many operands equal the maximum. In a
+    compiled program both may come from different fusions: none is equal, and it is NaN.
     """
     place = jnp.argmax(jax.lax.stop_gradient(features), axis=-2, keepdims=True)
     chosen = jnp.arange(features.shape[-2])[:, None] == place
@@ -38,10 +37,8 @@ bias_init = jax.jit(nn.initializers.zeros_init(), static_argnums=1)
 
 
 def over_batch(fn: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of single clouds, mapped over all leading axes of its arguments.
-
-    The first argument is a cloud ``(..., N, 3)``; all share its leading axes.
-    """
+    """A function of single clouds, mapped over all leading axes of its arguments. The
+    first argument is a cloud ``(..., N, 3)``; all share its leading axes."""
 
     def mapped(cloud: Array, *others: Any) -> Any:
         batched = fn
@@ -53,21 +50,15 @@ def over_batch(fn: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def matmul(x: Float[Array, "... C"], kernel: Float[Array, "C D"]) -> Array:
-    """``x @ kernel`` with the leading axes made one.
-
-    The derivative with respect to the kernel then contracts one axis. Over several,
-    XLA's CPU backend first transposes both operands: twice the time.
-    """
+    """``x @ kernel`` with the leading axes made one: over several, the kernel's
+    derivative takes XLA's CPU backend twice the time."""
     rows = x.reshape(-1, x.shape[-1]) @ kernel
     return rows.reshape(*x.shape[:-1], kernel.shape[-1])
 
 
 class Dense(nn.Module):
-    """A dense layer, which can be applied to the terms of a sum one by one.
-
-    Called several times it uses one kernel; ``bias=False`` leaves the bias to another
-    of the calls.
-    """
+    """A dense layer, which can be applied to the terms of a sum one by one: all but one
+    of the calls with ``bias=False``."""
 
     features: int
 
@@ -98,11 +89,8 @@ def joined_dense(
     kernel: Float[Array, "C D"],
     bias: Float[Array, " D"],
 ) -> Float[Array, "... N D"]:
-    """A dense layer over the concatenation of several parts, never made.
-
-    A part with fewer points is repeated in place up to the points of the first: its
-    product with the kernel is taken before the repetition.
-    """
+    """A dense layer over the concatenation of several parts, never made; of a part with
+    fewer points than the first, the product is repeated in place."""
     y, start, num_points = bias, 0, parts[0].shape[-2]
     for part in parts:
         product = matmul(part, kernel[start : start + part.shape[-1]])
@@ -117,12 +105,8 @@ def joined_width(parts: Sequence[Array]) -> int:
 
 
 class MLP(nn.Module):
-    """Dense layers with a ReLU between them and none after the last.
-
-    Several inputs are joined as in `joined_dense`.
-
-    ``final_init`` replaces the initialiser of the last kernel.
-    """
+    """Dense layers with a ReLU between them and none after the last. Several inputs are
+    joined as in `joined_dense`. ``final_init`` is the last one's."""
 
     features: Sequence[int]
     final_init: nn.initializers.Initializer = kernel_init
@@ -141,11 +125,8 @@ class MLP(nn.Module):
 
 
 class ResidualMLP(nn.Module):
-    """Two layers and a linear shortcut (``MLP_Res`` of SnowflakeNet and CRA-PCN).
-
-    Several inputs are joined as in `joined_dense`. The shortcut and the first layer
-    read the same inputs: they are one product.
-    """
+    """Two layers and a linear shortcut (``MLP_Res`` of SnowflakeNet and CRA-PCN), which
+    is one product with the first. Several inputs are joined as in `joined_dense`."""
 
     hidden: int
     features: int
@@ -155,20 +136,15 @@ class ResidualMLP(nn.Module):
         width = joined_width(parts)
         first = Affine(self.hidden, name="dense_0")(width)
         shortcut = Affine(self.features, name="shortcut")(width)
-        both = (
-            jnp.concatenate(pair, axis=-1) for pair in zip(first, shortcut, strict=True)
-        )
+        pairs = zip(first, shortcut, strict=True)
+        both = (jnp.concatenate(pair, axis=-1) for pair in pairs)
         y, x = jnp.split(joined_dense(parts, *both), [self.hidden], axis=-1)
         return Dense(self.features, name="dense_1")(nn.relu(y)) + x
 
 
 class Conv(nn.Module):
-    """A two-dimensional convolution with "SAME" padding and without a bias.
-
-    `flax.linen.Conv` as a matrix product over the pixels of each window: on a CPU the
-    derivatives of XLA's own convolutions take several times as long, and frames that
-    have a kernel each, as in adaptation, make it a grouped convolution.
-    """
+    """`flax.linen.Conv`, "SAME" and without a bias, as a matrix product over windows:
+    several times as fast on a CPU, with derivatives and a kernel for each frame."""
 
     features: int
     size: int

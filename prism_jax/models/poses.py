@@ -9,20 +9,13 @@ from jaxtyping import Array, Float
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility, mirrored, seen_by, turned
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.prism import NetworkInput, predict, prepare_input
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view
 
-POSES = np.array(
-    [
-        np.eye(3),
-        np.diag([-1, 1, 1]),
-        [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
-    ],
-    np.float32,
-)
+_QUARTER_TURN = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+POSES = np.array([np.eye(3), np.diag([-1, 1, 1]), _QUARTER_TURN], np.float32)
 """As it is, its mirror image in x, and a quarter turn about the vertical. They take
 columns."""
 
@@ -36,17 +29,15 @@ def seen_in(
     visibility: Visibility | None,
     config: ModelConfig,
 ) -> Visibility | None:
-    """What the sensor knows of a cloud that lies in one of `POSES` already, for a
-    network that reads it: ``visibility``, which is of the cloud as it was, or else what
-    the posed cloud says."""
+    """Visibility of a cloud that lies in one of `POSES` already, for a network that
+    reads it, from that of the cloud as it was or else from the posed cloud."""
     if not config.backbone.reads_visibility:
         return None
     if visibility is None:
         return seen_by(partial, eye, config.background)
     if np.linalg.det(pose) > 0:
         return turned(visibility, pose.T)
-    flip = POSES[1]
-    return mirrored(turned(visibility, (flip @ pose).T))
+    return mirrored(turned(visibility, (POSES[1] @ pose).T))
 
 
 def in_other_poses(
@@ -61,17 +52,17 @@ def in_other_poses(
     poses = POSES[1 : config.poses]
     clouds = posed("nj,pij->pni", partial, poses)
     eyes = posed("j,pij->pi", camera.position, poses)
-    known = [
+    maps = [
         seen_in(pose, clouds[i], eyes[i], visibility, config)
         for i, pose in enumerate(poses)
     ]
 
-    def one(cloud: Array, eye: Array, known: Visibility | None) -> NetworkInput:
-        view = observe(cloud, eye, Workspace.unit()).camera
-        return prepare_input(cloud, view, key, config, visibility=known)
+    def one(cloud: Array, eye: Array, visibility: Visibility | None) -> NetworkInput:
+        view = framed_view(cloud, eye)
+        return prepare_input(cloud, view, key, config, visibility=visibility)
 
-    beside = jax.tree.map(lambda *maps: jnp.stack(maps), *known)
-    return jax.vmap(one)(clouds, eyes, beside)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *maps)
+    return jax.vmap(one)(clouds, eyes, stacked)
 
 
 def to_original_frame(

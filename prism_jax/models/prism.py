@@ -30,10 +30,8 @@ from prism_jax.models.variables import Variables, apply, part
 
 
 class NetworkInput(NamedTuple):
-    """One partial cloud and its view, and all that follows from them alone.
-
-    It is computed once for all adaptation steps.
-    """
+    """One partial cloud and its view, and all that follows from them alone: computed
+    once for all adaptation steps."""
 
     partial: Float[Array, "N 3"]  # measured points in the unit workspace
     indices: EncoderIndices  # samples and neighbours of the point encoder
@@ -55,10 +53,8 @@ class NetworkInput(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """A completion: the refined points, the decoder's stages and last features.
-
-    Of one cloud, or of a batch.
-    """
+    """A completion: the refined points, the decoder's stages and last features. Of one
+    cloud, or of a batch."""
 
     points: Float[Array, "... N 3"]
     stages: tuple[Float[Array, "... _ 3"], ...]
@@ -85,10 +81,9 @@ def prepare_input(
 ) -> NetworkInput:
     """What the network reads of a partial cloud and its camera, in the unit workspace.
 
-    `indices` are the encoder's, if they are known already. `visibility` is what the
-    sensor knows: a network that reads it takes what the cloud itself says of it
-    (`prism_jax.geometry.visibility.seen_by`) if it is None, and others never look. No
-    gradient reaches cloud or camera.
+    `indices` are the encoder's, if they are known already. A network that reads
+    `visibility` derives it from the cloud if it is None
+    (`prism_jax.geometry.visibility.seen_by`). No gradient reaches cloud or camera.
     """
     partial, camera = jax.lax.stop_gradient((partial, camera))
     if visibility is None and config.backbone.reads_visibility:
@@ -117,18 +112,12 @@ def hold_decoding(
 ) -> NetworkInput:
     """The inputs with the samples and neighbours that these variables decode them by.
 
-    The completion is then a continuous function of the encoders. Otherwise the smallest
-    step chooses other farthest points, and the losses of Eq. 13 jump by more than a
-    gradient step lowers them.
+    The completion is then a continuous function of the encoders. Otherwise the losses
+    of Eq. 13 jump by more than a gradient step lowers them.
     """
-    encoded = encode(variables, inputs, config)
-    decoded = decode(
-        variables,
-        config.backbone,
-        inputs.partial,
-        encoded,
-        visibility=inputs.visibility,
-    )
+    encoded, seen = encode(variables, inputs, config), inputs.visibility
+    backbone, cloud = config.backbone, inputs.partial
+    decoded = decode(variables, backbone, cloud, encoded, visibility=seen)
     return inputs._replace(decoding=decoded.indices)
 
 
@@ -136,17 +125,15 @@ def predict(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> Prediction:
     """Encode, decode, refine (Eq. 2)."""
-    return decode_and_refine(
-        variables, inputs, encode(variables, inputs, config), config
-    )
+    encoded = encode(variables, inputs, config)
+    return decode_and_refine(variables, inputs, encoded, config)
 
 
 def encode(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> PointFeatures:
     """The point stream."""
-    cloud, rows = inputs.partial, inputs.indices
-    return encode_points(variables, config.backbone, cloud, rows)
+    return encode_points(variables, config.backbone, inputs.partial, inputs.indices)
 
 
 def decode_and_refine(
@@ -156,8 +143,8 @@ def decode_and_refine(
     config: ModelConfig,
 ) -> Prediction:
     """The stages and the refined points. A batch is one pass through the decoder."""
-    cloud, held, known = inputs.partial, inputs.decoding, inputs.visibility
-    decoded = decode(variables, config.backbone, cloud, encoded, held, known)
+    cloud, held, seen = inputs.partial, inputs.decoding, inputs.visibility
+    decoded = decode(variables, config.backbone, cloud, encoded, held, seen)
     points = refine(variables, decoded, config)
     return Prediction(points, decoded.stages, decoded.features, encoded)
 
@@ -166,8 +153,7 @@ def refine(
     variables: Variables, decoded: Decoded | Prediction, config: ModelConfig
 ) -> Float[Array, "... N 3"]:
     """The last stage's points as the refiner leaves them (Eq. 2)."""
-    own = part(variables, "refiner")
-    refiner = Refiner(config.auxiliary)
+    own, refiner = part(variables, "refiner"), Refiner(config.auxiliary)
     return apply(refiner, own, decoded.stages[-1], decoded.features)
 
 
@@ -175,8 +161,7 @@ def read_depth(
     variables: Variables, inputs: NetworkInput, config: ModelConfig
 ) -> DepthFeatures:
     """The depth stream, with BatchNorm statistics as they are."""
-    encoder = DepthEncoder(config.auxiliary)
-    own = part(variables, "depth_encoder")
+    own, encoder = part(variables, "depth_encoder"), DepthEncoder(config.auxiliary)
     return apply(encoder, own, inputs.depth, inputs.depth_mask)
 
 

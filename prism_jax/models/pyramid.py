@@ -1,9 +1,5 @@
-"""Neighbour indices of CRA-PCN's clouds, apart from features.
-
-A cross-resolution block looks at a query and a support cloud at three resolutions,
-finest first. All its integers are collected here once, and every layer that looks at
-the same clouds shares them.
-"""
+"""Neighbour indices of CRA-PCN's clouds, apart from features: of a query and a support
+cloud at several resolutions, finest first, for all layers that look at the two."""
 
 from typing import NamedTuple
 
@@ -39,10 +35,8 @@ def farthest_order(cloud: Float[Array, "N 3"], num_samples: int) -> Int[Array, "
 def resolution_rows(
     order: Int[Array, " n"], num_points: int, rates: tuple[int, ...]
 ) -> tuple[Int[Array, " _"], ...]:
-    """Rows of each resolution of a cloud: prefixes of its farthest-point order.
-
-    Rate 1 keeps the whole cloud in its own order.
-    """
+    """Rows of each resolution of a cloud: prefixes of its farthest-point order, and for
+    rate 1 the whole cloud in its own order."""
     every = jnp.arange(num_points)
     return tuple(every if rate == 1 else order[: num_points // rate] for rate in rates)
 
@@ -55,10 +49,7 @@ def build_pyramid(
     num_neighbors: tuple[int, ...],
     same: bool = False,
 ) -> Pyramid:
-    """Neighbours of two clouds at every resolution.
-
-    ``same`` says that both clouds are one, so that searches are shared.
-    """
+    """Neighbours of two clouds at every resolution; ``same`` if they are one."""
     levels = []
     for i, (q_rows, s_rows) in enumerate(zip(query_rows, support_rows, strict=True)):
         q, s = query[q_rows], support[s_rows]

@@ -12,9 +12,8 @@ class Checked:
     """Base of configurations. ``Annotated[int, 1, 64]`` is an integer from 1 to 64.
 
     Fields are numbers, words of a `Literal`, switches, inner configurations, tuples of
-    these, or one of them or None. A range holds for all numbers of a field. A field of
-    a wrong type or value raises a ValueError that names the first one. Numbers must be
-    finite.
+    these, or one of them or None. A range holds for all numbers of a field. The first
+    field of a wrong type or value raises a ValueError that names it.
     """
 
     def __post_init__(self):

@@ -9,11 +9,8 @@ from prism_jax.models.layers import MLP
 
 
 class Refiner(nn.Module):
-    """Eq. 2: ``clamp(c + delta_max * tanh(g(c, phi)), -1, 1)``, or another bound.
-
-    It starts as the identity: features may be large, and small random offsets are then
-    not small.
-    """
+    """Eq. 2: ``clamp(c + delta_max * tanh(g(c, phi)), -1, 1)``, or another bound. It
+    starts as the identity: features may be large, and so random offsets."""
 
     config: AuxiliaryConfig
 

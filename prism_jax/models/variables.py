@@ -4,7 +4,7 @@
 "batch_stats": {point_encoder, depth_encoder, decoder}, "weighting": {logits, scales,
 log_steps}}``: the last holds the learned eta of Eq. 11, the losses' own scales, and for
 each module of the encoders the logarithm of its learned step size, as a multiple of the
-configuration's. Some have a learned term besides (`prism_jax.models.error_head`).
+configuration's.
 """
 
 import contextlib
@@ -21,9 +21,8 @@ ENCODERS = ("point_encoder", "depth_encoder")
 
 
 def on_cpu() -> contextlib.AbstractContextManager:
-    """Where fresh variables are made: a seed means the same everywhere, and a GPU would
-    take minutes to compile what it then does once. On the default device where JAX has
-    no CPU (``JAX_PLATFORMS=cuda``)."""
+    """Where fresh variables are made: a seed then means the same everywhere, and a GPU
+    would take minutes to compile. The default device where JAX has no CPU."""
     try:
         return jax.default_device(jax.local_devices(backend="cpu")[0])
     except RuntimeError:
@@ -45,18 +44,13 @@ def put_encoders(encoders: Variables, rest: Variables) -> Variables:
 
 def unlearned_steps(params: Variables) -> Variables:
     """The `log_steps` of encoders whose step sizes are the configuration's."""
-    return {
-        name: {module: jnp.zeros(()) for module in params[name]} for name in ENCODERS
-    }
+    return {name: dict.fromkeys(params[name], jnp.zeros(())) for name in ENCODERS}
 
 
 def apply(
     module: nn.Module, variables: Variables, *inputs: Any, **settings: Any
 ) -> Any:
-    """What a module makes of its own variables, with BatchNorm statistics as they are.
-
-    Touching the statistics raises, as they are not mutable here.
-    """
+    """What a module makes of its inputs, with BatchNorm statistics as they are."""
     return module.apply(variables, *inputs, **settings)
 
 
@@ -65,11 +59,8 @@ def apply_training(
 ) -> tuple[Any, Variables]:
     """What a module makes of its inputs with statistics of the batch, and the updated
     running statistics."""
-    mutable = ["batch_stats"]
-    made: Any = module.apply(
-        variables, *inputs, train=True, mutable=mutable, **settings
-    )
-    output, updated = made
+    settings |= {"train": True, "mutable": ["batch_stats"]}
+    output, updated = apply(module, variables, *inputs, **settings)
     return output, updated.get("batch_stats", {})
 
 

@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.camera import Camera, Vector
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.sampling import farthest_point_sample, resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.preprocessing.heading import level_heading
 from prism_jax.preprocessing.outliers import far_outliers
+from prism_jax.preprocessing.sensor import is_believable, likely_eye
 from prism_jax.preprocessing.upright import upright
 
 Heading = Literal["given", "level"]
@@ -70,6 +72,11 @@ class Observation:
         """
         return _framing(*map(_single, (self.partial, self.eye)))
 
+    @functools.cached_property
+    def cloud(self) -> IndexedCloud:
+        """The points inside. Not traced."""
+        return IndexedCloud(np.asarray(self.partial)[np.asarray(self.inside)])
+
     def sampled(self, num_points: int) -> "Observation":
         """The same with ``num_points`` of the points inside, in farthest-point order.
 
@@ -112,7 +119,7 @@ class Observation:
 
 def observe(
     points: Float[Array | np.ndarray, "N 3"],
-    sensor: Vector | Literal["origin"] | None = None,
+    sensor: Vector | Literal["origin", "likely"] | None = None,
     workspace: Workspace | None = None,
     margin: float = 1.25,
     up: str | Vector = "z",
@@ -123,7 +130,8 @@ def observe(
     `sensor` is the sensor position; None or a non-finite one means unknown. "origin"
     is for points in the sensor's own frame: the position is the origin, or unknown if
     the origin is implausible, that is inside the workspace or more than `FAR_ORIGIN`
-    half extents from its centre.
+    half extents from its centre. "likely", for NumPy alone, is the same, but in place
+    of an unknown position, or of an origin that is not believed, it takes `likely_eye`.
 
     `workspace` is the cube to complete; points outside it are not ``inside``. The
     default is `workspace_around` the points, with `margin`, `up` and `heading`; only
@@ -135,6 +143,29 @@ def observe(
     Differentiable, except for ``inside``. An empty cloud raises ValueError; points
     must be finite.
     """
+    framing = workspace, margin, up, heading
+    if not (isinstance(sensor, str) and sensor == "likely"):
+        return _framed(points, sensor, *framing)
+    seen = _framed(points, "origin", *framing)
+    if not seen.inside.any():
+        return seen
+    inside = np.asarray(points)[seen.inside]
+    likely = likely_eye(inside, seen.workspace.up)
+    if seen.sensor_known and is_believable(inside, np.zeros(3), likely):
+        return seen
+    seen = _framed(points, likely, *framing)
+    return dataclasses.replace(seen, sensor_known=np.bool_(False))
+
+
+def _framed(
+    points: Float[Array | np.ndarray, "N 3"],
+    sensor: Vector | Literal["origin"] | None,
+    workspace: Workspace | None,
+    margin: float,
+    up: str | Vector,
+    heading: Heading,
+) -> Observation:
+    """What was observed, with the sensor where it is said to be."""
     xp = _numpy_of(points)
     if workspace is None:
         strays = far_outliers(points)
@@ -179,6 +210,15 @@ def workspace_around(
     if workspace.rotation is not None:
         turn = turn @ workspace.rotation
     return Workspace.from_points(points, margin, turn, where)
+
+
+def framed_view(
+    partial: Float[Array | np.ndarray, "N 3"],
+    eye: Float[Array | np.ndarray, "3"],
+) -> Camera:
+    """The view that depths of a cloud in the unit workspace are compared in: from the
+    eye, or from `UNKNOWN_EYE` if that is not finite. Differentiable."""
+    return observe(partial, eye, Workspace.unit()).camera
 
 
 def origin_is_sensor(points: Float[np.ndarray, "N 3"]) -> bool:

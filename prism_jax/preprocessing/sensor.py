@@ -8,27 +8,22 @@ from prism_jax.geometry.workspace import Workspace
 NUM_DIRECTIONS = 128
 MAX_POINTS = 1024
 CELLS = 32  # along each side of the image in which points hide each other
-
-BEHIND = 0.25
-"""In radii of the cloud: what lies that much behind another point is hidden by it."""
-
+BEHIND = 0.25  # what lies so many radii of the cloud behind a point is hidden by it
+# A place that is so far from the likely direction, and from which so much more of the
+# points would be hidden, is not believed.
 APART, HIDDEN = np.deg2rad(75.0), 0.08
-"""A place that is so far from the likely direction, and from which so much more of the
-points would be hidden, is not believed."""
-
 DISTANCE = 6.0  # of a likely place, in radii of the cloud
 
 
 def likely_eye(
     points: Float[np.ndarray, "N 3"], up: Float[np.ndarray, "3"] | None = None
 ) -> Float[np.ndarray, "3"]:
-    """The place of a sensor that may have measured an object of which nothing else is
-    known but, perhaps, which way is `up`, a unit vector.
+    """A guess at where the sensor stood, from an object's points and perhaps the unit
+    vector `up`; it can be far off.
 
     Of many directions it is the one in which the points cover most of an image, hide
     each other least, and bulge towards the sensor; the farther below the object, the
-    less likely it is. It is a guess, and can be far off. It turns and moves with the
-    points, up to rounding. In the points' frame; NumPy, not differentiable.
+    less likely it is. It turns and moves with the points, up to rounding.
     """
     unit, frame = _in_own_axes(_some(points))
     directions = _directions()
@@ -68,10 +63,8 @@ def is_believable(
 def hidden_share(
     points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"]
 ) -> float:
-    """Of the points, those that others would have hidden from a sensor at `eye`.
-
-    All of them, if the eye is among them.
-    """
+    """Of the points, those that others would have hidden from a sensor at `eye`. All of
+    them, if the eye is among them."""
     unit, frame = _in_own_axes(_some(points))
     toward = frame.to_unit(np.asarray(eye, np.float64))
     distance = float(np.linalg.norm(toward))
@@ -93,10 +86,8 @@ def _in_own_axes(
     points: Float[np.ndarray, "M 3"],
 ) -> tuple[Float[np.ndarray, "M 3"], Workspace]:
     """The points in the unit ball about the middle of their box, along axes that turn
-    with them, and the way there.
-
-    Their principal axes, the first two in the direction of positive skewness.
-    """
+    with them, and the way there. Their principal axes, the first two in the direction
+    of positive skewness."""
     mean = points.mean(axis=0)
     around = points - mean
     axes = np.linalg.eigh(around.T @ around)[1].T

@@ -23,11 +23,10 @@ _REMEDY = f"use one of {', '.join(UP_AXES)}, or three numbers such as 0,-0.8,-0.
 
 
 def upright(up: str | Vector) -> Float64[np.ndarray, "3 3"] | None:
-    """The rotation that takes up to z, as `Workspace.rotation` has it.
+    """The rotation that takes up to z, as `Workspace.rotation` has it; None for "z".
 
-    `up` is one of `UP_AXES` or a vector of any length, for which it is the smallest
-    turn. None for the name z. Any other name, and a vector that is zero or not finite,
-    raise InputError. "auto" is for `find_up` to resolve beforehand.
+    `up` is one of `UP_AXES` or a vector, for which it is the smallest turn. Any other
+    name, and a vector that is zero or not finite, raise InputError.
     """
     if not isinstance(up, str):
         return _smallest_turn(_unit(up, "up", _REMEDY))
@@ -39,9 +38,7 @@ def upright(up: str | Vector) -> Float64[np.ndarray, "3 3"] | None:
 
 def parse_up(text: str) -> str | Float64[np.ndarray, "3"]:
     """What the flag `--up` says: an axis, "auto", or a unit vector from `x,y,z`.
-
-    Anything else raises InputError.
-    """
+    Anything else raises InputError."""
     if text in UP_AXES or text == "auto":
         return text
     remedy = f"{_REMEDY}, or auto"

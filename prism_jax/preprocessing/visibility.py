@@ -2,7 +2,8 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
+
+from prism_jax.geometry.cloud import IndexedCloud, sight
 
 IN_FRONT = 4.0
 """In spacings of the network's input: a point that much nearer to the sensor than all
@@ -14,14 +15,14 @@ sight means that the sensor looked through it, or away from it."""
 
 NUM_RAYS = 8  # measured points about a line of sight that are asked
 
-REACH = 3.0  # in spacings: lines of sight that pass each other by less are neighbours
-
-MAX_MEASURED = 16_384  # of a larger cloud, evenly spaced rows are asked
+SIGHT_REACH = (
+    3.0  # in spacings: lines of sight that pass each other by less are neighbours
+)
 
 
 def in_front(
     points: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
+    measured: IndexedCloud | Float[np.ndarray, "N 3"],
     eye: Float[np.ndarray, "3"],
     spacing: float,
     tolerance: float,
@@ -29,7 +30,7 @@ def in_front(
     """Which points would have hidden a measured surface from a sensor at `eye`.
 
     `spacing` is the usual distance between measured neighbours. A point is in front if
-    something was measured about its line of sight, within `REACH` spacings at the
+    something was measured about its line of sight, within `SIGHT_REACH` spacings at the
     measured surface's usual distance, and all of it more than `tolerance` spacings
     farther from the sensor. Behind the surface, and where nothing was measured, none
     is.
@@ -39,12 +40,10 @@ def in_front(
     """
     if len(points) == 0 or len(measured) == 0:
         return np.zeros(len(points), bool)
-    measured = measured[:: -(-len(measured) // MAX_MEASURED)]
-    sight, distance = _rays(measured, eye)
-    wanted, away = _rays(points, eye)
-    apart, rows = KDTree(sight).query(
-        wanted, k=NUM_RAYS, distance_upper_bound=REACH * spacing / np.median(distance)
-    )
+    tree, distance = IndexedCloud.of(measured).sights(eye)
+    wanted, away = sight(points, eye)
+    reach = SIGHT_REACH * spacing / np.median(distance)
+    apart, rows = tree.query(wanted, k=NUM_RAYS, distance_upper_bound=reach)
     near = np.isfinite(apart)
     farther = np.append(distance, np.inf)[rows] - away[:, None] > tolerance * spacing
     return near.any(axis=1) & (farther | ~near).all(axis=1)
@@ -52,7 +51,7 @@ def in_front(
 
 def looked_through(
     points: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
+    measured: IndexedCloud | Float[np.ndarray, "N 3"],
     eye: Float[np.ndarray, "3"],
     reach: float,
 ) -> Bool[np.ndarray, " P"]:
@@ -63,13 +62,13 @@ def looked_through(
     """
     if len(points) == 0 or len(measured) == 0:
         return np.ones(len(points), bool)
-    sight, distance = _rays(measured, eye)
-    return KDTree(sight).query(_rays(points, eye)[0])[0] > reach / np.median(distance)
+    tree, distance = IndexedCloud.of(measured).sights(eye)
+    return tree.query(sight(points, eye)[0])[0] > reach / np.median(distance)
 
 
 def beside_and_behind(
     points: Float[np.ndarray, "P 3"],
-    measured: Float[np.ndarray, "N 3"],
+    measured: IndexedCloud | Float[np.ndarray, "N 3"],
     eye: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
     """How far each point's line of sight passes what a sensor at `eye` measured, and
@@ -80,17 +79,7 @@ def beside_and_behind(
     measured one nearest to it, at the latter's distance. All in one frame and unit of
     length; at least one was measured. NumPy, not differentiable.
     """
-    measured = measured[:: -(-len(measured) // MAX_MEASURED)]
-    sight, distance = _rays(measured, eye)
-    wanted, away = _rays(points, eye)
-    apart, row = KDTree(sight).query(wanted)
+    tree, distance = IndexedCloud.of(measured).sights(eye)
+    wanted, away = sight(points, eye)
+    apart, row = tree.query(wanted)
     return apart * distance[row], away - distance[row]
-
-
-def _rays(
-    points: np.ndarray, eye: np.ndarray
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-    """Directions from the eye, and distances along them."""
-    rays = points - eye
-    distance = np.maximum(np.linalg.norm(rays, axis=1), np.finfo(np.float64).tiny)
-    return rays / distance[:, None], distance

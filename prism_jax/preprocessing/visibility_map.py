@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.framing import WIDEST, framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
@@ -21,57 +22,46 @@ from prism_jax.geometry.visibility import (
 )
 from prism_jax.geometry.workspace import Workspace
 
-MARGIN = 1.4  # side of a cube around an object over the longest of its points' box
-
-BEHIND = 0.03
-"""In half sides of a workspace: what lies no farther before its far side hides nothing
-of it."""
-
-REACH = MAP_SIZE // 8
-"""In pixels: holes of no more than twice that are closed, however wide the spacing."""
-
+CUBE_MARGIN = 1.4  # side of a cube around an object over the longest of its box
+BEHIND = 0.03  # so near its far side, in half sides, nothing of a workspace is hidden
+MAX_REACH = MAP_SIZE // 8  # in pixels: holes of up to twice that are closed
 FEW = 1024  # points by which the spacing of a larger cloud is taken
-
-DENSE = 4 * MAP_SIZE**2
-"""Points on a map: where there are more, they leave no holes between them."""
-
-ENOUGH = 5 * MAP_SIZE**2
-"""Points around an object: of more, so many tell as much, and take less time."""
+DENSE = 4 * MAP_SIZE**2  # so many points on a map leave no holes between them
+ENOUGH = 5 * MAP_SIZE**2  # points around an object: more say no more, and take longer
 
 
 def seen_among(
-    points: Float[np.ndarray, "N 3"],
+    points: IndexedCloud | Float[np.ndarray, "N 3"],
     around: Float[np.ndarray, "R 3"],
     eye: Float[np.ndarray, "3"],
     workspace: Workspace | None = None,
     background: Background = "unknown",
 ) -> Visibility:
-    """What a sensor at `eye` knows of its view of an object: by the object's `points`,
-    and by whatever else it measured `around` them in the same scan.
+    """Visibility of an object from a sensor at `eye`: by the object's `points`, and by
+    whatever else the sensor measured `around` them in the same scan.
 
     The points are surface as `prism_jax.geometry.visibility.seen_by` has it: they frame
     the same map, and the same holes between them are closed. A pixel without them shows
     what was measured nearest there: `NEARER` where the workspace goes on behind that
     along the ray, and so is hidden, and `BACKGROUND` where it does not. Holes as
     narrow, in spacings of what was measured around, are closed likewise. Where nothing
-    was measured nothing is known, unless the `background` is "empty", which says that
-    nothing else was there to be hit.
+    was measured nothing is known, unless the `background` is "empty".
 
-    All in one frame and unit, and so the workspace's cube, which is that around the
-    points with `MARGIN` unless it is given. At least one point; of what lies around,
-    what is behind the eye or beside the map does not count. NumPy, in double precision
-    but for the depths; not differentiable.
+    All in one frame and unit, and so the workspace, which is the cube around the points
+    with `CUBE_MARGIN` unless it is given. At least one point. NumPy, in double
+    precision but for the depths; not differentiable.
     """
-    points, around = (np.asarray(cloud, np.float64) for cloud in (points, around))
-    eye = np.asarray(eye, np.float64)
+    cloud, around = IndexedCloud.of(points), np.asarray(around, np.float64)
+    points, eye = cloud.points, np.asarray(eye, np.float64)
     if workspace is None:
-        workspace = Workspace.from_points(points, MARGIN)
+        workspace = Workspace.from_points(points, CUBE_MARGIN)
     camera = framing_camera(points, eye, WIDEST)
     pixel, z = map(np.asarray, camera.pixel_of(points))
     row = _nearest(pixel, z)
     focal = camera.intrinsics[0, 0]
-    reach = 0.5 * CLOSED * _spacing(points) * focal / max(z.mean(), MIN_DEPTH)
-    surface, nearest = closed(row >= 0, float(min(reach, REACH)))
+    apart = _spacing(points, cloud.tree) * focal / max(z.mean(), MIN_DEPTH)
+    reach = 0.5 * CLOSED * apart
+    surface, nearest = closed(row >= 0, float(min(reach, MAX_REACH)))
     state = np.where(surface, SURFACE, UNKNOWN).astype(np.uint8)
     depth = np.where(surface, z[row.ravel()[nearest]], 0.0)
     if background == "empty":
@@ -79,8 +69,7 @@ def seen_among(
     pixel, z = map(np.asarray, camera.pixel_of(around))
     around, pixel, z = (rows[pixel < MAP_SIZE**2] for rows in (around, pixel, z))
     if len(around):
-        row = _nearest(pixel, z)
-        row = _without_holes(row, camera, around)
+        row = _without_holes(_nearest(pixel, z), camera, around)
         beside = ~surface & (row >= 0)
         row = row[beside]
         hides = _hides(around[row], z[row], eye, workspace)
@@ -99,17 +88,16 @@ def some_of(around: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "S 3"]:
 
 
 def in_free_space(
-    points: Float[np.ndarray, "P 3"], known: Visibility, tolerance: float
+    points: Float[np.ndarray, "P 3"], visibility: Visibility, tolerance: float
 ) -> Bool[np.ndarray, " P"]:
     """Which points a sensor looked past the object and through: all that it measured
     about their pixels (`prism_jax.geometry.visibility.free_depth`) lies more than
     `tolerance` behind them, and in their own pixel it is not the object.
 
-    None where nothing was measured, and none beside the map. One frame and unit. NumPy,
-    not differentiable.
+    None where nothing was measured, and none beside the map. One frame and unit. NumPy.
     """
-    known = Visibility(known.camera, *map(np.asarray, known[1:]))
-    state, behind = look_up(known._replace(depth=free_depth(known)), points)
+    own = Visibility(visibility.camera, *map(np.asarray, visibility[1:]))
+    state, behind = look_up(own._replace(depth=free_depth(own)), points)
     return np.asarray((state > SURFACE) & (behind < -tolerance))
 
 
@@ -147,12 +135,13 @@ def _without_holes(
     in_camera = np.asarray(camera.to_camera(around))
     focal = float(camera.intrinsics[0, 0])
     image = focal * in_camera[:, :2] / in_camera[:, 2:]
-    reach = float(min(0.5 * CLOSED * _spacing(image), REACH))
+    tree = KDTree(image, compact_nodes=False, balanced_tree=False)
+    reach = float(min(0.5 * CLOSED * _spacing(image, tree), MAX_REACH))
     # What lies beyond the map's edge is not known, and so no side of a hole.
-    known, nearest = closed(np.pad(row >= 0, REACH), reach)
-    inside = slice(REACH, REACH + MAP_SIZE), slice(REACH, REACH + MAP_SIZE)
-    padded = np.pad(row, REACH, constant_values=-1)
-    return np.where(known, padded.ravel()[nearest], -1)[inside]
+    known, nearest = closed(np.pad(row >= 0, MAX_REACH), reach)
+    inside = slice(MAX_REACH, MAX_REACH + MAP_SIZE)
+    padded = np.pad(row, MAX_REACH, constant_values=-1)
+    return np.where(known, padded.ravel()[nearest], -1)[inside, inside]
 
 
 def _hides(
@@ -168,9 +157,8 @@ def _hides(
     return far > z + BEHIND * float(workspace.half_extent)
 
 
-def _spacing(points: Float[np.ndarray, "N D"]) -> float:
+def _spacing(points: Float[np.ndarray, "N D"], tree: KDTree) -> float:
     """Median distance of points, evenly spaced rows, from their nearest neighbours;
     infinite for one."""
     some = points[:: -(-len(points) // FEW)]
-    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
     return float(np.median(tree.query(some, k=2)[0][:, 1]))

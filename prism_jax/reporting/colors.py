@@ -24,10 +24,8 @@ def by_error(
     count: int = MAX_SHOWN_POINTS,
 ) -> dict[str, Any]:
     """The colour "error" of the points of one cloud, as the page's script takes it.
-
     Numbers where they were added, thinned to `count` as the cloud is; grey where they
-    were measured, for whom the expected errors are 0; nothing without these.
-    """
+    were measured, for whom the expected errors are 0; nothing without these."""
     if sigma is None:
         return {}
     shown = subsample(sigma[which], count)

@@ -23,52 +23,50 @@ def trust_of(entry: Mapping[str, Any]) -> str:
     return "unknown" if entry["verdict"] is None else entry["verdict"]["trust"]
 
 
-def verdict_of_scan(summary: Mapping[str, Any], size: float) -> dict[str, Any]:
-    """Headline, sentence and reasons.
+def trust_of_all(summary: Mapping[str, Any]) -> str:
+    """How many objects of a result have which trust, the lowest first; of a single one
+    the trust alone."""
+    objects = summary.get("objects", [summary])
+    return trust_of(objects[0]) if len(objects) == 1 else _counted(objects)
 
-    ``size`` is the longest side of what was measured, in the user's units.
-    """
+
+def _counted(objects: Sequence[Mapping[str, Any]]) -> str:
+    counts = Counter(map(trust_of, objects))
+    told = [f"{counts[trust]} {trust}" for trust in TRUST if counts[trust]]
+    return ", ".join(told) or "no objects"
+
+
+def verdict_of_scan(summary: Mapping[str, Any], size: float) -> dict[str, Any]:
+    """Headline, sentence and reasons. ``size`` is the longest side of what was
+    measured, in the user's units."""
     trust, verdict = trust_of(summary), summary["verdict"]
     if verdict is None:
-        text = NO_CALIBRATION.format(what="this completion")
-        return {
-            "trust": trust,
-            "headline": "Unknown confidence",
-            "text": text,
-            "reasons": [],
-        }
-    error = verdict["expected_error"]
-    text = "The expected error is not finite."
-    if error is not None:
-        share = (
-            f", {100 * error / size:.2g} % of the scan's longest side" if size else ""
-        )
-        text = (
-            f"Expected error: {error:.3g} in input units{share}. This is the mean "
-            "distance between completed and true surface."
-        )
-    return {
-        "trust": trust,
-        "headline": f"{trust.capitalize()} confidence",
-        "text": text,
-        "reasons": list(verdict["reasons"]) or _nothing_against(trust),
-    }
+        text, reasons = NO_CALIBRATION.format(what="this completion"), []
+    else:
+        error, reasons = verdict["expected_error"], list(verdict["reasons"])
+        text = "The expected error is not finite."
+        if error is not None:
+            share = f", {100 * error / size:.2g} % of the" if size else ""
+            side = " scan's longest side" if size else ""
+            text = (
+                f"Expected error: {error:.3g} in input units{share}{side}. This is the "
+                "mean distance between completed and true surface."
+            )
+        if trust == "high" and not reasons:
+            reasons = ["No evidence speaks against this completion."]
+    headline = f"{trust.capitalize()} confidence"
+    return {"trust": trust, "headline": headline, "text": text, "reasons": reasons}
 
 
 def verdict_of_scene(objects: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """How many objects there are of which trust, the lowest first."""
     count = len(objects)
     headline = f"{count} object{'s' if count != 1 else ''}"
-    counts = Counter(map(trust_of, objects))
-    lowest = next((trust for trust in TRUST if counts[trust]), "unknown")
-    told = [f"{counts[trust]} {trust}" for trust in TRUST if counts[trust]]
-    text = f"{', '.join(told)} confidence."
+    trusts = set(map(trust_of, objects))
+    lowest = next((trust for trust in TRUST if trust in trusts), "unknown")
+    text = f"{_counted(objects)} confidence."
     if count == 0:
         headline, text = "No objects", "Nothing that can be completed was found."
-    elif counts["unknown"] == count:
+    elif trusts == {"unknown"}:
         text = NO_CALIBRATION.format(what="the completions")
     return {"trust": lowest, "headline": headline, "text": text, "reasons": []}
-
-
-def _nothing_against(trust: str) -> list[str]:
-    return ["No evidence speaks against this completion."] if trust == "high" else []

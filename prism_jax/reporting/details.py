@@ -35,6 +35,13 @@ def number(value: float | None) -> str:
     return "not finite" if value is None else f"{value:.4g}"
 
 
+def counts(points: Mapping[str, int]) -> str:
+    """How many points there are of which kind."""
+    added = points["completed"] - points["partial"]
+    on_it = f", {points['support']:,} on the support" if "support" in points else ""
+    return f"{points['partial']:,} points observed, {added:,} added{on_it}"
+
+
 def adaptation(entry: Mapping[str, Any], asked: bool) -> str:
     """What became of the adaptation to one object."""
     objective = entry["losses"].get("objective") or [None]
@@ -72,10 +79,8 @@ def sigma(entry: Mapping[str, Any]) -> str:
     if told is None:
         return "unknown: no points were added, or these weights do not estimate it"
     low, middle, high = (number(told[name]) for name in ("q05", "median", "q95"))
-    return (
-        f"median {middle}, 5th to 95th percentile {low} to {high}, of the added "
-        "points, in input units"
-    )
+    spread = f"median {middle}, 5th to 95th percentile {low} to {high}"
+    return f"{spread}, of the added points, in input units"
 
 
 def evidence(entry: Mapping[str, Any]) -> str:
@@ -84,6 +89,17 @@ def evidence(entry: Mapping[str, Any]) -> str:
         return "none: these weights have no calibration"
     numbers = entry["verdict"]["evidence"].items()
     return ", ".join(f"{k.replace('_', ' ')} {number(v)}" for k, v in numbers)
+
+
+def of_object(entry: Mapping[str, Any], adapt: bool) -> list[tuple[str, str]]:
+    """Rows of a name and a text for an object in a scene."""
+    return [
+        ("Workspace", workspace(entry)),
+        ("Adaptation", adaptation(entry, adapt)),
+        ("Not added", left_away(entry)),
+        ("Expected error of a point", sigma(entry)),
+        ("Evidence", evidence(entry)),
+    ]
 
 
 def of_scan(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -96,16 +112,15 @@ def of_scan(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         f"{SENSOR[summary['sensor']]}, centre at ({position})"
     )
     left_out = f" and {summary['input']['points_left_out']:,} removed as outliers"
+    cube, adapted, *others = of_object(summary, summary["adapt"])
     rows = [
         *_of_input(summary, left_out),
         ("Up", _up(summary["up"])),
-        ("Workspace", workspace(summary)),
+        cube,
         ("Camera", view),
-        ("Adaptation", adaptation(summary, summary["adapt"])),
+        adapted,
         ("Network output", f"{points['network']:,} points"),
-        ("Not added", left_away(summary)),
-        ("Expected error of a point", sigma(summary)),
-        ("Evidence", evidence(summary)),
+        *others,
     ]
     if summary["ground_truth"]:
         truth = summary["ground_truth"]

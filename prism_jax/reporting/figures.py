@@ -32,6 +32,9 @@ _FONT = {"family": "system-ui, Segoe UI, Helvetica, Arial, sans-serif", "size": 
 _GRID = "#dfe3e8"
 _LINE = "#8b949e"
 _NO_DEPTH = "#d5d9df"
+_AXIS = {"nticks": 4, "tickfont": {"size": 10, "color": "#6a737d"}, "gridcolor": _GRID}
+_AXIS |= {"linecolor": _LINE, "showline": True, "mirror": True, "zeroline": False}
+_AXIS |= {"backgroundcolor": "white", "showspikes": False}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,20 +68,12 @@ def clouds_figure(
     up: Float[np.ndarray, "3"],
     bounds: Float[np.ndarray, "2 3"] | None = None,
 ) -> go.Figure:
-    """Panels side by side on one scale, seen from one direction.
-
-    The axes are the points' own, in their units, less what their titles say where the
-    origin is far away. `toward_viewer` and `up` are directions in their frame. The axes
-    span `bounds`, a lower and an upper corner, or all points; others are not drawn.
-    """
+    """Panels side by side on one scale, seen from one direction, `toward_viewer` with
+    `up`. The axes are the points' own, less what their titles say where the origin is
+    far away. They span `bounds`, a lower and an upper corner, or all points."""
     titles = [panel.title for panel in panels]
-    figure = make_subplots(
-        rows=1,
-        cols=len(titles),
-        specs=[[{"type": "scene"}] * len(titles)],
-        subplot_titles=titles,
-        horizontal_spacing=0.01,
-    )
+    specs = [[{"type": "scene"}] * len(titles)]
+    figure = _side_by_side(titles, 0.01, specs=specs)
     clouds = [(column, c) for column, p in enumerate(panels, 1) for c in p.clouds]
     if bounds is None:
         everything = np.concatenate([cloud.points for _, cloud in clouds])
@@ -92,38 +87,19 @@ def clouds_figure(
     box = axis_box(bounds - shift, shift)
     camera = framing(box, toward_viewer, up, PAGE_ASPECT / len(titles))
     figure.update_scenes(box, dragmode="orbit", camera=camera)
-    return _styled(figure, height=520).update_layout(
-        legend={
-            "orientation": "h",
-            "itemsizing": "constant",
-            "x": 0.5,
-            "xanchor": "center",
-            "y": 0,
-            "yanchor": "top",
-        },
-        margin={"t": 64},
-    )
+    legend = {"orientation": "h", "itemsizing": "constant"}
+    below = {"x": 0.5, "xanchor": "center", "y": 0, "yanchor": "top"}
+    figure = _styled(figure, height=520)
+    return figure.update_layout(legend={**legend, **below}, margin={"t": 64})
 
 
 def color_by(figure: go.Figure, title: str, most: float) -> None:
     """Adds the colours of numbers from 0 to `most`, larger ones alike, for traces whose
     markers have numbers for colours. The bar beside the clouds is not shown yet."""
-    bar = {
-        "title": {"text": title},
-        "thickness": 14,
-        "len": 0.7,
-        "x": 1.0,
-        "xanchor": "right",
-    }
-    figure.update_layout(
-        coloraxis={
-            "colorscale": "Viridis",
-            "cmin": 0.0,
-            "cmax": most,
-            "showscale": False,
-            "colorbar": bar,
-        }
-    )
+    bar = {"title": {"text": title}, "thickness": 14, "len": 0.7}
+    bar |= {"x": 1.0, "xanchor": "right"}
+    scale = {"colorscale": "Viridis", "cmin": 0.0, "cmax": most, "showscale": False}
+    figure.update_layout(coloraxis={**scale, "colorbar": bar})
 
 
 def depth_figure(
@@ -132,9 +108,7 @@ def depth_figure(
     masks: Sequence[Bool[np.ndarray, "H W"]],
 ) -> go.Figure:
     """Depth maps before and after on one colour scale; grey where there is no point."""
-    figure = make_subplots(
-        rows=1, cols=2, subplot_titles=list(titles), horizontal_spacing=0.06
-    )
+    figure = _side_by_side(titles, 0.06)
     for column, (depth, mask) in enumerate(zip(depths, masks, strict=True), start=1):
         shown = np.where(mask, depth, np.nan).astype(np.float32)
         hover = "u %{x}, v %{y}<br>depth %{z:.4g}<extra></extra>"
@@ -144,35 +118,19 @@ def depth_figure(
         height, width = depth.shape
         figure.update_xaxes(range=[-0.5, width - 0.5], col=column)
         figure.update_yaxes(range=[height - 0.5, -0.5], scaleanchor=axis, col=column)
-    frame = {
-        "constrain": "domain",
-        "showgrid": False,
-        "zeroline": False,
-        "mirror": True,
-        "linecolor": _LINE,
-        "ticks": "",
-        "showticklabels": False,
-    }
-    figure.update_xaxes(**frame)
-    figure.update_yaxes(**frame)
-    return _styled(figure, height=430).update_layout(
-        plot_bgcolor=_NO_DEPTH,
-        coloraxis={
-            "colorscale": "Viridis",
-            "reversescale": True,
-            "colorbar": {"title": {"text": "depth<br>(input units)"}, "thickness": 16},
-        },
-    )
+    frame: dict[str, Any] = {"constrain": "domain", "mirror": True, "linecolor": _LINE}
+    frame |= dict.fromkeys(("showgrid", "zeroline", "showticklabels"), False)
+    figure.update_xaxes(**frame, ticks="")
+    figure.update_yaxes(**frame, ticks="")
+    bar = {"title": {"text": "depth<br>(input units)"}, "thickness": 16}
+    scale = {"colorscale": "Viridis", "reversescale": True, "colorbar": bar}
+    figure = _styled(figure, height=430)
+    return figure.update_layout(plot_bgcolor=_NO_DEPTH, coloraxis=scale)
 
 
 def losses_figure(losses: Mapping[str, Sequence[float]]) -> go.Figure:
     """Each loss by adaptation step, on a scale of its own; the titles are the keys."""
-    figure = make_subplots(
-        rows=1,
-        cols=len(losses),
-        subplot_titles=list(losses),
-        horizontal_spacing=0.28 / max(len(losses), 2),
-    )
+    figure = _side_by_side(list(losses), 0.28 / max(len(losses), 2))
     for column, values in enumerate(losses.values(), start=1):
         trace = go.Scatter(
             x=list(range(len(values))),
@@ -202,10 +160,8 @@ def axis_shift(bounds: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "3"]:
 
 
 def marker_size(points: Float[np.ndarray, "N 3"], extent: float) -> float:
-    """The diameter in pixels that makes a surface of the points, not a blot.
-
-    `extent` is the longest side of the box that is shown.
-    """
+    """The diameter in pixels that makes a surface of the points, not a blot. `extent`
+    is the longest side of the box that is shown."""
     least, most = MARKER_SIZES
     if len(points) < 2 or not extent > 0:
         return most
@@ -217,36 +173,21 @@ def marker_size(points: Float[np.ndarray, "N 3"], extent: float) -> float:
 def axis_box(
     bounds: Float[np.ndarray, "2 3"], shift: Float[np.ndarray, "3"]
 ) -> dict[str, Any]:
-    """Axes around the bounds with a margin, and one scale for all three.
-
-    `shift` was taken off the bounds already; titles say it.
-    """
+    """Axes around the bounds with a margin, and one scale for all three. `shift` was
+    taken off the bounds already; titles say it."""
     lower, upper = bounds
     extent = (upper - lower).max() or 1.0
     sides = np.maximum(1.06 * (upper - lower), 0.15 * extent)
     center = (lower + upper) / 2
-    axes = {
-        f"{name}axis": {
-            "range": [float(middle - side / 2), float(middle + side / 2)],
-            "title": (
-                {"text": f"{name} - {less:,.10g}", "font": {"size": 10}}
-                if less
-                else {"text": name}
-            ),
-            "nticks": 4,
-            "tickfont": {"size": 10, "color": "#6a737d"},
-            "gridcolor": _GRID,
-            "linecolor": _LINE,
-            "showline": True,
-            "mirror": True,
-            "zeroline": False,
-            "backgroundcolor": "white",
-            "showspikes": False,
-        }
-        for name, middle, side, less in zip("xyz", center, sides, shift, strict=True)
-    }
+    box: dict[str, Any] = {}
+    for name, middle, side, less in zip("xyz", center, sides, shift, strict=True):
+        title: dict[str, Any] = {"text": name}
+        if less:
+            title = {"text": f"{name} - {less:,.10g}", "font": {"size": 10}}
+        reach = [float(middle - side / 2), float(middle + side / 2)]
+        box[f"{name}axis"] = {"range": reach, "title": title, **_AXIS}
     ratio = _vector(1.6 * sides / np.linalg.norm(sides))
-    return {**axes, "aspectmode": "manual", "aspectratio": ratio}
+    return {**box, "aspectmode": "manual", "aspectratio": ratio}
 
 
 def framing(
@@ -255,10 +196,8 @@ def framing(
     up: Float[np.ndarray, "3"],
     aspect: float = PAGE_ASPECT,
 ) -> dict[str, Any]:
-    """Plotly's camera that has an `axis_box` and its labels fill a view.
-
-    `aspect` is the view's width to its height.
-    """
+    """Plotly's camera that has an `axis_box` and its labels fill a view. `aspect` is
+    the view's width to its height."""
     sides = np.array([box["aspectratio"][name] for name in "xyz"])
     right = np.cross(up, toward_viewer)
     right = right / (np.linalg.norm(right) or 1.0)
@@ -270,11 +209,8 @@ def framing(
     far = (needed + corners @ toward_viewer).max()
     # What is near looks larger, and from above it is at the bottom.
     center = -0.08 * up
-    return {
-        "eye": _vector(far * toward_viewer + center),
-        "center": _vector(center),
-        "up": _vector(up),
-    }
+    eye = _vector(far * toward_viewer + center)
+    return {"eye": eye, "center": _vector(center), "up": _vector(up)}
 
 
 def _markers(
@@ -283,9 +219,7 @@ def _markers(
     points = subsample(cloud.points, MAX_SHOWN_POINTS) - shift
     points = points.astype(np.float32)
     return go.Scatter3d(
-        x=points[:, 0],
-        y=points[:, 1],
-        z=points[:, 2],
+        **dict(zip("xyz", points.T, strict=True)),
         mode="markers",
         name=cloud.name,
         legendgroup=cloud.name,
@@ -293,6 +227,11 @@ def _markers(
         marker={"size": marker_size(points, extent), "color": cloud.color},
         hovertemplate="x %{x:.4g}<br>y %{y:.4g}<br>z %{z:.4g}",
     )
+
+
+def _side_by_side(titles: Sequence[str], gap: float, **more: Any) -> go.Figure:
+    about = {"subplot_titles": list(titles), "horizontal_spacing": gap, **more}
+    return make_subplots(rows=1, cols=len(titles), **about)
 
 
 def _vector(direction: np.ndarray) -> dict[str, float]:

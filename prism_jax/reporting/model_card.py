@@ -20,10 +20,8 @@ WORST = 3
 
 def model_card(name_or_path: str) -> str:
     """Markdown: sizes, data with the licences of their meshes, samples, scores with
-    intervals, what the weights are worst at, and notes.
-
-    All of it from the weights' file. What `load_pretrained` refuses raises InputError.
-    """
+    intervals, what the weights are worst at, and notes. All of it from the weights'
+    file. What `load_pretrained` refuses raises InputError."""
     config, variables = load_pretrained(name_or_path)
     about = read_metadata(name_or_path)
     backbone = config.model.backbone

@@ -15,9 +15,7 @@ _BUTTONS = [["orbitRotation", "pan3d", "resetCameraDefault3d", "toImage"]]
 
 def render(template: str = "page.html", **content: Any) -> str:
     """The page as HTML with its styles and scripts inlined, about 5 MB and the clouds.
-
-    ``content`` is what the template, a file of `assets/report`, names.
-    """
+    ``content`` is what the template, a file of `assets/report`, names."""
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,

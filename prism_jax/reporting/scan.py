@@ -9,7 +9,7 @@ from jaxtyping import Float
 from prism_jax.completion.assembly import CompletedScan
 from prism_jax.reporting.colors import by_error, tell_errors
 from prism_jax.reporting.confidence import verdict_of_scan
-from prism_jax.reporting.details import of_scan
+from prism_jax.reporting.details import counts, of_scan
 from prism_jax.reporting.figures import (
     COMPLETED_COLOR,
     GROUND_TRUTH_COLOR,
@@ -45,11 +45,9 @@ def render_report(
     summary: Mapping[str, Any],
     ground_truth: Float[np.ndarray, "G 3"] | None = None,
 ) -> str:
-    """The report as HTML that needs no network, about 6 MB.
-
-    `summary` is the content of `result.json`, so that the two never disagree; clouds
-    are in the user's units and frame. Large clouds are thinned for display alone.
-    """
+    """The report as HTML that needs no network, about 6 MB. `summary` is the content of
+    `result.json`, so that the two never disagree; clouds are in the user's units and
+    frame. Large clouds are thinned for display alone."""
     measured, added = result.points[result.observed], result.points[~result.observed]
     up = result.workspace.up
     seen = Cloud("observed", measured, OBSERVED_COLOR)
@@ -61,12 +59,9 @@ def render_report(
     if ground_truth is not None:
         truth = Cloud("ground truth", ground_truth, GROUND_TRUTH_COLOR)
         panels.append(Panel(f"Ground truth: {len(ground_truth):,} points", [truth]))
-    clouds: Any = clouds_figure(
-        panels,
-        viewing_direction(result.camera, up),
-        up,
-        shown_bounds(measured, added, result.workspace),
-    )
+    toward = viewing_direction(result.camera, up)
+    bounds = shown_bounds(measured, added, result.workspace)
+    clouds: Any = clouds_figure(panels, toward, up, bounds)
     modes = tell_errors(clouds, result.sigma)
     seen_by, predicted_by = (
         by_error(result.sigma, which) for which in (result.observed, ~result.observed)
@@ -84,12 +79,11 @@ def render_report(
         [np.asarray(result.depth_observed), np.asarray(result.depth_completed)],
         [np.asarray(result.mask_observed), np.asarray(result.mask_completed)],
     )
-    toggles = [("observed", OBSERVED_COLOR), ("completed", COMPLETED_COLOR)]
     return render(
         summary=summary,
         verdict=verdict_of_scan(summary, float(np.ptp(measured, axis=0).max())),
-        counts=_counts(summary),
-        toggles=toggles,
+        counts=counts(summary["points"]),
+        toggles=[("observed", OBSERVED_COLOR), ("completed", COMPLETED_COLOR)],
         modes=modes,
         clouds=clouds_html(clouds),
         objects=None,
@@ -100,11 +94,6 @@ def render_report(
         cloud_names=CLOUDS,
         details=of_scan(summary),
     )
-
-
-def _counts(summary: Mapping[str, Any]) -> str:
-    partial, completed = (summary["points"][k] for k in ("partial", "completed"))
-    return f"{partial:,} points observed, {completed - partial:,} added"
 
 
 def _losses(summary: Mapping[str, Any]) -> str:

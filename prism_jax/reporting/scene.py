@@ -47,11 +47,9 @@ MAX_SHOWN_IN_SCENE = 60_000
 
 
 def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> str:
-    """The report as HTML that needs no network, about 5 MB and the clouds.
-
-    `summary` is the content of `result.json`, as for `render_report`. Large clouds are
-    thinned for display alone, the more the more objects there are.
-    """
+    """The report as HTML that needs no network, about 5 MB and the clouds. `summary` is
+    the content of `result.json`, as for `render_report`. Large clouds are thinned for
+    display alone, the more the more objects there are."""
     entries = summary["objects"]
     clouds, meta = _clouds(scene, entries)
     bounds = _bounds(scene)
@@ -78,7 +76,7 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
     return render(
         summary=summary,
         verdict=verdict_of_scene(entries),
-        counts=_counts(summary["points"]),
+        counts=details.counts(summary["points"]),
         toggles=[
             ("observed", OBSERVED_COLOR),
             ("completed", COMPLETED_COLOR),
@@ -150,13 +148,10 @@ def _layout(
 ) -> dict[str, Any]:
     """What Plotly has to change to show this box alone."""
     box = axis_box(bounds - shift, shift)
-    ranges = {f"scene.{a}axis.range": box[f"{a}axis"]["range"] for a in "xyz"}
-    camera = framing(box, toward, up, PAGE_ASPECT * BESIDE_LIST)
-    return {
-        **ranges,
-        "scene.aspectratio": box["aspectratio"],
-        "scene.camera": camera,
-    }
+    shown = {f"scene.{a}axis.range": box[f"{a}axis"]["range"] for a in "xyz"}
+    shown["scene.aspectratio"] = box["aspectratio"]
+    shown["scene.camera"] = framing(box, toward, up, PAGE_ASPECT * BESIDE_LIST)
+    return shown
 
 
 def _row(
@@ -172,19 +167,5 @@ def _row(
         "added": f"{points['completed'] - points['partial']:,}",
         "error": "-" if error is None else f"{error:#.3g}",
         "reasons": [] if verdict is None else verdict["reasons"],
-        "details": [
-            ("Workspace", details.workspace(entry)),
-            ("Adaptation", details.adaptation(entry, summary["adapt"])),
-            ("Not added", details.left_away(entry)),
-            ("Expected error of a point", details.sigma(entry)),
-            ("Evidence", details.evidence(entry)),
-        ],
+        "details": details.of_object(entry, summary["adapt"]),
     }
-
-
-def _counts(points: Mapping[str, int]) -> str:
-    added = points["completed"] - points["partial"]
-    return (
-        f"{points['partial']:,} points observed, {added:,} added, "
-        f"{points['support']:,} on the support"
-    )

@@ -17,11 +17,8 @@ from prism_jax.losses.weighting import BRANCHES
 
 def summarize(result: Any, scan: io.Scan, source: str, **asked: Any) -> dict[str, Any]:
     """The content of result.json except times and scores. Lengths in input units.
-
-    ``result`` is a `prism_jax.completion.assembly.CompletedScan` of ``scan``, which was
-    read from ``source``; the others are what the user asked for: ``weights``,
-    ``adapt``, ``up``, ``density``, ``background``, and the ``bounds`` of the workspace.
-    """
+    `result` is a `CompletedScan` of `scan`, which was read from `source`; the others
+    are what the user asked for, with the `bounds` of the workspace."""
     bounds = asked.pop("bounds")
     own = _of_object(result)
     own["workspace"]["bounds"] = bounds
@@ -103,12 +100,9 @@ def _of_added(result: Any) -> dict[str, float] | None:
 
 
 def clouds(result: Any) -> dict[str, Float[np.ndarray, "_ 3"]]:
-    """The three clouds of a result by name, in the user's frame and units.
-
-    ``partial`` holds the measured points in the workspace, ``network`` the network's
-    own output, ``completed`` the measured points and, where nothing was measured,
-    predicted ones.
-    """
+    """The three clouds of a result by name, in the user's frame and units: `partial`,
+    the measured points; `network`, all that the network predicts; `completed`, the
+    measured points and those that are added to them."""
     return {
         "partial": result.points[result.observed],
         "network": result.prediction,
@@ -121,39 +115,31 @@ STRAY = 0.1
 
 
 def score(result: Any, ground_truth: Float[np.ndarray, "G 3"]) -> dict[str, Any]:
-    """The metrics of all `clouds` against the truth, without the EMD.
+    """The metrics of all `clouds` against the truth, without the EMD, as in
+    `prism_jax.evaluation`. No cloud is thinned: that would change how much measured and
+    predicted points weigh against each other. `strays` are the shares of the network's
+    and of the added points farther than `STRAY` from the truth."""
+    unit = Workspace.from_points(np.asarray(ground_truth, np.float64), margin=1.0)
 
-    Functions and unit are those of `prism_jax.evaluation`. No cloud is thinned: that
-    would change how much measured and predicted points weigh against each other.
-    ``strays`` is the share of the network's own points, and of the added ones, that are
-    farther than `STRAY` from the truth.
-    """
-    truth = np.asarray(ground_truth, np.float64)
-    unit = Workspace.from_points(truth, margin=1.0)
+    def in_unit(cloud: np.ndarray) -> np.ndarray:
+        return np.asarray(unit.to_unit(cloud.astype(np.float64)))
 
-    def scored(cloud: np.ndarray) -> dict[str, float]:
-        points = np.asarray(unit.to_unit(cloud.astype(np.float64)))
-        return metrics.score(points, target).named()
-
-    target = np.asarray(unit.to_unit(truth))
+    target, strays = in_unit(ground_truth), {"threshold": STRAY}
     tree = KDTree(target)
-
-    def strays(cloud: np.ndarray) -> float:
-        if len(cloud) == 0:
-            return 0.0
-        points = np.asarray(unit.to_unit(cloud.astype(np.float64)))
-        return float((tree.query(points)[0] > STRAY).mean())
-
+    added = result.points[~result.observed]
+    for name, cloud in {"network": result.prediction, "added": added}.items():
+        far = tree.query(in_unit(cloud))[0] > STRAY
+        strays[name] = float(far.mean()) if len(far) else 0.0
+    scores = {
+        name: metrics.score(in_unit(cloud), target).named()
+        for name, cloud in clouds(result).items()
+    }
     return {
         "unit": metrics.UNIT,
         "unit_length": float(unit.half_extent),
         "f_score_threshold": metrics.F_SCORE_THRESHOLD,
-        "strays": {
-            "threshold": STRAY,
-            "network": strays(result.prediction),
-            "added": strays(result.points[~result.observed]),
-        },
-        "clouds": {name: scored(cloud) for name, cloud in clouds(result).items()},
+        "strays": strays,
+        "clouds": scores,
     }
 
 

@@ -18,11 +18,9 @@ def viewing_direction(
     turn_degrees: float = 35.0,
     rise_degrees: float = 20.0,
 ) -> Float[np.ndarray, "3"]:
-    """Toward the viewer: as the camera saw it, but turned, and raised above level.
-
-    A unit vector in the points' frame, as `up` is, z if it is not given. Looking from
-    where the sensor stood would hide depth; from elsewhere, what it saw.
-    """
+    """Toward the viewer: as the camera saw it, but turned, and raised above level. A
+    unit vector in the points' frame, as `up` is, z if it is not given. Looking from
+    where the sensor stood would hide depth; from elsewhere, what it saw."""
     up = np.array([0.0, 0.0, 1.0]) if up is None else np.asarray(up, np.float64)
     toward = -np.asarray(camera.rotation, np.float64)[2]
     level = toward - (toward @ up) * up
@@ -41,10 +39,8 @@ def shown_bounds(
     workspace: Workspace,
 ) -> Float[np.ndarray, "2 3"]:
     """The box around an object: all that was measured, and the bulk of what was added.
-
     Added points reach no farther than the workspace, and strays among them do not
-    count, so that they cannot make the object small.
-    """
+    count, so that they cannot make the object small."""
     lower, upper = measured.min(axis=0), measured.max(axis=0)
     if len(added):
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))

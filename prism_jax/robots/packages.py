@@ -7,15 +7,12 @@ from prism_jax.io.errors import InputError
 
 def named_file(name: str, beside: pathlib.Path) -> pathlib.Path | None:
     """Where a name in a robot's file leads: beside that file, or in the package that it
-    names, which is looked for in the folders above it; None if nowhere.
-
-    A scheme other than package:// and file:// raises InputError.
-    """
+    names, which is looked for in the folders above it; None if nowhere. A scheme other
+    than package:// and file:// raises InputError."""
     scheme, found, rest = name.partition("://")
     if found and scheme not in ("package", "file"):
-        raise InputError(
-            beside, f"{scheme}:// is not supported", "use package:// or a path"
-        )
+        fault = f"{scheme}:// is not supported"
+        raise InputError(beside, fault, "use package:// or a path")
     places = [beside.parent / (rest if found else name)]
     if scheme == "package":
         places = [folder / rest for folder in beside.parents]

@@ -9,7 +9,6 @@ The extra `robots` reads the XML and the meshes; it is imported when a robot is 
 """
 
 import io
-import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
-from prism_jax.io.errors import InputError, require
+from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.robots.packages import named_file
 from prism_jax.robots.xacro import plain_urdf, robot_xml
 
@@ -42,18 +41,15 @@ class Linkage:
 
     def __init__(
         self,
-        path: str | os.PathLike,
+        path: StrPath,
         root: str | None = None,
         mount: Float[np.ndarray, "4 4"] | None = None,
         tools: Mapping[str, Any] | None = None,
     ):
-        """Reads a file, URDF or xacro; one that is no robot raises InputError.
-
-        What is below the link `root` is read, by default the whole robot. `mount` is
-        the root's pose in the robot's frame, the identity by default. `tools` are
-        further meshes by the names of the links that carry them, in those links'
-        frames.
-        """
+        """Reads a file, URDF or xacro; one that is no robot raises InputError. Of it
+        what is below the link `root`, whose pose in the robot's frame is `mount`, by
+        default the identity. `tools` are further meshes by the links that carry them,
+        in their frames."""
         path = pathlib.Path(path)
         links, self.chain = _subtree(_parse(path), root, path)
         self.moving = [joint for joint in self.chain if moves(joint)]
@@ -88,13 +84,12 @@ class Linkage:
         self, positions: Float[np.ndarray, " J"]
     ) -> tuple[Float64[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
         """Vertices and faces of all links in one pose, link by link."""
-        vertices, faces, count = [], [], 0
         poses = self.link_poses(positions[None])[0]
-        for mesh, pose in zip(self.meshes, poses, strict=True):
-            vertices.append(mesh.vertices @ pose[:3, :3].T + pose[:3, 3])
-            faces.append(mesh.faces + count)
-            count += len(mesh.vertices)
-        return np.concatenate(vertices), np.concatenate(faces)
+        placed = [
+            mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+            for mesh, pose in zip(self.meshes, poses, strict=True)
+        ]
+        return np.concatenate(placed), _numbered_on(self.meshes)
 
     def _frame_poses(self, positions: np.ndarray) -> np.ndarray:
         """Every frame of the chain, meshes or not."""
@@ -121,10 +116,9 @@ def _parse(path: pathlib.Path) -> Any:
     """The file's robot: yourdfpy's dataclasses."""
     yourdfpy = require("yourdfpy", _EXTRA)
     data = plain_urdf(path) if path.suffix == ".xacro" else robot_xml(path)
+    options = {"build_scene_graph": False, "load_meshes": False}
     try:
-        return yourdfpy.URDF.load(
-            io.BytesIO(data), build_scene_graph=False, load_meshes=False
-        ).robot
+        return yourdfpy.URDF.load(io.BytesIO(data), **options).robot
     except Exception as error:  # its parser raises whatever a malformed file leads to
         fault = f"not a valid URDF robot: {type(error).__name__} {error}"
         raise InputError(path, fault, REMEDY) from None
@@ -174,12 +168,14 @@ def _motion(joint: Any, positions: dict, count: int) -> Float64[np.ndarray, "P 4
 def _joined(meshes: list[Any]) -> Any:
     """The meshes as one, their triangles in order."""
     trimesh = require("trimesh", _EXTRA)
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    return trimesh.Trimesh(vertices, _numbered_on(meshes), process=False)
+
+
+def _numbered_on(meshes: list[Any]) -> Int[np.ndarray, "F 3"]:
+    """The faces of all meshes, whose vertices stand one after the other."""
     starts = np.cumsum([0, *[len(mesh.vertices) for mesh in meshes]])
-    return trimesh.Trimesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=False)]),
-        process=False,
-    )
+    return np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=False)])
 
 
 def _link_shapes(link: Any, path: pathlib.Path) -> list[Any]:
@@ -202,7 +198,12 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> Any:
         return trimesh.creation.cylinder(cylinder.radius, cylinder.length, sections=24)
     if geometry.sphere is not None:
         return trimesh.creation.uv_sphere(geometry.sphere.radius, count=(16, 16))
-    file = _mesh_file(geometry.mesh.filename, path)
+    file = named_file(geometry.mesh.filename, path)
+    if file is None:
+        raise InputError(path, f"no such mesh {geometry.mesh.filename!r}", REMEDY)
+    if file.suffix.lower() not in MESH_SUFFIXES:
+        fault = f"not a mesh of type {' '.join(MESH_SUFFIXES)}"
+        raise InputError(file, fault, "convert it to STL")
     try:
         loaded = trimesh.load_mesh(file, skip_materials=True, process=False)
         mesh = trimesh.Trimesh(loaded.vertices, loaded.faces, process=False)
@@ -217,14 +218,3 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> Any:
     if geometry.mesh.scale is not None:
         mesh.vertices = mesh.vertices * np.broadcast_to(geometry.mesh.scale, 3)
     return mesh
-
-
-def _mesh_file(name: str, urdf: pathlib.Path) -> pathlib.Path:
-    """The file of a mesh that a robot's file names."""
-    place = named_file(name, urdf)
-    if place is None:
-        raise InputError(urdf, f"no such mesh {name!r}", REMEDY)
-    if place.suffix.lower() not in MESH_SUFFIXES:
-        fault = f"not a mesh of type {' '.join(MESH_SUFFIXES)}"
-        raise InputError(place, fault, "convert it to STL")
-    return place

@@ -37,7 +37,16 @@ _DEPTH = 40  # of macros and includes within each other
 
 def plain_urdf(path: pathlib.Path) -> bytes:
     """A xacro file's robot as URDF, all arguments at their defaults."""
-    return ElementTree.tostring(_Expansion(path).robot)
+    expansion = _Expansion(path)
+    try:
+        return ElementTree.tostring(expansion.robot())
+    except InputError:
+        raise
+    except ElementTree.ParseError as error:
+        fault = f"not XML ({error})"
+    except ValueError as error:
+        fault = str(error)
+    raise InputError(expansion.path, fault, _REMEDY)
 
 
 def robot_xml(path: pathlib.Path) -> bytes:
@@ -49,21 +58,19 @@ def robot_xml(path: pathlib.Path) -> bytes:
 
 
 class _Expansion:
-    """One robot as it is written out."""
+    """One robot as it is written out; ValueError for a fault in the file at `path`."""
 
     def __init__(self, path: pathlib.Path):
-        self._path, self._depth = path, 0
+        self.path, self._depth = path, 0
         self._arguments: dict[str, str] = {}
         self._macros: dict[str, ElementTree.Element] = {}
-        source = self._parsed(path)
-        self.robot = ElementTree.Element("robot", source.attrib)
-        self.robot.extend(self._children(source, {"pi": math.pi}))
 
-    def _parsed(self, path: pathlib.Path) -> ElementTree.Element:
-        try:
-            return ElementTree.fromstring(robot_xml(path))
-        except ElementTree.ParseError as error:
-            raise InputError(path, f"not XML ({error})", _REMEDY) from None
+    def robot(self) -> ElementTree.Element:
+        """The whole of it."""
+        source = ElementTree.fromstring(robot_xml(self.path))
+        robot = ElementTree.Element("robot", source.attrib)
+        robot.extend(self._children(source, {"pi": math.pi}))
+        return robot
 
     def _children(
         self, element: ElementTree.Element, names: dict[str, Any]
@@ -105,46 +112,39 @@ class _Expansion:
             elif tag in self._macros:
                 return self._called(self._macros[tag], given, names)
             else:
-                raise InputError(self._path, f"xacro:{tag} is not supported", _REMEDY)
+                raise ValueError(f"xacro:{tag} is not supported")
         except KeyError as error:
-            fault = f"xacro:{tag} without {error.args[0]}"
-            raise InputError(self._path, fault, _REMEDY) from None
+            raise ValueError(f"xacro:{tag} without {error.args[0]}") from None
         return []
 
     def _included(self, name: str, names: dict[str, Any]) -> list[ElementTree.Element]:
-        place = named_file(name, self._path)
+        place = named_file(name, self.path)
         if place is None:
-            fault = f"no such included file {name!r}"
-            raise InputError(self._path, fault, _REMEDY)
-        outer, self._path = self._path, place
-        written = self._deeper(self._parsed(place), names)
-        self._path = outer
+            raise ValueError(f"no such included file {name!r}")
+        outer, self.path = self.path, place
+        written = self._deeper(ElementTree.fromstring(robot_xml(place)), names)
+        self.path = outer
         return written
 
     def _called(
-        self,
-        macro: ElementTree.Element,
-        given: dict[str, str],
-        names: dict[str, Any],
+        self, macro: ElementTree.Element, given: dict[str, str], names: dict[str, Any]
     ) -> list[ElementTree.Element]:
         own = dict(names)
         for parameter in shlex.split(macro.attrib.get("params", "")):
             name, has_default, default = parameter.partition("=")
             name = name.rstrip(":")
             if name.startswith("*"):
-                raise InputError(self._path, "macro with block parameters", _REMEDY)
-            value = given.get(name, default if has_default else None)
-            if value is None:
-                fault = f"call of {macro.attrib['name']} without {name}"
-                raise InputError(self._path, fault, _REMEDY)
-            own[name] = self._value(value, names)
+                raise ValueError("macro with block parameters")
+            if name not in given and not has_default:
+                raise ValueError(f"call of {macro.attrib['name']} without {name}")
+            own[name] = self._value(given.get(name, default), names)
         return self._deeper(macro, own)
 
     def _deeper(
         self, element: ElementTree.Element, names: dict[str, Any]
     ) -> list[ElementTree.Element]:
         if self._depth == _DEPTH:
-            raise InputError(self._path, "macros are nested too deeply", _REMEDY)
+            raise ValueError("macros are nested too deeply")
         self._depth += 1
         written = self._children(element, names)
         self._depth -= 1
@@ -153,9 +153,7 @@ class _Expansion:
     def _value(self, text: str, names: dict[str, Any]) -> Any:
         """What a text stands for: an expression's own value if it is nothing else."""
         whole = re.fullmatch(r"\$\{([^{}]*)\}", text.strip())
-        if whole:
-            return self._evaluated(whole[1], names)
-        return self._text(text, names)
+        return self._evaluated(whole[1], names) if whole else self._text(text, names)
 
     def _text(self, text: str, names: dict[str, Any]) -> str:
         def replaced(match: re.Match) -> str:
@@ -166,7 +164,7 @@ class _Expansion:
                 return f"package://{name.strip()}"
             if command == "arg" and name in self._arguments:
                 return self._arguments[name]
-            raise InputError(self._path, f"asks for {match[0]}", _REMEDY)
+            raise ValueError(f"asks for {match[0]}")
 
         pattern = r"\$\{(?P<expression>[^{}]*)\}|\$\((?P<command>[^()]*)\)"
         return re.sub(pattern, replaced, text)
@@ -175,8 +173,7 @@ class _Expansion:
         try:
             return _result(ast.parse(text.strip(), mode="eval").body, names)
         except (SyntaxError, ValueError, TypeError, KeyError, ArithmeticError):
-            fault = f"invalid expression {text!r}"
-            raise InputError(self._path, fault, _REMEDY) from None
+            raise ValueError(f"invalid expression {text!r}") from None
 
 
 def _result(node: ast.expr, names: dict[str, Any]) -> Any:

@@ -46,14 +46,12 @@ class CompletedFrame:
 
 
 class FrameCompleter(FrameObserver):
-    """Completes frames as `Completer.complete` completes scans, and nothing else.
+    """Completes frames as `Completer.complete` completes scans, and nothing else: no
+    verdict, no depth map and, unless `density` asks for it, no resampling.
 
-    There is no verdict, no depth map and, unless ``density`` asks for it, no
-    resampling. ``poses`` is one for speed, while scans are completed in as many as
-    their weights say; in equally many the points are the same, bit for bit. ``adapt``
-    adapts the network to each frame first. ``density`` and ``background`` are as for
-    `Completer.complete`, the rest as for `FrameObserver`: a known robot is put back as
-    points on its surface, with nothing predicted within its margin.
+    `poses` is one for speed; in as many as the weights say the points are those of
+    scans, bit for bit. A known robot is put back as points on its surface, with nothing
+    predicted within its margin. The rest is as for `FrameObserver`.
     """
 
     def __init__(
@@ -103,9 +101,7 @@ class FrameCompleter(FrameObserver):
 
     def warm_up(self, frame: Frame) -> CompletedFrame:
         """The frame completed, and all compiled for others of at most as many points.
-
-        Nothing is compiled then while frames are completed, unless one is larger.
-        """
+        Nothing is compiled then while frames are completed, unless one is larger."""
         num_points = self._completer.config.model.backbone.num_points
         compile_sampling(num_points, len(frame.points))
         return super().warm_up(frame)
@@ -122,9 +118,6 @@ class FrameCompleter(FrameObserver):
         if self.bounds is not None:
             robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
         kept = joined.observed | ~of_robot(points, robot, self.robot_margin)
-        robot = robot.astype(points.dtype)
         known = np.full(len(robot), KNOWN, np.uint8)
-        return (
-            np.concatenate([points[kept], robot]),
-            np.concatenate([label[kept], known]),
-        )
+        placed = np.concatenate([points[kept], robot.astype(points.dtype)])
+        return placed, np.concatenate([label[kept], known])

@@ -20,7 +20,7 @@ from prism_jax.envelope.voxels import (
     view_of_depth,
 )
 from prism_jax.geometry.camera import Camera, Vector
-from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.geometry.visibility import Visibility
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.frame import Frame
 from prism_jax.streaming.observer import FrameObserver
@@ -35,9 +35,8 @@ class Scanned:
 
     points: Float[np.ndarray, "N 3"]  # those that are completed
     everything: Float[np.ndarray, "M 3"]  # all that was measured
-    # What the sensor knows of its view; None where its place is not known.
-    view: Visibility | None
-    camera: Camera | None  # stands where the sensor did
+    depth: Float[np.ndarray, "H W"] | None  # the whole image, if there is one
+    camera: Camera | None  # stands where the sensor did, if that is known
     named: Camera | None  # the depth camera, if there is one
     up: str | Vector  # the direction
     # Points on a known robot's surface; None where none is known.
@@ -69,10 +68,8 @@ def standing(
     camera: Camera | None,
     eye: Float[np.ndarray, "3"] | None,
 ) -> Camera | None:
-    """A camera where the sensor stood: that of a depth image, or one at ``eye``.
-
-    An ``eye`` beside a depth image raises InputError.
-    """
+    """A camera where the sensor stood: that of a depth image, or one at ``eye``. An
+    ``eye`` beside a depth image raises InputError."""
     if eye is None:
         return camera
     if depth is not None:
@@ -80,30 +77,14 @@ def standing(
     return Camera(np.eye(3), -eye, np.eye(3), 1, 1)
 
 
-def view_from(
-    points: Float[np.ndarray, "N 3"],
-    depth: Float[np.ndarray, "H W"] | None,
-    camera: Camera | None,
-    background: Background,
-) -> Visibility | None:
-    """What a sensor knows of its view, by its depth image or by its cloud; nothing
-    without a camera where it stood."""
-    if camera is None:
-        return None
-    if depth is not None:
-        return view_of_depth(depth, depth > 0, camera)
-    return view_of_cloud(points, np.asarray(camera.position), background)
-
-
 class FrameEnveloper(FrameObserver):
     """Makes envelopes of frames and of single scans, all in the same way.
 
-    ``completer`` is a `prism_jax.Completer`, ``margin`` the q of a calibration for the
-    ``method``, in scales of the points' own errors where a ``floor`` is given. What was
-    measured through is free; of clouds, only where their sensor's place is told, by a
-    camera or by ``eye``. ``asked`` are points to tell the distances of. The grid fills
-    the bounds; without these it goes around each scan. The rest is as for
-    `FrameObserver`.
+    `margin` is the q of a calibration for the `method`, in scales of the points' own
+    errors where a `floor` is given. Of clouds, what was measured through is free only
+    where their sensor's place is told, by a camera or by `eye`. `asked` are points to
+    tell the distances of. The grid fills the bounds; without these it goes around each
+    scan.
     """
 
     def __init__(
@@ -133,12 +114,11 @@ class FrameEnveloper(FrameObserver):
         """The envelope of a frame. One that has too little raises InputError."""
         start = time.perf_counter()
         points, robot, up, _ = self.observe(frame)
-        camera = standing(frame.depth, frame.camera, self.eye)
         scan = Scanned(
             points=points,
             everything=frame.points,
-            view=view_from(frame.points, frame.depth, camera, self.method.background),
-            camera=camera,
+            depth=frame.depth,
+            camera=standing(frame.depth, frame.camera, self.eye),
             named=frame.camera,
             up=up,
             robot=None if self.robot is None else robot,
@@ -151,10 +131,8 @@ class FrameEnveloper(FrameObserver):
     def make(self, scan: Scanned) -> MadeEnvelope:
         """The scan completed, the voxels around it, and their margin."""
         start = time.perf_counter()
-        known = scan.robot, scan.everything
-        seen = see(
-            self.completer, scan.points, scan.camera, self.method, scan.up, *known
-        )
+        known = scan.camera, self.method, scan.up, scan.robot, scan.everything
+        seen = see(self.completer, scan.points, *known)
         completed = time.perf_counter()
         surfaces = seen.surfaces(self.floor)
         if self.bounds is not None:
@@ -164,16 +142,26 @@ class FrameEnveloper(FrameObserver):
             reach = surfaces.reach(self.margin) + AROUND * self.voxel
             grid = Grid.over(held.min(0) - reach, held.max(0) + reach, self.voxel)
         free = np.zeros(grid.shape, bool)
-        if scan.view is not None:
-            free = carve(grid, scan.view, self.carving)
+        view = self._view(scan)
+        if view is not None:
+            free = carve(grid, view, self.carving)
         own = of_robot(scan.everything, seen.robot, self.method.robot_margin)
         measured = scan.everything[~own]
         state = label(grid, free, measured, seen.predicted, seen.robot)
         envelope = Envelope(grid, state, surfaces, self.margin)
-        query = None
-        if self.asked is not None:
-            query = self.asked, envelope.query(self.asked)
+        asked = self.asked
+        query = None if asked is None else (asked, envelope.query(asked))
         envelope.taken  # noqa: B018  (kept, and part of the time that this takes)
         done = time.perf_counter()
         seconds = {"complete": completed - start, "envelope": done - completed}
         return MadeEnvelope(scan, seen, envelope, query, seconds)
+
+    def _view(self, scan: Scanned) -> Visibility | None:
+        """What the sensor knows, by its depth image or by its cloud, if its place is
+        known."""
+        if scan.camera is None:
+            return None
+        if scan.depth is not None:
+            return view_of_depth(scan.depth, scan.depth > 0, scan.camera)
+        place = np.asarray(scan.camera.position)
+        return view_of_cloud(scan.everything, place, self.method.background)

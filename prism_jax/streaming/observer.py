@@ -6,12 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax.envelope.robot import (
-    MARGIN,
-    joints_from_dict,
-    of_robot,
-    robot_surface,
-)
+from prism_jax.envelope.robot import MARGIN, joints_from_dict, of_robot, robot_surface
 from prism_jax.geometry.camera import Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
@@ -22,12 +17,9 @@ from prism_jax.robots.urdf import Linkage
 
 
 class Observed(NamedTuple):
-    """What a frame holds for completing.
-
-    `points` are measured inside the bounds and not the robot's. `robot` are points on
-    the surface of a robot that is known, of which there are else none. `around` is what
-    was measured besides, if bounds or a known robot set anything apart.
-    """
+    """What a frame holds for completing: `points` measured inside the bounds and not
+    the robot's, points on the surface of a `robot` that is known, and what was measured
+    `around`, if bounds or a known robot set anything apart."""
 
     points: Float[np.ndarray, "N 3"]
     robot: Float[np.ndarray, "R 3"]
@@ -72,7 +64,12 @@ class FrameObserver(abc.ABC):
         if len(points):
             points, around = parted(points, self.bounds, "the frame")
         check_cloud(points, "the frame")
-        robot = self._surface(frame)
+        robot = np.zeros((0, 3))
+        if self.robot is not None:
+            if frame.joints is None:
+                remedy = "record joint states, or give them with --joints"
+                raise InputError("the frame", "no joint positions", remedy)
+            robot = robot_surface(self.robot, *joints_from_dict(frame.joints))
         own = of_robot(points, robot, self.robot_margin)
         if self.robot is not None:
             # Seen or not: what is told must not depend on it, or more is compiled.
@@ -81,25 +78,14 @@ class FrameObserver(abc.ABC):
         points = points[~own]
         return Observed(points, robot, self._up(frame, points), around)
 
-    def _surface(self, frame: Frame) -> Float[np.ndarray, "R 3"]:
-        if self.robot is None:
-            return np.zeros((0, 3))
-        if frame.joints is None:
-            remedy = "record joint states, or give them with --joints"
-            raise InputError("the frame", "no joint positions", remedy)
-        return robot_surface(self.robot, *joints_from_dict(frame.joints))
-
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
         if self.up is None:
             camera = None if frame.depth is None else frame.camera
             return "-y" if camera is not None and in_own_axes(camera) else "z"
         if isinstance(self.up, str) and self.up == "auto":
-            rotation = None if frame.camera is None else frame.camera.rotation
-            self.up = find_up(points, eye_of(frame), rotation).vector
+            eye, rotation = np.zeros(3), None
+            if frame.camera is not None:
+                eye = np.asarray(frame.camera.position, np.float64)
+                rotation = frame.camera.rotation
+            self.up = find_up(points, eye, rotation).vector
         return self.up
-
-
-def eye_of(frame: Frame) -> Float[np.ndarray, "3"]:
-    """Where the frame's sensor stood."""
-    camera = frame.camera
-    return np.zeros(3) if camera is None else np.asarray(camera.position, np.float64)

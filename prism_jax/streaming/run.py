@@ -64,14 +64,12 @@ def run_stream(
 ) -> StreamReport:
     """Completes a stream's frames and hands each to the sinks, in order.
 
-    What the ``completer`` makes of a frame has `seconds` by stage, and gives by
-    `numbered` what the sinks take, as a `CompletedFrame` does.
-    Frames are read ahead in a thread of their own, and written in another. At pace
-    "sensor" each is given at its time, counted from the first, and one that is not
-    taken up before the next is dropped. The first usable frame is completed twice, so
-    that compiling it makes none late. Frames that cannot be completed are remarked on
-    the stream and left out. The ``report`` is filled as frames are done, for whoever
-    ends this by an exception; the sinks are closed then, too.
+    What the `completer` makes of a frame has `seconds` by stage, and gives by
+    `numbered` what the sinks take. At pace "sensor" each frame is given at its time,
+    counted from the first, and one that is not taken up before the next is dropped. The
+    first usable frame is completed twice, so that compiling makes none late. Frames
+    that cannot be completed are remarked and left out. The `report` is filled as frames
+    are done, for whoever ends this by an exception; the sinks are closed then, too.
     """
     report = StreamReport() if report is None else report
     numbered = enumerate(iter(stream))
@@ -80,11 +78,12 @@ def run_stream(
     waiting: deque[Future] = deque()
     start = time.perf_counter()
     try:
-        first = _first_usable(numbered, stream, completer, report)
+        for first in numbered:
+            if _completed(*first, stream, completer.warm_up, report) is not None:
+                frames.begin(first)
+                break
         report.warm_up = time.perf_counter() - start
         start = time.perf_counter()
-        if first is not None:
-            frames.begin(first)
         for number, frame, read, given in frames:
             report.dropped = frames.dropped
             done = _completed(number, frame, stream, completer.complete, report)
@@ -93,10 +92,8 @@ def run_stream(
             times = {"read": read, **done.seconds}
             while len(waiting) >= WRITE_BEHIND or (waiting and waiting[0].done()):
                 waiting.popleft().result()
-            job = writer.submit(
-                _write, done.numbered(number), sinks, report, times, given
-            )
-            waiting.append(job)
+            written = done.numbered(number), sinks, report, times, given
+            waiting.append(writer.submit(_write, *written))
         while waiting:
             waiting.popleft().result()
     finally:
@@ -107,18 +104,6 @@ def run_stream(
         for sink in sinks:
             sink.close()
     return report
-
-
-def _first_usable(
-    numbered: Iterator[tuple[int, Frame]],
-    stream: Stream,
-    completer: FrameObserver,
-    report: StreamReport,
-) -> tuple[int, Frame] | None:
-    for number, frame in numbered:
-        if _completed(number, frame, stream, completer.warm_up, report) is not None:
-            return number, frame
-    return None
 
 
 def _completed(

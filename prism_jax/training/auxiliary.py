@@ -5,10 +5,12 @@ optimiser. The depth stream learns to give the tokens that the point stream give
 point stream's tokens are the fixed side of that, or both would collapse to a constant.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Key, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import auxiliary_losses
@@ -39,14 +41,8 @@ def auxiliary_phase(
 ) -> Phase:
     """Everything but the backbone, on the losses of Eq. 3, 5, 6 and 9."""
     num_steps = steps_of("auxiliary", training.auxiliary_samples, training.batch_size)
-    adam = optimiser(
-        "adam",
-        training.auxiliary_rate,
-        num_steps,
-        0.01,
-        training.warmup_steps,
-        training.clip_norm,
-    )
+    limits = training.warmup_steps, training.clip_norm
+    adam = optimiser("adam", training.auxiliary_rate, num_steps, 0.01, *limits)
     # The refiner's gradient is clipped on its own.
     both = optax.partition(
         {"refiner": adam, "branches": adam},
@@ -69,19 +65,14 @@ def auxiliary_phase(
 
 
 def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyArray):
+    encoder = DepthEncoder(config.model.auxiliary)
+
     def loss_fn(trained, variables, batch, key):
         variables = {**variables, "params": {**variables["params"], **trained}}
-        inputs = inputs_of(batch, _keys(key, batch), config.model)
-        if "depth_encoder" in trained:
-            depth_features, statistics = apply_training(
-                DepthEncoder(config.model.auxiliary),
-                part(variables, "depth_encoder"),
-                inputs.depth,
-                inputs.depth_mask,
-            )
-        else:
-            depth_features = _depth_features(variables, inputs, config)
-            statistics = variables["batch_stats"]["depth_encoder"]
+        keys = jax.random.split(key, batch.partial.shape[0])
+        inputs = inputs_of(batch, keys, config.model)
+        own, image = part(variables, "depth_encoder"), (inputs.depth, inputs.depth_mask)
+        depth_features, statistics = apply_training(encoder, own, *image)
         terms, measured, _ = _terms(variables, inputs, depth_features, batch, config)
         return terms.sum(), (terms, measured.mean(0), statistics)
 
@@ -90,8 +81,9 @@ def _step(config: PrismConfig, both: optax.GradientTransformation, key: PRNGKeyA
         variables = state.variables
         params, weighting = variables["params"], variables["weighting"]
         trained = {name: params[name] for name in TRAINED}
+        now = jax.random.fold_in(key, state.step)
         grads, (terms, measured, statistics) = jax.grad(loss_fn, has_aux=True)(
-            trained, variables, batch, jax.random.fold_in(key, state.step)
+            trained, variables, batch, now
         )
         updates, opt_state = both.update(grads, state.opt_state, trained)
         moved: Variables = optax.apply_updates(trained, updates)  # pyright: ignore
@@ -112,8 +104,10 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        inputs = inputs_of(batch, _keys(key, batch), config.model)
-        depth_features = _depth_features(variables, inputs, config)
+        keys = jax.random.split(key, batch.partial.shape[0])
+        inputs = inputs_of(batch, keys, config.model)
+        read = functools.partial(read_depth, config=config.model)
+        depth_features = jax.vmap(read, (None, 0))(variables, inputs)
         terms, _, predictions = _terms(variables, inputs, depth_features, batch, config)
         complete = jnp.asarray(batch.complete)
         scale = jnp.asarray(batch.scale) ** 2
@@ -124,18 +118,6 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
     return validate
 
 
-def _depth_features(
-    variables: Variables, inputs: NetworkInput, config: PrismConfig
-) -> DepthFeatures:
-    """Those of a batch, with BatchNorm statistics as they are."""
-    return jax.vmap(lambda frame: read_depth(variables, frame, config.model))(inputs)
-
-
-def _keys(key: PRNGKeyArray, batch: Batch) -> Key[Array, " B"]:
-    """One for each example."""
-    return jax.random.split(key, batch.partial.shape[0])
-
-
 def _terms(
     variables: Variables,
     inputs: NetworkInput,
@@ -143,10 +125,8 @@ def _terms(
     batch: Batch,
     config: PrismConfig,
 ) -> tuple[Float[Array, "4"], Float[Array, "B 3"], Prediction]:
-    """Losses of refiner, normals, denoising and alignment; L_aux example by example.
-
-    In training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6).
-    """
+    """Losses of refiner, normals, denoising and alignment; L_aux example by example. In
+    training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6)."""
 
     def one(inputs: NetworkInput, features: DepthFeatures, complete: Array):
         prediction = predict(variables, inputs, config.model)
@@ -155,9 +135,8 @@ def _terms(
         seen = branches(variables, inputs, fixed, features, config.model)
         seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))
         auxiliary = auxiliary_losses(inputs, fixed, seen, config.adapt)
-        transport = transport_alignment(
-            seen.tokens_3d, seen.tokens_depth, config.adapt.transport_epsilon
-        )
+        tokens = seen.tokens_3d, seen.tokens_depth
+        transport = transport_alignment(*tokens, config.adapt.transport_epsilon)
         return refined, auxiliary, transport, seen, prediction
 
     complete = jnp.asarray(batch.complete)
@@ -165,11 +144,9 @@ def _terms(
         inputs, depth_features, complete
     )
     width = config.model.auxiliary.token_features
-    matching = manifold_matching(
-        seen.tokens_3d.reshape(-1, width),
-        seen.tokens_depth.reshape(-1, width),
-        config.adapt.lambda_sigma,
-    )
+    tokens_3d = seen.tokens_3d.reshape(-1, width)
+    tokens_depth = seen.tokens_depth.reshape(-1, width)
+    matching = manifold_matching(tokens_3d, tokens_depth, config.adapt.lambda_sigma)
     align = matching + config.adapt.lambda_transport * transport.mean()
     normal, denoise, _ = auxiliary.mean(0)
     terms = jnp.stack([refined.mean(), normal, denoise, align])

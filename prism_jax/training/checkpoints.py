@@ -1,7 +1,6 @@
 """Training states on disk, by Orbax: the latest, to resume, and the best, to keep."""
 
 import contextlib
-import math
 import pathlib
 from collections.abc import Iterator
 from typing import Any
@@ -13,39 +12,29 @@ from prism_jax.io.errors import InputError
 
 
 class Checkpoints:
-    """Two Orbax managers over one run directory.
-
-    A checkpoint appears whole or not at all: Orbax writes it aside and renames it. One
-    that was damaged later raises InputError where it is read: Orbax keeps checksums.
-    """
+    """Two Orbax managers over one run directory. A checkpoint appears whole or not at
+    all; one that was damaged later raises InputError where it is read."""
 
     def __init__(self, workdir: pathlib.Path):
         root = workdir.absolute() / "checkpoints"
         self._latest = _manager(root / "latest")
         # Orbax keeps the metrics of a manager that ranks by them.
-        self._best = _manager(root / "best", best_fn=_quality)
+        self._best = _manager(root / "best", best_fn=lambda kept: -kept["score"])
 
     def save(self, step: int, state: Any, score: float | None = None) -> None:
-        """Writes the state, also as the best, if its score is the lowest so far.
-
-        The best is written first: a run that ends in between goes on from the latest
-        before, and comes here again.
-        """
-        best = self.best_score()
-        if score is not None and score < (math.inf if best is None else best):
-            self._best.save(
-                step, args=ocp.args.StandardSave(state), metrics={"score": score}
-            )
+        """Writes the state, first as the best, if its score is the lowest so far: a run
+        that ends in between comes here again."""
+        best, written = self.best_score(), ocp.args.StandardSave(state)
+        if score is not None and (best is None or score < best):
+            self._best.save(step, args=written, metrics={"score": score})
             self._best.wait_until_finished()
-        self._latest.save(step, args=ocp.args.StandardSave(state))
+        self._latest.save(step, args=written)
         self._latest.wait_until_finished()
 
     def best_score(self) -> float | None:
         """Score of the best checkpoint, or None before the first."""
         step = self._best.latest_step()
-        if step is None:
-            return None
-        metrics = self._best.metrics(step)
+        metrics = None if step is None else self._best.metrics(step)
         return None if metrics is None else float(metrics["score"])
 
     def restore_latest(self, like: Any) -> Any | None:
@@ -68,10 +57,6 @@ def _manager(folder: pathlib.Path, **options: Any) -> ocp.CheckpointManager:
         return ocp.CheckpointManager(folder, options=kept)
 
 
-def _quality(metrics: dict[str, float]) -> float:
-    return -metrics["score"]
-
-
 def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:
     step = manager.latest_step()
     if step is None:
@@ -83,8 +68,7 @@ def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:
 
 @contextlib.contextmanager
 def _undamaged(folder: Any) -> Iterator[None]:
-    """Turns what goes wrong while Orbax reads into one line. It raises all kinds of
-    errors, from JSON's to those of its storage."""
+    """Turns the many kinds of errors that Orbax raises while it reads into one line."""
     try:
         yield
     except Exception as error:

@@ -10,36 +10,23 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from prism_jax.adaptation.config import PrismConfig
-from prism_jax.adaptation.meta import (
-    MetaTerms,
-    learned_part,
-    measured_scales,
-    meta_gradients,
-    put_learned,
-)
+from prism_jax.adaptation.meta import learned_part, meta_gradients, put_learned
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 from prism_jax.losses.chamfer import chamfer
-from prism_jax.losses.weighting import BRANCHES, entropy, loss_weights
+from prism_jax.losses.weighting import BRANCHES, entropy, loss_weights, update_scale
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import observe
+from prism_jax.preprocessing.observation import framed_view
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.inputs import inputs_of
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.parallel import DATA, data_mesh
 from prism_jax.training.phase import Phase, TrainState, steps_of
 
-TERMS = (
-    "zero_step",
-    *Losses._fields,
-    "refined",
-    *(f"weight_{name}" for name in BRANCHES),
-    "weight_entropy",
-    "adapted",
-)
+WEIGHTS = (*(f"weight_{name}" for name in BRANCHES), "weight_entropy")
+TERMS = ("zero_step", *Losses._fields, "refined", *WEIGHTS, "adapted")
 SCORES = ("unadapted", "accepted", "adapted")
 
 
@@ -49,10 +36,9 @@ def meta_phase(
     """Episodes from these variables on (Eq. 11, 12).
 
     Encoders and decoder, refiner, auxiliary modules, logits and step sizes each have an
-    optimiser of their own, where they learn; all else stays as it
-    is, bit for bit, but for the scales of Eq. 11, which are measured anew: what the
-    branches' own training left had not settled. The score is CD-L2 of the completion
-    after test-time adaptation, in the unit of the scores (`Batch.scale`).
+    optimiser of their own, where they learn. All else stays as it is, but for the
+    scales of Eq. 11: they are measured again, as those of the branches' own training
+    had not settled. The score is CD-L2 after test-time adaptation (`Batch.scale`).
     """
     check_meta(training)
     optimisers = _optimisers(training)
@@ -81,12 +67,11 @@ def check_meta(training: MetaTrainConfig) -> None:
     """Raises InputError for settings under which something would not be learned."""
     steps_of("meta", training.num_samples, training.batch_size)
     method = training.method
-    learned = {
-        "weight_rule=meta": method.weight_rule == "meta",
-        "learn_auxiliary": method.learn_auxiliary,
-    }
-    for name, needs_second in learned.items():
-        if method.first_order and needs_second:
+    for name, needs_second_order in (
+        ("weight_rule=meta", method.weight_rule == "meta"),
+        ("learn_auxiliary", method.learn_auxiliary),
+    ):
+        if method.first_order and needs_second_order:
             fault = f"first-order gradients cannot train {name}"
             raise InputError("meta.method.first_order", fault, "omit one of them")
 
@@ -94,17 +79,12 @@ def check_meta(training: MetaTrainConfig) -> None:
 def _optimisers(training: MetaTrainConfig) -> optax.GradientTransformation:
     """One for each kind of parameter, by its place in `learned_part`."""
     num_steps = steps_of("meta", training.num_samples, training.batch_size)
-    make = {"sgd": optax.sgd, "adam": optax.adam}[training.optimiser]
+    kind = training.optimiser
+    make = {"sgd": optax.sgd, "adam": optax.adam}[kind]
+    schedule = training.final_rate, training.warmup_steps, training.clip_norm
 
     def network(learning_rate: float) -> optax.GradientTransformation:
-        return optimiser(
-            training.optimiser,
-            learning_rate,
-            num_steps,
-            training.final_rate,
-            training.warmup_steps,
-            training.clip_norm,
-        )
+        return optimiser(kind, learning_rate, num_steps, *schedule)
 
     return optax.partition(
         {
@@ -132,29 +112,31 @@ def _step(
 ) -> Callable[[TrainState, Batch], tuple[TrainState, Float[Array, " L"]]]:
     method = training.method
 
-    def gradients(variables: Variables, batch: Batch, key: PRNGKeyArray):
-        # All alike, whatever the devices.
-        inputs = inputs_of(batch, key, config.model)
-        complete = jnp.asarray(batch.complete)
-        return meta_gradients(variables, inputs, complete, config, method)
-
     def device_step(state: TrainState, batch: Batch):
         """What every device does with its share, and then with the mean of all."""
         variables = state.variables
         now = jax.random.fold_in(key, state.step)
-        found = _in_parts(
-            lambda part: gradients(variables, part, now), batch, training.at_once
-        )
+
+        def gradients(batch: Batch):
+            # All alike, whatever the devices.
+            inputs = inputs_of(batch, now, config.model)
+            complete = jnp.asarray(batch.complete)
+            return meta_gradients(variables, inputs, complete, config, method)
+
+        found = _in_parts(gradients, batch, training.at_once)
         grads, terms = jax.lax.pmean(found, DATA)
         learned = learned_part(variables, method)
         updates, opt_state = optimisers.update(grads, state.opt_state, learned)
         moved: Variables = optax.apply_updates(learned, updates)  # pyright: ignore
-        scales = measured_scales(variables, terms)
         variables = put_learned(moved, variables)
-        variables["weighting"]["scales"] = scales
+        weighting = variables["weighting"]
+        weighting["scales"] = update_scale(weighting["scales"], terms.losses.auxiliary)
         average = _averaged(state.average, variables, training.average_decay)
         state = TrainState(state.step + 1, variables, opt_state, average)
-        return state, _measured(terms, variables)
+        weights = loss_weights(weighting["logits"])
+        losses = (terms.zero_step, *terms.losses, terms.refined)
+        measured = [*losses, *weights, entropy(weights), terms.adapted]
+        return state, jnp.stack(measured)
 
     return jax.jit(
         jax.shard_map(
@@ -197,13 +179,6 @@ def _averaged(
     return mean
 
 
-def _measured(terms: MetaTerms, variables: Variables) -> Float[Array, " L"]:
-    """In the order of `TERMS`."""
-    weights = loss_weights(variables["weighting"]["logits"])
-    losses = (terms.zero_step, *terms.losses, terms.refined)
-    return jnp.stack([*losses, *weights, entropy(weights), terms.adapted])
-
-
 def _validation(
     config: PrismConfig,
 ) -> Callable[[Variables, Batch], Float[Array, "B S"]]:
@@ -212,16 +187,16 @@ def _validation(
 
     @jax.jit
     def validate(variables: Variables, batch: Batch):
-        def one(partial, eye, complete, scale, known):
-            camera = observe(partial, eye, Workspace.unit()).camera
-            done = complete_frame(variables, partial, camera, known)
+        def one(partial, eye, complete, scale, visibility):
+            camera = framed_view(partial, eye)
+            done = complete_frame(variables, partial, camera, visibility)
             before, after = (
                 chamfer(points, complete) * scale**2
                 for points in (done.before, done.points)
             )
             return jnp.stack([before, done.accepted.astype(before.dtype), after])
 
-        told = (batch.partial, batch.eye, batch.complete, batch.scale, batch.visibility)
-        return jax.vmap(one)(*jax.tree.map(jnp.asarray, told))
+        own = (batch.partial, batch.eye, batch.complete, batch.scale, batch.visibility)
+        return jax.vmap(one)(*jax.tree.map(jnp.asarray, own))
 
     return validate

@@ -5,22 +5,19 @@ from typing import Literal
 import jax.numpy as jnp
 import optax
 
-Kind = Literal["sgd", "adam"]
-
 
 def optimiser(
-    kind: Kind,
+    kind: Literal["sgd", "adam"],
     learning_rate: float,
     num_steps: int,
     final_rate: float,
     warmup_steps: int,
     clip_norm: float,
 ) -> optax.GradientTransformation:
-    """Adam or plain gradient descent under a clipped gradient.
+    """Adam or plain gradient descent under a gradient clipped to ``clip_norm``, if any.
 
     The step size rises linearly from zero for ``warmup_steps``, or for half of the
-    steps if there are not as many, and then falls along a cosine to ``final_rate``
-    times ``learning_rate``. A ``clip_norm`` of 0 clips nothing.
+    steps, and then falls along a cosine to ``final_rate`` times ``learning_rate``.
     """
     schedule = optax.warmup_cosine_decay_schedule(
         init_value=0.0 if warmup_steps else learning_rate,

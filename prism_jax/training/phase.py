@@ -92,23 +92,16 @@ class Trained(NamedTuple):
 
 
 def train_phase(
-    phase: Phase,
-    data: Data,
-    folder: pathlib.Path,
-    max_steps: int | None = None,
+    phase: Phase, data: Data, folder: pathlib.Path, max_steps: int | None = None
 ) -> Trained:
     """Trains a phase to its end, or to step ``max_steps``.
 
     Goes on from the latest checkpoint in ``folder`` if there is one, with the batches
     that would have come next (`order_seed`). One step is always queued behind the one
-    that runs, no more, so that the bar is where the work is. The log's ``data_wait`` is
-    the share of the time in which the loop waited for batches.
-
-    A batch lies over all devices. A loss or a variable that is not a number raises
-    FloatingPointError, and the checkpoint before it stays. The state is saved at every
-    validation, every `SAVE_SECONDS`, and where ``max_steps`` ends the phase. Only what
-    is validated can be the best, so a phase that was interrupted keeps what an unbroken
-    one keeps.
+    that runs, no more, so that the bar is where the work is. A batch lies over all
+    devices. A loss or a variable that is not a number raises FloatingPointError. The
+    state is saved at every validation, every `SAVE_SECONDS`, and where ``max_steps``
+    ends the phase; only what is validated can be the best.
     """
     parallel.check_batch(phase.batch_size)
     mesh = parallel.data_mesh()
@@ -142,14 +135,22 @@ def train_phase(
         log.advance(phase.batch_size)
         at_validation = step % validate_steps == 0 or step == num_steps
         if step % LOG_EVERY == 0 or at_validation or step == last:
-            mean = _finite_mean(recent, phase.name, step)
+            mean = np.mean(jax.device_get(recent), axis=0)
+            if not np.isfinite(mean).all():
+                fault = f"{phase.name}: loss {mean} before step {step}"
+                raise FloatingPointError(fault)
             recent.clear()
             log.write(step, losses=_named(phase.terms, mean))
             log.show(**{phase.terms[-1]: float(mean[-1])})
         is_due = step % LOG_EVERY == 0 and time.monotonic() - saved > SAVE_SECONDS
         if not (at_validation or is_due or step == last):
             continue
-        _check_numbers(state.variables, phase.name, step)
+        # A step may turn a finite loss into variables that are not numbers. Infinities
+        # are the logits of branches that do not count.
+        numbers = jax.tree.leaves(jax.device_get(state.variables))
+        if any(np.isnan(leaf).any() for leaf in numbers):
+            fault = f"{phase.name}: variables are not finite at step {step}"
+            raise FloatingPointError(fault)
         score = None
         if at_validation:
             scores = validate(phase, data, state.kept)
@@ -164,12 +165,9 @@ def train_phase(
 
 
 def order_seed(seed: int, name: str) -> int:
-    """What a phase's batches are shuffled and mirrored by.
-
-    It follows from the phase's name, so that no phase repeats another's batches. It
-    does not depend on computed numbers: their last bits differ between machines, and a
-    phase may go on on another one.
-    """
+    """What a phase's batches are shuffled and mirrored by: its name, so that no phase
+    repeats another's, and no computed number, which another machine would round
+    differently."""
     digest = hashlib.sha256(f"{seed} {name}".encode()).digest()
     return int.from_bytes(digest[:4]) % 2**31
 
@@ -186,35 +184,15 @@ def _named(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def _finite_mean(losses: list[Array], name: str, step: int) -> np.ndarray:
-    mean = np.mean(jax.device_get(losses), axis=0)
-    if not np.isfinite(mean).all():
-        raise FloatingPointError(f"{name}: loss {mean} before step {step}")
-    return mean
-
-
-def _check_numbers(variables: Variables, name: str, step: int) -> None:
-    """A step may turn a finite loss into variables that are not numbers."""
-    # Infinities are the logits of branches that do not count.
-    if any(np.isnan(x).any() for x in jax.tree.leaves(jax.device_get(variables))):
-        raise FloatingPointError(f"{name}: variables are not finite at step {step}")
-
-
 def validate(phase: Phase, data: Data, variables: Variables) -> np.ndarray:
-    """Mean scores over the validation examples, in batches of the training's size.
-
-    A last batch that would be short goes on from the first example, and what was scored
-    before is left out.
-    """
+    """Mean scores over the validation examples, in batches of the training's size. The
+    last is filled up from the first example; what is scored twice counts once."""
     count, size = len(data.validation), phase.batch_size
-    mesh = parallel.data_mesh()
-    framing = data.framing(VALIDATION_COMPLETE)
+    mesh, framing = parallel.data_mesh(), data.framing(VALIDATION_COMPLETE)
     scores = []
     for start in range(0, count, size):
-        rows = np.arange(start, start + size) % count
-        batch = stack(
-            [frame_example(data.validation[int(row)], framing) for row in rows]
-        )
+        rows = (np.arange(start, start + size) % count).tolist()
+        batch = stack([frame_example(data.validation[row], framing) for row in rows])
         scored = phase.validate_fn(variables, parallel.share(batch, mesh))
         scores.append(np.asarray(scored)[: count - start])
     return np.concatenate(scores).mean(0)

@@ -58,11 +58,7 @@ _SMALL_AUXILIARY = AuxiliaryConfig(
     max_coordinate=2.0,
 )
 
-_PAPER = BackboneConfig(
-    seed_times=8,
-    num_initial=2048,
-    up_factors=(1, 2, 4),
-)
+_PAPER = BackboneConfig(seed_times=8, num_initial=2048, up_factors=(1, 2, 4))
 
 _TINY = BackboneConfig(
     num_points=64,
@@ -90,21 +86,13 @@ _TINY_AUXILIARY = AuxiliaryConfig(
 )
 
 
-def _phases(*samples: int) -> tuple[PhaseConfig, ...]:
+def _phases(seeds: int, stages: int) -> tuple[PhaseConfig, ...]:
     """Seeds alone, then the whole decoder."""
-    seeds, every = samples
-    return (
-        PhaseConfig("seeds", seeds, num_blocks=0, final_rate=0.5),
-        PhaseConfig("stages", every, num_blocks=None),
-    )
+    first = PhaseConfig("seeds", seeds, num_blocks=0, final_rate=0.5)
+    return first, PhaseConfig("stages", stages, num_blocks=None)
 
 
-_SMALL_ADAPT = AdaptConfig(
-    num_steps=1,
-    step_size=3e-2,
-    clip_norm=1.0,
-    normal_stride=4,
-)
+_SMALL_ADAPT = AdaptConfig(num_steps=1, step_size=3e-2, clip_norm=1.0, normal_stride=4)
 
 # It differs from the paper's method. The encoders have no auxiliary loss in the outer
 # loop (lambda_aux=0). The loss weights learn from the adapted completion and not from

@@ -26,11 +26,10 @@ def pretrain(
     """Trains the backbone phase by phase, then all that reads it (gap 4).
 
     Each phase begins with what did best on validation in the phase before, and goes on
-    from its own checkpoint where one is found; one without samples is left out, and one
-    whose samples do not fill a batch raises InputError before any is trained. The
-    first begins with the backbone of ``start``, or a fresh one. What reads it begins
-    afresh, but for no auxiliary samples it stays as it is in ``start``. Returns the
-    best variables, or None if ``max_steps`` ended a phase early.
+    from its own checkpoint where one is found. One without samples is left out; samples
+    that do not fill a batch raise InputError before any training. The first begins with
+    the backbone of ``start``, or a fresh one. What reads it begins afresh, unless there
+    are no auxiliary samples. Returns None if ``max_steps`` ended a phase early.
     """
     samples = {each.name: each.num_samples for each in training.backbone}
     samples["auxiliary"] = training.auxiliary_samples
@@ -38,7 +37,7 @@ def pretrain(
         if num_samples:
             steps_of(name, num_samples, training.batch_size)
     backbone_key, auxiliary_key = jax.random.split(jax.random.key(seed))
-    variables = init_backbone(backbone_key, config.model)
+    variables = init_backbone(backbone_key, config.model.backbone)
     if start is not None:
         variables = {
             kind: {name: start[kind][name] for name in parts}
@@ -47,7 +46,7 @@ def pretrain(
     for each in training.backbone:
         if not each.num_samples:
             continue
-        phase = backbone_phase(variables, config.model, each, training)
+        phase = backbone_phase(variables, config.model.backbone, each, training)
         trained = train_phase(phase, data, folder, max_steps)
         if not trained.done:
             return None
@@ -65,11 +64,9 @@ def pretrain(
 def _better_refiner(
     phase: Phase, data: Data, variables: Variables, fresh: Variables
 ) -> Variables:
-    """The trained refiner, or the fresh one if that completes better on validation.
-
-    Eq. 3 compares sparse depth maps, through whose holes the far side shows: nothing
-    in it says that points must not leave the surface, so it is checked.
-    """
+    """The trained refiner, or the fresh one if that completes better on validation. Eq.
+    3 compares sparse depth maps, through whose holes the far side shows: nothing in it
+    says that points must not leave the surface, so it is checked."""
     before, after, _ = validate(phase, data, variables)
     print(f"CD-L2 x1e4: {1e4 * before:.4g} unrefined, {1e4 * after:.4g} refined")
     if after <= before:

@@ -21,37 +21,29 @@ def open_run(
 ) -> pathlib.Path:
     """The run's folder, with config, seed and commit written to ``config.json``.
 
-    ``config`` is all that the run's bytes depend on, but for the seed. A folder that
-    holds a run already is refused unless ``resume`` is set, and then only the same
-    configuration and seed may go on in it.
+    A folder that holds a run already is refused unless ``resume`` is set, and then only
+    the same configuration and seed may go on in it.
     """
     folder = make_output_dir(pathlib.Path(workdir))
-    _check_in(folder, config, seed, resume)
-    remove_unfinished(folder)
-    return folder
-
-
-def _check_in(
-    folder: pathlib.Path, config: dict[str, Any], seed: int, resume: bool
-) -> None:
     path = folder / "config.json"
-    resolved = {"config": config, "seed": seed}
-    resolved = json.loads(json.dumps(resolved))
+    resolved = json.loads(json.dumps({"config": config, "seed": seed}))
     if not path.exists():
         text = json.dumps({**resolved, "commit": commit()}, indent=2)
         write_bytes(path, text.encode())
-        return
-    if not resume:
+    elif not resume:
         remedy = "resume it with --resume, or choose another --workdir"
         raise InputError(str(folder), "this folder already holds a run", remedy)
-    before = json.loads(path.read_text())
-    changes = [*_changes({key: before.get(key) for key in resolved}, resolved)]
-    if changes:
-        told, others = changes[:_SHOWN], len(changes) - _SHOWN
-        told += [f"and {others} more"] if others > 0 else []
-        fault = f"configuration differs from the run's: {', '.join(told)}"
-        remedy = "resume with the settings and data of its config.json"
-        raise InputError(str(folder), fault, remedy)
+    else:
+        before = json.loads(path.read_text())
+        changes = [*_changes({key: before.get(key) for key in resolved}, resolved)]
+        if changes:
+            shown, others = changes[:_SHOWN], len(changes) - _SHOWN
+            shown += [f"and {others} more"] if others > 0 else []
+            fault = f"configuration differs from the run's: {', '.join(shown)}"
+            remedy = "resume with the settings and data of its config.json"
+            raise InputError(str(folder), fault, remedy)
+    remove_unfinished(folder)
+    return folder
 
 
 def _changes(before: Any, now: Any, path: str = "") -> Iterator[str]:
@@ -96,18 +88,11 @@ def commit() -> str | None:
 
 
 class Log:
-    """One JSON object a line in ``metrics.jsonl``, and a progress bar on stderr.
-
-    Lines that a run wrote after the step that it goes on from are dropped.
-    """
+    """One JSON object a line in ``metrics.jsonl``, and a progress bar on stderr. Lines
+    that a run wrote after the step that it goes on from are dropped."""
 
     def __init__(
-        self,
-        folder: pathlib.Path,
-        name: str,
-        total: int,
-        step: int,
-        batch_size: int,
+        self, folder: pathlib.Path, name: str, total: int, step: int, batch_size: int
     ):
         done = step * batch_size
         path = folder / "metrics.jsonl"
@@ -118,11 +103,7 @@ class Log:
         self._start, self._done_at_start = time.monotonic(), done
         self._waited = 0.0
         self._bar = tqdm(
-            total=total,
-            initial=done,
-            desc=name,
-            unit="sample",
-            mininterval=2.0,
+            total=total, initial=done, desc=name, unit="sample", mininterval=2.0
         )
 
     def advance(self, samples: int) -> None:
@@ -138,13 +119,13 @@ class Log:
 
     def show(self, **values: float) -> None:
         """Shows values beside the bar, and the share of the time spent waiting."""
-        values["data_wait"] = self._waited / max(self._seconds(), 1e-9)
+        values["data_wait"] = self._waited / self._seconds()
         text = {key: f"{value:.4g}" for key, value in values.items()}
         self._bar.set_postfix(text, refresh=False)
 
     def write(self, step: int, **values: dict[str, float]) -> None:
         """Adds a line."""
-        seconds = max(self._seconds(), 1e-9)
+        seconds = self._seconds()
         rate = (self._bar.n - self._done_at_start) / seconds
         line = {"phase": self._name, "step": step, "samples": self._bar.n}
         line |= {"samples_per_second": round(rate, 2)}
@@ -153,7 +134,7 @@ class Log:
         self._file.flush()
 
     def _seconds(self) -> float:
-        return time.monotonic() - self._start
+        return max(time.monotonic() - self._start, 1e-9)
 
     def close(self) -> None:
         """Ends the bar and the file."""

@@ -1,11 +1,12 @@
 """Training on Eq. 10 alone: the backbone's phases, and any network to compare with."""
 
+import functools
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from prism_jax.data.pipeline import Batch
 from prism_jax.losses.chamfer import ChamferNorm, chamfer
@@ -16,44 +17,34 @@ from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import Phase, TrainState, steps_of
 
 Stages = tuple[Float[Array, "B _ 3"], ...]
-Losses = Float[Array, "B _"]
-
-TrainFn = Callable[[Variables, Batch, Int[Array, ""]], tuple[Losses, Variables]]
-"""The losses of a batch's examples at this step, and BatchNorm's updated statistics."""
+Terms = Float[Array, "B _"]
 
 
-def stage_losses(stages: Stages, batch: Batch, norm: ChamferNorm) -> Losses:
+def stage_losses(stages: Stages, batch: Batch, norm: ChamferNorm) -> Terms:
     """The terms of Eq. 10 of each example."""
-    return jax.vmap(lambda s, c: stage_chamfers(s, c, norm))(
-        stages, jnp.asarray(batch.complete)
-    )
+    terms = jax.vmap(functools.partial(stage_chamfers, norm=norm))
+    return terms(stages, jnp.asarray(batch.complete))
 
 
 def supervised_phase(
     variables: Variables,
-    train_fn: TrainFn,
+    train_fn: Callable[[Variables, Batch], tuple[Terms, Variables]],
     stages_fn: Callable[[Variables, Batch], Stages],
     names: tuple[str, ...],
     phase: PhaseConfig,
     training: PretrainConfig,
 ) -> Phase:
-    """The sum of the losses that ``train_fn`` makes; validated on the stages of
-    ``stages_fn``, by CD-L2 in the unit of the scores. What decides is the mean
-    logarithm of the last stage's CD-L1, which one bad example cannot carry. ``names``
-    are the stages', coarse first."""
+    """The sum of the losses of ``train_fn``, which also returns BatchNorm's updated
+    statistics; validated on the stages of ``stages_fn``, by CD-L2 in the unit of the
+    scores. What decides is the mean logarithm of the last stage's CD-L1, which one bad
+    example cannot carry. ``names`` are the stages', coarse first."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
-    adam = optimiser(
-        "adam",
-        phase.learning_rate,
-        num_steps,
-        phase.final_rate,
-        training.warmup_steps,
-        training.clip_norm,
-    )
+    limits = training.warmup_steps, training.clip_norm
+    adam = optimiser("adam", phase.learning_rate, num_steps, phase.final_rate, *limits)
 
-    def loss_fn(params: Variables, batch_stats: Variables, batch: Batch, now: Array):
+    def loss_fn(params: Variables, batch_stats: Variables, batch: Batch):
         variables = {"params": params, "batch_stats": batch_stats}
-        losses, statistics = train_fn(variables, batch, now)
+        losses, statistics = train_fn(variables, batch)
         losses = losses.mean(0)
         return losses.sum(), (losses, statistics)
 
@@ -61,12 +52,10 @@ def supervised_phase(
     def step(state: TrainState, batch: Batch):
         variables = state.variables
         grads, (losses, statistics) = jax.grad(loss_fn, has_aux=True)(
-            variables["params"], variables["batch_stats"], batch, state.step
+            variables["params"], variables["batch_stats"], batch
         )
         updates, opt_state = adam.update(grads, state.opt_state)
-        params: Variables = optax.apply_updates(  # pyright: ignore
-            variables["params"], updates
-        )
+        params = optax.apply_updates(variables["params"], updates)
         variables = {"params": params, "batch_stats": statistics}
         average = averaged(state, variables, training.average_decay)
         return TrainState(state.step + 1, variables, opt_state, average), losses
@@ -80,17 +69,14 @@ def supervised_phase(
         scores = [*(distance * scale**2 for distance in squared), plain * scale]
         return jnp.stack([*scores[:-1], jnp.log(scores[-1])], -1)
 
+    average = variables if training.average_decay else None
+    opt_state = adam.init(variables["params"])
     return Phase(
         phase.name,
         phase.num_samples,
         training.batch_size,
         training.num_complete,
-        TrainState(
-            jnp.int32(0),
-            variables,
-            adam.init(variables["params"]),
-            variables if training.average_decay else None,
-        ),
+        TrainState(jnp.int32(0), variables, opt_state, average),
         step,
         validate,
         names,

@@ -4,10 +4,9 @@ import dataclasses
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Array, Float
-from scipy.spatial import KDTree
+from jaxtyping import Float
 
-from prism_jax.geometry.spacing import median_spacing
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.preprocessing.observation import Observation
 from prism_jax.preprocessing.visibility import beside_and_behind
 from prism_jax.uncertainty.evidence import Looks, asked, roughness
@@ -66,7 +65,7 @@ def clues_of(
     points: Float[np.ndarray, "Q 3"],
     seen: Observation,
     read: Observation,
-    prediction: Float[np.ndarray, "P 3"],
+    prediction: IndexedCloud | Float[np.ndarray, "P 3"],
     looks: Looks,
 ) -> Float[np.ndarray, "Q C"]:
     """`CLUES` of some of the predicted points, a row for each.
@@ -79,25 +78,22 @@ def clues_of(
     """
     if len(points) == 0:
         return np.zeros((0, len(CLUES)))
-    measured = np.asarray(seen.partial, np.float64)[np.asarray(seen.inside)]
-    distinct = np.unique(measured, axis=0)
-    some = asked(distinct)
-    partial = np.unique(np.asarray(read.partial, np.float64), axis=0)
+    measured, partial, prediction = seen.cloud, read.cloud, IndexedCloud.of(prediction)
     eye = np.asarray(seen.eye, np.float64)
-    lower, upper = distinct.min(axis=0), distinct.max(axis=0)
+    lower, upper = measured.points.min(axis=0), measured.points.max(axis=0)
     sides = np.sort(upper - lower)
     longest = sides[2] or 1.0
-    near = KDTree(prediction).query(points, k=min(NEIGHBORS, len(prediction)))[1]
-    near = prediction[np.reshape(near, (len(points), -1))]
+    near = prediction.tree.query(points, k=min(NEIGHBORS, len(prediction)))[1]
+    near = prediction.points[np.reshape(near, (len(points), -1))]
     normals, thickness = _planes(near)
     ray = points - eye
     length = np.maximum(np.linalg.norm(ray, axis=1), np.finfo(np.float64).tiny)
-    beside, behind = beside_and_behind(points, distinct, eye)
-    mirrored, turned = (_away(points, np.asarray(look)) for look in looks[1:])
-    known = _away(points, distinct)
+    beside, behind = beside_and_behind(points, measured.distinct, eye)
+    mirrored, turned = looks.distance(points, 1), looks.distance(points, 2)
+    known = measured.distance(points)
     found = {
         "measured": known,
-        "measured_8": _away(points, partial, 8),
+        "measured_8": partial.distinct.distance(points, 8),
         "predicted_2": np.linalg.norm(near[:, :3][:, -1] - points, axis=1),
         "predicted_8": np.linalg.norm(near[:, :9][:, -1] - points, axis=1),
         "thickness": thickness,
@@ -114,10 +110,10 @@ def clues_of(
         "outside": np.maximum(lower - points, points - upper).max(axis=1),
         "middle_side": sides[1] / longest,
         "shortest_side": sides[0] / longest,
-        "num_points": len(distinct),
-        "spacing": min(median_spacing(partial), 1.0),
-        "roughness": roughness(distinct, some),
-        "unexplained": _away(some, prediction).mean(),
+        "num_points": len(measured.distinct),
+        "spacing": min(partial.spacing, 1.0),
+        "roughness": roughness(measured),
+        "unexplained": prediction.distance(asked(measured)).mean(),
     }
     columns = [np.broadcast_to(found[name], len(points)) for name in CLUES]
     # As float32, in which they are fitted: a threshold means the same there and here.
@@ -126,7 +122,7 @@ def clues_of(
 
 def spread(
     points: Float[np.ndarray, "Q 3"],
-    known: Float[np.ndarray, "P 3"],
+    known: IndexedCloud | Float[np.ndarray, "P 3"],
     sigma: Float[np.ndarray, " P"],
 ) -> Float[np.ndarray, " Q"]:
     """The sigma of points that were added between others whose sigma is known.
@@ -137,22 +133,12 @@ def spread(
     if len(known) == 0:
         return np.full(len(points), np.nan)
     count = min(BETWEEN, len(known))
-    apart, rows = KDTree(known).query(points, k=count)
+    apart, rows = IndexedCloud.of(known).tree.query(points, k=count)
     apart, rows = np.reshape(apart, (-1, count)), np.reshape(rows, (-1, count))
     # Relative to the nearest, so that no unit of length and no copy is special.
     nearest = apart[:, :1]
     weights = np.where(apart > nearest, nearest / np.where(apart > 0, apart, 1.0), 1.0)
     return (weights * sigma[rows]).sum(axis=1) / weights.sum(axis=1)
-
-
-def _away(
-    points: Float[np.ndarray, "Q 3"],
-    cloud: Float[Array | np.ndarray, "N 3"],
-    k: int = 1,
-) -> Float[np.ndarray, " Q"]:
-    """Distance from the k-th nearest point of a cloud, or the farthest there is."""
-    found = KDTree(cloud).query(points, k=[min(k, len(cloud))])[0]  # pyright: ignore
-    return np.asarray(found)[:, 0]
 
 
 def _planes(

@@ -9,7 +9,7 @@ from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.objective import test_time_objective as objective
 from prism_jax.losses.alignment import alignment_loss
 from prism_jax.losses.denoise import denoise_loss
-from prism_jax.losses.depth import depth_consistency
+from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.normal import normal_loss
 from prism_jax.models.prism import branches, predict, prepare_input, read_depth
 from prism_jax.models.variables import pop_encoders, put_encoders
@@ -94,7 +94,7 @@ def test_terms_are_the_losses_of_their_equations(evaluated, frame, config, quick
     def terms(points, seen):
         denoised = frame.perturbed + seen.offsets
         return (
-            depth_consistency(points, frame.partial, frame.view),
+            depth_supervised(points, frame.partial, frame.view),
             normal_loss(seen.normals, points, 0.3, config.adapt.normal_neighbors),
             denoise_loss(denoised, frame.upsampled, seen.offsets, 0.7),
             alignment_loss(seen.tokens_3d, seen.tokens_depth, 1.3, 0.6, 0.05),

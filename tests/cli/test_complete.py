@@ -18,7 +18,8 @@ from PIL import Image
 
 from prism_jax import io
 from prism_jax.cli import complete
-from prism_jax.cli.complete import complete_file, timed
+from prism_jax.cli.complete import _timed as timed
+from prism_jax.cli.complete import complete_file
 from prism_jax.completion.weights import available_weights
 from prism_jax.io.ply import read_ply
 from prism_jax.preprocessing.segmentation.scene import Scene
@@ -38,7 +39,7 @@ CAMERA = {"width": 40, "height": 30, "fx": 20, "fy": 20, "cx": 19.5, "cy": 14.5}
 def folder(tmp_path, monkeypatch):
     load = FakeCompleter.from_pretrained
     monkeypatch.setattr(complete, "load_completer", load)
-    monkeypatch.setattr(complete, "PATIENCE", 600.0)
+    monkeypatch.setattr("prism_jax.cli.launch.PATIENCE", 600.0)
     monkeypatch.chdir(tmp_path)
     np.save("scan.npy", POINTS)
     np.save("few.npy", POINTS[:63])
@@ -315,7 +316,7 @@ FAULTS = [
     (["--camera=half.json"], "half.json: not a valid camera: height is missing"),
     (["--ground_truth=nan.npy"], "nan.npy: no finite points"),
     (["--ground_truth=point.npy"], "point.npy: all points coincide"),
-    (["--workspace=1,2,3"], "--workspace: '1,2,3' is not six finite numbers"),
+    (["--workspace=1,2,3"], "--workspace: cannot read '1,2,3'; give x0,y0,z0"),
     (["--workspace=8,8,8,9,9,9"], "scan.npy: no points inside --workspace"),
     (["--output_dir=scan.npy/out"], "scan.npy/out: cannot be written to"),
     (["--inptu=scan.npy"], "Unknown command line flag 'inptu'"),
@@ -401,8 +402,7 @@ def test_a_scene_comes_back_as_its_objects_unless_one_is_asked_for(capsys):
     np.save("scene.npy", np.concatenate(clouds).astype(np.float32))
     assert run("--input=scene.npy") == 0
     assert capsys.readouterr().out == (
-        "confidence  These weights have no calibration: confidence in the completions "
-        "is unknown.\n"
+        "confidence  unknown: these weights have no calibration\n"
         "objects     2; 90 points on removed planes, 0 in no object\n"
         "points      440 observed, 175 added\n"
         "written     prism_output: completed.ply, result.json, report.html\n"
@@ -427,7 +427,7 @@ def test_only_a_long_step_that_ends_is_told(capsys, monkeypatch):
     with pytest.raises(ValueError, match="x"), timed("running", "run", seconds):
         raise ValueError("x")
     assert capsys.readouterr().err == ""
-    monkeypatch.setattr(complete, "PATIENCE", 0.02)
+    monkeypatch.setattr("prism_jax.cli.launch.PATIENCE", 0.02)
     with timed("loading", "load", seconds):
         time.sleep(0.1)
     assert set(seconds) == {"short", "load"}

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from experiments.simulation.roboarm.sequences import make_frame, make_sequence
 from prism_jax.cli import complete
 from prism_jax.cli import stream as command
-from prism_jax.cli.complete import load_completer
+from prism_jax.cli.launch import load_completer
 from prism_jax.completion.weights import save_weights
 from prism_jax.data.recordings import LABELS
 from prism_jax.envelope.robot import of_robot
@@ -45,7 +45,8 @@ def scans(tmp_path_factory):
 @pytest.fixture
 def shared(completer, monkeypatch):
     """Whatever the weights are called, they are those of all tests."""
-    monkeypatch.setattr(complete, "load_completer", lambda weights: completer)
+    for program in (command, complete):
+        monkeypatch.setattr(program, "load_completer", lambda weights: completer)
 
 
 def test_weights_of_a_file_are_compiled_once(

@@ -13,7 +13,7 @@ from prism_jax.completion.filtering import (
     outlier_mask,
     select,
 )
-from prism_jax.geometry.spacing import median_spacing, surface_density
+from prism_jax.geometry.cloud import IndexedCloud
 
 EYE = np.array([0.0, 4.0, 0.0])
 
@@ -114,8 +114,10 @@ def test_denser_points_lie_between(times):
     assert np.abs(dense[:, 1]).max() == 0 and np.abs(dense).max() <= 0.5
     # As even as it is dense: no far place is left without, none is crowded.
     gaps = KDTree(dense).query(grid(90))[0]
-    assert gaps.max() < 4 / np.sqrt(surface_density(dense))
-    assert 0.6 < surface_density(dense) / surface_density(sparse) / times < 1.7
+    assert gaps.max() < 4 / np.sqrt(IndexedCloud(dense).density)
+    assert (
+        0.6 < IndexedCloud(dense).density / IndexedCloud(sparse).density / times < 1.7
+    )
 
 
 def test_as_many_times_as_dense_as_the_measured(wall):
@@ -123,8 +125,8 @@ def test_as_many_times_as_dense_as_the_measured(wall):
     for density in (0.0, 2.0):
         added, selection = added_points(behind, wall, wall, EYE, density)
         np.testing.assert_array_equal(added[:64], behind[selection.kept])
-        found = surface_density(added) / surface_density(wall if density else behind)
-        assert 0.6 < found / (density or 1.0) < 1.7
+        given = IndexedCloud(wall if density else behind).density
+        assert 0.6 < IndexedCloud(added).density / given / (density or 1.0) < 1.7
 
 
 def test_gaps_stay_gaps():
@@ -147,11 +149,11 @@ def test_none_are_left_out_and_it_ends(monkeypatch):
 def test_density_is_that_of_the_surface():
     rng = np.random.default_rng(0)
     plane = rng.uniform(0, 1, (20_000, 3)) * [1, 1, 0]
-    np.testing.assert_allclose(surface_density(plane), 20_000, rtol=0.05)
-    np.testing.assert_allclose(surface_density(3 * plane), 20_000 / 9, rtol=0.05)
+    np.testing.assert_allclose(IndexedCloud(plane).density, 20_000, rtol=0.05)
+    np.testing.assert_allclose(IndexedCloud(3 * plane).density, 20_000 / 9, rtol=0.05)
     # Lines, as a LiDAR scans: neighbours along one say nothing of the next.
     lines = np.stack(np.meshgrid(np.linspace(0, 1, 400), np.linspace(0, 1, 50)), -1)
     lines = np.pad(lines.reshape(-1, 2), ((0, 0), (0, 1)))
-    assert 0.2 < surface_density(lines) / 20_000 < 5
-    assert surface_density(plane[:8]) == 0
-    assert median_spacing(plane[:1]) == np.inf
+    assert 0.2 < IndexedCloud(lines).density / 20_000 < 5
+    assert IndexedCloud(plane[:8]).density == 0
+    assert IndexedCloud(plane[:1]).spacing == np.inf

@@ -1,5 +1,3 @@
-import json
-
 import numpy as np
 import pytest
 import trimesh
@@ -10,7 +8,6 @@ from prism_jax.envelope.robot import (
     joints_from_dict,
     of_robot,
     on_triangles,
-    read_joints,
     robot_surface,
 )
 from prism_jax.io.errors import InputError
@@ -63,10 +60,8 @@ def test_points_near_the_surface_are_the_robots():
     assert of_robot(points[:0], surface).shape == (0,)
 
 
-def test_joints_are_read_with_the_base(tmp_path):
-    path = tmp_path / "joints.json"
-    path.write_text(json.dumps({"robot": "x", "positions": {"a": 1}}))
-    positions, base = read_joints(path)
+def test_joints_are_read_with_the_base():
+    positions, base = joints_from_dict({"robot": "x", "positions": {"a": 1}})
     assert positions == {"a": 1.0}
     np.testing.assert_array_equal(base, np.eye(4))
     turned = trimesh.transformations.euler_matrix(0.1, 0.2, 0.3)
@@ -77,7 +72,6 @@ def test_joints_are_read_with_the_base(tmp_path):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ([], "not a JSON object"),
         ({}, "no joint positions"),
         ({"positions": {"a": "x"}}, "no joint positions"),
         ({"positions": {"a": 1e300}}, "no joint positions"),
@@ -86,11 +80,9 @@ def test_joints_are_read_with_the_base(tmp_path):
         ({"positions": {}, "base": [["a"] * 4] * 4}, "not a 4x4 pose"),
     ],
 )
-def test_joints_that_are_none_are_refused(tmp_path, content, told):
-    path = tmp_path / "joints.json"
-    path.write_text(json.dumps(content))
+def test_joints_that_are_none_are_refused(content, told):
     with pytest.raises(InputError, match=told):
-        read_joints(path)
+        joints_from_dict(content)
 
 
 def test_a_joint_without_a_position_is_named(urdf):

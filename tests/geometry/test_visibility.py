@@ -15,7 +15,6 @@ from prism_jax.geometry.visibility import (
     BACKGROUND,
     MAP_SIZE,
     NEARER,
-    NUM_CLUES,
     SURFACE,
     UNKNOWN,
     Visibility,
@@ -274,7 +273,7 @@ def test_clues_in_closed_form():
     )
     found = np.asarray(read(view_along_x(), jnp.asarray(middle, jnp.float32)))
     shares = np.eye(4)[[SURFACE, SURFACE, NEARER, UNKNOWN, BACKGROUND, UNKNOWN]]
-    assert found.shape == (6, NUM_CLUES)
+    assert found.shape == (6, 6)
     np.testing.assert_allclose(found[:, :4], shares, atol=1e-6)
     np.testing.assert_allclose(found[:, 4], [0.5, -0.5, 1, 0, -1, 0], atol=1e-6)
     # One and two pixels from the surface, but no more than one unit.
@@ -290,7 +289,7 @@ def test_clues_are_continuous_and_have_their_derivative(x64):
     along = jax.jit(jax.vmap(lambda points: clues(known, points)))
     values = np.asarray(along(jnp.asarray(path)))
     assert np.abs(np.diff(values, axis=0)).max() < 1e-2
-    weights = rng.normal(size=NUM_CLUES)
+    weights = rng.normal(size=6)
 
     @jax.jit
     def total(points):

@@ -21,7 +21,7 @@ RNG = np.random.default_rng(7)
 
 COEFFICIENTS = ("lambda_sigma", "lambda_ot", "epsilon_relative", "num_iterations")
 
-align = jax.jit(alignment_loss, static_argnames=COEFFICIENTS)
+align = jax.jit(alignment_loss, static_argnames=COEFFICIENTS[:3])
 transport = jax.jit(transport_alignment, static_argnames=COEFFICIENTS[2:])
 matching = jax.jit(manifold_matching, static_argnames=COEFFICIENTS[:1])
 gradients = jax.jit(jax.grad(alignment_loss, argnums=(0, 1)))

@@ -7,7 +7,7 @@ import pytest
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
-from prism_jax.losses.depth import depth_consistency, depth_error, depth_supervised
+from prism_jax.losses.depth import depth_error, depth_supervised
 
 RNG = np.random.default_rng(4)
 SIZE = 12
@@ -21,7 +21,6 @@ CAMERA = Camera(
     width=SIZE,
 )
 supervised = jax.jit(jax.value_and_grad(depth_supervised, argnums=(0, 1)))
-consistent = jax.jit(jax.value_and_grad(depth_consistency, argnums=(0, 1)))
 
 
 def cloud(*shape: int) -> np.ndarray:
@@ -56,13 +55,6 @@ def test_value_and_gradient_agree_with_a_loop():
     assert np.all(np.asarray(to_reference) == 0)
 
 
-def test_consistency_is_the_same_error_against_the_partial():
-    predicted, partial = cloud(100), cloud(60)
-    expected, _ = supervised(predicted, partial, CAMERA)
-    value, _ = consistent(predicted, partial, CAMERA)
-    assert np.allclose(value, expected, rtol=1e-6)
-
-
 def test_a_wall_moved_along_the_axis():
     wall = jnp.asarray(cloud(400)).at[:, 2].set(0.5)
     # Along each ray from depth 3.5 to depth 3.8: the same pixels.
@@ -93,11 +85,10 @@ def test_no_shared_pixel_gives_zero(case):
     }[case]
     if case == "elsewhere":
         reference = jnp.asarray([[1.2, 1.2, 0.0]])
-    for loss in (supervised, consistent):
-        for clouds in ((predicted, reference), (reference, predicted)):
-            value, gradients = loss(*clouds, CAMERA)
-            assert value == 0
-            assert all(np.all(np.asarray(g) == 0) for g in gradients)
+    for clouds in ((predicted, reference), (reference, predicted)):
+        value, gradients = supervised(*clouds, CAMERA)
+        assert value == 0
+        assert all(np.all(np.asarray(g) == 0) for g in gradients)
 
 
 @pytest.mark.parametrize(
@@ -116,6 +107,6 @@ def test_degenerate_clouds(predicted):
 
 def test_vmap_is_a_loop():
     predicted, partial = jnp.asarray(cloud(3, 80)), jnp.asarray(cloud(3, 60))
-    batched, _ = jax.vmap(consistent, (0, 0, None))(predicted, partial, CAMERA)
-    looped = [consistent(predicted[i], partial[i], CAMERA)[0] for i in range(3)]
+    batched, _ = jax.vmap(supervised, (0, 0, None))(predicted, partial, CAMERA)
+    looped = [supervised(predicted[i], partial[i], CAMERA)[0] for i in range(3)]
     assert np.allclose(batched, looped, rtol=1e-6)

@@ -1,5 +1,6 @@
 """Attentions against loops in NumPy, one point and one neighbour at a time."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -14,6 +15,7 @@ from prism_jax.models.attention import (
     VectorAttention,
     attend,
 )
+from prism_jax.models.config import BackboneConfig
 from prism_jax.models.pyramid import build_pyramid
 
 RNG = np.random.default_rng(0)
@@ -83,8 +85,11 @@ def clouds(num_queries=7, num_supports=9, k=4):
     return (*query, normal(num_supports, 3), normal(num_supports, WIDTH), neighbors)
 
 
-ATTENTION = VectorAttention(WIDTH, INNER, RATIO, use_norm=True)
-TRANSFORMER = CrossResolutionTransformer(WIDTH, INNER, RATIO, use_norm=True)
+CONFIG = BackboneConfig(
+    features=WIDTH, attention_features=INNER, attention_ratio=RATIO, use_norm=True
+)
+ATTENTION = VectorAttention(CONFIG)
+TRANSFORMER = CrossResolutionTransformer(CONFIG)
 attention = jax.jit(ATTENTION.apply)
 transformer = jax.jit(TRANSFORMER.apply)
 
@@ -104,7 +109,7 @@ def test_vector_attention_agrees_with_a_loop():
 
 
 def test_vector_attention_without_norm():
-    module, inputs = VectorAttention(WIDTH, INNER, RATIO, use_norm=False), clouds()
+    module, inputs = VectorAttention(replace(CONFIG, use_norm=False)), clouds()
     variables = randomised(module, *inputs)
     assert set(variables) == {"params"}
     identity = {"scale": 1.0, "bias": 0.0, "mean": 0.0, "var": 1.0 - 1e-5}
@@ -129,7 +134,7 @@ def test_training_changes_the_statistics_alone():
 def test_upsampling_attention_agrees_with_a_loop(times):
     xyz, features = normal(5, 3), normal(5, WIDTH)
     neighbors = jnp.asarray(RNG.integers(0, 5, (5, 4)))
-    module = UpsamplingAttention(8, INNER, RATIO, times, use_norm=True)
+    module = UpsamplingAttention(replace(CONFIG, features=8, seed_times=times))
     variables = randomised(module, xyz, features, neighbors)
     params, xyz_, features_ = as_numpy(variables), np.float64(xyz), np.float64(features)
     kernel, bias = (

@@ -10,7 +10,6 @@ from experiments.baselines.crapcn import convert_state_dict
 from prism_jax.geometry.neighbors import nearest
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.backbone import partial_indices, train_backbone
-from prism_jax.models.config import ModelConfig
 from prism_jax.models.pyramid import farthest_order
 
 NORMS = {"sqrt": "l1", "sq": "l2"}
@@ -169,7 +168,7 @@ def test_training_mode(published, num_blocks):
     def run(variables, partial):
         indices = partial_indices(partial, pcn.config)
         decoded, statistics = train_backbone(
-            variables, ModelConfig(pcn.config), partial, indices, num_blocks
+            variables, pcn.config, partial, indices, num_blocks
         )
         return decoded.stages, statistics
 

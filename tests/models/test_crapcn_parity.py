@@ -15,11 +15,10 @@ from prism_jax.models.decoder import (
     Cloud,
     SeedGenerator,
     UpsamplingBlock,
-    initial_points,
-    initial_rows,
+    sampled_rows,
 )
 from prism_jax.models.encoder import PointEncoder, PointFeatures, encoder_indices
-from prism_jax.models.layers import over_batch
+from prism_jax.models.layers import over_batch, take
 from prism_jax.models.pyramid import build_pyramid, farthest_order, resolution_rows
 
 FEATURES, COORDINATES = 2e-5, 2e-6
@@ -133,12 +132,7 @@ def pyramid_of(query, support, rates, config):
 def test_inner_levels_of_an_inter_level_block(published):
     pcn = published("pcn")
     config, arrays = pcn.config, pcn.arrays
-    transformer = CrossResolutionTransformer(
-        config.features,
-        config.attention_features,
-        config.attention_ratio,
-        config.use_norm,
-    )
+    transformer = CrossResolutionTransformer(config)
 
     @jax.jit
     def run(variables, *clouds):
@@ -175,8 +169,8 @@ def test_seed_generator(published):
             SeedGenerator(config), variables, encoded
         )
         expected = jnp.asarray(pcn.ref("seed"))
-        rows = initial_rows(expected, partial, config.num_initial)
-        initial = initial_points(expected, partial, rows)
+        joined = jnp.concatenate([expected, partial], axis=-2)
+        initial = take(joined, sampled_rows(joined, config.num_initial))
         return seeds, features, submodule("upsample"), initial
 
     patches = pcn.ref("enc_l2_xyz")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prism_jax.models.backbone import decode, encode_points, partial_indices
-from prism_jax.models.decoder import initial_points
+from prism_jax.models.layers import take
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,8 @@ def test_children_lie_within_reach_of_their_parents(
     backbone = dataclasses.replace(minimal.model.backbone, offset_reach=reach)
     partials, _ = tiny_frames
     found = quick_jit(lambda cloud: decoded(strewn, backbone, cloud))(partials)
-    parents = initial_points(found.stages[0], partials, found.indices.initial)
+    joined = jnp.concatenate([found.stages[0], partials], axis=-2)
+    parents = take(joined, found.indices.initial)
     for children in found.stages[1:]:
         times = children.shape[-2] // parents.shape[-2]
         apart = np.abs(children - np.repeat(parents, times, axis=-2))

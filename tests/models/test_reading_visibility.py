@@ -33,7 +33,7 @@ def model(reading):
 @pytest.fixture(scope="module")
 def untrained(model, minimal_fresh):
     """Variables of `minimal`, with the parts for it as they begin."""
-    fresh = init_backbone(jax.random.key(0), model)
+    fresh = init_backbone(jax.random.key(0), model.backbone)
     return overlaid(fresh, minimal_fresh)
 
 
@@ -129,14 +129,15 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(model, tiny_frame
     partials, cameras = tiny_frames
     eyes = cameras.position
     batch = Batch(np.asarray(partials), None, np.asarray(eyes), None)
-    known = jax.jit(visibility_of)(batch)
+    read = jax.jit(lambda batch: visibility_of(batch, model.backbone))
+    known = read(batch)
     states = [set(np.unique(state)) for state in np.asarray(known.state)]
     for row, found in enumerate(states):
         around = UNKNOWN if row % 2 else BACKGROUND
         assert found == {SURFACE, around}
     # Maps that come with the batch are not made anew.
     given = known._replace(depth=known.depth + 1)
-    again = jax.jit(visibility_of)(batch._replace(visibility=given))
+    again = read(batch._replace(visibility=given))
     seen = np.asarray(known.state) == SURFACE
     np.testing.assert_allclose(again.depth[seen], known.depth[seen] + 1)
     inputs = jax.jit(lambda batch, key: inputs_of(batch, key, model))(

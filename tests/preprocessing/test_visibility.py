@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from prism_jax.preprocessing.visibility import MAX_MEASURED, beside_and_behind, in_front
+from prism_jax.geometry.cloud import MAX_SIGHTS
+from prism_jax.preprocessing.visibility import beside_and_behind, in_front
 
 EYE = np.array([0.0, 0.0, 5.0])
 
@@ -59,7 +60,7 @@ def test_empty_and_degenerate(plane):
 
 def test_of_a_large_cloud_evenly_spaced_rows_are_asked(plane):
     large = np.repeat(plane, 12, axis=0)
-    assert len(large) > MAX_MEASURED
+    assert len(large) > MAX_SIGHTS
     points = np.random.default_rng(0).uniform(-1, 1, (100, 3))
     np.testing.assert_array_equal(
         in_front(points, large, EYE, 0.05, 4.0), in_front(points, plane, EYE, 0.05, 4.0)

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prism_jax.completion.filtering import select
-from prism_jax.geometry.spacing import median_spacing
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.visibility import (
     BACKGROUND,
     MAP_SIZE,
@@ -186,7 +186,7 @@ def test_free_space_in_closed_form():
 def test_what_was_looked_past_is_left_away_but_for_the_rim():
     """The background says nothing about points near the object's silhouette."""
     few = PLATE[::7]
-    reach = PAST * median_spacing(few)
+    reach = PAST * IndexedCloud(few).spacing
     known = seen_among(PLATE, WALL, EYE, Workspace.unit())
     beside = np.array([(-0.5 - far * reach, 0.0, 0.0) for far in (0.5, 0.9, 1.1)])
     prediction = np.concatenate([beside, PLATE[:5] + [0, 0.2, 0]])

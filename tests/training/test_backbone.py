@@ -52,13 +52,13 @@ def parts_of(variables, *names):
 @pytest.fixture(scope="module")
 def seeds(preset, backbone):
     phase = preset.pretrain.backbone[0]
-    return backbone_phase(backbone, preset.model, phase, preset.pretrain)
+    return backbone_phase(backbone, preset.model.backbone, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
 def stages(preset, backbone):
     phase = preset.pretrain.backbone[1]
-    return backbone_phase(backbone, preset.model, phase, preset.pretrain)
+    return backbone_phase(backbone, preset.model.backbone, phase, preset.pretrain)
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +171,8 @@ def test_the_average_is_what_is_kept(preset, backbone, batch):
     """In closed form: it forgets sooner at first. Training is as without it."""
     phase, settings = preset.pretrain.backbone[0], preset.pretrain
     averaged = dataclasses.replace(settings, average_decay=0.25)
-    with_average = backbone_phase(backbone, preset.model, phase, averaged)
-    alone = backbone_phase(backbone, preset.model, phase, settings)
+    with_average = backbone_phase(backbone, preset.model.backbone, phase, averaged)
+    alone = backbone_phase(backbone, preset.model.backbone, phase, settings)
     assert alone.start.average is None
     state, plain, expected = with_average.start, alone.start, alone.start.variables
     assert bitwise(state.kept, state.variables)

@@ -6,7 +6,7 @@ import pytest
 from prism_jax.completion.filtering import select
 from prism_jax.preprocessing.observation import observe
 from prism_jax.uncertainty.confidence import EVIDENCE
-from prism_jax.uncertainty.evidence import evidence_of, pose_predictions
+from prism_jax.uncertainty.evidence import Looks, evidence_of, pose_predictions
 
 RNG = np.random.default_rng(0)
 EYE = np.array([0.0, 0.0, 6.0])
@@ -29,7 +29,7 @@ def evidence(points, prediction=None, num_read=128, looks=None, sensor=EYE):
     predicted = unit if prediction is None else seen.workspace.to_unit(prediction)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     selection = select(predicted, unit, read.partial, eye)
-    looks = looks or (predicted, predicted, predicted)
+    looks = Looks(looks or (predicted, predicted, predicted))
     shares = (selection.stray | selection.outside).mean(), selection.in_front.mean()
     return evidence_of(seen, read, predicted, *map(float, shares), looks, novelty=0.5)
 
@@ -96,6 +96,6 @@ def test_looks_are_the_first_poses():
     clouds = RNG.normal(size=(4, 5, 3))
     for count in (3, 4):
         looks = pose_predictions(clouds[:count].reshape(-1, 3), count)
-        np.testing.assert_array_equal(looks, clouds[:3])
+        np.testing.assert_array_equal(looks.clouds, clouds[:3])
     assert pose_predictions(clouds[:2].reshape(-1, 3), 2) is None
     assert pose_predictions(clouds[0], 1) is None

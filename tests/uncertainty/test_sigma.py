@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from prism_jax.preprocessing.observation import observe
+from prism_jax.uncertainty.evidence import Looks
 from prism_jax.uncertainty.sigma import CLUES, PointErrors, clues_of, spread
 
 EYE = np.array([0.0, 0.0, 6.0])
@@ -23,7 +24,7 @@ def clues(points, prediction, asked=None, off=0.0, sensor=EYE, num_read=128):
     seen = observe(points, sensor, margin=1.0)
     unit = np.asarray(seen.workspace.to_unit(prediction), np.float64)
     some = unit if asked is None else unit[asked]
-    looks = unit, unit + [0, 0, off], unit - [0, 0, 2 * off]
+    looks = Looks([unit, unit + [0, 0, off], unit - [0, 0, 2 * off]])
     found = clues_of(some, seen, seen.sampled(num_read), unit, looks)
     assert found.shape == (len(some), len(CLUES)) and np.isfinite(found).all()
     return dict(zip(CLUES, found.T, strict=True))

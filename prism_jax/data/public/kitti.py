@@ -7,7 +7,6 @@ with the corners of the car's box. Points and corners are in the scanner's frame
 metres: x forward, y left, z up, the scanner at the origin.
 """
 
-import os
 import pathlib
 
 import numpy as np
@@ -21,7 +20,7 @@ from prism_jax.data.public.layout import (
     sound_cloud,
 )
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.text import read_text
 
 SPLITS = ("test",)
@@ -29,15 +28,10 @@ SPLITS = ("test",)
 
 class KITTI(ListedSource):
     """Cars in the frame of their box, as `to_box_frame` has it; `complete` is None.
-
-    `eye` is the scanner's position in that frame. The list is `root`/`list_file`.
-    """
+    `eye` is the scanner's position in that frame. The list is `root`/`list_file`."""
 
     def __init__(
-        self,
-        root: str | os.PathLike,
-        split: str = "test",
-        list_file: str = "KITTI.json",
+        self, root: StrPath, split: str = "test", list_file: str = "KITTI.json"
     ):
         root = pathlib.Path(root)
         choose("split", split, SPLITS)
@@ -64,11 +58,10 @@ def to_box_frame(
 ) -> Float64[np.ndarray, "N 3"]:
     """Points of the scanner's frame in the frame that the completion literature uses.
 
-    The origin is the middle of the corners' axis-aligned box. The heading, from corner
-    0 to corner 3 as seen from above, becomes +x, up becomes +y, and the box's length
-    one; the third axis is the former y, so that left and right are exchanged, as
-    published (PCN's test_kitti.py; GRNet's and PoinTr's loaders). A box that leans is
-    turned about the vertical alone. Corners 0 and 3 at one place raise ValueError.
+    The origin is the middle of the corners' axis-aligned box, the heading from corner 0
+    to corner 3 becomes +x, up +y, and the box's length one; left and right are
+    exchanged, as published (PCN's test_kitti.py; GRNet's and PoinTr's loaders). Corners
+    0 and 3 at one place raise ValueError.
     """
     center = (corners.min(axis=0) + corners.max(axis=0)) / 2
     along_x, along_y = corners[3, :2].astype(np.float64) - corners[0, :2]
@@ -81,11 +74,9 @@ def to_box_frame(
     return np.stack([forward, z, left], axis=1) / length
 
 
-def read_corners(path: str | os.PathLike) -> Float64[np.ndarray, "8 3"]:
+def read_corners(path: StrPath) -> Float64[np.ndarray, "8 3"]:
     """The corners of a car's box, in the scanner's frame; InputError of anything else.
-
-    From corner 0 edges lead to 1, 3 and 4, and that to 3 is the heading.
-    """
+    From corner 0 edges lead to 1, 3 and 4, and that to 3 is the heading."""
     corners = read_text(path)
     is_box = corners.shape == (8, 3) and bool(np.isfinite(corners).all())
     if not is_box or np.array_equal(corners[0, :2], corners[3, :2]):

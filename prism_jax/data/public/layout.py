@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from prism_jax.io.arrays import read_npy
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath, unreadable
 from prism_jax.io.files import read_bytes
 from prism_jax.io.pcd import read_pcd
 
@@ -36,11 +36,9 @@ class Model(NamedTuple):
 
 
 class ListedSource:
-    """The objects of a list, each seen in `views` partial clouds.
-
-    Index i is view `i % views` of object `i // views`, in the list's order. Subclasses
-    add `__getitem__`. It holds nothing but strings, so it can be pickled.
-    """
+    """The objects of a list, each seen in `views` partial clouds. Index i is view `i %
+    views` of object `i // views`, in the list's order. Subclasses add `__getitem__`. It
+    holds nothing but strings, so it can be pickled."""
 
     def __init__(self, root: pathlib.Path, models: Sequence[Model], views: int):
         self.root = root
@@ -62,14 +60,10 @@ class ListedSource:
         return self.models[number], view
 
 
-def read_list(
-    path: str | os.PathLike, pattern: str, form: str
-) -> list[tuple[str, ...]]:
-    """The groups of a pattern for each line of a list file that is not blank.
-
-    A list that is missing or empty, or that has a line of another form or the same line
-    twice, raises InputError.
-    """
+def read_list(path: StrPath, pattern: str, form: str) -> list[tuple[str, ...]]:
+    """The groups of a pattern for each line of a list file that is not blank. A list
+    that is missing or empty, or that has a line of another form or the same line twice,
+    raises InputError."""
     lines = [line.strip() for line in _read_text(path).splitlines() if line.strip()]
     matches = [re.fullmatch(pattern, line) for line in lines]
     for line, match in zip(lines, matches, strict=True):
@@ -80,12 +74,10 @@ def read_list(
     return [match.groups() for match in matches if match]
 
 
-def read_json_list(path: str | os.PathLike, split: str) -> list[Model]:
-    """The objects of a split, from a category list as GRNet publishes them.
-
-    It is a JSON list of objects with `taxonomy_id`, `taxonomy_name` and, for each
-    split, a list of ids. Anything else raises InputError.
-    """
+def read_json_list(path: StrPath, split: str) -> list[Model]:
+    """The objects of a split, from a category list as GRNet publishes them. It is a
+    JSON list of objects with `taxonomy_id`, `taxonomy_name` and, for each split, a list
+    of ids. Anything else raises InputError."""
     text = _read_text(path)
     try:
         entries = json.loads(text)
@@ -98,16 +90,10 @@ def read_json_list(path: str | os.PathLike, split: str) -> list[Model]:
 
 
 def require_files(
-    root: pathlib.Path,
-    wanted: Mapping[str, Sequence[str]],
-    listed_in: str,
-    layout: str,
+    root: pathlib.Path, wanted: Mapping[str, Sequence[str]], listed_in: str, layout: str
 ) -> None:
-    """Raises InputError unless every wanted file is there: folder -> names in it.
-
-    The error counts the missing files, names the first few, and gives the published
-    layout.
-    """
+    """Raises InputError, with the first few missing files and the published layout,
+    unless every wanted file is there: folder -> names in it."""
     missing: list[tuple[str, str]] = []
     total = 0
     for folder, names in wanted.items():
@@ -117,11 +103,9 @@ def require_files(
     if missing:
         paths = [str(pathlib.PurePosixPath(*parts)) for parts in missing[:_SHOWN]]
         first = ", ".join(paths + ["..."] * (len(missing) > _SHOWN))
-        raise InputError(
-            root,
-            f"{len(missing)} of the {total} files in {listed_in} are missing: {first}",
-            f"copy the whole data set here, as {layout}",
-        )
+        fault = f"{len(missing)} of the {total} files in {listed_in} are missing"
+        remedy = f"copy the whole data set here, as {layout}"
+        raise InputError(root, f"{fault}: {first}", remedy)
 
 
 def read_cloud(
@@ -132,7 +116,7 @@ def read_cloud(
 
 
 def sound_cloud(
-    points: np.ndarray, subject: str | os.PathLike, num_points: int | None = None
+    points: np.ndarray, subject: StrPath, num_points: int | None = None
 ) -> Float32[np.ndarray, "N 3"]:
     """The points as float32; another shape or count, or a NaN, raises InputError."""
     is_cloud = points.ndim == 2 and points.shape[1] == 3 and len(points) > 0
@@ -149,7 +133,7 @@ def sound_cloud(
     return cloud
 
 
-def _read_text(path: str | os.PathLike) -> str:
+def _read_text(path: StrPath) -> str:
     try:
         return read_bytes(path).decode()
     except UnicodeDecodeError:
@@ -166,7 +150,7 @@ def _models(entry: dict[str, Any], split: str) -> Iterator[Model]:
         yield Model(name, folder, item)
 
 
-def _refuse_doubles(path: str | os.PathLike, entries: Sequence[object]) -> None:
+def _refuse_doubles(path: StrPath, entries: Sequence[object]) -> None:
     if not entries:
         raise InputError(path, "no objects listed", _TAKE_LIST)
     if len(set(entries)) < len(entries):
@@ -179,6 +163,4 @@ def _names_in(folder: pathlib.Path) -> set[str]:
     except (FileNotFoundError, NotADirectoryError):
         return set()
     except OSError as error:
-        raise InputError(
-            folder, f"cannot be listed ({error.strerror})", "check its permissions"
-        ) from None
+        raise unreadable(folder, error) from None

@@ -6,7 +6,6 @@ Yuan et al., "PCN: Point Completion Network", 3DV 2018, in the layout of GRNet's
 <split>/partial/<synset>/<model>/<00 to 07>.pcd, in validation and test 00.pcd alone.
 """
 
-import os
 import pathlib
 
 from prism_jax.data.public.layout import (
@@ -17,7 +16,7 @@ from prism_jax.data.public.layout import (
     require_files,
 )
 from prism_jax.data.source import Example
-from prism_jax.io.errors import choose
+from prism_jax.io.errors import StrPath, choose
 
 SPLITS = ("train", "val", "test")
 NUM_POINTS = 16384
@@ -25,15 +24,11 @@ TRAIN_VIEWS = 8
 
 
 class PCN(ListedSource):
-    """Eight partial clouds a model in training, one in validation and test.
+    """Eight partial clouds a model in training, one in validation and test. Both clouds
+    are in the model's own frame, as ShapeNet has it; the cameras are not published. The
+    list of models is `root`/`list_file`."""
 
-    Both clouds are in the model's own frame, as ShapeNet has it; the cameras are not
-    published. The list of models is `root`/`list_file`.
-    """
-
-    def __init__(
-        self, root: str | os.PathLike, split: str, list_file: str = "PCN.json"
-    ):
+    def __init__(self, root: StrPath, split: str, list_file: str = "PCN.json"):
         root = pathlib.Path(root)
         choose("split", split, SPLITS)
         models = read_json_list(root / list_file, split)

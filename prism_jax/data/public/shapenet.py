@@ -8,7 +8,6 @@ Projected_<subset>_noise/, of names with shapenet_pc/ before them, and
 projected_partial_noise/<synset>/<model>/models/<0 to 15>.pcd.
 """
 
-import os
 import pathlib
 
 import numpy as np
@@ -24,7 +23,7 @@ from prism_jax.data.public.layout import (
 )
 from prism_jax.data.public.synsets import SYNSETS
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError, choose
+from prism_jax.io.errors import InputError, StrPath, choose
 
 SUBSETS = {
     "ShapeNet-55": ("train", "test"),
@@ -43,22 +42,15 @@ _FORM = "a line such as 02691156-1a04e3eab45ca15dd86060f189eb133.npy"
 class ShapeNet(ListedSource):
     """Complete clouds, cropped from eight fixed viewpoints for the published test.
 
-    As PoinTr's loader does, each complete cloud is normalised: its centroid goes to the
-    origin and its farthest point to distance one. Without `difficulty` there is one
-    item a model, `partial` is None, and whoever trains crops it. With it there are
-    eight, one a viewpoint, in PoinTr's order: the share of the points nearest to
-    (+-1, +-1, +-1) is taken away, the viewpoint as it stands, not scaled to length one,
-    and what is left is not normalised again. PoinTr feeds its networks 2,048 farthest
-    points of that. The difficulty "all" has the three one after the other for each
-    model. A viewpoint of a crop is no sensor's place: `eye` is None.
+    As in PoinTr's loader, each complete cloud's centroid goes to the origin and its
+    farthest point to distance one. Without `difficulty` there is one item a model, and
+    whoever trains crops it. With it there are eight, one a viewpoint: the share of the
+    points nearest to (+-1, +-1, +-1) is taken away, and what is left is not normalised
+    again. The difficulty "all" has the three one after the other for each model.
     """
 
     def __init__(
-        self,
-        subset: str,
-        root: str | os.PathLike,
-        split: str,
-        difficulty: str | None = None,
+        self, subset: str, root: StrPath, split: str, difficulty: str | None = None
     ):
         root = pathlib.Path(root)
         self.difficulties: tuple[str, ...] = ()
@@ -84,13 +76,11 @@ class ShapeNet(ListedSource):
 
 
 class ProjectedShapeNet(ListedSource):
-    """Complete clouds with partial ones projected from depth images with noise.
+    """Complete clouds with partial ones projected from depth images with noise. Sixteen
+    partials a model in training, the first alone in the test; as AdaPoinTr's loader
+    does, neither cloud is normalised. The cameras are not published."""
 
-    Sixteen partials a model in training, the first alone in the test; as AdaPoinTr's
-    loader does, neither cloud is normalised. The cameras are not published.
-    """
-
-    def __init__(self, subset: str, root: str | os.PathLike, split: str):
+    def __init__(self, subset: str, root: StrPath, split: str):
         root = pathlib.Path(root)
         models = _read_models(root, split, subset, f"Projected_{subset}_noise")
         views = TRAIN_PROJECTIONS if split == "train" else 1

@@ -22,10 +22,8 @@ _Fields = dict[bytes, bytes]
 
 
 class BagFile(MessageFile):
-    """Messages of a bag, packed by bz2, LZ4 or not at all.
-
-    The index at its end is not needed, so a bag that was never closed can be read.
-    """
+    """Messages of a bag, packed by bz2, LZ4 or not at all. The index at its end is not
+    needed, so a bag that was never closed can be read."""
 
     def topics(self) -> dict[str, Topic]:
         counts: Counter[str] = Counter()
@@ -93,20 +91,19 @@ class BagFile(MessageFile):
 
 def _head(file: BinaryIO, size: int) -> tuple[_Fields, int]:
     """A record's fields and the length of its data."""
-    (length,) = _numbers(file.read(4))
+    length = _number(file.read(4))
     if length > min(_HEADER_LIMIT, size):
         raise CutError("damaged record")
     header = file.read(length)
     if len(header) < length:
         raise CutError("ends within a record")
-    fields = _fields(memoryview(header))
-    return fields, _numbers(file.read(4))[0]
+    return _fields(memoryview(header)), _number(file.read(4))
 
 
-def _numbers(data: bytes) -> tuple[int]:
+def _number(data: bytes) -> int:
     if len(data) < 4:
         raise CutError("ends within a record")
-    return struct.unpack("<I", data)
+    return int.from_bytes(data, "little")
 
 
 def _in_chunk(
@@ -118,29 +115,29 @@ def _in_chunk(
         records = memoryview(unpack(data, fields[b"compression"].decode(), size))
     except (KeyError, struct.error, ValueError) as error:
         raise CutError(f"damaged record ({error})") from None
+    parts = _parts(records)
+    for header in parts:
+        data = next(parts, None)
+        if header is not None and data is not None:
+            yield _fields(header), data
+
+
+def _parts(data: memoryview) -> Iterator[memoryview | None]:
+    """Bytes with their count before them, one after the other; None for bytes that the
+    data end within."""
     start = 0
-    while start + 4 <= len(records):
-        (header,) = struct.unpack_from("<I", records, start)
-        middle = start + 4 + header
-        if middle + 4 > len(records):
-            return
-        (length,) = struct.unpack_from("<I", records, middle)
-        end = middle + 4 + length
-        if end > len(records):
-            return
-        yield _fields(records[start + 4 : middle]), records[middle + 4 : end]
-        start = end
+    while start + 4 <= len(data):
+        first = start + 4
+        start = first + int.from_bytes(data[start:first], "little")
+        yield data[first:start] if start <= len(data) else None
 
 
 def _fields(header: memoryview) -> _Fields:
     """A header's fields by name."""
-    fields, start = {}, 0
-    while start + 4 <= len(header):
-        (length,) = struct.unpack_from("<I", header, start)
-        entry = bytes(header[start + 4 : start + 4 + length])
-        name, equals, value = entry.partition(b"=")
-        if len(entry) < length or not equals:
+    fields = {}
+    for entry in _parts(header):
+        name, equals, value = bytes(entry or b"").partition(b"=")
+        if not equals:
             raise CutError("damaged record")
         fields[name] = value
-        start += 4 + length
     return fields

@@ -54,39 +54,31 @@ class Db3File(MessageFile):
         counted = "SELECT COUNT(*) FROM messages WHERE topic_id IN "
         named = "(SELECT id FROM topics WHERE name = ?)"
         count = 0
-        try:
-            if not self._missing():
+        # Iterating over the messages tells of what is cut.
+        with contextlib.suppress(CutError, sqlite3.DatabaseError):
+            if not self._cut_page():
                 with self._connected() as database:
                     return database.execute(counted + named, [topic]).fetchone()[0]
             for _ in self.messages({topic}):
                 count += 1
-        except (CutError, sqlite3.DatabaseError):
-            pass  # which iterating over the messages tells
         return count
 
-    def _missing(self) -> int:
-        """How many bytes the file is shorter than its header says."""
-        size = self.path.stat().st_size
-        page, count = self._pages()
-        return max(page * count - size, 0)
-
-    def _pages(self) -> tuple[int, int]:
-        """The size of a page, and how many the header claims."""
+    def _cut_page(self) -> int:
+        """The size of a page, if the file is shorter than its header says; else 0."""
         with self.opened(MAGIC, "a ROS 2 bag in SQLite") as file:
             rest = file.read(16)
         if len(rest) < 16:
             remedy = "check how it was recorded or copied"
             raise InputError(self.path, "not a ROS 2 bag in SQLite", remedy)
-        (page,) = struct.unpack_from(">H", rest)
-        (count,) = struct.unpack_from(">I", rest, 12)
-        return 65536 if page == 1 else max(page, 512), count
+        page, count = struct.unpack(">H10xI", rest)
+        page = 65536 if page == 1 else max(page, 512)
+        return page if page * count > self.path.stat().st_size else 0
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
-        if self._missing():
+        if page := self._cut_page():
             # SQLite would take what is missing of the last page for zeros.
             database = sqlite3.connect(":memory:", check_same_thread=False)
-            page, _ = self._pages()
             data = read_bytes(self.path)
             database.deserialize(data[: len(data) // page * page])
         else:

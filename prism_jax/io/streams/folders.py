@@ -1,18 +1,18 @@
 """Folders of clouds, of depth images, and of the recordings' layout."""
 
 import dataclasses
-import os
 import pathlib
 import re
 from collections.abc import Iterator
 
 import numpy as np
 
+from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import READERS, read_points_counted
 from prism_jax.io.depth import read_camera, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_json
-from prism_jax.io.streams.frame import Frame, Stream, Tell
+from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
 
 PERIOD = 100_000_000
 """Nanoseconds between files that say nothing of their time: 10 frames a second."""
@@ -25,22 +25,16 @@ TOPICS = {"depth": _DEPTH, "partial": _PARTIAL}
 
 
 class CloudFolder(Stream):
-    """The clouds of a folder, or its depth images, by the numbers in their names.
+    """The clouds of a folder, or its depth images, by the numbers in their names. A
+    depth image's camera is the JSON of the same name or `camera.json`. A file that
+    cannot be read is left out and remarked. Frames count as 10 a second."""
 
-    Clouds are what `prism_jax.io.read_points` reads. A depth image is a 16-bit PNG; its
-    camera is the JSON of the same name or `camera.json`. A file that cannot be read is
-    left out and remarked. Frames count as 10 a second.
-    """
-
-    def __init__(
-        self,
-        path: str | os.PathLike,
-        topic: str | None = None,
-        tell: Tell | None = None,
-    ):
+    def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
-        _check_no_topic(path, topic)
-        files = [p for p in pathlib.Path(path).iterdir() if not p.name.startswith(".")]
+        if topic is not None:
+            fault = f"no topics in this recording, so no {topic}"
+            raise InputError(path, fault, "omit --topic")
+        files = [p for p in path.iterdir() if not p.name.startswith(".")]
         clouds = [p for p in files if p.suffix.lower() in READERS]
         images = [p for p in files if p.suffix.lower() == ".png"]
         if not clouds and not images:
@@ -66,36 +60,20 @@ class CloudFolder(Stream):
             own = path.with_suffix(".json")
             common = path.with_name("camera.json")
             return _depth_frame(path, own if own.exists() else common, time)
-        points, count = read_points_counted(path)
-        return Frame(points, time, num_not_finite=count - len(points))
+        return _cloud_frame(path, None, time)
 
 
 class RecordedFrames(Stream):
-    """Frames in the layout of `prism_jax.data.recordings`, sequence after sequence.
+    """Frames in the layout of `prism_jax.data.recordings`, in the world frame, sequence
+    after sequence: the topic "depth" is the depth images, "partial" the partial clouds.
+    Frames count as 10 a second."""
 
-    The topic "depth" is the depth images, in the world frame that their cameras' poses
-    refer to, "partial" the partial clouds, in that frame too. Frames count as 10 a
-    second.
-    """
-
-    def __init__(
-        self,
-        path: str | os.PathLike,
-        topic: str | None = None,
-        tell: Tell | None = None,
-    ):
+    def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
-        if topic not in TOPICS:
-            fault = f"{len(TOPICS)} topics with clouds or depth images"
-            if topic is not None:
-                fault = f"no clouds or depth images on {topic}"
-            remedy = f"set --topic to one of {', '.join(TOPICS)}"
-            raise InputError(path, fault, remedy)
-        self.topic = topic
-        root = pathlib.Path(path)
-        found = root.glob(f"*{TOPICS[topic]}") if _holds(root) else None
-        found = found or root.glob(f"*/*{TOPICS[topic]}")
-        self._paths = sorted(found, key=lambda p: natural(p.relative_to(root)))
+        self.topic = chosen_topic(path, topic, TOPICS, "clouds or depth images")
+        above = "" if _holds(path) else "*/"
+        found = path.glob(f"{above}*{TOPICS[self.topic]}")
+        self._paths = sorted(found, key=lambda p: natural(p.relative_to(path)))
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -111,10 +89,7 @@ class RecordedFrames(Stream):
                 if suffix == _DEPTH:
                     frame = _depth_frame(path, camera, time)
                 else:
-                    points, count = read_points_counted(path)
-                    odd = count - len(points)
-                    view = read_camera(camera)
-                    frame = Frame(points, time, view, num_not_finite=odd)
+                    frame = _cloud_frame(path, read_camera(camera), time)
                 if self.joints is not None and joints.exists():
                     frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
                 yield frame
@@ -142,12 +117,11 @@ def _holds(path: pathlib.Path) -> bool:
     return any(path.glob(f"*{_DEPTH}"))
 
 
+def _cloud_frame(path: pathlib.Path, camera: Camera | None, time: int) -> Frame:
+    points, count = read_points_counted(path)
+    return Frame(points, time, camera, num_not_finite=count - len(points))
+
+
 def _depth_frame(path: pathlib.Path, camera: pathlib.Path, time: int) -> Frame:
     depth, mask, view = read_depth(path, camera)
     return Frame.of_depth(np.where(mask, depth, 0.0), view, time)
-
-
-def _check_no_topic(path: str | os.PathLike, topic: str | None) -> None:
-    if topic is not None:
-        fault = f"no topics in this recording, so no {topic}"
-        raise InputError(path, fault, "omit --topic")

@@ -2,10 +2,11 @@
 
 import abc
 import dataclasses
+import functools
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath
 
 Tell = Callable[[str], None]  # takes one line for the user
 
@@ -64,10 +65,8 @@ class Frame:
         return cls(points, timestamp, camera, depth, odd, depth.shape)
 
     def seen_by(self, camera: Camera) -> "Frame":
-        """The same measurement by a camera that is known better.
-
-        A depth image gives points anew; one of another size raises InputError.
-        """
+        """The same measurement by a camera that is known better. A depth image gives
+        points anew; one of another size raises InputError."""
         if self.depth is None:
             return dataclasses.replace(self, camera=camera)
         height, width = self.depth.shape
@@ -81,25 +80,20 @@ class Frame:
 class Stream(abc.ABC):
     """Frames of one sensor from a recording, in the order in which they were recorded.
 
-    It can be iterated over again, and from any thread. ``remarks`` counts what was odd;
-    of each kind the first case is told in one line.
-
-    Attributes:
-      path: of the recording.
-      topic: which of the recording's sensors it is, where it names them.
-      camera: one that was given for all frames, or None. For depth images it takes the
-        place of what the recording says of theirs.
-      joints: where the frames' joint positions come from; None if nobody asked.
+    It can be iterated over again, and from any thread. `remarks` counts what was odd;
+    of each kind the first case is told in one line. `topic` is which of the recording's
+    sensors it is; `camera`, if given, stands in for what the recording says of all
+    frames'; `joints` is where joint positions come from, None if nobody asked.
     """
 
     topic: str | None = None
     camera: Camera | None = None
     joints: Joints | None = None
 
-    def __init__(self, path: str | os.PathLike, tell: Tell | None = None):
+    def __init__(self, path: StrPath, tell: Tell | None = None):
         self.path = os.fspath(path)
         self.remarks: Counter[str] = Counter()
-        self._tell = tell or _to_stderr
+        self._tell = tell or functools.partial(print, file=sys.stderr, flush=True)
 
     @abc.abstractmethod
     def __len__(self) -> int:
@@ -165,8 +159,21 @@ class Stream(abc.ABC):
             self.remark("size", f"{line}; both are used")
 
 
+def chosen_topic(
+    path: StrPath,
+    topic: str | None,
+    fitting: Collection[str],
+    content: str,
+    flag: str = "--topic",
+) -> str:
+    """The topic asked for, or the only one that fits; InputError lists those."""
+    if topic in fitting:
+        return str(topic)
+    if topic is None and len(fitting) == 1:
+        return next(iter(fitting))
+    fault = f"{len(fitting)} topics with {content}"
+    fault = fault if topic is None else f"no {content} on {topic}"
+    raise InputError(path, fault, f"set {flag} to one of {', '.join(fitting)}")
+
+
 _NONE = np.zeros((0, 3), np.float32)
-
-
-def _to_stderr(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)

@@ -6,6 +6,7 @@ import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
 
+from prism_jax.io.errors import require
 from prism_jax.io.streams.messages import (
     CutError,
     Message,
@@ -13,16 +14,14 @@ from prism_jax.io.streams.messages import (
     Topic,
     full_name,
 )
-from prism_jax.io.streams.packed import unpack
+from prism_jax.io.streams.packed import EXTRA, unpack
 
 MAGIC = b"\x89MCAP0\r\n"
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
-_STATISTICS, _DATA_END = 0x0B, 0x0F
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _MOST_A_BYTE = 100
 """Messages: packing does not get further, so statistics that say more are wrong."""
-_FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
 
 
 class McapFile(MessageFile):
@@ -38,9 +37,9 @@ class McapFile(MessageFile):
                 counts.update(channel for channel, _, _ in self._messages(known))
         found: dict[str, Topic] = {}
         for channel, count in counts.items():
-            name, kind, encoding = known.channels[channel]
+            name, *about = known.channels[channel]
             before = found[name].count if name in found else 0
-            found[name] = Topic(kind, encoding, before + count)
+            found[name] = Topic(*about, before + count)
         return found
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
@@ -93,34 +92,19 @@ class McapFile(MessageFile):
 
     def _counts_at_the_end(self, known: "_Channels") -> dict[int, int] | None:
         """Messages of each channel by the file's own statistics, if there are any."""
-        with self.opened(MAGIC, "an MCAP file") as file:
-            size = os.fstat(file.fileno()).st_size
-            if size < len(MAGIC) + _FOOTER_BYTES:
-                return None
-            file.seek(size - _FOOTER_BYTES)
-            footer = file.read()
-            code, length = _HEAD.unpack_from(footer)
-            if footer[-len(MAGIC) :] != MAGIC or (code, length) != (_FOOTER, 20):
-                return None
-            (start,) = struct.unpack_from("<Q", footer, _HEAD.size)
-            if not 0 < start < size:
-                return None
-            file.seek(start)
-            summary = memoryview(file.read(size - _FOOTER_BYTES - start))
-        counts = None
+        reader = require("mcap.reader", EXTRA)
         try:
-            for code, content in _in_buffer(summary, True):
-                known.learn(code, content)
-                if code == _STATISTICS:
-                    # After seven other counts and times.
-                    (length,) = struct.unpack_from("<I", content, 42)
-                    pairs = struct.iter_unpack("<HQ", content[46 : 46 + length])
-                    counts = dict(pairs)
-        except (struct.error, ValueError):
+            with open(self.path, "rb") as file:
+                summary = reader.SeekingReader(file).get_summary()
+            counts = summary.statistics.channel_message_counts
+        except Exception:  # a file that is cut has none, and fails in many ways
             return None
-        if counts is None or not counts.keys() <= known.channels.keys():
-            return None
-        if sum(counts.values()) > _MOST_A_BYTE * size:
+        for number, channel in summary.channels.items():
+            schema = summary.schemas.get(channel.schema_id)
+            kind = full_name("" if schema is None else schema.name)
+            known.channels[number] = channel.topic, kind, channel.message_encoding
+        most = _MOST_A_BYTE * self.path.stat().st_size
+        if not counts.keys() <= known.channels.keys() or sum(counts.values()) > most:
             return None
         return {channel: count for channel, count in counts.items() if count}
 
@@ -147,17 +131,15 @@ class _Channels:
 def _in_buffer(data: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
     """The records of a chunk; of one that is not whole, those that are."""
     start = 0
-    while start < len(data):
-        if start + _HEAD.size <= len(data):
-            code, length = _HEAD.unpack_from(data, start)
-            end = start + _HEAD.size + length
-            if end <= len(data):
-                yield code, data[start + _HEAD.size : end]
-                start = end
-                continue
-        if whole:
-            raise ValueError("a chunk ends within a record")
-        return
+    while start + _HEAD.size <= len(data):
+        code, length = _HEAD.unpack_from(data, start)
+        end = start + _HEAD.size + length
+        if end > len(data):
+            break
+        yield code, data[start + _HEAD.size : end]
+        start = end
+    if whole and start < len(data):
+        raise ValueError("a chunk ends within a record")
 
 
 def _unpacked(content: memoryview) -> memoryview:

@@ -9,25 +9,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from prism_jax.io.errors import InputError, require
+from prism_jax.io.errors import StrPath, require, unwritable
 from prism_jax.io.streams.packed import EXTRA
 
 _STAMP, _HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
-_FLOATS = {"f4": 7, "f8": 8}
-_UINT8 = 2
+_UINT8, _FLOATS = 2, {4: 7, 8: 8}  # PointField's numbers of types
 Maker = Callable[..., Any]
 """Of a message: takes the makers of all types, by name, and gives one."""
 
 
 class McapOutput:
-    """An MCAP file that is being written. Each message is on the disk at once.
+    """An MCAP file that is being written. Each message is on the disk at once. Until
+    `close` its name ends in `.part.mcap`: what a killed program leaves there can be
+    read up to the last whole message, and an older file of the name is still whole."""
 
-    Until `close` its name ends in `.part.mcap`: what a killed program leaves there can
-    be read up to the last whole message, and what was there under the file's own name
-    is still whole.
-    """
-
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: StrPath):
         writer = require("mcap.writer", EXTRA)
         types = require("rosbags.typesys", EXTRA)
         self._store = types.get_typestore(types.Stores.ROS2_HUMBLE)
@@ -36,32 +32,27 @@ class McapOutput:
         try:
             self._file = io.BufferedWriter(io.FileIO(self.part, "w"))
         except OSError as error:
-            self._fail(error)
+            raise unwritable(self.path, error) from None
         # A chunk for each message, so that none waits for the next.
         self._writer = writer.Writer(self._file, chunk_size=1)
         self._writer.start("ros2", "prism_jax")
         self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
 
     def write(self, topic: str, kind: str, time: int, make: Maker) -> None:
         """Adds what `make` makes of the types as a message of that type."""
-        if kind not in self._schemas:
+        if topic not in self._channels:
             text, _ = self._store.generate_msgdef(kind, ros_version=2)
             schema = self._writer.register_schema(kind, "ros2msg", text.encode())
-            self._schemas[kind] = schema
-        if topic not in self._channels:
-            schema = self._schemas[kind]
             channel = self._writer.register_channel(topic, "cdr", schema)
             self._channels[topic] = channel
-        message = make(self._store.types)
-        data = bytes(self._store.serialize_cdr(message, kind))
+        data = bytes(self._store.serialize_cdr(make(self._store.types), kind))
         # The log's clock cannot be before its zero.
         time = max(time, 0)
         try:
             self._writer.add_message(self._channels[topic], time, data, time)
             self._file.flush()
         except OSError as error:
-            self._fail(error)
+            raise unwritable(self.path, error) from None
 
     def close(self) -> None:
         """Ends the file and gives it its name."""
@@ -74,12 +65,7 @@ class McapOutput:
             self._file.close()
             os.replace(self.part, self.path)
         except OSError as error:
-            self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        fault = f"cannot be written ({error.strerror})"
-        remedy = "choose another path, or free some space"
-        raise InputError(self.path, fault, remedy) from None
+            raise unwritable(self.path, error) from None
 
 
 def header(types: Any, time: int, frame_id: str) -> Any:
@@ -95,16 +81,14 @@ def cloud_message(
     labels: UInt8[np.ndarray, " N"] | None = None,
 ) -> Maker:
     """A PointCloud2 in the points' own precision, with a `label` of each if given."""
-    scalar = "f8" if points.dtype == np.float64 else "f4"
-    size = np.dtype(scalar).itemsize
-    fields = [(axis, place * size, _FLOATS[scalar]) for place, axis in enumerate("xyz")]
-    if labels is not None:
-        fields.append(("label", 3 * size, _UINT8))
+    size = 8 if points.dtype == np.float64 else 4
+    fields = [(axis, place * size, _FLOATS[size]) for place, axis in enumerate("xyz")]
     step = 3 * size if labels is None else 4 * size
     rows = np.zeros((len(points), step), np.uint8)
-    positions = np.ascontiguousarray(points, f"<{scalar}")
+    positions = np.ascontiguousarray(points, f"<f{size}")
     rows[:, : 3 * size] = positions.view(np.uint8).reshape(len(points), 3 * size)
     if labels is not None:
+        fields.append(("label", 3 * size, _UINT8))
         rows[:, 3 * size] = labels
 
     def make(types: Any) -> Any:

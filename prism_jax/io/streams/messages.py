@@ -2,12 +2,11 @@
 
 import abc
 import contextlib
-import os
 import pathlib
 from collections.abc import Collection, Iterator
 from typing import BinaryIO, NamedTuple
 
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath, unreadable
 
 
 class Topic(NamedTuple):
@@ -34,7 +33,7 @@ class CutError(ValueError):
 class MessageFile(abc.ABC):
     """One file of messages. What is no such file at all raises InputError."""
 
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: StrPath):
         self.path = pathlib.Path(path)
 
     @abc.abstractmethod
@@ -43,10 +42,8 @@ class MessageFile(abc.ABC):
 
     @abc.abstractmethod
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of the wanted topics in the order of the file.
-
-        A file that is cut raises `CutError` after the last whole one.
-        """
+        """Messages of the wanted topics in the order of the file. A file that is cut
+        raises `CutError` after the last whole one."""
 
     @contextlib.contextmanager
     def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:
@@ -56,8 +53,7 @@ class MessageFile(abc.ABC):
                 file = stack.enter_context(open(self.path, "rb"))
                 start = file.read(len(magic))
             except OSError as error:
-                fault = f"cannot be read ({error.strerror})"
-                raise InputError(self.path, fault, "check the path") from None
+                raise unreadable(self.path, error) from None
             if start != magic:
                 remedy = "check how it was recorded or copied"
                 raise InputError(self.path, f"not {kind}", remedy)

@@ -1,11 +1,10 @@
 """Which format a recording has, by its name."""
 
-import os
 import pathlib
 from collections.abc import Callable
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, StrPath, unreadable
 from prism_jax.io.streams.bag import BagFile
 from prism_jax.io.streams.db3 import Db3File
 from prism_jax.io.streams.folders import (
@@ -30,55 +29,48 @@ SUFFIXES = (*MESSAGES, *OUSTER)
 
 
 def open_stream(
-    path: str | os.PathLike,
+    path: StrPath,
     topic: str | None = None,
     camera: Camera | None = None,
     tell: Tell | None = None,
     joints: Joints | None = None,
 ) -> Stream:
-    """The frames of a recording.
+    """The frames of a recording: a `.bag` of ROS 1, a `.db3` or `.mcap` of ROS 2, a
+    folder of them, an Ouster's `.pcap` or `.osf`, a folder of clouds or depth images,
+    or one of recordings (`prism_jax.data.recordings`).
 
-    A `.bag` of ROS 1, a `.db3` or `.mcap` of ROS 2, a ROS 2 bag's folder of them, an
-    Ouster's `.pcap` or `.osf`, a folder of clouds or depth images, or one of recordings
-    (`prism_jax.data.recordings`). If several topics have frames, ``topic`` chooses; an
-    InputError lists them. A ``camera`` takes the place of the CameraInfo of depth
-    images, with its pose, and says of clouds where their sensor stood. ``tell`` gets a
-    line for each kind of oddity; by default they go to stderr. ``joints`` says where
-    the joint positions of a robot come from; without it frames have none. What cannot
-    be read at all, and a missing package, raise InputError.
+    If several topics have frames, `topic` chooses; an InputError lists them. A `camera`
+    replaces the CameraInfo of depth images, and says where the sensor of clouds stood.
+    `tell` gets a line for each kind of oddity, by default on stderr. Without `joints`
+    frames have no joint positions.
     """
-    stream = _opened(path, topic, camera, tell)
+    stream = _opened(pathlib.Path(path), topic, camera, tell)
     if joints is not None:
         stream.take_joints(joints)
     return stream
 
 
-def is_stream(path: str | os.PathLike) -> bool:
+def is_stream(path: StrPath) -> bool:
     """Whether a name is a recording's and no scan's: a folder, or by its suffix."""
     place = pathlib.Path(path)
     return place.is_dir() or place.suffix.lower() in SUFFIXES
 
 
 def _opened(
-    path: str | os.PathLike,
-    topic: str | None,
-    camera: Camera | None,
-    tell: Tell | None,
+    path: pathlib.Path, topic: str | None, camera: Camera | None, tell: Tell | None
 ) -> Stream:
-    place = pathlib.Path(path)
-    suffix = place.suffix.lower()
+    suffix = path.suffix.lower()
     try:
-        files = [p for p in place.iterdir() if p.suffix.lower() in MESSAGES]
+        files = [p for p in path.iterdir() if p.suffix.lower() in MESSAGES]
     except NotADirectoryError:
-        files = [place] if suffix in MESSAGES else []
+        files = [path] if suffix in MESSAGES else []
     except OSError as error:
-        fault = f"cannot be read ({error.strerror})"
-        raise InputError(path, fault, "check the path") from None
+        raise unreadable(path, error) from None
     if files:
         parts = [MESSAGES[p.suffix.lower()](p) for p in sorted(files, key=natural)]
         return RosStream(path, parts, topic, camera, tell)
-    if place.is_dir():
-        kind = RecordedFrames if is_recordings(place) else CloudFolder
+    if path.is_dir():
+        kind = RecordedFrames if is_recordings(path) else CloudFolder
     elif suffix in OUSTER:
         kind = OusterStream
     else:

@@ -1,6 +1,6 @@
 """Ouster's recordings of its LiDARs: PCAP with its metadata beside it, and OSF."""
 
-import os
+import pathlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,30 +13,19 @@ EXTRA = "ouster"
 
 
 class OusterStream(Stream):
-    """Sweeps of an Ouster as clouds in the sensor's frame, x forward and z up.
+    """Sweeps of an Ouster as clouds in the sensor's frame, x forward and z up, first
+    returns only. A PCAP needs the sensor's metadata, a JSON of the same name beside it.
+    Of several sensors the topic chooses one, by its serial number."""
 
-    A PCAP needs the sensor's metadata, a JSON of the same name beside it. Of several
-    sensors the topic chooses one, by its serial number. First returns are taken. A
-    sweep that lacks packets is taken as it is, and remarked.
-    """
-
-    def __init__(
-        self,
-        path: str | os.PathLike,
-        topic: str | None = None,
-        tell: Tell | None = None,
-    ):
+    def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
         self._sdk = require("ouster.sdk", EXTRA)
         self._core = require("ouster.sdk.core", EXTRA)
         source = self._open()
         names = [str(info.sn) for info in source.sensor_info]
-        if topic is None and len(names) > 1:
-            remedy = f"set --topic to one of {', '.join(names)}"
-            raise InputError(path, f"{len(names)} sensors", remedy)
-        if topic is not None and topic not in names:
-            remedy = f"set --topic to one of {', '.join(names)}"
-            raise InputError(path, f"no sensor {topic}", remedy)
+        if topic not in names and (topic is not None or len(names) > 1):
+            fault = f"{len(names)} sensors" if topic is None else f"no sensor {topic}"
+            raise InputError(path, fault, f"set --topic to one of {', '.join(names)}")
         self._place = 0 if topic is None else names.index(topic)
         self.topic = names[self._place]
         self._count = len(source)
@@ -72,8 +61,6 @@ class OusterStream(Stream):
             return self._sdk.open_source(self.path, index=True)
         except Exception as error:  # the SDK raises errors of many kinds
             fault = str(error).rpartition("more details:")[2].strip()
-            raise InputError(
-                self.path,
-                f"not a readable Ouster recording ({fault})",
-                "add the sensor's metadata as a .json of the same name",
-            ) from None
+            fault = f"not a readable Ouster recording ({fault})"
+            remedy = "add the sensor's metadata as a .json of the same name"
+            raise InputError(self.path, fault, remedy) from None

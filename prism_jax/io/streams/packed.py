@@ -11,10 +11,8 @@ EXTRA = "stream"
 
 def unpack(data: bytes | memoryview, compression: str, size: int) -> bytes:
     """At most ``size`` bytes of packed ones; fewer where these end early.
-
     ``compression`` is "none" or "", "bz2", "lz4" (in frames) or "zstd". Another one, a
-    size above `MAX_FILE_BYTES` and damaged data raise ValueError.
-    """
+    size above `MAX_FILE_BYTES` and damaged data raise ValueError."""
     if size > MAX_FILE_BYTES:
         raise ValueError(f"a chunk of {size:,} bytes is too large")
     if compression in ("", "none"):

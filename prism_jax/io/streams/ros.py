@@ -1,21 +1,22 @@
 """Frames from ROS messages: PointCloud2, or depth Images with their CameraInfo."""
 
+import contextlib
 import dataclasses
 import functools
-import os
 import posixpath
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.arrays import stack_columns
 from prism_jax.io.depth import camera_from_dict
-from prism_jax.io.errors import InputError, require
+from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS
-from prism_jax.io.streams.frame import Frame, Stream, Tell
+from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 from prism_jax.io.streams.packed import EXTRA
 
@@ -30,30 +31,27 @@ DEPTH = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 JOINTS_AGE = 500_000_000
 """Nanoseconds: joint positions that are older than this are not a frame's."""
 
-_SCALARS = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1))
-"""PointField's numbers of types."""
+_FLOATS = {7: 4, 8: 8}  # bytes of a number, by PointField's numbers of types
 
 
 class RosStream(Stream):
     """The frames of one topic in one recording, which may be split into several files.
 
-    A cloud's points at the very origin are left out: drivers write lost returns so. Of
-    a depth image the CameraInfo beside it (`camera_info` in the same namespace, or the
-    only one) gives the pinhole; distortion is not undone. Joint positions are the last
-    that were measured no later than the frame, up to `JOINTS_AGE` before it, of each
-    joint by itself. A message that cannot be read is left out and remarked.
+    A cloud's points at the very origin are left out: drivers write lost returns so. The
+    CameraInfo beside a depth image gives the pinhole; distortion is not undone. Joint
+    positions are the last up to `JOINTS_AGE` before the frame, of each joint by itself.
     """
 
     def __init__(
         self,
-        path: str | os.PathLike,
+        path: StrPath,
         files: Sequence[MessageFile],
         topic: str | None = None,
         camera: Camera | None = None,
         tell: Tell | None = None,
     ):
         super().__init__(path, tell)
-        _types()
+        _readers()
         self.camera = camera
         self._files = files
         self._topics: dict[str, Topic] = {}
@@ -112,43 +110,32 @@ class RosStream(Stream):
                 line = f"{file.path.name} is truncated or damaged: {error}"
                 self.remark("cut", f"{line}; the {count} complete messages are used")
 
+    def _undamaged(self, wanted: Collection[str]) -> Iterator[Message]:
+        """Those of all files, without a remark where one is cut."""
+        for file in self._files:
+            with contextlib.suppress(CutError):
+                yield from file.messages(wanted)
+
     def _read(self, message: Message) -> Any:
         """A message's content. Whatever is wrong with it raises ValueError."""
         kind, encoding, _ = self._topics[message.topic]
-        store = _types()
         try:
-            if encoding == "ros1":
-                return store.deserialize_ros1(message.data, kind)
-            return store.deserialize_cdr(message.data, kind)
+            return _readers()[encoding](message.data, kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
     def _check_joints(self, topic: str | None) -> None:
         found = [name for name, held in self._topics.items() if held.kind == JOINTS]
-        if topic in found or (topic is None and len(found) == 1):
-            self._joints = topic or found[0]
-        elif found:
-            fault = f"{len(found)} topics with joint positions"
-            fault = fault if topic is None else f"no joint positions on {topic}"
-            remedy = f"set --joints to one of {', '.join(found)}"
-            raise InputError(self.path, fault, remedy)
-        else:
+        if not found:
             super()._check_joints(topic)
+        about = found, "joint positions", "--joints"
+        self._joints = chosen_topic(self.path, topic, *about)
 
     def _chosen(self, topic: str | None) -> str:
         """The topic that frames are taken from."""
         fitting = self._fitting(topic)
-        if topic is not None:
-            if topic in fitting:
-                return topic
-            fault = f"no clouds or depth images on {topic}"
-        elif len(fitting) == 1:
-            return fitting[0]
-        else:
-            fault = f"{len(fitting)} topics with clouds or depth images"
         if fitting:
-            remedy = f"set --topic to one of {', '.join(fitting)}"
-            raise InputError(self.path, fault, remedy)
+            return chosen_topic(self.path, topic, fitting, "clouds or depth images")
         fault = "no PointCloud2 or depth Image messages"
         held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
         remedy = f"record one of them; found {held or 'nothing'}"
@@ -156,34 +143,20 @@ class RosStream(Stream):
 
     def _fitting(self, topic: str | None) -> list[str]:
         """Topics of the right kind. Of Images the first message tells."""
-        encodings = ("cdr", "ros1")
-        topics = {n: t for n, t in self._topics.items() if t.encoding in encodings}
-        images = {name for name, found in topics.items() if found.kind == IMAGE}
+        kinds = {n: t.kind for n, t in self._topics.items() if t.encoding in _readers()}
+        images = {name for name, kind in kinds.items() if kind == IMAGE}
         if topic is not None:
             images &= {topic}
         depths: set[str] = set()
-        for file in self._files:
-            try:
-                for message in file.messages(images) if images else ():
-                    if message.topic in images:
-                        images = images - {message.topic}
-                        if self._holds_depth(message):
-                            depths.add(message.topic)
-                    if not images:
-                        break
-            except CutError:
-                continue
-        return [
-            name
-            for name, found in topics.items()
-            if found.kind == CLOUD or name in depths
-        ]
-
-    def _holds_depth(self, message: Message) -> bool:
-        try:
-            return self._read(message).encoding in DEPTH
-        except ValueError:
-            return False
+        for message in self._undamaged(frozenset(images)) if images else ():
+            if message.topic in images:
+                images.remove(message.topic)
+                with contextlib.suppress(ValueError):
+                    if self._read(message).encoding in DEPTH:
+                        depths.add(message.topic)
+            if not images:
+                break
+        return [n for n, kind in kinds.items() if kind == CLOUD or n in depths]
 
     def _info_topic(self) -> str:
         """The topic of the camera's intrinsics."""
@@ -212,27 +185,22 @@ class RosStream(Stream):
         return camera
 
     def _first_camera(self) -> Camera:
-        for file in self._files:
-            try:
-                for message in file.messages({str(self._info)}):
-                    try:
-                        return self._pinhole(self._read(message))
-                    except ValueError:
-                        continue
-            except CutError:
-                continue
+        for message in self._undamaged({str(self._info)}):
+            with contextlib.suppress(ValueError):
+                return self._pinhole(self._read(message))
         fault = f"no readable CameraInfo on {self._info}"
         raise InputError(self.path, fault, "record it again")
 
 
 @functools.cache
-def _types() -> Any:
-    """What reads messages of the standard types, which all releases share."""
+def _readers() -> dict[str, Callable[[bytes, str], Any]]:
+    """What reads messages of the standard types, which all releases share, by how they
+    are encoded; CameraInfo's fields have other names in ROS 1."""
     types = require("rosbags.typesys", EXTRA)
-    return _Both(
-        types.get_typestore(types.Stores.ROS1_NOETIC),
-        types.get_typestore(types.Stores.ROS2_HUMBLE),
-    )
+    return {
+        "ros1": types.get_typestore(types.Stores.ROS1_NOETIC).deserialize_ros1,
+        "cdr": types.get_typestore(types.Stores.ROS2_HUMBLE).deserialize_cdr,
+    }
 
 
 class _LastJoints:
@@ -267,14 +235,6 @@ class _LastJoints:
         return dataclasses.replace(frame, joints={"positions": positions})
 
 
-class _Both:
-    """Readers of both encodings: CameraInfo's fields have other names in ROS 1."""
-
-    def __init__(self, ros1: Any, ros2: Any):
-        self.deserialize_ros1 = ros1.deserialize_ros1
-        self.deserialize_cdr = ros2.deserialize_cdr
-
-
 def _time(content: Any, message: Message) -> int:
     """The header's stamp; where nobody filled it in, when it was recorded."""
     stamp = content.header.stamp
@@ -305,28 +265,16 @@ def _cloud(content: Any, time: int) -> Frame:
     step, row = content.point_step, content.row_step
     _check_size(height * width, row * height, len(content.data))
     order = ">" if content.is_bigendian else "<"
-    kinds = [_SCALARS.get(fields[axis].datatype, "") for axis in "xyz"]
-    ends = [
-        fields[axis].offset + np.dtype(kind).itemsize
-        for axis, kind in zip("xyz", kinds, strict=True)
-        if kind in ("f4", "f8")
-    ]
-    if len(ends) < 3 or max(ends) > step or row < step * width:
+    sizes = [_FLOATS.get(fields[axis].datatype, np.inf) for axis in "xyz"]
+    offsets = [fields[axis].offset for axis in "xyz"]
+    if max(map(sum, zip(offsets, sizes, strict=True))) > step or row < step * width:
         raise ValueError("point layout differs from the header")
-    layout = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": [order + kind for kind in kinds],
-            "offsets": [fields[axis].offset for axis in "xyz"],
-            "itemsize": step,
-        }
-    )
+    kinds = [f"{order}f{size}" for size in sizes]
+    about = {"names": list("xyz"), "formats": kinds, "offsets": offsets}
+    layout = np.dtype({**about, "itemsize": step})
     data = np.asarray(content.data, np.uint8)[: row * height].reshape(height, row)
     rows = np.ascontiguousarray(data[:, : step * width]).view(layout).ravel()
-    single = all(kind == "f4" for kind in kinds)
-    points = np.empty((len(rows), 3), np.float32 if single else np.float64)
-    for place, axis in enumerate("xyz"):
-        points[:, place] = rows[axis]
+    points = stack_columns((rows[axis] for axis in "xyz"), map(np.dtype, kinds))
     finite = np.isfinite(points).all(axis=1)
     kept = finite & (points != 0).any(axis=1)
     return Frame(

@@ -1,6 +1,5 @@
 """Where completed frames go: a folder of PLY files, or an MCAP file."""
 
-import os
 import pathlib
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -8,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.errors import StrPath
 from prism_jax.io.ply import ply_bytes
 from prism_jax.io.streams.mcap_output import McapOutput, cloud_message
 
@@ -38,7 +38,7 @@ class Sink(Protocol):
 class PlyFolder:
     """A PLY file for each frame, named by its number in the recording, each whole."""
 
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: StrPath):
         self.path = make_output_dir(path)
 
     def write(self, frame: Labelled) -> None:
@@ -53,7 +53,7 @@ class McapSink:
     """PointCloud2 messages on `TOPIC`, with a `label`: 0 observed, 1 completed,
     2 of a known robot's surface."""
 
-    def __init__(self, path: str | os.PathLike):
+    def __init__(self, path: StrPath):
         make_output_dir(pathlib.Path(path).parent)
         self._output = McapOutput(path)
 
@@ -66,7 +66,7 @@ class McapSink:
         self._output.close()
 
 
-def open_sink(path: str | os.PathLike) -> Sink:
+def open_sink(path: StrPath) -> Sink:
     """An MCAP file where the name ends in .mcap, else a folder of PLY files."""
     is_mcap = pathlib.Path(path).suffix.lower() == ".mcap"
     return McapSink(path) if is_mcap else PlyFolder(path)

@@ -9,8 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 CELLS = 128  # along the longest side of a cloud's bulk
-
-NEIGHBOURS = 16  # so many nearest points can be linked to one
+LINK_NEIGHBORS = 16  # so many nearest points can be linked to one
 
 
 def thin(
@@ -18,8 +17,8 @@ def thin(
 ) -> tuple[Float64[np.ndarray, "M 3"], Int[np.ndarray, " N"]]:
     """The mean of the points in each occupied cell of a grid, and each point's cell.
 
-    The `extent` is so many `cells` long. With one point a cell a surface weighs as much
-    as it has area, however near the sensor it is.
+    The `extent` is so many `cells` long. A surface then weighs as much as it has area,
+    however near the sensor it is.
     """
     points = np.asarray(points, np.float64)
     if len(points) == 0:
@@ -37,10 +36,8 @@ def thin(
 
 
 def extent(points: Float64[np.ndarray, "N D"]) -> float:
-    """The longest side of the bulk: without a hundredth at each end of each axis.
-
-    Of all points where that is nothing.
-    """
+    """The longest side of the bulk: without a hundredth at each end of each axis. Of
+    all points where that is nothing."""
     if len(points) == 0:
         return 0.0
     rank = len(points) // 100
@@ -59,12 +56,10 @@ def components(
     points: Float64[np.ndarray, "N D"], reach: Float64[np.ndarray, " N"]
 ) -> Int[np.ndarray, " N"]:
     """Numbers of connected groups; two points within both their reaches are linked.
-
-    Only the `NEIGHBOURS` nearest of each point are asked.
-    """
+    Only the `LINK_NEIGHBORS` nearest of each point are asked."""
     if len(points) < 2:
         return np.zeros(len(points), int)
-    count = min(NEIGHBOURS + 1, len(points))
+    count = min(LINK_NEIGHBORS + 1, len(points))
     found: Any = KDTree(points).query(
         points, k=count, distance_upper_bound=1.001 * reach.max()
     )
@@ -73,8 +68,11 @@ def components(
     one = np.broadcast_to(np.arange(len(points))[:, None], other.shape)[linked]
     other, apart = other[linked], apart[linked]
     near = apart <= np.minimum(reach[one], reach[other])
-    graph = coo_array(
-        (np.ones(near.sum(), bool), (one[near], other[near])),
-        shape=(len(points), len(points)),
-    )
+    return linked_groups(np.stack([one[near], other[near]], axis=1), len(points))
+
+
+def linked_groups(pairs: Int[np.ndarray, "P 2"], count: int) -> Int[np.ndarray, " M"]:
+    """The group of each of `count` things, which pairs connect."""
+    links = np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])
+    graph = coo_array(links, shape=(count, count))
     return connected_components(graph, directed=False)[1]

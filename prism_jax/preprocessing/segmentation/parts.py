@@ -2,49 +2,34 @@
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from prism_jax.preprocessing.segmentation.clusters import components, extent, thin
+from prism_jax.preprocessing.segmentation.clusters import (
+    components,
+    extent,
+    linked_groups,
+    thin,
+)
 from prism_jax.preprocessing.segmentation.planes import Plane
 
 CELLS = 256  # along the longest side of what is split into objects
-
 MAX_CELLS = 80_000  # half as many along the longest side if there are more
-
 COARSE_CELLS = 16  # for distances between its parts
-
 LINK = 3.0  # neighbours on a surface are at most so many spacings apart
-
+# A point whose fourth neighbour is farther off than so many spacings is on no surface:
+# it flies between two, beside an edge, or is a tail of the support's noise.
 SPARSE = 2.0
-"""A point whose fourth neighbour is farther off than so many spacings is on no surface:
-it flies between two, beside an edge, or is a tail of the support's noise."""
-
-COVERED = 0.5
-"""What hovers with this share of it over or under another part belongs to that."""
-
+COVERED = 0.5  # what hovers with this share over or under another part belongs to that
+# What hovers no farther beside a larger part, in that part's size, belongs to it...
 BESIDE = 0.15
-"""What hovers no farther beside a larger part, in that part's size, belongs to it..."""
-
 SMALLER = 0.6  # ...if it has no more than this share of its points
-
 MIN_CELLS = 8  # of a part that is asked where it belongs
-
 MAX_PARTS = 100  # the largest ones are asked
-
-TOUCH = 0.55
-"""Of what links neighbours otherwise, across the narrow place where things touch."""
-
-HIDDEN = 0.05
-"""As high as this above the support, in its own height, a thing still stands on it."""
-
-CREASE = 0.08
-"""The mean slope, towards the sensor, to the neighbours of a point in a crease."""
-
+TOUCH = 0.55  # of what links neighbours otherwise, across a narrow place
+HIDDEN = 0.05  # a thing as high above the support, in its own height, stands on it
+CREASE = 0.08  # mean slope, towards the sensor, to the neighbours in a crease
 SHARE = 0.25  # of the points of two things that touch, each has at least this share
-
-NEIGHBOURS = 24  # of a point, that say how its surface is bent
+BEND_NEIGHBORS = 24  # nearest points that say how a surface is bent
 
 
 def objects_of(
@@ -54,13 +39,12 @@ def objects_of(
     support: Plane | None,
     gap: float,
 ) -> Int[np.ndarray, " N"]:
-    """The number of each point's object; any whole numbers without a gap from 0.
+    """The number of each point's object, without a gap from 0 on.
 
     Surfaces hang together where neighbours are not much farther apart than the points'
-    spacing, which grows with the distance from the sensor. Of things that stand on the
-    support, those that meet in a crease are apart. What hovers belongs to what it is
-    above, below or close beside: objects hide some of themselves. So do parts that are
-    no farther apart than `gap`.
+    spacing, which grows with the distance from the sensor. Things on the support that
+    meet in a crease are apart. What hovers belongs to what it is above, below or close
+    beside: objects hide some of themselves. So do parts no farther apart than `gap`.
     """
     cells, owner = thin(points, CELLS)
     if len(cells) > MAX_CELLS:
@@ -123,9 +107,9 @@ def _split_at_creases(
     height: Float64[np.ndarray, " N"],
 ) -> Int[np.ndarray, " N"]:
     """Parts that touch, each of which stands on the support, numbered apart."""
-    if len(cells) <= NEIGHBOURS:
+    if len(cells) <= BEND_NEIGHBORS:
         return part
-    near = KDTree(cells).query(cells, k=NEIGHBOURS)[1]
+    near = KDTree(cells).query(cells, k=BEND_NEIGHBORS)[1]
     offsets = cells[near] - cells[:, None]
     about = cells[near] - cells[near].mean(axis=1, keepdims=True)
     normal = np.linalg.eigh(np.einsum("nki,nkj->nij", about, about))[1][:, :, 0]
@@ -190,7 +174,7 @@ def _joined(
                 beside and tree.query(cells[where[small]])[0].min() <= near
             ):
                 pairs.append((large, small))
-    return _united(np.array(pairs, int).reshape(-1, 2), len(size))[part]
+    return linked_groups(np.array(pairs, int).reshape(-1, 2), len(size))[part]
 
 
 def _joined_across(
@@ -200,18 +184,9 @@ def _joined_across(
     coarse, owner = thin(cells, COARSE_CELLS)
     pairs = KDTree(coarse).query_pairs(gap, output_type="ndarray")
     member = np.stack([owner, len(coarse) + part], axis=1)
-    together = _united(
-        np.concatenate([pairs, member]), len(coarse) + int(part.max()) + 1
-    )
+    count = len(coarse) + int(part.max()) + 1
+    together = linked_groups(np.concatenate([pairs, member]), count)
     return np.unique(together[owner], return_inverse=True)[1]
-
-
-def _united(pairs: Int[np.ndarray, "P 2"], count: int) -> Int[np.ndarray, " M"]:
-    """Which of `count` things are connected by pairs."""
-    graph = coo_array(
-        (np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
-    )
-    return connected_components(graph, directed=False)[1]
 
 
 def _hull(flat: Float64[np.ndarray, "N 2"]) -> Float64[np.ndarray, "E 3"] | None:

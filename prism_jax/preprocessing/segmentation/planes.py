@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 from scipy.spatial import ConvexHull, QhullError
 
 from prism_jax.preprocessing.segmentation.clusters import (
@@ -14,18 +14,11 @@ from prism_jax.preprocessing.segmentation.clusters import (
 )
 
 MAX_PLANES = 6  # more are not looked for
-
 NUM_TRIALS = 1000  # planes through three random points, of which the best is taken
-
 MAX_JUDGES = 3000  # so many points, spread evenly, vote for the planes
-
 TILES = 20  # along a plane: two of them without a point are a gap between two pieces
-
 COARSE = 0.01  # the first tolerance, in longest sides of the cloud
-
-COARSEST = 0.03
-"""Points that need a tolerance as large are no plane's: a curved surface's."""
-
+COARSEST = 0.03  # points that need as large a tolerance are of a curved surface
 MIN_SHARE = 0.08  # of all cells, to be a large plane
 
 
@@ -44,9 +37,9 @@ class Plane:
         foot = self.offset * self.normal
         return (points - foot) @ self.normal
 
-    def flipped(self) -> "Plane":
-        """The same plane with its normal on the other side."""
-        return Plane(-self.normal, -self.offset, self.tolerance)
+    def holds(self, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
+        """Which points lie on it, within the tolerance."""
+        return np.abs(self.height(points)) <= self.tolerance
 
 
 def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
@@ -54,9 +47,8 @@ def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
 
     Each is refined by least squares of the points within a tolerance that follows from
     their own noise; noise over a hundredth of the cloud's longest side hides a plane.
-    Unit and origin of the coordinates do not matter, nor how near the sensor a surface
-    is: every cell of the thinned cloud counts alike. Which side a normal points to
-    means nothing. Fewer than four distinct places have no plane.
+    Unit and origin do not matter, nor the distance of a surface from the sensor. Which
+    side a normal points to means nothing.
     """
     cells, _ = thin(points)
     if len(cells) < 4:
@@ -75,7 +67,7 @@ def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
         if plane is None:
             break
         plane = _refined(cells[rest], plane, apart, COARSEST * side)
-        on = rest & (np.abs(plane.height(cells)) <= plane.tolerance)
+        on = rest & plane.holds(cells)
         if on.sum() < max(4, MIN_SHARE * len(cells)):
             break
         rest &= ~on
@@ -109,16 +101,12 @@ class Outline:
 
 
 def outline(cells: Float64[np.ndarray, "N 3"], plane: Plane) -> Outline | None:
-    """Where a plane has points; None if they span no area.
-
-    Small parts apart from the others, such as where it meets other things, do not
-    count.
-    """
+    """Where a plane has points; None if they span no area. Small parts apart from the
+    others, such as where it meets other things, do not count."""
     axes = np.linalg.svd(plane.normal[None])[2][1:]
-    flat = cells[np.abs(plane.height(cells)) <= plane.tolerance] @ axes.T
+    flat = cells[plane.holds(cells)] @ axes.T
     middle = flat.mean(axis=0) if len(flat) else np.zeros(2)
-    flat = flat - middle
-    flat = _largest_pieces(flat)
+    flat = _largest_pieces(flat - middle)
     try:
         hull = ConvexHull(flat)
     except (QhullError, ValueError):
@@ -172,8 +160,7 @@ def _refined(
 ) -> Plane:
     """By least squares over its points, of which each round finds the noise anew."""
     for _ in range(10):
-        height = plane.height(points)
-        near = points[np.abs(height) <= plane.tolerance]
+        near = points[plane.holds(points)]
         if len(near) < 3:
             break
         mean = near.mean(axis=0)

@@ -15,24 +15,21 @@ from prism_jax.preprocessing.segmentation.planes import (
     find_planes,
     outline,
 )
-from prism_jax.preprocessing.segmentation.support import FILLED, REACH, find_support
+from prism_jax.preprocessing.segmentation.support import (
+    FILLED,
+    LINK_SPACINGS,
+    find_support,
+)
 from prism_jax.preprocessing.upright import upright
 
 SUPPORT, LEFT_OVER = -1, -2  # in `Scene.object`, where objects are counted from 0
-
 SHEET = 0.95  # a plane with this share of a cloud is all there is
-
 WALL = 0.25  # the length of a wall around the sensor, in the longest side of the cloud
-
+# So far apart the parts of one object can be, in the longest side of a cloud without
+# any plane, where it hides its own surface.
 GAP = 0.25
-"""In the longest side of a cloud without any plane: so far apart the parts of one
-object can be, where it hides its own surface."""
-
-EDGE = 0.05
-"""In a support's width: a wall rises from no farther inside its border than that."""
-
+EDGE = 0.05  # a wall rises no farther inside a support's border, in the support's width
 MIN_POINTS = 64  # of an object: fewer cannot be completed
-
 MIN_SIZE = 0.02  # of an object, in the longest side of the scene
 
 
@@ -55,19 +52,17 @@ def split_scene(
     up: str | Vector = "z",
     sensor: Vector | None = None,
 ) -> Scene:
-    """Planes set aside, and the rest as objects.
+    """Planes set aside, and the rest as objects (`objects_of`).
 
     `up` is as `upright` has it, `sensor` the place the points were seen from, or None.
     Set aside are the support (`find_support`) and with it other planes that are at
     least as long as it is wide and do not rise from its midst: walls, another floor.
     Where there is no support, but the sensor stands amid the points, the large planes
-    around it are walls. A cloud that is one plane is all support. For how the rest is
-    told apart see `objects_of`. A cloud with nothing to set aside is one object, unless
-    its parts are over `GAP` apart.
+    around it are walls. A cloud that is one plane is all support. A cloud with nothing
+    to set aside is one object, unless its parts are over `GAP` apart.
 
     The same points give the same scene; unit and origin do not matter. Points must be
-    finite. Any number of them will do, none included. An `up` that is no direction
-    raises InputError.
+    finite. An `up` that is no direction raises InputError.
     """
     points = np.asarray(points, np.float64)
     turn = upright(up)
@@ -103,7 +98,7 @@ def _set_aside(
     aside, walls = np.zeros(len(points), bool), []
     if len(cells) < 2 or not planes:
         return None, [], aside
-    rim = REACH * spacing(cells)
+    rim = LINK_SPACINGS * spacing(cells)
     inner = np.zeros(len(cells), bool)
     longest = WALL * extent(cells)
     border = None if support is None else outline(cells, support)
@@ -111,8 +106,8 @@ def _set_aside(
         aside |= _on(support, border, points, rim)
         inner = border.depth(cells) > EDGE * border.width
         longest = border.width
-    elif np.mean(_near(planes[0], cells)) >= SHEET:
-        return None, planes[:1], _near(planes[0], points)
+    elif planes[0].holds(cells).mean() >= SHEET:
+        return None, planes[:1], planes[0].holds(points)
     elif eye is None or not _amid(cells, eye):
         return None, [], aside
     for plane in planes:
@@ -121,7 +116,7 @@ def _set_aside(
         if border is None or not flat or border.filled < FILLED:
             continue
         on = _on(plane, border, points, rim)
-        standing = inner[_near(plane, cells)].mean() > 0.5
+        standing = inner[plane.holds(cells)].mean() > 0.5
         new = (on & ~aside).sum() > 0.5 * on.sum()
         if new and not standing and border.length >= longest:
             walls.append(plane)
@@ -129,15 +124,11 @@ def _set_aside(
     return support, walls, aside
 
 
-def _near(plane: Plane, points: Float64[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
-    return np.abs(plane.height(points)) <= plane.tolerance
-
-
 def _on(
     plane: Plane, border: Outline, points: Float64[np.ndarray, "N 3"], rim: float
 ) -> Bool[np.ndarray, " N"]:
     """Near the plane and inside its border, or not farther outside than the rim."""
-    on = _near(plane, points)
+    on = plane.holds(points)
     on[on] = border.depth(points[on]) > -rim
     return on
 

@@ -15,30 +15,18 @@ from prism_jax.preprocessing.segmentation.planes import (
 )
 
 RIM = 0.01  # how far from a plane's border something is inside or outside, in its width
-
 WITHIN = 0.6  # the share of a cloud over, on or under a support, seen along its normal
-
 FLAT = 0.4  # the share of that which lies on the support
-
 BELOW = 0.15  # as many points as this, for each above a support, may lie below it
-
-LARGE = 0.7
-"""A plane at least so long, in a support's width, is a wall or another floor."""
-
+LARGE = 0.7  # a plane so long, in a support's width, is a wall or another floor
+# In the shorter one's length: so far, at one end, one of two planes that cross goes on
+# where the other is over, unless they are faces of one thing.
 BEYOND = 0.2
-"""In the shorter one's length: so far, at one end, one of two planes that cross goes on
-where the other is over, unless they are faces of one thing."""
-
-PARALLEL = 30.0
-"""In degrees: planes that cross at less than this have no line in common."""
-
+PARALLEL = 30.0  # in degrees: planes that cross at less have no line in common
 FILLED = 0.5  # the share of a support's outline that has points
-
 MIN_CELLS = 10  # what stands on a support has so many cells of the thinned cloud
-
-MAX_TILT = 60.0  # in degrees from z, of a support whose side nobody's sensor tells
-
-REACH = 4.0  # points no farther apart than so many spacings hang together
+MAX_TILT = 60.0  # in degrees from z, of a support whose side no sensor says
+LINK_SPACINGS = 4.0  # points no farther apart than so many spacings hang together
 
 
 class Up(NamedTuple):
@@ -80,16 +68,13 @@ def find_support(
     the plane's border, if it is not higher than the plane is wide, and if it touches
     the plane or hovers by no more than its own height (its foot may be hidden); what
     hovers counts for less. Most of the cloud must lie over the plane, and much of that
-    on it, other planes about as large left aside: a wall behind a table, the floor
-    below. Other faces of the same object are not: they begin and end where the plane
-    does (`_is_elsewhere`). A face of an object is no support: what is joined to it goes
-    beyond its border or lies behind it. Neither is a table with nothing on it, which
-    could be a wall.
+    on it, other planes about as large left aside (`_is_elsewhere`). A face of an object
+    is no support: what is joined to it goes beyond its border or lies behind it.
+    Neither is a table with nothing on it, which could be a wall.
 
     The normal points to the objects. `sensor` is the place the points were seen from.
-    If it is unknown, None or not finite, the objects' side is taken to be that of z,
-    and a plane tilted from it by over `MAX_TILT` to be none: the inner sides of single
-    objects would pass. The same points give the same plane. The unit does not matter.
+    If it is None or not finite, the objects' side is that of z, and a plane tilted from
+    it by over `MAX_TILT` is none: inner sides of single objects would pass.
     """
     cells, _ = thin(points)
     planes = find_planes(points)
@@ -104,8 +89,8 @@ def find_support(
             if its is None or its.length < LARGE * border.width:
                 continue
             if _is_elsewhere(other, plane, border, cells):
-                aside |= np.abs(other.height(cells)) <= other.tolerance
-        aside &= np.abs(plane.height(cells)) > plane.tolerance
+                aside |= other.holds(cells)
+        aside &= ~plane.holds(cells)
         standing = _standing(cells, aside, side, border)
         if standing > most:
             best, most = side, standing
@@ -121,12 +106,12 @@ def _is_elsewhere(
     share; one of a table and a wall goes on beyond the other by `BEYOND`. A parallel
     plane is another floor if most of it lies outside the `border` of this one.
     """
-    its = cells[np.abs(other.height(cells)) <= other.tolerance]
+    its = cells[other.holds(cells)]
     line = np.cross(plane.normal, other.normal)
     sine = np.linalg.norm(line)
     if sine <= np.sin(np.deg2rad(PARALLEL)):
         return bool((border.depth(its) < -RIM * border.width).mean() > 0.5)
-    on = cells[np.abs(plane.height(cells)) <= plane.tolerance]
+    on = cells[plane.holds(cells)]
     ends = np.array([np.percentile(part @ line, [1, 99]) for part in (on, its)])
     shorter = np.ptp(ends, axis=1).min()
     return bool(np.abs(ends[0] - ends[1]).max() >= BEYOND * shorter)
@@ -140,7 +125,9 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
         return None
     else:
         positive = plane.normal[2] > 0
-    return plane if positive else plane.flipped()
+    if positive:
+        return plane
+    return Plane(-plane.normal, -plane.offset, plane.tolerance)
 
 
 def _standing(
@@ -151,7 +138,7 @@ def _standing(
 ) -> float:
     """How many cells stand on a plane, those set aside left out; zero if it is none
     that objects stand on."""
-    reach = REACH * spacing(cells)
+    reach = LINK_SPACINGS * spacing(cells)
     height, depth = plane.height(cells), border.depth(cells)
     rim = RIM * border.width
     above = (depth > -rim) & (height > plane.tolerance)

@@ -9,8 +9,8 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
+    MAP_MARGIN,
     MAP_SIZE,
-    MARGIN,
     NEARER,
     SURFACE,
     UNKNOWN,
@@ -26,13 +26,13 @@ def cloud(seed: int = 0) -> np.ndarray:
 def test_the_camera_is_that_of_framing(eye):
     found = framing_camera(cloud(), np.array(eye))
     points = jnp.asarray(cloud())
-    expected = Camera.framing(points, eye, MARGIN, MAP_SIZE, MAP_SIZE)
+    expected = Camera.framing(points, eye, MAP_MARGIN, MAP_SIZE, MAP_SIZE)
     assert (found.height, found.width) == (expected.height, expected.width)
     pixels = [camera.project(cloud())[0] for camera in (found, expected)]
     if eye[:2] != (0, 0):  # Straight above, the two have another side up.
         np.testing.assert_allclose(*pixels, atol=1e-3)
     offset = np.abs(np.asarray(pixels[0]) - (MAP_SIZE - 1) / 2).max()
-    assert offset == pytest.approx(MAP_SIZE / 2 / MARGIN, rel=1e-3)
+    assert offset == pytest.approx(MAP_SIZE / 2 / MAP_MARGIN, rel=1e-3)
 
 
 def test_rays_pass_through_the_middle_and_the_corners_of_every_pixel():

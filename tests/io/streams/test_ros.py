@@ -268,7 +268,7 @@ def test_a_split_recording_is_one(tmp_path):
 
 def test_a_missing_package_is_one_line(tmp_path, monkeypatch):
     path = write_mcap(tmp_path / "r.mcap", clouds(ROS2))
-    ros._types.cache_clear()
+    ros._readers.cache_clear()
     for name in [n for n in sys.modules if n.startswith("rosbags")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(sys, "path", [])
