@@ -123,7 +123,7 @@ def test_denser_points_lie_between(times):
 def test_as_many_times_as_dense_as_the_measured(wall):
     behind = grid(8, y=-0.2)
     for density in (0.0, 2.0):
-        added, selection = added_points(behind, wall, wall, EYE, density)
+        added, *_, selection = added_points(behind, wall, wall, EYE, density)
         np.testing.assert_array_equal(added[:64], behind[selection.kept])
         given = IndexedCloud(wall if density else behind).density
         assert 0.6 < IndexedCloud(added).density / given / (density or 1.0) < 1.7
