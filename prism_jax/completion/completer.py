@@ -41,7 +41,7 @@ from prism_jax.preprocessing.observation import (
     observe,
     origin_is_sensor,
 )
-from prism_jax.preprocessing.segmentation.scene import Scene, split_scene
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene, split_scene
 from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.preprocessing.upright import upright
 from prism_jax.preprocessing.visibility_map import seen_among, some_of
@@ -131,7 +131,7 @@ class Completer:
         self,
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
-        scene: Scene | None = None,
+        scene: SegmentedScene | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         **options: Any,
     ) -> CompletedScene:
@@ -176,7 +176,7 @@ class Completer:
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
         up: str | Vector = AUTO,
-    ) -> Scene:
+    ) -> SegmentedScene:
         """The object of each point; see `segmentation.scene.split_scene`."""
         points = _checked(points)
         asked, _ = _upright(CompletionOptions(up=up), points, camera)

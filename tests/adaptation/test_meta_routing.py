@@ -18,6 +18,7 @@ from prism_jax.adaptation.meta import (
     put_learned,
 )
 from prism_jax.adaptation.objective import Losses
+from prism_jax.losses.weighting import update_scale
 from tests.toy_functions import (
     CLOUDS,
     TOY,

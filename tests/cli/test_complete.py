@@ -22,7 +22,7 @@ from prism_jax.cli.complete import _timed as timed
 from prism_jax.cli.complete import complete_file
 from prism_jax.completion.weights import available_weights
 from prism_jax.io.ply import read_ply
-from prism_jax.preprocessing.segmentation.scene import Scene
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 from prism_jax.reporting.model_card import model_card
 from prism_jax.uncertainty.confidence import Verdict
 from tests import launching
@@ -224,7 +224,7 @@ def test_what_the_workspace_crops_away_is_told_as_around(monkeypatch, asked, obj
     pathlib.Path("scan.json").write_text(text)
     if objects == "auto":
         planes = FakeCompleter().split_scene(-POINTS).planes
-        parted = Scene(np.repeat([0, -1], [500, 100]), planes, (500,), 100, 0)
+        parted = SegmentedScene(np.repeat([0, -1], [500, 100]), planes, (500,), 100, 0)
         monkeypatch.setattr(FakeCompleter, "split_scene", lambda *_: parted)
     complete_file("scan.png", objects=objects, workspace="0,-9,-9,9,9,9")
     around = asked[0]["around"]

@@ -10,7 +10,7 @@ from prism_jax.completion.assembly import in_one_scene
 from prism_jax.completion.completer import SLOTS
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
-from prism_jax.preprocessing.segmentation.scene import Scene
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 
 pytestmark = pytest.mark.xdist_group("completer")
 
@@ -51,7 +51,7 @@ def scene():
 def done(completer, scene):
     """Taken apart by construction."""
     points, number = scene
-    taken_apart = Scene(number, (), COUNT * (300,), 6000, 0)
+    taken_apart = SegmentedScene(number, (), COUNT * (300,), 6000, 0)
     return completer.complete_scene(points, CAMERA, up="z", scene=taken_apart)
 
 

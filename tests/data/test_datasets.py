@@ -18,7 +18,7 @@ from prism_jax.data.datasets import (
     open_training,
     scored_splits,
 )
-from prism_jax.data.recordings import Frame
+from prism_jax.data.recordings import RecordedFrame
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
 from prism_jax.geometry.camera import Camera
@@ -148,7 +148,7 @@ def test_frames_of_a_sequence_stay_on_one_side(tmp_path, lengths, sizes):
     depth = np.ones((camera.height, camera.width), np.uint16)
     for sequence, length in enumerate(lengths):
         for number in range(length):
-            frame = Frame(depth, camera, points, points)
+            frame = RecordedFrame(depth, camera, points, points)
             write_frame(tmp_path / f"{sequence:03d}", number, frame)
     source = open_dataset("recordings", "all", tmp_path)
     assert isinstance(source, Source)

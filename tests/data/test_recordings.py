@@ -14,8 +14,8 @@ from prism_jax.data.manifest import MANIFEST, hash_files
 from prism_jax.data.recordings import (
     DEPTH_SCALE,
     LABELS,
-    Frame,
     RecordedCells,
+    RecordedFrame,
     check_recordings,
     read_frame,
 )
@@ -44,7 +44,7 @@ def frame(complete=True):
     y, z = -(columns - 15.5) / FOCAL * 1.5, 1.0 - (rows - 11.5) / FOCAL * 1.5
     partial = np.stack([0 * y, y, z], axis=1).astype(np.float32)
     labels = np.where(depth > 0, LABELS["robot"], LABELS["nothing"]).astype(np.uint8)
-    return Frame(
+    return RecordedFrame(
         depth=depth,
         camera=camera(),
         partial=partial,
@@ -271,7 +271,7 @@ def test_clouds_in_other_units_or_almost_empty_are_refused(tmp_path, cloud):
         (points * np.float32(np.nan), f"{cloud}.ply: some points are not finite"),
     ):
         changed = {**vars(whole), cloud: spoilt}
-        write_frame(tmp_path / "one", 0, Frame(**changed))
+        write_frame(tmp_path / "one", 0, RecordedFrame(**changed))
         with pytest.raises(InputError, match=message):
             check_recordings(tmp_path)
 

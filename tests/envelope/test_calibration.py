@@ -6,7 +6,7 @@ from scipy import stats
 from scipy.spatial.distance import directed_hausdorff
 
 from prism_jax.envelope.calibration import (
-    Calibration,
+    MarginCalibration,
     Setup,
     cell_score,
     cells_needed,
@@ -23,7 +23,7 @@ SETUP = Setup("a" * 64, "camera 640x480", {"adapt": False, "density": 1.0})
 
 def calibration(n=20, alpha=0.1, **more):
     scores = tuple(RNG.uniform(0.1, 0.5, n).tolist())
-    return Calibration(
+    return MarginCalibration(
         SETUP, alpha, tuple(f"{i:03d}" for i in range(n)), scores, **more
     )
 
@@ -136,7 +136,7 @@ def test_files_that_contradict_themselves_or_are_none_are_refused(tmp_path):
 def test_a_cell_without_any_surface_is_null_in_the_file(tmp_path):
     path = tmp_path / "cal.json"
     names = tuple(map(str, range(30)))
-    one = Calibration(SETUP, 0.1, names, (0.2,) * 29 + (float("inf"),))
+    one = MarginCalibration(SETUP, 0.1, names, (0.2,) * 29 + (float("inf"),))
     one.write(path)
     assert json.loads(path.read_text())["scores"][-1] is None
     assert read_calibration(path).scores[-1] == np.inf

@@ -137,11 +137,11 @@ def test_a_frame_holds_what_was_measured_and_no_truth(read, config):
 
 
 def test_every_fifth_sequence_checks_or_every_fifth_frame(read):
-    frames = [parts.Frame(None, n // 3, None) for n in range(33)]
+    frames = [parts.PlantFrame(None, n // 3, None) for n in range(33)]
     train, check = plant.held_out(frames)
     assert {frame.object for frame in check} == {2, 7} and len(check) == 6
     assert len(train) == 27
-    frames = [parts.Frame(n, 0, None) for n in range(11)]
+    frames = [parts.PlantFrame(n, 0, None) for n in range(11)]
     assert [frame.example for frame in plant.held_out(frames)[1]] == [2, 7]
     with pytest.raises(InputError, match="too few"):
         plant.held_out(frames[:4])

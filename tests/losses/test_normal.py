@@ -51,10 +51,7 @@ def test_agrees_with_a_loop(lambda_smooth, k):
 def test_over_every_so_many_th_point(count, stride):
     points, normals = jnp.asarray(surface(count)), jnp.asarray(directions(count))
     _, neighbors = KDTree(points).query(points[::stride], k=12)
-    neighbors = jnp.asarray(neighbors, jnp.int32)
     found = loss(normals, points, 0.3, k=12, stride=stride)
-    given = loss(normals, points, 0.3, neighbors=neighbors, stride=stride)
-    assert np.allclose(found, given, rtol=1e-6)
     agreement, differences = [], []
     for j, row in zip(range(0, count, stride), np.asarray(neighbors), strict=True):
         _, vectors = np.linalg.eigh(np.cov(np.asarray(points, float)[row].T))
@@ -62,13 +59,6 @@ def test_over_every_so_many_th_point(count, stride):
         differences += [np.abs(normals[j] - normals[i]).sum() for i in row if i != j]
     expected = np.mean(agreement) + 0.3 * np.mean(differences)
     assert np.allclose(found, expected, rtol=1e-4)
-
-
-def test_a_known_graph_gives_the_same_loss():
-    points, normals = jnp.asarray(surface(80)), jnp.asarray(directions(80))
-    graph = knn(points, points, 10)
-    given = loss(normals, points, neighbors=graph)
-    assert given == loss(normals, points, k=10)
 
 
 def test_normals_of_a_plane_have_no_loss_whatever_their_sign():

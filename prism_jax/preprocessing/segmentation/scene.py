@@ -22,7 +22,7 @@ from prism_jax.preprocessing.segmentation.support import (
 )
 from prism_jax.preprocessing.upright import upright
 
-SUPPORT, LEFT_OVER = -1, -2  # in `Scene.object`, where objects are counted from 0
+SUPPORT, LEFT_OVER = -1, -2  # in `SegmentedScene.object`; objects count from 0
 SHEET = 0.95  # a plane with this share of a cloud is all there is
 WALL = 0.25  # the length of a wall around the sensor, in the longest side of the cloud
 # So far apart the parts of one object can be, in the longest side of a cloud without
@@ -34,7 +34,7 @@ MIN_SIZE = 0.02  # of an object, in the longest side of the scene
 
 
 @dataclasses.dataclass(frozen=True)
-class Scene:
+class SegmentedScene:
     """Whose points are whose."""
 
     # For each point the number of its object, from 0, the one of most points first;
@@ -51,7 +51,7 @@ def split_scene(
     points: Float[np.ndarray, "N 3"],
     up: str | Vector = "z",
     sensor: Vector | None = None,
-) -> Scene:
+) -> SegmentedScene:
     """Planes set aside, and the rest as objects (`objects_of`).
 
     `up` is as `upright` has it, `sensor` the place the points were seen from, or None.
@@ -79,7 +79,7 @@ def split_scene(
         rest = points[~aside]
         whole = objects_of(rest, vertical, eye, support, gap)
         number[~aside] = _numbered(rest, whole, support, size)
-    return Scene(
+    return SegmentedScene(
         object=number,
         planes=(() if support is None else (support,)) + tuple(walls),
         num_points=tuple(np.bincount(number[number >= 0]).tolist()),

@@ -5,7 +5,7 @@ import inspect
 import pytest
 
 from prism_jax.data.datasets import DATASETS, open_dataset
-from prism_jax.data.public.synsets import SYNSETS
+from prism_jax.data.public.shapenet import SYNSETS
 from prism_jax.io import InputError
 
 PUBLIC = [name for name, known in DATASETS.items() if known.folder is None]
