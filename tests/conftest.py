@@ -191,6 +191,15 @@ def minimal_variables(minimal):
 
 
 @pytest.fixture(scope="session")
+def completer(minimal, minimal_variables):
+    """A completer of `minimal` that adapts in one step. What it has compiled is there
+    for all who are in the xdist group "completer"."""
+    from prism_jax.completion.completer import Completer
+
+    return Completer(minimal.config.with_adapt(num_steps=1), minimal_variables)
+
+
+@pytest.fixture(scope="session")
 def reading(minimal):
     """The configuration of `minimal` with a network that reads what is known."""
     reads = ("reads_visibility", "seeds_read_visibility")
