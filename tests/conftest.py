@@ -45,6 +45,15 @@ from jaxtyping import install_import_hook  # noqa: E402
 
 install_import_hook("prism_jax", "beartype.beartype")
 
+
+def pytest_collection_modifyitems(items):
+    """A file's tests share what is compiled, so one process runs them all, and all of a
+    group that several files share."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(str(item.path)))
+
+
 _GOLDEN = Path(__file__).resolve().parent / "golden"
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 

@@ -11,8 +11,6 @@ from prism_jax.adaptation.inner_loop import descend, step_sizes, unroll
 from prism_jax.models.variables import pop_encoders
 from tests.trees import equal
 
-pytestmark = pytest.mark.xdist_group("inner_loop")
-
 RNG = np.random.default_rng(0)
 SIZE, STEPS = 5, 3
 _ROOT = RNG.normal(size=(SIZE, SIZE))

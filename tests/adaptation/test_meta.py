@@ -16,7 +16,7 @@ from prism_jax.losses.primary import primary_loss
 from prism_jax.models.prism import predict, prepare_input
 from tests.trees import as_double, dot, row
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("meta")]
+pytestmark = pytest.mark.slow
 
 # Gradients stop at the PCA anchors of the normals and at the scale of the transport's
 # entropy, which finite differences see move: neither has a weight here.

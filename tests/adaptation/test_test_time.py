@@ -12,8 +12,6 @@ from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
 from tests.trees import bitwise, is_zero, row
 
-pytestmark = pytest.mark.xdist_group("test_time")
-
 NUM_STEPS = 3
 
 

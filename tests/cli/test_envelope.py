@@ -19,8 +19,6 @@ from tests.fake_completer import FakeCompleter
 
 __all__ = ["urdf"]
 
-pytestmark = pytest.mark.xdist_group("prism-envelope")
-
 FRAME = asset("roboarm") / "000-panda" / "000000"
 SUFFIXES = ("partial.ply", "depth.png", "camera.json", "complete.ply", "joints.json")
 

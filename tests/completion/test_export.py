@@ -12,8 +12,6 @@ from prism_jax.completion.export import export_adapt
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 
-pytestmark = pytest.mark.xdist_group("export")
-
 PROGRAM = pathlib.Path(__file__).parents[2] / "experiments" / "run_exported.py"
 BATCH = 2
 

@@ -15,7 +15,6 @@ from prism_jax.geometry.neighbors import knn, nearest
 from prism_jax.geometry.sampling import farthest_point_sample
 
 # They share what they compile.
-pytestmark = pytest.mark.xdist_group("geometry/kernels")
 
 RNG = np.random.default_rng(0)
 

@@ -11,7 +11,6 @@ from prism_jax.geometry import neighbors
 from prism_jax.geometry.neighbors import knn, nearest, three_point_interpolate
 
 # They share what they compile.
-pytestmark = pytest.mark.xdist_group("geometry/neighbors")
 
 RNG = np.random.default_rng(0)
 jit_nearest = jax.jit(nearest)

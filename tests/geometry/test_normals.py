@@ -9,7 +9,6 @@ from scipy.spatial import KDTree
 from prism_jax.geometry.normals import pca_normals
 
 # They share what they compile.
-pytestmark = pytest.mark.xdist_group("geometry/normals")
 
 RNG = np.random.default_rng(0)
 normals_of = jax.jit(pca_normals, static_argnames="k")

@@ -8,7 +8,6 @@ import pytest
 from prism_jax.geometry.sampling import farthest_point_sample, resample
 
 # They share what they compile.
-pytestmark = pytest.mark.xdist_group("geometry/sampling")
 
 RNG = np.random.default_rng(0)
 sample = jax.jit(farthest_point_sample, static_argnums=(1, 3))

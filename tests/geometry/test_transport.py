@@ -12,7 +12,6 @@ from scipy.optimize import linear_sum_assignment
 from prism_jax.geometry.transport import sinkhorn
 
 # They share what they compile.
-pytestmark = pytest.mark.xdist_group("geometry/transport")
 
 RNG = np.random.default_rng(0)
 transport = jax.jit(lambda cost, epsilon, *ab: sinkhorn(cost, epsilon, 400, *ab))

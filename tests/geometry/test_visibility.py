@@ -5,7 +5,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +29,6 @@ from prism_jax.geometry.visibility import (
 from prism_jax.geometry.workspace import Workspace
 
 # They share what they compile.
-pytestmark = pytest.mark.xdist_group("geometry/visibility")
 
 
 def view_along_x() -> Visibility:

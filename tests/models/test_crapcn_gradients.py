@@ -16,8 +16,6 @@ from prism_jax.models.backbone import (
     train_backbone,
 )
 
-pytestmark = pytest.mark.xdist_group("crapcn_gradients")
-
 NORMS = {"sqrt": "l1", "sq": "l2"}
 
 

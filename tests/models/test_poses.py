@@ -12,8 +12,6 @@ from prism_jax.geometry.visibility import look_up, seen_by
 from prism_jax.models.config import MAX_POSES, BackboneConfig, ModelConfig
 from prism_jax.models.poses import POSES, seen_in
 
-pytestmark = pytest.mark.xdist_group("poses")
-
 
 def posed_config(minimal, count, **adapt):
     """That of `minimal`, in so many poses."""

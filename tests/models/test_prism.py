@@ -11,8 +11,6 @@ from prism_jax.geometry.render import render_depth
 from prism_jax.losses.denoise import perturb, upsample_midpoints
 from prism_jax.models.prism import branches, predict, prepare_input, read_depth
 
-pytestmark = pytest.mark.xdist_group("prism")
-
 KEY = jax.random.key(3)
 
 

@@ -19,8 +19,6 @@ from prism_jax.models.decoder import Cloud, UpsamplingBlock, VisibilityPooling
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.training.inputs import inputs_of, visibility_of
 
-pytestmark = pytest.mark.xdist_group("reading_visibility")
-
 
 @pytest.fixture(scope="module")
 def frame(tiny_frames):

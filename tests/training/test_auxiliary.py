@@ -12,8 +12,6 @@ from prism_jax.training.auxiliary import TRAINED, auxiliary_phase
 from prism_jax.training.checkpoints import Checkpoints
 from tests.trees import bitwise
 
-pytestmark = pytest.mark.xdist_group("auxiliary")
-
 
 @pytest.fixture(scope="module")
 def phase(minimal, minimal_variables):

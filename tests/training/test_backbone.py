@@ -14,8 +14,6 @@ from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.optimisers import optimiser
 from tests.trees import assert_close, bitwise
 
-pytestmark = pytest.mark.xdist_group("backbone")
-
 BATCH, FRAMING = 4, Framing(64, 128, 1.4)
 
 

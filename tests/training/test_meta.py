@@ -24,8 +24,6 @@ from prism_jax.training.presets import PRESETS
 from tests import stand_in_networks
 from tests.trees import assert_close, bitwise
 
-pytestmark = pytest.mark.xdist_group("training_meta")
-
 BATCH = 4
 EVERYTHING = MetaConfig(
     weight_rule="meta", rehearse_depth=True, learn_steps=True, learn_auxiliary=True

@@ -21,8 +21,6 @@ from prism_jax.training.run import Log
 from tests.training.conftest import regression_phase
 from tests.trees import bitwise
 
-pytestmark = pytest.mark.xdist_group("phase")
-
 BATCH, STEPS, MARGIN = 4, 12, 1.4
 
 

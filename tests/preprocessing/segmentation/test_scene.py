@@ -10,7 +10,6 @@ from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT, split
 from prism_jax.preprocessing.segmentation.support import find_up
 
 # They share a scene.
-pytestmark = pytest.mark.xdist_group("segmentation/scene")
 
 EYE = np.array([0.1, -1.2, 0.9])
 TURN = Rotation.from_rotvec([0.5, -0.3, 0.2]).as_matrix()
