@@ -141,6 +141,6 @@ def test_image_that_is_no_depth(tmp_path):
         (tmp_path / "d.png").write_bytes(data)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            with pytest.raises(InputError, match="not a valid image") as caught:
+            with pytest.raises(InputError, match="not a valid depth image") as caught:
                 read_depth(tmp_path / "d.png", camera_path)
         assert "\n" not in str(caught.value)
