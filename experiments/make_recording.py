@@ -12,7 +12,7 @@ from absl import flags
 from tqdm import tqdm
 
 from prism_jax.cli.launch import launch
-from prism_jax.data.recordings import Frame
+from prism_jax.data.recordings import RecordedFrame
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError, require
 
@@ -63,7 +63,7 @@ def main() -> None:
     base = sequence.robot.mount.copy()
     base[2, 3] += sequence.cell.base_height
 
-    def made(number: int) -> Frame:
+    def made(number: int) -> RecordedFrame:
         frame = make_frame(sequence, number, config, rng)
         joints = {**(frame.joints or {}), "base": base.tolist()}
         return dataclasses.replace(frame, joints=joints)

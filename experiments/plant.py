@@ -24,8 +24,8 @@ from tqdm import tqdm
 from experiments.output import prepare_output
 from experiments.plants.frames import (
     Cloud,
-    Frame,
     PlantConfig,
+    PlantFrame,
     hide,
     pseudo_label,
     read_frame,
@@ -176,7 +176,7 @@ def rows_of(step: int, size: int, count: int, seed: int) -> list[int]:
     return [draw((seed, 0, epoch)).permutation(count)[n] for epoch, n in places]
 
 
-def held_out(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
+def held_out(frames: list[PlantFrame]) -> tuple[list[PlantFrame], list[PlantFrame]]:
     """Those to train on, and those that check: all of every fifth sequence, or every
     fifth frame where sequences are fewer. Fewer than five raise InputError."""
     if len(frames) < FEW:
@@ -238,7 +238,7 @@ def student_loss(moved, fixed, batch, key, config, settings) -> Float[Array, ""]
     return jax.vmap(one)(batch.partial, batch.eye, batch.complete, keys).mean()
 
 
-def evidence(variables, frames: list[Frame], model) -> Float[np.ndarray, "L 3"]:
+def evidence(variables, frames: list[PlantFrame], model) -> Float[np.ndarray, "L 3"]:
     """Of `LOOKS` fixed virtual occlusions of each frame: its group, which is the
     sequence, or the frame where there are few; how far what was hidden is from the
     nearest predicted points, in half sides; and the share of those that would have

@@ -40,7 +40,7 @@ from prism_jax.training.run import commit
 FLAGS = flags.FLAGS
 
 MIN_POINTS = 500  # labelled things of no more points are not compared
-REACH = 6.0  # metres from a LiDAR, beyond which its points are left out
+LIDAR_RANGE = 6.0  # metres from a LiDAR, beyond which its points are left out
 GROWN = 1.1  # of a labelled box, before points count as outside
 # The sensor of LiDARs, whose points are in its own frame and all around it.
 AT_ORIGIN = Camera(np.eye(3), np.zeros(3), np.eye(3), height=1, width=1)
@@ -135,12 +135,12 @@ def with_peer(path: pathlib.Path) -> Given:
 
 
 def swept(path: pathlib.Path) -> Given:
-    """The points of a LiDAR within `REACH`."""
+    """The points of a LiDAR within `LIDAR_RANGE`."""
     return Given(near(scanned(path).points), AT_ORIGIN)
 
 
 def captured(path: pathlib.Path) -> Given:
-    """The first whole frame of a LiDAR's recording, within `REACH`."""
+    """The first whole frame of a LiDAR's recording, within `LIDAR_RANGE`."""
     stream, lacking = open_stream(path), 0
     for frame in stream:
         if stream.remarks["incomplete"] == lacking:
@@ -150,9 +150,9 @@ def captured(path: pathlib.Path) -> Given:
 
 
 def near(points: np.ndarray) -> np.ndarray:
-    """Those within `REACH` of the origin; a point at it is no return."""
+    """Those within `LIDAR_RANGE` of the origin; a point at it is no return."""
     distance = np.linalg.norm(points, axis=1)
-    return points[(distance > 0) & (distance < REACH)]
+    return points[(distance > 0) & (distance < LIDAR_RANGE)]
 
 
 def and_alone(spec: Spec) -> tuple[Spec, Spec]:

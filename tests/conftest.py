@@ -45,6 +45,15 @@ from jaxtyping import install_import_hook  # noqa: E402
 
 install_import_hook("prism_jax", "beartype.beartype")
 
+
+def pytest_collection_modifyitems(items):
+    """A file's tests share what is compiled, so one process runs them all, and all of a
+    group that several files share."""
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(str(item.path)))
+
+
 _GOLDEN = Path(__file__).resolve().parent / "golden"
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 
@@ -188,6 +197,15 @@ def minimal_variables(minimal):
         return rng.normal(size=shape) / width**0.5
 
     return _variables(minimal.model, fill)
+
+
+@pytest.fixture(scope="session")
+def completer(minimal, minimal_variables):
+    """A completer of `minimal` that adapts in one step. What it has compiled is there
+    for all who are in the xdist group "completer"."""
+    from prism_jax.completion.completer import Completer
+
+    return Completer(minimal.config.with_adapt(num_steps=1), minimal_variables)
 
 
 @pytest.fixture(scope="session")

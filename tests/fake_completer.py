@@ -8,7 +8,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError
 from prism_jax.preprocessing.segmentation.planes import Plane
-from prism_jax.preprocessing.segmentation.scene import SUPPORT, Scene
+from prism_jax.preprocessing.segmentation.scene import SUPPORT, SegmentedScene
 
 LOSSES = ("objective", "depth_consistency", "normal", "denoise", "align")
 
@@ -65,7 +65,7 @@ class FakeCompleter:
         sizes = np.bincount(number[number >= 0]).tolist()
         support = int((number == SUPPORT).sum())
         planes = (Plane(np.array([0, 0, 1.0]), 0.0, 0.1),) if support else ()
-        return Scene(number, planes, tuple(sizes), support, 0)
+        return SegmentedScene(number, planes, tuple(sizes), support, 0)
 
     def complete_scene(self, points, camera=None, *, scene, up="auto", **asked):
         objects = [

@@ -16,7 +16,6 @@ COMMAND = re.compile(
 )
 PLACEHOLDERS = {"$split": "train", "SUITE": "ops", "--network=NAME": "--network=pcn"}
 WITHOUT_FLAGS = {"results"}
-INSTALLED = {"complete", "stream", "envelope"}
 
 
 def commands() -> list[tuple[str, str]]:
@@ -31,19 +30,14 @@ def commands() -> list[tuple[str, str]]:
 
 
 COMMANDS = commands()
-
-
-def test_they_are_found():
-    assert len(COMMANDS) > 35
-    named = {launcher for launcher, _ in COMMANDS}
-    assert {"complete", "envelope", "evaluate", "make_data", "train"} <= named
+assert len(COMMANDS) > 35
 
 
 @pytest.mark.parametrize(("launcher", "rest"), COMMANDS)
 def test_its_flags_are_the_launchers(launcher, rest):
     if launcher in WITHOUT_FLAGS or rest == "--help":
         assert rest in ("", "--help")
-        folder = "prism_jax/cli" if launcher in INSTALLED else "experiments"
+        folder = "prism_jax/cli" if launcher in launching.INSTALLED else "experiments"
         assert (ROOT / folder / f"{launcher}.py").exists()
         return
     for placeholder, value in PLACEHOLDERS.items():

@@ -21,7 +21,7 @@ SIZES = (1024, 4096, 16384)
 BATCH = 16
 BATCHED = 4096
 """The largest cloud of which a batch is searched at once."""
-NEIGHBORS = 16
+NUM_NEIGHBORS = 16
 
 
 def suite() -> Iterator[Row]:
@@ -42,7 +42,7 @@ def suite() -> Iterator[Row]:
 
 
 def _searches(size: int) -> dict[str, tuple[Callable, Callable, str]]:
-    many = functools.partial(knn, k=NEIGHBORS)
+    many = functools.partial(knn, k=NUM_NEIGHBORS)
     as_on_cpu = "its form for a CPU"
     count = size // 8
 
@@ -51,7 +51,7 @@ def _searches(size: int) -> dict[str, tuple[Callable, Callable, str]]:
 
     gradient = jax.value_and_grad
     return {
-        f"{NEIGHBORS} nearest neighbours": (many, _without(many), as_on_cpu),
+        f"{NUM_NEIGHBORS} nearest neighbours": (many, _without(many), as_on_cpu),
         "Chamfer, value and gradient": (
             gradient(chamfer),
             gradient(_plain),

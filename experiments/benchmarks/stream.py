@@ -11,8 +11,7 @@ import numpy as np
 from experiments.benchmarks.measure import MIB, Row
 from experiments.simulation.roboarm.recording import write_mcap
 from prism_jax.completion.completer import Completer
-from prism_jax.data.recordings import Frame as Recorded
-from prism_jax.data.recordings import RecordedCells
+from prism_jax.data.recordings import RecordedCells, RecordedFrame
 from prism_jax.io.scan import Bounds
 from prism_jax.io.streams import Frame, Stream, open_stream
 from prism_jax.io.streams.sinks import Labelled, open_sink
@@ -112,7 +111,7 @@ def suite(weights: str = "small") -> Iterator[Row]:
         )
 
 
-def _noisy(cell: Recorded) -> Iterator[Recorded]:
+def _noisy(cell: RecordedFrame) -> Iterator[RecordedFrame]:
     """The cell with noise of 2 mm, another for each frame."""
     rng = np.random.default_rng(0)
     for _ in range(RECORDED):

@@ -46,7 +46,7 @@ class PlantConfig:
     auxiliary_weight: float = 0.01  # of the objective of Eq. 13
 
 
-class Frame(NamedTuple):
+class PlantFrame(NamedTuple):
     """One frame of a recording."""
 
     example: Example  # without strays and without truth
@@ -54,7 +54,7 @@ class Frame(NamedTuple):
     seen: Observation  # what the network reads of all of it
 
 
-def read_frame(source: Source, row: int, model: ModelConfig) -> Frame:
+def read_frame(source: Source, row: int, model: ModelConfig) -> PlantFrame:
     """A row of a source, whose truth is dropped before anything can look at it. One
     without measured points raises InputError."""
     example = source[row]._replace(complete=None, ordered=False, visibility=None)
@@ -65,7 +65,8 @@ def read_frame(source: Source, row: int, model: ModelConfig) -> Frame:
     points = points[:: -(-len(points) // MAX_MEASURED)]
     eye = None if eye is None or not np.isfinite(eye).all() else eye
     example = example._replace(partial=points, eye=eye)
-    return Frame(example, int(source.objects[row]), observed(example, reading(model)))
+    seen = observed(example, reading(model))
+    return PlantFrame(example, int(source.objects[row]), seen)
 
 
 def reading(model: ModelConfig) -> Protocol:
@@ -73,7 +74,7 @@ def reading(model: ModelConfig) -> Protocol:
     return Protocol(model.backbone.num_points, model.margin, heading=model.heading)
 
 
-def pseudo_label(frame: Frame, prediction: Cloud, settings: PlantConfig) -> Cloud:
+def pseudo_label(frame: PlantFrame, prediction: Cloud, settings: PlantConfig) -> Cloud:
     """What was measured and, of the teacher's prediction in the unit of `frame.seen`,
     what a user would get, but nothing farther than ``reach`` from what was measured: a
     student that learned to reach farther than it sees would then teach that."""

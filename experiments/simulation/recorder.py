@@ -10,13 +10,19 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from prism_jax.data.recordings import DEPTH_SCALE, NEEDED, OPTIONAL, Frame, frame_file
+from prism_jax.data.recordings import (
+    DEPTH_SCALE,
+    NEEDED,
+    OPTIONAL,
+    RecordedFrame,
+    frame_file,
+)
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import write_ply
 
 
-def write_frame(folder: str | os.PathLike, number: int, frame: Frame) -> None:
+def write_frame(folder: str | os.PathLike, number: int, frame: RecordedFrame) -> None:
     """Writes a frame into a sequence's folder, in the place of one that is there; its
     camera, and so the frame, last."""
     path = make_output_dir(folder) / f"{number:06d}"

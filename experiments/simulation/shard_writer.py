@@ -99,8 +99,8 @@ def write_shard(
                 columns["views"].append(np.array(row, np.int32))
                 names.append([view.category, view.name, view.any_heading])
                 if maps:
-                    known = encode(view.visibility or nothing_known())
-                    for name, row in zip(MAPS, known, strict=True):
+                    encoded = encode(view.visibility or nothing_known())
+                    for name, row in zip(MAPS, encoded, strict=True):
                         columns[name].append(row)
     for name, rows in columns.items():
         write_array(folder, number, name, np.stack(rows))

@@ -20,13 +20,9 @@ from absl import flags
 
 from prism_jax import io
 from prism_jax.assets import asset
+from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
-from prism_jax.cli.shared_flags import (
-    define_completion_flags,
-    define_max_points,
-    define_strings,
-)
-from prism_jax.preprocessing.upright import parse_up
+from prism_jax.preprocessing.upright import AUTO, parse_up
 from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.confidence import trust_of_all
 from prism_jax.reporting.page import render
@@ -45,7 +41,7 @@ _say = functools.partial(say, NAME)
 
 def define_flags() -> None:
     """The flags; what they are called and what they default to is `complete_file`'s."""
-    define_strings(
+    shared_flags.define_strings(
         input="Partial scan: .ply .pcd .npy .npz .xyz .txt .csv, or a 16-bit depth "
         ".png. Default: a bundled sample.",
         ground_truth="Complete cloud to score against.",
@@ -58,8 +54,8 @@ def define_flags() -> None:
         "Added points may lie outside the box, but inside the completed cube: its "
         "side is 1.4 times the longest side of the cropped points.",
     )
-    define_max_points(io.MAX_POINTS)
-    define_completion_flags(density=1.0)
+    shared_flags.define_max_points(io.MAX_POINTS)
+    shared_flags.define_completion_flags(density=1.0)
     flags.DEFINE_enum(
         "objects",
         "auto",
@@ -148,6 +144,8 @@ def complete_file(
                 *given, scene=scene, around=scan.around, **asked
             )
         else:
+            if scene is not None and up == AUTO:
+                asked["up"] = scene.up.vector
             result = completer.complete(*given, around=scan.around, **asked)
     about = {"weights": weights, "bounds": workspace, **asked}
     if taken_apart:
@@ -168,12 +166,12 @@ def complete_file(
     with _timed(f"writing to {folder}", "write", seconds):
         told = plain(summary)
         if taken_apart:
-            report, objects = render_scene_report(result, told), result.object
+            report, numbers = render_scene_report(result, told), result.object
         else:
-            report, objects = render_report(result, told, truth), None
+            report, numbers = render_report(result, told, truth), None
         contents = {
             "completed.ply": io.ply_bytes(
-                result.points, ~result.observed, objects, result.sigma
+                result.points, ~result.observed, numbers, result.sigma
             ),
             # A file's name may hold bytes that are no UTF-8.
             "report.html": report.encode(errors="backslashreplace"),

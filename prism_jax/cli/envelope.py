@@ -21,13 +21,8 @@ from absl import flags
 from jaxtyping import Float
 
 from prism_jax import io
+from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import launch, load_completer, say, timed
-from prism_jax.cli.shared_flags import (
-    define_completion_flags,
-    define_max_points,
-    define_recording_flags,
-    define_strings,
-)
 from prism_jax.cli.stream import (
     REPORT,
     end_as_interrupted,
@@ -50,7 +45,7 @@ from prism_jax.envelope.robot import joints_from_dict, robot_surface
 from prism_jax.envelope.separation import read_terms, separation
 from prism_jax.envelope.surfaces import Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
-from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
 from prism_jax.io.scan import parse_numbers
@@ -79,7 +74,7 @@ _say = functools.partial(say, NAME)
 
 def define_flags() -> None:
     """The flags of both uses."""
-    define_strings(
+    shared_flags.define_strings(
         calibration="File written by `calibrate`; required.",
         camera="Camera JSON. Default: the .json of the same name for a depth image, "
         "the CameraInfo for a recording.",
@@ -97,9 +92,9 @@ def define_flags() -> None:
         "alpha", None, "Share of cells that may be missed. Default: the calibration's."
     )
     flags.DEFINE_bool("scaled", False, "Scale margins by each point's expected error.")
-    define_completion_flags(_METHOD.density)
-    define_recording_flags()
-    define_max_points(io.MAX_POINTS)
+    shared_flags.define_completion_flags(_METHOD.density)
+    shared_flags.define_recording_flags()
+    shared_flags.define_max_points(io.MAX_POINTS)
     flags.DEFINE_bool(
         "every_frame",
         False,
@@ -193,7 +188,9 @@ def envelope_of(source: str) -> dict[str, Any]:
     Returns what the JSON says, of a recording what `stream.json` does. What the user
     can put right raises InputError, if possible before the weights are loaded."""
     seconds: dict[str, float] = {}
-    method, observed = _method(), _observed()
+    method = _method()
+    bounds = None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace)
+    up = None if FLAGS.up is None else parse_up(FLAGS.up)
     eye = None
     if FLAGS.eye is not None:
         eye = parse_numbers("--eye", FLAGS.eye, 3, "give x,y,z")
@@ -203,7 +200,7 @@ def envelope_of(source: str) -> dict[str, Any]:
         if is_stream(source):
             stream, named = _opened(source, joints)
         else:
-            scan = _read(source, eye, observed, robot, joints)
+            scan = _read(source, eye, bounds, up, robot, joints)
             named = scan.named
         if named is None and FLAGS.eye is None:
             _say("no space is known to be free: set --camera or --eye")
@@ -248,7 +245,8 @@ def envelope_of(source: str) -> dict[str, Any]:
             eye=eye,
             asked=asked,
             robot=robot,
-            **observed,
+            bounds=bounds,
+            up=up,
         )
     if stream is not None:
         sink = _Folder(folder, functools.partial(_summary, about, source))
@@ -265,14 +263,6 @@ def envelope_of(source: str) -> dict[str, Any]:
     with _timed(f"writing to {folder}", "write", seconds):
         _write(folder, made, summary)
     return summary
-
-
-def _observed() -> dict[str, Any]:
-    """How frames are observed (`FrameObserver`), but for the robot."""
-    return {
-        "bounds": None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace),
-        "up": None if FLAGS.up is None else parse_up(FLAGS.up),
-    }
 
 
 def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str, Any]:
@@ -353,7 +343,8 @@ def _opened(source: str, joints: Joints | None) -> tuple[Stream, Camera | None]:
 def _read(
     source: str,
     eye: Float[np.ndarray, "3"] | None,
-    observed: dict[str, Any],
+    bounds: io.Bounds | None,
+    up: str | Vector | None,
     robot: Linkage | None,
     joints: Joints | None,
 ) -> Scanned:
@@ -370,13 +361,12 @@ def _read(
         everything = np.concatenate([scan.points, seen])
         depth = np.where(mask, metres, 0.0)
     stood = standing(depth, camera, eye)
-    direction = observed["up"]
-    if direction is None:
-        direction = "-y" if scan.in_camera_frame else "z"
-    if isinstance(direction, str) and direction == "auto":
+    if up is None:
+        up = "-y" if scan.in_camera_frame else "z"
+    if isinstance(up, str) and up == "auto":
         place = None if stood is None else np.asarray(stood.position)
         rotation = None if camera is None else camera.rotation
-        direction = find_up(scan.points, place, rotation).vector
+        up = find_up(scan.points, place, rotation).vector
     surface = None
     if robot is not None and joints is not None:
         if joints.given is None:
@@ -384,20 +374,14 @@ def _read(
             raise io.InputError("--urdf", fault, "set both")
         base = {} if joints.base is None else {"base": joints.base}
         surface = robot_surface(robot, *joints_from_dict({**joints.given, **base}))
-    points = io.crop(scan.points, observed["bounds"], source)
-    return Scanned(points, everything, depth, stood, camera, direction, surface)
+    points = io.crop(scan.points, bounds, source)
+    return Scanned(points, everything, depth, stood, camera, up, surface)
 
 
 def _method() -> Method:
-    return Method(
-        adapt=FLAGS.adapt,
-        density=FLAGS.density,
-        background=FLAGS.background,
-        objects=FLAGS.objects,
-        around=FLAGS.around,
-        robot="unknown" if FLAGS.urdf is None else "known",
-        robot_margin=FLAGS.robot_margin,
-    )
+    same = ("adapt", "density", "background", "objects", "around", "robot_margin")
+    robot = "unknown" if FLAGS.urdf is None else "known"
+    return Method(robot=robot, **{name: getattr(FLAGS, name) for name in same})
 
 
 def _digest(weights: str) -> str:

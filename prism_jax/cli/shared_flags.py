@@ -2,7 +2,7 @@
 
 from absl import flags
 
-from prism_jax.envelope.robot import MARGIN
+from prism_jax.envelope.robot import ROBOT_MARGIN
 
 
 def define_strings(**texts: str) -> None:
@@ -67,7 +67,7 @@ def define_recording_flags() -> None:
         "dropped.",
     )
     flags.DEFINE_float(
-        "robot_margin", MARGIN, "Points nearer to the robot belong to it.", 0.0
+        "robot_margin", ROBOT_MARGIN, "Points nearer to the robot belong to it.", 0.0
     )
 
 

@@ -17,12 +17,8 @@ from typing import Any
 from absl import flags
 
 from prism_jax import io
+from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import launch, load_completer, say
-from prism_jax.cli.shared_flags import (
-    define_completion_flags,
-    define_recording_flags,
-    define_strings,
-)
 from prism_jax.envelope.robot import LAYOUT, joints_from_dict
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import require
@@ -45,13 +41,13 @@ _say = functools.partial(say, NAME)
 
 def define_flags() -> None:
     """The flags."""
-    define_strings(
+    shared_flags.define_strings(
         camera="JSON of the pinhole camera and its pose. Replaces the CameraInfo of "
         "depth images; sets the sensor position of clouds.",
         workspace="Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres.",
     )
-    define_recording_flags()
-    define_completion_flags(density=0.0)
+    shared_flags.define_recording_flags()
+    shared_flags.define_completion_flags(density=0.0)
     flags.DEFINE_integer(
         "poses",
         1,

@@ -41,9 +41,8 @@ from prism_jax.preprocessing.observation import (
     observe,
     origin_is_sensor,
 )
-from prism_jax.preprocessing.segmentation.scene import Scene, split_scene
-from prism_jax.preprocessing.segmentation.support import find_up
-from prism_jax.preprocessing.upright import upright
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene, split_scene
+from prism_jax.preprocessing.segmentation.support import find_up, given_up
 from prism_jax.preprocessing.visibility_map import seen_among, some_of
 from prism_jax.uncertainty.confidence import Calibration
 from prism_jax.uncertainty.sigma import PointErrors
@@ -120,7 +119,7 @@ class Completer:
             _check_workspace(workspace)
         # Frame: turn the object upright, find its workspace, the view and what of it
         # is visible.
-        asked, _ = _upright(asked, points, camera)
+        asked = _upright(asked, points, camera)
         task = self.task(points, camera, workspace, around, asked)
         # Complete: run the network, with label-free steps first if asked to.
         completion, seconds = self.run(task, asked)
@@ -131,7 +130,7 @@ class Completer:
         self,
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
-        scene: Scene | None = None,
+        scene: SegmentedScene | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         **options: Any,
     ) -> CompletedScene:
@@ -148,9 +147,11 @@ class Completer:
         beyond = np.zeros((0, 3)) if around is None else _checked(around, "around")
         check_cloud(points, "points")
         # Segment: find up, the support and the objects.
-        asked, up_source = _upright(asked, points, camera)
         if scene is None:
-            scene = split_scene(points, asked.up, _seen_from(points, camera))
+            scene = self.split_scene(points, camera, asked.up)
+        up = scene.up if asked.finds_up else given_up(asked.up)
+        if asked.finds_up:
+            asked = dataclasses.replace(asked, up=up.vector)
         # Frame each object as `complete` does, the rest of the scene around it.
         tasks = []
         for number in range(len(scene.num_points)):
@@ -165,22 +166,18 @@ class Completer:
             for task, done in zip(batch, completions, strict=True):
                 objects.append(self._assemble(task, done, asked, seconds))
         # Assemble the scene.
-        turn = upright(asked.up)
-        vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
-        return in_one_scene(
-            points, scene.object, objects, scene.planes, vertical, up_source
-        )
+        return in_one_scene(points, scene.object, objects, scene.planes, *up)
 
     def split_scene(
         self,
         points: Float[np.ndarray, "N 3"],
         camera: Camera | None = None,
         up: str | Vector = AUTO,
-    ) -> Scene:
+    ) -> SegmentedScene:
         """The object of each point; see `segmentation.scene.split_scene`."""
-        points = _checked(points)
-        asked, _ = _upright(CompletionOptions(up=up), points, camera)
-        return split_scene(points, asked.up, _seen_from(points, camera))
+        rotation = None if camera is None else camera.rotation
+        points, up = _checked(points), CompletionOptions(up=up).up
+        return split_scene(points, up, _seen_from(points, camera), rotation)
 
     def task(
         self,
@@ -368,13 +365,13 @@ def _known(
 
 def _upright(
     options: CompletionOptions, points: np.ndarray, camera: Camera | None
-) -> tuple[CompletionOptions, str]:
-    """The options with an up that was found, if it was to be, and what says so."""
+) -> CompletionOptions:
+    """The options with an up that was found, if it was to be."""
     if not options.finds_up:
-        return options, "given"
+        return options
     rotation = None if camera is None else camera.rotation
     found = find_up(points, _seen_from(points, camera), rotation)
-    return dataclasses.replace(options, up=found.vector), found.source
+    return dataclasses.replace(options, up=found.vector)
 
 
 def _seen_from(

@@ -8,9 +8,7 @@ import numpy as np
 from prism_jax.geometry.camera import Vector
 from prism_jax.geometry.visibility import Background
 from prism_jax.io.errors import InputError, choose
-from prism_jax.preprocessing.upright import upright
-
-AUTO = "auto"
+from prism_jax.preprocessing.upright import AUTO, upright
 
 
 @dataclasses.dataclass(frozen=True)

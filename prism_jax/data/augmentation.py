@@ -26,13 +26,13 @@ class Augmentation:
     jitter: float = 0.0
 
     def __post_init__(self):
-        shares = {"crop": self.crop, "thin": self.thin}
-        shares |= dict(zip(("least", "most"), self.crop_shares, strict=True))
-        for name, share in shares.items():
+        least, most = self.crop_shares
+        for name, share in {"crop": self.crop, "thin": self.thin}.items():
             if not 0 <= share <= 1:
                 raise InputError(name, f"{share} is out of range", "choose 0 to 1")
-        if self.crop_shares[0] > self.crop_shares[1] or self.crop_shares[1] == 1:
-            raise InputError("crop_shares", "must increase and be < 1", "choose others")
+        if not 0 <= least <= most < 1:
+            remedy = "choose increasing shares from 0 to below 1"
+            raise InputError("crop_shares", f"{least} to {most}", remedy)
         if self.fewest < 1 or not 0 <= self.jitter < np.inf:
             fault = f"fewest {self.fewest}, jitter {self.jitter}"
             raise InputError("augmentation", fault, "use fewest >= 1 and jitter >= 0")
@@ -44,7 +44,7 @@ def augmented(
     """The example with another partial, in the order of the one it has. Of what the
     sensor knows, the surface that is cropped away is forgotten; thinning and noise
     leave it as it is. An example without a partial raises ValueError."""
-    partial, known = example.partial, example.visibility
+    partial, visibility = example.partial, example.visibility
     if partial is None:
         raise ValueError(f"{example.name} has no partial to change")
     if rng.random() < settings.crop:
@@ -53,7 +53,8 @@ def augmented(
         along = partial @ normal
         bound = np.quantile(along, 1 - rng.uniform(*settings.crop_shares))
         partial = partial[along <= bound]
-        known = None if known is None else _forgotten(known, normal, float(bound))
+        if visibility is not None:
+            visibility = _forgotten(visibility, normal, float(bound))
     if rng.random() < settings.thin and len(partial) > settings.fewest:
         span = np.log((settings.fewest, len(partial) + 1))
         count = int(np.exp(rng.uniform(*span)))
@@ -64,22 +65,22 @@ def augmented(
         deviation = rng.uniform(0.0, settings.jitter) * side
         noise = deviation * rng.standard_normal(partial.shape)
         partial = (partial + noise).astype(np.float32)
-    return example._replace(partial=partial, visibility=known)
+    return example._replace(partial=partial, visibility=visibility)
 
 
 def _forgotten(
-    known: Visibility, normal: Float[np.ndarray, "3"], bound: float
+    visibility: Visibility, normal: Float[np.ndarray, "3"], bound: float
 ) -> Visibility:
     """Without the surface that lies beyond a plane."""
-    camera = known.camera
+    camera = visibility.camera
     direction = camera.rotation @ normal
     # Of each pixel's ray of depth one, in the camera's frame.
     slopes = np.linalg.inv(camera.intrinsics).T @ direction
     columns, rows = np.arange(camera.width), np.arange(camera.height)[:, None]
     slopes = columns * slopes[0] + rows * slopes[1] + slopes[2]
-    along = known.depth * slopes - camera.translation @ direction
-    beyond = (known.state == SURFACE) & (along > bound)
-    return known._replace(
-        state=np.where(beyond, np.uint8(UNKNOWN), known.state),
-        depth=np.where(beyond, np.float32(0), known.depth),
+    along = visibility.depth * slopes - camera.translation @ direction
+    beyond = (visibility.state == SURFACE) & (along > bound)
+    return visibility._replace(
+        state=np.where(beyond, np.uint8(UNKNOWN), visibility.state),
+        depth=np.where(beyond, np.float32(0), visibility.depth),
     )

@@ -86,14 +86,14 @@ def frame_example(
         "many": first_points(example.complete, framing.num_complete, example.ordered),
     }
     unit = Workspace.from_points(clouds["complete"], 1.0)
-    eye, known = example.eye, example.visibility
-    if known is not None and not known.state.any():
-        known = None  # of a packed view of which none was kept
+    eye, visibility = example.eye, example.visibility
+    if visibility is not None and not visibility.state.any():
+        visibility = None  # of a packed view of which none was kept
     pose = _pose(example, framing, rng)
     if pose is not None:
         clouds = {name: cloud @ pose for name, cloud in clouds.items()}
         eye = None if eye is None else eye @ pose
-        known = None if known is None else turned(known, pose)
+        visibility = None if visibility is None else turned(visibility, pose)
     partial = clouds["partial"]
     workspace = workspace_around(partial, eye, framing.margin, heading=framing.heading)
     seen = observe(clouds["few"], eye, workspace)
@@ -102,7 +102,7 @@ def frame_example(
         np.asarray(workspace.to_unit(clouds["many"]), np.float32),
         np.asarray(seen.eye, np.float32),
         np.asarray(workspace.half_extent / unit.half_extent, np.float32),
-        visibility=None if known is None else framed_map(known, workspace),
+        visibility=None if visibility is None else framed_map(visibility, workspace),
     )
     if rng is None:
         return batch
@@ -182,8 +182,8 @@ def _with_map(row: Batch) -> Batch:
     if row.visibility is not None:
         return row
     nothing, cube = row.partial[:0], Workspace.unit()
-    known = seen_among(row.partial, nothing, row.eye, cube, "empty")
-    return row._replace(visibility=framed_map(known, cube))
+    visibility = seen_among(row.partial, nothing, row.eye, cube, "empty")
+    return row._replace(visibility=framed_map(visibility, cube))
 
 
 def _framed(
@@ -231,9 +231,9 @@ def _about_vertical(angle: float) -> Float32[np.ndarray, "3 3"]:
     return np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
 
 
-def framed_map(known: Visibility, workspace: Workspace) -> Visibility:
+def framed_map(visibility: Visibility, workspace: Workspace) -> Visibility:
     """In the unit of the workspace, and in single precision."""
-    unit = to_unit(known, workspace)
+    unit = to_unit(visibility, workspace)
     camera = jax.tree.map(lambda array: np.asarray(array, np.float32), unit.camera)
     return Visibility(camera, unit.state, np.asarray(unit.depth, np.float32))
 
@@ -241,14 +241,14 @@ def framed_map(known: Visibility, workspace: Workspace) -> Visibility:
 def _turned(batch: Batch, quarters: int) -> Batch:
     """By quarter turns about the middle of the unit workspace."""
     turn = np.rint(_about_vertical(quarters * 0.5 * np.pi))
-    known = None if batch.visibility is None else turned(batch.visibility, turn)
+    visibility = None if batch.visibility is None else turned(batch.visibility, turn)
     moved = {name: getattr(batch, name) @ turn for name in _MOVED}
-    return batch._replace(**moved, visibility=known)
+    return batch._replace(**moved, visibility=visibility)
 
 
 def _mirrored(batch: Batch) -> Batch:
     """Along x, which in the unit workspace is a matter of signs."""
     sign = np.array([-1, 1, 1], np.float32)
-    known = None if batch.visibility is None else mirrored(batch.visibility)
+    visibility = None if batch.visibility is None else mirrored(batch.visibility)
     moved = {name: getattr(batch, name) * sign for name in _MOVED}
-    return batch._replace(**moved, visibility=known)
+    return batch._replace(**moved, visibility=visibility)

@@ -56,7 +56,7 @@ _LAYOUT = "lay it out as <sequence>/000000.depth.png, .camera.json, .partial.ply
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
+class RecordedFrame:
     """One frame as it is stored: clouds in the world frame, depth in counts of
     `DEPTH_SCALE` (0 is no return), labels of `LABELS`."""
 
@@ -114,7 +114,7 @@ class RecordedCells:
             visibility=map_of_image(partial, metres, mask, camera),
         )
 
-    def read(self, index: int) -> Frame:
+    def read(self, index: int) -> RecordedFrame:
         """All of a frame, each file checked against the others."""
         sequence, name = self.frames[index]
         return read_frame(self.root / sequence, int(name))
@@ -144,7 +144,7 @@ def _category(sequence: str) -> str:
     return "robot cell" if named is None else named[1]
 
 
-def read_frame(folder: StrPath, number: int) -> Frame:
+def read_frame(folder: StrPath, number: int) -> RecordedFrame:
     """A frame of a sequence's folder. Files that do not fit each other raise
     InputError: images of another size than the camera's, another unit of depth, a
     partial cloud that lies elsewhere than the depth image, labels that do not exist."""
@@ -161,7 +161,7 @@ def read_frame(folder: StrPath, number: int) -> Frame:
     _check_on_image(partial, metres, mask, camera, frame_file(path, "partial.ply"))
     complete, labels = frame_file(path, "complete.ply"), frame_file(path, "labels.png")
     joints = frame_file(path, "joints.json")
-    return Frame(
+    return RecordedFrame(
         depth=np.rint(metres / scale).astype(np.uint16),
         camera=camera,
         partial=partial,

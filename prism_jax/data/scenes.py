@@ -34,8 +34,7 @@ class LabelledScene:
 
     points: Float32[np.ndarray, "N 3"]  # all that was measured
     # For each point the number of its thing, from 0; `SUPPORT` on what things stand on,
-    # walls, and the floor below a table; `LEFT_OVER` for points that fly beside an
-    # edge, and a table's legs. As in `observation.scene.Scene`.
+    # walls and floors; `LEFT_OVER` for a table's legs and points that fly at an edge.
     labels: Int[np.ndarray, " N"]
     complete: Float32[np.ndarray, "K M 3"]  # of each thing, in farthest-point order
     categories: tuple[str, ...]  # of each thing
@@ -77,8 +76,8 @@ class Scenes(Shards):
         scene, first = self.scene(number), np.searchsorted(self.objects, number)
         others = scene.points[scene.labels != index - first]
         assert example.partial is not None
-        known = seen_among(example.partial, others, scene.eye)
-        return example._replace(visibility=known)
+        visibility = seen_among(example.partial, others, scene.eye)
+        return example._replace(visibility=visibility)
 
     @property
     def num_scenes(self) -> int:

@@ -91,9 +91,10 @@ class Shards:
         cloud = self._array(shard, "views")[view, 0]
         box, eye = self._array(shard, "box")[cloud], self._array(shard, "eye")[view]
         category, name, any_heading = self._array(shard, NAMES)[view]
-        known = None
+        visibility = None
         if self._has_maps:
-            known = decode(*(np.array(self._array(shard, n)[view]) for n in MAPS))
+            arrays = (np.array(self._array(shard, n)[view]) for n in MAPS)
+            visibility = decode(*arrays)
         return Example(
             restored(self._array(shard, "complete")[cloud], box),
             restored(self._array(shard, "partial")[view], box),
@@ -102,7 +103,7 @@ class Shards:
             name,
             ordered=True,
             any_heading=any_heading,
-            visibility=known,
+            visibility=visibility,
         )
 
     @property

@@ -106,7 +106,7 @@ class Setup:
 
 
 @dataclasses.dataclass(frozen=True)
-class Calibration:
+class MarginCalibration:
     """Scores of cells, and what they were made with."""
 
     setup: Setup  # what runs
@@ -170,7 +170,9 @@ class Calibration:
         atomic.write_bytes(path, (text + "\n").encode())
 
 
-def read_calibration(path: str | os.PathLike, runs: Setup | None = None) -> Calibration:
+def read_calibration(
+    path: str | os.PathLike, runs: Setup | None = None
+) -> MarginCalibration:
     """The calibration of a file.
 
     A file that is none, one whose numbers contradict each other, and one of another
@@ -193,7 +195,7 @@ def read_calibration(path: str | os.PathLike, runs: Setup | None = None) -> Cali
 
 
 def check_setup(
-    calibration: Calibration, runs: Setup, path: str | os.PathLike = "calibration"
+    calibration: MarginCalibration, runs: Setup, path: str | os.PathLike = "calibration"
 ) -> None:
     """Raises InputError about `path` if it was calibrated for anything else."""
     found = runs.differences(calibration.setup)
@@ -201,14 +203,14 @@ def check_setup(
         raise InputError(path, f"calibrated for {'; '.join(found)}", _AGAIN)
 
 
-def _from_dict(content: Mapping[str, Any]) -> Calibration:
+def _from_dict(content: Mapping[str, Any]) -> MarginCalibration:
     scaled = content["scaled"]
     setup = Setup(
         str(content["weights_sha256"]),
         str(content["sensor"]),
         dict(content["settings"]),
     )
-    calibration = Calibration(
+    calibration = MarginCalibration(
         setup=setup,
         alpha=float(content["alpha"]),
         cells=tuple(map(str, content["cells"])),

@@ -49,7 +49,7 @@ class DepthView:
         (top, bottom), (left, right), (near, far) = _span(row), _span(column), _span(z)
         which = np.flatnonzero(near > MIN_DEPTH)
         first, last = (
-            np.stack([rows.ravel()[which], columns.ravel()[which]], axis=1)
+            np.stack([rows.ravel()[which], columns.ravel()[which]], axis=1).astype(int)
             for rows, columns in ((top, left), (bottom, right))
         )
         pitch = 1.0 / np.diag(np.asarray(self.camera.intrinsics, np.float64))[:2].min()
@@ -78,9 +78,12 @@ class CloudView:
         if len(self.points) == 0:
             return free
         toward = 0.5 * (grid.lower + grid.upper) - self.eye
-        heading = math.atan2(toward[1], toward[0])
-        rays, distance = _angles(self.points - self.eye, heading)
-        least, most, far = _voxels_around(grid, self.eye, heading, carving.body)
+        # The poles, where nothing is proven, are away from the grid's middle.
+        axes = np.roll(np.arange(3), 2 - np.abs(toward).argmin())
+        heading = math.atan2(*toward[axes[1::-1]])
+        rays, distance = _angles((self.points - self.eye)[:, axes], heading)
+        middles = (grid.centers() - self.eye)[:, axes]
+        least, most, far = _voxels_around(middles, grid.voxel, heading, carving.body)
         reach = far.max(initial=0.0, where=np.isfinite(far))
         for level in range(LEVELS):
             pitch = _cell(carving.body, reach / 2**level)
@@ -224,13 +227,12 @@ def _angles(
 
 
 def _voxels_around(
-    grid: Grid, eye: Float[np.ndarray, "3"], heading: float, body: float
+    rays: Float[np.ndarray, "V 3"], voxel: float, heading: float, body: float
 ) -> tuple[Float[np.ndarray, "V 2"], Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
-    """Of each voxel the least and the largest elevation and azimuth, and the distance
-    of its farthest corner; outer bounds of all. Above and below the eye the distance is
-    infinite: a body there may be on all azimuths."""
-    rays = grid.centers() - eye
-    half = 0.5 * grid.voxel
+    """Of each voxel about a ray's end its least and its largest elevation and azimuth,
+    and the distance of its farthest corner; outer bounds of all. Near the poles, where
+    a body may be on all azimuths, the distance is infinite."""
+    half = 0.5 * voxel
     inner = np.maximum(np.abs(rays[:, :2]) - half, 0.0)
     nearest, farthest = np.hypot(*inner.T), np.hypot(*(np.abs(rays[:, :2]) + half).T)
     around = np.maximum(np.hypot(*rays[:, :2].T), 1e-300)
@@ -286,11 +288,8 @@ def _least(
     rectangle's own.
     """
     # What is outside of the image proves nothing.
-    image = np.pad(image, 1)
-    first, last = (
-        np.clip(ends.astype(int) + 1, 0, np.array(image.shape) - 1)
-        for ends in (first, last)
-    )
+    inside = ((first >= 0) & (last < image.shape)).all(axis=1)
+    first, last = first[inside], last[inside]
     sides = (last - first + 1).max(axis=1, initial=1)
     levels = np.floor(np.log2(sides)).astype(int)
     least = np.full(len(first), np.inf)
@@ -309,4 +308,6 @@ def _least(
         squares = np.minimum(squares, down)
         across = np.pad(squares, ((0, 0), (0, side)), constant_values=np.inf)
         squares = np.minimum(squares, across[:, side:])
-    return least
+    found = np.zeros(len(inside))
+    found[inside] = least
+    return found

@@ -17,7 +17,7 @@ from prism_jax.io.errors import InputError
 KINDS = STATES[:3]
 """Whose surfaces: what was measured, the robot's, and what is predicted."""
 
-NEIGHBORS = 16
+NUM_BOXES = 16
 """Nearest middles of voxels among which the nearest box is looked for first."""
 
 LEAF = 32  # points of a leaf of a search tree
@@ -157,7 +157,7 @@ class Envelope:
         if len(free) == 0 or shell is None:
             return away
         asked = points[free]
-        neighbors = min(NEIGHBORS, shell.n)
+        neighbors = min(NUM_BOXES, shell.n)
         apart, rows = shell.query(asked, k=[*range(1, neighbors + 1)])  # pyright: ignore
         boxes = self._to_boxes(asked[:, None], shell.data[rows]).min(axis=1)
         # Boxes that were not asked for can be nearer if the last one's middle is not

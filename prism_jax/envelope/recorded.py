@@ -5,7 +5,7 @@ import tqdm
 from jaxtyping import Float
 
 from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells
-from prism_jax.envelope.calibration import Calibration, cell_score
+from prism_jax.envelope.calibration import MarginCalibration, cell_score
 from prism_jax.envelope.robot import joints_from_dict, robot_surface
 from prism_jax.envelope.surfaces import FLOOR, Method, Seen, see, sensor_name
 from prism_jax.io.depth import points_from_depth
@@ -21,7 +21,7 @@ def calibrate_on(
     weights: str,
     alpha: float,
     sensor: str | None = None,
-) -> Calibration:
+) -> MarginCalibration:
     """Completes every frame and scores it against the truth; of a cell, which is a
     sequence, the worst frame counts.
 
@@ -54,7 +54,7 @@ def calibrate_on(
         raise InputError(cells.root, fault, "calibrate each sensor separately")
     margins, scaled = np.stack(list(scores.values())).T
     told = not np.isnan(scaled).any()
-    return Calibration(
+    return MarginCalibration(
         method.setup(weights, str(sensors.pop())),
         alpha,
         tuple(scores),

@@ -14,7 +14,7 @@ from prism_jax.robots.urdf import Linkage
 
 SPACING = 0.02  # metres between points on a robot's surface, about
 
-MARGIN = 0.03
+ROBOT_MARGIN = 0.03
 """Metres: measured points this near to the robot's surface are the robot's."""
 
 LAYOUT = 'write {"positions": {JOINT: radians or metres}} and, if it is not the frame'
@@ -112,7 +112,7 @@ def on_triangles(
 def of_robot(
     points: Float[np.ndarray, "N 3"],
     surface: Float[np.ndarray, "R 3"],
-    margin: float = MARGIN,
+    margin: float = ROBOT_MARGIN,
 ) -> Bool[np.ndarray, " N"]:
     """Which points lie within `margin` of a robot's surface: its own, in a scan.
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Float64
 
 from prism_jax.envelope.calibration import Setup
 from prism_jax.envelope.distance import Surfaces
-from prism_jax.envelope.robot import MARGIN, of_robot
+from prism_jax.envelope.robot import ROBOT_MARGIN, of_robot
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
@@ -38,7 +38,8 @@ class Method:
     # without what was set aside or is beside the scan in its depth image.
     around: Literal["everything", "objects"] = "everything"
     robot: Literal["known", "unknown"] = "unknown"  # whether the robot is known
-    robot_margin: float = MARGIN  # how near to its surface measured points are its own
+    # How near to the robot's surface measured points are its own.
+    robot_margin: float = ROBOT_MARGIN
     # What is completed where the robot is known: "all" measured points, or the "rest"
     # without it.
     completed: Literal["all", "rest"] = "rest"

@@ -1,9 +1,8 @@
 """Completion metrics: one named convention each, in NumPy and float64.
 
-A metric takes one pair of clouds in one unit of length and returns a float; `score`
-and `emds` give several at once. Nothing here is differentiable. An empty cloud, a wrong
-shape or a coordinate that is not finite raises `ValueError`. Published tables scale
-CD-L1 by 1e3 and CD-L2 by 1e3 or 1e4: nothing is scaled here.
+A metric takes one pair of clouds in one unit of length and returns a float. An empty
+cloud, a wrong shape or a coordinate that is not finite raises `ValueError`. Published
+tables scale CD-L1 by 1e3 and CD-L2 by 1e3 or 1e4: nothing is scaled here.
 """
 
 from collections.abc import Sequence
@@ -24,25 +23,20 @@ _ROUNDS = 10
 """Of relaxing the prices of a whole assignment; more cost more than they save."""
 
 
+Cloud = Float[np.ndarray, "_ 3"]
+
+
 class Scores(NamedTuple):
-    """Every metric of one predicted cloud against one complete cloud.
+    """Every metric of one predicted cloud against one complete cloud, as the functions
+    of these names give them."""
 
-    Attributes:
-      cd_l2: sum of the next two.
-      prediction_to_truth: mean squared distance from a predicted point to its nearest
-        complete one; high where points stray.
-      truth_to_prediction: the reverse; high where something is missing.
-      cd_l1, f_score, hausdorff: as the functions of these names give them.
-      emd: as `emd` gives it; None if it was not computed, which takes the most time.
-    """
-
-    cd_l2: float
+    cd_l2: float  # the sum of the last two
     cd_l1: float
     f_score: float
-    emd: float | None
+    emd: float | None  # None if it was not computed, which takes the most time
     hausdorff: float
-    prediction_to_truth: float
-    truth_to_prediction: float
+    prediction_to_truth: float  # mean squared distance; high where points stray
+    truth_to_prediction: float  # the reverse; high where something is missing
 
     def named(self) -> dict[str, float]:
         """The metrics that were computed, by name, as results hold them."""
@@ -50,9 +44,7 @@ class Scores(NamedTuple):
 
 
 def score(
-    prediction: Float[np.ndarray, "N 3"],
-    target: Float[np.ndarray, "M 3"],
-    threshold: float = F_SCORE_THRESHOLD,
+    prediction: Cloud, target: Cloud, threshold: float = F_SCORE_THRESHOLD
 ) -> Scores:
     """All metrics but `emd` of one pair of clouds, with one search each way."""
     prediction, target = _checked(prediction, target)
@@ -61,26 +53,20 @@ def score(
     return from_distances(forward, backward, threshold)
 
 
-def cd_l1(
-    prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
-) -> float:
+def cd_l1(prediction: Cloud, target: Cloud) -> float:
     """Half the sum of the two mean unsquared nearest-neighbour distances. As PoinTr and
     CRA-PCN report it on PCN."""
     return score(prediction, target).cd_l1
 
 
-def cd_l2(
-    prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
-) -> float:
+def cd_l2(prediction: Cloud, target: Cloud) -> float:
     """Sum, not halved, of the two mean squared nearest-neighbour distances. As PoinTr
     and CRA-PCN report it on ShapeNet-55."""
     return score(prediction, target).cd_l2
 
 
 def f_score(
-    prediction: Float[np.ndarray, "N 3"],
-    target: Float[np.ndarray, "M 3"],
-    threshold: float = F_SCORE_THRESHOLD,
+    prediction: Cloud, target: Cloud, threshold: float = F_SCORE_THRESHOLD
 ) -> float:
     """Harmonic mean of precision and recall at an unsquared distance, strictly below;
     zero when both are zero. Source: Tatarchenko et al., "What Do Single-view 3D
@@ -88,9 +74,7 @@ def f_score(
     return score(prediction, target, threshold).f_score
 
 
-def hausdorff(
-    prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
-) -> float:
+def hausdorff(prediction: Cloud, target: Cloud) -> float:
     """The larger of the two greatest nearest-neighbour distances, symmetric."""
     return score(prediction, target).hausdorff
 
@@ -116,18 +100,14 @@ def from_distances(
     )
 
 
-def emd(
-    prediction: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "M 3"]
-) -> float:
+def emd(prediction: Cloud, target: Cloud) -> float:
     """Mean unsquared distance of the best one-to-one assignment, exact. The clouds need
     equal counts of at most `MAX_EXACT_POINTS`, or ValueError. Memory is quadratic, time
     up to cubic; clouds in farthest-point order take less."""
     return emds([prediction], target)[0]
 
 
-def emds(
-    predictions: Sequence[Float[np.ndarray, "N 3"]], target: Float[np.ndarray, "M 3"]
-) -> list[float]:
+def emds(predictions: Sequence[Cloud], target: Cloud) -> list[float]:
     """`emd` of several clouds to one target: the same values as one by one. Faster for
     clouds that are alike: each starts from the assignment of the first."""
     values, prices = [], None

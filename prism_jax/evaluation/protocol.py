@@ -36,28 +36,23 @@ class Protocol:
     num_partial: int  # points of the partial cloud, in farthest-point order
     margin: float  # side of the workspace over the longest side of the box in it
     # What places the workspace. ``partial``: the partial's box, which is all that a
-    # deployment has. ``oracle``: the complete cloud's box, in the same way and with the
-    # same margin, so that a network whose margin is 1 gets the partial exactly as the
-    # paper's does, in the frame where the complete cloud spans [-1, 1], and one with
-    # another margin gets it as large as it was trained on. ``own``: nothing, the data
-    # set's coordinates are the workspace's.
+    # deployment has. ``oracle``: the complete cloud's box with the same margin; at a
+    # margin of 1 that is the paper's frame. ``own``: nothing, the data set's
+    # coordinates are the workspace's.
     normalisation: str = "partial"
     # Of the scores, one of `UNITS`. ``complete``: the complete cloud's longest side
-    # spans [-1, 1], as in the paper, whatever the data set's unit. ``own``: as
-    # published tables of the data set have it.
+    # spans [-1, 1], as in the paper. ``own``: as the data set's published tables.
     unit: str = "complete"
     # Whether the earth mover's distance is taken, which costs the most.
     with_emd: bool = True
-    # Whether the partial itself is scored, and the predictions with the measured points
-    # kept; about half of the time.
+    # Whether the partial and the predictions with the measured points are scored, too.
     with_measured: bool = True
     # Which one the completer knows objects in; the partial decides on it.
     heading: Heading = "given"
-    # Whether what lies around a partial is known to be empty, and predicted points
-    # there are left away.
+    # Whether what lies around a partial is empty, and no point is added there.
     background: Background = "unknown"
-    # Whether the completer gets the examples' visibility maps beside partials and
-    # sensors, and the maps filter what is added to the measured points.
+    # Whether the completer gets the examples' visibility maps, which also filter what
+    # is added to the measured points.
     uses_visibility: bool = False
 
     def __post_init__(self):
@@ -126,5 +121,5 @@ def side_by_side(
 def map_of(example: Example, workspace: Workspace) -> Visibility | None:
     """What the sensor knows, in the unit of the workspace; None where the source does
     not say."""
-    known = example.visibility
-    return None if known is None else framed_map(known, workspace)
+    visibility = example.visibility
+    return None if visibility is None else framed_map(visibility, workspace)

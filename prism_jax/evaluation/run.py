@@ -36,16 +36,11 @@ from prism_jax.preprocessing.observation import framed_view, observe
 
 
 class Predictions(NamedTuple):
-    """What a completer returns for a batch, in the unit workspace.
+    """What a completer returns for a batch, in the unit workspace."""
 
-    Attributes:
-      network: the points that are scored.
-      network_unadapted: the same without test-time adaptation; None if the completer
-        does not adapt.
-      accepted: whether the adaptation of each example was accepted; None likewise.
-    """
-
-    network: Float[Array | np.ndarray, "B P 3"]
+    network: Float[Array | np.ndarray, "B P 3"]  # the points that are scored
+    # The same without test-time adaptation, and whether it was accepted for each; None
+    # if the completer does not adapt.
     network_unadapted: Float[Array | np.ndarray, "B P 3"] | None = None
     accepted: Bool[Array | np.ndarray, " B"] | None = None
 
@@ -62,9 +57,9 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     say."""
     adapt = make_adapt(config)
 
-    def one(variables: Variables, partial: Array, eye: Array, known: Any):
+    def one(variables: Variables, partial: Array, eye: Array, visibility: Any):
         camera = framed_view(partial, eye)
-        done = adapt(variables, partial, camera, known)
+        done = adapt(variables, partial, camera, visibility)
         if config.adapt.num_steps == 0:
             return done.points, None, None
         return done.points, done.before, done.accepted
@@ -74,9 +69,9 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
     def complete(
         partials: np.ndarray | Array,
         eyes: np.ndarray | Array,
-        known: Visibility | None = None,
+        visibility: Visibility | None = None,
     ) -> Predictions:
-        return Predictions(*batched(variables, partials, eyes, known))
+        return Predictions(*batched(variables, partials, eyes, visibility))
 
     return complete
 
@@ -176,7 +171,9 @@ def scored_clouds(
     workspace = workspace_for(example, protocol)
     seen = observe(example.partial.astype(np.float64), example.eye, workspace)
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
-    known = map_of(example, workspace) if protocol.uses_visibility else None
+    visibility = None
+    if protocol.uses_visibility:
+        visibility = map_of(example, workspace)
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:
         clouds["partial"] = from_own(example.partial)
@@ -196,7 +193,7 @@ def scored_clouds(
                 partial,
                 eye if seen.sensor_known else None,
                 background=protocol.background,
-                known=known,
+                known=visibility,
             )
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud

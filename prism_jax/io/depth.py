@@ -137,7 +137,8 @@ def read_grey(
     except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         fault = error
     remedy = f"store {bits}-bit grey of the camera's size, 0 for no return"
-    raise unsound(path, "a valid image", fault, remedy)
+    kind = "depth" if bits == 16 else "label"
+    raise unsound(path, f"a valid {kind} image", fault, remedy)
 
 
 def _number(entries: dict[str, Any], key: str) -> float:

@@ -33,8 +33,7 @@ class Scan:
     num_not_finite: int
     num_outside: int
     # Whether they are a depth image's, in its camera's own axes (x right, y down, z
-    # forward) or those of another sensor in the same housing, turned by less than
-    # `CAMERA_FRAME_DEGREES`.
+    # forward) or in axes turned by less than `CAMERA_FRAME_DEGREES`.
     in_camera_frame: bool = False
     # The finite points outside the bounds; None without bounds.
     around: Float[np.ndarray, "R 3"] | None = None

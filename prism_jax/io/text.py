@@ -26,9 +26,8 @@ def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, 
     data = read_bytes(path)
     try:
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
-        lines = io.StringIO(data.decode("utf-8-sig"), newline=None)
-        lines = [line.rstrip() for line in lines]
-        lines = [line for line in lines if line]
+        text = io.StringIO(data.decode("utf-8-sig"), newline=None)
+        lines = [line for line in map(str.rstrip, text) if line]
         rows = [line for line in lines if not _is_comment(line)]
         if not rows:
             raise ValueError("no points")

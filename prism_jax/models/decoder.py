@@ -95,7 +95,8 @@ class VisibilityPooling(nn.Module):
         self, partial: Float[Array, "... N 3"], visibility: Visibility
     ) -> Float[Array, "... G"]:
         at = jnp.asarray(_LATTICE, partial.dtype)
-        found = over_batch(lambda _, seen: clues(seen, at))(partial, visibility)
+        at_lattice = over_batch(lambda _, visibility: clues(visibility, at))
+        found = at_lattice(partial, visibility)
         at = jnp.broadcast_to(at, (*found.shape[:-1], 3))
         width = self.config.features
         each = MLP((width, width), name="point")(jnp.concatenate([at, found], axis=-1))
@@ -134,7 +135,7 @@ class UpsamplingBlock(nn.Module):
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
         if self.config.reads_visibility:
-            at_points = over_batch(lambda cloud, seen: clues(seen, cloud))
+            at_points = over_batch(lambda cloud, visibility: clues(visibility, cloud))
             # Zero at first, so that training can go on from weights without it.
             zeros = nn.initializers.zeros
             reading = MLP((width // 2, width), zeros, name="clues")

@@ -43,8 +43,9 @@ def init_auxiliary(
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
         inputs = prepare_input(cloud, Camera.fixed_view(), keys[0], config)
         encoded = encode(backbone, inputs, config)
-        seen = inputs.visibility
-        decoded = decode(backbone, config.backbone, cloud, encoded, visibility=seen)
+        decoded = decode(
+            backbone, config.backbone, cloud, encoded, visibility=inputs.visibility
+        )
         points, features = decoded.stages[-1], decoded.features
         fresh = {"refiner": Refiner(sizes).init(keys[2], points, features)}
         image = inputs.depth, inputs.depth_mask

@@ -115,10 +115,8 @@ def hold_decoding(
     The completion is then a continuous function of the encoders. Otherwise the losses
     of Eq. 13 jump by more than a gradient step lowers them.
     """
-    encoded, seen = encode(variables, inputs, config), inputs.visibility
-    backbone, cloud = config.backbone, inputs.partial
-    decoded = decode(variables, backbone, cloud, encoded, visibility=seen)
-    return inputs._replace(decoding=decoded.indices)
+    encoded = encode(variables, inputs, config)
+    return inputs._replace(decoding=_decode(variables, inputs, encoded, config).indices)
 
 
 def predict(
@@ -143,10 +141,19 @@ def decode_and_refine(
     config: ModelConfig,
 ) -> Prediction:
     """The stages and the refined points. A batch is one pass through the decoder."""
-    cloud, held, seen = inputs.partial, inputs.decoding, inputs.visibility
-    decoded = decode(variables, config.backbone, cloud, encoded, held, seen)
+    decoded = _decode(variables, inputs, encoded, config)
     points = refine(variables, decoded, config)
     return Prediction(points, decoded.stages, decoded.features, encoded)
+
+
+def _decode(
+    variables: Variables,
+    inputs: NetworkInput,
+    encoded: PointFeatures,
+    config: ModelConfig,
+) -> Decoded:
+    cloud, held, visibility = inputs.partial, inputs.decoding, inputs.visibility
+    return decode(variables, config.backbone, cloud, encoded, held, visibility)
 
 
 def refine(

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 TAIL = 100  # one point in so many is set aside at each end of each axis
 
-REACH = 4.0
+OUTLIER_SIDES = 4.0
 """How far beyond the rest a point may lie, in longest sides of the rest's box. In the
 data sets that ship or are made here the farthest lies at 1.8."""
 
@@ -18,7 +18,7 @@ def far_outliers(
     """Which points lie far outside the box that holds the bulk of the cloud.
 
     That box leaves out the lowest and the highest hundredth of each coordinate. A stray
-    is farther from it, along some axis, than `REACH` times its longest side. So up to
+    is farther from it, along some axis, than `OUTLIER_SIDES` longest sides. So up to
     1 % of the points can be found to be strays on each side. A cloud of fewer than
     `TAIL` points has none, and neither has one whose bulk is a single place. The points
     must be finite. NumPy arrays give NumPy arrays, and JAX arrays may be traced.
@@ -34,5 +34,6 @@ def far_outliers(
         ordered = np.partition(points, (rank, count - 1 - rank), axis=0)
     lower, upper = ordered[rank], ordered[count - 1 - rank]
     side = (upper - lower).max()
-    far = (points < lower - REACH * side) | (points > upper + REACH * side)
+    reach = OUTLIER_SIDES * side
+    far = (points < lower - reach) | (points > upper + reach)
     return far.any(axis=-1) & (side > 0)

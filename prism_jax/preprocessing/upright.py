@@ -17,6 +17,8 @@ _TURNS = {
     "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
 }
 
+AUTO = "auto"  # up is to be found in the points
+
 UP_AXES = tuple(_TURNS)  # the names that `upright` knows
 
 _REMEDY = f"use one of {', '.join(UP_AXES)}, or three numbers such as 0,-0.8,-0.6"

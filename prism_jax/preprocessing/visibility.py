@@ -15,9 +15,7 @@ sight means that the sensor looked through it, or away from it."""
 
 NUM_RAYS = 8  # measured points about a line of sight that are asked
 
-SIGHT_REACH = (
-    3.0  # in spacings: lines of sight that pass each other by less are neighbours
-)
+SIGHT_REACH = 3.0  # in spacings: nearer lines of sight are neighbours
 
 
 def in_front(

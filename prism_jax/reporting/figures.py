@@ -1,9 +1,8 @@
 """Plotly figures of a completion: clouds, depth maps and losses."""
 
-import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
@@ -15,6 +14,10 @@ from prism_jax.io.ply import COLORS, COMPLETED, OBSERVED
 
 MAX_SHOWN_POINTS = 10_000
 """Of each cloud in a figure; a larger one is thinned, the same points every time."""
+
+ERRORS_SHOWN = 0.95
+"""The share of the added points with errors that colours tell apart; the rest have the
+colour of the largest."""
 
 PAGE_ASPECT = 2.1  # width to height of all panels together, about
 
@@ -37,8 +40,7 @@ _AXIS |= {"linecolor": _LINE, "showline": True, "mirror": True, "zeroline": Fals
 _AXIS |= {"backgroundcolor": "white", "showspikes": False}
 
 
-@dataclasses.dataclass(frozen=True)
-class Cloud:
+class Cloud(NamedTuple):
     """Points of one colour in a panel."""
 
     name: str  # what the legend calls them
@@ -46,8 +48,7 @@ class Cloud:
     color: str  # CSS
 
 
-@dataclasses.dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """One of the 3-D views side by side."""
 
     title: str
@@ -93,13 +94,35 @@ def clouds_figure(
     return figure.update_layout(legend={**legend, **below}, margin={"t": 64})
 
 
-def color_by(figure: go.Figure, title: str, most: float) -> None:
-    """Adds the colours of numbers from 0 to `most`, larger ones alike, for traces whose
-    markers have numbers for colours. The bar beside the clouds is not shown yet."""
+def by_error(
+    sigma: Float[np.ndarray, " M"] | None,
+    which: Bool[np.ndarray, " M"],
+    count: int = MAX_SHOWN_POINTS,
+) -> dict[str, Any]:
+    """The colour "error" of the points of one cloud, as the page's script takes it.
+    Numbers where they were added, thinned to `count` as the cloud is; grey where they
+    were measured, for whom the expected errors are 0; nothing without these."""
+    if sigma is None:
+        return {}
+    shown = subsample(sigma[which], count)
+    if not shown.any():
+        return {"error": SUPPORT_COLOR}
+    return {"error": [float(f"{value:.3g}") for value in shown]}
+
+
+def tell_errors(figure: go.Figure, sigma: Float[np.ndarray, " M"] | None) -> list[str]:
+    """Gives the figure the colours of errors, for traces whose markers have numbers for
+    colours, with a bar that is not shown yet; the names of the ways to colour that are
+    added by that, one or none."""
+    if sigma is None or not sigma.any():
+        return []
+    most = float(np.quantile(sigma[sigma > 0], ERRORS_SHOWN))
+    title = "expected error<br>(input units)"
     bar = {"title": {"text": title}, "thickness": 14, "len": 0.7}
     bar |= {"x": 1.0, "xanchor": "right"}
     scale = {"colorscale": "Viridis", "cmin": 0.0, "cmax": most, "showscale": False}
     figure.update_layout(coloraxis={**scale, "colorbar": bar})
+    return ["error"]
 
 
 def depth_figure(

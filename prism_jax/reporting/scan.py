@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.completion.assembly import CompletedScan
-from prism_jax.reporting.colors import by_error, tell_errors
 from prism_jax.reporting.confidence import verdict_of_scan
 from prism_jax.reporting.details import counts, of_scan
 from prism_jax.reporting.figures import (
@@ -17,9 +16,11 @@ from prism_jax.reporting.figures import (
     OBSERVED_COLOR,
     Cloud,
     Panel,
+    by_error,
     clouds_figure,
     depth_figure,
     losses_figure,
+    tell_errors,
 )
 from prism_jax.reporting.page import chart_html, clouds_html, render
 from prism_jax.reporting.view import shown_bounds, viewing_direction

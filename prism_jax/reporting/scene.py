@@ -10,7 +10,6 @@ from prism_jax.completion.assembly import CompletedScene
 from prism_jax.geometry.camera import Camera
 from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT
 from prism_jax.reporting import details
-from prism_jax.reporting.colors import by_error, tell_errors
 from prism_jax.reporting.confidence import (
     TRUST,
     TRUST_COLORS,
@@ -28,10 +27,12 @@ from prism_jax.reporting.figures import (
     Panel,
     axis_box,
     axis_shift,
+    by_error,
     clouds_figure,
     framing,
     marker_size,
     subsample,
+    tell_errors,
 )
 from prism_jax.reporting.page import clouds_html, render
 from prism_jax.reporting.view import BULK, shown_bounds, viewing_direction

@@ -1,11 +1,9 @@
 """Robots read from URDF: the shapes of their links, and where joint positions put them.
 
 The format is the XML robot description of ROS (https://wiki.ros.org/urdf/XML). Files
-are parsed, never executed, also those in its macro language (`xacro`): no network, and
-no mesh is looked for outside of this machine's files. Lengths are metres, angles
-radians, and a robot's frame is that of its root link, x y z as the file has it.
-
-The extra `robots` reads the XML and the meshes; it is imported when a robot is read.
+are parsed, never executed, also those in its macro language (`xacro`), and nothing is
+fetched. Lengths are metres, angles radians, and a robot's frame is that of its root
+link. The extra `robots` reads the XML and the meshes.
 """
 
 import io
@@ -18,8 +16,7 @@ from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from prism_jax.io.errors import InputError, StrPath, require
-from prism_jax.robots.packages import named_file
-from prism_jax.robots.xacro import plain_urdf, robot_xml
+from prism_jax.robots.xacro import named_file, plain_urdf, robot_xml
 
 MESH_SUFFIXES = (".dae", ".obj", ".ply", ".stl")
 REMEDY = "fix the URDF, or use another one"
@@ -30,13 +27,9 @@ _MOVING = ("revolute", "continuous", "prismatic")
 class Linkage:
     """A robot's links, their triangles, and where joint positions put them.
 
-    A link is a link of the file that has a mesh. `joints` are the names of those that
-    move on their own. Everything of one robot is NumPy float64.
-
-    Attributes:
-      meshes: `trimesh.Trimesh` of each link, in its own frame.
-      link_names: of the links, in the same order.
-      chain: the file's joints below the root, parents first.
+    A link is a link of the file that has a mesh; `meshes` (`trimesh.Trimesh`, each in
+    its own frame) and `link_names` are in one order. `joints` are the names of those
+    that move on their own, `chain` the file's joints below the root, parents first.
     """
 
     def __init__(

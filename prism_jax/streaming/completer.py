@@ -25,9 +25,8 @@ from prism_jax.streaming.observer import FrameObserver
 class CompletedFrame:
     """A completed frame, in the frame and unit of its measured points."""
 
-    # The measured points inside the workspace, exactly as they were, and then the
-    # predicted points where nothing was measured, and points on the surface of a robot
-    # that is known.
+    # The measured points inside the workspace, exactly as they were, then the predicted
+    # ones where nothing was measured, and points on a known robot's surface.
     points: Float[np.ndarray, "M 3"]
     # OBSERVED, COMPLETED or KNOWN, as `prism_jax.io.ply` has them.
     label: UInt8[np.ndarray, " M"]

@@ -77,6 +77,7 @@ def standing(
     return Camera(np.eye(3), -eye, np.eye(3), 1, 1)
 
 
+@dataclasses.dataclass(eq=False)
 class FrameEnveloper(FrameObserver):
     """Makes envelopes of frames and of single scans, all in the same way.
 
@@ -87,28 +88,17 @@ class FrameEnveloper(FrameObserver):
     scan.
     """
 
-    def __init__(
-        self,
-        completer: Any,
-        method: Method,
-        margin: float,
-        *,
-        floor: float | None = None,
-        voxel: float = VOXEL,
-        carving: Carving = Carving(),
-        eye: Float[np.ndarray, "3"] | None = None,
-        asked: Float[np.ndarray, "Q 3"] | None = None,
-        **observed: Any,
-    ):
-        super().__init__(robot_margin=method.robot_margin, **observed)
-        self.method = method
-        self.margin = margin
-        self.floor = floor
-        self.voxel = voxel
-        self.carving = carving
-        self.eye = eye
-        self.asked = asked
-        self.completer = completer
+    completer: Any
+    method: Method
+    margin: float
+    floor: float | None = None
+    voxel: float = VOXEL
+    carving: Carving = dataclasses.field(default_factory=Carving)
+    eye: Float[np.ndarray, "3"] | None = None
+    asked: Float[np.ndarray, "Q 3"] | None = None
+
+    def __post_init__(self):
+        self.robot_margin = self.method.robot_margin
 
     def complete(self, frame: Frame) -> MadeEnvelope:
         """The envelope of a frame. One that has too little raises InputError."""

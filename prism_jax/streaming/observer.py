@@ -1,12 +1,18 @@
 """What frames hold for completing, whatever is made of them."""
 
 import abc
+import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax.envelope.robot import MARGIN, joints_from_dict, of_robot, robot_surface
+from prism_jax.envelope.robot import (
+    ROBOT_MARGIN,
+    joints_from_dict,
+    of_robot,
+    robot_surface,
+)
 from prism_jax.geometry.camera import Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
@@ -27,6 +33,7 @@ class Observed(NamedTuple):
     around: Float[np.ndarray, "S 3"] | None
 
 
+@dataclasses.dataclass(kw_only=True, eq=False)
 class FrameObserver(abc.ABC):
     """Frames of one sensor as scans, whatever is made of each.
 
@@ -36,18 +43,10 @@ class FrameObserver(abc.ABC):
     joints put it are cut out.
     """
 
-    def __init__(
-        self,
-        *,
-        bounds: Bounds | None = None,
-        up: str | Vector | None = None,
-        robot: Linkage | None = None,
-        robot_margin: float = MARGIN,
-    ):
-        self.bounds = bounds
-        self.up = up
-        self.robot = robot
-        self.robot_margin = robot_margin
+    bounds: Bounds | None = None
+    up: str | Vector | None = None
+    robot: Linkage | None = None
+    robot_margin: float = ROBOT_MARGIN
 
     @abc.abstractmethod
     def complete(self, frame: Frame) -> Any:

@@ -38,8 +38,7 @@ class StreamReport:
     warm_up: float = 0.0
     duration: float = 0.0  # from then on
     # By stage, of each completed frame: "read", those of what completes it, "write",
-    # and its "age", which is the time from when the sensor gave it, or it was taken up
-    # at pace "max", until it is written.
+    # and its "age" when it is written, since the sensor gave it or it was taken up.
     times: dict[str, array] = dataclasses.field(
         default_factory=lambda: defaultdict(lambda: array("d"))
     )

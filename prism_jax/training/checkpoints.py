@@ -1,6 +1,7 @@
 """Training states on disk, by Orbax: the latest, to resume, and the best, to keep."""
 
 import contextlib
+import math
 import pathlib
 from collections.abc import Iterator
 from typing import Any
@@ -25,7 +26,7 @@ class Checkpoints:
         """Writes the state, first as the best, if its score is the lowest so far: a run
         that ends in between comes here again."""
         best, written = self.best_score(), ocp.args.StandardSave(state)
-        if score is not None and (best is None or score < best):
+        if score is not None and score < (math.inf if best is None else best):
             self._best.save(step, args=written, metrics={"score": score})
             self._best.wait_until_finished()
         self._latest.save(step, args=written)

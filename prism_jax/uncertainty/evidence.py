@@ -13,7 +13,7 @@ from prism_jax.preprocessing.visibility import PAST, looked_through
 
 SAMPLE = 1024  # measured points that are asked, evenly spaced rows of a larger cloud
 
-NEIGHBORS = 12  # of a measured point, that a plane is laid through
+PLANE_NEIGHBORS = 12  # of a measured point, that a plane is laid through
 
 LOOKS = 3
 """A verdict compares what a frame is completed to in so many poses, the first of
@@ -103,12 +103,12 @@ def asked(cloud: IndexedCloud) -> Float[np.ndarray, "M 3"]:
 def roughness(cloud: IndexedCloud) -> float:
     """Usual distance of a cloud's points from the planes through their neighbours. Of
     too few neighbours it is 0."""
-    if len(cloud.distinct) <= NEIGHBORS:
+    if len(cloud.distinct) <= PLANE_NEIGHBORS:
         return 0.0
     tree = cloud.distinct.tree
-    near = tree.data[np.asarray(tree.query(asked(cloud), k=NEIGHBORS)[1])]
+    near = tree.data[np.asarray(tree.query(asked(cloud), k=PLANE_NEIGHBORS)[1])]
     offsets = near - near.mean(axis=1, keepdims=True)
-    squares = np.einsum("nki,nkj->nij", offsets, offsets) / NEIGHBORS
+    squares = np.einsum("nki,nkj->nij", offsets, offsets) / PLANE_NEIGHBORS
     thickness = np.linalg.eigvalsh(squares)[:, 0]
     return float(np.sqrt(np.median(np.maximum(thickness, 0.0))))
 

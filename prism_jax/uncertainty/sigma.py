@@ -39,7 +39,7 @@ CLUES = (
 """What the error of a predicted point is told from, without the truth. Lengths are in
 half sides of the workspace."""
 
-NEIGHBORS = 12  # of a predicted point, itself included, that a plane is laid through
+PLANE_NEIGHBORS = 12  # of a predicted point and itself, that a plane is laid through
 
 BETWEEN = 3  # predicted points that say how far off one is that was added between them
 
@@ -83,7 +83,7 @@ def clues_of(
     lower, upper = measured.points.min(axis=0), measured.points.max(axis=0)
     sides = np.sort(upper - lower)
     longest = sides[2] or 1.0
-    near = prediction.tree.query(points, k=min(NEIGHBORS, len(prediction)))[1]
+    near = prediction.tree.query(points, k=min(PLANE_NEIGHBORS, len(prediction)))[1]
     near = prediction.points[np.reshape(near, (len(points), -1))]
     normals, thickness = _planes(near)
     ray = points - eye

@@ -1,7 +1,9 @@
-"""Which gradient goes where, in every variation of Eq. 12, on a toy."""
+"""Which gradient goes where, in every variation of Eq. 12, on a toy.
 
-import dataclasses
-import functools
+The toy has a few numbers a module, and smooth losses in the place of Eq. 3 to 10;
+Eq. 11 is the real one. Everything is in double precision.
+"""
+
 from typing import NamedTuple
 
 import jax
@@ -9,31 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from prism_jax.adaptation.config import MetaConfig
+from prism_jax.adaptation.config import MetaConfig, PrismConfig
 from prism_jax.adaptation.meta import (
     Functions,
     MetaTerms,
     learned_part,
     meta_loss,
-    put_learned,
 )
 from prism_jax.adaptation.objective import Losses
-from tests.toy_functions import (
-    CLOUDS,
-    TOY,
-    eq_3,
-    expected_gradients,
-    gradients_of_toys,
-    toy_adapted,
-    toy_inputs,
-    toy_objective,
-    toy_primary,
-)
-from tests.trees import assert_close, equal, is_zero, mean, row
+from prism_jax.losses.weighting import weighted_auxiliary
+from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders
+from tests.trees import assert_close, is_zero
 
-
-class Stages(NamedTuple):
-    stages: jax.Array
+CONFIG = PrismConfig().with_adapt(step_size=0.2, depth_weight=0.7)
+CLOUDS, POINTS = 2, 6
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -42,151 +33,257 @@ def double():
         yield
 
 
+class Input(NamedTuple):
+    partial: jax.Array
+    view: jax.Array
+
+
+class Prediction(NamedTuple):
+    stages: tuple[jax.Array, ...]
+    features: jax.Array
+
+
+def encode(variables, inputs):
+    point = variables["params"]["point_encoder"]
+    return jnp.tanh(inputs.partial.mean(0) * point["first"] + point["second"] ** 2)
+
+
+def decode(variables, inputs, code):
+    """Of one cloud or several, as the network's."""
+    decoder, spread = variables["params"]["decoder"]["only"], code[..., None, :]
+    seeds = inputs.partial[..., :3, :] * decoder + spread
+    last = (inputs.partial + spread) * jnp.cos(decoder)
+    return Prediction((seeds, last), jnp.sin(inputs.partial + spread))
+
+
+def refine(variables, prediction):
+    own = variables["params"]["refiner"]["only"]
+    return prediction.stages[-1] + 0.1 * jnp.tanh(own * prediction.features)
+
+
+def objective(variables, inputs, depth_weight):
+    code = encode(variables, inputs)
+    prediction = decode(variables, inputs, code)
+    points = refine(variables, prediction)
+    weighting, params = variables["weighting"], variables["params"]
+    depth = jnp.sin(params["depth_encoder"]["only"])
+    branch = params["auxiliary"]["only"]
+    consistency = ((points - inputs.partial) ** 2).mean()
+    normal = (jnp.sin(code * branch) ** 2).sum() + (points**2).mean()
+    terms = [normal, ((code - depth) ** 2).sum(), ((branch * code * depth) ** 2).sum()]
+    auxiliary, scales = jnp.stack(terms), weighting["scales"]
+    weighted = weighted_auxiliary(weighting["logits"], auxiliary, scales)
+    total = depth_weight * consistency + weighted
+    return Losses(total, consistency, *terms), prediction
+
+
+def primary_loss(stages, complete, norm):
+    """Point by point, unsquared or squared."""
+    squares = [((s - complete[: len(s)]) ** 2).sum(-1) for s in stages]
+    return sum(jnp.mean(s if norm == "l2" else jnp.sqrt(s)) for s in squares)
+
+
+def depth_loss(points, complete, view):
+    return ((points - view * complete[: len(points)]) ** 2).mean()
+
+
+def depth_weight(config, meta):
+    return config.adapt.depth_weight if meta.rehearse_depth else 0.0
+
+
+def found(variables, inputs, complete, config, meta):
+    """Gradients and terms of the meta-loss."""
+
+    def refiner_loss(variables, after, inputs, complete):
+        points = refine(variables, after)
+        return jax.vmap(depth_loss)(points, complete, inputs.view).mean()
+
+    functions = Functions(
+        encode,
+        decode,
+        lambda variables, one: objective(variables, one, depth_weight(config, meta)),
+        lambda stages, complete: primary_loss(stages, complete, meta.norm),
+        refiner_loss,
+    )
+    learned, batch = learned_part(variables, meta), (variables, inputs, complete)
+    gradient = jax.grad(meta_loss, has_aux=True)
+    return gradient(learned, *batch, functions, config.adapt, meta)
+
+
+def with_params(variables, **changes):
+    return {**variables, "params": {**variables["params"], **changes}}
+
+
+def descended(variables, slope, config):
+    """One step of every module of the encoders, of the size that it learned."""
+    encoders, rest = pop_encoders(variables)
+    norm = sum((leaf**2).sum() for leaf in jax.tree.leaves(slope)) ** 0.5
+    bound, size = config.adapt.clip_norm, config.adapt.step_size
+    size = size * jnp.minimum(1.0, bound / norm) if bound else size
+    learned = variables["weighting"]["log_steps"]
+    moved = jax.tree.map(
+        lambda p, g, s: p - size * jnp.exp(s) * g, encoders, slope, learned
+    )
+    return put_encoders(moved, rest)
+
+
+def expected(variables, inputs, complete, config, meta):
+    """The same, each gradient by an objective of its own, cloud by cloud."""
+
+    def inner(encoders, variables, one):
+        whole = put_encoders(encoders, pop_encoders(variables)[1])
+        losses, _ = objective(whole, one, depth_weight(config, meta))
+        return losses.objective
+
+    def adapted(variables, one):
+        for _ in range(meta.num_steps):
+            encoders, _ = pop_encoders(variables)
+            slope = jax.grad(inner)(encoders, variables, one)
+            if meta.first_order:
+                slope = jax.lax.stop_gradient(slope)
+            variables = descended(variables, slope, config)
+        return variables
+
+    def of_cloud(one, complete):
+        def primary(variables):
+            stages = decode(variables, one, encode(variables, one)).stages
+            return primary_loss(stages, complete, meta.norm)
+
+        def eq_12(variables):
+            """Without its auxiliary term. The decoder has no part in the inner loop's
+            derivative, nor in the zero-step term's."""
+            decoder, held = variables["params"]["decoder"], variables
+            if meta.num_steps:
+                held = with_params(variables, decoder=jax.lax.stop_gradient(decoder))
+            end = with_params(adapted(held, one), decoder=decoder)
+            return (1 - meta.beta_0) * primary(end) + meta.beta_0 * primary(held)
+
+        def eq_3(refiner):
+            end = with_params(moved, refiner=refiner)
+            points = refine(end, decode(end, one, encode(end, one)))
+            return depth_loss(points, complete, one.view)
+
+        encoders, _ = pop_encoders(variables)
+        moved = adapted(variables, one)
+        refined, by_refiner = jax.value_and_grad(eq_3)(variables["params"]["refiner"])
+        losses, _ = objective(variables, one, depth_weight(config, meta))
+        terms = MetaTerms(primary(moved), primary(variables), losses, refined)
+        slope = jax.grad(inner)(encoders, variables, one)
+        return terms, jax.grad(eq_12)(variables), by_refiner, slope
+
+    each = jax.vmap(of_cloud)(inputs, complete)
+    terms, whole, by_refiner, slope = jax.tree.map(lambda leaf: leaf.mean(0), each)
+    factor = (1 - meta.beta_0) * meta.lambda_aux
+    names = [*ENCODERS, "decoder", *(["auxiliary"] if meta.learn_auxiliary else [])]
+    params = {name: whole["params"][name] for name in names}
+    for name in ENCODERS:
+        add = zip(params[name].items(), slope[name].values(), strict=True)
+        params[name] = {key: g + factor * a for (key, g), a in add}
+    if meta.learn_refiner:
+        params["refiner"] = by_refiner
+    own, weighting = variables["weighting"], {"logits": whole["weighting"]["logits"]}
+    if meta.weight_rule == "auxiliary":
+        # d/d eta of sum softmax(eta) l / s = w (l / s - sum w l / s).
+        weights = jnp.exp(own["logits"]) / jnp.exp(own["logits"]).sum()
+        scaled = terms.losses.auxiliary / own["scales"]
+        weighting["logits"] = weights * (scaled - weights @ scaled)
+    if meta.learn_steps:
+        weighting["log_steps"] = whole["weighting"]["log_steps"]
+    return {"params": params, "weighting": weighting}, terms
+
+
 @pytest.fixture(scope="module")
 def toy(double):
-    return toy_inputs()
+    """Variables, inputs and complete clouds."""
+    rng = np.random.default_rng(3)
 
+    def numbers(*shape):
+        return jnp.asarray(rng.uniform(0.4, 1.2, shape))
 
-@pytest.fixture(scope="module")
-def toy_gradients(toy):
-    """``toy_gradients(clip_norm, **changes of MetaConfig)``: gradients and terms."""
-
-    @functools.cache
-    def of(config, meta):
-        return jax.device_get(gradients_of_toys(*toy, config, meta))
-
-    def gradients(clip_norm=0.0, **changes):
-        return of(TOY.with_adapt(clip_norm=clip_norm), MetaConfig(**changes))
-
-    return gradients
+    params = {
+        "point_encoder": {"first": numbers(3), "second": numbers(3)},
+        "depth_encoder": {"only": numbers(3)},
+        "decoder": {"only": numbers(3)},
+        "refiner": {"only": numbers(3)},
+        "auxiliary": {"only": numbers(3)},
+    }
+    steps = {name: {module: numbers() for module in params[name]} for name in ENCODERS}
+    weighting = {"logits": numbers(3), "scales": numbers(3), "log_steps": steps}
+    inputs = Input(numbers(CLOUDS, POINTS, 3), numbers(CLOUDS))
+    variables = {"params": params, "batch_stats": {}, "weighting": weighting}
+    return variables, inputs, numbers(CLOUDS, 9, 3)
 
 
 # Every choice is made one way and the other; what learns and what is bounded too.
+EVERYTHING = {"weight_rule": "meta", "learn_steps": True, "learn_auxiliary": True}
+OTHERWISE = {"beta_0": 0.4, "lambda_aux": 3.0, "rehearse_depth": True, "norm": "l2"}
+BOUNDED = {**EVERYTHING, **OTHERWISE, "learn_refiner": False, "remat": True}
 VARIATIONS = {
-    "paper": {},
-    "all that learns, three bounded steps": {
-        "num_steps": 3,
-        "beta_0": 0.4,
-        "lambda_aux": 3.0,
-        "weight_rule": "meta",
-        "rehearse_depth": True,
-        "learn_steps": True,
-        "learn_auxiliary": True,
-        "learn_refiner": False,
-        "norm": "l2",
-        "clip_norm": 0.3,
-    },
-    "no step": {"num_steps": 0, "weight_rule": "meta", "lambda_aux": 3.0},
-    "first order": {
-        "first_order": True,
-        "num_steps": 3,
-        "weight_rule": "meta",
-        "learn_steps": True,
-        "learn_auxiliary": True,
-    },
+    "paper": (0.0, MetaConfig()),
+    "all that learns, two bounded steps": (0.3, MetaConfig(num_steps=2, **BOUNDED)),
+    "no step": (0.0, MetaConfig(num_steps=0, weight_rule="meta", lambda_aux=3.0)),
+    "first order": (0.0, MetaConfig(num_steps=2, first_order=True, **EVERYTHING)),
 }
+
+
+@pytest.mark.parametrize(("clip_norm", "meta"), VARIATIONS.values(), ids=VARIATIONS)
+def test_every_gradient_is_that_of_its_own_objective(toy, clip_norm, meta):
+    """And there is one for what learns, and for nothing else. Terms alike."""
+    settings = CONFIG.with_adapt(clip_norm=clip_norm), meta
+    both = jax.jit(lambda *toy: (found(*toy, *settings), expected(*toy, *settings)))
+    (gradients, terms), by_hand = both(*toy)
+    assert_close(gradients, by_hand[0], 1e-10)
+    assert_close(terms, by_hand[1], 1e-12)
+    # What acts through the second derivatives alone, of which there may be none.
+    through = not meta.first_order and meta.num_steps > 0
+    if meta.weight_rule == "meta":
+        assert is_zero(gradients["weighting"]["logits"]) != through
+    if meta.learn_auxiliary:
+        assert is_zero(gradients["params"]["auxiliary"]) != through
 
 
 def test_on_a_quadratic_it_is_the_closed_form():
     """The encoder x seeks t, the decoder is a factor d, the complete cloud is y."""
     x, t, d, y, size, beta, factor = 0.7, 1.9, 1.3, 2.2, 0.25, 0.3, 5.0
+    none = jnp.zeros(())
 
-    def auxiliary_loss(variables, inputs):
-        x = variables["params"]["point_encoder"]["x"]
-        seeks, none = 0.5 * (x - inputs) ** 2, jnp.zeros(())
-        return Losses(seeks, none, none, none, none), decode(variables, inputs, x)
+    def encode(variables, inputs):
+        return variables["params"]["point_encoder"]["x"]
 
     def decode(variables, inputs, code):
-        return Stages(code * variables["params"]["decoder"])
+        return Prediction((code * variables["params"]["decoder"],), none)
+
+    def auxiliary_loss(variables, inputs):
+        code = encode(variables, inputs)
+        seeks = 0.5 * (code - inputs) ** 2
+        return Losses(seeks, *[none] * 4), decode(variables, inputs, code)
 
     functions = Functions(
-        lambda variables, inputs: variables["params"]["point_encoder"]["x"],
+        encode,
         decode,
         auxiliary_loss,
-        lambda stages, complete: 0.5 * ((stages - complete) ** 2).mean(),
-        lambda variables, after, inputs, complete: jnp.zeros(()),
+        lambda stages, complete: 0.5 * ((stages[0] - complete) ** 2).mean(),
+        lambda variables, after, inputs, complete: none,
     )
     encoders = {"point_encoder": {"x": jnp.array(x)}, "depth_encoder": {}}
-    variables = {
-        "params": {**encoders, "decoder": jnp.array(d)},
-        "weighting": {
-            "logits": jnp.zeros(3),
-            "scales": jnp.zeros(3),
-            "log_steps": {"point_encoder": {"x": jnp.zeros(())}, "depth_encoder": {}},
-        },
-    }
+    log_steps = {"point_encoder": {"x": none}, "depth_encoder": {}}
+    weighting = {"logits": jnp.zeros(3), "scales": jnp.zeros(3), "log_steps": log_steps}
+    variables = {"params": {**encoders, "decoder": d}, "weighting": weighting}
     meta = MetaConfig(beta_0=beta, lambda_aux=factor, learn_refiner=False)
-    learned, complete = learned_part(variables, meta), jnp.full((1, 1, 3), y)
-    adapt = dataclasses.replace(TOY.adapt, step_size=size)
-    grads, terms = jax.grad(meta_loss, has_aux=True)(
-        learned, variables, jnp.array([t]), complete, functions, adapt, meta
-    )
+    adapt = CONFIG.with_adapt(step_size=size).adapt
+
+    @jax.jit
+    def gradient(variables, inputs, complete):
+        learned, batch = learned_part(variables, meta), (variables, inputs, complete)
+        gradient = jax.grad(meta_loss, has_aux=True)
+        return gradient(learned, *batch, functions, adapt, meta)
+
+    grads, terms = gradient(variables, jnp.array([t]), jnp.full((1, 1, 3), y))
     moved = x - size * (x - t)
     np.testing.assert_allclose(terms.adapted, 0.5 * (d * moved - y) ** 2, rtol=1e-12)
     slope = (1 - beta) * (d * (d * moved - y) * (1 - size) + factor * (x - t))
     slope += beta * d * (d * x - y)
-    found = grads["params"]["point_encoder"]["x"]
-    np.testing.assert_allclose(found, slope, rtol=1e-12)
+    by_encoder = grads["params"]["point_encoder"]["x"]
+    np.testing.assert_allclose(by_encoder, slope, rtol=1e-12)
     slope = (1 - beta) * moved * (d * moved - y)
     np.testing.assert_allclose(grads["params"]["decoder"], slope, rtol=1e-12)
-
-
-@pytest.mark.parametrize("changes", VARIATIONS.values(), ids=VARIATIONS)
-def test_every_gradient_is_that_of_its_own_objective(toy, toy_gradients, changes):
-    """And there is one for what learns, and for nothing else."""
-    grads, _ = toy_gradients(**changes)
-    changes = dict(changes)
-    config = TOY.with_adapt(clip_norm=changes.pop("clip_norm", 0.0))
-    meta = MetaConfig(**changes)
-    assert_close(grads, expected_gradients(toy, config, meta), 1e-10)
-    # What acts through the second derivatives alone, of which there may be none.
-    through = not meta.first_order and meta.num_steps > 0
-    if meta.weight_rule == "meta":
-        assert is_zero(grads["weighting"]["logits"]) != through
-    assert meta.lambda_aux or is_zero(grads["params"]["depth_encoder"]) != through
-    if meta.learn_auxiliary:
-        assert is_zero(grads["params"]["auxiliary"]) != through
-    # Put back, what was learned changes nothing else.
-    variables, *_ = toy
-    learned = learned_part(variables, meta)
-    assert jax.tree.structure(grads) == jax.tree.structure(learned)
-    moved = jax.tree.map(lambda leaf: leaf + 1, learned)
-    together = put_learned(moved, variables)
-    assert equal(learned_part(together, meta), moved)
-    assert equal(put_learned(learned, together), variables)
-
-
-def test_computed_anew_in_the_backward_pass_they_are_the_same(toy_gradients):
-    plain = toy_gradients()
-    assert_close(toy_gradients(remat=True), plain, 1e-12)
-
-
-def test_terms_of_the_toy(toy, toy_gradients):
-    variables, inputs, complete = toy
-    changes = dict(VARIATIONS["all that learns, three bounded steps"])
-    bounded = TOY.with_adapt(clip_norm=changes["clip_norm"])
-    _, terms = toy_gradients(**changes)
-    config = MetaConfig(**{k: v for k, v in changes.items() if k != "clip_norm"})
-
-    def of_cloud(one, complete):
-        end = toy_adapted(variables, one, bounded, config)
-        refiner = variables["params"]["refiner"]
-        return MetaTerms(
-            toy_primary(end, one, complete, config),
-            toy_primary(variables, one, complete, config),
-            toy_objective(variables, one, TOY.adapt.depth_weight)[0],
-            eq_3(refiner, variables, one, complete, bounded, config),
-        )
-
-    parts = [of_cloud(row(inputs, i), complete[i]) for i in range(CLOUDS)]
-    assert_close(terms, mean(parts), 1e-12)
-
-
-def test_scales_move_towards_what_was_measured(toy_gradients):
-    _, terms = toy_gradients()
-    losses = terms.losses.normal, terms.losses.denoise, terms.losses.align
-    scales = np.array([0.0, 2.0, 3.0])
-    found = update_scale(jnp.asarray(scales), terms.losses.auxiliary)
-    expected = 0.99 * scales + 0.01 * np.array(losses)
-    expected[0] = losses[0]
-    np.testing.assert_allclose(found, expected, rtol=1e-12)

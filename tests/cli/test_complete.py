@@ -1,29 +1,38 @@
-"""The command: what it prints, and how it ends."""
+"""The command around a completer that is a fake: what it prints, writes, and how it
+ends."""
 
 import dataclasses
 import functools
 import inspect
+import itertools
 import json
 import os
 import pathlib
-import subprocess
-import sys
+import shutil
+import time
 
 import numpy as np
 import plyfile
 import pytest
+from PIL import Image
 
+from prism_jax import io
 from prism_jax.cli import complete
+from prism_jax.cli.complete import _timed as timed
+from prism_jax.cli.complete import complete_file
 from prism_jax.completion.weights import available_weights
+from prism_jax.io.ply import read_ply
+from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 from prism_jax.reporting.model_card import model_card
 from prism_jax.uncertainty.confidence import Verdict
 from tests import launching
 from tests.fake_completer import FakeCompleter
 
 LOAD_COMPLETER = complete.load_completer
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+OUT = pathlib.Path("prism_output")
+FILES = ["completed.ply", "report.html", "result.json"]
 POINTS = np.random.default_rng(0).uniform(1, 2, size=(200, 3)).astype(np.float32)
-CAMERA = {"width": 64, "height": 48, "fx": 40, "fy": 40, "cx": 31.5, "cy": 23.5}
+CAMERA = {"width": 40, "height": 30, "fx": 20, "fy": 20, "cx": 19.5, "cy": 14.5}
 
 
 @pytest.fixture(autouse=True)
@@ -36,16 +45,40 @@ def folder(tmp_path, monkeypatch):
     np.save("few.npy", POINTS[:63])
     np.save("more.npy", np.concatenate([POINTS, POINTS[:63]]))
     np.save("nan.npy", np.full((200, 3), np.nan))
-    np.save("point.npy", np.ones((200, 3)))
-    np.save("vast.npy", POINTS * 2e4)
-    pathlib.Path("empty.ply").touch()
+    np.save("point.npy", np.ones((5, 3)))
     pathlib.Path("nonsense.ply").write_bytes(b"ply\nnonsense\n")
-    pathlib.Path("scan.obj").write_bytes(b"v 0 0 0\n")
-    pathlib.Path("ahead.json").write_text(json.dumps(CAMERA))
     behind = CAMERA | {"translation": [0, 0, -9]}
     pathlib.Path("behind.json").write_text(json.dumps(behind))
     pathlib.Path("half.json").write_text(json.dumps({"width": 64}))
     return tmp_path
+
+
+@pytest.fixture
+def altered(monkeypatch):
+    """``altered(change)``: every completion with what ``change(done)`` says of it."""
+    plain = FakeCompleter.complete
+
+    def altered(change):
+        def complete(*given, **asked):
+            done = plain(*given, **asked)
+            return dataclasses.replace(done, **change(done))
+
+        monkeypatch.setattr(FakeCompleter, "complete", complete)
+
+    return altered
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What completions were asked, one after the other."""
+    plain, asked = FakeCompleter.complete, []
+
+    def complete(self, *given, **more):
+        asked.append(more)
+        return plain(self, *given, **more)
+
+    monkeypatch.setattr(FakeCompleter, "complete", complete)
+    return asked
 
 
 def run(*arguments) -> int:
@@ -53,7 +86,11 @@ def run(*arguments) -> int:
     return launching.run(complete, *arguments)
 
 
-def test_completes_a_scan(capsys):
+def result(folder=OUT):
+    return json.loads((pathlib.Path(folder) / "result.json").read_text())
+
+
+def test_completes_a_scan_without_input_the_sample(folder, monkeypatch, capsys):
     assert run("--input=scan.npy") == 0
     printed = capsys.readouterr()
     assert printed.out == (
@@ -63,42 +100,25 @@ def test_completes_a_scan(capsys):
         "written     prism_output: completed.ply, result.json, report.html\n"
     )
     assert printed.err == ""
-    assert sorted(os.listdir("prism_output")) == [
-        "completed.ply",
-        "report.html",
-        "result.json",
-    ]
+    assert sorted(os.listdir(OUT)) == FILES
+    monkeypatch.setattr(complete, "asset", lambda name: folder / "more.npy")
+    assert run() == 0
+    assert result()["input"]["file"] == str(folder / "more.npy")
 
 
 def test_every_flag_reaches_the_completion(monkeypatch):
-    asked = []
+    calls = []
 
     def record(input, **given):
-        asked.append({"input": input, **given})
-        points = {"partial": 0, "completed": 0}
-        losses = {"objective": [2.0, 1.0]}
-        told = {"points": points, "adapt": given["adapt"], "accepted": False}
-        told |= {"verdict": None}
-        return told | {"losses": losses}
+        calls.append({"input": input, **given})
+        points, losses = {"partial": 0, "completed": 0}, {"objective": [2.0, 1.0]}
+        told = {"points": points, "losses": losses, "verdict": None}
+        return told | {"adapt": given["adapt"], "accepted": False}
 
-    arguments = inspect.signature(complete.complete_file).parameters
+    arguments = inspect.signature(complete_file).parameters
     defaults = {name: argument.default for name, argument in arguments.items()}
     monkeypatch.setattr(complete, "complete_file", record)
-    given = ["--input=a.ply", "--ground_truth", "b.ply", "--camera=c.json"]
-    given += [
-        "--workspace=-1,-1,-1,1,1,1",
-        "--up=-y",
-        "--weights=w",
-        "--adapt",
-        "--density=0.5",
-        "--background=empty",
-        "--objects=one",
-    ]
-    given += ["--max_points=1000"]
-    assert run(*given, "--output_dir=d") == 0
-    assert run() == 0
     expected = {
-        "input": "a.ply",
         "ground_truth": "b.ply",
         "camera": "c.json",
         "workspace": "-1,-1,-1,1,1,1",
@@ -111,52 +131,122 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "objects": "one",
         "output_dir": "d",
     }
-    assert asked == [expected, defaults]
+    assert run("--input=a.ply", *(f"--{k}={v}" for k, v in expected.items())) == 0
+    assert run() == 0
+    assert calls == [{"input": "a.ply", **expected}, defaults]
     assert not defaults["adapt"]
 
 
-def test_interrupted_it_ends_in_one_line(monkeypatch, capsys):
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
+def test_interrupted_it_ends_in_one_line_and_a_bug_is_not_hidden(monkeypatch, capsys):
+    faults = iter((KeyboardInterrupt, KeyError))
 
-    monkeypatch.setattr(complete, "complete_file", interrupt)
+    def fail(*_, **__):
+        raise next(faults)
+
+    monkeypatch.setattr(complete, "complete_file", fail)
     assert run() == 130
     assert capsys.readouterr().err == "prism-complete: interrupted\n"
+    with pytest.raises(KeyError):
+        run()
 
 
-def test_says_how_far_to_trust():
-    verdict = {"trust": "fair", "expected_error": 0.01234, "reasons": []}
-    summary = {"points": {"partial": 1, "completed": 3}, "adapt": False}
-    summary |= {"verdict": verdict, "losses": {"objective": [2.0]}}
-    told = complete.outcome(summary, "out").splitlines()[0]
-    assert told == "confidence  fair: expected error 0.0123, in input units"
+def test_files_hold_what_the_completer_said():
+    summary = complete_file("scan.npy", adapt=True)
+    written = result()
+    points = read_ply(OUT / "completed.ply")
+    assert points.dtype == np.float32
+    assert points[:200].tobytes() == POINTS.tobytes()
+    assert written["points"] == {"partial": 200, "network": 100, "completed": 300}
+    assert written["accepted"] is True
+    assert written["weights"] == "small"
+    assert len(written["losses"]["objective"]) == 4
+    assert written["loss_weights"] == {"normal": 0.5, "denoise": 0.25, "align": 0.25}
+    assert written["seconds"]["compile"] == 12.5
+    assert {"read", "load", "complete", "run"} <= set(written["seconds"])
+    assert written["scores"] is written["sigma"] is None
+    assert b"sigma" not in (OUT / "completed.ply").read_bytes()
+    center = written["workspace"]["center"]
+    np.testing.assert_allclose(center, (POINTS.min(0) + POINTS.max(0)) / 2, rtol=1e-6)
+    assert io.camera_from_dict(written["camera"]).width == 128
+    assert written.pop("seconds").keys() < summary.pop("seconds").keys()
+    assert written == summary
 
 
-@pytest.fixture
-def judge(monkeypatch):
-    """Gives every completion that trust."""
-    plain = FakeCompleter.complete
-
-    def judge(trust):
-        verdict = Verdict(trust, 0.1, ("it strays: crop it",), {"strays": 0.2})
-
-        def judged(*given, **asked):
-            return dataclasses.replace(plain(*given, **asked), verdict=verdict)
-
-        monkeypatch.setattr(FakeCompleter, "complete", judged)
-
-    return judge
+def test_errors_of_points_are_in_the_files(altered):
+    expected = np.linspace(1, 2, 300)
+    altered(lambda done: {"sigma": np.where(done.observed, 0.0, expected)})
+    told = complete_file("scan.npy")["sigma"]
+    vertex = plyfile.PlyData.read(OUT / "completed.ply")["vertex"]
+    assert not vertex["sigma"][:200].any()
+    np.testing.assert_allclose(vertex["sigma"][200:], expected[200:], rtol=1e-6)
+    assert told["mean"] == pytest.approx(expected[200:].mean())
+    shares = (told["q05"], told["median"], told["q95"])
+    assert shares == pytest.approx(np.quantile(expected[200:], [0.05, 0.5, 0.95]))
 
 
-@pytest.mark.parametrize("trust", ["low", "fair"])
-def test_warns_of_low_trust_and_says_what_to_do(trust, judge, capsys):
-    judge(trust)
-    assert run("--input=scan.npy") == 0
-    warned = (
-        "low confidence in this completion: it strays: crop it"
-        in capsys.readouterr().err
-    )
-    assert warned == (trust == "low")
+@pytest.mark.parametrize("nth", [1, 3])
+def test_failure_to_write_one_file_leaves_all_of_the_last(monkeypatch, nth):
+    def full(descriptor, count=itertools.count(1)):
+        if next(count) == nth:
+            raise OSError(28, "No space left on device")
+
+    complete_file("scan.npy")
+    before = {path.name: path.read_bytes() for path in OUT.iterdir()}
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(io.InputError, match="No space left"):
+        complete_file("more.npy")
+    assert {path.name: path.read_bytes() for path in OUT.iterdir()} == before
+
+
+def test_a_file_whose_name_is_no_utf_8():
+    name = os.fsdecode(b"Ger\xe4t.npy")
+    shutil.copyfile("scan.npy", name)
+    complete_file(name)
+    assert result()["input"]["file"].endswith(name)
+    assert "Ger\\udce4t.npy" in (OUT / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("up", ["auto", "0,0,2", "-y", None])
+def test_up_is_passed_on_and_written_as_it_was_taken(up, asked):
+    assert run("--input=scan.npy", *([] if up is None else [f"--up={up}"])) == 0
+    told = result()["up"]
+    assert told == {"-y": "-y", None: "z"}.get(up, [0, 0, 1])
+    assert up == "auto" or list(asked[0]["up"]) == list(told)
+
+
+@pytest.mark.parametrize("objects", ["one", "auto"])
+def test_what_the_workspace_crops_away_is_told_as_around(monkeypatch, asked, objects):
+    """Of a depth image; of objects on a support too."""
+    counts = np.full((30, 40), 2000, np.uint16)
+    counts[:, ::7] = 1900
+    Image.fromarray(counts).save("scan.png")
+    text = json.dumps({**CAMERA, "depth_scale": 1e-3})
+    pathlib.Path("scan.json").write_text(text)
+    if objects == "auto":
+        planes = FakeCompleter().split_scene(-POINTS).planes
+        parted = SegmentedScene(np.repeat([0, -1], [500, 100]), planes, (500,), 100, 0)
+        monkeypatch.setattr(FakeCompleter, "split_scene", lambda *_: parted)
+    complete_file("scan.png", objects=objects, workspace="0,-9,-9,9,9,9")
+    around = asked[0]["around"]
+    assert around.shape == (600, 3) and (around[:, 0] < 0).all()
+    if objects == "one":
+        complete_file("scan.png", objects=objects)
+        assert asked[1]["around"] is None
+
+
+def test_workspace_crops_scan_and_ground_truth():
+    np.save("truth.npy", POINTS + 0.01)
+    box = "1,1,1,1.5,2,3"
+    complete_file("scan.npy", workspace=box, ground_truth="truth.npy")
+    written = result()
+    kept = POINTS[POINTS[:, 0] <= 1.5]
+    assert written["points"]["partial"] == len(kept)
+    assert written["input"]["points_outside"] == 200 - len(kept)
+    center = (kept.min(0) + kept.max(0)) / 2
+    np.testing.assert_allclose(written["workspace"]["center"], center, rtol=1e-6)
+    assert written["workspace"]["bounds"] == box
+    outside = POINTS + np.float32(0.01) > [1.5, 2, 3]
+    assert written["ground_truth"]["points"] == 200 - outside.any(axis=1).sum()
 
 
 @pytest.mark.parametrize(
@@ -164,89 +254,82 @@ def test_warns_of_low_trust_and_says_what_to_do(trust, judge, capsys):
     [
         ("high", [], False),
         ("fair", [], True),
-        ("low", [], True),
         ("low", ["--background=empty"], False),
         ("low", ["--workspace=-9,-9,-9,9,9,9"], False),
     ],
 )
-def test_asks_what_lies_around_a_doubted_scan(trust, flags, asks, judge, capsys):
-    judge(trust)
+def test_says_what_to_do_about_a_doubted_scan(trust, flags, asks, altered, capsys):
+    verdict = Verdict(trust, 0.01234, ("it strays: crop it",), {"strays": 0.2})
+    altered(lambda done: {"verdict": verdict})
     assert run("--input=scan.npy", *flags) == 0
-    told = capsys.readouterr().err
-    assert ("the surroundings are unknown" in told) == asks
+    told = capsys.readouterr()
+    warning = "low confidence in this completion: it strays: crop it"
+    assert (warning in told.err) == (trust == "low")
+    assert ("the surroundings are unknown" in told.err) == asks
+    expected = f"confidence  {trust}: expected error 0.0123, in input units"
+    assert told.out.splitlines()[0] == expected
 
 
-def test_says_why_nothing_was_adapted():
-    points = {"partial": 1, "completed": 3}
-    summary = {"points": points, "adapt": True, "accepted": False, "verdict": None}
-    held = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
-    assert "none, these weights use no adaptation steps" in held
-    refused = complete.outcome(summary | {"losses": {"objective": [1.0, 2.0]}}, "out")
-    assert "rejected, not used" in refused
-    summary["adapt"] = False
-    left_out = complete.outcome(summary | {"losses": {"objective": [2.0]}}, "out")
-    assert "adaptation  off" in left_out
+def test_a_sensor_too_far_and_points_left_out_are_told(altered, capsys):
+    complete_file("scan.npy")
+    said = capsys.readouterr().err
+    assert "--camera" not in said and "were removed" not in said
+    altered(lambda done: {"sensor": "unknown", "left_out": 5})
+    told = complete_file("scan.npy")
+    assert told["sensor"] == "unknown" and told["input"]["points_left_out"] == 5
+    said = capsys.readouterr().err
+    assert "the origin cannot be the sensor position" in said
+    assert said.count("5 of 200 points are far from all others and were removed") == 1
+    report = (OUT / "report.html").read_text()
+    assert "the origin is implausible" in report
+    assert "5 removed as outliers" in report
 
 
-def test_without_input_it_completes_the_sample(monkeypatch, folder):
-    monkeypatch.setattr(complete, "asset", lambda name: folder / "scan.npy")
-    assert run() == 0
-    result = json.loads(pathlib.Path("prism_output/result.json").read_text())
-    assert result["input"]["file"] == str(folder / "scan.npy")
+def test_says_why_nothing_was_adapted(altered, capsys):
+    altered(lambda done: {"accepted": False})
+    assert run("--input=scan.npy", "--adapt") == 0
+    assert "adaptation  rejected, not used" in capsys.readouterr().out
+    altered(lambda done: {"losses": {"objective": [1.0]}})
+    assert run("--input=scan.npy", "--adapt") == 0
+    assert "none, these weights use no adaptation steps" in capsys.readouterr().out
 
 
-def test_lists_the_weights_that_ship(capsys):
+def test_tells_of_the_weights_that_ship(capsys):
     assert run("--weights=list") == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 20
     names = [line.split()[0] for line in lines[1:] if line and line[0] != " "]
     assert names[: len(available_weights())] == list(available_weights())
-    assert not os.path.exists("prism_output")
-
-
-def test_tells_all_of_one_set_of_weights(capsys):
     assert run("--weights=small", "--card") == 0
     assert capsys.readouterr().out == model_card("small")
-    assert not os.path.exists("prism_output")
+    assert not OUT.exists()
 
 
 FAULTS = [
     (["--input=missing.ply"], "missing.ply: no such file; check the path"),
-    (["--input=empty.ply"], "empty.ply: empty file"),
     (["--input=nonsense.ply"], "nonsense.ply: not a valid PLY file"),
-    (["--input=scan.obj"], "scan.obj: suffix '.obj' is not a point cloud"),
-    (["--input=."], ".: a folder, not a scan; to complete all scans in it, give"),
-    (["--input="], ": suffix ''"),
+    (["--input=half.json"], "half.json: suffix '.json' is not a point cloud"),
     (["--max_points=199"], "scan.npy: 200 points exceed the limit of 199; crop or"),
-    (["--max_points=0"], "flag --max_points=0: 0 is not a positive integer"),
     (["--max_points=200", "--ground_truth=more.npy"], "more.npy: 263 points exceed"),
     (["--input=few.npy"], "few.npy: only 63 distinct points, at least 64"),
-    (["--input=nan.npy"], "nan.npy: no finite points"),
-    (["--input=point.npy"], "point.npy: zero extent"),
-    (["--input=vast.npy"], "vast.npy: extent 19"),
     (["--camera=behind.json"], "scan.npy: all points are behind the camera"),
-    (["--camera=missing.json"], "missing.json: no such file"),
     (["--camera=half.json"], "half.json: not a valid camera: height is missing"),
-    (["--camera=scan.npy"], 'scan.npy: not JSON; write {"width":'),
-    (["--ground_truth=missing.ply"], "missing.ply: no such file"),
     (["--ground_truth=nan.npy"], "nan.npy: no finite points"),
+    (["--ground_truth=point.npy"], "point.npy: all points coincide"),
     (["--workspace=1,2,3"], "--workspace: cannot read '1,2,3'; give x0,y0,z0"),
     (["--workspace=8,8,8,9,9,9"], "scan.npy: no points inside --workspace"),
-    (["--workspace="], "--workspace: cannot read ''"),
-    (["--weights=huge"], "huge: no such weights; choose one of small"),
-    (["--output_dir=scan.npy"], "scan.npy: cannot be written to"),
     (["--output_dir=scan.npy/out"], "scan.npy/out: cannot be written to"),
     (["--inptu=scan.npy"], "Unknown command line flag 'inptu'"),
-    (["--adapt=perhaps"], "flag --adapt=perhaps"),
     (["--camera"], "Missing value for flag --camera"),
     (["--up=w"], "--up: cannot read 'w'; use one of x, y, z"),
-    (["--up=0,0,0"], "--up: [0.0, 0.0, 0.0] has no direction"),
     (["--objects=two"], "flag --objects=two"),
 ]
 
 
 @pytest.mark.parametrize(("given", "fault"), FAULTS)
-def test_bad_input_ends_with_one_line_and_status_2(capsys, given, fault):
+def test_bad_input_ends_with_one_line_and_status_2(capsys, monkeypatch, given, fault):
+    """Before the weights are loaded."""
+    monkeypatch.setattr(complete, "load_completer", pytest.fail)
     if not any(argument.startswith("--input") for argument in given):
         given = ["--input=scan.npy", *given]
     assert run(*given) == 2
@@ -258,35 +341,6 @@ def test_bad_input_ends_with_one_line_and_status_2(capsys, given, fault):
     assert not list(pathlib.Path().glob("prism_output/*"))
 
 
-def test_a_bug_is_not_hidden(monkeypatch):
-    def fail(*_, **__):
-        raise KeyError("a bug")
-
-    monkeypatch.setattr(complete, "complete_file", fail)
-    with pytest.raises(KeyError):
-        run()
-
-
-def test_help_lists_the_flags(capsys):
-    run("--help")
-    printed = capsys.readouterr().out
-    for flag in ("input", "ground_truth", "workspace", "[no]adapt", "output_dir"):
-        assert f"--{flag}" in printed
-
-
-def test_as_a_process():
-    code = "from prism_jax.cli.complete import run; run()"
-    command = [sys.executable, "-c", code, "--input=missing.ply"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    ended = subprocess.run(
-        command, capture_output=True, text=True, env=environment, check=False
-    )
-    assert ended.returncode == 2
-    assert ended.stdout == ""
-    expected = "prism-complete: missing.ply: no such file; check the path\n"
-    assert ended.stderr == expected
-
-
 @pytest.fixture
 def several(folder):
     """Two scans beside each other, and what is none of them."""
@@ -294,28 +348,10 @@ def several(folder):
     np.save(folder / "scans" / "a.npy", POINTS)
     np.save(folder / "scans" / "b.npy", POINTS + 1)
     (folder / "scans" / "notes.md").touch()
-    return folder / "scans"
 
 
-def test_several_scans_have_a_folder_each_and_an_index(several, capsys):
-    assert run("scans", "scan.npy", "scans/a.npy", "--output_dir=out") == 0
-    printed = capsys.readouterr()
-    folders = ["a", "a-2", "b", "scan"]
-    assert sorted(os.listdir("out")) == sorted([*folders, "index.html"])
-    for name in folders:
-        assert sorted(os.listdir(f"out/{name}")) == [
-            "completed.ply",
-            "report.html",
-            "result.json",
-        ]
-    page = pathlib.Path("out/index.html").read_text()
-    assert all(f'href="{name}/report.html"' in page for name in folders)
-    assert "Not completed" not in page
-    assert "prism-complete: 2 of 4: scans/b.npy\n" in printed.err
-    assert printed.out == "written     out: index.html and 4 folders\n"
-
-
-def test_the_weights_are_loaded_once(several, monkeypatch):
+def test_several_scans_have_a_folder_each_and_an_index(several, capsys, monkeypatch):
+    """With weights that are loaded once."""
     loaded = []
 
     def load(name):
@@ -323,17 +359,25 @@ def test_the_weights_are_loaded_once(several, monkeypatch):
         return FakeCompleter.from_pretrained(name)
 
     monkeypatch.setattr(complete, "load_completer", functools.cache(load))
-    assert run("scans", "scan.npy") == 0
-    assert loaded == ["small"]
-    assert hasattr(LOAD_COMPLETER, "cache_info")
+    assert run("scans", "scans/a.npy", "--output_dir=out") == 0
+    printed = capsys.readouterr()
+    folders = ["a", "a-2", "b"]
+    assert sorted(os.listdir("out")) == sorted([*folders, "index.html"])
+    assert all(sorted(os.listdir(f"out/{name}")) == FILES for name in folders)
+    page = pathlib.Path("out/index.html").read_text()
+    assert all(f'href="{name}/report.html"' in page for name in folders)
+    assert "Not completed" not in page
+    assert "prism-complete: 2 of 3: scans/b.npy\n" in printed.err
+    assert printed.out == "written     out: index.html and 3 folders\n"
+    assert loaded == ["small"] and hasattr(LOAD_COMPLETER, "cache_info")
 
 
 def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
-    assert run("few.npy", "scans", "missing.ply", "--output_dir=out") == 1
+    assert run("few.npy", "scans/a.npy", "missing.ply", "--output_dir=out") == 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[-2].startswith("prism-complete: few.npy: only 63 distinct points")
     assert lines[-1].startswith("prism-complete: missing.ply: no such file")
-    assert sorted(os.listdir("out")) == ["a", "b", "index.html"]
+    assert sorted(os.listdir("out")) == ["a", "index.html"]
     page = pathlib.Path("out/index.html").read_text()
     assert "Not completed" in page and "missing.ply: no such file" in page
 
@@ -343,10 +387,7 @@ def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
     [
         (["few.npy", "missing.ply"], "few.npy: only 63 distinct points"),
         (["nothing"], "nothing: no scans in this folder; supported suffixes: .ply"),
-        (
-            ["scans", "--ground_truth=scan.npy"],
-            "--ground_truth: cannot be used with several",
-        ),
+        (["scans", "--ground_truth=scan.npy"], "--ground_truth: cannot be used with"),
     ],
 )
 def test_if_none_can_be_used_the_status_is_2(several, capsys, given, fault):
@@ -355,40 +396,42 @@ def test_if_none_can_be_used_the_status_is_2(several, capsys, given, fault):
     assert f"prism-complete: {fault}" in capsys.readouterr().err
 
 
-@pytest.fixture
-def scene(folder):
+def test_a_scene_comes_back_as_its_objects_unless_one_is_asked_for(capsys):
     """Two objects on a support."""
     clouds = [POINTS, POINTS[:150] + [10, 0, 0], POINTS[:90] - [0, 0, 5]]
-    np.save(folder / "scene.npy", np.concatenate(clouds).astype(np.float32))
-
-
-def test_a_scene_comes_back_as_its_objects(scene, capsys):
-    assert run("--input=scene.npy", "--output_dir=out") == 0
+    np.save("scene.npy", np.concatenate(clouds).astype(np.float32))
+    assert run("--input=scene.npy") == 0
     assert capsys.readouterr().out == (
         "confidence  unknown: these weights have no calibration\n"
         "objects     2; 90 points on removed planes, 0 in no object\n"
         "points      440 observed, 175 added\n"
-        "written     out: completed.ply, result.json, report.html\n"
+        "written     prism_output: completed.ply, result.json, report.html\n"
     )
-    result = json.loads(pathlib.Path("out/result.json").read_text())
-    assert [one["points"]["partial"] for one in result["objects"]] == [200, 150]
-    assert result["up_source"] == "support" and len(result["planes"]) == 1
-    vertices = plyfile.PlyData.read("out/completed.ply")["vertex"]
+    told = result()
+    assert [one["points"]["partial"] for one in told["objects"]] == [200, 150]
+    assert told["up_source"] == "support" and len(told["planes"]) == 1
+    vertices = plyfile.PlyData.read(OUT / "completed.ply")["vertex"]
     assert np.bincount(vertices["object"] + 1).tolist() == [90, 300, 225]
     assert vertices["label"].sum() == 175
     assert (vertices["label"][:440] == 0).all()
+    assert run("--input=scene.npy", "--objects=one") == 0
+    assert result()["points"]["partial"] == 440 and "objects" not in result()
+    assert run("--input=scene.npy", "--ground_truth=scan.npy") == 0
+    assert result()["scores"]
 
 
-@pytest.mark.parametrize("up", ["auto", "0,0,2", "-y"])
-def test_up_is_written_as_it_was_taken(up):
-    assert run("--input=scan.npy", f"--up={up}") == 0
-    told = json.loads(pathlib.Path("prism_output/result.json").read_text())["up"]
-    assert told == ("-y" if up == "-y" else [0, 0, 1])
-
-
-def test_one_object_if_asked_for(scene):
-    assert run("--input=scene.npy", "--objects=one", "--output_dir=out") == 0
-    result = json.loads(pathlib.Path("out/result.json").read_text())
-    assert result["points"]["partial"] == 440 and "objects" not in result
-    assert run("--input=scene.npy", "--ground_truth=scan.npy", "--output_dir=b") == 0
-    assert json.loads(pathlib.Path("b/result.json").read_text())["scores"]
+def test_only_a_long_step_that_ends_is_told(capsys, monkeypatch):
+    seconds = {}
+    with timed("loading", "short", seconds):
+        pass
+    with pytest.raises(ValueError, match="x"), timed("running", "run", seconds):
+        raise ValueError("x")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("prism_jax.cli.launch.PATIENCE", 0.02)
+    with timed("loading", "load", seconds):
+        time.sleep(0.1)
+    assert set(seconds) == {"short", "load"}
+    assert capsys.readouterr().err.splitlines() == [
+        "prism-complete: loading ...",
+        f"prism-complete: ... done in {seconds['load']:.1f} s",
+    ]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments import evaluate, make_data, train
+from experiments import evaluate, train
 from tests.launching import run
 
 
@@ -19,7 +19,6 @@ def test_an_output_that_is_no_json_is_refused(tmp_path, capsys):
     [
         (evaluate, ["small", "--split=test"]),
         (train, ["--workdir=w", "--set", "meta.num_samples=64", "adapt.seed=1"]),
-        (make_data, ["shapes"]),
     ],
 )
 def test_what_is_no_flag_is_refused(capsys, command, arguments):
@@ -29,10 +28,3 @@ def test_what_is_no_flag_is_refused(capsys, command, arguments):
     name = command.__name__.rpartition(".")[2]
     wanted = f"{name}: {stray}: not a flag; write flags as --name=value"
     assert capsys.readouterr().err.splitlines()[-1] == wanted
-
-
-def test_faults_of_flags_are_one_line(capsys):
-    assert run(evaluate, "--wieghts=small") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("evaluate: Unknown command line flag 'wieghts'")
-    assert line.endswith("--help lists the flags")

@@ -44,12 +44,10 @@ def test_the_second_time_it_is_not_traced(fn, tmp_path):
     assert len(files(tmp_path / "new")) == 1
 
 
-@pytest.mark.parametrize(
-    "change", ["about", "shape", "dtype", "version", "precision", "source"]
-)
+@pytest.mark.parametrize("change", ["about", "shape", "dtype", "version", "source"])
 def test_another_function_has_another_trace(fn, tmp_path, change, monkeypatch):
     run(fn, tmp_path)
-    arguments, about, stack = ARGUMENTS, "here", contextlib.ExitStack()
+    arguments, about = ARGUMENTS, "here"
     if change == "about":
         about = "there"
     elif change == "shape":
@@ -58,18 +56,17 @@ def test_another_function_has_another_trace(fn, tmp_path, change, monkeypatch):
         arguments = ({"a": jnp.arange(3)}, jnp.float32(2))
     elif change == "version":
         monkeypatch.setattr(jax, "__version__", "0")
-    elif change == "precision":
-        stack.enter_context(jax.default_matmul_precision("bfloat16"))
     else:
         # A room beside the cache's own has another file.
         room = tmp_path / "source" / "completion"
         (tmp_path / "source" / "models").mkdir(parents=True)
         (tmp_path / "source" / "models" / "layers.py").write_text("")
         monkeypatch.setattr(trace_cache, "__file__", str(room / "compile_cache.py"))
-    with stack:
-        run(fn, tmp_path, arguments, about)
-    assert fn.count == 2
-    assert len(files(tmp_path)) == 2
+    run(fn, tmp_path, arguments, about)
+    if change == "about":
+        with jax.default_matmul_precision("bfloat16"):
+            run(fn, tmp_path, arguments, about)
+    assert fn.count == len(files(tmp_path)) == 2 + (change == "about")
 
 
 def exported(fn, *arguments):
@@ -88,18 +85,11 @@ def flipped(content):
 
 
 FAULTS = {
-    "empty": lambda name, kept: b"",
-    "nonsense": lambda name, kept: b"nonsense",
-    "cut": lambda name, kept: kept[: len(kept) // 2],
     "a bit flipped that JAX does not notice": lambda name, kept: flipped(kept),
     "nonsense with its digest": lambda name, kept: sealed(name, b"nonsense"),
-    "a trace without its digest": lambda name, kept: kept[32:],
     "the trace of another name": lambda name, kept: sealed("other", kept[32:]),
     "other arguments": lambda name, kept: sealed(
         name, exported(jnp.sin, jnp.zeros((3, 3)))
-    ),
-    "a function that cannot be lowered": lambda name, kept: sealed(
-        name, kept[32:].replace(b"ML\xefR", b"ML\xef?")
     ),
 }
 
@@ -112,12 +102,11 @@ def test_a_trace_that_fails_is_removed_and_made_anew(fn, tmp_path, fault):
     broken = FAULTS[fault](file.stem, whole)
     assert broken != whole
     file.write_bytes(broken)
-    np.testing.assert_array_equal(run(fn, tmp_path), [0, 2, 4])
-    assert fn.count == 2
+    for _ in range(2):
+        np.testing.assert_array_equal(run(fn, tmp_path), [0, 2, 4])
+        assert fn.count == 2
     assert files(tmp_path) == [file]
     assert file.read_bytes() != broken
-    np.testing.assert_array_equal(run(fn, tmp_path), [0, 2, 4])
-    assert fn.count == 2
 
 
 def test_a_fault_of_the_function_itself_is_told(tmp_path):
@@ -134,7 +123,10 @@ def test_what_cannot_be_written_is_not_kept(fn, tmp_path):
     np.testing.assert_array_equal(run(fn, tmp_path / "file" / "folder"), [0, 2, 4])
 
 
-def test_the_oldest_give_way(fn, tmp_path):
-    for i in range(trace_cache.MAX_TRACES + 3):
+def test_the_oldest_give_way(fn, tmp_path, monkeypatch):
+    monkeypatch.setattr(trace_cache, "MAX_TRACES", 2)
+    for i in range(4):
         run(fn, tmp_path, about=i)
-    assert len(files(tmp_path)) == trace_cache.MAX_TRACES
+    assert len(files(tmp_path)) == 2
+    run(fn, tmp_path, about=3)
+    assert fn.count == 4

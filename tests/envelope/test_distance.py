@@ -128,7 +128,6 @@ def test_scales_between_steps_are_rounded_down():
         ({"robot": np.full((1, 3), np.nan)}, None, "not finite"),
         ({"robot": np.zeros((2, 3))}, {"robot": np.ones(1)}, "1 scales for 2"),
         ({"robot": np.zeros((1, 3))}, {"robot": np.zeros(1)}, "positive"),
-        ({"robot": np.zeros((1, 3))}, {"robot": np.full(1, np.nan)}, "positive"),
     ],
 )
 def test_surfaces_that_are_none_are_refused(points, scales, told):

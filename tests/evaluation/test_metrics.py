@@ -1,7 +1,5 @@
 """Metrics: the parity values, brute force, and faults that are named."""
 
-import itertools
-
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
@@ -19,14 +17,6 @@ NAMES = {
     "hausdorff_sym_max": metrics.hausdorff,
     "emd_exact_mean_l2": metrics.emd,
 }
-ALL = (
-    metrics.cd_l1,
-    metrics.cd_l2,
-    metrics.f_score,
-    metrics.hausdorff,
-    metrics.emd,
-)
-PARITY_RTOL = 1e-9
 
 
 def cloud(count: int) -> np.ndarray:
@@ -43,7 +33,7 @@ def test_agrees_with_the_reference(reference):
             if f"val/{pair}/{name}" in arrays:
                 expected = arrays[f"val/{pair}/{name}"]
                 found = metric(*clouds)
-                assert np.allclose(found, expected, rtol=PARITY_RTOL), (pair, name)
+                assert np.allclose(found, expected, rtol=1e-9), (pair, name)
 
 
 def test_agrees_with_all_pairs():
@@ -51,37 +41,21 @@ def test_agrees_with_all_pairs():
     distances = cdist(prediction, target)
     forward, backward = distances.min(1), distances.min(0)
     precision, recall = np.mean(forward < 0.5), np.mean(backward < 0.5)
-    assert np.isclose(
-        metrics.cd_l1(prediction, target), (forward.mean() + backward.mean()) / 2
-    )
-    assert np.isclose(
-        metrics.cd_l2(prediction, target), np.mean(forward**2) + np.mean(backward**2)
-    )
-    assert np.isclose(
-        metrics.f_score(prediction, target, 0.5),
-        2 / (1 / precision + 1 / recall),
-    )
-    assert np.isclose(
-        metrics.hausdorff(prediction, target),
-        max(
+    expected = {
+        "cd_l1": (forward.mean() + backward.mean()) / 2,
+        "cd_l2": np.mean(forward**2) + np.mean(backward**2),
+        "f_score": 2 / (1 / precision + 1 / recall),
+        "hausdorff": max(
             directed_hausdorff(prediction, target)[0],
             directed_hausdorff(target, prediction)[0],
         ),
-    )
-
-
-def test_distances_serve_all_metrics():
-    prediction, target = cloud(70), cloud(90)
-    distances = cdist(prediction, target)
-    forward, backward = distances.min(1), distances.min(0)
-    scores = metrics.from_distances(forward, backward, 0.5)
-    assert np.isclose(scores.cd_l2, metrics.cd_l2(prediction, target))
-    assert np.isclose(scores.cd_l1, metrics.cd_l1(prediction, target))
-    assert np.isclose(scores.f_score, metrics.f_score(prediction, target, 0.5))
-    assert np.isclose(scores.hausdorff, metrics.hausdorff(prediction, target))
-    assert np.isclose(scores.prediction_to_truth, np.mean(forward**2))
-    assert np.isclose(scores.truth_to_prediction, np.mean(backward**2))
-    assert scores.emd is None and "emd" not in scores.named()
+        "prediction_to_truth": np.mean(forward**2),
+        "truth_to_prediction": np.mean(backward**2),
+    }
+    scores = metrics.score(prediction, target, 0.5)
+    assert scores.emd is None and scores.named() == pytest.approx(expected)
+    known = metrics.from_distances(forward, backward, 0.5)
+    assert known.named() == pytest.approx(expected)
 
 
 def test_f_score_threshold_is_strict_and_unsquared():
@@ -94,17 +68,8 @@ def test_f_score_threshold_is_strict_and_unsquared():
     assert metrics.f_score(one, one + 1.0) == 0.0
 
 
-def test_emd_is_the_best_of_all_assignments():
-    prediction, target = cloud(5), cloud(5)
-    best = min(
-        np.linalg.norm(prediction - target[list(order)], axis=1).mean()
-        for order in itertools.permutations(range(5))
-    )
-    assert np.isclose(metrics.emd(prediction, target), best)
-
-
-@pytest.mark.parametrize("count", [63, 64, 200])
-@pytest.mark.parametrize("order", ["farthest", "random", "sorted", "one point"])
+@pytest.mark.parametrize("count", [12, 200])
+@pytest.mark.parametrize("order", ["farthest", "sorted", "one point"])
 def test_emd_is_the_assignment_of_the_costs_as_they_are(count, order):
     prediction, target = cloud(count), cloud(count) * [1.0, 2.0, 0.1] + [3.0, 0.0, 0.0]
     if order == "farthest":
@@ -112,54 +77,39 @@ def test_emd_is_the_assignment_of_the_costs_as_they_are(count, order):
         target = farthest_point_order(target, count)
     elif order == "sorted":
         prediction, target = np.sort(prediction, axis=0), -np.sort(-target, axis=0)
-    elif order == "one point":
+    else:
         target[: count // 2] = target[0]
         prediction[count // 3 :] = target[0]
-    cost = cdist(prediction, target)
-    expected = cost[linear_sum_assignment(cost)].mean()
-    assert np.isclose(metrics.emd(prediction, target), expected, rtol=1e-12)
-    others = [target[::-1] + 0.1, prediction, prediction + 0.01 * cloud(count)]
-    values = metrics.emds([*others, prediction], target)
-    for one, value in zip(others, values, strict=False):
-        cost = cdist(one, target)
-        best = cost[linear_sum_assignment(cost)].mean()
-        assert np.isclose(value, best, rtol=1e-12)
-    assert np.isclose(values[1], expected, rtol=1e-12)
-    assert values[3] == values[1]
+    clouds = [target[::-1] + 0.1, prediction, prediction + 0.01 * cloud(count)]
+    costs = [cdist(one, target) for one in clouds]
+    expected = [cost[linear_sum_assignment(cost)].mean() for cost in costs]
+    values = metrics.emds([*clouds, prediction], target)
+    np.testing.assert_allclose(values, [*expected, expected[1]], rtol=1e-12)
+    assert np.isclose(metrics.emd(prediction, target), expected[1], rtol=1e-12)
     assert metrics.emds([], target) == []
 
 
-@pytest.mark.parametrize("metric", ALL)
-def test_equal_and_repeated_clouds(metric):
-    best = 1.0 if metric is metrics.f_score else 0.0
-    points = cloud(20)
+@pytest.mark.parametrize("name", NAMES)
+def test_equal_repeated_and_moved_clouds(name):
+    metric, best = NAMES[name], float(name.startswith("fscore"))
+    points, repeated = cloud(20), np.full((20, 3), 7.5)
     assert np.isclose(metric(points, points[::-1].copy()), best, atol=1e-6)
-    repeated = np.full((20, 3), 7.5)
     assert metric(repeated, repeated) == best
     assert metric(np.ones((1, 3)), np.ones((1, 3))) == best
-
-
-@pytest.mark.parametrize("metric", ALL)
-def test_shift_of_both_clouds_changes_nothing(metric):
     prediction, target = cloud(30), cloud(30)
-    near = metric(prediction, target)
-    assert np.isclose(metric(prediction + 1e4, target + 1e4), near, rtol=1e-6)
+    away = metric(prediction + 1e4, target + 1e4)
+    assert np.isclose(away, metric(prediction, target), rtol=1e-6)
 
 
-@pytest.mark.parametrize("metric", ALL)
+@pytest.mark.parametrize("metric", [metrics.cd_l1, metrics.emd])
 def test_faults_are_named(metric):
-    good, empty = cloud(5), np.zeros((0, 3))
-    spoiled = cloud(5)
-    spoiled[2, 1] = np.nan
+    good = cloud(5)
     with pytest.raises(ValueError, match="prediction is empty"):
-        metric(empty, good)
-    with pytest.raises(ValueError, match="target is empty"):
-        metric(good, empty)
+        metric(good[:0], good)
     with pytest.raises(ValueError, match=r"prediction has .* NaN"):
-        metric(spoiled, good)
-    spoiled[2, 1] = np.inf
+        metric(np.where(good == good[2, 1], np.nan, good), good)
     with pytest.raises(ValueError, match=r"target has .* infinite"):
-        metric(good, spoiled)
+        metric(good, np.where(good == good[2, 1], np.inf, good))
 
 
 def test_emd_names_what_it_cannot_do():

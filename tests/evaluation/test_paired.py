@@ -19,7 +19,7 @@ def result(values, views=1, categories=None, **clouds):
     ``network``."""
     objects = np.arange(len(values)) // views
     kinds = ["bag"] * len(values) if categories is None else list(categories)
-    metrics = {measure.metric for measure in MEASURES.values()}
+    metrics = {metric for metric, _ in MEASURES.values()}
     return {
         "per_example": {
             "name": [f"{i // views}/{i % views}" for i in range(len(values))],
@@ -58,14 +58,6 @@ def test_the_change_is_of_the_means_and_its_interval_of_pairs():
     assert high - low < 0.05 * error
 
 
-def test_two_results_without_a_difference_straddle_zero():
-    values = RNG.uniform(1, 2, 200)
-    other = values + RNG.normal(0, 0.1, 200)
-    other += values.mean() - other.mean()
-    low, high = paired_difference(result(values), result(other))["interval"]
-    assert low < 0 < high
-
-
 def test_a_single_category_carries_the_whole_effect():
     """As one kind of six: significant over objects, nothing over kinds."""
     kinds = np.repeat([f"kind {i}" for i in range(6)], 20)
@@ -85,10 +77,7 @@ def test_a_single_category_carries_the_whole_effect():
     assert np.isclose(carrier["change_without"], without, atol=1e-12)
     low, high = carrier["interval_without"]
     assert low < without < high and high - low < 0.01
-
-
-def test_contributions_add_up_and_the_carrier_goes_the_same_way():
-    """The largest of all is against the change, and does not carry it."""
+    # The largest of all is against the change, and does not carry it.
     kinds = np.array(["up", "down", "down again"])
     before, after = np.array([1.0, 1.0, 1.0]), np.array([1.5, 0.6, 0.7])
     found = paired_difference(
@@ -98,17 +87,6 @@ def test_contributions_add_up_and_the_carrier_goes_the_same_way():
     assert found["carried_by"]["category"] == "down"
     assert np.isclose(found["carried_by"]["contribution"], -0.4 / 3)
     assert np.isclose(found["carried_by"]["change_without"], 0.1)
-
-
-def test_a_median_does_not_hang_on_a_few_examples():
-    before = RNG.uniform(1, 2, 99)
-    after = np.where(before == before.max(), 1000.0, 0.9 * before)
-    a, b = result(before), result(after)
-    assert paired_difference(a, b)["change"] > 1
-    found = paired_difference(a, b, statistic="median")
-    exact = np.median(after) / np.median(before) - 1
-    assert np.isclose(found["change"], exact) and exact < -0.08
-    assert found["interval"][0] <= exact <= found["interval"][1] < 0
 
 
 def test_resampled_medians_are_those_of_the_drawn_examples():
@@ -128,26 +106,21 @@ def test_resampled_medians_are_those_of_the_drawn_examples():
 def test_adaptation_is_told_of_every_cloud_that_was_adapted():
     values = RNG.uniform(1, 2, 10)
     found = adaptation_effect(result(0.5 * values, network_unadapted=values))
-    assert list(found) == ["network"]
-    assert list(found["network"]) == list(MEASURES)
-    for change in found["network"].values():
-        assert np.isclose(change["change"], -0.5)
+    assert list(found) == ["network"] and list(found["network"]) == list(MEASURES)
+    assert all(np.isclose(c["change"], -0.5) for c in found["network"].values())
     assert adaptation_effect(result(values)) == {}
 
 
 def test_what_cannot_be_compared_is_refused():
     a = result([1.0, 2.0])
-    others = (
+    for other in (
         result([1.0, 2.0, 3.0]),
         result([1.0, 2.0], views=2),
         result([1.0, 2.0], categories=["bag", "car"]),
-    )
-    for other in others:
+    ):
         with pytest.raises(ValueError, match="not of the same examples"):
             paired_difference(a, other)
     with pytest.raises(ValueError, match="has no emd of network"):
         paired_difference(a, a, "emd")
-    with pytest.raises(ValueError, match="has no cd_l2 of network_unadapted"):
-        paired_difference(a, a, clouds=("network_unadapted", "network"))
     with pytest.raises(ValueError, match="is zero"):
         paired_difference(result([0.0, 0.0]), a)

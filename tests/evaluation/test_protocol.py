@@ -29,32 +29,27 @@ def reach(cloud) -> float:
     return float(np.abs(cloud).max())
 
 
-@pytest.mark.parametrize("margin", [1.0, 1.4])
-def test_each_normalisation_frames_its_own_cloud(boxes, margin):
+def test_each_normalisation_frames_its_own_cloud(boxes):
     example = boxes(**METRES)[1]
-    protocols = {name: Protocol(60, margin, name) for name in NORMALISATIONS}
-    unit = {
-        name: workspace_for(example, protocol).to_unit
-        for name, protocol in protocols.items()
-    }
-    assert np.isclose(reach(unit["partial"](example.partial)), 1 / margin, rtol=1e-5)
-    assert np.isclose(reach(unit["oracle"](example.complete)), 1 / margin, rtol=1e-5)
+    partial, oracle, own = (
+        workspace_for(example, Protocol(60, 1.4, name)).to_unit
+        for name in ("partial", "oracle", "own")
+    )
+    assert np.isclose(reach(partial(example.partial)), 1 / 1.4, rtol=1e-5)
+    assert np.isclose(reach(oracle(example.complete)), 1 / 1.4, rtol=1e-5)
     # The lower faces are not seen, so that the two cubes lie apart.
-    apart = unit["oracle"](example.partial) - unit["partial"](example.partial)
-    assert np.abs(apart).max() > 0.01
-    np.testing.assert_array_equal(unit["own"](example.partial), example.partial)
+    assert np.abs(oracle(example.partial) - partial(example.partial)).max() > 0.01
+    np.testing.assert_array_equal(own(example.partial), example.partial)
 
 
-@pytest.mark.parametrize("normalisation", NORMALISATIONS)
-def test_scores_are_in_the_complete_clouds_unit_whatever_the_frame(
-    boxes, normalisation
-):
+def test_scores_are_in_the_complete_clouds_unit_whatever_the_frame(boxes):
     example = boxes(**METRES)[1]
-    frame = scored_in(example, Protocol(60, 1.4, normalisation))
-    complete = frame.to_unit(example.complete.astype(np.float64))
-    assert np.isclose(np.ptp(complete, axis=0).max(), 2, rtol=1e-12)
-    assert np.isclose(reach(complete), 1, rtol=1e-12)
-    own = scored_in(example, Protocol(60, 1.4, normalisation, unit="own"))
+    for normalisation in NORMALISATIONS:
+        frame = scored_in(example, Protocol(60, 1.4, normalisation))
+        complete = frame.to_unit(example.complete.astype(np.float64))
+        assert np.isclose(np.ptp(complete, axis=0).max(), 2, rtol=1e-12)
+        assert np.isclose(reach(complete), 1, rtol=1e-12)
+    own = scored_in(example, Protocol(60, 1.4, unit="own"))
     np.testing.assert_array_equal(own.to_unit(example.complete), example.complete)
 
 
@@ -65,8 +60,8 @@ def test_what_is_given_depends_on_no_unit_and_no_origin(boxes, normalisation):
     for one, other in zip(here, there, strict=True):
         # Single precision holds coordinates of 40 m to 4e-6 m.
         np.testing.assert_allclose(one, other, atol=2e-5)
+        assert one.dtype == np.float32
     assert here[0].shape == (60, 3)
-    assert (here[0].dtype, here[1].dtype) == (np.float32, np.float32)
 
 
 def test_the_oracle_places_the_sensor_too(boxes):
@@ -76,13 +71,10 @@ def test_the_oracle_places_the_sensor_too(boxes):
     rows = {tuple(row) for row in np.float32(example.partial / np.float32(1.25))}
     near = [min(np.abs(np.array(row) - p).max() for row in rows) for p in partial]
     assert max(near) < 1e-6
-
-
-def test_a_sensor_that_is_unknown_stands_where_training_has_it(boxes):
-    example = boxes()[0]._replace(eye=None)
+    # One that is unknown stands where training has it.
     for name in NORMALISATIONS:
-        eye = given(example, Protocol(60, 1.4, name))[1]
-        np.testing.assert_array_equal(eye, np.float32(UNKNOWN_EYE))
+        unknown = given(example._replace(eye=None), Protocol(60, 1.4, name))[1]
+        np.testing.assert_array_equal(unknown, np.float32(UNKNOWN_EYE))
 
 
 def test_ordered_clouds_are_cut_and_short_ones_repeated(boxes):
@@ -104,7 +96,6 @@ def test_one_point_many_times_is_framed():
 
 
 def test_unknown_names_are_refused():
-    with pytest.raises(ValueError, match="normalisation must be one of"):
-        Protocol(60, 1.4, "complete")
-    with pytest.raises(ValueError, match="unit must be one of"):
-        Protocol(60, 1.4, unit="metres")
+    for field in ("normalisation", "unit"):
+        with pytest.raises(ValueError, match=f"{field} must be one of"):
+            Protocol(60, 1.4, **{field: "metres"})

@@ -10,46 +10,34 @@ from experiments.benchmarks.measure import Compiled, row
 from tests import launching
 
 
-@pytest.fixture
-def asked(monkeypatch):
-    """The presets that rows were asked of."""
-    presets = []
+def test_rows_are_printed_and_written(tmp_path, monkeypatch, capsys):
+    asked = []
 
     def suite(preset="small"):
-        presets.append(preset)
+        asked.append(preset)
         yield row("slow", [3.0, 5.0, 4.0], "fast", [2.0], 1.5)
 
     monkeypatch.setattr(training, "suite", suite)
-    return presets
-
-
-def test_rows_are_printed_and_written(asked, tmp_path, capsys):
     path = tmp_path / "rows.json"
     assert launching.run(benchmark, "--suite=training", f"--output={path}") == 0
     line = "| slow | 4 ms (3 to 5) | fast | 2 ms | 2 | 1.5 | no |  |  |"
     assert line in capsys.readouterr().out
     (written,) = json.loads(path.read_text())
     assert (written["ratio"], written["holds"]) == (2.0, False)
-    assert asked == ["small"]
-
-
-def test_of_another_preset(asked):
     assert launching.run(benchmark, "--suite=training", "--of=paper") == 0
-    assert asked == ["paper"]
+    assert asked == ["small", "paper"]
 
 
 @pytest.mark.parametrize(
-    ("suite", "fault"),
-    [("ops", "--of: not used by ops"), ("training", "none: no such preset")],
+    ("given", "fault"),
+    [
+        (["--suite=ops", "--of=none"], "--of: not used by ops; "),
+        (["--suite=training", "--of=none"], "none: no such preset; "),
+        (["--suite=kernels"], "--suite=kernels: JAX sees no NVIDIA GPU, only cpu; "),
+    ],
 )
-def test_what_cannot_be_measured_is_refused(suite, fault, capsys):
-    assert launching.run(benchmark, f"--suite={suite}", "--of=none") == 2
-    assert f"benchmark: {fault}; " in capsys.readouterr().err
-
-
-def test_kernels_without_a_gpu_are_refused(capsys):
-    assert launching.run(benchmark, "--suite=kernels") == 2
-    fault = "--suite=kernels: JAX sees no NVIDIA GPU, only cpu; install"
+def test_what_cannot_be_measured_is_refused(given, fault, capsys):
+    assert launching.run(benchmark, *given) == 2
     assert f"benchmark: {fault}" in capsys.readouterr().err
 
 

@@ -1,32 +1,96 @@
-"""The gallery's command, with a fake network."""
+"""Examples to look at: which ones, that they show what is scored, and the command."""
+
+import re
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from experiments import gallery
 from experiments.assets import CELLS
+from experiments.gallery_page import (
+    COLUMNS,
+    DISTANCE_COLORS,
+    FAR,
+    complete_items,
+    distance_colors,
+    gallery_page,
+    picture_row,
+)
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation.run import Predictions
+from prism_jax.evaluation.protocol import Protocol
+from prism_jax.evaluation.run import Predictions, evaluate
 from tests import launching
 
+PROTOCOL = Protocol(64, 1.4, with_emd=False)
 
-def test_writes_a_page_and_a_picture(tmp_path, monkeypatch):
+
+def moved(partials, eyes):
+    return Predictions(partials + np.float32([0.3, 0.0, 0.2]))
+
+
+@pytest.fixture(scope="module")
+def shown():
+    return complete_items(moved, RecordedCells(CELLS), [0, 3], PROTOCOL)
+
+
+def test_numbers_are_those_of_the_evaluation(shown):
+    scores = evaluate(moved, RecordedCells(CELLS), PROTOCOL, 4)["per_example"]
+    for item, index in zip(shown, (0, 3), strict=True):
+        for name, value in (("partial", item.before), ("completed", item.after)):
+            expected = scores["clouds"][name]["cd_l2"][index]
+            assert value == pytest.approx(expected, 1e-5)
+        kind, name = scores["category"][index], scores["name"][index]
+        assert item.name == f"{kind} {name}"
+        assert f"completed {1e4 * item.after:.4g}" in item.label
+        cloud = np.concatenate([item.measured, item.added])
+        assert len(item.errors) == len(cloud)
+        for row in (0, len(item.measured), -1):
+            apart = np.linalg.norm(item.complete - cloud[row], axis=1).min()
+            assert item.errors[row] == pytest.approx(apart)
+
+
+def bluest(picture):
+    """How much more blue than red there is in a pixel; of a negative, less."""
+    return (picture[..., 2] - picture[..., 0]).max()
+
+
+def test_pictures_show_their_clouds(shown):
+    row = picture_row(shown[0], 48)
+    assert len(row.pictures) == len(COLUMNS)
+    partial, completed, truth, errors = (each.astype(int) for each in row.pictures)
+    assert bluest(partial) > 60 and bluest(-partial) < 60
+    assert bluest(-completed) > 60
+    assert bluest(truth) < 60 and bluest(-truth) < 60 and (truth < 255).any()
+    assert (errors < 255).any()
+    colors = distance_colors(np.array([0.0, FAR, 2 * FAR, FAR * DISTANCE_COLORS[1][0]]))
+    first, second, *_, last = (color for _, color in DISTANCE_COLORS)
+    np.testing.assert_allclose(colors, [first, last, last, second])
+
+
+def test_page_has_every_example_and_needs_no_network(shown):
+    page = gallery_page(shown, "small <on> cells").replace("\\u002f", "/")
+    for number, item in enumerate(shown, start=1):
+        assert f"{number}. {item.label}" in page
+    assert "small &lt;on&gt; cells" in page
+    assert not re.search(r"<(script|link)[^>]*(src|href)=", page)
+    assert page.count('"visible":false') >= len(COLUMNS)
+
+
+def test_the_command_writes_a_page_and_a_picture(tmp_path, monkeypatch):
     def fake(config, variables):
         poses = config.model.poses
         return lambda partials, eyes: Predictions(
             np.concatenate([partials + np.float32(0.1)] * poses, axis=1)
         )
 
-    source = RecordedCells(CELLS)
-    page = tmp_path / "out" / "cells.html"
-    place = ["--dataset=recordings", f"--data_dir={source.root}", "--split=all"]
-    sizes = ["--limit=3", "--size=32", "--columns=1", f"--output={page}"]
+    page, source = tmp_path / "out" / "cells.html", RecordedCells(CELLS)
+    place = ["--dataset=recordings", f"--data_dir={CELLS}", "--split=all"]
+    sizes = ["--limit=2", "--size=32", "--columns=1", f"--output={page}"]
     monkeypatch.setattr(gallery, "prism_completer", fake)
     assert launching.run(gallery, *place, *sizes) == 0
     text = page.read_text().replace("\\u002f", "/")
-    for index in range(3):
-        assert (
-            f"{index + 1}. {source[index].category} {source[index].name}: CD-L2" in text
-        )
+    for number, example in enumerate((source[0], source[1]), start=1):
+        assert f"{number}. {example.category} {example.name}: CD-L2" in text
     with Image.open(page.with_suffix(".png")) as picture:
-        assert picture.size == (4 * 32, 3 * (32 + 15))
+        assert picture.size == (4 * 32, 2 * (32 + 15))

@@ -12,13 +12,19 @@ from experiments.indices import index_table
 from prism_jax.data.augmentation import Augmentation
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.geometry.neighbors import knn
 from prism_jax.models.backbone import partial_indices
 from tests.training.conftest import Boxes, framed
 
 __all__ = ["framed"]
 
 FRAMING = Framing(64, 16, 1.4)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_at_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(indices, "_AT_ONCE", 8)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +38,9 @@ def config(minimal):
 
 
 @pytest.fixture(scope="module")
-def search(config):
-    return jax.jit(lambda partials: partial_indices(partials, config))
-
-
-@pytest.fixture(scope="module")
 def table(examples, config):
     """Of twenty examples, eight at a time: the last batch is not full."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(indices, "_AT_ONCE", 8)
-        return index_table(examples, FRAMING, config)
+    return index_table(examples, FRAMING, config)
 
 
 def assert_equal(found, expected):
@@ -50,20 +49,17 @@ def assert_equal(found, expected):
         np.testing.assert_array_equal(a, b)
 
 
-def test_each_row_is_what_the_encoder_would_look_up(table, examples, framed, search):
+def test_each_row_is_what_the_encoder_would_look_up(table, examples, framed, config):
+    """Of every batch too, mirrored or not."""
+    search = jax.jit(lambda partials: partial_indices(partials, config))
     assert {leaf.dtype for leaf in jax.tree.leaves(table)} == {np.dtype(np.uint16)}
-    assert table.rows[0].shape[0] == 20
-    assert_equal(table, search(framed(examples, range(20), FRAMING).partial))
-
-
-def test_and_of_every_batch_mirrored_or_not(table, examples, framed, search):
     plain = framed(examples, range(20), FRAMING)
+    assert_equal(table, search(plain.partial))
     batches = training_batches(examples, FRAMING, 20, seed=0, indices=table)
-    mirrored = 0
+    known, mirrored = {partial.tobytes() for partial in plain.partial}, 0
     for _ in range(2):
         batch = next(batches)
         assert_equal(batch.indices, search(batch.partial))
-        known = {partial.tobytes() for partial in plain.partial}
         mirrored += sum(partial.tobytes() not in known for partial in batch.partial)
     assert 5 < mirrored < 35
 
@@ -73,39 +69,22 @@ def test_they_name_the_same_points_of_what_is_turned_and_in_no_order(config):
     cells = RecordedCells(CELLS)
     assert cells[0].any_heading and not cells[0].ordered
     table = index_table(cells, FRAMING, config)
-
-    def found_and_nearest(partial, indices):
-        centers = partial[indices.rows[0]]
-        found = partial[indices.neighbors[0]]
-        nearest = partial[knn(centers, partial, found.shape[1])]
-        return [((near - centers[:, None]) ** 2).sum(-1) for near in (found, nearest)]
-
     batch = next(training_batches(cells, FRAMING, 12, seed=0, indices=table))
-    found, nearest = jax.vmap(found_and_nearest)(batch.partial, batch.indices)
-    np.testing.assert_allclose(found, nearest, rtol=1e-3, atol=1e-5)
+    given = batch.partial, batch.indices.rows[0], batch.indices.neighbors[0]
+    for partial, centers, neighbors in zip(*given, strict=True):
+        squared = ((partial[centers][:, None] - partial) ** 2).sum(-1)
+        found = np.take_along_axis(squared, neighbors.astype(int), axis=1)
+        nearest = np.sort(squared, axis=1)[:, : found.shape[1]]
+        np.testing.assert_allclose(found, nearest, rtol=1e-3, atol=1e-5)
 
 
-def test_a_table_that_is_too_large_is_not_made(table, examples, config, monkeypatch):
+def test_none_is_made_if_it_is_too_large_or_partials_change(
+    table, examples, config, monkeypatch
+):
+    spoiled = dataclasses.replace(FRAMING, augmentation=Augmentation(crop=0.5))
+    assert index_table(examples, spoiled, config) is None
+    complete = [examples[0]._replace(partial=None, eye=None)]
+    assert index_table(complete, FRAMING, config) is None
     size = sum(leaf.nbytes for leaf in jax.tree.leaves(table))
     monkeypatch.setattr(indices, "MAX_BYTES", size - 1)
     assert index_table(examples, FRAMING, config) is None
-    monkeypatch.setattr(indices, "MAX_BYTES", size)
-    assert index_table(examples, FRAMING, config) is not None
-
-
-def test_nor_one_of_partials_that_are_cropped_anew_every_time(examples, config):
-    class Complete:
-        categories, objects = examples.categories, examples.objects
-
-        def __len__(self):
-            return len(examples)
-
-        def __getitem__(self, index):
-            return examples[index]._replace(partial=None, eye=None)
-
-    assert index_table(Complete(), FRAMING, config) is None
-
-
-def test_nor_one_of_partials_that_are_spoiled_when_they_are_read(examples, config):
-    spoiled = dataclasses.replace(FRAMING, augmentation=Augmentation(crop=0.5))
-    assert index_table(examples, spoiled, config) is None

@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 
 from experiments.published import published_columns, published_options
-from prism_jax.data.public.pcn import PCN
 from prism_jax.data.public.shapenet import ShapeNet
 from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.protocol import Protocol
 from prism_jax.evaluation.run import Predictions, evaluate
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from tests.public_sets import write_pcn, write_shapenet55
-
-DIFFICULTIES = {"easy": 1.0, "median": 2.0, "hard": 6.0}
+from tests.public_sets import write_shapenet55
 
 
 def row(name, category, value) -> ExampleScores:
@@ -26,7 +23,7 @@ def test_shapenet_averages_categories_and_not_examples():
     rows = [
         row(f"{name}/{difficulty}/{view}", name[:3], 1e-3 * factor * value)
         for name, factor in factors.items()
-        for difficulty, value in DIFFICULTIES.items()
+        for difficulty, value in [("easy", 1.0), ("median", 2.0), ("hard", 6.0)]
         for view in range(8)
     ]
     result = summarise(rows, ("bag", "car"), np.arange(96) // 24)
@@ -38,6 +35,7 @@ def test_shapenet_averages_categories_and_not_examples():
 
 
 def test_pcn_has_a_column_a_category():
+    assert published_options("pcn") == {}
     rows = [row(f"{i}", "car" if i else "bag", 1e-3 * (i + 1)) for i in range(4)]
     columns = published_columns("pcn", summarise(rows, ("bag", "car"), np.arange(4)))
     expected = {"bag": 1.0, "car": 3.0, "Average": 2.0, "F-Score@1%": 2e-3}
@@ -50,9 +48,6 @@ def test_the_published_test_of_shapenet(tmp_path):
     options = published_options("shapenet55")
     source = ShapeNet("ShapeNet-55", tmp_path, "test", **options)
     assert source.objects.tolist() == [0] * 24
-    names = [source[i].name for i in (0, 7, 8, 23)]
-    tails = ["easy/0", "easy/7", "median/0", "hard/7"]
-    assert names == [f"02691156-model0/{tail}" for tail in tails]
     assert [len(source[i].partial) for i in (0, 8, 16)] == [6144, 4096, 2048]
     given = []
 
@@ -62,7 +57,6 @@ def test_the_published_test_of_shapenet(tmp_path):
 
     protocol = Protocol(256, 1.4, "own", "own", with_emd=False)
     result = evaluate(same, source, protocol, batch_size=8)
-    assert (result["num_examples"], result["num_objects"]) == (24, 1)
     columns = published_columns("shapenet55", result)
     # All pairs, of the first test of each difficulty.
     for start, head in ((0, "CD-S"), (8, "CD-M"), (16, "CD-H")):
@@ -73,18 +67,3 @@ def test_the_published_test_of_shapenet(tmp_path):
         expected = (gaps.min(0) ** 2).mean() + (gaps.min(1) ** 2).mean()
         assert np.isclose(kept[0], expected, rtol=1e-4)
     assert columns["CD-S"] < columns["CD-M"] < columns["CD-H"]
-
-
-def test_the_published_test_of_pcn(tmp_path):
-    """Answers that are known, moved by far less than points lie apart."""
-    write_pcn(tmp_path)
-    source = PCN(tmp_path, "test", **published_options("pcn"))
-    protocol = Protocol(128, 1.4, "own", "own", with_emd=False)
-    answers = np.stack([source[i].complete for i in range(2)])
-    moved = Predictions(answers + np.float32([0.002, 0.0, 0.0]))
-    result = evaluate(lambda p, e: moved, source, protocol)
-    columns = published_columns("pcn", result)
-    assert list(columns) == ["airplane", "car", "Average", "F-Score@1%"]
-    assert np.isclose(columns["car"], 2.0, rtol=0.01)
-    assert np.isclose(columns["Average"], 2.0, rtol=0.01)
-    assert columns["F-Score@1%"] == 1.0

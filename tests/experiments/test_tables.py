@@ -11,10 +11,7 @@ import pytest
 from experiments import settings, table_1, table_2, table_3
 from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
-from experiments.baselines.pcn import PCN
-from experiments.baselines.weights import load_network, with_weights
 from experiments.comparison import Row, comparison
-from experiments.scoring import in_one_pose, network_size, prism_size
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.weights import (
@@ -24,8 +21,9 @@ from prism_jax.completion.weights import (
     save_weights,
 )
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation.protocol import Protocol
-from prism_jax.evaluation.run import Predictions, evaluate, network_completer
+from prism_jax.evaluation.metrics import Scores
+from prism_jax.evaluation.run import Predictions
+from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.models.variables import pop_encoders
 from tests import launching
 
@@ -46,8 +44,7 @@ def fake(config, variables):
 
 def run(module, output, *arguments):
     """The table that the command writes, and what it prints."""
-    root = CELLS
-    place = ["--dataset=recordings", f"--data_dir={root}", "--limit=2"]
+    place = ["--dataset=recordings", f"--data_dir={CELLS}", "--limit=2"]
     place += ["--split=all", f"--output={output}"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "prism_completer", fake)
@@ -56,87 +53,79 @@ def run(module, output, *arguments):
     return json.loads(output.read_text()), printed.getvalue()
 
 
-def quick_networks(module, variables):
-    """PCN as it is, and of others the partial, moved further the more parameters."""
-    if isinstance(module, PCN):
-        return network_completer(module, variables)
-    step = np.float32(1e-9 * table_1.count(variables))
-    return lambda partials, eyes: Predictions(partials + step)
+def quick_network(module, variables):
+    """The partial, moved."""
+    return lambda partials, eyes: Predictions(partials + np.float32(0.01))
 
 
-@pytest.mark.slow
 def test_table_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(table_1, "network_completer", quick_networks)
-    table, text = run(table_1, tmp_path / "1.json", "--longer=small")
+    averaged = []
+
+    def training_mean(source, margin, count):
+        averaged.append(source)
+        return np.zeros((count, 3), np.float32)
+
+    sources = {"all": RecordedCells(CELLS), "seen": object()}
+    for name, stand_in in {
+        "training_mean": training_mean,
+        "training_split": lambda dataset: "seen",
+        "open_split": sources.get,
+        "mirrored": lambda partials, count: partials,
+        "network_completer": quick_network,
+    }.items():
+        monkeypatch.setattr(table_1, name, stand_in)
+    given = "--longer=small", "--network=pcn"
+    table, text = run(table_1, tmp_path / "1.json", *given)
     rows = table["rows"]
     assert list(rows) == [
-        *("partial", "training mean", "partial and its mirror image"),
-        *(table_1.LABELS[name] for name in with_weights()),
+        *("partial", "training mean", "partial and its mirror image", "PCN"),
         *("CRA-PCN", "PRISM, not adapted", "PRISM", table_1.TOLD),
         "small, not adapted",
     ]
-    # The fake gives back the partial, whatever the weights. The assignment of the EMD
-    # starts from that of the cloud before, and adds up in another order.
-    small, ours = (rows[f"{name}, not adapted"]["mean"] for name in ("small", "PRISM"))
-    assert small == pytest.approx(ours, rel=1e-12)
-    assert table["against"] == "CRA-PCN"
-    others = [rows[table_1.LABELS[name]] for name in with_weights() if name != "pcn"]
-    others.sort(key=lambda row: row["parameters"])
-    moved = [row["mean"]["cd_l2"] for row in others]
-    assert moved == sorted(set(moved))
-    # The fake gives back the partial, of 512 points, if it does not adapt.
-    plain, adapted = rows["PRISM, not adapted"]["mean"], rows["PRISM"]["mean"]
-    assert rows["CRA-PCN"]["mean"] == pytest.approx(plain)
-    assert adapted["cd_l2"] != pytest.approx(plain["cd_l2"], rel=0.01)
-    # It gives another answer to who is told what else the scan holds.
-    assert rows[table_1.TOLD]["mean"]["cd_l2"] != pytest.approx(
-        plain["cd_l2"], rel=0.01
-    )
+    assert averaged == [sources["seen"]]
+    assert table["against"] == "CRA-PCN" and table["data"] == "recordings"
+    # The fake gives back the partial, of 512 points, if it does not adapt; and another
+    # answer to who is told what else the scan holds.
+    means = {label: row["mean"]["cd_l2"] for label, row in rows.items()}
+    plain = means["PRISM, not adapted"]
+    assert means["CRA-PCN"] == pytest.approx(plain)
+    assert means["small, not adapted"] == pytest.approx(plain)
+    for label in ("PRISM", table_1.TOLD, "PCN"):
+        assert means[label] != pytest.approx(plain, rel=1e-4)
+    change = table["told"]["cd_l2"]["change"]
+    assert change == pytest.approx(means[table_1.TOLD] / plain - 1, rel=1e-4)
     _, variables = load_pretrained(located("prism"))
     assert rows["PRISM"]["parameters"] == table_1.count(variables)
     assert 0 < rows["CRA-PCN"]["parameters"] < rows["PRISM"]["parameters"]
     assert rows["training mean"]["parameters"] is None
     assert rows["training mean"]["samples"] is None
-    assert rows["PRISM"]["samples"] == samples_seen(read_metadata(located("prism")))
-    assert rows["PCN"]["samples"] == samples_seen(read_metadata(located("pcn")))
-    assert "| training mean | " in text
-    assert len(table["best_others"]) == 7
-    assert "| CD-L2 x1e4 | " in text
-    told = rows[table_1.TOLD]["mean"]["cd_l2"] / plain["cd_l2"] - 1
-    assert table["told"]["cd_l2"]["change"] == pytest.approx(told, rel=1e-4)
-    assert table["data"] == "recordings"
+    for label, name in (("PRISM", "prism"), ("PCN", "pcn")):
+        assert rows[label]["samples"] == samples_seen(read_metadata(located(name)))
+    assert "| training mean | " in text and "| CD-L2 x1e4 | " in text
 
 
 def test_ours_is_compared_with_the_best_of_the_others_metric_by_metric():
-    protocol = Protocol(256, 1.4, with_measured=False)
+    def scored(**others):
+        scores = Scores(**(dict.fromkeys(Scores._fields, 0.4) | others))
+        clouds = {"partial": scores, "network": scores}
+        examples = [ExampleScores(name, "bag", None, clouds) for name in "ab"]
+        return Row({"unit": "metres", **summarise(examples, ("bag",), np.arange(2))})
 
-    def scored(fraction, shift):
-        def complete(partials, _):
-            count = int(fraction * partials.shape[1])
-            return Predictions(partials[:, :count] + np.float32(shift))
-
-        return Row(evaluate(complete, RecordedCells(CELLS), protocol))
-
-    rows = {"near": scored(0.25, 0), "full": scored(1, 0.01), "ours": scored(1, 0.02)}
-    found = table_1.best_others({k: rows[k] for k in ("near", "full")}, rows["ours"])
-    assert found["prediction_to_truth"]["row"] == "near"
-    assert found["truth_to_prediction"]["row"] == "full"
-    for metric, best in found.items():
-        mean, ours = (
-            rows[name].result["clouds"]["network"]["mean"][metric]
-            for name in (best["row"], "ours")
-        )
-        assert best["change"]["change"] == pytest.approx(ours / mean - 1, rel=1e-5)
-        others = [
-            rows[name].result["clouds"]["network"]["mean"][metric]
-            for name in ("near", "full")
-        ]
-        assert mean == (max(others) if metric == "f_score" else min(others))
-    table = comparison(rows | {table_1.OURS: rows["ours"]}, "full")
-    text = table_1.table_markdown(table | {"best_others": found})
-    lines = text.rpartition("\n\n")[2].splitlines()
+    near = scored(prediction_to_truth=0.1, cd_l2=0.3, f_score=0.2)
+    full = scored(truth_to_prediction=0.1, cd_l2=0.2, f_score=0.8)
+    ours = scored()
+    found = table_1.best_others({"near": near, "full": full}, ours)
+    best = {"prediction_to_truth": 0.1, "truth_to_prediction": 0.1, "cd_l2": 0.2}
+    for metric, value in (best | {"f_score": 0.8}).items():
+        change = found[metric]["change"]["change"]
+        assert change == pytest.approx(0.4 / value - 1, rel=1e-5)
+        nearest = metric == "prediction_to_truth"
+        assert found[metric]["row"] == ("near" if nearest else "full")
+    rows = {"near": near, "full": full, table_1.OURS: ours}
+    table = comparison(rows, "full") | {"best_others": found}
+    lines = table_1.table_markdown(table).rpartition("\n\n")[2].splitlines()
     assert len(lines) == 2 + len(found) == 9
-    assert lines[2].startswith(f"| CD-L2 x1e4 | {found['cd_l2']['row']} | ")
+    assert lines[2].startswith("| CD-L2 x1e4 | full | 2000 ")
 
 
 def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
@@ -146,30 +135,22 @@ def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
     assert status == 0, told
     for name, *arguments in commands:
         launching.parse(name, *arguments)
-        changes = [flag[6:] for flag in arguments if flag.startswith("--set=")]
-        settings.resolve("small", changes)
-    names = [command[0] for command in commands]
-    assert names == ["train_baseline"] * len(NETWORKS) + ["train"] * 2
-    assert {
-        flag.partition("=")[2]
-        for command in commands
-        for flag in command
-        if flag.startswith("--network=")
-    } == set(NETWORKS)
+        settings.resolve("small", [x[6:] for x in arguments if x[:6] == "--set="])
+    assert [command[0] for command in commands] == ["train_baseline"] * len(
+        NETWORKS
+    ) + ["train"] * 2
+    given_names = [flag for c in commands for flag in c if flag[:10] == "--network="]
+    assert {flag[10:] for flag in given_names} == set(NETWORKS)
     for command in commands:
         assert {"--seed=3", "--mixture=shapes:1", "--preset=small"} <= set(command)
-    for command in commands[:-2]:
-        assert "--samples=640" in command
-    for command in commands[-2:]:
-        phases = (128, 512)
-        assert {
-            f"--set=pretrain.backbone.{i}.num_samples={count}"
-            for i, count in enumerate(phases)
-        } <= set(command)
+        if command[0] == "train":
+            phases = "--set=pretrain.backbone.{}.num_samples={}"
+            assert {phases.format(0, 128), phases.format(1, 512)} <= set(command)
+        else:
+            assert "--samples=640" in command
     table = told.strip().splitlines()[-1].split()
     assert table[:3] == ["python", "-m", "experiments.table_1"]
-    named = [word for word in table if word.startswith("--network=")]
-    assert len(named) == len(NETWORKS)
+    assert sum(word.startswith("--network=") for word in table) == len(NETWORKS)
     launching.parse("table_1", *table[3:])
     # What is done is not done again, and others are not begun.
     assert scripted("train_table_1.sh", place, *given)[2] == []
@@ -177,9 +158,8 @@ def test_the_script_trains_every_network_on_as_many_samples(scripted, tmp_path):
     _, _, commands = scripted("train_table_1.sh", more, "--only=crapcn")
     assert [command[0] for command in commands] == ["train"]
     assert "--set=model.backbone.reads_visibility=False" in commands[0]
-    for wrong in ("--only=nothing", "--samples=half", "nothing"):
-        status, told, commands = scripted("train_table_1.sh", more, wrong)
-        assert status == 2 and not commands and told.startswith("train_table_1: ")
+    status, told, commands = scripted("train_table_1.sh", more, "--only=nothing")
+    assert status == 2 and not commands and told.startswith("train_table_1: ")
 
 
 def test_table_two(tmp_path, monkeypatch):
@@ -204,29 +184,23 @@ def test_table_two(tmp_path, monkeypatch):
 
 
 def test_table_three(tmp_path):
-    arguments = [f"--weights={label}=small-meta" for label in table_3.VARIANTS]
+    labels = [*table_3.VARIANTS, "mine"]
+    arguments = [f"--weights={label}=small-meta" for label in labels]
     table, _ = run(table_3, tmp_path / "3.json", *arguments)
     rows = table["rows"]
-    assert list(rows) == [
+    assert list(rows)[:-2] == [
         *("partial", "none", "align, not adapted", "align"),
         *("align + normal, not adapted", "align + normal"),
         *("align + denoise, not adapted", "align + denoise", "all, not adapted", "all"),
     ]
     means = {label: row["mean"]["cd_l2"] for label, row in rows.items()}
-    # The fake moves by its steps: not those of "none", whatever its weights say.
-    assert means["none"] == means["all, not adapted"] != means["all"]
+    # All were given the same weights. The fake moves by its steps: not those of
+    # "none", whatever its weights say.
+    assert means["none"] == means["all, not adapted"] != means["all"] == means["align"]
     assert table["against"] == "none"
 
 
-def test_table_three_asks_for_a_label(tmp_path, capsys):
-    with pytest.raises(AssertionError):
-        run(table_3, tmp_path / "3.json", "--weights=small")
-    assert "write LABEL=NAME|FILE" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "module", [table_3, table_2, pytest.param(table_1, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("module", [table_3, table_2])
 def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
     module, tmp_path, capsys, monkeypatch, minimal, minimal_variables
 ):
@@ -235,6 +209,8 @@ def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
     monkeypatch.setattr(module, "run_evaluation", None)
     flag = f"--weights={'all=' if module is table_3 else ''}{path}"
     place = ("--dataset=shapes", f"--data_dir={tmp_path}")
+    assert launching.run(table_3, "--weights=small") == 2
+    assert "write LABEL=NAME|FILE" in capsys.readouterr().err
     assert launching.run(module, flag, *place) == 2
     told = capsys.readouterr().err
     small, sizes = "512 points to 2048, margin 1.4", told.partition("made for ")[2]
@@ -266,22 +242,8 @@ def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
 
 
 def test_equal_weights_are_those_before_learning():
-    _, variables = load_pretrained("small")
-    logits = variables["weighting"]["logits"] + jnp.array([1.0, 2.0, 3.0])
-    moved = {**variables, "weighting": {**variables["weighting"], "logits": logits}}
-    found = table_2.equally_weighted(moved)
-    assert not found["weighting"]["logits"].any()
     logits = jnp.array([-jnp.inf, 2.0, 3.0])
-    moved["weighting"] = {**moved["weighting"], "logits": logits}
-    alone = table_2.equally_weighted(moved)["weighting"]["logits"]
-    assert alone.tolist() == [-np.inf, 0, 0]
-    assert found["params"] is variables["params"]
-
-
-def test_networks_are_compared_in_one_pose():
-    """Else ours would have as many times the others' points as it has poses."""
-    assert load_pretrained("small")[0].model.poses > 1
-    config, _ = in_one_pose("small")
-    size = prism_size(config)
-    module, variables = load_network("pcn")
-    assert size == network_size(module, variables, config.model.margin)
+    variables = {"params": object(), "weighting": {"logits": logits, "scales": 1}}
+    found = table_2.equally_weighted(variables)
+    assert found["weighting"]["logits"].tolist() == [-np.inf, 0, 0]
+    assert found["params"] is variables["params"] and found["weighting"]["scales"] == 1

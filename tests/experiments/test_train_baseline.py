@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from experiments import train, train_baseline
+from experiments import train_baseline
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.pcn import PCN, PCNConfig
 from experiments.baselines.weights import load_network
@@ -19,45 +19,39 @@ TINY = PCNConfig(
 
 @pytest.fixture
 def run(few_shapes, monkeypatch):
-    """``run(launcher, flags)``: the exit status, with a PCN of the size of `tiny`."""
+    """``run(flags)``: the exit status, with a PCN of the size of `tiny`."""
     monkeypatch.setitem(NETWORKS["pcn"], "tiny", PCN(TINY))
     given = ["--preset=tiny", f"--data_dir={few_shapes}"]
-    return lambda launcher, *flags: launching.run(launcher, *given, *flags)
+    return lambda *flags: launching.run(train_baseline, *given, *flags)
 
 
 def begun(folder):
     return json.loads((folder / "config.json").read_text())["config"]
 
 
-@pytest.mark.slow
-def test_it_trains_on_a_mixture_as_pretraining_does(run, tmp_path, monkeypatch):
-    own, other = tmp_path / "baseline", tmp_path / "pretrained"
-    mixture = ("--mixture=shapes:2", "--whole=0.25")
-    flags = *mixture, f"--workdir={own}", "--network=pcn", "--samples=16"
-    assert run(train_baseline, *flags) == 0
-    path = str(own / "weights.safetensors")
-    metadata = read_metadata(path)
-    assert metadata["network"] == "pcn" and metadata["samples"] == 16
-    assert load_network(path)[0].config == TINY
-    monkeypatch.setattr(train, "pretrain", lambda *_: None)
-    assert run(train, *mixture, f"--workdir={other}") == 0
-    assert begun(own)["data"] == begun(other)["data"]
-    assert begun(own)["data"]["mixture"] == {"shapes": 2.0}
-    assert begun(own)["data"]["whole"] == 0.25
+@pytest.mark.parametrize("done", [False, True])
+def test_what_is_trained_and_on_how_much(run, tmp_path, monkeypatch, capsys, done):
+    """By itself as many samples as both phases and the meta-training of the preset."""
+
+    def train_phase(phase, data, folder, *_):
+        return Trained(phase.start.variables, phase.start, done)
+
+    monkeypatch.setattr(train_baseline, "train_phase", train_phase)
+    flags = ["--mixture=shapes:2", "--whole=0.25", "--samples=16"] if done else []
+    assert run(f"--workdir={tmp_path}", "--network=pcn", *flags) == 0
+    data, path = begun(tmp_path)["data"], tmp_path / "weights.safetensors"
+    assert begun(tmp_path)["samples"] == (16 if done else 64 + 64 + 128)
+    if done:
+        assert data["mixture"] == {"shapes": 2.0} and data["whole"] == 0.25
+        metadata = read_metadata(str(path))
+        assert metadata["network"] == "pcn" and metadata["samples"] == 16
+        assert load_network(str(path))[0].config == TINY
+    else:
+        assert data["dataset"] == "shapes" and not path.exists()
+        assert "stopped; resume with" in capsys.readouterr().out
 
 
-def test_as_many_samples_as_the_presets_own(run, tmp_path, monkeypatch, capsys):
-    """Of both phases and the meta-training."""
-
-    def stopped(phase, data, folder, *_):
-        return Trained(phase.start.variables, phase.start, False)
-
-    monkeypatch.setattr(train_baseline, "train_phase", stopped)
-    assert run(train_baseline, f"--workdir={tmp_path}", "--network=pcn") == 0
-    assert "stopped; resume with" in capsys.readouterr().out
-    assert begun(tmp_path)["samples"] == 64 + 64 + 128
-    assert begun(tmp_path)["data"]["dataset"] == "shapes"
-    flags = f"--workdir={tmp_path / 'run'}", "--network=fsc"
-    assert run(train_baseline, *flags) == 2
+def test_a_network_without_the_preset_is_refused(run, tmp_path, capsys):
+    assert run(f"--workdir={tmp_path / 'run'}", "--network=fsc") == 2
     assert "fsc has no preset tiny" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -6,6 +6,7 @@ from tests import launching
 
 def test_every_command_in_order(scripted, tmp_path):
     place = f"--workdir={tmp_path}/run"
+    assert scripted("train_small.sh", "--seed=3")[0] == 2
     status, told, commands = scripted("train_small.sh", place, "--seed=3")
     assert status == 0, told
     for name, *arguments in commands:
@@ -23,11 +24,7 @@ def test_every_command_in_order(scripted, tmp_path):
     assert commands[-1][0] == "interpolate" and "--share=0.75" in commands[-1]
     again = scripted("train_small.sh", place)[2]
     assert {command[0] for command in again} == {"make_data", "pack"}
-
-
-def test_it_ends_where_it_stops(scripted, tmp_path):
-    place = f"--workdir={tmp_path}/run"
+    place = f"--workdir={tmp_path}/other"
     status, told, commands = scripted("train_small.sh", place, stops="/04 ")
     assert status == 0 and "goes on, with more --max_steps or none" in told
     assert f"{place}/04" in commands[-1]
-    assert scripted("train_small.sh", "--seed=3")[0] == 2

@@ -10,6 +10,8 @@ from scipy.spatial import KDTree
 from prism_jax.geometry import neighbors
 from prism_jax.geometry.neighbors import knn, nearest, three_point_interpolate
 
+# They share what they compile.
+
 RNG = np.random.default_rng(0)
 jit_nearest = jax.jit(nearest)
 jit_knn = jax.jit(knn, static_argnums=2)
@@ -32,10 +34,13 @@ def cloud(count: int, kind: str = "gaussian") -> np.ndarray:
 
 
 KINDS = ["gaussian", "duplicates", "collinear", "grid", "clustered", "far"]
-# Below, at and above the lengths of the runs and the size searched directly.
-SIZES = [(1, 1), (7, 31), (40, 33), (60, 1024), (50, 1500)]
-# And above those at which `top_k` takes the place of sorted lists.
-MANY = [(SIZES[-1], 16), (SIZES[-1], 40), ((50, 4500), 16)]
+
+
+def pairs(num_queries, num_supports):
+    """A query and a support of every kind, and points of a support sought in it."""
+    found = [(cloud(num_queries, kind), cloud(num_supports, kind)) for kind in KINDS]
+    support = cloud(num_supports)
+    return [*found, (support[:num_queries], support)]
 
 
 def squared(query, support, indices):
@@ -44,100 +49,99 @@ def squared(query, support, indices):
     return ((query[:, None] - support[np.asarray(indices)]) ** 2).sum(-1)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("sizes", SIZES)
-def test_nearest_agrees_with_a_tree(sizes, kind):
-    query, support = cloud(sizes[0], kind), cloud(sizes[1], kind)
-    distances, indices = jit_nearest(query, support)
-    expected = KDTree(np.float64(support)).query(np.float64(query))[0] ** 2
-    assert np.allclose(distances, expected, rtol=1e-5, atol=1e-12)
-    assert np.allclose(squared(query, support, indices[:, None])[:, 0], distances)
+# One run, some of which the last is full, and some of which it is not.
+@pytest.mark.parametrize("sizes", [(1, 1), (50, 1024), (50, 1500)])
+def test_nearest_agrees_with_a_tree(sizes):
+    for query, support in pairs(*sizes):
+        distances, indices = jit_nearest(query, support)
+        expected = KDTree(np.float64(support)).query(np.float64(query))[0] ** 2
+        assert np.allclose(distances, expected, rtol=1e-5, atol=1e-12)
+        assert np.allclose(squared(query, support, indices[:, None])[:, 0], distances)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("sizes", "k"), [*[(s, 3) for s in SIZES[1:]], *MANY])
-def test_knn_agrees_with_a_tree(sizes, k, kind):
-    query, support = cloud(sizes[0], kind), cloud(sizes[1], kind)
-    indices = np.asarray(jit_knn(query, support, k))
-    expected = KDTree(np.float64(support)).query(np.float64(query), k)[0] ** 2
-    # Comparing distances, since equally near supports may be listed in any order.
-    assert np.allclose(squared(query, support, indices), expected, rtol=1e-5, atol=1e-9)
-    assert all(len(set(row)) == k for row in indices)
+# Searched directly or by runs, of which there may be many; by sorted lists or `top_k`.
+@pytest.mark.parametrize(
+    ("sizes", "k"),
+    [((7, 31), 3), ((50, 100), 40), ((50, 1500), 16), ((50, 1500), 40)]
+    + [((50, 4500), 16)],
+)
+def test_knn_agrees_with_a_tree(sizes, k):
+    for query, support in pairs(*sizes):
+        indices = np.asarray(jit_knn(query, support, k))
+        expected = KDTree(np.float64(support)).query(np.float64(query), k)[0] ** 2
+        # Of distances, since equally near supports may be listed in any order.
+        found = squared(query, support, indices)
+        assert np.allclose(found, expected, rtol=1e-5, atol=1e-9)
+        assert all(len(set(row)) == k for row in indices)
 
 
-def test_blocks_of_queries_change_nothing(monkeypatch, support_size=2000):
-    support = cloud(support_size)
-    query = cloud(50) + np.float32(0.05)
-
-    def found():
-        """Compiled anew."""
-        return jax.jit(lambda q, s: (*nearest(q, s), knn(q, s, 4)))(query, support)
-
-    whole = found()
+def test_blocks_of_queries_change_nothing(monkeypatch):
+    query, support = cloud(50), cloud(1500)
+    whole = *jit_nearest(query, support), jit_knn(query, support, 16)
     for name in ("_NEAREST_PAIRS", "_KNN_PAIRS"):
-        assert query.shape[0] * support_size <= getattr(neighbors, name)
-        monkeypatch.setattr(neighbors, name, 7 * support_size)
-    assert all(map(np.array_equal, found(), whole))
+        assert query.shape[0] * support.shape[0] <= getattr(neighbors, name)
+        monkeypatch.setattr(neighbors, name, 7 * support.shape[0])
+    blocks = jax.jit(lambda q, s: (*nearest(q, s), knn(q, s, 16)))(query, support)
+    assert all(map(np.array_equal, blocks, whole))
 
 
-def test_a_point_finds_itself_first():
-    points = cloud(1500)
-    assert np.array_equal(jit_knn(points, points, 16)[:, 0], np.arange(1500))
-    distances, indices = jit_nearest(points, points)
-    assert np.all(distances == 0) and np.array_equal(indices, np.arange(1500))
-
-
-def test_knn_agrees_with_the_reference_model(golden):
-    ops = golden("ops.npz")
-    for query, support, expected in zip(
-        ops["knn/query"], ops["knn/support"], ops["knn/idx16"], strict=True
-    ):
-        found = np.asarray(jit_knn(query, support, 16))
-        assert np.array_equal(np.sort(found, axis=1), np.sort(expected, axis=1))
-
-
-@pytest.mark.parametrize("support_size", [3, 40, 2000])
-def test_ties_go_to_the_lowest_index(support_size):
-    support = jnp.ones((support_size, 3))
+@pytest.mark.parametrize(("sizes", "k"), [((7, 31), 3), ((50, 1500), 16)])
+def test_ties_go_to_the_lowest_index(sizes, k):
+    support = jnp.ones((sizes[1], 3))
     # In 64ths, whose squares are exact: ties are ties however a compiler rounds.
-    query = np.round(64 * cloud(50)) / np.float32(64)
+    query = np.round(64 * cloud(sizes[0])) / np.float32(64)
     assert np.all(jit_nearest(query, support)[1] == 0)
-    assert np.all(jit_knn(query, support, 3) == np.arange(3))
+    assert np.all(jit_knn(query, support, k) == np.arange(k))
 
 
-def test_too_few_supports_repeat_the_last():
+def test_too_few_supports_repeat_the_last_and_none_are_refused():
     support = jnp.array([[0.0, 0, 0], [3.0, 0, 0]])
     indices = jit_knn(jnp.array([[2.0, 0, 0], [1.0, 0, 0]]), support, 4)
     assert np.array_equal(indices, [[1, 0, 0, 0], [0, 1, 1, 1]])
-    assert np.array_equal(jit_knn(support[:1], support[:1], 3), [[0, 0, 0]])
+    for search in (nearest, lambda query, support: knn(query, support, 2)):
+        with pytest.raises(ValueError, match="at least one point to find"):
+            search(support, support[:0])
 
 
-def test_nearest_gradients(x64):
-    query, support = (jnp.asarray(RNG.normal(size=(n, 3))) for n in (6, 9))
-    check_grads(
-        jax.jit(lambda q, s: nearest(q, s)[0] ** 2), (query, support), 2, ("rev",)
-    )
+def test_agrees_with_the_reference_model(golden):
+    ops = golden("ops.npz")
+    for query, support, expected, features, out in zip(
+        ops["knn/query"],
+        ops["knn/support"],
+        ops["knn/idx16"],
+        ops["interp/feat"],
+        ops["interp/out"],
+        strict=True,
+    ):
+        found = np.asarray(jit_knn(query, support, 16))
+        assert np.array_equal(np.sort(found, axis=1), np.sort(expected, axis=1))
+        found = jit_interpolate(query, support, features.T)
+        assert np.allclose(found.T, out, atol=1e-6, rtol=0)
+    given = jit_interpolate(query, support, features.T, jit_knn(query, support, 3))
+    assert np.array_equal(given, found)
 
 
-def test_nearest_gradient_reaches_the_winners_alone():
-    query, support = cloud(5), cloud(50)
-    _, indices = jit_nearest(query, support)
-    gradients = jax.grad(lambda q, s: jit_nearest(q, s)[0].sum(), (0, 1))(
-        query, support
-    )
-    to_query = 2 * (query - support[np.asarray(indices)])
-    to_support = np.zeros_like(support)
-    np.add.at(to_support, np.asarray(indices), -to_query)
-    assert np.allclose(gradients[0], to_query, atol=1e-6)
-    assert np.allclose(gradients[1], to_support, atol=1e-6)
+def test_gradients(x64):
+    """Of distances, and of what is interpolated."""
+    query, support, features = (jnp.asarray(RNG.normal(size=(n, 3))) for n in (4, 6, 6))
+
+    def both(query, support, features):
+        found = three_point_interpolate(query, support, features)
+        return nearest(query, support)[0] ** 2, found
+
+    check_grads(jax.jit(both), (query, support, features), 2, ("rev",))
 
 
-def test_coincident_points_have_a_zero_gradient():
-    points = jnp.asarray(np.repeat(cloud(1), 5, axis=0))
-    gradients = jax.grad(lambda q, s: jit_nearest(q, s)[0].sum(), (0, 1))(
-        points, points
-    )
-    assert all(np.all(g == 0) for g in gradients)
+def test_coincident_points_have_a_finite_gradient():
+    points = jnp.ones((7, 3))
+
+    @jax.jit
+    def both(*points):
+        return nearest(*points[:2])[0].sum(), three_point_interpolate(*points).sum()
+
+    apart, interpolated = jax.jacrev(both, (0, 1, 2))(points, points, points)
+    assert all(np.all(g == 0) for g in apart)
+    assert all(np.all(np.isfinite(g)) for g in interpolated)
 
 
 def test_nearest_takes_linear_memory():
@@ -153,79 +157,25 @@ def test_nearest_takes_linear_memory():
     assert analysis.temp_size_in_bytes < 0.05 * 4 * count**2
 
 
-def test_interpolation_agrees_with_the_reference_model(golden):
-    ops = golden("ops.npz")
-    for query, support, features, expected in zip(
-        ops["knn/query"],
-        ops["knn/support"],
-        ops["interp/feat"],
-        ops["interp/out"],
-        strict=True,
-    ):
-        found = jit_interpolate(query, support, features.T)
-        assert np.allclose(found.T, expected, atol=1e-6, rtol=0)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_interpolation_agrees_with_a_loop(kind):
-    query, support = cloud(20, kind), cloud(30, kind)
-    features = RNG.normal(size=(30, 4)).astype(np.float32)
-    neighbors = jit_knn(query, support, 3)
-    expected = []
-    for point, indices in zip(query, np.asarray(neighbors), strict=True):
-        weights = 1 / (squared(point[None], support, indices[None])[0] + 1e-8)
-        expected.append(weights @ np.float64(features[indices]) / weights.sum())
-    found = jit_interpolate(query, support, features)
-    assert np.allclose(found, expected, rtol=1e-4, atol=1e-5)
-    given = jit_interpolate(query, support, features, neighbors)
-    assert np.array_equal(given, found)
-
-
-def test_interpolation_at_a_support_returns_its_feature():
-    support, features = jnp.asarray(cloud(40)), jnp.asarray(cloud(40))
-    found = jit_interpolate(support, support, features)
-    assert np.allclose(found, features, atol=1e-4)
-    one = jit_interpolate(support, support[:1], features[:1])
-    assert np.allclose(one, jnp.broadcast_to(features[:1], one.shape), atol=1e-6)
-
-
-def test_interpolation_gradients(x64):
-    query, support, features = (jnp.asarray(RNG.normal(size=(n, 3))) for n in (4, 6, 6))
-    check_grads(
-        jax.jit(three_point_interpolate), (query, support, features), 2, ("rev",)
-    )
-
-
-def test_interpolation_of_coincident_points_has_finite_gradients():
-    points = jnp.ones((5, 3))
-    gradients = jax.grad(lambda *x: (jit_interpolate(*x) ** 2).sum(), (0, 1, 2))(
-        points, points, jnp.asarray(cloud(5))
-    )
-    assert all(np.all(np.isfinite(g)) for g in gradients)
-
-
 def test_vmap():
-    queries, supports = cloud(60).reshape(2, 30, 3), cloud(80).reshape(2, 40, 3)
-    distances, indices = jax.jit(jax.vmap(nearest))(queries, supports)
-    neighbors = jax.jit(jax.vmap(lambda q, s: knn(q, s, 4)))(queries, supports)
-    features = jax.jit(jax.vmap(three_point_interpolate))(queries, supports, supports)
-    for i in range(2):
-        pair = (queries[i], supports[i])
-        assert np.array_equal(distances[i], jit_nearest(*pair)[0])
-        assert np.array_equal(indices[i], jit_nearest(*pair)[1])
-        assert np.array_equal(neighbors[i], jit_knn(*pair, 4))
-        assert np.allclose(features[i], jit_interpolate(*pair, supports[i]), atol=1e-6)
+    def every(query, support):
+        found = three_point_interpolate(query, support, support)
+        return *nearest(query, support), knn(query, support, 3), found
+
+    queries, supports = cloud(14).reshape(2, 7, 3), cloud(62).reshape(2, 31, 3)
+    found = jax.jit(jax.vmap(every))(queries, supports)
+    for i, pair in enumerate(zip(queries, supports, strict=True)):
+        expected = (
+            *jit_nearest(*pair),
+            jit_knn(*pair, 3),
+            jit_interpolate(*pair, pair[1]),
+        )
+        assert all(map(np.array_equal, (rows[i] for rows in found[:3]), expected[:3]))
+        assert np.allclose(found[3][i], expected[3], atol=1e-6)
 
 
-def test_an_empty_support_is_refused():
-    with pytest.raises(ValueError, match="at least one point to find"):
-        knn(jnp.zeros((3, 3)), jnp.zeros((0, 3)), 2)
-    with pytest.raises(ValueError, match="at least one point to find"):
-        nearest(jnp.zeros((3, 3)), jnp.zeros((0, 3)))
-
-
-@pytest.mark.parametrize(("count", "k"), [(100, 4), (1000, 4), (1000, 60)])
-def test_indices_have_32_bits_whatever_the_default(x64, count, k):
-    points = jnp.asarray(cloud(count))
-    assert jax.eval_shape(lambda p: knn(p, p, k), points).dtype == jnp.int32
-    assert jax.eval_shape(nearest, points, points)[1].dtype == jnp.int32
+def test_indices_have_32_bits_whatever_the_default(x64):
+    for count, k in ((100, 4), (1000, 4), (1000, 60)):
+        points = jax.ShapeDtypeStruct((count, 3), jnp.float64)
+        assert jax.eval_shape(lambda p, k=k: knn(p, p, k), points).dtype == jnp.int32
+        assert jax.eval_shape(nearest, points, points)[1].dtype == jnp.int32

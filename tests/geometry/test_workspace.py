@@ -7,72 +7,9 @@ import pytest
 from jax.test_util import check_grads
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.workspace import Workspace
 
 RNG = np.random.default_rng(0)
-render = jax.jit(render_depth)
-WORKSPACE = Workspace(jnp.array([0.4, -0.2, 1.5]), jnp.array(0.7))
-
-
-def test_unit_and_back():
-    points = jnp.asarray(RNG.normal(size=(50, 3)), jnp.float32)
-    unit = WORKSPACE.to_unit(points)
-    expected = (np.asarray(points) - [0.4, -0.2, 1.5]) / 0.7
-    assert np.allclose(unit, expected, atol=1e-6)
-    assert np.allclose(WORKSPACE.from_unit(unit), points, atol=1e-6)
-
-
-def test_from_points_is_the_padded_bounding_cube():
-    points = RNG.uniform([-1, 2, 0], [1, 5, 0.5], (200, 3))
-    points[:2] = [[-1, 2, 0], [1, 5, 0.5]]
-    workspace = Workspace.from_points(points, margin=1.25)
-    assert np.allclose(workspace.center, [0, 3.5, 0.25])
-    assert workspace.half_extent == pytest.approx(1.25 * 1.5)
-    unit = workspace.to_unit(points)
-    assert np.abs(unit).max() == pytest.approx(1 / 1.25)
-
-
-def test_from_bounds_takes_plain_lists():
-    workspace = Workspace.from_bounds([0.0, 0, 0], [2.0, 1, 4])
-    assert np.allclose(workspace.center, [1, 0.5, 2])
-    assert workspace.half_extent == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("array", [np.array, jnp.array])
-@pytest.mark.parametrize("count", [1, 5])
-def test_a_cloud_without_extent_gets_a_unit_half_side(array, count):
-    point = array([[3.0, 2.0, 1.0]] * count)
-    workspace = Workspace.from_points(point)
-    assert workspace.half_extent == 1
-    assert np.allclose(workspace.to_unit(point), 0)
-
-
-@pytest.mark.parametrize("array", [np.zeros, jnp.zeros])
-def test_an_empty_cloud_is_refused(array):
-    with pytest.raises(ValueError, match="empty cloud"):
-        Workspace.from_points(array((0, 3)))
-
-
-def test_numpy_keeps_double_precision_far_from_the_origin():
-    near = RNG.normal(size=(100, 3))
-    far = near + np.array([4e5, 5e6, 100.0])
-    expected = Workspace.from_points(near).to_unit(near)
-    assert np.allclose(Workspace.from_points(far).to_unit(far), expected, atol=1e-8)
-
-
-def test_camera_to_unit_sees_the_same_pixels():
-    camera = Camera.look_at((2.0, 1.0, 2.5), WORKSPACE.center, height=32, width=40)
-    points = jnp.asarray(RNG.uniform(-0.7, 0.7, (300, 3)), jnp.float32)
-    points = points + WORKSPACE.center
-    depth, mask = render(points, camera)
-    unit_camera = WORKSPACE.camera_to_unit(camera)
-    unit_depth, unit_mask = render(WORKSPACE.to_unit(points), unit_camera)
-    assert mask.sum() > 50 and np.array_equal(mask, unit_mask)
-    assert np.allclose(unit_depth, np.asarray(depth) / 0.7, atol=1e-5)
-    assert np.allclose(
-        unit_camera.position, WORKSPACE.to_unit(camera.position), atol=1e-5
-    )
 
 
 TURN = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
@@ -81,6 +18,42 @@ TURN = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
 def turned_about(angle):
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+
+
+def test_the_cube_around_a_cloud():
+    points = RNG.uniform([-1, 2, 0], [1, 5, 0.5], (200, 3))
+    points[:2] = [[-1, 2, 0], [1, 5, 0.5]]
+    workspace = Workspace.from_points(points, margin=1.25)
+    assert np.allclose(workspace.center, [0, 3.5, 0.25])
+    assert workspace.half_extent == pytest.approx(1.25 * 1.5)
+    unit = workspace.to_unit(points)
+    assert np.allclose(unit, (points - [0, 3.5, 0.25]) / (1.25 * 1.5))
+    assert np.allclose(workspace.from_unit(unit), points)
+    assert np.array_equal(Workspace.unit().to_unit(points), points)
+    assert np.array_equal(Workspace.unit().from_unit(points), points)
+    # NumPy keeps double precision far from the origin.
+    far = points + np.array([4e5, 5e6, 100.0])
+    assert np.allclose(Workspace.from_points(far).to_unit(far), unit, atol=1e-8)
+    lists = Workspace.from_bounds([0.0, 0, 0], [2.0, 1, 4])
+    assert np.allclose(lists.center, [1, 0.5, 2])
+    assert lists.half_extent == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("array", [np.array, jnp.array])
+def test_a_cloud_without_extent_and_what_is_refused(array):
+    for count in (1, 5):
+        point = array([[3.0, 2.0, 1.0]] * count)
+        workspace = Workspace.from_points(point)
+        assert workspace.half_extent == 1
+        assert np.allclose(workspace.to_unit(point), 0)
+    with pytest.raises(ValueError, match="empty cloud"):
+        Workspace.from_points(point[:0])
+    for half_extent in (-1.0, 0.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="half_extent must be positive and finite"):
+            Workspace(array([0.0, 0, 0]), array(half_extent))
+    for value in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="finite"):
+            Workspace.from_points(array([[0.0, 0, 0], [1, value, 0]]))
 
 
 @pytest.mark.parametrize("rotation", [TURN, turned_about(0.7) @ TURN])
@@ -94,18 +67,6 @@ def test_a_turned_cube_holds_the_cloud_along_its_own_axes(rotation):
     along = points @ rotation.T
     expected = Workspace.from_points(along, 1.25)
     assert np.allclose(unit, expected.to_unit(along))
-
-
-def test_only_the_marked_points_count():
-    points = RNG.normal(size=(50, 3))
-    marked = np.arange(50) % 7 > 0
-    points[~marked] *= 1e3
-    found = Workspace.from_points(points, where=marked)
-    expected = Workspace.from_points(points[marked])
-    assert np.array_equal(found.center, expected.center)
-    assert found.half_extent == expected.half_extent
-    traced = jax.jit(lambda p, m: Workspace.from_points(p, where=m))(points, marked)
-    assert np.allclose(traced.half_extent, expected.half_extent)
 
 
 def test_cameras_to_a_turned_workspace_and_back():
@@ -124,41 +85,6 @@ def test_cameras_to_a_turned_workspace_and_back():
     assert np.allclose(back.rotation, pose, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("half_extent", [-1.0, 0.0, np.nan, np.inf])
-@pytest.mark.parametrize("array", [np.array, jnp.array])
-def test_a_cube_without_volume_is_refused(array, half_extent):
-    with pytest.raises(ValueError, match="half_extent must be positive and finite"):
-        Workspace(array([0.0, 0, 0]), array(half_extent))
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_points_that_are_not_finite_have_no_workspace(value):
-    points = np.zeros((5, 3))
-    points[2, 1] = value
-    with pytest.raises(ValueError, match="finite"):
-        Workspace.from_points(points)
-
-
-def test_what_is_traced_is_not_refused():
-    """Nor is a gradient, which is a workspace in structure alone."""
-
-    @jax.jit
-    def scaled(half_extent):
-        return Workspace(jnp.zeros(3), half_extent).to_unit(jnp.ones((1, 3)))
-
-    assert np.allclose(scaled(jnp.array(-2.0)), -0.5)
-    gradient = jax.grad(lambda w: w.to_unit(jnp.ones((1, 3))).sum())(
-        Workspace(jnp.zeros(3), jnp.array(1.0))
-    )
-    assert gradient.half_extent == -3
-
-
-def test_the_unit_workspace_changes_nothing():
-    points = RNG.normal(size=(20, 3)).astype(np.float32)
-    assert np.array_equal(Workspace.unit().to_unit(points), points)
-    assert np.array_equal(Workspace.unit().from_unit(points), points)
-
-
 def test_gradients(x64):
     points = jnp.asarray(RNG.normal(size=(6, 3)))
 
@@ -169,16 +95,24 @@ def test_gradients(x64):
 
     workspace = Workspace(jnp.array([0.4, -0.2, 1.5]), jnp.array(0.7))
     check_grads(unit_and_metres, (points, workspace), order=1)
+    # What is traced is not refused.
+    negative = jax.jit(lambda half: Workspace(jnp.zeros(3), half).to_unit(points))
+    assert np.allclose(negative(jnp.array(-2.0)), points / -2)
 
 
-def test_jit_and_vmap():
-    clouds = jnp.asarray(RNG.normal(size=(3, 20, 3)), jnp.float32)
+def test_jit_and_vmap_where_only_marked_points_count():
+    clouds = RNG.normal(size=(3, 20, 3)).astype(np.float32)
+    marked = np.arange(20) % 7 > 0
+    clouds[:, ~marked] *= 1e3
 
-    def normalized(cloud):
-        workspace = Workspace.from_points(cloud)
+    def normalized(cloud, marked):
+        workspace = Workspace.from_points(cloud, where=marked)
         return workspace, workspace.to_unit(cloud)
 
-    workspaces, units = jax.jit(jax.vmap(normalized))(clouds)
-    assert workspaces.center.shape == (3, 3) and workspaces.half_extent.shape == (3,)
-    for cloud, unit in zip(clouds, units, strict=True):
-        assert np.allclose(unit, normalized(cloud)[1], atol=1e-6)
+    workspaces, units = jax.jit(jax.vmap(normalized, (0, None)))(clouds, marked)
+    for row, cloud in enumerate(clouds):
+        expected = Workspace.from_points(cloud[marked])
+        assert np.allclose(workspaces.center[row], expected.center, atol=1e-6)
+        assert np.allclose(units[row], expected.to_unit(cloud), rtol=1e-5, atol=1e-6)
+        eager, _ = normalized(cloud, marked)
+        assert eager.half_extent == expected.half_extent

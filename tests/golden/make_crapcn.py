@@ -13,6 +13,7 @@ file describes the arrays.
 """
 
 import ast
+import contextlib
 import copy
 import importlib
 import itertools
@@ -49,25 +50,20 @@ class Quarter(ast.NodeTransformer):
 
 
 def load_official(folder):
-    """The official modules ``(models.crapcn, utils.loss_utils_clamp,
-    utils.loss_utils)``, the network at a quarter of its sizes."""
+    """The official modules ``(models.crapcn, utils.loss_utils_clamp)``, the network at
+    a quarter of its sizes."""
     install()
     sys.path.insert(0, str(folder))
     tree = ast.parse((folder / "models" / "crapcn.py").read_text())
     network = types.ModuleType("models.crapcn")
     exec(compile(Quarter().visit(tree), "crapcn.py", "exec"), network.__dict__)
-    losses = (
-        importlib.import_module(f"utils.{name}")
-        for name in ("loss_utils_clamp", "loss_utils")
-    )
-    return network, *losses
+    return network, importlib.import_module("utils.loss_utils_clamp")
 
 
 def clouds(rng):
     """Two partial clouds of 512 points and their complete ones of 4,096.
 
-    The first has 230 distinct points, the rest are repeats; both have points inside the
-    radius that furthest point sampling skips.
+    The first has 230 distinct points; both have some that sampling skips.
     """
 
     def shell(count, half):
@@ -98,7 +94,7 @@ def target_scale(name):
 def randomise(model, partial):
     """Fills the weights, layer by layer as the network runs, and rounds them to five
     bits and an exponent, which compress well."""
-    hooks = []
+    hooks = contextlib.ExitStack()
     for name, module in model.named_modules():
         if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
             torch.nn.init.normal_(module.weight, 1.0, 0.2)
@@ -119,10 +115,9 @@ def randomise(model, partial):
 
             if module.bias is not None:
                 torch.nn.init.zeros_(module.bias)
-            hooks.append(module.register_forward_hook(rescale))
-    model(partial)
-    for hook in hooks:
-        hook.remove()
+            hooks.enter_context(module.register_forward_hook(rescale))
+    with hooks:
+        model(partial)
     for tensor in model.state_dict().values():
         if tensor.is_floating_point():
             mantissa, exponent = torch.frexp(tensor)
@@ -177,8 +172,7 @@ class Stages:
         for name, tensor in zip(("xyz", "sa", "knn"), found, strict=True):
             self.keep(f"ref/enc_l1_{name}", tensor)
         cloud = self.get("ref/enc_l1_xyz", "ref/enc_l1_sa")
-        with self.levels(encoder.crt_1, "crt1"):
-            self.keep("ref/enc_l1_feat", encoder.crt_1(cloud, cloud)[0])
+        self.keep("ref/enc_l1_feat", encoder.crt_1(cloud, cloud)[0])
         found = encoder.sa_module_2(*self.get("ref/enc_l1_xyz", "ref/enc_l1_feat"))
         self.keep("ref/enc_l2_xyz", found[0])
         self.keep("ref/enc_l2_sa", found[1])
@@ -191,7 +185,6 @@ class Stages:
 
     def seeds(self, generator, partial):
         patches = self.get("ref/enc_l2_xyz", "ref/enc_l2_feat")
-        self.keep("ref/sg_up", generator.uptrans(*patches, *patches))
         inputs = *self.get("ref/global_feat"), *patches, partial.double()
         seed, feature, _ = generator(*inputs)
         self.keep("ref/seed", seed)
@@ -208,125 +201,57 @@ class Stages:
         support = self.get(*(f"ref/{part}" for part in support))
         self.keep(f"{name}_pn", block.pn(query, feature))
         cloud = [query, *self.get(f"{name}_pn")]
-        with self.levels(block.inter_crt, "ub0_inter" if number == 0 else None):
-            self.keep(f"{name}_inter", block.inter_crt(cloud, support)[0])
+        self.keep(f"{name}_inter", block.inter_crt(cloud, support)[0])
         cloud = [query, *self.get(f"{name}_inter")]
         self.keep(f"{name}_feat", block.intra_crt(cloud, cloud)[0])
         self.keep(f"{name}_xyz", block.deconv(query, *self.get(f"{name}_feat")))
 
-    def levels(self, block, name):
-        """A context in which the inner levels of a cross-resolution block are kept."""
-        hooks = _Hooks()
-        if name is None:
-            return hooks
 
-        def keep(module, key):
-            hooks.add(module, lambda _, output: self.keep(key, output))
-
-        for level in (2, 1, 0):
-            prefix = f"{name}/level{level}"
-            keep(block.attn_lists[level], f"{prefix}_out")
-            if level < 2:
-                keep(block.q_mlp_lists[level], f"{prefix}_query_feat")
-                keep(block.s_mlp_lists[level], f"{prefix}_support_feat")
-        key = f"{name}/level2_pos_embed"
-        position = block.attn_lists[2].pos_mlp
-        hooks.add(position, lambda _, output: self.keep(key, output[:1, :8]))
-        return hooks
-
-
-class _Hooks:
-    """Forward hooks that end with a ``with`` statement."""
-
-    def __init__(self):
-        self._handles = []
-
-    def add(self, module, function):
-        def hook(module, inputs, output):
-            function(inputs, output)
-
-        self._handles.append(module.register_forward_hook(hook))
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        for handle in self._handles:
-            handle.remove()
-
-
-def orders(arrays, partial):
-    """Furthest point indices of clouds, with both rules for ties."""
-    named = {name: arrays[f"ref/{name}"] for name in ("enc_l1_xyz", "enc_l2_xyz")}
-    named |= {name: arrays[f"ref/{name}"] for name in ("p0", "seed")}
-    named |= {"p1": arrays["ref/ub0_xyz"], "p2": arrays["ref/ub1_xyz"]}
-    named = {name: array.swapaxes(1, 2) for name, array in named.items()}
-    named["input"] = partial.numpy()
-    named["seed_plus_input"] = np.concatenate([named["seed"], partial.numpy()], 1)
-    counts = {"input": 4, "seed_plus_input": 4.5}
-    for name, cloud in named.items():
-        count = int(cloud.shape[1] / counts.get(name, 2))
-        for rule in ("cuda", "lowest"):
-            rows = farthest_points(torch.tensor(cloud), count, rule)
-            yield f"fps/{name}/idx_{rule}_ties", rows.numpy().astype(np.int16)
-
-
-def losses_and_gradients(model, partial, complete, clamped, matching):
-    """Both losses in both norms, and the gradients of the clamped ones."""
-    arrays, names = {}, [name for name, _ in model.named_parameters()]
-    stages = model(partial)
-    for name, root in (("sqrt", True), ("sq", False)):
-        for kind, function in (
-            ("clamp", clamped.get_loss_clamp),
-            ("partial_matching", matching.get_loss),
-        ):
-            total, parts = function(stages, partial, complete, sqrt=root)[:2]
-            values = [value.item() for value in (total, *parts)]
-            arrays[f"loss/{kind}_{name}"] = np.array(values)
-            if kind == "clamp":
-                loss = total
-        model.zero_grad()
-        loss.backward(retain_graph=True)
-        gradients = {name: p.grad for name, p in model.named_parameters()}
-        norms = [-1.0 if g is None else float(g.norm()) for g in gradients.values()]
-        arrays[f"grad/norm_{name}"] = np.array(norms)
-        if root:
-            for key in FULL_GRADIENTS:
-                full = gradients[key].numpy().astype(np.float32)
-                arrays[f"grad/full_sqrt/{key}"] = full
-    return arrays | {"grad/names": np.array(names)}
+def losses_and_gradients(model, partial, complete, clamped):
+    """The loss in both norms, and the gradients of the unsquared one."""
+    stages, arrays = model(partial), {}
+    for name, root in (("sq", False), ("sqrt", True)):
+        loss, parts = clamped.get_loss_clamp(stages, partial, complete, sqrt=root)[:2]
+        values = [value.item() for value in (loss, *parts)]
+        arrays[f"loss/clamp_{name}"] = np.array(values)
+    loss.backward()
+    gradients = {name: p.grad for name, p in model.named_parameters()}
+    norms = [-1.0 if g is None else float(g.norm()) for g in gradients.values()]
+    arrays["grad/norm_sqrt"] = np.array(norms)
+    for key in FULL_GRADIENTS:
+        arrays[f"grad/full_sqrt/{key}"] = gradients[key].numpy().astype(np.float32)
+    return arrays | {"grad/names": np.array([*gradients])}
 
 
 def training_mode(model, partial):
-    """A forward pass with batch statistics, the running statistics that it leaves, and
-    how many values each was taken over."""
-    arrays, counts = {}, {}
-    hooks = _Hooks()
+    """Seeds made with batch statistics, the running statistics after them, and over how
+    many values each was taken."""
+    arrays = {}
     norms = {
         name: module
         for name, module in model.named_modules()
         if isinstance(module, torch.nn.modules.batchnorm._BatchNorm)
     }
+    with contextlib.ExitStack() as hooks, torch.no_grad():
+        for name, module in norms.items():
+
+            def count(module, inputs, output, key=f"train_mode/count/{name}"):
+                arrays[key] = np.int32(inputs[0].numel() // inputs[0].shape[1])
+
+            hooks.enter_context(module.register_forward_hook(count))
+        seeds = model.train()(partial)[0]
+    arrays["train_mode/out_0"] = seeds.numpy().astype(np.float32)
     for name, module in norms.items():
-
-        def count(inputs, _, name=name):
-            counts[name] = inputs[0].numel() // inputs[0].shape[1]
-
-        hooks.add(module, count)
-    with hooks, torch.no_grad():
-        for i, stage in enumerate(model.train()(partial)):
-            arrays[f"train_mode/out_{i}"] = stage.numpy().astype(np.float32)
-    for name, number in counts.items():
-        arrays[f"train_mode/count/{name}"] = np.int32(number)
-        for kind in ("running_mean", "running_var"):
-            array = getattr(norms[name], kind).numpy().astype(np.float32)
-            arrays[f"train_mode/stats/{name}.{kind}"] = array
+        if f"train_mode/count/{name}" in arrays:
+            for kind in ("running_mean", "running_var"):
+                array = getattr(module, kind).numpy().astype(np.float32)
+                arrays[f"train_mode/stats/{name}.{kind}"] = array
     return arrays
 
 
 def main():
     folder = pathlib.Path(sys.argv[1])
-    network, clamped, matching = load_official(folder)
+    network, clamped = load_official(folder)
     partial, complete = clouds(np.random.default_rng(0))
     pcn, sn55 = network.CRAPCN().eval(), network.CRAPCN_sn55().eval()
     for seed in itertools.count():
@@ -352,14 +277,11 @@ def main():
         stages.block(0, blocks[0], "p0", ("seed", "seed_feat"))
         stages.block(1, blocks[1], "ub0_xyz", ("p0", "ub0_feat"))
         stages.block(2, blocks[2], "ub1_xyz", ("ub0_xyz", "ub1_feat"))
-    arrays = stages.arrays | dict(orders(stages.arrays, partial))
-    arrays |= {"input": partial.numpy(), "gt": complete.numpy()}
+    arrays = stages.arrays | {"input": partial.numpy(), "gt": complete.numpy()}
     nested = clamped.fps_subsample(complete, partial.shape[1])
     arrays["gt_512"] = nested.numpy()
     arrays |= state(pcn, "") | outputs(pcn, double, partial)
-    arrays |= losses_and_gradients(
-        copy.deepcopy(double), partial.double(), complete.double(), clamped, matching
-    )
+    arrays |= losses_and_gradients(copy.deepcopy(double), *given, clamped)
     arrays |= training_mode(copy.deepcopy(double), partial.double())
     np.savez_compressed(HERE / "crapcn_pcn.npz", **arrays)
 

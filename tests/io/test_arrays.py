@@ -13,37 +13,23 @@ from prism_jax.io.arrays import read_npy, read_npz
 POINTS = np.random.default_rng(0).normal(size=(50, 3)) * 100
 
 
-@pytest.mark.parametrize(
-    ("dtype", "read_as"),
-    [
-        ("<f4", np.float32),
-        (">f4", np.float32),
-        ("<f8", np.float64),
-        (">f8", np.float64),
-        ("<f2", np.float64),
-        ("<i2", np.float64),
-        ("u1", np.float64),
-    ],
-)
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_values_come_back_exactly(tmp_path, dtype, read_as, order):
-    stored = np.abs(POINTS).astype(dtype, order=order)
-    np.save(tmp_path / "a.npy", stored)
-    read = read_npy(tmp_path / "a.npy")
-    assert read.dtype == read_as
-    np.testing.assert_array_equal(read, stored)
+def test_values_come_back_exactly(tmp_path, order):
+    for dtype in ("<f4", ">f4", "<f8", ">f8", "<f2", "<i2", "u1"):
+        stored = np.abs(POINTS).astype(dtype, order=order)
+        np.save(tmp_path / "a.npy", stored)
+        read = read_npy(tmp_path / "a.npy")
+        assert read.dtype == (np.float32 if "f4" in dtype else np.float64)
+        np.testing.assert_array_equal(read, stored)
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-@pytest.mark.parametrize("key", ["xyz", "points", "anything"])
-def test_archive(tmp_path, save, key):
+def test_archive(tmp_path, save):
     others = {"range_mm": np.zeros((4, 8)), "angles": np.zeros(8)}
-    save(tmp_path / "a.npz", **others, **{key: POINTS})
-    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)
-
-
-def test_named_array_wins_over_others_of_its_shape(tmp_path):
-    np.savez(tmp_path / "a.npz", normals=POINTS, xyz=POINTS + 1, points=POINTS + 2)
+    for key in ("xyz", "points", "anything"):
+        save(tmp_path / "a.npz", **others, **{key: POINTS})
+        np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)
+    save(tmp_path / "a.npz", normals=POINTS, xyz=POINTS + 1, points=POINTS + 2)
     np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS + 1)
 
 
@@ -73,10 +59,8 @@ FAULTS = [
     (claim("(1000000, 3)"), "the file is truncated"),
     (claim("(True, 3)"), "damaged header"),
     (claim("(" * 3000), "header"),
-    (claim("(3,"), "header"),
     (claim("(-5, 3)"), "shape"),
-    (npy(POINTS[:0]), "shape"),
-    (npy(POINTS.T), r"shape \(3, 50\)"),
+    (npy(POINTS[:0]), r"shape \(0, 3\)"),
     (npy(POINTS[None]), r"shape \(1, 50, 3\)"),
     (npy(POINTS.astype(complex)), "complex128"),
     (npy(POINTS.astype("U5")), "type <U5"),
@@ -85,26 +69,23 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("data", "fault"), FAULTS)
-def test_malformed_array_is_one_line(tmp_path, data, fault):
-    (tmp_path / "a.npy").write_bytes(data)
-    with pytest.raises(InputError, match=fault) as caught:
-        read_npy(tmp_path / "a.npy")
-    assert "numpy.save" in str(caught.value)
-    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
-        archive.writestr("xyz.npy", data)
-    with pytest.raises(InputError) as caught:
-        read_npz(tmp_path / "a.npz")
-    assert "\n" not in str(caught.value)
+def test_malformed_array_is_one_line(tmp_path):
+    for data, fault in FAULTS:
+        (tmp_path / "a.npy").write_bytes(data)
+        with pytest.raises(InputError, match=fault) as caught:
+            read_npy(tmp_path / "a.npy")
+        assert "numpy.save" in str(caught.value)
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+            archive.writestr("xyz.npy", data)
+        with pytest.raises(InputError) as caught:
+            read_npz(tmp_path / "a.npz")
+        assert "\n" not in str(caught.value)
 
 
-def test_archive_with_a_choice_of_clouds_names_them(tmp_path):
+def test_archive_without_a_cloud_or_with_a_choice_of_them(tmp_path):
     np.savez(tmp_path / "a.npz", scan=POINTS, complete=POINTS)
     with pytest.raises(InputError, match="could be the cloud: scan, complete"):
         read_npz(tmp_path / "a.npz")
-
-
-def test_archive_without_a_cloud_says_what_it_holds(tmp_path):
     np.savez(tmp_path / "a.npz", depth=np.zeros((4, 8)))
     with pytest.raises(InputError, match=r"depth: an array of shape \(4, 8\)"):
         read_npz(tmp_path / "a.npz")
@@ -125,10 +106,8 @@ def test_objects_beside_the_cloud_stay_pickled(tmp_path):
 
 
 def test_a_member_that_is_not_named_npy(tmp_path):
-    buffer = io.BytesIO()
-    np.save(buffer, POINTS)
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_LZMA) as archive:
-        archive.writestr("xyz", buffer.getvalue())
+        archive.writestr("xyz", npy(POINTS))
     np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)
     data = bytearray((tmp_path / "a.npz").read_bytes())
     data[60:90] = bytes(30)

@@ -1,12 +1,14 @@
 """Cameras as JSON, and depth images."""
 
 import functools
+import io
 import json
 import warnings
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io import (
@@ -42,9 +44,8 @@ def test_pose_is_the_identity_unless_given(tmp_path):
     camera = read_camera(write(tmp_path / "c.json", {**PINHOLE, "note": "any"}))
     np.testing.assert_array_equal(camera.rotation, np.eye(3))
     np.testing.assert_array_equal(camera.translation, np.zeros(3))
-    np.testing.assert_array_equal(
-        camera.intrinsics, [[10, 0, 3.5], [0, 11, 2.5], [0, 0, 1]]
-    )
+    expected = [[10, 0, 3.5], [0, 11, 2.5], [0, 0, 1]]
+    np.testing.assert_array_equal(camera.intrinsics, expected)
 
 
 FAULTS = [
@@ -53,53 +54,39 @@ FAULTS = [
     ({"height": 2.5}, "an integer"),
     ({"height": 10**9}, "an integer"),
     ({"fx": 0}, "positive"),
-    ({"fy": -1}, "positive"),
     ({"cx": "3"}, "cx is missing or not a finite number"),
     ({"cy": True}, "cy is missing or not a finite number"),
-    ({"cx": float("nan")}, "cx is missing or not a finite number"),
     ({"cx": 10**400}, "cx is missing or not a finite number"),
     ({"rotation": [[1, 0], [0, 1]]}, "3x3"),
-    ({"rotation": "eye"}, "3x3"),
     ({"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "orthogonal"),
     ({"rotation": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "reflection"),
     ({"translation": [0, 0]}, "translation must be 3"),
     ({"translation": [0, 0, float("inf")]}, "translation must be 3"),
-    ({"translation": [0, 0, float("nan")]}, "translation must be 3"),
     ({"translation": [10**400, 0, 0]}, "translation must be 3"),
-    ({"translation": ["0", "0", "0"]}, "translation must be 3"),
-    ({"translation": [None, 0, 0]}, "translation must be 3"),
     ({"translation": [{}, [], 0]}, "translation must be 3"),
     ({"translation": [True, True, True]}, "translation must be 3"),
     ({"rotation": [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 1e300]]}, "orthogonal"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("change", "fault"), FAULTS)
-def test_malformed_camera_is_one_line(tmp_path, change, fault):
-    with pytest.raises(InputError) as caught:
-        read_camera(write(tmp_path / "c.json", PINHOLE | change))
-    assert fault in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert '"fx":' in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_malformed_camera_is_one_line(tmp_path):
+    for change, fault in FAULTS:
+        with pytest.raises(InputError) as caught:
+            read_camera(write(tmp_path / "c.json", PINHOLE | change))
+        assert fault in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert '"fx":' in str(caught.value)
+    for data in (
         b"",
-        b"{",
         b"[1]",
         b"\xff",
-        b"[" * 100_000,
         b'{"fx":' + b"[" * 100_000,
         b'{"fx": 1' + b"0" * 10_000 + b"}",
         json.dumps(PINHOLE | {"translation": NESTED}).encode(),
-    ],
-)
-def test_camera_file_that_is_no_json_object(tmp_path, data):
-    (tmp_path / "c.json").write_bytes(data)
-    with pytest.raises(InputError, match=r"camera|empty"):
-        read_camera(tmp_path / "c.json")
+    ):
+        (tmp_path / "c.json").write_bytes(data)
+        with pytest.raises(InputError, match=r"camera|empty"):
+            read_camera(tmp_path / "c.json")
 
 
 def test_depth_image(tmp_path):
@@ -111,13 +98,9 @@ def test_depth_image(tmp_path):
     assert camera.width == 8
 
 
-@pytest.mark.parametrize("pose", ["identity", "elsewhere"])
-def test_points_project_back_to_their_pixels(pose):
-    entries = dict(PINHOLE)
-    if pose == "elsewhere":
-        posed = camera_to_dict(Camera.look_at((1, 2, 3), (0, 0.5, 0)))
-        entries |= {key: posed[key] for key in ("rotation", "translation")}
-    camera = camera_from_dict(entries)
+def test_points_project_back_to_their_pixels():
+    turn = Rotation.from_rotvec([1, 2, 3]).as_matrix().tolist()
+    camera = camera_from_dict(PINHOLE | {"rotation": turn, "translation": [3, 2, 1]})
     depth, mask = COUNTS * 0.00025, COUNTS > 0
     points = points_from_depth(depth, mask, camera)
     assert points.dtype == np.float64
@@ -137,35 +120,27 @@ def test_depth_scale_is_needed(tmp_path):
             read_depth(tmp_path / "d.png", camera_path)
 
 
-def png(tmp_path, kind: str) -> bytes:
-    path = tmp_path / "kind"
-    if kind == "8 bits":
-        Image.fromarray(COUNTS.astype(np.uint8)).save(path, "PNG")
-    elif kind == "colour":
-        Image.fromarray(np.zeros((6, 8, 3), np.uint8)).save(path, "PNG")
-    elif kind == "other size":
-        Image.fromarray(COUNTS[:, :7].copy()).save(path, "PNG")
-    elif kind == "TIFF":
-        Image.fromarray(COUNTS).save(path, "TIFF")
-    else:
-        Image.fromarray(COUNTS).save(path, "PNG")
-    data = path.read_bytes()
-    if kind == "cut":
-        return data[:-30]
-    if kind == "huge":
-        return data.replace((8).to_bytes(4, "big"), (2**30).to_bytes(4, "big"), 1)
-    return b"PNG?" if kind == "nonsense" else data
+def test_image_that_is_no_depth(tmp_path):
+    def packed(pixels, kind="PNG"):
+        buffer = io.BytesIO()
+        Image.fromarray(pixels).save(buffer, kind)
+        return buffer.getvalue()
 
-
-@pytest.mark.parametrize(
-    "kind",
-    ["8 bits", "colour", "other size", "TIFF", "cut", "huge", "nonsense"],
-)
-def test_image_that_is_no_depth(tmp_path, kind):
-    (tmp_path / "d.png").write_bytes(png(tmp_path, kind))
+    sound = packed(COUNTS)
+    wide = (8).to_bytes(4, "big"), (2**30).to_bytes(4, "big"), 1
     camera_path = write(tmp_path / "c.json", {**PINHOLE, "depth_scale": 0.001})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with pytest.raises(InputError, match="not a valid depth image") as caught:
-            read_depth(tmp_path / "d.png", camera_path)
-    assert "\n" not in str(caught.value)
+    for data in (
+        packed(COUNTS.astype(np.uint8)),
+        packed(np.zeros((6, 8, 3), np.uint8)),
+        packed(COUNTS[:, :7].copy()),
+        packed(COUNTS, "TIFF"),
+        sound[:-30],
+        sound.replace(*wide),
+        b"PNG?",
+    ):
+        (tmp_path / "d.png").write_bytes(data)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with pytest.raises(InputError, match="not a valid depth image") as caught:
+                read_depth(tmp_path / "d.png", camera_path)
+        assert "\n" not in str(caught.value)

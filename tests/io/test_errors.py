@@ -10,23 +10,14 @@ import pytest
 from prism_jax.io.errors import InputError, require
 
 
-def test_names_subject_fault_and_remedy():
-    error = InputError(pathlib.Path("a.ply"), "empty file", "write it again")
-    assert str(error) == "a.ply: empty file; write it again"
+def test_is_one_printable_line_and_comes_through_from_another_process():
+    error = InputError(pathlib.Path("a\nb\x1b[31m.ply"), "fault\r\n", "remedy")
     assert isinstance(error, ValueError)
-
-
-def test_it_comes_through_from_another_process():
-    error = InputError(pathlib.Path("a.ply"), "empty file", "write it again")
+    assert str(error).isprintable()
+    assert str(error) == "a b [31m.ply: fault ; remedy"
     again = pickle.loads(pickle.dumps(error))
     assert type(again) is InputError
     assert str(again) == str(error)
-
-
-def test_is_one_printable_line_whatever_the_file_is_called():
-    error = InputError("a\nb\x1b[31m.ply", "fault\r\n", "remedy")
-    assert str(error).isprintable()
-    assert str(error) == "a b [31m.ply: fault ; remedy"
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):

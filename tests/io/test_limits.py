@@ -1,6 +1,8 @@
 """Small files that claim much, and damaged files of every kind: one line, soon."""
 
+import io
 import json
+import shutil
 import struct
 import time
 import tracemalloc
@@ -31,7 +33,7 @@ def npy_header(shape) -> bytes:
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
-def write_png_header(path, width, height):
+def png_header(width, height) -> bytes:
     """A PNG of one compressed byte that says how large it is."""
 
     def chunk(name, data):
@@ -40,85 +42,64 @@ def write_png_header(path, width, height):
 
     size = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
     chunks = chunk(b"IHDR", size) + chunk(b"IDAT", zlib.compress(b"0"))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks + chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + chunks + chunk(b"IEND", b"")
 
 
-def write_huge(path, kind):
-    """A file of at most 160 kB, of which `kind` claims some 40 million points."""
-    match kind:
-        case "npy":
-            path.write_bytes(npy_header((HUGE, 3)))
-        case "npz":
-            with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-                archive.writestr("xyz.npy", npy_header((HUGE, 3)) + bytes(10**7))
-        case "ascii.pcd" | "binary.pcd":
-            mode = kind.removesuffix(".pcd")
-            path.write_bytes(PCD.format(HUGE, mode).encode() + b"1 2 3\n")
-        case "binary_compressed.pcd":
-            packed = lzf.compress(bytes(10**7), 10**6)
-            sizes = struct.pack("<II", len(packed), 12 * HUGE)
-            path.write_bytes(
-                PCD.format(HUGE, "binary_compressed").encode() + sizes + packed
-            )
-        case "vertices.ply":
-            path.write_bytes(PLY.format("ascii", "", HUGE).encode() + b"1 2 3\n")
-        case "lists.ply":
-            header = PLY.format("binary_little_endian", LISTS, 1)
-            path.write_bytes(header.encode() + bytes(10**5))
-        case "png":
-            write_png_header(path, 10_000, 4_000)
-            camera = CAMERA | {"width": 10_000, "height": 4_000, "depth_scale": 1}
-            path.with_suffix(".json").write_text(json.dumps(camera))
+def archive(array: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("xyz.npy", array)
+    return buffer.getvalue()
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "npy",
-        "npz",
-        "ascii.pcd",
-        "binary.pcd",
-        "binary_compressed.pcd",
-        "vertices.ply",
-        "lists.ply",
-        "png",
-    ],
-)
-def test_a_small_file_that_claims_much_is_refused_before_memory_is_taken(
-    tmp_path, kind
-):
-    path = tmp_path / f"scan.{kind}"
-    write_huge(path, kind)
-    tracemalloc.start()
-    with pytest.raises(
-        InputError, match=r": 40,000,000 .* exceed the limit of 10,000,000"
-    ):
-        read_scan(path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 2**21
-    # More may be allowed; then it is refused because it is not there.
-    with pytest.raises(InputError, match=r"not a valid"):
-        read_scan(path, max_points=HUGE)
+def compressed(plain: bytes, size: int) -> bytes:
+    packed = lzf.compress(plain, 2 * len(plain))
+    return struct.pack("<II", len(packed), size) + packed
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz", ".xyz", ".ply"])
-def test_max_points_is_a_limit_of_every_kind_of_cloud(tmp_path, suffix):
-    path = tmp_path / f"scan{suffix}"
-    match suffix:
-        case ".npy":
-            np.save(path, POINTS)
-        case ".npz":
-            np.savez(path, points=POINTS)
-        case ".xyz":
-            np.savetxt(path, POINTS)
-        case ".ply":
-            write_ply(path, POINTS)
-    assert len(read_points(path, max_points=100)) == 100
-    with pytest.raises(
-        InputError, match=r": 100 \w+ exceed the limit of 99; .*max_points"
-    ):
-        read_points(path, max_points=99)
+HUGE_LISTS = PLY.format("binary_little_endian", LISTS, 1).encode()
+HUGE_FILES = {
+    "npy": npy_header((HUGE, 3)),
+    "npz": archive(npy_header((HUGE, 3)) + bytes(10**7)),
+    "ascii.pcd": PCD.format(HUGE, "ascii").encode() + b"1 2 3\n",
+    "binary.pcd": PCD.format(HUGE, "binary").encode() + b"1 2 3\n",
+    "binary_compressed.pcd": PCD.format(HUGE, "binary_compressed").encode()
+    + compressed(bytes(10**6), 12 * HUGE),
+    "vertices.ply": PLY.format("ascii", "", HUGE).encode() + b"1 2 3\n",
+    "lists.ply": HUGE_LISTS + bytes(10**5),
+    "png": png_header(10_000, 4_000),
+}
+"""Files of at most 100 kB that claim some 40 million points."""
+
+
+def test_a_small_file_that_claims_much_takes_no_memory(tmp_path):
+    camera = CAMERA | {"width": 10_000, "height": 4_000, "depth_scale": 1}
+    (tmp_path / "scan.json").write_text(json.dumps(camera))
+    for kind, data in HUGE_FILES.items():
+        path = tmp_path / f"scan.{kind}"
+        path.write_bytes(data)
+        tracemalloc.start()
+        with pytest.raises(
+            InputError, match=r": 40,000,000 .* exceed the limit of 10,000,000"
+        ):
+            read_scan(path)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 2**21
+        # More may be allowed; then it is refused because it is not there.
+        with pytest.raises(InputError, match=r"not a valid"):
+            read_scan(path, max_points=HUGE)
+
+
+def test_max_points_is_a_limit_of_every_kind_of_cloud(tmp_path):
+    for path in whole_files(tmp_path):
+        if path.suffix in (".json", ".png", ".csv"):
+            continue
+        assert len(read_points(path, max_points=100)) == 100
+        with pytest.raises(
+            InputError, match=r": 100 \w+ exceed the limit of 99; .*max_points"
+        ):
+            read_points(path, max_points=99)
 
 
 def test_an_archive_of_many_arrays_is_refused_at_once(tmp_path):
@@ -131,11 +112,11 @@ def test_an_archive_of_many_arrays_is_refused_at_once(tmp_path):
 
 def test_an_archive_that_unpacks_to_more_than_its_cloud(tmp_path):
     """What follows the cloud inside its own member is not unpacked."""
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        cloud = POINTS.astype(np.float64).tobytes()
-        archive.writestr("xyz.npy", npy_header((100, 3)) + cloud + bytes(10**7))
+    cloud = POINTS.astype(np.float64).tobytes()
+    path = tmp_path / "a.npz"
+    path.write_bytes(archive(npy_header((100, 3)) + cloud + bytes(10**7)))
     tracemalloc.start()
-    np.testing.assert_array_equal(read_points(tmp_path / "a.npz"), POINTS)
+    np.testing.assert_array_equal(read_points(path), POINTS)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2**20
@@ -149,27 +130,21 @@ def whole_files(folder):
     np.savetxt(folder / "d.xyz", POINTS)
     np.savetxt(folder / "e.csv", POINTS, delimiter=",", header="x,y,z", comments="")
     write_ply(folder / "f.ply", POINTS, np.arange(100) > 50)
-    cells = b"\x00\x01abcd\x02abcdefgh"
-    lists = LISTS.replace(str(HUGE), "3")
-    (folder / "g.ply").write_bytes(
-        PLY.format("binary_big_endian", lists, 100).encode()
-        + cells
-        + POINTS.astype(">f4").tobytes()
-    )
     rows = "".join(f"{x} {y} {z}\n" for x, y, z in POINTS)
-    (folder / "h.ply").write_text(
-        PLY.format("ascii", lists, 100) + "0\n1 2\n0\n" + rows
+    lists = LISTS.replace(str(HUGE), "3")
+    big, text = (PLY.format(k, lists, 100) for k in ("binary_big_endian", "ascii"))
+    cells = b"\x00\x01abcd\x02abcdefgh"
+    (folder / "g.ply").write_bytes(
+        big.encode() + cells + POINTS.astype(">f4").tobytes()
     )
+    (folder / "h.ply").write_text(text + "0\n1 2\n0\n" + rows)
     (folder / "i.pcd").write_text(PCD.format(100, "ascii") + rows)
-    binary = PCD.format(100, "binary").encode()
+    binary, packed = (
+        PCD.format(100, mode).encode() for mode in ("binary", "binary_compressed")
+    )
     (folder / "j.pcd").write_bytes(binary + POINTS.tobytes())
-    plain = POINTS.T.tobytes() + bytes(1200)
-    packed = lzf.compress(plain, 2 * len(plain))
-    header = PCD.format(100, "binary_compressed").replace("z\n", "z w\n", 1)
-    header = header.replace("4 4 4", "4 4 4 4").replace("F F F", "F F F F")
-    header = header.replace("POINTS", "COUNT 1 1 1 3\nPOINTS")
-    sizes = struct.pack("<II", len(packed), len(plain))
-    (folder / "k.pcd").write_bytes(header.encode() + sizes + packed)
+    plain = POINTS.T.tobytes()
+    (folder / "k.pcd").write_bytes(packed + compressed(plain, len(plain)))
     Image.fromarray(np.full((10, 10), 900, np.uint16)).save(folder / "l.png")
     camera = CAMERA | {"translation": [0, 0, 0.5], "rotation": np.eye(3).tolist()}
     camera |= {"depth_scale": 1e-3}
@@ -178,23 +153,16 @@ def whole_files(folder):
 
 
 def damage(data: bytes, rng: np.random.Generator) -> bytes:
-    """Some bytes replaced, bits flipped, digits added, or the file cut."""
+    """Some bytes replaced, digits added, some left out, or the file cut."""
     damaged = bytearray(data)
     # Headers are short beside the numbers, and more can go wrong there.
     end = len(data) if rng.random() < 0.3 else min(len(data), 250)
     for _ in range(rng.integers(1, 4)):
         place = int(rng.integers(end))
-        match rng.integers(5):
-            case 0:
-                damaged[place : place + 1] = bytes([rng.integers(256)])
-            case 1:
-                damaged[place : place + 1] = bytes([data[place] ^ 1 << rng.integers(8)])
-            case 2:
-                damaged[place:place] = b"9" * int(rng.integers(1, 30))
-            case 3:
-                del damaged[place : place + int(rng.integers(1, 20))]
-            case 4:
-                del damaged[int(rng.integers(len(damaged) + 1)) :]
+        new = [rng.bytes(1), b"9" * int(rng.integers(1, 30)), b""][rng.integers(3)]
+        damaged[place : place + int(rng.integers(1, 20) ** rng.integers(2))] = new
+    if rng.random() < 0.3:
+        del damaged[int(rng.integers(len(damaged))) :]
     return bytes(damaged)
 
 
@@ -202,30 +170,22 @@ def test_whatever_is_damaged_is_one_line_within_a_second(tmp_path):
     """Some damage is not noticed, since numbers stay numbers. No memory is taken."""
     rng = np.random.default_rng(0)
     (tmp_path / "whole").mkdir()
-    (tmp_path / "l.json").touch()
     refused = 0
     for whole in whole_files(tmp_path / "whole"):
-        data = whole.read_bytes()
-        scan = tmp_path / whole.name
-        is_camera = whole.suffix == ".json"
-        if not is_camera:
-            read_scan(whole)
-        for _ in range(60):
-            scan.write_bytes(damage(data, rng))
-            if is_camera:
-                (tmp_path / "l.png").write_bytes(whole.with_suffix(".png").read_bytes())
-            else:
-                (tmp_path / "l.json").write_bytes(
-                    (tmp_path / "whole/l.json").read_bytes()
-                )
+        shutil.copytree(tmp_path / "whole", tmp_path, dirs_exist_ok=True)
+        damaged = tmp_path / whole.name
+        scan = damaged.with_suffix(".png") if whole.suffix == ".json" else damaged
+        read_scan(scan)
+        for _ in range(40):
+            damaged.write_bytes(damage(whole.read_bytes(), rng))
             started = time.process_time()
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 try:
-                    read_scan(scan.with_suffix(".png") if is_camera else scan)
+                    read_scan(scan)
                 except InputError as error:
                     refused += 1
                     assert str(error).isprintable()
                     assert len(str(error)) < 1000
             assert time.process_time() - started < 1
-    assert refused > 300
+    assert refused > 200

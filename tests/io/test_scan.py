@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from experiments.assets import CELLS
 from prism_jax.io import InputError, parse_bounds, read_points, read_scan
 
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(300, 3)).astype(np.float32)
@@ -57,34 +56,16 @@ def test_of_a_depth_image_all_that_was_cropped_away_is_around(depth_image):
     assert len(whole) == 8 * 20 and len(scan.around) == 8 * 10
 
 
-@pytest.mark.parametrize(
-    ("box", "fault"),
-    [
+def test_crops_that_leave_too_little_and_boxes_that_are_none(cloud):
+    for box, fault in (
         ("5,5,5,6,6,6", "no points inside --workspace; the points span -0.9"),
         ("-1,-1,-1,-0.5,0,0", "distinct points, at least 64 .*--workspace"),
-    ],
-)
-def test_crop_that_leaves_too_little(cloud, box, fault):
-    with pytest.raises(InputError, match=fault):
-        read_scan(cloud, bounds=parse_bounds(box))
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "1,2,3",
-        "0,0,0,1,1,x",
-        "0,0,0,1,1,1,1",
-        "0,0,0,1,1,0",
-        "1,1,1,0,2,2",
-        "0,0,0,1,1,nan",
-        "0,0,0,1,1,inf",
-    ],
-)
-def test_malformed_bounds(text):
-    with pytest.raises(InputError, match=r"^--workspace: .*x0,y0,z0,x1,y1,z1"):
-        parse_bounds(text)
+    ):
+        with pytest.raises(InputError, match=fault):
+            read_scan(cloud, bounds=parse_bounds(box))
+    for text in ("", "1,2,3", "0,0,0,1,1,x", "0,0,0,1,1,0", "0,0,0,1,1,nan"):
+        with pytest.raises(InputError, match=r"^--workspace: .*x0,y0,z0,x1,y1,z1"):
+            parse_bounds(text)
 
 
 def test_cloud_with_a_camera(cloud, tmp_path):
@@ -99,13 +80,20 @@ def test_cloud_with_a_camera(cloud, tmp_path):
         read_scan(cloud, tmp_path / "c.json")
 
 
-def test_depth_image_with_its_camera_beside(depth_image):
+def test_depth_image_with_its_camera_beside_or_named(depth_image, tmp_path):
     scan = read_scan(depth_image)
     assert scan.points.shape == (160, 3)
     np.testing.assert_allclose(scan.points[:, 2], 2.0)
-    assert scan.camera is not None
+    assert scan.camera is not None and scan.in_camera_frame
     assert (scan.num_not_finite, scan.num_outside) == (0, 0)
-    assert scan.in_camera_frame
+    (tmp_path / "scan.json").rename(tmp_path / "other.json")
+    with pytest.raises(InputError, match=r"without a camera; set --camera"):
+        read_scan(depth_image)
+    named = read_scan(depth_image, tmp_path / "other.json")
+    np.testing.assert_array_equal(named.points, scan.points)
+    Image.fromarray(np.zeros((10, 20), np.uint16)).save(depth_image)
+    with pytest.raises(InputError, match="no valid depth pixels"):
+        read_scan(depth_image, tmp_path / "other.json")
 
 
 @pytest.mark.parametrize(("degrees", "is_camera"), [(0.2, True), (30.0, False)])
@@ -117,28 +105,6 @@ def test_a_camera_hardly_turned_keeps_its_own_axes(depth_image, degrees, is_came
     assert read_scan(depth_image).in_camera_frame == is_camera
 
 
-def test_depth_image_whose_camera_is_turned_is_in_the_world_frame():
-    """z up, and the floor at 0."""
-    frame = CELLS / "001-ur5" / "000000"
-    scan = read_scan(f"{frame}.depth.png", f"{frame}.camera.json")
-    assert not scan.in_camera_frame
-    assert -0.05 < scan.points[:, 2].min() < 0.05
-
-
-def test_depth_image_with_a_named_camera(depth_image, tmp_path):
-    (tmp_path / "scan.json").rename(tmp_path / "other.json")
-    with pytest.raises(InputError, match=r"without a camera; set --camera"):
-        read_scan(depth_image)
-    scan = read_scan(depth_image, tmp_path / "other.json")
-    assert scan.points.shape == (160, 3)
-
-
-def test_depth_image_without_a_return(depth_image):
-    Image.fromarray(np.zeros((10, 20), np.uint16)).save(depth_image)
-    with pytest.raises(InputError, match="no valid depth pixels"):
-        read_scan(depth_image)
-
-
 def test_depth_image_and_cloud_of_one_frame_agree(real):
     image = read_scan(real("kinect/mosd_test24.png"))
     points = read_points(real("kinect/mosd_test24.pcd"))
@@ -147,17 +113,12 @@ def test_depth_image_and_cloud_of_one_frame_agree(real):
     np.testing.assert_allclose(image.points, points, atol=1.5e-4)
 
 
-@pytest.mark.parametrize(
-    ("name", "count"),
-    [
-        ("bunny/raw_scan_000.ply", 40_256),
-        ("kinect/mosd_test24.pcd", 185_257),
+def test_real_scans(real):
+    for name, count in (
         ("ouster/single_frame_zm_scan0.npz", 47_311),
         ("kitti/frame_0_car_0.pcd", 1_524),
         ("shapenet/airplane_partial_2048.ply", 2_048),
-    ],
-)
-def test_real_scans(real, name, count):
-    scan = read_scan(real(name))
-    assert scan.points.shape == (count, 3)
-    assert scan.points.dtype == np.float32
+    ):
+        scan = read_scan(real(name))
+        assert scan.points.shape == (count, 3)
+        assert scan.points.dtype == np.float32

@@ -23,92 +23,72 @@ COEFFICIENTS = ("lambda_sigma", "lambda_ot", "epsilon_relative", "num_iterations
 
 align = jax.jit(alignment_loss, static_argnames=COEFFICIENTS[:3])
 transport = jax.jit(transport_alignment, static_argnames=COEFFICIENTS[2:])
-matching = jax.jit(manifold_matching, static_argnames=COEFFICIENTS[:1])
 gradients = jax.jit(jax.grad(alignment_loss, argnums=(0, 1)))
 
 
-def tokens(*shape: int) -> jax.Array:
-    return jnp.asarray(RNG.normal(size=(*shape, 5)), jnp.float32)
+def tokens(count: int) -> jax.Array:
+    return jnp.asarray(RNG.normal(size=(count, 5)), jnp.float32)
 
 
 def test_manifold_matching_agrees_with_numpy():
     a, b = tokens(20), 2 * tokens(30) + 1
     means = np.sum((a.mean(0) - b.mean(0)) ** 2)
     covariances = np.sum((np.cov(a.T, bias=True) - np.cov(b.T, bias=True)) ** 2)
-    value = matching(a, b, 0.7)
+    value = jax.jit(lambda a, b: manifold_matching(a, b, 0.7))(a, b)
     assert np.allclose(value, means + 0.7 * covariances, rtol=1e-5)
 
 
-def test_manifold_matching_does_not_see_the_order_and_sees_each_moment():
-    a = tokens(20)
-    assert np.allclose(matching(a, a[::-1]), 0, atol=1e-10)
-    assert np.allclose(matching(a, a + 2.0), 5 * 4.0, rtol=1e-5)
-    centred = a - a.mean(0)
-    covariance = np.cov(a.T, bias=True)
-    expected = 9 * np.sum(covariance**2)
-    assert np.allclose(matching(centred, 2 * centred), expected, rtol=1e-4)
-
-
-def test_transport_agrees_with_ott():
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_transport_agrees_with_ott(scale):
+    """In any unit of the tokens."""
     a, b = tokens(12), tokens(17) + 0.5
     cost = cdist(a, b, "sqeuclidean").astype(np.float32)
     problem = geometry.Geometry(cost, epsilon=0.05 * float(cost.mean()))
     solution = linear.solve(problem, threshold=1e-6, max_iterations=5000)
-    expected = np.sum(solution.matrix * cost)
-    converged = transport(a, b, num_iterations=1000)
-    assert np.allclose(converged, expected, rtol=1e-4)
-    assert np.allclose(transport(a, b), expected, rtol=1e-2)
+    expected = scale**2 * np.sum(solution.matrix * cost)
+    converged = transport(scale * a, scale * b, num_iterations=1000)
+    assert np.allclose(converged, expected, rtol=1e-3 if scale != 1 else 1e-4)
+    assert np.allclose(transport(scale * a, scale * b), expected, rtol=1e-2)
 
 
 def test_transport_nears_the_best_assignment():
     a, b = tokens(15), tokens(15)
     cost = cdist(a, b, "sqeuclidean")
     best = cost[linear_sum_assignment(cost)].mean()
-    value = transport(a, b, epsilon_relative=0.002, num_iterations=2000)
+    value = transport(a, b, epsilon_relative=0.002, num_iterations=4000)
     assert best * (1 - 1e-4) < value < 1.02 * best
 
 
-@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
-def test_transport_scales_with_the_tokens(scale):
-    a, b = tokens(10), tokens(14)
-    expected = scale**2 * transport(a, b)
-    assert np.allclose(transport(scale * a, scale * b), expected, rtol=1e-3)
-
-
 def test_alignment_is_the_sum_of_its_terms():
-    a, b = tokens(16), tokens(24)
-    expected = matching(a, b, 0.5) + 3.0 * transport(a, b, 0.1)
-    value = align(a, b, lambda_sigma=0.5, lambda_ot=3.0, epsilon_relative=0.1)
-    assert np.allclose(value, expected, rtol=1e-5)
+    a, b = tokens(12), tokens(17)
+    expected = manifold_matching(a, b, 0.5) + 3.0 * transport(a, b)
+    assert np.allclose(align(a, b, 0.5, 3.0), expected, rtol=1e-5)
 
 
 def test_gradients_with_epsilon_held_still(x64):
     a, b = jnp.asarray(tokens(6), float), jnp.asarray(tokens(7), float)
     held = 0.05 * jnp.mean(jnp.sum((a[:, None] - b[None]) ** 2, axis=-1))
 
+    @jax.jit
     def reference(a, b):
         cost = jnp.sum((a[:, None] - b[None]) ** 2, axis=-1)
-        return matching(a, b) + sinkhorn(cost, held, num_iterations=30)[1]
+        transported = sinkhorn(cost, held, num_iterations=30)[1]
+        return manifold_matching(a, b) + transported
 
-    check_grads(jax.jit(reference), (a, b), order=2, modes=["rev"], eps=1e-5)
+    check_grads(reference, (a, b), order=2, modes=["rev"], eps=1e-5)
     expected = jax.jit(jax.grad(reference, argnums=(0, 1)))(a, b)
     for got, wanted in zip(gradients(a, b), expected, strict=True):
         assert np.allclose(got, wanted, rtol=1e-8)
 
 
-@pytest.mark.parametrize("counts", [(1, 1), (1, 8), (8, 1), (8, 8)])
-@pytest.mark.parametrize("offset", [0.0, 2.0])
-def test_identical_tokens(counts, offset):
-    a = jnp.full((counts[0], 5), 3.0)
-    b = jnp.full((counts[1], 5), 3.0 + offset)
-    # One point against another: both terms are the squared distance.
-    assert np.allclose(align(a, b), 2 * 5 * offset**2, rtol=1e-5)
-    assert all(np.all(np.isfinite(g)) for g in gradients(a, b))
-
-
-def test_collinear_and_distant_tokens_have_finite_gradients():
-    line = jnp.outer(jnp.arange(9.0), jnp.ones(5))
-    far = tokens(9) + 1e4
-    for a, b in ((line, line), (line, far), (far, far)):
-        assert np.isfinite(align(a, b))
-        assert all(np.all(np.isfinite(g)) for g in gradients(a, b))
+@pytest.mark.parametrize("counts", [(1, 8), (8, 8)])
+def test_degenerate_tokens(counts):
+    """One point against another: both terms are the squared distance."""
+    a, b = jnp.full((counts[0], 5), 3.0), jnp.full((counts[1], 5), 3.0)
+    assert np.allclose(align(a, b), 0)
+    assert np.allclose(align(a, b + 2.0), 2 * 5 * 2.0**2, rtol=1e-5)
+    line, far = jnp.outer(jnp.arange(8.0), jnp.ones(5)), tokens(8) + 1e4
+    for pair in ((a, b), (a, b + 2.0), (line, line), (line, far), (far, far)):
+        pair = tuple(x[:n] for x, n in zip(pair, counts, strict=True))
+        assert np.isfinite(align(*pair))
+        assert all(np.all(np.isfinite(g)) for g in gradients(*pair))

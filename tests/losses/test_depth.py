@@ -55,50 +55,36 @@ def test_value_and_gradient_agree_with_a_loop():
     assert np.all(np.asarray(to_reference) == 0)
 
 
-def test_a_wall_moved_along_the_axis():
-    wall = jnp.asarray(cloud(400)).at[:, 2].set(0.5)
-    # Along each ray from depth 3.5 to depth 3.8: the same pixels.
-    moved = (wall * (3.8 / 3.5)).at[:, 2].set(0.8)
-    value, _ = supervised(moved, wall, CAMERA)
-    assert np.allclose(value, 0.3, atol=1e-5)
-
-
 def test_reference_measured_by_a_sensor():
-    predicted = jnp.asarray(cloud(150))
-    depth, mask = render_depth(jnp.asarray(cloud(90)), CAMERA)
+    """What stands outside its mask has no influence."""
+    predicted, partial = jnp.asarray(cloud(80)), jnp.asarray(cloud(60))
+    depth, mask = render_depth(partial, CAMERA)
     holes = jnp.where(mask, depth, jnp.nan)
     evaluate = jax.jit(jax.value_and_grad(depth_error, argnums=(0, 1)))
     value, (gradient, to_depth) = evaluate(predicted, holes, mask, CAMERA)
-    expected, (expected_gradient, _) = evaluate(predicted, depth, mask, CAMERA)
-    assert value == expected > 0
-    assert np.array_equal(gradient, expected_gradient)
+    expected, (expected_gradient, _) = supervised(predicted, partial, CAMERA)
+    assert np.allclose(value, expected, rtol=1e-6) and value > 0
+    assert np.allclose(gradient, expected_gradient, atol=1e-7)
     assert np.all(np.asarray(to_depth) == 0)
 
 
-@pytest.mark.parametrize("case", ["behind", "outside", "elsewhere"])
-def test_no_shared_pixel_gives_zero(case):
+def test_no_shared_pixel_gives_zero():
     reference = jnp.asarray(cloud(50))
-    predicted = {
-        "behind": reference - jnp.asarray([0.0, 0.0, 9.0]),
-        "outside": reference + jnp.asarray([50.0, 0.0, 0.0]),
-        "elsewhere": jnp.asarray([[-1.2, -1.2, 0.0]]),
-    }[case]
-    if case == "elsewhere":
-        reference = jnp.asarray([[1.2, 1.2, 0.0]])
-    for clouds in ((predicted, reference), (reference, predicted)):
-        value, gradients = supervised(*clouds, CAMERA)
-        assert value == 0
-        assert all(np.all(np.asarray(g) == 0) for g in gradients)
+    for offset in ([0.0, 0.0, -9.0], [50.0, 0.0, 0.0]):
+        elsewhere = reference + jnp.asarray(offset)
+        for clouds in ((elsewhere, reference), (reference, elsewhere)):
+            value, gradients = supervised(*clouds, CAMERA)
+            assert value == 0
+            assert all(np.all(np.asarray(g) == 0) for g in gradients)
 
 
 @pytest.mark.parametrize(
     "predicted",
-    [np.zeros((20, 3)), np.outer(np.linspace(0, 1, 20), (1, 0, 0)), np.zeros((1, 3))],
-    ids=["repeated", "collinear", "single"],
+    [np.zeros((20, 3)), np.outer(np.linspace(0, 1, 20), (1, 0, 0))],
+    ids=["repeated", "collinear"],
 )
 def test_degenerate_clouds(predicted):
-    reference = np.full((1, 3), 0.0, np.float32)
-    reference[0, 2] = -1.0
+    reference = jnp.asarray([[0.0, 0.0, -1.0]])
     value, (gradient, _) = supervised(predicted.astype(np.float32), reference, CAMERA)
     assert np.allclose(value, 1.0, atol=1e-6)
     # However many points share the front of the one pixel, they share one gradient.

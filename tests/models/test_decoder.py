@@ -5,7 +5,9 @@
 
 import itertools
 
+import chex
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,7 +21,7 @@ def test_each_block_is_supported_by_the_points_before_it(monkeypatch, tiny):
     seeds = jnp.float32(rng.uniform(-1, 1, (32, 3)))
     partial = jnp.float32(rng.uniform(-1, 1, (config.num_points, 3)))
     code = jnp.float32(rng.normal(size=config.global_features[-1]))
-    given = []
+    names, given = [], []
 
     class Seeds(nn.Module):
         config: object
@@ -32,7 +34,8 @@ def test_each_block_is_supported_by_the_points_before_it(monkeypatch, tiny):
         times: int
 
         def __call__(self, xyz, whole, support, inter, intra, train, visibility):
-            given.append((self.name, xyz, whole, support, inter, intra))
+            names.append(self.name)
+            given.append((xyz, whole, support, inter, intra))
             number = len(given)
             children = repeat_in_place(xyz, self.times) + 0.01 * number
             return children, xyz + 10.0 * number, children
@@ -40,20 +43,26 @@ def test_each_block_is_supported_by_the_points_before_it(monkeypatch, tiny):
     monkeypatch.setattr(decoder, "SeedGenerator", Seeds)
     monkeypatch.setattr(decoder, "UpsamplingBlock", Block)
     encoded = PointFeatures(None, None, code, None)
-    made = decoder.Decoder(config).apply({}, partial, encoded)
+
+    @jax.jit
+    def run():
+        made = decoder.Decoder(config).apply({}, partial, encoded)
+        return made, given
+
+    made, given = run()
+    assert names == [f"block_{i}" for i in range(len(config.up_factors))]
+    assert len(given) == len(names) >= 2
+    xyz, _, support, *_ = given[0]
     first = jnp.concatenate([seeds, partial])[made.indices.initial]
-    assert len(given) == len(config.up_factors) >= 2
-    assert [name for name, *_ in given] == [f"block_{i}" for i in range(len(given))]
-    np.testing.assert_array_equal(given[0][1], first)
-    np.testing.assert_array_equal(given[0][3].xyz, seeds)
-    np.testing.assert_array_equal(given[0][3].features, seeds + 1.0)
+    np.testing.assert_array_equal(xyz, first)
+    np.testing.assert_array_equal(support.xyz, seeds)
+    np.testing.assert_array_equal(support.features, seeds + 1.0)
     for number, (one, another) in enumerate(itertools.pairwise(given), start=1):
-        (_, before, *_), (_, xyz, whole, support, *pair) = one, another
+        (before, *_), (xyz, whole, support, *pyramids) = one, another
         np.testing.assert_array_equal(xyz, made.stages[number])
         np.testing.assert_array_equal(whole, code)
         np.testing.assert_array_equal(support.xyz, before)
-        np.testing.assert_array_equal(support.features, before + 10.0 * number)
-        assert pair[0] is made.indices.pyramids[number][0]
-        assert pair[1] is made.indices.pyramids[number][1]
+        np.testing.assert_allclose(support.features, before + 10.0 * number)
+        chex.assert_trees_all_equal(tuple(pyramids), made.indices.pyramids[number])
     np.testing.assert_array_equal(made.stages[0], seeds)
     assert made.stages[-1].shape == (config.stage_sizes[-1], 3)

@@ -15,35 +15,21 @@ from prism_jax.models.variables import (
 )
 from tests.trees import bitwise
 
+NAMES = ("decoder", "point_encoder", "depth_encoder", "refiner")
 VARIABLES = {
-    "params": {
-        name: {"dense": {"kernel": np.full((2, 2), i, np.float32)}, "bias": np.ones(1)}
-        for i, name in enumerate(
-            ("decoder", "point_encoder", "auxiliary", "depth_encoder", "refiner")
-        )
-    },
+    "params": {name: {"dense": {"kernel": np.ones(len(name))}} for name in NAMES},
     "batch_stats": {"decoder": {"norm": {"mean": np.zeros(2)}}, "point_encoder": {}},
-    "weighting": {"logits": np.zeros(3), "scales": np.ones(3)},
+    "weighting": {"logits": np.zeros(3)},
 }
 
 
-def test_round_trip_is_bitwise():
+def test_encoders_taken_out_and_put_back():
     before = copy.deepcopy(VARIABLES)
     encoders, rest = pop_encoders(VARIABLES)
+    assert set(encoders) == set(ENCODERS) == {"point_encoder", "depth_encoder"}
+    assert set(rest["params"]) == {"decoder", "refiner"}
     assert bitwise(put_encoders(encoders, rest), VARIABLES)
     assert bitwise(VARIABLES, before)
-
-
-def test_only_the_two_encoders_are_taken():
-    encoders, rest = pop_encoders(VARIABLES)
-    assert set(encoders) == set(ENCODERS) == {"point_encoder", "depth_encoder"}
-    assert set(rest["params"]) == {"decoder", "auxiliary", "refiner"}
-    assert bitwise(rest["batch_stats"], VARIABLES["batch_stats"])
-    assert bitwise(rest["weighting"], VARIABLES["weighting"])
-
-
-def test_others_in_their_place():
-    encoders, rest = pop_encoders(VARIABLES)
     moved = jax.tree.map(lambda leaf: leaf + 1, encoders)
     together = put_encoders(moved, rest)
     assert bitwise({name: together["params"][name] for name in ENCODERS}, moved)
@@ -61,7 +47,7 @@ def test_part():
     assert set(part(VARIABLES, "point_encoder")) == {"params"}
 
 
-def test_on_cpu_where_jax_was_told_of_none(monkeypatch):
+def test_on_cpu_where_jax_has_none(monkeypatch):
     def unknown(backend):
         raise RuntimeError(f"Unknown backend {backend}")
 

@@ -31,34 +31,30 @@ def level(points, eye, known=True):
     return level_heading(points, eye, np.array(known), np.ones(len(points), bool))
 
 
-@pytest.mark.parametrize("degrees", [0, 1, 17, 45, 80, 89])
-def test_a_cuboids_angle_is_found(view, degrees):
-    found = np.rad2deg(footprint_angle(view @ about_vertical(degrees).T))
-    assert abs((found - degrees + 45) % 90 - 45) <= 1.01
+def test_a_cuboids_angle_is_found(view):
+    for degrees in (0, 1, 17, 45, 89):
+        found = np.rad2deg(footprint_angle(view @ about_vertical(degrees).T))
+        assert abs((found - degrees + 45) % 90 - 45) <= 1.01
 
 
-@pytest.mark.parametrize("degrees", range(0, 360, 40))
+@pytest.mark.parametrize("degrees", [0, 80, 200, 320])
 def test_any_heading_comes_out_as_one(view, degrees):
     turn = about_vertical(degrees)
     rotation = level(view @ turn.T, turn @ EYE)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(rotation[2], [0, 0, 1], atol=0)
     np.testing.assert_allclose(rotation @ turn, np.eye(3), atol=0.02)
-
-
-@pytest.mark.parametrize("degrees", range(1, 360, 22))
-def test_what_has_no_sides_turns_by_whole_degrees_all_the_same(degrees):
-    points = np.random.default_rng(0).normal(size=(800, 3))
-    turn = about_vertical(degrees)
-    there = level(points @ turn.T, turn @ EYE) @ turn
-    np.testing.assert_allclose(there, level(points, EYE), atol=1e-12)
-
-
-@pytest.mark.parametrize("degrees", range(0, 360, 60))
-def test_without_a_sensor_the_longer_side_lies_along_y(view, degrees):
-    turn = about_vertical(degrees)
+    # Without a sensor the longer side lies along y.
     sides = np.ptp(view @ turn.T @ level(view @ turn.T, EYE, known=False).T, axis=0)
     np.testing.assert_allclose(sides[:2], [1.4, 3.0], atol=0.1)
+
+
+def test_what_has_no_sides_turns_by_whole_degrees_all_the_same():
+    points = np.random.default_rng(0).normal(size=(800, 3))
+    for degrees in (1, 100, 199, 300):
+        turn = about_vertical(degrees)
+        there = level(points @ turn.T, turn @ EYE) @ turn
+        np.testing.assert_allclose(there, level(points, EYE), atol=1e-12)
 
 
 def test_the_sensor_comes_to_stand_in_front(view):
@@ -68,56 +64,42 @@ def test_the_sensor_comes_to_stand_in_front(view):
         assert turned[1] > 0 and abs(turned[0]) <= turned[1] + 1e-9
 
 
-def test_what_does_not_count_does_not_matter(view):
+def test_what_does_not_count_does_not_matter_and_of_many_points_some_decide(view):
     more = np.concatenate([view, [[50.0, 3.0, 0.0], [0.0, 80.0, 0.0]]])
     where = np.arange(len(more)) < len(view)
     found = level_heading(more, EYE, np.array(True), where)
     np.testing.assert_allclose(found, np.eye(3), atol=0.02)
-
-
-def test_of_a_large_cloud_evenly_spaced_points_decide(view):
     large = np.repeat(view, 3, axis=0)
     assert len(large) > MAX_POINTS
     np.testing.assert_array_equal(level(large, EYE), level(large[::3], EYE))
 
 
-@pytest.mark.parametrize(
-    "points",
-    [np.zeros((1, 3)), np.ones((50, 3)), np.linspace(0, 1, 40)[:, None] * [0, 0, 1.0]],
-    ids=["one point", "duplicates", "a vertical line"],
-)
-def test_without_a_footprint_it_is_still_a_turn(points):
-    rotation = level(points, EYE)
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+def test_without_a_footprint_it_is_still_a_turn():
+    line = np.linspace(0, 1, 40)[:, None] * [0, 0, 1.0]
+    for points in (np.zeros((1, 3)), np.ones((50, 3)), line):
+        rotation = level(points, EYE)
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
 
 
-def test_jit_and_vmap_agree_with_numpy(view):
+def test_jit_and_vmap_agree_with_numpy_and_gradients_pass_through(view):
     turns = [about_vertical(degrees) for degrees in (5, 100, 200)]
     clouds = np.stack([view @ turn.T for turn in turns])
     eyes = np.stack([turn @ EYE for turn in turns])
-    mapped = jax.jit(
-        jax.vmap(lambda cloud, eye: observe(cloud, eye, heading="level").partial)
-    )
-    found = mapped(jnp.asarray(clouds, jnp.float32), jnp.asarray(eyes, jnp.float32))
+
+    def loss(points, eye):
+        partial = observe(points, eye, heading="level").partial
+        return (partial**2).sum(), partial
+
+    mapped = jax.jit(jax.vmap(jax.grad(loss, has_aux=True)))
+    given = jnp.asarray(clouds, jnp.float32), jnp.asarray(eyes, jnp.float32)
+    gradient, found = mapped(*given)
     for i in range(3):
         wanted = observe(clouds[i], eyes[i], heading="level").partial
         np.testing.assert_allclose(found[i], wanted, atol=1e-5)
+    assert jnp.isfinite(gradient).all() and (gradient != 0).any()
 
 
-def test_gradients_pass_through_the_points_and_not_the_turn(view):
-    points = jnp.asarray(view @ about_vertical(30).T, jnp.float32)
-
-    def loss(points, heading):
-        seen = observe(points, EYE @ about_vertical(30).T, heading=heading)
-        return (seen.partial**2).sum()
-
-    gradient_of = jax.jit(jax.grad(loss), static_argnums=1)
-    gradients = [gradient_of(points, heading) for heading in ("level", "given")]
-    for gradient in gradients:
-        assert jnp.isfinite(gradient).all() and (gradient != 0).any()
-
-
-@pytest.mark.parametrize("up", ["z", "-y", "x"])
+@pytest.mark.parametrize("up", ["z", "-y"])
 def test_the_workspace_is_upright_and_level(view, up):
     to_z = np.eye(3) if up == "z" else upright(up)
     # Far from the origin, in double precision.

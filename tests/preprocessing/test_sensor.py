@@ -31,26 +31,20 @@ def angle(points, eye, direction):
     return np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
 
 
-@pytest.mark.parametrize("row", range(6))
+@pytest.mark.parametrize("row", range(4))
 def test_a_shell_bulges_toward_its_sensor(row):
-    direction = directions(6)[row]
+    direction = directions(8)[row]
     points = shell(direction)
     eye = likely_eye(points)
     assert angle(points, eye, direction) < 45
     assert np.linalg.norm(eye) > 3
+    there = likely_eye(1e3 * points + FAR)
+    np.testing.assert_allclose(there, 1e3 * eye + FAR, atol=1e-2)
 
 
-def test_neither_place_nor_unit_matters():
-    points = shell(directions(1)[0])
-    here, there = likely_eye(points), likely_eye(1e3 * points + FAR)
-    np.testing.assert_allclose(there, 1e3 * here + FAR, atol=1e-2)
-
-
-@pytest.mark.parametrize("row", range(4))
+@pytest.mark.parametrize("row", range(3))
 def test_it_turns_with_the_points(row):
-    turn = Rotation.from_rotvec(
-        [[0, 0, np.pi / 4], [0, 0, 3], [1, 2, 3], [-2, 0, 1]][row]
-    )
+    turn = Rotation.from_rotvec([[0, 0, np.pi / 4], [1, 2, 3], [-2, 0, 1]][row])
     points, up = shell(directions(8)[row]), np.array([0, 0, 1.0])
     turned, turned_up = turn.apply(points) + [3, 2, 1], turn.apply(up)
     here, there = likely_eye(points, up), likely_eye(turned, turned_up)
@@ -81,13 +75,9 @@ def test_what_lies_behind_is_hidden():
 
 def test_a_place_that_would_not_have_seen_the_points_is_not_believed():
     """Three sides of a box, from where they were seen and from across."""
-    rng = np.random.default_rng(0)
-    sides = []
-    for axis in range(3):
-        side = rng.uniform(-1, 1, (600, 3))
-        side[:, axis] = 1.0
-        sides.append(side)
-    points = np.concatenate(sides)
+    points = np.random.default_rng(0).uniform(-1, 1, (3, 600, 3))
+    points[range(3), :, range(3)] = 1.0
+    points = points.reshape(-1, 3)
     likely = likely_eye(points)
     toward = np.array([1.0, 1.0, 1.0])
     assert angle(points, likely, toward / np.sqrt(3)) < 60
@@ -96,17 +86,10 @@ def test_a_place_that_would_not_have_seen_the_points_is_not_believed():
     assert not is_believable(points, np.array([5.0, -5.0, -0.5]), likely)
 
 
-@pytest.mark.parametrize(
-    "points",
-    [
-        np.zeros((1, 3)),
-        np.zeros((9, 3)),
-        np.eye(3)[:2],
-        np.arange(9.0)[:, None] * [1, 2, 3],
-    ],
-)
-def test_degenerate_clouds_have_some_place(points):
-    eye = likely_eye(points)
-    assert np.isfinite(eye).all()
-    assert 0 <= hidden_share(points, eye) <= 1
-    assert is_believable(points, eye, eye)
+def test_degenerate_clouds_have_some_place():
+    line = np.arange(9.0)[:, None] * [1, 2, 3]
+    for points in (np.zeros((1, 3)), np.zeros((9, 3)), np.eye(3)[:2], line):
+        eye = likely_eye(points)
+        assert np.isfinite(eye).all()
+        assert 0 <= hidden_share(points, eye) <= 1
+        assert is_believable(points, eye, eye)

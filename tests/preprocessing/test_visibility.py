@@ -7,6 +7,7 @@ from prism_jax.geometry.cloud import MAX_SIGHTS
 from prism_jax.preprocessing.visibility import beside_and_behind, in_front
 
 EYE = np.array([0.0, 0.0, 5.0])
+SHIFT = np.array([4e5, 5e6, 100.0])
 
 
 @pytest.fixture(scope="module")
@@ -24,30 +25,27 @@ def along(heights):
 def test_only_what_is_nearer_by_more_than_the_tolerance(plane):
     found = in_front(along([2.0, 0.21, 0.19, 0.0, -0.3, 6.0]), plane, EYE, 0.05, 4.0)
     assert found.tolist() == [True, True, False, False, False, False]
-
-
-def test_beside_the_plane_nothing_is_hidden(plane):
+    # Beside the plane nothing is hidden.
     assert not in_front(np.array([[2.0, 0.0, 1.0]]), plane, EYE, 0.05, 4.0).any()
 
 
 def test_one_near_point_that_was_measured_in_front_explains_another(plane):
-    post = np.array([[0.0, 0.0, 1.0]])
-    points = np.array([[0.0, 0.0, 1.1]])
+    post, points = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.1]])
     assert in_front(points, plane, EYE, 0.05, 4.0).all()
     both = np.concatenate([plane, post])
     assert not in_front(points, both, EYE, 0.05, 4.0).any()
 
 
-def test_unit_and_place_do_not_matter(plane):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (200, 3))
+def test_unit_place_and_more_of_the_same_points_do_not_matter(plane):
+    points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
     here = in_front(points, plane, EYE, 0.05, 4.0)
     assert 0.1 < here.mean() < 0.9
-    shift = np.array([4e5, 5e6, 100.0])
-    there = in_front(
-        1e3 * points + shift, 1e3 * plane + shift, 1e3 * EYE + shift, 50.0, 4.0
-    )
+    there = in_front(*(1e3 * x + SHIFT for x in (points, plane, EYE)), 50.0, 4.0)
     np.testing.assert_array_equal(here, there)
+    # Of a large cloud evenly spaced rows are asked.
+    large = np.repeat(plane, 12, axis=0)
+    assert len(large) > MAX_SIGHTS
+    np.testing.assert_array_equal(in_front(points, large, EYE, 0.05, 4.0), here)
 
 
 def test_empty_and_degenerate(plane):
@@ -56,15 +54,6 @@ def test_empty_and_degenerate(plane):
     assert not in_front(plane, nothing, EYE, 0.05, 4.0).any()
     assert not in_front(EYE[None], plane, EYE, np.inf, 4.0).any()
     assert in_front(along([2.0]), along([0.0]), EYE, 0.05, 4.0).all()
-
-
-def test_of_a_large_cloud_evenly_spaced_rows_are_asked(plane):
-    large = np.repeat(plane, 12, axis=0)
-    assert len(large) > MAX_SIGHTS
-    points = np.random.default_rng(0).uniform(-1, 1, (100, 3))
-    np.testing.assert_array_equal(
-        in_front(points, large, EYE, 0.05, 4.0), in_front(points, plane, EYE, 0.05, 4.0)
-    )
 
 
 def test_how_far_beside_and_behind(plane):
@@ -76,10 +65,7 @@ def test_how_far_beside_and_behind(plane):
     apart = np.arctan2(2, 5) - np.arctan2(1, 5)
     assert beside[2] == pytest.approx(2 * np.sin(apart / 2) * np.hypot(1, 5))
     assert np.isfinite(beside).all() and np.isfinite(behind).all()
-    shift = np.array([4e5, 5e6, 100.0])
-    there = beside_and_behind(
-        1e3 * points + shift, 1e3 * plane + shift, 1e3 * EYE + shift
-    )
+    there = beside_and_behind(*(1e3 * x + SHIFT for x in (points, plane, EYE)))
     np.testing.assert_allclose(
         np.array(there)[:, :3] / 1e3, [beside[:3], behind[:3]], atol=1e-6
     )

@@ -7,24 +7,24 @@ import pytest
 
 from experiments.simulation.roboarm.models import arms_of
 from prism_jax.completion.weights import available_weights, read_metadata, save_weights
-from prism_jax.data.datasets import parts_of
 from prism_jax.evaluation.tables import markdown
-from prism_jax.io import InputError
 from prism_jax.reporting.model_card import model_card, released_scores, weights_table
+
+pytestmark = pytest.mark.xdist_group("weights")
 
 README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
 
 
 @pytest.fixture
-def card_of(tmp_path, minimal, minimal_variables):
-    """The card of weights about which this is known."""
+def told_of(tmp_path, minimal, minimal_variables):
+    """A file of weights about which this is known."""
 
-    def card(**about) -> str:
-        path = tmp_path / "weights.safetensors"
+    def written(name="weights", **about) -> str:
+        path = tmp_path / f"{name}.safetensors"
         save_weights(path, minimal.config, minimal_variables, about)
-        return model_card(str(path))
+        return str(path)
 
-    return card
+    return written
 
 
 @pytest.mark.parametrize("name", available_weights())
@@ -46,15 +46,11 @@ def test_all_that_ship_have_one(name):
         assert f"Worst at, CD-L2 x1e4 of completed: {worst} (" in card
 
 
-def test_the_table_has_what_users_get_of_each_split(
-    tmp_path, minimal, minimal_variables
-):
+def test_the_table_has_what_users_get_of_each_split(told_of):
     path = README.parent / "docs" / "tables" / "unseen.json"
     result = json.loads(path.read_text())
-    paths = [str(tmp_path / f"{name}.safetensors") for name in ("scored", "blank")]
-    abouts = {"samples": 1200, "scores": {"shapes-unseen": result}}, {}
-    for path, about in zip(paths, abouts, strict=True):
-        save_weights(path, minimal.config, minimal_variables, about)
+    about = {"samples": 1200, "scores": {"shapes-unseen": result}}
+    paths = [told_of("scored", **about), told_of("blank")]
     head, scored, blank = weights_table(paths).splitlines()
     assert head.split()[:2] == ["weights", "samples"]
     got = result["clouds"]["completed_unadapted"]
@@ -64,16 +60,6 @@ def test_the_table_has_what_users_get_of_each_split(
     worst = max(kinds, key=lambda kind: kinds[kind]["cd_l2"])
     assert scored.split()[1:] == ["1,200", "shapes-unseen", *told, worst]
     assert blank.split()[1:] == ["0", "nothing"]
-
-
-def test_scores_come_back_as_they_were_written(card_of, tmp_path):
-    path = README.parent / "docs" / "tables" / "unseen.json"
-    result = json.loads(path.read_text())
-    card = card_of(scores={"shapes-unseen": result})
-    weights = str(tmp_path / "weights.safetensors")
-    found = released_scores(weights)
-    assert found == {"shapes-unseen": result}
-    assert markdown(found["shapes-unseen"]) in card
 
 
 @pytest.mark.parametrize(
@@ -96,43 +82,27 @@ def test_scores_that_they_ship_with_are_shown(name, split):
     assert f"{1e4 * found['mean']['cd_l2']:.4g} [{low:.4g}, {high:.4g}]" in shown
 
 
-def test_every_training_counts(card_of):
+def test_every_training_counts(told_of):
     first = {"samples": 1000, "data": "shapes", "preset": "small", "commit": "a" * 40}
     second = {"samples": 200, "data": "roboarm, shapes", "pretrained": first}
-    card = card_of(samples=30, data="roboarm", seed=4, pretrained=second)
+    card = model_card(told_of(samples=30, data="roboarm", seed=4, pretrained=second))
     lines = [line[2:] for line in card.splitlines() if line.startswith("- ")]
-    assert (
-        lines[0]
-        == f"1,000 samples of shapes, preset small, seed None, commit {'a' * 12}"
-    )
+    of_first = f"1,000 samples of shapes, preset small, seed None, commit {'a' * 12}"
+    assert lines[0] == of_first
     assert lines[1].startswith("200 samples of roboarm, shapes")
     assert lines[2].startswith("30 samples of roboarm, preset None, seed 4")
     assert lines[3] == "1,230 samples in all"
-    assert [line.split(":")[0] for line in lines[4:]] == [
-        "meshes of shapes",
-        "meshes of roboarm",
-    ]
+    parts = [line.split(":")[0] for line in lines[4:]]
+    assert parts == ["meshes of shapes", "meshes of roboarm"]
     for arm in arms_of("train"):
         assert f"{arm.name} {arm.licence}" in lines[5]
     assert "No scores." in card
 
 
-def test_what_was_kept_of_an_interpolated_training_is_told(card_of):
+def test_what_was_kept_of_an_interpolated_training_is_told(told_of):
     first = {"samples": 1000, "data": "shapes", "interpolated": {"share": 0.6}}
-    card = card_of(samples=30, data="shapes", pretrained=first)
+    card = model_card(told_of(samples=30, data="shapes", pretrained=first))
     lines = [line for line in card.splitlines() if line.startswith("- ")]
     assert lines[0].endswith(", 60% of what it changed kept")
     assert "kept" not in lines[1]
-
-
-def test_without_a_word_of_training(card_of):
-    assert "0 samples in all" in card_of()
-
-
-def test_what_is_not_weights_has_none():
-    with pytest.raises(InputError, match="no such weights"):
-        model_card("huge")
-
-
-def test_a_set_is_its_own_part():
-    assert parts_of("shapes") == ["shapes"]
+    assert "0 samples in all" in model_card(told_of())

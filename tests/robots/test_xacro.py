@@ -91,31 +91,20 @@ def test_a_robot_is_the_same_from_xacro(tmp_path, model):
     )
 
 
+MACRO = '<xacro:macro name="m" params="{}">{}</xacro:macro><xacro:m/>'
+
+
 @pytest.mark.parametrize(
     ("body", "message"),
     [
         ('<xacro:call macro="a"/>', "xacro:call is not supported"),
-        ('<xacro:property name="a"/>', "without value"),
-        (
-            '<xacro:include filename="gone.xacro"/>',
-            "no such included file 'gone.xacro'",
-        ),
+        ('<xacro:include filename="gone.xacro"/>', "no such included file 'gone.xacro"),
         ('<a b="${unknown}"/>', "invalid expression 'unknown'"),
         ("<a b=\"${__import__('os')}\"/>", "invalid expression"),
-        ("<a b=\"${'a' * 9}\"/>", "invalid expression"),
         ('<a b="$(env HOME)"/>', r"asks for \$\(env HOME\)"),
-        (
-            '<xacro:macro name="m" params="p"/><xacro:m/>',
-            "call of m without p",
-        ),
-        (
-            '<xacro:macro name="m" params="*b"/><xacro:m/>',
-            "macro with block parameters",
-        ),
-        (
-            '<xacro:macro name="m" params=""><xacro:m/></xacro:macro><xacro:m/>',
-            "nested too deeply",
-        ),
+        (MACRO.format("p", ""), "call of m without p"),
+        (MACRO.format("*b", ""), "macro with block parameters"),
+        (MACRO.format("", "<xacro:m/>"), "nested too deeply"),
         ("<a>", "not XML"),
     ],
 )

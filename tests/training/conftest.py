@@ -1,9 +1,13 @@
-"""Examples made of random boxes: enough to train on, without a corpus."""
+"""Examples made of random boxes, and a phase that compiles to nothing."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 from prism_jax.data.source import Example
+from prism_jax.training.phase import Phase, TrainState
 
 
 class Boxes:
@@ -38,6 +42,34 @@ class Boxes:
             str(index),
             ordered=True,
         )
+
+
+def regression_phase(batch_size, num_steps, rate):
+    """Fits the eye as a multiple, per axis, of the partial's mean."""
+    adam = optax.adam(rate)
+
+    def error(params, batch):
+        return ((batch.partial.mean(1) * params["w"] - batch.eye) ** 2).mean()
+
+    @jax.jit
+    def step(state, batch):
+        params = state.variables["params"]
+        loss, grads = jax.value_and_grad(error)(params, batch)
+        updates, opt_state = adam.update(grads, state.opt_state)
+        variables = {"params": optax.apply_updates(params, updates)}
+        return TrainState(state.step + 1, variables, opt_state), loss[None]
+
+    @jax.jit
+    def validate(variables, batch):
+        # Which fast steps come near on their way, and leave behind.
+        score = ((variables["params"]["w"] - 3.0) ** 2).mean()
+        return jnp.stack([batch.scale, jnp.full(len(batch.eye), score)], -1)
+
+    params = {"w": jnp.zeros(3)}
+    start = TrainState(jnp.int32(0), {"params": params}, adam.init(params))
+    sizes = num_steps * batch_size, batch_size, 128
+    names = ("loss",), ("scale", "score")
+    return Phase("toy", *sizes, start, step, validate, *names)
 
 
 @pytest.fixture(scope="session")

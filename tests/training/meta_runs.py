@@ -23,16 +23,24 @@ from prism_jax.training.phase import Data, train_phase
 from prism_jax.training.run import open_run
 from tests.training.conftest import Boxes
 
-BATCH, STEPS, BROKEN_AT = 8, 5, 2
+BATCH, STEPS, BROKEN_AT = 8, 3, 1
+METHOD = MetaConfig(
+    lambda_aux=0.1,
+    weight_rule="meta",
+    rehearse_depth=True,
+    learn_steps=True,
+    learn_auxiliary=True,
+)
 # Rates that move every kind of parameter by far more than the comparison allows.
 CONFIG = MetaTrainConfig(
-    MetaConfig(num_steps=1, lambda_aux=0.1, learn_steps=True),
+    METHOD,
     num_samples=STEPS * BATCH,
     batch_size=BATCH,
     num_complete=128,
     learning_rate=1e-2,
     clip_norm=1.0,
     refiner_rate=1e-2,
+    auxiliary_rate=1e-2,
     weight_rate=0.1,
     average_decay=0.5,
 )
@@ -45,10 +53,12 @@ def train(folder, weights, devices):
     os.environ["XLA_FLAGS"] = f"{flags} {count}"
     assert jax.device_count() == devices
     config, variables = load_pretrained(str(weights))
+    # Validation without adaptation is quicker to compile.
+    config = config.with_adapt(num_steps=0, step_size=0.1)
     # One phase, whose programs are compiled once.
     phase = meta_phase(variables, config, CONFIG, seed=0)
     points = config.model.backbone.num_points
-    data = Data(Boxes(20, 0), Boxes(10, 1), points, 1.4, 7, 16)
+    data = Data(Boxes(20, 0), Boxes(10, 1), points, 1.4, 7, BATCH)
     for steps in (BROKEN_AT, STEPS) if devices > 1 else (STEPS,):
         open_run(str(folder), {}, 0, resume=True)
         trained = train_phase(phase, data, folder, steps if steps < STEPS else None)

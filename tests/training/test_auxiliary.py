@@ -26,10 +26,11 @@ def batch(examples, framed):
     return framed(examples, range(4), Framing(64, 128, 1.4))
 
 
-def steps(phase, batch, count, variables=None):
-    state, history = phase.start, []
-    if variables is not None:
-        state = state._replace(variables=variables)
+def steps(phase, batch, count, **params):
+    """The state after some steps, from a start with other parameters, and the terms."""
+    before = phase.start.variables
+    variables = {**before, "params": {**before["params"], **params}}
+    state, history = phase.start._replace(variables=variables), []
     for _ in range(count):
         state, terms = phase.step_fn(state, batch)
         history.append(np.asarray(terms))
@@ -53,59 +54,48 @@ def test_it_trains_these_and_nothing_of_the_backbone(phase, trained):
     for name in before["params"]["auxiliary"]:
         branch = before["params"]["auxiliary"][name]
         assert not bitwise(branch, after["params"]["auxiliary"][name]), name
+    logits = (each["weighting"]["logits"] for each in (before, after))
+    assert bitwise(*logits)
 
 
-def test_loss_weights_stay_and_scales_are_measured(phase, trained):
-    before, after = (
-        phase.start.variables["weighting"],
-        trained[0].variables["weighting"],
-    )
-    assert bitwise(before["logits"], after["logits"])
-    assert (np.asarray(before["scales"]) == 0).all()
-    assert (np.asarray(after["scales"]) > 0).all()
-
-
-def test_scales_are_moving_averages_of_the_losses(phase, batch):
+def test_scales_are_moving_averages_of_the_losses(phase, batch, trained):
     """Of normals and denoising; the alignment is measured frame by frame."""
-    first, _ = steps(phase, batch, 1)
-    second, history = steps(phase, batch, 2)
-    one = np.asarray(first.variables["weighting"]["scales"])
-    two = np.asarray(second.variables["weighting"]["scales"])
-    np.testing.assert_allclose(one[:2], history[0, 1:3], rtol=1e-5)
+    _, history = trained
+    two = np.asarray(steps(phase, batch, 2)[0].variables["weighting"]["scales"])
     expected = 0.99 * history[0, 1:3] + 0.01 * history[1, 1:3]
     np.testing.assert_allclose(two[:2], expected, rtol=1e-5)
+    assert two[2] > 0
 
 
-@pytest.mark.slow
-def test_losses_fall_on_one_batch(phase, batch):
-    """But the denoiser's, whose noise is another at every step: it starts that low."""
-    _, history = steps(phase, batch, 40)
-    first, last = history[:5].mean(0), history[-5:].mean(0)
-    assert history.shape == (40, 4)
-    refined, normal, denoised, aligned = last / first
-    assert max(refined, normal, aligned) < 0.9, (first, last)
-    assert denoised < 1.5
-
-
-def test_the_refiner_learns_from_eq_3_alone(phase, batch):
-    """What only the other losses see does not change how it moves."""
-    variables = phase.start.variables
-    expected = steps(phase, batch, 3)[0].variables["params"]
-    for name in ("auxiliary", "depth_encoder"):
-        others = jax.tree.map(lambda leaf: 1.5 * leaf, variables["params"][name])
-        changed = {**variables, "params": {**variables["params"], name: others}}
-        moved = steps(phase, batch, 3, changed)[0].variables["params"]
-        assert bitwise(moved["refiner"], expected["refiner"])
-        assert not bitwise(moved[name], expected[name])
-
-
-def test_and_the_branches_do_not_see_the_complete_cloud(phase, batch):
+def test_the_refiner_learns_from_eq_3_alone_and_the_branches_from_theirs(phase, batch):
+    """What only the other losses see does not change how it moves; the branches do not
+    see the complete cloud. The first step has no size: in the second, both begin where
+    they began."""
+    params = phase.start.variables["params"]
     expected = steps(phase, batch, 2)[0].variables["params"]
-    other = batch._replace(complete=batch.complete[:, ::-1] * 0.5)
-    moved = steps(phase, other, 2)[0].variables["params"]
+    branches = ("auxiliary", "depth_encoder")
+    others = {
+        name: jax.tree.map(lambda leaf: 1.5 * leaf, params[name]) for name in branches
+    }
+    moved = steps(phase, batch, 2, **others)[0].variables["params"]
+    assert bitwise(moved["refiner"], expected["refiner"])
+    smaller = batch._replace(complete=batch.complete[:, ::-1] * 0.5)
+    moved = steps(phase, smaller, 2)[0].variables["params"]
     assert not bitwise(moved["refiner"], expected["refiner"])
-    assert bitwise(moved["depth_encoder"], expected["depth_encoder"])
-    assert bitwise(moved["auxiliary"], expected["auxiliary"])
+    assert all(bitwise(moved[name], expected[name]) for name in branches)
+
+
+def test_the_alignment_does_not_move_the_tokens_of_the_point_stream(phase, batch):
+    """Where the denoiser does not, which looks at these tokens through `latent`. The
+    first step has no size, so that is still zero in the second."""
+    auxiliary = phase.start.variables["params"]["auxiliary"]
+    before = dict(auxiliary["integrator"])
+    before["latent"] = jax.tree.map(jnp.zeros_like, before["latent"])
+    changed = {**auxiliary, "integrator": before}
+    state, _ = steps(phase, batch, 2, auxiliary=changed)
+    after = state.variables["params"]["auxiliary"]["integrator"]
+    moved = {name for name in before if not bitwise(before[name], after[name])}
+    assert moved == {"latent"}
 
 
 def test_validation_scores_before_and_after_the_refiner(phase, batch, trained):
@@ -113,15 +103,12 @@ def test_validation_scores_before_and_after_the_refiner(phase, batch, trained):
     scores = np.asarray(phase.validate_fn(variables, batch))
     assert scores.shape == (4, 3)
     assert np.isfinite(scores).all()
-    assert not np.allclose(scores[:, 0], scores[:, 1])
     idle = jax.tree.map(jnp.zeros_like, variables["params"]["refiner"])
     params = {**variables["params"], "refiner": idle}
-    other = np.asarray(phase.validate_fn({**variables, "params": params}, batch))
-    assert np.array_equal(other[:, 0], scores[:, 0])
     doubled = batch._replace(scale=2 * batch.scale)
-    larger = np.asarray(phase.validate_fn(variables, doubled))
-    np.testing.assert_allclose(larger[:, :2], 4 * scores[:, :2], rtol=1e-6)
-    np.testing.assert_allclose(larger[:, 2], scores[:, 2], rtol=1e-6)
+    other = phase.validate_fn({**variables, "params": params}, doubled)
+    np.testing.assert_allclose(other[:, 0], 4 * scores[:, 0], rtol=1e-6)
+    assert not np.allclose(other[:, 1], 4 * scores[:, 1], rtol=1e-4)
 
 
 def test_its_state_goes_through_a_checkpoint(phase, batch, tmp_path):
@@ -133,7 +120,15 @@ def test_its_state_goes_through_a_checkpoint(phase, batch, tmp_path):
     checkpoints.close()
     assert bitwise(restored, state)
     restored = jax.device_put(jax.device_get(restored))
-    expected, _ = phase.step_fn(state, batch)
-    resumed, _ = phase.step_fn(restored, batch)
-    assert bitwise(resumed, expected)
+    assert bitwise(phase.step_fn(restored, batch), phase.step_fn(state, batch))
     assert phase.step_fn._cache_size() == 1
+
+
+@pytest.mark.slow
+def test_losses_fall_on_one_batch(phase, batch):
+    """But the denoiser's, whose noise is another at every step: it starts that low."""
+    _, history = steps(phase, batch, 40)
+    first, last = history[:5].mean(0), history[-5:].mean(0)
+    refined, normal, denoised, aligned = last / first
+    assert max(refined, normal, aligned) < 0.9, (first, last)
+    assert denoised < 1.5

@@ -9,61 +9,45 @@ import sys
 
 import pytest
 
-pytestmark = pytest.mark.slow
-
 SCRIPT = pathlib.Path(__file__).with_name("killed_runs.py")
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """The folder of both trainings, and how the kills went."""
-    folder = tmp_path_factory.mktemp("killed")
+def ended(folder):
+    return json.loads((folder / "ended.json").read_text())
+
+
+def logged(folder):
+    """What was measured, by phase and step, and how many lines there are."""
+    text = (folder / "metrics.jsonl").read_text()
+    lines = [json.loads(line) for line in text.splitlines()]
+    measured = {
+        (line["phase"], line["step"], kind): line[kind]
+        for line in lines
+        for kind in ("losses", "validation")
+        if kind in line
+    }
+    return measured, len(lines)
+
+
+@pytest.mark.slow
+def test_a_training_that_is_killed_ends_as_an_unbroken_one(tmp_path):
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, SCRIPT, folder]
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
-    return folder, json.loads(ended.stdout)
-
-
-def ended(runs, name):
-    return json.loads((runs[0] / name / "ended.json").read_text())
-
-
-def test_many_were_killed_in_the_middle_of_a_save(runs):
-    kills = runs[1]
+    command = [sys.executable, SCRIPT, tmp_path]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    kills = json.loads(done.stdout)
     assert {kill["status"] for kill in kills} == {-signal.SIGKILL}
     assert sum(kill["in_save"] for kill in kills) >= 3
     # And found different checkpoints to go on from.
     steps = [kill["step"] for kill in kills]
     assert steps == sorted(steps)
     assert len(set(steps)) >= 3
-
-
-def test_variables_and_state_are_those_of_an_unbroken_training(runs):
-    unbroken, killed = ended(runs, "unbroken"), ended(runs, "killed")
-    for what in ("last", "best", "state"):
-        assert killed[what] == unbroken[what]
+    unbroken, killed = tmp_path / "unbroken", tmp_path / "killed"
+    assert ended(killed) == ended(unbroken)
     # What did best is not simply what came last.
-    assert unbroken["best"] != unbroken["last"]
-
-
-def test_the_log_has_every_line_once(runs):
-    def logged(name):
-        text = (runs[0] / name / "metrics.jsonl").read_text()
-        lines = [json.loads(line) for line in text.splitlines()]
-        told = ("losses", "validation")
-        return {
-            (line["phase"], line["step"], kind): line[kind]
-            for line in lines
-            for kind in told
-            if kind in line
-        }, len(lines)
-
-    unbroken, count = logged("unbroken")
-    assert len(unbroken) == count
-    assert logged("killed") == (unbroken, count)
-
-
-def test_nothing_half_written_is_left(runs):
-    left = [path for path in runs[0].rglob("*") if "tmp" in path.name]
-    assert not left
+    assert ended(unbroken)["best"] != ended(unbroken)["last"]
+    # Every line is there once, and nothing half-written is left.
+    measured, count = logged(unbroken)
+    assert len(measured) == count
+    assert logged(killed) == (measured, count)
+    assert not [path for path in tmp_path.rglob("*") if "tmp" in path.name]

@@ -58,20 +58,11 @@ def test_the_expected_error_is_the_trees_sum_in_the_users_units():
     assert verdict.evidence == spreads(novelty=1)
 
 
-@pytest.mark.parametrize(
-    ("off", "trust"), [(0.0, "high"), (0.4, "high"), (0.7, "fair"), (2.0, "low")]
-)
-def test_trust_falls_as_the_expected_error_grows(off, trust):
-    verdict = calibration().judge(spreads(novelty=off), 1.0)
-    assert verdict.trust == trust
-    assert bool(verdict.reasons) == (trust != "high")
-
-
-def test_nothing_beyond_what_was_met_is_expected():
-    wide = [stump("novelty", -9, 9)]
-    found = calibration(*wide)
-    assert found.expected_error(spreads(novelty=1)) == pytest.approx(0.1)
-    assert found.expected_error(spreads(novelty=-1)) == pytest.approx(0.001)
+def test_trust_falls_as_the_expected_error_grows():
+    for off, trust in ((0.0, "high"), (0.4, "high"), (0.7, "fair"), (2.0, "low")):
+        verdict = calibration().judge(spreads(novelty=off), 1.0)
+        assert verdict.trust == trust
+        assert bool(verdict.reasons) == (trust != "high")
 
 
 def test_the_reasons_are_what_makes_the_error_large_the_worst_first():
@@ -103,12 +94,6 @@ def test_what_speaks_for_a_completion_is_no_reason_against_it(name, usual_side):
     assert verdict.trust == "low" and verdict.reasons == ()
 
 
-def test_every_reason_can_be_said():
-    for name, text in EVIDENCE.items():
-        assert text.format(0.123), name
-        assert ": " in text, "a reason has a remedy"
-
-
 def test_novelty_is_the_distance_in_spreads():
     """1 at one spread along each axis and as much beside them."""
     found, mean = calibration(), np.arange(4.0)
@@ -128,43 +113,35 @@ def test_it_goes_through_json():
     assert again.novelty(np.ones(4)) == pytest.approx(found.novelty(np.ones(4)))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"low": None},
-        {"low": 0.0},
-        {"low": [1.0]},
-        {"usual": [0.0]},
-        {"usual": ["a"] * COUNT},
-        {"usual": {"a": 1}},
-        {"leaves": [1.0]},
-        {"leaves": [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]},
-        {"looks_at": [[0.0, COUNT, 0.0], [0.0, 0.0, 0.0]]},
-        {"looks_at": [[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]},
-        {"looks_at": [[0.0, 0.0], [0.0, 0.0]]},
-        {"looks_at": []},
-        {"looks_at": 1.0},
-        {"feature_axes": [[1.0]]},
-        {"feature_axes": [[1.0], [1.0, 2.0]]},
-        {"bounds": [float("nan"), 1.0]},
-        {"more": 1},
-    ],
-)
+DAMAGED = [
+    {"low": None},
+    {"low": 0.0},
+    {"low": [1.0]},
+    {"usual": [0.0]},
+    {"usual": ["a"] * COUNT},
+    {"leaves": [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]},
+    {"looks_at": [[0.0, COUNT, 0.0], [0.0, 0.0, 0.0]]},
+    {"looks_at": [[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]},
+    {"looks_at": 1.0},
+    {"feature_axes": [[1.0], [1.0, 2.0]]},
+    {"bounds": [float("nan"), 1.0]},
+    {"more": 1},
+]
+
+
+@pytest.mark.parametrize("change", DAMAGED)
 def test_a_damaged_one_is_refused(change):
     with pytest.raises(ValueError, match="a calibration"):
         Calibration.from_dict({**calibration().to_dict(), **change})
 
 
-def test_one_that_lacks_something_is_refused():
-    fields = calibration().to_dict()
-    del fields["bounds"]
-    for damaged in (fields, {}):
-        with pytest.raises(ValueError, match="a calibration needs"):
-            Calibration.from_dict(damaged)
-
-
-def test_whatever_the_evidence_the_error_is_finite():
-    wild = calibration(leaves=np.full((2, 4), 1e3))
-    for value in (0.0, 1e-12, 1e12):
+def test_whatever_the_evidence_the_error_is_within_what_was_met():
+    wild = calibration(stump("novelty", -1e3, 1e3))
+    np.testing.assert_allclose(logarithms(dict.fromkeys(NAMES, 0.0)), np.log(SMALLEST))
+    for value, error in ((0.0, 0.001), (1e-12, 0.001), (1e12, 0.1)):
         verdict = wild.judge(dict.fromkeys(NAMES, value), 1.0)
-        assert 0 < verdict.expected_error <= 0.1 + 1e-12
+        assert verdict.expected_error == pytest.approx(error)
+    fields = wild.to_dict()
+    del fields["bounds"]
+    with pytest.raises(ValueError, match="a calibration needs"):
+        Calibration.from_dict(fields)

@@ -33,7 +33,7 @@ FEW = 4000  # rays by which shares of an image are estimated
 MIN_POINTS, MIN_IMAGE, MIN_SHARE = 64, 0.003, 0.05
 """A frame shows at least so many points of robot and fixtures, on so much of the image,
 and so much of what the camera would see of them if nothing were in the way."""
-MARGIN, FLOOR_MARGIN = 0.1, 0.03
+CELL_MARGIN, FLOOR_MARGIN = 0.1, 0.03
 """Metres that the workspace is larger than robot and fixtures, and that it keeps off
 what they stand on."""
 RAYS_A_PIXEL = 5
@@ -131,7 +131,7 @@ def _measured(
         wanted & (depth > 0) & ~flying_pixels(depth.reshape(labels.shape)).ravel()
     )
     points = np.asarray(cell.camera.position) + depth[measured, None] * rays[measured]
-    lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
+    lower, upper = cell.lower - CELL_MARGIN, cell.upper + CELL_MARGIN
     measured[measured] = np.all((points > lower) & (points < upper), axis=1)
     return measured
 
@@ -146,7 +146,7 @@ def _readings(
     """What some pixels know. Neither robot nor fixture hides what is behind it where
     the workspace goes on there, and is background where it does not."""
     eye = np.asarray(cell.camera.position)
-    lower, upper = cell.lower - MARGIN, cell.upper + MARGIN
+    lower, upper = cell.lower - CELL_MARGIN, cell.upper + CELL_MARGIN
     lower[2] = cell.lower[2] + FLOOR_MARGIN
     hides = box_exit(eye, rays, lower, upper) > depth + FLOOR_MARGIN
     state = np.where(hides, NEARER, BACKGROUND).astype(np.uint8)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from experiments.simulation.recorder import write_frame
-from prism_jax.data.recordings import DEPTH_SCALE, Frame
+from prism_jax.data.recordings import DEPTH_SCALE, RecordedFrame
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.streams.mcap_output import Maker, McapOutput, header
 
@@ -20,7 +20,7 @@ JOINTS_TOPIC = "/joint_states"
 
 
 def record(
-    path: str | os.PathLike, frames: Iterable[Frame], rate: float = 10.0
+    path: str | os.PathLike, frames: Iterable[RecordedFrame], rate: float = 10.0
 ) -> pathlib.Path:
     """Writes frames as a camera's driver and a robot's record them (`write_mcap`).
 
@@ -30,7 +30,7 @@ def record(
     """
     beside = pathlib.Path(path).with_suffix("")
 
-    def kept() -> Iterator[Frame]:
+    def kept() -> Iterator[RecordedFrame]:
         for number, frame in enumerate(frames):
             write_frame(beside / "000", number, frame)
             yield frame
@@ -40,7 +40,7 @@ def record(
 
 
 def write_mcap(
-    path: str | os.PathLike, frames: Iterable[Frame], rate: float = 10.0
+    path: str | os.PathLike, frames: Iterable[RecordedFrame], rate: float = 10.0
 ) -> None:
     """Writes what sensors measure of frames as an MCAP file of ROS 2, whole or not:
     depth in millimetres as 16UC1, CameraInfo, and the joints' positions, ``rate`` a

@@ -28,7 +28,7 @@ from experiments.simulation.sensors import (
     ouster_scan,
 )
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.data.recordings import DEPTH_SCALE, LABELS, Frame
+from prism_jax.data.recordings import DEPTH_SCALE, LABELS, RecordedFrame
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import inside
 from prism_jax.io.depth import points_from_depth
@@ -158,7 +158,7 @@ def scene_parts(sequence: Sequence, number: int) -> dict[str, trimesh.Trimesh]:
 
 def make_frame(
     sequence: Sequence, number: int, config: RoboArmConfig, rng: np.random.Generator
-) -> Frame:
+) -> RecordedFrame:
     """Frame `number` of a sequence; ValueError where nearly nothing of it is seen.
 
     The partial cloud is what the depth image holds of robot and fixtures within the
@@ -190,7 +190,7 @@ def make_frame(
         config.num_stations,
     )
     hidden = _hidden_share(whole, uncluttered, cell.camera, sizes[0])
-    return Frame(
+    return RecordedFrame(
         depth=counts,
         camera=cell.camera,
         partial=_partial(counts, labels, cell),

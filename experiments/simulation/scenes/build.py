@@ -30,7 +30,7 @@ from experiments.simulation.scenes.arrangement import (
 )
 from experiments.simulation.scenes.sensing import (
     Measured,
-    Sensor,
+    PlacedSensor,
     measured,
     random_camera,
     random_lidar,
@@ -92,7 +92,7 @@ class MadeScene(NamedTuple):
 
     things: tuple[Thing, ...]  # with their meshes in their places
     parts: tuple[Part, ...]  # what is around them
-    sensor: Sensor
+    sensor: PlacedSensor
     measured: Measured
     complete: Float64[np.ndarray, "K 16384 3"]  # of each thing, farthest points first
     traits: tuple[str, ...]  # as in `LabelledScene`

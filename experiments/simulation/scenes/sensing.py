@@ -40,7 +40,7 @@ LIDAR_RADII, LIDAR_METRES = (1.2, 3.0), (2.0, 12.0)
 STRAY = 4.0  # deviations from the surface: a point farther off flies beside an edge
 
 
-class Sensor(NamedTuple):
+class PlacedSensor(NamedTuple):
     """A sensor in its place."""
 
     name: Literal["camera", "lidar"]
@@ -58,7 +58,7 @@ class Measured(NamedTuple):
 
 def random_camera(
     things: Scene, faces_wall: bool, heading: float, rng: np.random.Generator
-) -> Sensor:
+) -> PlacedSensor:
     """An L515 that looks down at things from anywhere around them, or from the side of
     -y, turned by `heading` degrees, where there is a wall behind them."""
     width = int(rng.choice(WIDTHS))
@@ -69,19 +69,19 @@ def random_camera(
     across, down = np.tan(HALF_FIELD)
     grid = pixel_grid(np.array([(-across, -down), (across, down)]), 2 * across / width)
     directions = (grid.reshape(-1, 3) @ axes).reshape(grid.shape)
-    return Sensor("camera", L515Config(), axes, Rays(eye, directions))
+    return PlacedSensor("camera", L515Config(), axes, Rays(eye, directions))
 
 
 def random_lidar(
     things: Scene, faces_wall: bool, heading: float, rng: np.random.Generator
-) -> Sensor:
+) -> PlacedSensor:
     """A spinning lidar, tilted so that its beams meet things; of each turn only what
     passes them or close by. Where it stands is as for `random_camera`."""
     config = random_ouster(rng, LIDAR_BEAMS)
     distance = rng.uniform(*LIDAR_RADII) * things.radius
     eye = _eye(things, distance, LIDAR_METRES, faces_wall, heading, rng)
     rays = tilted_rays(things, eye, config, (0.3, 0.7), rng)
-    return Sensor("lidar", config, camera_axes(things.center - eye), rays)
+    return PlacedSensor("lidar", config, camera_axes(things.center - eye), rays)
 
 
 def _eye(
@@ -101,7 +101,7 @@ def _eye(
 def measured(
     scene: Scene,
     owners: Int[np.ndarray, " F"],
-    sensor: Sensor,
+    sensor: PlacedSensor,
     rng: np.random.Generator,
 ) -> Measured:
     """What the sensor measures of a scene whose faces have these labels. A point that

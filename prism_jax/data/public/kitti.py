@@ -1,10 +1,9 @@
 """KITTI's cars: real scans with a labelled box, and no ground truth.
 
-Cut by Yuan et al. (PCN, 3DV 2018) from the raw drive 2011_09_26_drive_0009 of KITTI
-(Geiger et al., IJRR 2013), in the layout of GRNet's and PoinTr's release: `root` holds
-KITTI.json, the list of 2,401 cars, cars/<name>.pcd and bboxes/<name>.txt, eight lines
-with the corners of the car's box. Points and corners are in the scanner's frame, in
-metres: x forward, y left, z up, the scanner at the origin.
+Cut by Yuan et al. (PCN, 3DV 2018) from a raw drive of KITTI (Geiger et al., IJRR 2013),
+in the layout of GRNet's and PoinTr's release: `root` holds KITTI.json, a list of cars,
+cars/<name>.pcd and bboxes/<name>.txt, eight lines with the corners of the car's box, in
+the scanner's frame and in metres: x forward, y left, z up.
 """
 
 import pathlib
@@ -23,8 +22,6 @@ from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.text import read_text
 
-SPLITS = ("test",)
-
 
 class KITTI(ListedSource):
     """Cars in the frame of their box, as `to_box_frame` has it; `complete` is None.
@@ -34,7 +31,7 @@ class KITTI(ListedSource):
         self, root: StrPath, split: str = "test", list_file: str = "KITTI.json"
     ):
         root = pathlib.Path(root)
-        choose("split", split, SPLITS)
+        choose("split", split, ["test"])
         cars = read_json_list(root / list_file, split)
         super().__init__(root, cars, views=1)
         wanted = {

@@ -8,11 +8,13 @@ Projected_<subset>_noise/, of names with shapenet_pc/ before them, and
 projected_partial_noise/<synset>/<model>/models/<0 to 15>.pcd.
 """
 
+import json
 import pathlib
 
 import numpy as np
 from jaxtyping import Float32
 
+from prism_jax.assets import asset
 from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop
 from prism_jax.data.public.layout import (
     ListedSource,
@@ -21,7 +23,6 @@ from prism_jax.data.public.layout import (
     read_list,
     require_files,
 )
-from prism_jax.data.public.synsets import SYNSETS
 from prism_jax.data.source import Example
 from prism_jax.io.errors import InputError, StrPath, choose
 
@@ -31,6 +32,9 @@ SUBSETS = {
     "ShapeNet-Unseen21": ("test",),
 }
 """Published lists and their splits."""
+
+SYNSETS: dict[str, str] = json.loads(asset("shapenet_synsets.json").read_text())
+"""Names of ShapeNet's 55 categories by their WordNet synset (Chang et al., 2015)."""
 
 NUM_POINTS = 8192
 TRAIN_PROJECTIONS = 16

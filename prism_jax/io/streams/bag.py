@@ -1,5 +1,6 @@
 """ROS 1 bags of format 2.0: http://wiki.ros.org/Bags/Format/2.0."""
 
+import contextlib
 import os
 import struct
 from collections import Counter
@@ -26,13 +27,10 @@ class BagFile(MessageFile):
     needed, so a bag that was never closed can be read."""
 
     def topics(self) -> dict[str, Topic]:
-        counts: Counter[str] = Counter()
+        counts: Counter[str | None] = Counter()
         kinds: dict[str, str] = {}
-        try:
-            for number, names, _, _ in self._messages(kinds):
-                counts[names.get(number, "")] += 1
-        except CutError:
-            pass  # which iterating over the messages tells
+        with contextlib.suppress(CutError):  # which iterating over the messages tells
+            counts.update(topic for topic, _, _ in self._messages(kinds))
         return {
             name: Topic(kinds[name], "ros1", count)
             for name, count in counts.items()
@@ -40,17 +38,17 @@ class BagFile(MessageFile):
         }
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        for number, names, time, data in self._messages({}):
-            if number not in names:
+        for topic, time, data in self._messages({}):
+            if topic is None:
                 raise CutError("message without connection")
-            if names[number] in wanted:
-                yield Message(names[number], time, bytes(data))
+            if topic in wanted:
+                yield Message(topic, time, bytes(data))
 
     def _messages(
         self, kinds: dict[str, str]
-    ) -> Iterator[tuple[int, dict[int, str], int, memoryview]]:
-        """The number of each message's connection, the topics of those known so far,
-        and the message's time and data. Fills in the types of topics."""
+    ) -> Iterator[tuple[str | None, int, memoryview]]:
+        """Each message's topic, if a connection said it, time and data. Fills in the
+        types of topics."""
         names: dict[int, str] = {}
         for fields, data in self._records():
             try:
@@ -68,7 +66,7 @@ class BagFile(MessageFile):
             except (KeyError, IndexError, UnicodeDecodeError, struct.error):
                 raise CutError("damaged record") from None
             if code == _MESSAGE:
-                yield number, names, seconds * 1_000_000_000 + nanoseconds, data
+                yield names.get(number), seconds * 1_000_000_000 + nanoseconds, data
 
     def _records(self) -> Iterator[tuple[_Fields, memoryview]]:
         """Every record, those in chunks like the others."""
@@ -117,9 +115,9 @@ def _in_chunk(
         raise CutError(f"damaged record ({error})") from None
     parts = _parts(records)
     for header in parts:
-        data = next(parts, None)
-        if header is not None and data is not None:
-            yield _fields(header), data
+        content = next(parts, None)
+        if header is not None and content is not None:
+            yield _fields(header), content
 
 
 def _parts(data: memoryview) -> Iterator[memoryview | None]:

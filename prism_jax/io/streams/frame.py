@@ -140,13 +140,11 @@ class Stream(abc.ABC):
             self._tell(f"{self.path}: {line}")
 
     def _look_at(self, number: int, frame: Frame, before: Frame | None) -> None:
-        if len(frame.points) == 0:
-            if frame.num_not_finite:
-                count = f"{frame.num_not_finite:,}"
-                line = f"frame {number}: none of {count} points are finite"
-                self.remark("not_finite", line)
-            else:
-                self.remark("empty", f"frame {number} is empty")
+        if len(frame.points) == 0 and frame.num_not_finite:
+            line = f"frame {number}: none of {frame.num_not_finite:,} points are finite"
+            self.remark("not_finite", line)
+        elif len(frame.points) == 0:
+            self.remark("empty", f"frame {number} is empty")
         if before is None:
             return
         behind = before.timestamp - frame.timestamp

@@ -37,9 +37,9 @@ class McapFile(MessageFile):
                 counts.update(channel for channel, _, _ in self._messages(known))
         found: dict[str, Topic] = {}
         for channel, count in counts.items():
-            name, *about = known.channels[channel]
+            name, kind, encoding = known.channels[channel]
             before = found[name].count if name in found else 0
-            found[name] = Topic(*about, before + count)
+            found[name] = Topic(kind, encoding, before + count)
         return found
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:

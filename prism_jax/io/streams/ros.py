@@ -15,7 +15,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.arrays import stack_columns
 from prism_jax.io.depth import camera_from_dict
 from prism_jax.io.errors import InputError, StrPath, require
-from prism_jax.io.files import MAX_POINTS
+from prism_jax.io.files import MAX_POINTS, check_count
 from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 from prism_jax.io.streams.packed import EXTRA
@@ -93,8 +93,6 @@ class RosStream(Stream):
                     time = _time(content, message)
                     yield joints.put_into(Frame.of_depth(depth, camera, time))
             except ValueError as error:
-                if isinstance(error, InputError):
-                    raise
                 line = f"skipped a message on {message.topic}: {error}"
                 self.remark("damaged", line)
 
@@ -174,12 +172,10 @@ class RosStream(Stream):
     def _pinhole(self, content: Any) -> Camera:
         """The pinhole of a CameraInfo; ValueError if it is none."""
         matrix = np.asarray(content.k if hasattr(content, "k") else content.K)
-        distortion = content.d if hasattr(content, "d") else content.D
-        entries: dict[str, Any] = {"width": content.width, "height": content.height}
-        for name, place in (("fx", 0), ("cx", 2), ("fy", 4), ("cy", 5)):
-            entries[name] = float(matrix[place])
-        camera = camera_from_dict(entries)
-        if np.any(distortion):
+        fx, _, cx, _, fy, cy, *_ = map(float, matrix)
+        size = {"width": content.width, "height": content.height}
+        camera = camera_from_dict({**size, "fx": fx, "fy": fy, "cx": cx, "cy": cy})
+        if np.any(content.d if hasattr(content, "d") else content.D):
             line = f"{self._info} has lens distortion, which is ignored"
             self.remark("distortion", line)
         return camera
@@ -270,8 +266,8 @@ def _cloud(content: Any, time: int) -> Frame:
     if max(map(sum, zip(offsets, sizes, strict=True))) > step or row < step * width:
         raise ValueError("point layout differs from the header")
     kinds = [f"{order}f{size}" for size in sizes]
-    about = {"names": list("xyz"), "formats": kinds, "offsets": offsets}
-    layout = np.dtype({**about, "itemsize": step})
+    layout: Any = {"names": list("xyz"), "formats": kinds, "offsets": offsets}
+    layout = np.dtype(layout | {"itemsize": step})
     data = np.asarray(content.data, np.uint8)[: row * height].reshape(height, row)
     rows = np.ascontiguousarray(data[:, : step * width]).view(layout).ravel()
     points = stack_columns((rows[axis] for axis in "xyz"), map(np.dtype, kinds))
@@ -286,7 +282,6 @@ def _cloud(content: Any, time: int) -> Frame:
 
 
 def _check_size(count: int, claimed: int, held: int) -> None:
-    if count > MAX_POINTS:
-        raise ValueError(f"{count:,} points exceed the limit of {MAX_POINTS:,}")
+    check_count(count, MAX_POINTS)
     if held < claimed:
         raise ValueError(f"{claimed:,} bytes declared, {held:,} found")

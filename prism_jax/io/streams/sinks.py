@@ -15,8 +15,7 @@ TOPIC = "/completed"  # of the clouds in an MCAP file
 
 
 class Labelled(NamedTuple):
-    """A completed frame as it is written; `label` is OBSERVED, COMPLETED or KNOWN, as
-    PLY files have it."""
+    """A completed frame as it is written, with the labels of PLY files."""
 
     number: int
     timestamp: int
@@ -42,8 +41,8 @@ class PlyFolder:
         self.path = make_output_dir(path)
 
     def write(self, frame: Labelled) -> None:
-        name = f"{frame.number:06d}.ply"
-        write_bytes(self.path / name, ply_bytes(frame.points, frame.label))
+        cloud = ply_bytes(frame.points, frame.label)
+        write_bytes(self.path / f"{frame.number:06d}.ply", cloud)
 
     def close(self) -> None:
         pass

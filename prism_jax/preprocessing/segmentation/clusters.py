@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float, Float64, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
+
+from prism_jax.geometry.cloud import IndexedCloud
 
 CELLS = 128  # along the longest side of a cloud's bulk
 LINK_NEIGHBORS = 16  # so many nearest points can be linked to one
@@ -47,21 +48,18 @@ def extent(points: Float64[np.ndarray, "N D"]) -> float:
     return float(side if side > 0 else np.ptp(points, axis=0).max())
 
 
-def spacing(points: Float64[np.ndarray, "N 3"]) -> float:
-    """The median distance to the nearest other point; of at least two."""
-    return float(np.median(KDTree(points).query(points, k=2)[0][:, 1]))
-
-
 def components(
-    points: Float64[np.ndarray, "N D"], reach: Float64[np.ndarray, " N"]
+    points: IndexedCloud | Float64[np.ndarray, "N D"],
+    reach: Float64[np.ndarray, " N"],
 ) -> Int[np.ndarray, " N"]:
     """Numbers of connected groups; two points within both their reaches are linked.
     Only the `LINK_NEIGHBORS` nearest of each point are asked."""
     if len(points) < 2:
         return np.zeros(len(points), int)
     count = min(LINK_NEIGHBORS + 1, len(points))
-    found: Any = KDTree(points).query(
-        points, k=count, distance_upper_bound=1.001 * reach.max()
+    cloud = IndexedCloud.of(points)
+    found: Any = cloud.tree.query(
+        cloud.points, k=count, distance_upper_bound=1.001 * reach.max()
     )
     apart, other = found
     linked = np.isfinite(apart)

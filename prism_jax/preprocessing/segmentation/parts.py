@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.preprocessing.segmentation.clusters import (
     components,
     extent,
@@ -49,15 +50,16 @@ def objects_of(
     cells, owner = thin(points, CELLS)
     if len(cells) > MAX_CELLS:
         cells, owner = thin(points, CELLS // 2)
-    reach, sparse = _reach(cells, eye)
-    part = _hanging_together(cells, reach, sparse)
+    cloud = IndexedCloud(cells)
+    reach, sparse = _reach(cloud, eye)
+    part = _hanging_together(cloud, reach, sparse)
     height = np.full(len(cells), np.inf)
     if support is not None:
         # At zero where the support's noise or its spacing hides what touches it.
         touching = support.tolerance + np.median(reach)
         height = np.maximum(support.height(cells) - touching, 0.0)
         if eye is not None:
-            part = _split_at_creases(cells, part, reach, eye, height)
+            part = _split_at_creases(cloud, part, reach, eye, height)
     whole = _joined(cells, part, up, height)
     if gap > 0:
         whole = _joined_across(cells, whole, gap)
@@ -65,12 +67,12 @@ def objects_of(
 
 
 def _reach(
-    cells: Float64[np.ndarray, "N 3"], eye: Float64[np.ndarray, "3"] | None
+    cloud: IndexedCloud, eye: Float64[np.ndarray, "3"] | None
 ) -> tuple[Float64[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
     """How far the neighbours of each point on its surface can be, and which points are
     `SPARSE`: none if the sensor, and so the spacing to expect, is not known."""
-    count = min(5, len(cells))
-    apart = np.reshape(KDTree(cells).query(cells, k=count)[0], (len(cells), -1))[:, -1]
+    cells = cloud.points
+    apart = cloud.distance(cells, 5)
     far = np.ones(len(cells))
     if eye is not None:
         far = np.maximum(np.linalg.norm(cells - eye, axis=1), 1e-300)
@@ -84,15 +86,15 @@ def _reach(
 
 
 def _hanging_together(
-    cells: Float64[np.ndarray, "N 3"],
+    cloud: IndexedCloud,
     reach: Float64[np.ndarray, " N"],
     sparse: Bool[np.ndarray, " N"],
 ) -> Int[np.ndarray, " N"]:
     """Parts of points within reach of each other; sparse ones belong to what they are
     nearest to, and join nothing."""
-    part = components(cells, np.where(sparse, 0.0, reach))
+    cells, part = cloud.points, components(cloud, np.where(sparse, 0.0, reach))
     dense = np.flatnonzero(~sparse)
-    if len(dense):
+    if len(dense) and sparse.any():
         apart, nearest = KDTree(cells[dense]).query(cells[sparse])
         near = apart <= reach[sparse]
         part[np.flatnonzero(sparse)[near]] = part[dense[nearest[near]]]  # pyright: ignore
@@ -100,16 +102,17 @@ def _hanging_together(
 
 
 def _split_at_creases(
-    cells: Float64[np.ndarray, "N 3"],
+    cloud: IndexedCloud,
     part: Int[np.ndarray, " N"],
     reach: Float64[np.ndarray, " N"],
     eye: Float64[np.ndarray, "3"],
     height: Float64[np.ndarray, " N"],
 ) -> Int[np.ndarray, " N"]:
     """Parts that touch, each of which stands on the support, numbered apart."""
+    cells = cloud.points
     if len(cells) <= BEND_NEIGHBORS:
         return part
-    near = KDTree(cells).query(cells, k=BEND_NEIGHBORS)[1]
+    near = cloud.tree.query(cells, k=BEND_NEIGHBORS)[1]
     offsets = cells[near] - cells[:, None]
     about = cells[near] - cells[near].mean(axis=1, keepdims=True)
     normal = np.linalg.eigh(np.einsum("nki,nkj->nij", about, about))[1][:, :, 0]
@@ -160,7 +163,7 @@ def _joined(
     hulls = {number: _hull(flat[where[number]]) for number in asked}
     pairs = []
     for rank, large in enumerate(asked):
-        tree = KDTree(cells[where[large]])
+        others = IndexedCloud(cells[where[large]])
         near = BESIDE * np.ptp(cells[where[large]], axis=0).max()
         for small in asked[rank + 1 :]:
             if on_foot[large] and on_foot[small]:
@@ -171,7 +174,7 @@ def _joined(
             )
             beside = not on_foot[small] and size[small] <= SMALLER * size[large]
             if over >= COVERED or (
-                beside and tree.query(cells[where[small]])[0].min() <= near
+                beside and others.distance(cells[where[small]]).min() <= near
             ):
                 pairs.append((large, small))
     return linked_groups(np.array(pairs, int).reshape(-1, 2), len(size))[part]

@@ -1,17 +1,15 @@
 """The large planes of a cloud: tables, floors, walls."""
 
 import dataclasses
+import functools
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 from scipy.spatial import ConvexHull, QhullError
 
-from prism_jax.preprocessing.segmentation.clusters import (
-    components,
-    extent,
-    spacing,
-    thin,
-)
+from prism_jax.geometry.cloud import IndexedCloud
+from prism_jax.preprocessing.segmentation.clusters import components, extent, thin
 
 MAX_PLANES = 6  # more are not looked for
 NUM_TRIALS = 1000  # planes through three random points, of which the best is taken
@@ -42,7 +40,30 @@ class Plane:
         return np.abs(self.height(points)) <= self.tolerance
 
 
-def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
+class Thinned:
+    """A cloud thinned to one point a cell, with its planes, which are found once."""
+
+    def __init__(self, points: Float[np.ndarray, "N 3"]):
+        self.points = np.asarray(points, np.float64)
+        self.cells = IndexedCloud(thin(self.points)[0])
+
+    @classmethod
+    def of(cls, points: Any) -> "Thinned":
+        """A thinned cloud as it is, or an array of points thinned."""
+        return points if isinstance(points, Thinned) else cls(points)
+
+    @functools.cached_property
+    def planes(self) -> list[Plane]:
+        """The large planes, as `find_planes` has them."""
+        return _planes_of(self.cells)
+
+    @functools.cached_property
+    def borders(self) -> "list[Outline | None]":
+        """Where each plane has points."""
+        return [outline(self.cells.points, plane) for plane in self.planes]
+
+
+def find_planes(points: Thinned | Float[np.ndarray, "N 3"]) -> list[Plane]:
     """Large planes, the largest first, by RANSAC with a fixed seed.
 
     Each is refined by least squares of the points within a tolerance that follows from
@@ -50,13 +71,15 @@ def find_planes(points: Float[np.ndarray, "N 3"]) -> list[Plane]:
     Unit and origin do not matter, nor the distance of a surface from the sensor. Which
     side a normal points to means nothing.
     """
-    cells, _ = thin(points)
-    if len(cells) < 4:
+    return Thinned.of(points).planes
+
+
+def _planes_of(cloud: IndexedCloud) -> list[Plane]:
+    if len(cloud) < 4:
         return []
-    center = cells.mean(axis=0)
-    cells = cells - center
-    side = extent(cells)
-    apart = spacing(cells)
+    center = cloud.points.mean(axis=0)
+    cells = cloud.points - center
+    side, apart = extent(cells), cloud.spacing
     rng = np.random.default_rng(0)
     rest = np.ones(len(cells), bool)
     planes = []

@@ -3,26 +3,29 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int
+from jaxtyping import Array, Bool, Float, Float64, Int
 
 from prism_jax.geometry.camera import Vector
-from prism_jax.preprocessing.segmentation.clusters import extent, spacing, thin
+from prism_jax.preprocessing.segmentation.clusters import extent
 from prism_jax.preprocessing.segmentation.parts import objects_of
 from prism_jax.preprocessing.segmentation.planes import (
     COARSE,
     Outline,
     Plane,
-    find_planes,
+    Thinned,
     outline,
 )
 from prism_jax.preprocessing.segmentation.support import (
     FILLED,
     LINK_SPACINGS,
+    Up,
     find_support,
+    find_up,
+    given_up,
 )
-from prism_jax.preprocessing.upright import upright
+from prism_jax.preprocessing.upright import AUTO
 
-SUPPORT, LEFT_OVER = -1, -2  # in `Scene.object`, where objects are counted from 0
+SUPPORT, LEFT_OVER = -1, -2  # in `SegmentedScene.object`; objects count from 0
 SHEET = 0.95  # a plane with this share of a cloud is all there is
 WALL = 0.25  # the length of a wall around the sensor, in the longest side of the cloud
 # So far apart the parts of one object can be, in the longest side of a cloud without
@@ -34,7 +37,7 @@ MIN_SIZE = 0.02  # of an object, in the longest side of the scene
 
 
 @dataclasses.dataclass(frozen=True)
-class Scene:
+class SegmentedScene:
     """Whose points are whose."""
 
     # For each point the number of its object, from 0, the one of most points first;
@@ -45,60 +48,65 @@ class Scene:
     num_points: tuple[int, ...]  # of each object
     num_support: int  # how many points lie on the planes
     num_left_over: int  # how many belong to nothing
+    up: Up = dataclasses.field(default_factory=lambda: given_up("z"))
 
 
 def split_scene(
     points: Float[np.ndarray, "N 3"],
     up: str | Vector = "z",
     sensor: Vector | None = None,
-) -> Scene:
+    camera_rotation: Float[Array | np.ndarray, "3 3"] | None = None,
+) -> SegmentedScene:
     """Planes set aside, and the rest as objects (`objects_of`).
 
-    `up` is as `upright` has it, `sensor` the place the points were seen from, or None.
-    Set aside are the support (`find_support`) and with it other planes that are at
-    least as long as it is wide and do not rise from its midst: walls, another floor.
-    Where there is no support, but the sensor stands amid the points, the large planes
-    around it are walls. A cloud that is one plane is all support. A cloud with nothing
-    to set aside is one object, unless its parts are over `GAP` apart.
+    `up` is as `upright` has it, or "auto" (`find_up`), `sensor` the place the points
+    were seen from, or None. Set aside are the support (`find_support`) and with it
+    other planes that are at least as long as it is wide and do not rise from its midst:
+    walls, another floor. Where there is no support, but the sensor stands amid the
+    points, the large planes around it are walls. A cloud that is one plane is all
+    support. A cloud with nothing to set aside is one object, unless its parts are over
+    `GAP` apart.
 
     The same points give the same scene; unit and origin do not matter. Points must be
     finite. An `up` that is no direction raises InputError.
     """
-    points = np.asarray(points, np.float64)
-    turn = upright(up)
-    vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
+    thinned = Thinned(points)
+    points = thinned.points
+    if isinstance(up, str) and up == AUTO:
+        found = find_up(thinned, sensor, camera_rotation)
+    else:
+        found = given_up(up)
     eye = None if sensor is None else np.asarray(sensor, np.float64)
     if eye is not None and not np.isfinite(eye).all():
         eye = None
-    cells, _ = thin(points)
-    size = extent(cells)
-    support, walls, aside = _set_aside(points, cells, eye)
+    size = extent(thinned.cells.points)
+    support, walls, aside = _set_aside(thinned, eye)
     number = np.where(aside, SUPPORT, LEFT_OVER)
     if not aside.all():
         gap = GAP * size if support is None and not walls else 0.0
         rest = points[~aside]
-        whole = objects_of(rest, vertical, eye, support, gap)
+        whole = objects_of(rest, found.vector, eye, support, gap)
         number[~aside] = _numbered(rest, whole, support, size)
-    return Scene(
+    return SegmentedScene(
         object=number,
         planes=(() if support is None else (support,)) + tuple(walls),
         num_points=tuple(np.bincount(number[number >= 0]).tolist()),
         num_support=int((number == SUPPORT).sum()),
         num_left_over=int((number == LEFT_OVER).sum()),
+        up=found,
     )
 
 
 def _set_aside(
-    points: Float64[np.ndarray, "N 3"],
-    cells: Float64[np.ndarray, "M 3"],
-    eye: Float64[np.ndarray, "3"] | None,
+    thinned: Thinned, eye: Float64[np.ndarray, "3"] | None
 ) -> tuple[Plane | None, list[Plane], Bool[np.ndarray, " N"]]:
     """The support, other planes, and the points on any of them."""
-    support, planes = find_support(points, eye), find_planes(points)
+    points, cells = thinned.points, thinned.cells.points
+    support, planes = find_support(thinned, eye), thinned.planes
     aside, walls = np.zeros(len(points), bool), []
     if len(cells) < 2 or not planes:
         return None, [], aside
-    rim = LINK_SPACINGS * spacing(cells)
+    rim = LINK_SPACINGS * thinned.cells.spacing
     inner = np.zeros(len(cells), bool)
     longest = WALL * extent(cells)
     border = None if support is None else outline(cells, support)
@@ -110,8 +118,7 @@ def _set_aside(
         return None, planes[:1], planes[0].holds(points)
     elif eye is None or not _amid(cells, eye):
         return None, [], aside
-    for plane in planes:
-        border = outline(cells, plane)
+    for plane, border in zip(planes, thinned.borders, strict=True):
         flat = plane.tolerance <= COARSE * extent(cells)
         if border is None or not flat or border.filled < FILLED:
             continue

@@ -6,13 +6,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Float64
 
 from prism_jax.geometry.camera import Vector
-from prism_jax.preprocessing.segmentation.clusters import components, spacing, thin
+from prism_jax.geometry.cloud import IndexedCloud
+from prism_jax.preprocessing.segmentation.clusters import components
 from prism_jax.preprocessing.segmentation.planes import (
     Outline,
     Plane,
-    find_planes,
-    outline,
+    Thinned,
 )
+from prism_jax.preprocessing.upright import upright
 
 RIM = 0.01  # how far from a plane's border something is inside or outside, in its width
 WITHIN = 0.6  # the share of a cloud over, on or under a support, seen along its normal
@@ -34,12 +35,18 @@ class Up(NamedTuple):
 
     vector: Float64[np.ndarray, "3"]  # of unit length, in the points' frame
     # The normal of the "support" plane, the "camera" that was held upright, or "z", the
-    # axis that is taken if nothing says more.
-    source: Literal["support", "camera", "z"]
+    # axis that is taken if nothing says more, or it was "given".
+    source: Literal["support", "camera", "z", "given"]
+
+
+def given_up(up: str | Vector) -> Up:
+    """An up as `upright` has it."""
+    turn = upright(up)
+    return Up(np.array([0.0, 0.0, 1.0]) if turn is None else turn[2], "given")
 
 
 def find_up(
-    points: Float[np.ndarray, "N 3"],
+    points: Thinned | Float[np.ndarray, "N 3"],
     sensor: Vector | None = None,
     camera_rotation: Float[Array | np.ndarray, "3 3"] | None = None,
 ) -> Up:
@@ -59,7 +66,7 @@ def find_up(
 
 
 def find_support(
-    points: Float[np.ndarray, "N 3"], sensor: Vector | None = None
+    points: Thinned | Float[np.ndarray, "N 3"], sensor: Vector | None = None
 ) -> Plane | None:
     """The plane that objects stand on: a table, a floor; None if there is none.
 
@@ -76,9 +83,8 @@ def find_support(
     If it is None or not finite, the objects' side is that of z, and a plane tilted from
     it by over `MAX_TILT` is none: inner sides of single objects would pass.
     """
-    cells, _ = thin(points)
-    planes = find_planes(points)
-    borders = [outline(cells, plane) for plane in planes]
+    thinned = Thinned.of(points)
+    cells, planes, borders = thinned.cells.points, thinned.planes, thinned.borders
     best, most = None, 0.0
     for plane, border in zip(planes, borders, strict=True):
         side = _objects_side(plane, sensor)
@@ -91,7 +97,7 @@ def find_support(
             if _is_elsewhere(other, plane, border, cells):
                 aside |= other.holds(cells)
         aside &= ~plane.holds(cells)
-        standing = _standing(cells, aside, side, border)
+        standing = _standing(thinned.cells, aside, side, border)
         if standing > most:
             best, most = side, standing
     return best
@@ -131,14 +137,15 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
 
 
 def _standing(
-    cells: Float64[np.ndarray, "N 3"],
+    cloud: IndexedCloud,
     aside: Bool[np.ndarray, " N"],
     plane: Plane,
     border: Outline,
 ) -> float:
     """How many cells stand on a plane, those set aside left out; zero if it is none
     that objects stand on."""
-    reach = LINK_SPACINGS * spacing(cells)
+    reach = LINK_SPACINGS * cloud.spacing
+    cells = cloud.points
     height, depth = plane.height(cells), border.depth(cells)
     rim = RIM * border.width
     above = (depth > -rim) & (height > plane.tolerance)

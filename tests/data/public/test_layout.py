@@ -1,7 +1,5 @@
 """Lists, folders and clouds of published sets."""
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -14,60 +12,41 @@ ENTRY = {"taxonomy_id": "02691156", "taxonomy_name": "airplane", "test": ["a", "
 def test_a_list_is_read_in_its_order_without_blank_lines(tmp_path, write):
     path = write(tmp_path / "a.list", "b/2\n\n a/1 \r\n")
     assert layout.read_list(path, r"(\w)/(\d)", "a pair") == [("b", "2"), ("a", "1")]
+    path = write(tmp_path / "l.json", [ENTRY, ENTRY | {"test": ["c"], "train": []}])
+    models = layout.read_json_list(path, "test")
+    assert models == [("airplane", "02691156", name) for name in "abc"]
 
 
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        ("\n \n", "no objects listed"),
-        ("a/1\n../secret\n", "invalid line '../secret', expected a pair"),
-        ("a/1\nb/2\na/1\n", "duplicate object"),
+        (b"\n \n", "no objects listed"),
+        (b"a/1\n../secret\n", "invalid line '../secret', expected a pair"),
+        (b"a/1\nb/2\na/1\n", "duplicate object"),
+        (b"\xff\xfe\x00", "not a text file"),
     ],
 )
-def test_an_unsound_list_is_refused(tmp_path, write, content, fault):
-    path = write(tmp_path / "a.list", content)
+def test_an_unsound_list_is_refused(tmp_path, content, fault):
+    path = tmp_path / "a.list"
+    path.write_bytes(content)
     with pytest.raises(InputError, match=fault):
         layout.read_list(path, r"(\w)/(\d)", "a pair")
 
 
-def test_a_list_that_is_no_text_is_refused(tmp_path):
-    path = tmp_path / "a.list"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not a text file"):
-        layout.read_list(path, r"(\w)/(\d)", "a pair")
-
-
-def test_a_json_list_gives_the_ids_of_one_split(tmp_path, write):
-    path = write(tmp_path / "l.json", [ENTRY, ENTRY | {"test": ["c"], "train": []}])
-    models = layout.read_json_list(path, "test")
-    assert [model.id for model in models] == ["a", "b", "c"]
-    assert models[0] == ("airplane", "02691156", "a")
-
-
 @pytest.mark.parametrize(
-    "content",
+    ("content", "fault"),
     [
-        {"taxonomy_id": "x"},
-        ["airplane"],
-        [ENTRY | {"test": "ab"}],
-        [ENTRY | {"test": [1]}],
-        [ENTRY | {"test": ["../../x"]}],
-        [ENTRY | {"taxonomy_id": ".."}],
-        [ENTRY | {"taxonomy_name": None}],
+        ({"taxonomy_id": "x"}, "ids of split 'test'"),
+        ([ENTRY | {"test": [1]}], "ids of split 'test'"),
+        ([ENTRY | {"test": ["../../x"]}], "ids of split 'test'"),
+        ([ENTRY | {"taxonomy_id": ".."}], "ids of split 'test'"),
+        ([ENTRY | {"test": []}], "no objects listed"),
     ],
 )
-def test_json_of_another_form_is_refused(tmp_path, write, content):
+def test_json_of_another_form_is_refused(tmp_path, write, content, fault):
     path = write(tmp_path / "l.json", content)
-    with pytest.raises(InputError, match="not a list of categories"):
+    with pytest.raises(InputError, match=fault):
         layout.read_json_list(path, "test")
-
-
-def test_a_json_list_without_the_split_or_without_models_is_refused(tmp_path, write):
-    path = write(tmp_path / "l.json", [ENTRY | {"val": []}])
-    with pytest.raises(InputError, match="ids of split 'train'"):
-        layout.read_json_list(path, "train")
-    with pytest.raises(InputError, match="no objects listed"):
-        layout.read_json_list(path, "val")
 
 
 def test_missing_files_are_counted_and_the_first_named(tmp_path, write):
@@ -82,20 +61,12 @@ def test_missing_files_are_counted_and_the_first_named(tmp_path, write):
     layout.require_files(tmp_path, {"a": ["1.txt"]}, "the list", "a/<n>.txt")
 
 
-def test_a_file_in_a_folders_place_counts_as_missing(tmp_path, write):
-    write(tmp_path / "a", "x")
-    with pytest.raises(InputError, match=r"1 of the 1 files .* missing: a/1.txt;"):
-        layout.require_files(tmp_path, {"a": ["1.txt"]}, "the list", "a/<n>.txt")
-
-
 @pytest.mark.parametrize(
     ("points", "fault"),
     [
         (np.zeros((0, 3)), "is not a cloud"),
         (np.zeros((4, 4)), "is not a cloud"),
-        (np.zeros(3), "is not a cloud"),
         (np.zeros((4, 3), "S3"), "is not a cloud"),
-        (np.full((4, 3), np.nan), "not finite"),
         (np.full((4, 3), 1e300), "not finite"),
         (np.zeros((5, 3)), "5 points instead of 4"),
     ],
@@ -105,27 +76,12 @@ def test_an_unsound_cloud_is_refused(points, fault):
         layout.sound_cloud(points, "file.npy", 4)
 
 
-def test_a_sound_cloud_keeps_its_points_as_float32(cloud):
-    points = cloud(0, 7).astype(np.float64)
-    kept = layout.sound_cloud(points, "file.npy")
-    assert kept.dtype == np.float32
-    np.testing.assert_array_equal(kept, points)
-
-
 def test_items_walk_through_the_views_of_each_model(tmp_path):
     models = [layout.Model("b", "x", "1"), layout.Model("a", "y", "2")]
     source = layout.ListedSource(tmp_path, models, views=3)
     assert source.categories == ("a", "b")
     found = [source.locate(index) for index in range(len(source))]
-    assert [(model.id, view) for model, view in found] == [
-        ("1", 0),
-        ("1", 1),
-        ("1", 2),
-        ("2", 0),
-        ("2", 1),
-        ("2", 2),
-    ]
+    assert found == [(model, view) for model in models for view in range(3)]
     assert source.locate(-1) == found[-1]
     with pytest.raises(IndexError):
         source.locate(6)
-    assert pickle.loads(pickle.dumps(source)).models == source.models

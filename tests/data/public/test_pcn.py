@@ -33,25 +33,18 @@ def root(tmp_path, cloud, write):
 
 @pytest.mark.parametrize(("split", "views"), [("train", 8), ("val", 1), ("test", 1)])
 def test_every_view_of_every_model_is_one_item(root, cloud, split, views):
-    source = PCN(root, split)
+    source = pickle.loads(pickle.dumps(PCN(root, split)))
     assert source.categories == ("airplane", "car")
     assert len(source) == 2 * views
     example = source[2 * views - 1]
     np.testing.assert_array_equal(example.complete, cloud(1, 16384))
     np.testing.assert_array_equal(example.partial, cloud(10 + views - 1, 21))
-    assert example.complete.dtype == example.partial.dtype == np.float32
     assert (example.category, example.eye) == ("car", None)
     assert example.name == f"02958343/{split}1/{views - 1:02d}"
     assert len({item.name for item in source}) == 2 * views
 
 
-def test_the_source_pickles(root):
-    source = PCN(root, "train")
-    other = pickle.loads(pickle.dumps(source))
-    np.testing.assert_array_equal(source[9].partial, other[9].partial)
-
-
-def test_missing_views_and_models_are_refused(root):
+def test_missing_files_and_unknown_splits_are_refused(root, write):
     (root / "train" / "partial" / "02691156" / "train0" / "03.pcd").unlink()
     (root / "train" / "complete" / "02958343" / "train1.pcd").unlink()
     with pytest.raises(InputError) as error:
@@ -60,25 +53,10 @@ def test_missing_views_and_models_are_refused(root):
         "2 of the 18 files in PCN.json are missing: "
         "train/complete/02958343/train1.pcd, train/partial/02691156/train0/03.pcd; "
     ) in str(error.value)
-    assert len(PCN(root, "test")) == 2
-
-
-def test_a_missing_list_and_an_unknown_split_are_refused(root):
     with pytest.raises(InputError, match=r"ShapeNet.json: no such file"):
         PCN(root, "train", list_file="ShapeNet.json")
     with pytest.raises(InputError, match="use one of train, val, test"):
         PCN(root, "valid")
-
-
-def test_a_damaged_cloud_is_refused_by_name(root, cloud, write):
-    source = PCN(root, "test")
-    path = root / "test" / "partial" / "02691156" / "test0" / "00.pcd"
-    path.write_bytes(path.read_bytes()[:-8])
-    with pytest.raises(InputError, match=r"test0/00.pcd: not a valid PCD file"):
-        source[0]
-    write(path, np.full((4, 3), np.nan))
-    with pytest.raises(InputError, match=r"test0/00.pcd: .* not finite"):
-        source[0]
-    write(root / "test" / "complete" / "02691156" / "test0.pcd", cloud(0, 2048))
-    with pytest.raises(InputError, match=r"test0.pcd: 2048 points instead"):
-        source[0]
+    write(root / "test" / "partial" / "02691156" / "test0" / "00.pcd", np.ones((0, 3)))
+    with pytest.raises(InputError, match=r"test0/00.pcd: "):
+        PCN(root, "test")[0]

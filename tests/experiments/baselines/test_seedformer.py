@@ -1,4 +1,4 @@
-"""SeedFormer: its transformers against loops in NumPy, and what is known of it."""
+"""SeedFormer: its transformers against loops in NumPy, the whole by what is known."""
 
 import dataclasses
 
@@ -7,65 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.baselines.seedformer import (
-    Patches,
-    PointTransformer,
-    SeedFormer,
-    SeedFormerConfig,
-    SeedGenerator,
-    UpsampleTransformer,
-)
+from experiments.baselines.seedformer import UpsampleTransformer
+from tests.experiments.baselines.conftest import TINY, drawn
 
 RNG = np.random.default_rng(0)
-TINY = SeedFormerConfig(
-    num_points=40,
-    patch_points=(16, 8),
-    patch_features=((6, 8), (8, 12)),
-    global_features=(8, 8),
-    patch_neighbors=4,
-    num_neighbors=3,
-    features=8,
-    attention_features=4,
-    attention_ratio=2,
-    num_initial=20,
-    up_factors=(1, 2),
-    use_norm=False,
-)
-NORMED = dataclasses.replace(TINY, use_norm=True)
-MODEL, INPUTS = SeedFormer(TINY), 6
+NORMED = dataclasses.replace(TINY["seedformer"].config, use_norm=True)
+INPUTS = 6
 
 
 def normal(*shape):
-    """Single precision, or double in the tests of gradients."""
-    return jnp.asarray(RNG.normal(size=shape), jnp.result_type(float))
-
-
-def drawn(module, *inputs):
-    """Variables of the module, biases and statistics included, drawn anew."""
-    tree = jax.eval_shape(lambda: module.init(jax.random.key(0), *inputs))
-
-    def draw(path, leaf):
-        values = normal(*leaf.shape) / np.sqrt(leaf.shape[0])
-        return abs(values) + 0.1 if path[-1].key == "var" else values
-
-    return jax.tree_util.tree_map_with_path(draw, tree)
-
-
-@pytest.fixture(scope="module")
-def variables():
-    return drawn(MODEL, normal(40, 3))
-
-
-@pytest.fixture(scope="module")
-def apply(quick_jit):
-    """The tiny network on a single cloud."""
-    return quick_jit(MODEL.apply)
-
-
-@pytest.fixture(scope="module")
-def clouds():
-    complete = normal(3, TINY.num_outputs, 3) * 0.4
-    return complete[:, :40], complete
+    return jnp.asarray(RNG.normal(size=shape), jnp.float32)
 
 
 def dense(params, x):
@@ -125,7 +76,7 @@ def looped_upsampling(params, times, xyz, query, key, neighbors, seed):
     return np.stack(rows)
 
 
-def upsampling_inputs(with_seeds, channels=TINY.features, num_points=7):
+def upsampling_inputs(with_seeds, channels=NORMED.features, num_points=7):
     neighbors = jnp.asarray(RNG.integers(0, num_points, (num_points, 3)))
     xyz, query, key = (normal(num_points, c) for c in (3, channels, channels))
     return xyz, query, key, neighbors, normal(num_points, 5) if with_seeds else None
@@ -133,7 +84,7 @@ def upsampling_inputs(with_seeds, channels=TINY.features, num_points=7):
 
 @pytest.mark.parametrize(
     ("times", "with_seeds", "channels"),
-    [(3, True, TINY.features), (2, False, INPUTS)],
+    [(3, True, NORMED.features), (2, False, INPUTS)],
     ids=["layer", "seed generator"],
 )
 def test_upsample_transformer_agrees_with_a_loop(
@@ -142,57 +93,24 @@ def test_upsample_transformer_agrees_with_a_loop(
     module = UpsampleTransformer(NORMED, times)
     inputs = upsampling_inputs(with_seeds, channels)
     variables = drawn(module, *inputs)
-    assert ("residual" in variables["params"]) == (channels != TINY.features)
+    assert ("residual" in variables["params"]) == (channels != NORMED.features)
     actual = quick_jit(module.apply)(variables, *inputs)
     expected = looped_upsampling(as_numpy(variables), times, *inputs)
-    assert actual.shape == (7 * times, TINY.features)
+    assert actual.shape == (7 * times, NORMED.features)
     np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=1e-4)
 
 
-def test_point_transformer_agrees_with_a_loop(quick_jit):
-    module = PointTransformer(NORMED)
-    xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
-    variables = drawn(module, xyz, features, neighbors)
-    actual = quick_jit(module.apply)(variables, xyz, features, neighbors)
-
-    params = as_numpy(variables)
-    x = dense(params["start"], np.float64(features))
-    query, key, value = (dense(params[name], x) for name in ("query", "key", "value"))
-    for i, near in enumerate(np.asarray(neighbors)):
-        offset = dense(params["position_0"], np.float64(xyz[i] - xyz[near]))
-        offset = dense(params["position_1"], norm_relu(params["position_norm"], offset))
-        hidden = dense(params["attention_0"], query[i] - key[near] + offset)
-        logits = dense(params["attention_1"], norm_relu(params["norm"], hidden))
-        attended = (softmax(logits) * (value[near] + offset)).sum(0)
-        expected = dense(params["end"], attended) + np.float64(features[i])
-        np.testing.assert_allclose(actual[i], expected, rtol=1e-4, atol=1e-4)
-
-
-def test_without_offsets_every_stage_is_made_of_seeds_and_partial(
-    variables, apply, clouds
-):
-    partial = clouds[0][0]
+def test_without_offsets_every_stage_is_made_of_seeds_and_partial(tiny_network):
+    _, variables, partial, apply = tiny_network("seedformer")
     still = jax.tree_util.tree_map_with_path(
         lambda path, leaf: leaf * ("offset" not in jax.tree_util.keystr(path)),
         variables,
     )
-    seeds, first, last = apply(still, partial)
+    seeds, first, last = (np.asarray(stage[0]) for stage in apply(still, partial))
     np.testing.assert_array_equal(last, np.repeat(first, 2, axis=0))
-    known = np.concatenate([seeds, partial])
+    known = np.concatenate([seeds, partial[0]])
     distances = np.linalg.norm(known[:, None] - first, axis=-1)
     assert (distances.min(0) == 0).all()
     # Farthest points: sampled ones are farther apart than any other is from them.
     apart = np.linalg.norm(first[:, None] - first, axis=-1)[np.triu_indices(20, 1)]
     assert distances.min(1).max() <= apart.min()
-
-
-def test_seeds_from_patches_start_at_the_patches(quick_jit):
-    generator = SeedGenerator(dataclasses.replace(TINY, seeds_from_patches=True))
-    xyz, features, _, neighbors, _ = upsampling_inputs(False, INPUTS)
-    patches = Patches(xyz, features, neighbors, normal(8))
-    variables = drawn(generator, patches)
-    coordinates = variables["params"]["coordinates"]
-    last = coordinates["dense_1"]
-    coordinates["dense_1"] = jax.tree.map(jnp.zeros_like, last)
-    seeds, _ = quick_jit(generator.apply)(variables, patches)
-    np.testing.assert_array_equal(seeds, np.repeat(xyz, 2, axis=0))

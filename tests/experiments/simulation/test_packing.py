@@ -24,8 +24,8 @@ class Balls:
 
     categories = ("ball", "egg")
 
-    def __init__(self, count=5):
-        self.count, self.objects = count, np.arange(count)
+    def __init__(self, count=5, **changes):
+        self.count, self.objects, self.changes = count, np.arange(count), changes
 
     def __len__(self):
         return self.count
@@ -36,18 +36,21 @@ class Balls:
         cloud = cloud.astype(np.float32)
         eye = None if index % 2 else np.float32([index, 2, 3])
         category = self.categories[index % 2]
-        return Example(cloud, cloud[:90], eye, category, f"{index}", ordered=True)
+        made = Example(cloud, cloud[:90], eye, category, f"{index}", ordered=True)
+        return made._replace(**self.changes)
+
+
+def packed(folder, config=CONFIG, **sources):
+    return Shards(pack(sources, folder, config, num_workers=0, progress=False))
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    sources = {"balls": Balls(), "cells": RecordedCells(CELLS)}
-    folder = tmp_path_factory.mktemp("packed") / "train"
-    return pack(sources, folder, CONFIG, num_workers=0, progress=False)
+def source(tmp_path_factory):
+    cells = RecordedCells(CELLS)
+    return packed(tmp_path_factory.mktemp("a") / "train", balls=Balls(), cells=cells)
 
 
-def test_clouds_come_back_to_half_a_step(folder):
-    source = Shards(folder)
+def test_clouds_come_back_to_half_a_step(source):
     assert isinstance(source, Source)
     for index in range(5):
         given, found = Balls()[index], source[index]
@@ -61,39 +64,40 @@ def test_clouds_come_back_to_half_a_step(folder):
             bound = 0.51 * side / 65535 + 2e-7 * np.abs(whole).max()
             assert np.abs(cloud - whole).max() <= bound
         assert (found.category, found.name) == (given.category, f"balls/{index}")
-        assert found.ordered
-        assert not found.any_heading
-        if given.eye is None:
-            assert found.eye is None
-        else:
-            np.testing.assert_array_equal(found.eye, given.eye)
+        assert found.ordered and not found.any_heading
+        np.testing.assert_array_equal(found.eye, given.eye)
 
 
-def test_unordered_clouds_are_ordered(folder):
+def test_sources_stand_one_after_the_other_and_are_ordered(source):
     """Framed for a training they are what they were, to a step."""
-    framing = Framing(32, 64, 1.4)
-    examples = RecordedCells(CELLS)[3], Shards(folder)[5 + 3]
-    given, found = (frame_example(example, framing) for example in examples)
-    half, packed = (
+    cells = RecordedCells(CELLS)
+    assert len(source) == 5 + 12
+    assert set(source.categories) == {"ball", "egg", *cells.categories}
+    assert source[5].name == f"cells/{cells[0].name}" and source[5].any_heading
+    with pytest.raises(IndexError):
+        source[17]
+    examples = cells[3], pickle.loads(pickle.dumps(source))[5 + 3]
+    given, found = (frame_example(e, Framing(32, 64, 1.4)) for e in examples)
+    half, own = (
         float(Workspace.from_points(e.partial, 1.4).half_extent) for e in examples
     )
-    assert packed == pytest.approx(half, rel=0.05)
-    partial = found.partial * packed
+    assert own == pytest.approx(half, rel=0.05)
+    partial = found.partial * own
     center = (given.partial * half)[0] - partial[0]
     np.testing.assert_allclose(partial + center, given.partial * half, atol=1e-3 * half)
 
 
-def test_sources_stand_one_after_the_other(folder):
-    source = Shards(folder)
-    assert len(source) == 5 + 12
-    arms = RecordedCells(CELLS).categories
-    assert set(source.categories) == {"ball", "egg", *arms}
-    assert source[5].name == f"cells/{RecordedCells(CELLS)[0].name}"
-    assert source[5].any_heading and RecordedCells(CELLS)[0].any_heading
-    with pytest.raises(IndexError):
-        source[17]
-    again = pickle.loads(pickle.dumps(source))
-    np.testing.assert_array_equal(again[7].complete, source[7].complete)
+def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path):
+    """Packed with others, and packed again."""
+    known = nothing_known()
+    known.state[1, 3], known.depth[1, 3] = SURFACE, 2.5
+    once = packed(tmp_path / "a", balls=Balls(2), maps=Balls(3, visibility=known))
+    for source in (once, packed(tmp_path / "b", again=once)):
+        for index in range(5):
+            expected = nothing_known() if index < 2 else known
+            found = source[index].visibility
+            np.testing.assert_array_equal(found.state, expected.state)
+            np.testing.assert_array_equal(found.depth, expected.depth)
 
 
 class Seen(Balls):
@@ -104,46 +108,16 @@ class Seen(Balls):
         self.objects = np.repeat([0, 1], 3)
 
     def __getitem__(self, index):
-        moved = index if index > 2 else 0
-        whole = super().__getitem__(moved)
+        whole = super().__getitem__(index if index > 2 else 0)
         partial = whole.complete[10 * index :][:70]
         return whole._replace(partial=partial, name=f"{index}")
 
 
-class Mapped(Balls):
-    """Each with a map of one known pixel."""
-
-    def __getitem__(self, index):
-        known = nothing_known()
-        known.state[index, 3], known.depth[index, 3] = SURFACE, 2.5
-        return super().__getitem__(index)._replace(visibility=known)
-
-
-def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path):
-    """Packed with others, and packed again."""
-    pack({"balls": Balls(2), "maps": Mapped(3)}, tmp_path / "a", CONFIG, 0, False)
-    again = {"again": Shards(tmp_path / "a")}
-    pack(again, tmp_path / "b", CONFIG, 0, False)
-    for source in (Shards(tmp_path / "a"), Shards(tmp_path / "b")):
-        for index in range(5):
-            known = source[index].visibility
-            assert known is not None
-            expected = nothing_known()
-            if index >= 2:
-                expected = Mapped(3)[index - 2].visibility
-            np.testing.assert_array_equal(known.state, expected.state)
-            np.testing.assert_array_equal(known.depth, expected.depth)
-    pickled = pickle.loads(pickle.dumps(Shards(tmp_path / "b")))
-    np.testing.assert_array_equal(pickled[4].visibility.state, known.state)
-
-
 def test_views_of_an_object_share_its_complete_cloud(tmp_path):
     """As far as it is the same: a robot moves while it is recorded."""
-    sources = {"seen": Seen(), "balls": Balls(2)}
-    source = Shards(pack(sources, tmp_path, CONFIG, 0, False))
+    source = packed(tmp_path, seen=Seen(), balls=Balls(2))
     assert source.objects.tolist() == [0, 0, 0, 1, 1, 1, 2, 3]
     assert len(np.load(tmp_path / "shard-00000.complete.npy")) == 1 + 3 + 2
-    assert len(np.load(tmp_path / "shard-00000.partial.npy")) == 8
     for index in range(6):
         given, found = Seen()[index], source[index]
         assert found.name == f"seen/{index}"
@@ -152,20 +126,9 @@ def test_views_of_an_object_share_its_complete_cloud(tmp_path):
         np.testing.assert_allclose(found.complete, given.complete[:128], atol=step)
 
 
-def test_a_limit_takes_evenly(tmp_path):
-    config = PackConfig(8, 8, limit=3)
-    pack({"a": Balls(9), "b": Balls(2)}, tmp_path / "x", config, 0, False)
-    names = [Shards(tmp_path / "x")[i].name for i in range(5)]
-    assert names == ["a/0", "a/4", "a/8", "b/0", "b/1"]
-
-
 def test_an_example_without_a_partial_is_refused(tmp_path):
-    class Whole(Balls):
-        def __getitem__(self, index):
-            return super().__getitem__(index)._replace(partial=None)
-
     with pytest.raises(InputError, match="both clouds"):
-        pack({"whole": Whole()}, tmp_path / "x", CONFIG, 0, False)
+        packed(tmp_path / "x", whole=Balls(partial=None))
 
 
 class OfKinds(Balls):
@@ -179,17 +142,11 @@ class OfKinds(Balls):
 
 
 def test_whole_views_are_told_by_their_names_and_drawn_as_often_as_asked(tmp_path):
-    expected = [True, False, True, False, False]
-    source = OfKinds()
-    pack({"kinds": source}, tmp_path / "packed-train", CONFIG, 0, False)
-    shards = Shards(tmp_path / "packed-train")
-    assert shards.whole.tolist() == expected
+    shards = packed(tmp_path / "packed-train", kinds=OfKinds())
+    assert shards.whole.tolist() == [True, False, True, False, False]
     (whole, often), (others, seldom) = mixture.parts_of(shards, 0.75)
-    assert [example.name[-5:] for example in _all(whole)] == ["clear", "tions"]
+    names = [whole[index].name for index in range(len(whole))]
+    assert [name[-5:] for name in names] == ["clear", "tions"]
     assert (len(others), often, seldom) == (3, 0.75, 0.25)
     assert [len(part) for part, _ in mixture.parts_of(shards, 1.0)] == [2]
     assert mixture.parts_of(shards, None) == [(shards, 1.0)]
-
-
-def _all(source):
-    return [source[index] for index in range(len(source))]

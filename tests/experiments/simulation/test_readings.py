@@ -1,7 +1,8 @@
-"""Readings of a ball before a wall and behind a plate, in closed form."""
+"""What rays read of a ball, a wall and a plate in closed form, and maps of it."""
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -9,17 +10,34 @@ import trimesh
 from experiments.simulation.raycast import Scene
 from experiments.simulation.readings import (
     Rays,
+    Readings,
     World,
-    ring_rays,
+    map_of,
+    map_rays,
 )
-from experiments.simulation.sensors import L515Config, OusterConfig
+from experiments.simulation.sensors import L515Config
 from experiments.simulation.surroundings import Surroundings
-from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
+from prism_jax.geometry.camera import Camera
+from prism_jax.geometry.framing import framing_camera
+from prism_jax.geometry.visibility import (
+    BACKGROUND,
+    MAP_MARGIN,
+    MAP_SIZE,
+    NEARER,
+    SURFACE,
+    UNKNOWN,
+)
 
 EXACT = L515Config().exact()
 EYE = np.array([0.0, -5.0, 0.0])
 WALL = np.array([(0.0, -1, 0, -2)])
 """At y = 2, seen from below."""
+TICKS = np.linspace(-0.6, 0.6, 32)
+X, Z = (grid.ravel() for grid in np.meshgrid(TICKS, -TICKS))
+DIRECTIONS = np.stack([X, np.ones_like(X), Z], axis=-1)
+RAYS = Rays(EYE, DIRECTIONS.reshape(32, 32, 3))
+"""Of depth one around +y."""
+POINTS = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * [1, 0.5, 0.8]
 
 
 @pytest.fixture(scope="module")
@@ -27,30 +45,16 @@ def ball() -> Scene:
     return Scene(trimesh.creation.icosphere(4))
 
 
-@pytest.fixture(scope="module")
-def plate() -> Scene:
-    """At y = -3, hiding what is right of the middle."""
-    return Scene(trimesh.creation.box(bounds=[(0, -3.0, -2), (2, -2.9, 2)]))
-
-
-def grid(half: float = 0.6, count: int = 32) -> Rays:
-    """Rays of depth one around +y."""
-    ticks = np.linspace(-half, half, count)
-    x, z = np.meshgrid(ticks, -ticks)
-    return Rays(EYE, np.stack([x, np.ones_like(x), z], axis=-1))
-
-
-def test_states_and_depths_of_an_exact_camera(ball, plate):
-    rays = grid()
+def test_states_and_depths_of_an_exact_camera(ball):
+    """A plate at y = -3 hides what is right of the middle."""
+    plate = Scene(trimesh.creation.box(bounds=[(0, -3.0, -2), (2, -2.9, 2)]))
     world = World(ball, Surroundings(plate, WALL), 0.5)
-    found = world.read(rays, EXACT, np.random.default_rng(0))
-    x, _, z = rays.directions.reshape(-1, 3).T
-    hidden = (x > 0) & (abs(x) <= 1) & (abs(z) <= 1)
+    found = world.read(RAYS, EXACT, np.random.default_rng(0))
+    hidden = (X > 0) & (abs(X) <= 1) & (abs(Z) <= 1)
     # A ray meets the unit ball 5 away where its tangent is below 1 / sqrt(24).
-    tangent = np.hypot(x, z)
-    on_ball = tangent < 0.2
+    tangent = np.hypot(X, Z)
     assert np.all(found.state[hidden] == NEARER)
-    assert np.all(found.state[~hidden & on_ball] == SURFACE)
+    assert np.all(found.state[~hidden & (tangent < 0.2)] == SURFACE)
     assert np.all(found.state[~hidden & (tangent > 0.21)] == BACKGROUND)
     depth = found.points[:, 1] - EYE[1]
     step = EXACT.quantum / 0.5
@@ -64,59 +68,75 @@ def test_states_and_depths_of_an_exact_camera(ball, plate):
     assert found.hidden_share == pytest.approx(0.5, abs=0.02)
 
 
-def test_what_is_out_of_range_or_hits_nothing_is_unknown(ball):
-    rays, rng = grid(), np.random.default_rng(0)
-    nothing = World(ball, Surroundings(), 0.5).read(rays, EXACT, rng)
+def test_what_is_out_of_range_hits_nothing_or_is_lost_is_unknown(ball):
+    rng = np.random.default_rng(0)
+    nothing = World(ball, Surroundings(), 0.5).read(RAYS, EXACT, rng)
     assert set(np.unique(nothing.state)) == {UNKNOWN, SURFACE}
-    assert nothing.hidden_share == 0
-    along = (nothing.points - EYE) / (nothing.points - EYE)[:, 1:2]
-    np.testing.assert_allclose(along, rays.directions.reshape(-1, 3), atol=1e-12)
     # The wall is 7 units away, the ball 4: beyond nine metres in units of 1.5.
-    far = World(ball, Surroundings(planes=WALL), 1.5).read(rays, EXACT, rng)
-    np.testing.assert_array_equal(far.state, nothing.state)
-    near = World(ball, Surroundings(planes=WALL), 0.05).read(rays, EXACT, rng)
-    assert set(np.unique(near.state)) == {UNKNOWN, BACKGROUND}
-
-
-def test_lost_returns_are_unknown_and_noise_is_in_metres(ball):
-    rays, rng = grid(), np.random.default_rng(1)
-    lossy = dataclasses.replace(EXACT, dropout=0.3)
     around = Surroundings(planes=WALL)
-    found = World(ball, around, 0.5).read(rays, lossy, rng)
-    assert np.mean(found.state == UNKNOWN) == pytest.approx(0.3, abs=0.06)
-    assert {SURFACE, BACKGROUND} <= set(found.state)
+    far = World(ball, around, 1.5).read(RAYS, EXACT, rng)
+    np.testing.assert_array_equal(far.state, nothing.state)
+    near = World(ball, around, 0.05).read(RAYS, EXACT, rng)
+    assert set(np.unique(near.state)) == {UNKNOWN, BACKGROUND}
+    lossy = dataclasses.replace(EXACT, dropout=0.3)
+    lost = World(ball, around, 0.5).read(RAYS, lossy, rng).state == UNKNOWN
+    assert lost.mean() == pytest.approx(0.3, abs=0.06)
+
+
+def test_noise_is_in_metres(ball):
+    rng = np.random.default_rng(1)
     noisy = dataclasses.replace(EXACT, noise=((0.0, 0.01),))
     for half_extent in (0.2, 1.0):
-        world = World(ball, around, half_extent)
-        found = world.read(rays, noisy, rng)
-        depth = found.points[found.state == BACKGROUND][:, 1] + 5
-        directions = rays.directions.reshape(-1, 3)[found.state == BACKGROUND]
-        along = (depth - 7) * np.linalg.norm(directions, axis=1) * half_extent
+        world = World(ball, Surroundings(planes=WALL), half_extent)
+        found = world.read(RAYS, noisy, rng)
+        behind = found.state == BACKGROUND
+        depth, slant = found.points[:, 1] + 5, np.linalg.norm(DIRECTIONS, axis=1)
+        along = ((depth - 7) * slant * half_extent)[behind]
         assert np.std(along) == pytest.approx(0.01, rel=0.1)
 
 
-def test_rings_are_cones_about_an_axis_that_leave_gaps(ball):
-    """Each has one elevation of the sensor, and the ball's middle has `pitch`."""
-    eye, pitch = np.array([4.0, 3.0, 2.0]), 0.1
-    config = OusterConfig(beams=16, columns=1024, elevation_degrees=(-15.0, 15.0))
-    rays = ring_rays(ball, eye, config, pitch)
-    forward = -eye / np.linalg.norm(eye)
-    level = np.cross(forward, (0, 0, 1.0))
-    level /= np.linalg.norm(level)
-    axis = np.sin(pitch) * forward + np.cos(pitch) * np.cross(level, forward)
-    np.testing.assert_allclose(np.linalg.norm(rays.directions, axis=-1), 1)
-    elevations = np.degrees(np.arcsin(rays.directions @ axis))
-    np.testing.assert_allclose(np.ptp(elevations, axis=1), 0, atol=1e-9)
-    expected = np.linspace(-15, 15, 16)
-    gaps = np.abs(elevations[:, :1] - expected).min(axis=1)
-    np.testing.assert_allclose(gaps, 0, atol=1e-9)
-    assert np.all(np.diff(elevations[:, 0]) < 0)
-    across = np.arccos(np.sum(rays.directions[0, 1:] * rays.directions[0, :-1], -1))
-    step = 2 * np.pi / 1024 * np.cos(np.radians(elevations[0, 0]))
-    np.testing.assert_allclose(across, step, rtol=1e-3)
-    # The ball spans 21 degrees of them: every beam of that meets it.
-    hits = ball.cast(eye, rays.directions.reshape(-1, 3))
-    rings = np.unique(hits.ray // rays.directions.shape[1])
-    half = np.degrees(np.arcsin(1 / np.linalg.norm(eye)))
-    meets = np.abs(expected - np.degrees(pitch)) < half
-    assert len(rings) == pytest.approx(meets.sum(), abs=1)
+def test_the_camera_of_a_map_is_that_of_framing():
+    eye = (3, 1, 1.0)
+    found = framing_camera(POINTS, np.array(eye))
+    expected = Camera.framing(jnp.asarray(POINTS), eye, MAP_MARGIN, MAP_SIZE, MAP_SIZE)
+    assert (found.height, found.width) == (expected.height, expected.width)
+    pixels = [camera.project(POINTS)[0] for camera in (found, expected)]
+    np.testing.assert_allclose(*pixels, atol=1e-3)
+
+
+def test_in_a_map_surface_comes_first_then_doubt_then_what_is_nearest():
+    """Readings of rays through a few pixels, whichever comes first."""
+    eye = np.array([2.0, -3.0, 1.0])
+    camera = framing_camera(POINTS, eye)
+    rays = map_rays(camera, eye).directions.reshape(-1, 5, 3)[:, 0]
+    samples = [
+        (0, NEARER, 1.0),
+        (0, SURFACE, 3.0),
+        (0, SURFACE, 2.0),
+        (0, UNKNOWN, 1.0),
+        (70, BACKGROUND, 5.0),
+        (70, NEARER, 1.5),
+        (70, NEARER, 2.5),
+        (500, BACKGROUND, 5.0),
+        (500, BACKGROUND, 4.0),
+        (501, UNKNOWN, 1.0),
+        (501, BACKGROUND, 4.0),
+        (502, SURFACE, -1.0),
+    ]
+    expected = {0: (SURFACE, 2.0), 70: (NEARER, 1.5), 500: (BACKGROUND, 4.0)}
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        order = rng.permutation(len(samples))
+        pixels, states, depths = zip(*(samples[i] for i in order), strict=True)
+        points = eye + np.array(depths)[:, None] * rays[list(pixels)]
+        state = np.array(states, np.uint8)
+        parts = [
+            Readings(state[part], points[part], 0.0)
+            for part in (slice(4), slice(4, None))
+        ]
+        found = map_of(camera, parts)
+        assert set(np.flatnonzero(found.state)) == set(expected)
+        for pixel, (wanted, depth) in expected.items():
+            assert found.state.flat[pixel] == wanted
+            assert found.depth.flat[pixel] == pytest.approx(depth, rel=1e-6)
+        assert np.all(found.depth[found.state == UNKNOWN] == 0)

@@ -27,67 +27,41 @@ def _header(store, time):
 
 def cloud(points, time, store=ROS2, height=1, big=False, gap=4, tail=0):
     """A PointCloud2 with an intensity before x, y, z and padding behind them."""
-    scalar = (">" if big else "<") + ("f8" if points.dtype == np.float64 else "f4")
-    size = np.dtype(scalar).itemsize
+    scalar = points.dtype.newbyteorder(">" if big else "<")
+    size, width = scalar.itemsize, len(points) // height
     step = gap + 3 * size + tail
     rows = np.full((len(points), step), 7, np.uint8)
-    ordered = np.ascontiguousarray(points.astype(scalar))
-    rows[:, gap : gap + 3 * size] = ordered.view(np.uint8).reshape(
-        len(points), 3 * size
-    )
+    ordered = np.ascontiguousarray(points.astype(scalar)).view(np.uint8)
+    rows[:, gap : gap + 3 * size] = ordered.reshape(len(points), 3 * size)
     kind = 8 if size == 8 else 7
     field = store.types["sensor_msgs/msg/PointField"]
-    fields = [field("intensity", 0, 7, 1)] + [
-        field(axis, gap + i * size, kind, 1) for i, axis in enumerate("xyz")
-    ]
-    return store.types[CLOUD](
-        header=_header(store, time),
-        height=height,
-        width=len(points) // height,
-        fields=fields,
-        is_bigendian=big,
-        point_step=step,
-        row_step=step * (len(points) // height),
-        data=rows.ravel(),
-        is_dense=False,
-    )
+    places = [(axis, gap + i * size, kind) for i, axis in enumerate("xyz")]
+    fields = [field(*place, 1) for place in [("intensity", 0, 7), *places]]
+    layout = {"is_bigendian": big, "point_step": step, "row_step": step * width}
+    sizes = {"height": height, "width": width, "fields": fields, "is_dense": False}
+    header = _header(store, time)
+    return store.types[CLOUD](header=header, data=rows.ravel(), **sizes, **layout)
 
 
 def image(pixels, time, store=ROS2, encoding="16UC1", padding=0):
     rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(len(pixels), -1)
     rows = np.pad(rows, ((0, 0), (0, padding)))
-    return store.types[IMAGE](
-        header=_header(store, time),
-        height=pixels.shape[0],
-        width=pixels.shape[1],
-        encoding=encoding,
-        is_bigendian=0,
-        step=rows.shape[1],
-        data=rows.ravel(),
-    )
+    layout = {"encoding": encoding, "is_bigendian": 0, "step": rows.shape[1]}
+    height, width = pixels.shape
+    sizes = {"header": _header(store, time), "height": height, "width": width}
+    return store.types[IMAGE](**sizes, **layout, data=rows.ravel())
 
 
 def info(width, height, focal, time=0, store=ROS2, distortion=0.0):
     k = np.array([focal, 0, (width - 1) / 2, 0, focal, (height - 1) / 2, 0, 0, 1.0])
-    values = {
-        "d": np.full(5, distortion),
-        "k": k,
-        "r": np.eye(3).ravel(),
-        "p": np.zeros(12),
-    }
+    values = {"d": np.full(5, distortion), "k": k, "r": np.eye(3).ravel()}
+    values["p"] = np.zeros(12)
     if store is ROS1:
         values = {name.upper(): value for name, value in values.items()}
+    values |= {"distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0}
+    values |= {"header": _header(store, time), "height": height, "width": width}
     region = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-    return store.types[INFO](
-        header=_header(store, time),
-        height=height,
-        width=width,
-        distortion_model="plumb_bob",
-        binning_x=0,
-        binning_y=0,
-        roi=region,
-        **values,
-    )
+    return store.types[INFO](roi=region, **values)
 
 
 def joints(positions, time, store=ROS2):
@@ -103,13 +77,7 @@ def write_bag(path, messages, packed=None):
     writer = rosbag1.Writer(path)
     if packed:
         writer.set_compression(rosbag1.Writer.CompressionFormat[packed.upper()])
-    with writer:
-        known = {}
-        for topic, kind, time, message in messages:
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=ROS1)
-            data = ROS1.serialize_ros1(message, kind)
-            writer.write(known[topic], time, bytes(data))
+    _fill(writer, messages, ROS1, ROS1.serialize_ros1)
     return path
 
 
@@ -117,27 +85,26 @@ def write_bag2(path, messages, plugin="SQLITE3"):
     """A ROS 2 bag's folder; gives the file in it."""
     storage = rosbag2.StoragePlugin[plugin]
     writer = rosbag2.Writer(path, version=8, storage_plugin=storage)
-    with writer:
-        known = {}
-        for topic, kind, time, message in messages:
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=ROS2)
-            data = ROS2.serialize_cdr(message, kind)
-            writer.write(known[topic], time, bytes(data))
+    _fill(writer, messages, ROS2, ROS2.serialize_cdr)
     (file,) = [p for p in path.iterdir() if p.suffix in (".db3", ".mcap")]
     return file
 
 
-def write_mcap(path, messages, packed="ZSTD", chunk=4096, log_only=False):
+def _fill(writer, messages, store, serialize):
+    known = {}
+    with writer:
+        for topic, kind, time, message in messages:
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(known[topic], time, bytes(serialize(message, kind)))
+
+
+def write_mcap(path, messages, packed="ZSTD", chunk=4096):
     """An MCAP file by the `mcap` package."""
     mcap = pytest.importorskip("mcap.writer")
+    packing = {"compression": mcap.CompressionType[packed], "chunk_size": chunk}
     with open(path, "wb") as file:
-        writer = mcap.Writer(
-            file,
-            chunk_size=chunk,
-            compression=mcap.CompressionType[packed],
-            use_chunking=chunk > 0,
-        )
+        writer = mcap.Writer(file, use_chunking=chunk > 0, **packing)
         writer.start()
         channels = {}
         for topic, kind, time, message in messages:

@@ -12,9 +12,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import read_points
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams import open_stream
-from prism_jax.io.streams.mcap_output import (
-    McapOutput,
-)
+from prism_jax.io.streams.mcap_output import McapOutput
 from prism_jax.io.streams.sinks import TOPIC, Labelled, open_sink
 
 highlevel = pytest.importorskip("rosbags.highlevel")
@@ -58,17 +56,21 @@ def test_clouds_with_labels(scalar, tmp_path):
     assert summary.statistics.message_count == 3
 
 
-def test_a_file_a_frame(tmp_path):
+def test_a_file_a_frame_and_a_place_that_cannot_be_written(tmp_path):
     sink = open_sink(tmp_path / "out")
     sink.write(Labelled(12, 0, POINTS, LABEL))
     sink.close()
     (path,) = (tmp_path / "out").iterdir()
     assert path.name == "000012.ply"
     np.testing.assert_array_equal(read_points(path), POINTS)
+    (tmp_path / "out.part.mcap").mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        McapOutput(tmp_path / "out.mcap")
 
 
 def test_depth_camera_and_joints(tmp_path):
-    camera = Camera.look_at((0, 0, 1), (0, 0, 0), height=4, width=6)
+    intrinsics = np.array([[5.0, 0, 2.5], [0, 5, 1.5], [0, 0, 1]])
+    camera = Camera(np.eye(3), np.zeros(3), intrinsics, 4, 6)
     counts = np.arange(24, dtype=np.uint16).reshape(4, 6)
     output = McapOutput(tmp_path / "out.mcap")
     output.write("/d/image", "sensor_msgs/msg/Image", 5, depth_message(counts, 5))
@@ -86,9 +88,3 @@ def test_depth_camera_and_joints(tmp_path):
         message = bag.deserialize(data, connection.msgtype)
     assert message.name == ["elbow", "wrist"]
     assert message.position.tolist() == [0.5, -1.0]
-
-
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
-    (tmp_path / "out.part.mcap").mkdir()
-    with pytest.raises(InputError, match="cannot be written"):
-        McapOutput(tmp_path / "out.mcap")

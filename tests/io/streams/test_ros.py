@@ -32,13 +32,12 @@ CLOUDS = [RNG.normal(size=(n, 3)).astype(np.float32) for n in (200, 150, 300, 18
 START = 1_700_000_000 * SECOND
 
 
-def clouds(store, topic="/points", stamped=True):
+def clouds(store, topic="/points"):
     """Four clouds a tenth of a second apart, and some words between them."""
     found = []
     for number, points in enumerate(CLOUDS):
         time = START + number * SECOND // 10
-        message = cloud(points, time if stamped else 0, store)
-        found.append((topic, CLOUD, time + 5, message))
+        found.append((topic, CLOUD, time + 5, cloud(points, time, store)))
         words = store.types[TEXT](data="is not a cloud")
         found.append(("/chatter", TEXT, time + 6, words))
     return found
@@ -67,21 +66,21 @@ def test_clouds_are_read_as_they_were_written(writer, tmp_path):
 
 
 @pytest.mark.parametrize("writer", ["bag", "bag-lz4", "db3", "mcap-zstd", "mcap-plain"])
-@pytest.mark.parametrize("share", [0.6, 0.8, 0.95])
-def test_a_cut_file_gives_every_whole_message_and_one_line(writer, share, tmp_path):
+def test_a_cut_file_gives_every_whole_message_and_one_line(writer, tmp_path):
     many = [m for _ in range(10) for m in clouds(store_of(writer))]
     path = WRITERS[writer](tmp_path, many)
     data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    stream = open_stream(path)
-    frames, lines = lines_of(stream)
-    assert len(frames) == len(stream)
-    least = 0 if writer.startswith(("bag", "db3")) else int(40 * share) - 4
-    assert least <= len(frames) <= 40
-    for number, frame in enumerate(frames):
-        np.testing.assert_array_equal(frame.points, CLOUDS[number % 4])
-    assert sum("is truncated or damaged" in line for line in lines) == 1
-    assert stream.remarks["cut"] == 1
+    for share in (0.6, 0.95):
+        path.write_bytes(data[: int(share * len(data))])
+        stream = open_stream(path)
+        frames, lines = lines_of(stream)
+        assert len(frames) == len(stream)
+        least = 0 if writer.startswith(("bag", "db3")) else int(40 * share) - 4
+        assert least <= len(frames) <= 40
+        for number, frame in enumerate(frames):
+            np.testing.assert_array_equal(frame.points, CLOUDS[number % 4])
+        assert sum("is truncated or damaged" in line for line in lines) == 1
+        assert stream.remarks["cut"] == 1
 
 
 def test_a_cut_plain_chunk_gives_its_whole_messages(tmp_path):
@@ -94,13 +93,13 @@ def test_a_cut_plain_chunk_gives_its_whole_messages(tmp_path):
     assert 18 <= len(frames) <= 21
 
 
-@pytest.mark.parametrize("suffix", [".bag", ".db3", ".mcap"])
-@pytest.mark.parametrize("content", [b"", b"not a recording at all" * 9])
-def test_what_is_no_recording_is_one_line(suffix, content, tmp_path):
-    path = tmp_path / f"r{suffix}"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=": not a"):
-        open_stream(path)
+def test_what_is_no_recording_is_one_line(tmp_path):
+    for suffix in (".bag", ".db3", ".mcap"):
+        path = tmp_path / f"r{suffix}"
+        for content in (b"", b"not a recording at all" * 9):
+            path.write_bytes(content)
+            with pytest.raises(InputError, match=": not a"):
+                open_stream(path)
 
 
 @pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd", "mcap-plain"])
@@ -111,7 +110,7 @@ def test_any_bytes_may_be_wrong(writer, tmp_path, monkeypatch):
     place = WRITERS[writer](tmp_path, clouds(store_of(writer)))
     place = next(place.glob("*.db3")) if place.is_dir() else place
     data, rng = bytearray(place.read_bytes()), np.random.default_rng(1)
-    for _ in range(300):
+    for _ in range(100):
         spoilt = bytearray(data)
         for _ in range(rng.integers(1, 4)):
             spoilt[rng.integers(len(data))] = rng.integers(256)
@@ -123,36 +122,29 @@ def test_any_bytes_may_be_wrong(writer, tmp_path, monkeypatch):
         assert len(frames) <= 8
 
 
-@pytest.mark.parametrize("scalar", [np.float32, np.float64])
 @pytest.mark.parametrize("big", [False, True])
-def test_layouts_of_clouds(scalar, big, tmp_path):
-    points = RNG.normal(size=(12, 3)).astype(scalar)
-    message = cloud(points, START, height=3, big=big, gap=8, tail=5)
-    path = write_mcap(tmp_path / "r.mcap", [("/p", CLOUD, 1, message)])
-    (frame,) = open_stream(path)
-    np.testing.assert_array_equal(frame.points, points)
-    assert frame.points.dtype == scalar and frame.size == (3, 4)
+def test_layouts_of_clouds(big, tmp_path):
+    for scalar in (np.float32, np.float64):
+        points = RNG.normal(size=(12, 3)).astype(scalar)
+        message = cloud(points, START, height=3, big=big, gap=8, tail=5)
+        path = write_mcap(tmp_path / "r.mcap", [("/p", CLOUD, 1, message)])
+        (frame,) = open_stream(path)
+        np.testing.assert_array_equal(frame.points, points)
+        assert frame.points.dtype == scalar and frame.size == (3, 4)
 
 
 def test_odd_frames_are_told_and_counted(tmp_path):
-    points = CLOUDS[0].copy()
+    points = CLOUDS[0]
     some, none = points.copy(), np.full_like(points, np.nan)
     some[:7] = np.nan
     some[7:10] = 0.0
     wide, tall = cloud(points, START, height=2), cloud(points, START, height=4)
-    short = cloud(points, START)
+    short, nameless = cloud(points, START), cloud(points, START)
     short.data = short.data[:-9]
-    nameless = cloud(points, START)
     nameless.fields = nameless.fields[:2]
-    given = [
-        cloud(some, START + SECOND),
-        cloud(none, START + 2 * SECOND),
-        cloud(points[:0], START + 3 * SECOND),
-        short,
-        nameless,
-        wide,
-        tall,
-    ]
+    later = (some, none, points[:0])
+    given = [cloud(rows, START + n * SECOND) for n, rows in enumerate(later, 1)]
+    given += [short, nameless, wide, tall]
     messages = [("/p", CLOUD, n, message) for n, message in enumerate(given)]
     stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
     frames, lines = lines_of(stream)
@@ -160,25 +152,23 @@ def test_odd_frames_are_told_and_counted(tmp_path):
     assert [frame.num_not_finite for frame in frames] == [7, 200, 0, 0, 0]
     kinds = {"not_finite": 1, "empty": 1, "damaged": 2, "backward": 1, "size": 1}
     assert stream.remarks == kinds
-    told = " | ".join(lines)
-    assert len(lines) == 5
-    for words in (
-        "frame 1: none of 200 points are finite",
-        "frame 2 is empty",
-        "skipped a message on /p: ",
-        "frame 3 is 3.000 s older than the one before",
-        "frame 4 has 4x50 rows and columns, the one before 2x100",
+    for line, words in zip(
+        lines,
+        (
+            "frame 1: none of 200 points are finite",
+            "frame 2 is empty",
+            "skipped a message on /p: ",
+            "frame 3 is 3.000 s older than the one before",
+            "frame 4 has 4x50 rows and columns, the one before 2x100",
+        ),
+        strict=True,
     ):
-        assert words in told
+        assert words in line
 
 
-def test_without_a_stamp_the_log_tells_the_time(tmp_path):
-    path = write_mcap(tmp_path / "r.mcap", clouds(ROS2, stamped=False))
-    assert [f.timestamp - START for f in open_stream(path)][:2] == [5, SECOND // 10 + 5]
-
-
-@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
-@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+@pytest.mark.parametrize(
+    ("writer", "encoding"), [("bag", "16UC1"), ("db3", "32FC1"), ("mcap-zstd", "16UC1")]
+)
 def test_depth_images_with_their_camera(writer, encoding, tmp_path):
     store = store_of(writer)
     metres = np.round(RNG.uniform(0.5, 2.0, (6, 8)), 3)
@@ -205,28 +195,28 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
 
 
 def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
-    pixels = np.full((4, 4), 1000, np.uint16)
-    path = write_mcap(
-        tmp_path / "r.mcap", [("/cam/depth", IMAGE, 1, image(pixels, START))]
-    )
-    with pytest.raises(InputError) as error:
+    message = image(np.full((4, 4), 1000, np.uint16), START)
+    path = write_mcap(tmp_path / "r.mcap", [("/cam/depth", IMAGE, 1, message)])
+    with pytest.raises(
+        InputError, match="no CameraInfo on /cam/camera_info; record /c"
+    ):
         open_stream(path)
-    assert "no CameraInfo on /cam/camera_info; record /cam/camera_info too" in str(
-        error.value
-    )
-    given = Camera.look_at((0, 0, 3.0), (0, 0, 0), height=4, width=4)
+    intrinsics = np.array([[4.0, 0, 1.5], [0, 4, 1.5], [0, 0, 1]])
+    down = np.diag([1.0, -1, -1])
+    given = Camera(down, np.array([0, 0, 3.0]), intrinsics, 4, 4)
     (frame,) = open_stream(path, camera=given)
     # One metre in front of a camera that looks down from three.
     np.testing.assert_allclose(frame.points[:, 2], 2.0, atol=1e-6)
 
 
 def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
+    one, other = (np.full((4, width), 900, np.uint16) for width in (4, 6))
     messages = [
         ("/camera_info", INFO, 0, info(4, 4, 5.0, distortion=0.1)),
-        ("/depth", IMAGE, 1, image(np.full((4, 4), 900, np.uint16), START)),
-        ("/depth", IMAGE, 2, image(np.full((4, 6), 900, np.uint16), START)),
+        ("/depth", IMAGE, 1, image(one, START)),
+        ("/depth", IMAGE, 2, image(other, START)),
         ("/camera_info", INFO, 3, info(6, 4, 5.0, distortion=0.1)),
-        ("/depth", IMAGE, 4, image(np.full((4, 6), 900, np.uint16), START)),
+        ("/depth", IMAGE, 4, image(other, START)),
     ]
     stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
     frames, lines = lines_of(stream)
@@ -237,7 +227,7 @@ def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
     assert "/camera_info has lens distortion, which is ignored" in told
 
 
-def test_several_topics_are_listed(tmp_path):
+def test_several_topics_are_listed_and_a_file_without_says_what_it_holds(tmp_path):
     both = clouds(ROS2, "/front") + clouds(ROS2, "/rear")[:2]
     path = write_mcap(tmp_path / "r.mcap", both)
     with pytest.raises(InputError) as error:
@@ -247,23 +237,19 @@ def test_several_topics_are_listed(tmp_path):
     assert len(open_stream(path, "/rear")) == 1
     with pytest.raises(InputError, match="no clouds or depth images on /side"):
         open_stream(path, "/side")
-
-
-def test_a_file_without_frames_says_what_it_holds(tmp_path):
-    messages = [m for m in clouds(ROS2) if m[0] == "/chatter"]
+    messages = [m for m in both if m[0] == "/chatter"]
     path = write_mcap(tmp_path / "r.mcap", messages)
     with pytest.raises(InputError, match=r"found /chatter \(std_msgs/msg/String\)"):
         open_stream(path)
 
 
-def test_a_split_recording_is_one(tmp_path):
+def test_a_split_recording_is_one_and_without_a_stamp_the_log_tells_the_time(tmp_path):
     for number in (10, 9):
-        points = CLOUDS[number % 4]
-        message = ("/p", CLOUD, number, cloud(points, START + number * SECOND))
+        message = ("/p", CLOUD, number, cloud(CLOUDS[number % 4], 0))
         write_mcap(tmp_path / f"r_{number}.mcap", [message])
     frames, lines = lines_of(open_stream(tmp_path))
     assert [len(f.points) for f in frames] == [len(CLOUDS[1]), len(CLOUDS[2])]
-    assert not lines
+    assert [f.timestamp for f in frames] == [9, 10] and not lines
 
 
 def test_a_missing_package_is_one_line(tmp_path, monkeypatch):
@@ -281,7 +267,7 @@ def told_joints(found):
     return [frame.joints and frame.joints["positions"] for frame in found]
 
 
-@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
+@pytest.mark.parametrize("writer", ["bag", "mcap-zstd"])
 def test_joints_are_the_last_before_each_frame(writer, tmp_path):
     """Of each joint by itself, by their own stamps and not by when they came."""
     store = store_of(writer)

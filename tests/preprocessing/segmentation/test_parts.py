@@ -1,7 +1,6 @@
 """Which points hang together."""
 
 import numpy as np
-import pytest
 
 from prism_jax.preprocessing.segmentation.parts import objects_of
 
@@ -19,16 +18,12 @@ def squares_and_a_chain(pitch: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(parts), np.repeat(range(3), [len(part) for part in parts])
 
 
-@pytest.mark.parametrize("pitch", [0.018, 0.021])
-def test_sparse_points_join_no_surfaces(pitch):
-    points, part = squares_and_a_chain(pitch)
-    whole = objects_of(points, UP, EYE, None, 0.0)
-    one, other = (np.unique(whole[part == number]) for number in (0, 1))
-    assert len(one) == len(other) == 1 and one != other
-
-
-def test_points_as_dense_as_the_surfaces_do():
+def test_sparse_points_join_no_surfaces_and_dense_ones_do():
+    for pitch in (0.018, 0.021):
+        points, part = squares_and_a_chain(pitch)
+        whole = objects_of(points, UP, EYE, None, 0.0)
+        one, other = (np.unique(whole[part == number]) for number in (0, 1))
+        assert len(one) == len(other) == 1 and one != other
     points, _ = squares_and_a_chain(0.01)
-    bridge = points + (0, 0.01, 0)
-    whole = objects_of(np.concatenate([points, bridge]), UP, EYE, None, 0.0)
-    assert len(np.unique(whole)) == 1
+    bridge = np.concatenate([points, points + (0, 0.01, 0)])
+    assert len(np.unique(objects_of(bridge, UP, EYE, None, 0.0))) == 1

@@ -7,9 +7,6 @@ import pytest
 import trimesh
 
 from experiments.simulation.objects.catalogues import CATALOGUES
-from tests.data.conftest import digests
-
-__all__ = ["catalogue_dir", "digests", "write_catalogue"]
 
 
 def knobbed(size=(1.0, 2.0, 0.5), knob=0.2) -> trimesh.Trimesh:
@@ -20,8 +17,8 @@ def knobbed(size=(1.0, 2.0, 0.5), knob=0.2) -> trimesh.Trimesh:
 
 
 def entry(name, mesh, title, **more):
-    """A model as the writer takes it, in the size that it has: what is told of it, and
-    its file, of which None is not written."""
+    """A model as the writer takes it, in the size that it has: what the catalogue says
+    of it, and its file, of which None is not written."""
     size = dict(zip(("width", "height", "depth"), mesh.extents, strict=True))
     own = {"model": f"/models/{name}/{name}.obj", "name": title, "creator": "Ann"}
     return {**own, **size, **more}, mesh.export(file_type="obj")

@@ -1,15 +1,24 @@
+"""Frames of a robot in its cell: what the camera saw, and the ground truth."""
+
 import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 
+from experiments.simulation.raycast import Scene
+from experiments.simulation.roboarm import recording
+from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.roboarm.sequences import (
     CLOUD_STEP,
+    SURVEY,
     flying_pixels,
     make_frame,
     make_sequence,
+    survey,
 )
-from prism_jax.data.recordings import DEPTH_SCALE, LABELS
+from prism_jax.data.recordings import DEPTH_SCALE, LABELS, RecordedCells
+from prism_jax.io.streams import open_stream
 
 
 @pytest.fixture(scope="module")
@@ -22,43 +31,23 @@ def frame(sequence, small):
     return make_frame(sequence, 1, small, np.random.default_rng(0))
 
 
-def pixel_points(frame):
-    """The world point of every pixel, by the pinhole equations."""
+def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
+    """Row by row, to half of the stored step; pixels by the pinhole equations."""
     camera = frame.camera
     rows, columns = np.indices(frame.depth.shape)
     depth = frame.depth * DEPTH_SCALE
     fx, fy = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
     cx, cy = camera.intrinsics[0, 2], camera.intrinsics[1, 2]
     x, y = (columns - cx) / fx * depth, (rows - cy) / fy * depth
-    in_camera = np.stack([x, y, depth], axis=-1)
-    return (in_camera - camera.translation) @ camera.rotation
-
-
-def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
+    points = np.stack([x, y, depth], axis=-1) - camera.translation
     wanted = np.isin(frame.labels, (LABELS["robot"], LABELS["fixture"]))
-    rows = pixel_points(frame)[wanted].astype(np.float32)
-    # Row by row, and each point one of those pixels, to half of the stored step.
+    rows = (points @ camera.rotation)[wanted].astype(np.float32)
     position = 0
     for point in frame.partial:
         gap = np.abs(rows[position:] - point).max(axis=1)
         position += int(np.argmax(gap <= CLOUD_STEP / 2 + 1e-6)) + 1
         assert gap.min() <= CLOUD_STEP / 2 + 1e-6
     assert len(frame.partial) > 0.8 * len(rows)
-
-
-def test_hidden_share_is_that_of_pixels(sequence, frame, small):
-    """Against a frame of the same cell without its clutter."""
-    bare = dataclasses.replace(sequence.cell, clutter=sequence.cell.clutter.copy())
-    bare.clutter.update_faces(np.zeros(len(bare.clutter.faces), bool))
-    free = make_frame(
-        dataclasses.replace(sequence, cell=bare), 1, small, np.random.default_rng(0)
-    )
-    seen = [np.count_nonzero(f.labels == LABELS["robot"]) for f in (frame, free)]
-    # Fine pixels at the edge of both range limits apart, exact sensors see the same.
-    assert frame.joints["hidden_share"] == pytest.approx(
-        1 - seen[0] / seen[1], abs=0.01
-    )
-    assert free.joints["hidden_share"] == 0
 
 
 def test_flying_pixels_are_those_between_two_surfaces():
@@ -68,7 +57,63 @@ def test_flying_pixels_are_those_between_two_surfaces():
     depth[9, 14] = 1.7
     depth[12:14, 3:5] = 0.0
     depth[17, 20] = 2.4
-    expected = np.zeros(depth.shape, bool)
-    for row, column in ((4, 15), (9, 14), (17, 20)):
-        expected[row, column] = True
+    expected = np.isin(depth, (1.4, 1.7, 2.4))
     np.testing.assert_array_equal(flying_pixels(depth), expected)
+
+
+def test_the_ground_truth_is_what_is_asked_for_and_seen_from_outside():
+    """A closed box with another inside it, on a table that is not asked for. The noise
+    of the survey is that of 64 turns averaged."""
+    outer, inner = (trimesh.creation.box(s) for s in ((0.6, 0.4, 0.5), (0.2,) * 3))
+    top = trimesh.creation.box((1.0, 1.0, 0.1)).apply_translation((0, 0, -0.3))
+    whole = together([outer, inner, top]).apply_translation((0, 0, 1.0))
+    exact = dataclasses.replace(SURVEY.exact(), beams=48, columns=384)
+    wanted, rng = np.arange(len(whole.faces)) < 24, np.random.default_rng(0)
+    points = survey(Scene(whole), wanted, 3000, rng, config=exact) - (0, 0, 1.0)
+    assert points.shape == (3000, 3)
+    scaled = np.abs(points) / (0.3, 0.2, 0.25)
+    np.testing.assert_allclose(scaled.max(axis=1), 1, atol=0.006)
+    # All sides but the one on the table, each with points up to its edges.
+    for axis, half in enumerate((0.3, 0.2, 0.25)):
+        for side in (-1, 1):
+            face = points[np.abs(points[:, axis] - side * half) < 2e-3]
+            if (axis, side) == (2, -1):
+                assert len(face) < 0.05 * len(points)
+            else:
+                spread = np.ptp(face, axis=0) / (0.6, 0.4, 0.5)
+                assert np.delete(spread, axis).min() > 0.85
+    noisy = dataclasses.replace(exact, noise=SURVEY.noise)
+    points = survey(Scene(whole), wanted, 3000, rng, config=noisy) - (0, 0, 1.0)
+    assert 0.3e-3 < np.std(points[points[:, 2] > 0.24, 2]) < 2.2e-3
+
+
+def test_a_recording_has_what_sensors_measure_and_the_truth_beside(
+    sequence, small, tmp_path
+):
+    highlevel = pytest.importorskip("rosbags.highlevel")
+    rng = np.random.default_rng(0)
+    frames = [make_frame(sequence, number, small, rng) for number in range(3)]
+    path = tmp_path / "cell.mcap"
+    beside = recording.record(path, frames, rate=5.0)
+    assert beside == tmp_path / "cell"
+    stream = open_stream(path)
+    assert stream.topic == recording.DEPTH_TOPIC and len(stream) == 3
+    for number, (read, frame) in enumerate(zip(stream, frames, strict=True)):
+        metres = frame.depth * DEPTH_SCALE
+        np.testing.assert_allclose(read.depth, metres, atol=0.00051)
+        assert read.timestamp - recording.START == number * 200_000_000
+        np.testing.assert_allclose(read.camera.intrinsics, frame.camera.intrinsics)
+        # The stream does not say where the camera is.
+        np.testing.assert_array_equal(read.camera.rotation, np.eye(3))
+    placed = next(iter(open_stream(path, camera=frames[0].camera)))
+    assert abs(placed.points[:, 2].min()) < 0.01  # the floor's height
+    with highlevel.AnyReader([path]) as bag:
+        found = [c for c in bag.connections if c.topic == recording.JOINTS_TOPIC]
+        messages = bag.messages(found)
+        for frame, (connection, _, data) in zip(frames, messages, strict=True):
+            message = bag.deserialize(data, connection.msgtype)
+            positions = dict(zip(message.name, message.position, strict=True))
+            assert positions == frame.joints["positions"]
+    cells = RecordedCells(beside)
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(cells.read(number).complete, frame.complete)
