@@ -171,7 +171,9 @@ class Things:
         radius = self.half[row, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.kind[row] == "ball":
-                return _of_quadric((rays**2).sum(1), rays @ away, away @ away, radius)
+                terms = (rays**2).sum(1), rays @ away, away @ away
+                near = _of_quadric(*terms, radius)
+                return np.where(near > 0, near, np.inf)
             local, start = rays @ self.axes[row].T, self.axes[row] @ away
             ends = np.stack([-self.half[row] - start, self.half[row] - start])
             ends = ends[:, None] / local
