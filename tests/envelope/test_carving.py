@@ -223,6 +223,7 @@ def scene(seed):
     if sweep:
         columns, rows = rng.integers(500, 2000), rng.integers(16, 200)
         azimuth = np.linspace(-np.pi, np.pi, columns, endpoint=False)
+        azimuth = azimuth + np.arctan2(-eye[1], -eye[0])
         elevation = np.linspace(*np.sort(rng.uniform(-0.9, 0.9, 2)), rows)[:, None]
         parts = np.cos(azimuth), np.sin(azimuth), np.tan(elevation)
         rays = np.stack(np.broadcast_arrays(*parts), axis=-1)
