@@ -280,30 +280,22 @@ def occupied(seed):
 
 
 def _passed(points, eye, rays, measured):
-    """Whether around each point's line of sight a ring of measured rays went on, too
-    narrow for a body of `BODY` to fit in."""
-    directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    """Whether measured rays went on around each point's line of sight, so near that no
+    ball of `BODY` across it would hide from them."""
     length = np.linalg.norm(rays, axis=-1)
+    directions = rays / length[..., None]
+    steps = [np.linalg.norm(np.diff(directions, axis=a), axis=-1).max() for a in (0, 1)]
     passed = np.zeros(len(points), bool)
     for number, point in enumerate(points):
         away = np.linalg.norm(point - eye)
+        side = max(int(BODY / np.sqrt(2) / away / max(steps) + 0.1), 1)
+        bad = ~np.isfinite(measured) | (measured * length <= away)
+        bad = np.pad(bad, side + 1, constant_values=True)
+        hidden = ndimage.binary_opening(bad, np.ones((side, side)))
         cosine = directions @ ((point - eye) / away)
-        bad = np.pad(~(measured * length > away), 1, constant_values=True)
-        bad[1:-1, 1:-1] |= ~np.isfinite(measured)
-        piece, _ = ndimage.label(bad, np.ones((3, 3)))
-        at = np.unravel_index(cosine.argmax(), cosine.shape)
-        own = piece[at[0] : at[0] + 3, at[1] : at[1] + 3]
-        names = set(own[own > 0])
-        step = min(
-            np.linalg.norm(np.diff(directions, axis=axis), axis=-1).max()
-            for axis in (0, 1)
-        )
-        side = max(int(BODY / np.sqrt(2) / away / step + 0.1), 1)
-        fits = [
-            ndimage.binary_erosion(piece == n, np.ones((side, side))).any()
-            for n in names
-        ]
-        passed[number] = not any(fits) and piece[0, 0] not in names
+        row, column = np.unravel_index(cosine.argmax(), cosine.shape)
+        about = hidden[row + side : row + side + 3, column + side : column + side + 3]
+        passed[number] = not about.any()
     return passed
 
 
