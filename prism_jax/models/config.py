@@ -4,6 +4,7 @@ import dataclasses
 from typing import Annotated, Literal
 
 from prism_jax.geometry.visibility import Background
+from prism_jax.geometry.workspace import CUBE_MARGIN
 from prism_jax.models.ranges import Checked
 
 MAX_POINTS = 2**18  # of a cloud that the decoder makes
@@ -122,7 +123,7 @@ class ModelConfig(Checked):
     backbone: BackboneConfig = BackboneConfig()
     auxiliary: AuxiliaryConfig = AuxiliaryConfig()
     # Side of the workspace over the longest side of the partial's box.
-    margin: Annotated[float, 0.1, 100] = 1.4
+    margin: Annotated[float, 0.1, 100] = CUBE_MARGIN
     # "level" if the workspace is turned about the vertical as
     # `prism_jax.preprocessing.heading` says, in training and afterwards; "given" if the
     # weights know objects with their front along y, and get them as they come.
