@@ -143,12 +143,6 @@ def as_fresh():
 
 
 @pytest.fixture(scope="session")
-def tiny_variables(tiny):
-    """Variables of `tiny`, as large as fresh ones."""
-    return _as_fresh(tiny.model)
-
-
-@pytest.fixture(scope="session")
 def tiny_frames(tiny):
     """Three partial clouds, half shells of boxes, and the cameras that saw them."""
     from prism_jax.geometry.camera import Camera
