@@ -46,6 +46,7 @@ from jaxtyping import install_import_hook  # noqa: E402
 install_import_hook("prism_jax", "beartype.beartype")
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """A file's tests share what is compiled, so one process runs them all, and all of a
     group that several files share."""
