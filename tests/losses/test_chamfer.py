@@ -61,7 +61,6 @@ def test_first_and_second_derivatives(x64):
     for a, b in ((prediction, target), (target, prediction)):
         distances, _ = KDTree(b).query(a, k=2)
         assert np.min(distances[:, 1] - distances[:, 0]) > 0.01
-    # The norms' slopes differ in size: one cannot make up for the other.
     pair, close = (prediction, target), {"atol": 1e-5, "rtol": 1e-5}
     check_grads(both, pair, order=2, modes=["rev"], eps=1e-4, **close)
 

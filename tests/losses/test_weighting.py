@@ -21,12 +21,8 @@ WEIGHTS = scipy.special.softmax(LOGITS)
 gradients = jax.jit(jax.grad(weighted_auxiliary, (0, 1, 2)))
 
 
-def test_weights_are_a_softmax():
-    for shift in (0, 1000):
-        assert np.allclose(loss_weights(LOGITS + shift), WEIGHTS, atol=1e-6)
-
-
 def test_weighted_sum_of_normalised_losses():
+    assert np.allclose(loss_weights(LOGITS + 1000), WEIGHTS, atol=1e-6)
     expected = WEIGHTS @ (LOSSES / SCALES)
     batch = jnp.stack([LOSSES, 2 * LOSSES])
     mapped = jax.jit(jax.vmap(weighted_auxiliary, (None, 0, None)))

@@ -13,6 +13,7 @@ from prism_jax.training import phase as training_phase
 from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.phase import VALIDATION_COMPLETE, Data, order_seed
 from prism_jax.training.phase import train_phase as train
+from prism_jax.training.run import Log
 from tests.training.conftest import regression_phase
 from tests.trees import bitwise
 
@@ -146,6 +147,23 @@ def test_killed_between_checkpoints_it_repeats_what_was_lost(
     assert [step for step, _ in seen] == [*range(7), *range(kept, STEPS)]
     for step, batch in seen:
         assert bitwise(batch, unbroken[1][step][1])
+
+
+def test_one_step_is_queued_and_no_more(data, tmp_path, monkeypatch):
+    """When the bar moves, all steps but the last are done."""
+    waited, done = [], []
+
+    def step(state, batch):
+        loss = jax.device_put(np.full(1, len(waited)))
+        return state._replace(step=state.step + 1), loss
+
+    def advance(log, samples):
+        done.append(None if waited[-1] is None else int(waited[-1][0]))
+
+    monkeypatch.setattr(jax, "block_until_ready", waited.append)
+    monkeypatch.setattr(Log, "advance", advance)
+    train(counting({})._replace(step_fn=step), data, tmp_path, max_steps=4)
+    assert done == [None, 0, 1, 2]
 
 
 def test_phases_are_told_apart_by_seed_and_name():
