@@ -26,8 +26,6 @@ from tests.launching import run
 
 __all__ = ["model", "small", "urdf"]
 
-pytestmark = pytest.mark.xdist_group("completer")
-
 
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory):

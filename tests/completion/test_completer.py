@@ -22,8 +22,6 @@ from prism_jax.uncertainty.confidence import EVIDENCE
 from prism_jax.uncertainty.evidence import LOOKS
 from prism_jax.uncertainty.sigma import CLUES, PointErrors
 
-pytestmark = pytest.mark.xdist_group("completer")
-
 FAR = np.array([10_000.0, -10_000.0, 500.0])
 EYE = np.array([3.0, -2.0, 1.5])
 UP = np.array([0.0, 0.0, 1.0])

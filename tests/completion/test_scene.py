@@ -12,8 +12,6 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 
-pytestmark = pytest.mark.xdist_group("completer")
-
 EYE = np.array([0.0, -8.0, 6.0])
 FAR = np.array([4e5, 5e6, 100.0])
 CAMERA = Camera.look_at(EYE, np.zeros(3))

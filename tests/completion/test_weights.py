@@ -27,8 +27,6 @@ from prism_jax.io.errors import InputError
 from prism_jax.training.presets import PRESETS
 from tests.trees import bitwise
 
-pytestmark = pytest.mark.xdist_group("weights")
-
 METADATA = {"seed": 3, "scores": {"cd_l2": [1.5, 2.0]}, "commit": None}
 
 

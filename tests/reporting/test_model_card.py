@@ -10,8 +10,6 @@ from prism_jax.completion.weights import read_metadata, save_weights
 from prism_jax.evaluation.tables import markdown
 from prism_jax.reporting.model_card import model_card, released_scores, weights_table
 
-pytestmark = pytest.mark.xdist_group("weights")
-
 README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
 
 

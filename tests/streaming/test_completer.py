@@ -18,8 +18,6 @@ from tests.experiments.simulation.roboarm.conftest import urdf
 
 __all__ = ["urdf"]
 
-pytestmark = pytest.mark.xdist_group("completer")
-
 RNG = np.random.default_rng(0)
 
 
