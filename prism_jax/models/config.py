@@ -69,7 +69,7 @@ class BackboneConfig(Checked):
     # throw single points after it instead of leaving that to the seeds.
     offset_reach: Annotated[float, 1e-6, 1e3] = 1.0
     # Whether every block reads, for each of its points, what the sensor knows there
-    # (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
+    # (`geometry.visibility.visibility_features`). The paper's decoder does not.
     reads_visibility: bool = False
     # Whether the global feature, and so the seeds, read it too, at a lattice of points
     # in and around the workspace. Needs `reads_visibility`.

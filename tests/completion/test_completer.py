@@ -246,13 +246,15 @@ def test_networks_read_surroundings_if_their_configuration_says_so(minimal, read
     for config, count in ((told, 3), (mute, 2), (blind, 2)):
         completer = Completer(config, {})
         alone, task = completer.task(*given), completer.task(*given, around=wall())
-        assert alone.known is None and len(completer.reads(alone)) == 2
-        assert {SURFACE, BACKGROUND} <= set(np.unique(task.known.state))
-        assert task.known.camera.rotation.dtype == np.float32
-        np.testing.assert_allclose(task.known.camera.position, task.read.eye, atol=1e-5)
+        assert alone.visibility is None and len(completer.reads(alone)) == 2
+        assert {SURFACE, BACKGROUND} <= set(np.unique(task.visibility.state))
+        assert task.visibility.camera.rotation.dtype == np.float32
+        np.testing.assert_allclose(
+            task.visibility.camera.position, task.read.eye, atol=1e-5
+        )
         assert len(completer.reads(task)) == count
         unseen = completer.task(scan() + FAR, around=wall() + FAR)
-        assert set(np.unique(unseen.known.state)) == {SURFACE, UNKNOWN}
+        assert set(np.unique(unseen.visibility.state)) == {SURFACE, UNKNOWN}
 
 
 def test_what_lies_outside_a_given_workspace_is_around(completer):
@@ -260,8 +262,8 @@ def test_what_lies_outside_a_given_workspace_is_around(completer):
     both = np.concatenate([wall()[::2], scan()])
     task = completer.task(both, camera_at(EYE), cube, around=wall()[1::2])
     other = completer.task(scan(), camera_at(EYE), cube, around=wall())
-    np.testing.assert_array_equal(task.known.state, other.known.state)
-    assert (task.known.state == BACKGROUND).any()
+    np.testing.assert_array_equal(task.visibility.state, other.visibility.state)
+    assert (task.visibility.state == BACKGROUND).any()
 
 
 def test_it_adapts_only_if_it_is_asked_to(completer, near):

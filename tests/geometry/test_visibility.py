@@ -16,13 +16,13 @@ from prism_jax.geometry.visibility import (
     SURFACE,
     UNKNOWN,
     Visibility,
-    clues,
     look_up,
     mirrored,
     nearest_marked,
     nothing_known,
     seen_by,
     surface_alone,
+    visibility_features,
 )
 
 # They share what they compile.
@@ -152,7 +152,7 @@ def sphere(count):
 FAR_EYE = np.array([20.0, 0, 0])
 
 see = jax.jit(seen_by, static_argnums=2)
-read = jax.jit(clues)
+read = jax.jit(visibility_features)
 
 
 def test_a_cloud_by_itself_tells_its_surface_and_no_more():
@@ -226,7 +226,7 @@ def test_clues_are_continuous_and_have_their_derivative(x64):
     weights = rng.normal(size=6)
 
     def total(points):
-        found = clues(known, points)
+        found = visibility_features(known, points)
         return (found * weights).sum(), found
 
     read_and_slope = jax.jit(jax.vmap(jax.value_and_grad(total, has_aux=True)))

@@ -164,11 +164,11 @@ def test_what_was_looked_past_is_left_away_but_for_the_rim():
     beside = np.array([(-0.5 - far * reach, 0.0, 0.0) for far in (0.5, 0.9, 1.1)])
     prediction = np.concatenate([beside, PLATE[:5] + [0, 0.2, 0]])
     blind = select(prediction, PLATE, few, EYE)
-    told = select(prediction, PLATE, few, EYE, known=known)
+    told = select(prediction, PLATE, few, EYE, visibility=known)
     assert not blind.looked_through.any()
     np.testing.assert_array_equal(told.looked_through, [0, 0, 1] + [0] * 5)
     np.testing.assert_array_equal(told.kept, blind.kept & ~told.looked_through)
-    lost = select(prediction, PLATE, few, None, known=known)
+    lost = select(prediction, PLATE, few, None, visibility=known)
     assert not lost.looked_through.any()
 
 
