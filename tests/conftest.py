@@ -46,12 +46,28 @@ from jaxtyping import install_import_hook  # noqa: E402
 install_import_hook("prism_jax", "beartype.beartype")
 
 
-def pytest_collection_modifyitems(items):
-    """A file's tests share what is compiled, so one process runs them all, and all of a
-    group that several files share."""
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(str(item.path)))
+TOGETHER = {
+    "completion/test_completer.py": "completer",
+    "completion/test_scene.py": "completer",
+    "streaming/test_completer.py": "completer",
+    "cli/test_stream.py": "completer",
+    "completion/test_weights.py": "weights",
+    "reporting/test_model_card.py": "weights",
+}
+"""Files that share what is compiled."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """One process runs all tests of a file, and of files that belong together."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Together(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = nodeid.split("::")[0].removeprefix("tests/")
+            return TOGETHER.get(file, file)
+
+    return Together(config, log)
 
 
 _GOLDEN = Path(__file__).resolve().parent / "golden"
@@ -140,12 +156,6 @@ def _as_fresh(model):
 def as_fresh():
     """Variables, as large as fresh ones, of a model's configuration."""
     return _as_fresh
-
-
-@pytest.fixture(scope="session")
-def tiny_variables(tiny):
-    """Variables of `tiny`, as large as fresh ones."""
-    return _as_fresh(tiny.model)
 
 
 @pytest.fixture(scope="session")

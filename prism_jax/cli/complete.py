@@ -22,6 +22,7 @@ from prism_jax import io
 from prism_jax.assets import asset
 from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
+from prism_jax.io.clouds import READERS
 from prism_jax.preprocessing.upright import AUTO, parse_up
 from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.confidence import trust_of_all
@@ -32,8 +33,7 @@ FLAGS = flags.FLAGS
 NAME = "prism-complete"
 LIST = "list"  # in place of a name of weights
 
-_SCANS = (".ply", ".pcd", ".npy", ".npz", ".xyz", ".txt", ".csv", ".png")
-"""What is taken from a folder."""
+_SCANS = (*READERS, ".png")  # what is taken from a folder
 
 _timed = functools.partial(timed, NAME)
 _say = functools.partial(say, NAME)

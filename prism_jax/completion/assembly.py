@@ -117,7 +117,7 @@ class Task(NamedTuple):
     view: Camera  # the view that it reads them in
     sensor: str  # where it stands: "given", at the "origin", or "unknown"
     # What the sensor knows of its view, if it was given what lies around.
-    known: Visibility | None = None
+    visibility: Visibility | None = None
 
     @property
     def eye(self) -> Float[np.ndarray, "3"] | None:
@@ -216,7 +216,7 @@ def join(
         task.eye,
         options.density,
         options.background,
-        task.known,
+        task.visibility,
     )
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])

@@ -202,19 +202,19 @@ class Completer:
         if workspace is not None and not seen.inside.all():
             outside = points[~seen.inside]
             around = outside if around is None else np.concatenate([outside, around])
-        known = None
+        visibility = None
         if around is not None:
-            known = _known(seen, around, options.background)
-        return Task(points, seen, read, read.camera, place, known)
+            visibility = _visibility(seen, around, options.background)
+        return Task(points, seen, read, read.camera, place, visibility)
 
     def reads(self, task: Task) -> tuple[Any, ...]:
         """What the network reads of a task: its points, its view and, if it gains by
         it, what is known of that."""
         model = self.config.model
         reads = model.uses_visibility and model.backbone.reads_visibility
-        if task.known is None or not reads:
+        if task.visibility is None or not reads:
             return task.read.partial, task.view
-        return task.read.partial, task.view, task.known
+        return task.read.partial, task.view, task.visibility
 
     def run(
         self, task: Task, options: CompletionOptions
@@ -348,7 +348,7 @@ def _in_slots(adapt: AdaptFn) -> Callable[..., Completion]:
     return in_slots
 
 
-def _known(
+def _visibility(
     seen: Observation, around: Float[np.ndarray, "R 3"], background: Background
 ) -> Visibility:
     """What the sensor knows of its view of what was observed, in the unit workspace and
@@ -358,9 +358,9 @@ def _known(
     if not seen.sensor_known:
         beside = beside[:0]
     eye = np.asarray(seen.eye)
-    known = seen_among(seen.cloud, beside, eye, Workspace.unit(), background)
-    camera = jax.tree.map(lambda array: array.astype(np.float32), known.camera)
-    return known._replace(camera=camera)
+    visibility = seen_among(seen.cloud, beside, eye, Workspace.unit(), background)
+    camera = jax.tree.map(lambda array: array.astype(np.float32), visibility.camera)
+    return visibility._replace(camera=camera)
 
 
 def _upright(

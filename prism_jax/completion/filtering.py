@@ -51,7 +51,7 @@ def added_points(
     eye: Float[np.ndarray, "3"] | None,
     density: float = 1.0,
     background: Background = "unknown",
-    known: Visibility | None = None,
+    visibility: Visibility | None = None,
 ) -> tuple[Float[np.ndarray, "Q 3"], IndexedCloud, Selection]:
     """What a user gets beside the measured points, which of these the network
     predicted, and what became of each that it predicted.
@@ -61,7 +61,7 @@ def added_points(
     predicted. All in the unit workspace, and within it.
     """
     prediction, measured = IndexedCloud.of(prediction), IndexedCloud.of(measured)
-    selection = select(prediction, measured, partial, eye, background, known)
+    selection = select(prediction, measured, partial, eye, background, visibility)
     kept = IndexedCloud(prediction.points[selection.kept])
     if density == 0 or kept.density == 0:
         return kept.points, kept, selection
@@ -75,7 +75,7 @@ def select(
     partial: Points,
     eye: Float[np.ndarray, "3"] | None,
     background: Background = "unknown",
-    known: Visibility | None = None,
+    visibility: Visibility | None = None,
 ) -> Selection:
     """Which predicted points to add to the measured ones.
 
@@ -83,11 +83,10 @@ def select(
     what was measured from the sensor at `eye` (None if nobody knows where it stood).
     `partial` is what the network read. All in the unit workspace.
 
-    That a sensor seems to have looked through a point is a reason to leave it out only
-    if the `background` is known to be empty, or where it is `known` that something else
-    was measured behind it (`prism_jax.preprocessing.visibility_map.seen_among`): where
-    views are cropped, or cells are full of things, it did not see them for other
-    reasons.
+    A sensor that seems to have looked through a point is a reason to leave it out only
+    if the `background` is empty, or where the `visibility` says that something else was
+    measured behind it (`prism_jax.preprocessing.visibility_map.seen_among`). In cropped
+    views and full cells the sensor missed points for other reasons.
     """
     prediction, measured = IndexedCloud.of(prediction), IndexedCloud.of(measured)
     spacing, points = IndexedCloud.of(partial).spacing, prediction.points
@@ -97,8 +96,8 @@ def select(
     if eye is not None:
         hides = in_front(points, measured, eye, spacing, IN_FRONT)
         past = np.full(len(points), background == "empty")
-        if known is not None:
-            past |= in_free_space(points, known, IN_FRONT * spacing)
+        if visibility is not None:
+            past |= in_free_space(points, visibility, IN_FRONT * spacing)
         if past.any():
             through = past & looked_through(points, measured, eye, PAST * spacing)
     old = ~mask_unobserved(prediction, measured, partial)

@@ -193,7 +193,7 @@ def scored_clouds(
                 partial,
                 eye if seen.sensor_known else None,
                 background=protocol.background,
-                known=visibility,
+                visibility=visibility,
             )
             cloud = np.concatenate([clouds["partial"], from_workspace(new)])
             clouds[f"completed{suffix}"] = cloud

@@ -171,7 +171,9 @@ def nearest_marked(
     return xp.sqrt(total.min(2)), nearest
 
 
-def clues(visibility: Visibility, points: Float[Array, "N 3"]) -> Float[Array, "N 6"]:
+def visibility_features(
+    visibility: Visibility, points: Float[Array, "N 3"]
+) -> Float[Array, "N 6"]:
     """What the map says of points, as numbers that a network reads.
 
     In turn: how much of each of the four states is there; how far the point lies behind

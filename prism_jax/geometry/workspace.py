@@ -12,6 +12,8 @@ from jaxtyping import Array, Bool, Float
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.precision import exact_products
 
+CUBE_MARGIN = 1.4  # side of a cube around points over the longest side of their box
+
 
 @jax.tree_util.register_pytree_with_keys_class
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +104,7 @@ class Workspace:
     def from_points(
         cls,
         points: Float[Array | np.ndarray, "N 3"],
-        margin: float = 1.25,
+        margin: float = CUBE_MARGIN,
         rotation: Float[Array | np.ndarray, "3 3"] | None = None,
         where: Bool[Array | np.ndarray, " N"] | None = None,
     ) -> "Workspace":

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Annotated, Literal
 
 from prism_jax.geometry.visibility import Background
+from prism_jax.geometry.workspace import CUBE_MARGIN
 from prism_jax.models.ranges import Checked
 
 MAX_POINTS = 2**18  # of a cloud that the decoder makes
@@ -68,7 +69,7 @@ class BackboneConfig(Checked):
     # throw single points after it instead of leaving that to the seeds.
     offset_reach: Annotated[float, 1e-6, 1e3] = 1.0
     # Whether every block reads, for each of its points, what the sensor knows there
-    # (`prism_jax.geometry.visibility.clues`). The paper's decoder does not.
+    # (`geometry.visibility.visibility_features`). The paper's decoder does not.
     reads_visibility: bool = False
     # Whether the global feature, and so the seeds, read it too, at a lattice of points
     # in and around the workspace. Needs `reads_visibility`.
@@ -122,7 +123,7 @@ class ModelConfig(Checked):
     backbone: BackboneConfig = BackboneConfig()
     auxiliary: AuxiliaryConfig = AuxiliaryConfig()
     # Side of the workspace over the longest side of the partial's box.
-    margin: Annotated[float, 0.1, 100] = 1.4
+    margin: Annotated[float, 0.1, 100] = CUBE_MARGIN
     # "level" if the workspace is turned about the vertical as
     # `prism_jax.preprocessing.heading` says, in training and afterwards; "given" if the
     # weights know objects with their front along y, and get them as they come.

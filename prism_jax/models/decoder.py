@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from prism_jax.geometry.visibility import Visibility, clues
+from prism_jax.geometry.visibility import Visibility, visibility_features
 from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import PointFeatures
@@ -85,8 +85,8 @@ class SeedGenerator(nn.Module):
 
 
 class VisibilityPooling(nn.Module):
-    """One feature of the visibility: clues at a lattice of points, a shared MLP, the
-    maximum. Zero at first, so that training can go on from weights without it."""
+    """One feature of the visibility: what it says at a lattice of points, a shared MLP,
+    the maximum. Zero at first, so that training can go on from weights without it."""
 
     config: BackboneConfig
 
@@ -95,7 +95,9 @@ class VisibilityPooling(nn.Module):
         self, partial: Float[Array, "... N 3"], visibility: Visibility
     ) -> Float[Array, "... G"]:
         at = jnp.asarray(_LATTICE, partial.dtype)
-        at_lattice = over_batch(lambda _, visibility: clues(visibility, at))
+        at_lattice = over_batch(
+            lambda _, visibility: visibility_features(visibility, at)
+        )
         found = at_lattice(partial, visibility)
         at = jnp.broadcast_to(at, (*found.shape[:-1], 3))
         width = self.config.features
@@ -135,7 +137,9 @@ class UpsamplingBlock(nn.Module):
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
         if self.config.reads_visibility:
-            at_points = over_batch(lambda cloud, visibility: clues(visibility, cloud))
+            at_points = over_batch(
+                lambda cloud, visibility: visibility_features(visibility, cloud)
+            )
             # Zero at first, so that training can go on from weights without it.
             zeros = nn.initializers.zeros
             reading = MLP((width // 2, width), zeros, name="clues")

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.sampling import farthest_point_sample, resample
-from prism_jax.geometry.workspace import Workspace
+from prism_jax.geometry.workspace import CUBE_MARGIN, Workspace
 from prism_jax.preprocessing.heading import level_heading
 from prism_jax.preprocessing.outliers import far_outliers
 from prism_jax.preprocessing.sensor import is_believable, likely_eye
@@ -121,7 +121,7 @@ def observe(
     points: Float[Array | np.ndarray, "N 3"],
     sensor: Vector | Literal["origin", "likely"] | None = None,
     workspace: Workspace | None = None,
-    margin: float = 1.25,
+    margin: float = CUBE_MARGIN,
     up: str | Vector = "z",
     heading: Heading = "given",
 ) -> Observation:
@@ -187,7 +187,7 @@ def _framed(
 def workspace_around(
     points: Float[Array | np.ndarray, "N 3"],
     sensor: Vector | Literal["origin"] | None = None,
-    margin: float = 1.25,
+    margin: float = CUBE_MARGIN,
     up: str | Vector = "z",
     heading: Heading = "given",
     where: Bool[Array | np.ndarray, " N"] | None = None,

@@ -20,9 +20,8 @@ from prism_jax.geometry.visibility import (
     free_depth,
     look_up,
 )
-from prism_jax.geometry.workspace import Workspace
+from prism_jax.geometry.workspace import CUBE_MARGIN, Workspace
 
-CUBE_MARGIN = 1.4  # side of a cube around an object over the longest of its box
 BEHIND = 0.03  # so near its far side, in half sides, nothing of a workspace is hidden
 MAX_REACH = MAP_SIZE // 8  # in pixels: holes of up to twice that are closed
 FEW = 1024  # points by which the spacing of a larger cloud is taken

@@ -17,8 +17,7 @@ _ROOT = RNG.normal(size=(SIZE, SIZE))
 HESSIAN = _ROOT @ _ROOT.T / SIZE + np.eye(SIZE)
 TARGET, START = RNG.normal(size=SIZE), RNG.normal(size=(2, SIZE))
 CURVATURE = np.diag([3.0, 1.0, 4.0, 1.0, 5.0])
-# A step size of its own for two groups of coordinates: x_k - target = M^k (x_0 -
-# target) with M = I - diag(a) H.
+# Each group has a step size: x_k - target = (I - diag(a) H)^k (x_0 - target).
 SIZES = {"a": 0.1, "b": 0.3}
 GROUPS = {"a": np.array([1.0, 1, 0, 0, 0]), "b": np.array([0, 0, 1.0, 1, 1])}
 
@@ -40,17 +39,6 @@ def flat(tree):
 SHRINK = np.eye(SIZE) - np.diag(sum(SIZES[name] * GROUPS[name] for name in SIZES))
 SHRINK = np.eye(SIZE) - (np.eye(SIZE) - SHRINK) @ HESSIAN
 POWER = [np.linalg.matrix_power(SHRINK, k) for k in range(STEPS + 1)]
-
-
-def test_the_body_is_traced_once_for_any_number_of_steps():
-    traces = []
-
-    def counted(x):
-        traces.append(x)
-        return quadratic(x)
-
-    jax.eval_shape(lambda x: unroll(counted, x, 0.1, 100), jnp.zeros(SIZE))
-    assert len(traces) == 1
 
 
 @pytest.fixture(scope="module")
@@ -103,9 +91,8 @@ def test_a_gradient_above_the_bound_is_scaled_down_to_it(x64):
     moved = descend(params, grads, {"a": 0.5, "b": 2.0}, clip_norm=0.1)
     np.testing.assert_allclose(moved["a"], [-0.5 * 0.06, 0], rtol=1e-12)
     np.testing.assert_allclose(moved["b"]["c"], 2.0 * 0.08, rtol=1e-12)
-    for bound in (5.0, 6.0):
-        below = descend(params, grads, 0.5, clip_norm=bound)
-        assert equal(below, descend(params, grads, 0.5))
+    below = descend(params, grads, 0.5, clip_norm=5.0)
+    assert equal(below, descend(params, grads, 0.5))
 
 
 def test_a_gradient_of_zero_can_be_bounded(x64):

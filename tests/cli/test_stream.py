@@ -20,14 +20,11 @@ from prism_jax.envelope.robot import of_robot
 from prism_jax.io.clouds import read_points
 from prism_jax.io.depth import camera_to_dict
 from prism_jax.io.ply import write_ply
-from prism_jax.io.streams import open_stream
 from prism_jax.streaming.completer import FrameCompleter
 from tests.experiments.simulation.roboarm.conftest import model, small, urdf
 from tests.launching import run
 
 __all__ = ["model", "small", "urdf"]
-
-pytestmark = pytest.mark.xdist_group("completer")
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +61,7 @@ def test_weights_of_a_file_are_compiled_once(
 
 
 def test_a_folder_of_files(scans, shared, tmp_path, capsys):
-    out = tmp_path / "out"
+    out, done = tmp_path / "out", tmp_path / "done"
     box = "--workspace=0,-2,-2,9,2,2"
     assert run(command, str(scans), box, f"--output={out}") == 0
     printed = capsys.readouterr()
@@ -76,33 +73,18 @@ def test_a_folder_of_files(scans, shared, tmp_path, capsys):
     counts = {"in_recording": 5, "completed": 4, "dropped": 0, "unusable": 1}
     assert summary["frames"] == counts
     assert summary["remarks"] == {"unusable": 1} and summary["whole"]
-    assert set(summary["milliseconds"]["age"]) == {"p50", "p95", "p99", "max"}
     # As prism-complete has them.
-    done = tmp_path / "done"
-    complete.complete_file(
-        str(scans / "3.ply"), density=0.0, objects="one", output_dir=str(done)
-    )
+    asked = {"density": 0.0, "objects": "one", "output_dir": str(done)}
+    complete.complete_file(str(scans / "3.ply"), **asked)
     one, other = done / "completed.ply", out / "000003.ply"
     assert one.read_bytes() == other.read_bytes()
     assert len(read_points(other)) > 300
-
-
-def test_an_mcap_file(scans, shared, tmp_path):
-    pytest.importorskip("mcap")
-    out = tmp_path / "done.mcap"
-    run(command, str(scans), f"--output={out}", "--pace=sensor")
-    stream = open_stream(out)
-    summary = json.loads((tmp_path / "stream.json").read_text())
-    assert len(stream) == summary["frames"]["completed"]
-    assert len(stream) + summary["frames"]["dropped"] == 5
 
 
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
         ([], "expected one recording, got 0"),
-        (["scan.txt"], "check the path"),
-        (["SCANS", "--topic=/points"], "omit --topic"),
         (["SCANS", "--joints=j.json"], "set --urdf too"),
         (["SCANS", "--output=SCANS"], "choose another output"),
         (["SCANS", "--output=out.mcap", "--weights=nobody"], "nobody"),
@@ -129,14 +111,11 @@ def test_a_stream_that_is_ended_leaves_whole_files(
 
     monkeypatch.setattr(FrameCompleter, "complete", ended)
     assert run(command, str(scans), f"--output={tmp_path}") == 130
-    done = sorted(tmp_path.glob("*.ply"))
-    assert len(done) == 3
-    for path in done:
-        assert len(read_points(path)) > 300
     assert capsys.readouterr().err.splitlines()[-1] == "prism-stream: interrupted"
+    done = [read_points(path) for path in tmp_path.glob("*.ply")]
+    assert len(done) == 3 and min(map(len, done)) > 300
     summary = json.loads((tmp_path / "stream.json").read_text())
-    assert not summary["whole"]
-    assert summary["frames"]["completed"] == len(done)
+    assert not summary["whole"] and summary["frames"]["completed"] == 3
 
 
 def test_a_known_robot_from_end_to_end(

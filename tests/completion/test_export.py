@@ -67,12 +67,3 @@ def test_a_clean_process_gets_the_same(exported, scans, minimal, minimal_variabl
     expected, accepted = jax.jit(jax.vmap(one))(scans)
     np.testing.assert_allclose(completed, expected, rtol=1e-5, atol=1e-5)
     assert ended.stdout.split()[1:] == [str(value) for value in accepted]
-
-
-def test_scans_of_another_shape_are_refused(exported, tmp_path):
-    np.save(tmp_path / "scans.npy", np.zeros((BATCH, 65, 3), np.float32))
-    command = [sys.executable, PROGRAM, exported, tmp_path / "scans.npy", "out.npy"]
-    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert ended.returncode == 1
-    wanted = "has the shape (2, 65, 3); it must be (2, 64, 3)"
-    assert ended.stderr.strip() == f"{tmp_path}/scans.npy: {wanted}"

@@ -12,8 +12,6 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 
-pytestmark = pytest.mark.xdist_group("completer")
-
 EYE = np.array([0.0, -8.0, 6.0])
 FAR = np.array([4e5, 5e6, 100.0])
 CAMERA = Camera.look_at(EYE, np.zeros(3))
@@ -78,20 +76,17 @@ def test_each_object_is_completed_as_if_it_were_alone(done, completer, scene):
 
 def test_errors_of_points_come_with_their_objects(done, scene):
     """And with all of them, or not at all."""
-    assert done.sigma is None
     points, number = scene
-    objects = [
-        dataclasses.replace(one, sigma=np.where(one.observed, 0.0, 0.5 + i))
-        for i, one in enumerate(done.objects)
-    ]
+    sigmas = [np.where(x.observed, 0.0, 0.5 + i) for i, x in enumerate(done.objects)]
+    pairs = zip(done.objects, sigmas, strict=True)
+    objects = [dataclasses.replace(one, sigma=sigma) for one, sigma in pairs]
 
     def sigma(objects):
-        put = in_one_scene(points, number, objects, (), np.array([0, 0, 1.0]), "z")
-        return put.sigma
+        return in_one_scene(points, number, objects, (), np.eye(3)[2], "z").sigma
 
     expected = np.where(done.observed, 0.0, 0.5 + done.object)
     np.testing.assert_array_equal(sigma(objects), expected)
-    assert sigma([*objects[:-1], done.objects[-1]]) is None
+    assert done.sigma is sigma([*objects[:-1], done.objects[-1]]) is None
     assert not sigma([]).any() and len(sigma([])) == len(points)
 
 

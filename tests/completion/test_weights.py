@@ -27,8 +27,6 @@ from prism_jax.io.errors import InputError
 from prism_jax.training.presets import PRESETS
 from tests.trees import bitwise
 
-pytestmark = pytest.mark.xdist_group("weights")
-
 METADATA = {"seed": 3, "scores": {"cd_l2": [1.5, 2.0]}, "commit": None}
 
 
@@ -58,8 +56,7 @@ def rewritten(file, tmp_path):
 def fault(path):
     with pytest.raises(InputError) as caught:
         load_pretrained(path)
-    assert str(caught.value).count("\n") == 0
-    assert "Traceback" not in str(caught.value)
+    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
@@ -80,23 +77,15 @@ def test_names_of_what_ships():
     # Given as a file, the same weights are compared with their configuration.
     _, checked = load_pretrained(str(asset("small.safetensors")))
     assert bitwise(variables, checked)
+    for path in pathlib.Path(weights.__file__).parent.glob("*.safetensors"):
+        ours = "network" not in read_metadata(str(path))
+        (load_pretrained if ours else load_network)(str(path))
 
 
-COMPARED = sorted(pathlib.Path(weights.__file__).parent.glob("*.safetensors"))
-
-
-@pytest.mark.parametrize("path", COMPARED, ids=lambda path: path.stem)
-def test_every_file_beside_the_launchers_loads(path):
-    if "network" in read_metadata(str(path)):
-        load_network(str(path))
-    else:
-        load_pretrained(str(path))
-
-
-@pytest.mark.parametrize("name", ["no_such_weights", "/no/such/file.safetensors", "."])
+@pytest.mark.parametrize("name", ["no_such_weights", "."])
 def test_an_unknown_name(name):
-    message = fault(name)
-    assert message.startswith(f"{name}: no such weights; give a .safetensors file")
+    wanted = f"{name}: no such weights; give a .safetensors file"
+    assert fault(name).startswith(wanted)
 
 
 def test_a_file_that_is_cut_short_or_nonsense(file, tmp_path):
@@ -123,16 +112,13 @@ def test_a_pickle_is_refused_and_never_run(tmp_path):
 
 
 def test_a_configuration_that_is_none(rewritten):
-    backbone = '{"model": {"backbone": {}, "auxiliary": {}}, "adapt": '
     for text in (
         "{",
         "[]",
-        "null",
         "{}",
         '{"model": {"backbone": [], "auxiliary": {}}}',
         '{"model": {"backbone": {"unknown": 1}, "auxiliary": {}}}',
-        backbone + "3}",
-        backbone + '{}, "seed": 1}',
+        '{"model": {"backbone": {}, "auxiliary": {}}, "adapt": {}, "seed": 1}',
         "[" * 100_000,
         '{"model": 1' + "0" * 5000 + "}",
     ):
@@ -152,7 +138,6 @@ def settings(fields, path=()):
 
 
 SETTINGS = list(settings(dataclasses.asdict(PRESETS["tiny"].config)))
-NEVER = [-(10**9), -(10**400), float("nan"), "4", None, [[]]]
 
 
 @pytest.fixture
@@ -170,9 +155,11 @@ def crafted(tiny, tmp_path):
 
 
 def test_a_setting_out_of_its_range_is_refused(crafted):
-    for path, value in itertools.product(SETTINGS, NEVER):
-        told = crafted(path, value)
-        assert "invalid configuration" in told or "no prism" in told, path
+    others = itertools.cycle([-(10**400), float("nan"), "4", None, [[]]])
+    for path, other in zip(SETTINGS, others, strict=False):
+        for value in (-(10**9), other):
+            told = crafted(path, value)
+            assert "invalid configuration" in told or "no prism" in told, path
 
 
 @pytest.mark.parametrize(
@@ -208,7 +195,6 @@ KERNEL, MORE = "params/refiner/g/dense_0/kernel", "params/refiner/more"
     [
         (KERNEL, None, f"{KERNEL}: missing or wrong shape"),
         (KERNEL, lambda array: array[:-1], f"{KERNEL}: missing or wrong shape"),
-        (KERNEL, lambda array: array.astype(int), f"{KERNEL}: missing or wrong shape"),
         (MORE, lambda array: array, f"unknown array {MORE}"),
     ],
 )

@@ -8,7 +8,6 @@ from prism_jax.data.augmentation import Augmentation, augmented
 from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import SURFACE, UNKNOWN, Visibility
-from prism_jax.io.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -82,20 +81,3 @@ def test_jitter_is_in_sides_of_the_partial(example):
         side = np.ptp(example.partial, axis=0).max()
         assert max(deviations) == pytest.approx(0.02 * side, rel=0.1)
         assert min(deviations) < 0.005 * side
-
-
-def test_a_point_alone_stays_and_a_partial_is_needed(example):
-    settings = Augmentation(crop=1.0, thin=1.0, fewest=1, jitter=0.1)
-    alone = example._replace(partial=example.partial[:1], visibility=None)
-    found = augmented(alone, settings, np.random.default_rng(0))
-    np.testing.assert_array_equal(found.partial, alone.partial)
-    with pytest.raises(ValueError, match="0 has no partial"):
-        augmented(example._replace(partial=None), settings, np.random.default_rng(0))
-
-
-@pytest.mark.parametrize(
-    "setting", [{"thin": 1.5}, {"crop_shares": (0.5, 0.2)}, {"jitter": float("nan")}]
-)
-def test_invalid_settings_are_refused(setting):
-    with pytest.raises(InputError):
-        Augmentation(**setting)

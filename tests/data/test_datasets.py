@@ -3,16 +3,12 @@
 import pytest
 
 from experiments.simulation.build_dataset import build_dataset, build_if_missing
-from experiments.simulation.building import write_manifest
 from experiments.simulation.shapes import build as shapes_build
 from prism_jax.data import datasets
 from prism_jax.data.datasets import (
-    DATASETS,
-    GENERATED,
     digest_of,
     open_dataset,
     open_training,
-    scored_splits,
 )
 from prism_jax.io.errors import InputError
 from tests.data.test_holdout import Views, names
@@ -37,27 +33,6 @@ def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
     assert digest == build("b") and len(digest) == 12
     assert build("c", seed=1) not in (None, digest)
     assert digest_of("shapes", "test", tmp_path) is None
-
-
-@pytest.mark.parametrize("name", GENERATED)
-def test_what_another_version_built_is_refused(name, tmp_path):
-    folder = tmp_path / f"{name}-train"
-    folder.mkdir()
-    write_manifest(folder, {"generator_version": 0, "files": {}})
-    with pytest.raises(InputError, match=f"another version.*--dataset={name}"):
-        open_dataset(name, "train", tmp_path)
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="file"):
-        build_if_missing(name, "train", tmp_path / "file")
-
-
-def test_splits_that_can_be_scored():
-    assert scored_splits("shapes") == ("validation", "test", "unseen", "novel")
-    assert scored_splits("pcn") == ("val", "test")
-    assert scored_splits("shapenet55") == ("test",)
-    for name in ("recordings", "kitti", "open"):
-        with pytest.raises(InputError, match=f"{name}: no held-out split"):
-            scored_splits(name)
 
 
 @pytest.mark.parametrize(
@@ -86,16 +61,6 @@ def test_a_set_without_a_training_split_is_refused(tmp_path):
     for name in ("kitti", "shapenet_unseen21", "projected_shapenet_unseen21"):
         with pytest.raises(InputError, match="no training split"):
             open_training(name, tmp_path)
-
-
-@pytest.mark.parametrize("name", DATASETS)
-def test_an_empty_folder_is_none_of_them(name, tmp_path):
-    with pytest.raises(InputError) as error:
-        open_dataset(name, "train", tmp_path)
-    assert len(str(error.value).splitlines()) == 1
-    if name not in GENERATED:
-        with pytest.raises(InputError, match="set --data_dir to its folder"):
-            open_dataset(name, "train")
 
 
 def test_unknown_names_and_options_are_refused(tmp_path):

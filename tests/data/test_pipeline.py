@@ -7,7 +7,6 @@ from absl import flags
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError
 
 SMALL = Framing(4, 4, 1.4)
 
@@ -96,8 +95,3 @@ def test_batches_read_by_another_process_are_the_same(shapes_dir):
     source = open_dataset("shapes", "train", shapes_dir)
     expected = batches_of(source, 3, 6)
     assert_equal(batches_of(source, 3, 2, num_workers=1, start=4), expected[4:])
-
-
-def test_too_few_examples_for_one_batch():
-    with pytest.raises(InputError, match="7 examples do not fill a batch of 8"):
-        batches_of(Numbered(7), 8, 1)

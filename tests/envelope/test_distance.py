@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
@@ -151,18 +149,3 @@ def test_the_volume_around_a_point_is_a_balls(origin):
     state[:15] = FREE
     half = envelope(state, origin, voxel, {"measured": at[None]}, margin)
     assert half.taken.sum() == one.taken[15:].sum()
-
-
-def test_a_query_in_a_cell_of_three_metres_is_quick():
-    state = np.full((75, 75, 75), FREE)
-    state[RNG.random(state.shape) < 0.1] = UNSEEN
-    clouds = {kind: RNG.uniform(0, 3, (10_000, 3)) for kind in KINDS}
-    one = envelope(state, voxel=0.04, points=clouds, margin=0.3)
-    points = RNG.uniform(0, 3, (1000, 3))
-    one.query(points)
-    spent = []
-    for _ in range(5):
-        start = time.process_time()
-        one.query(points)
-        spent.append(time.process_time() - start)
-    assert min(spent) < 0.05

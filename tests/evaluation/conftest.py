@@ -5,8 +5,6 @@ import pytest
 
 from prism_jax.data.source import Example
 
-NUM_PARTIAL = 60
-
 
 class Boxes:
     """Clouds on boxes, seen from above: `views` in a row show one box.

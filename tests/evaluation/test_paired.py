@@ -53,6 +53,9 @@ def test_the_change_is_of_the_means_and_its_interval_of_pairs():
     assert np.isclose(found["change"], after.mean() / values.mean() - 1)
     low, high = found["interval"]
     assert low < found["change"] < high
+    # Another view of the same object narrows nothing.
+    twice = (result(np.repeat(cloud, 2), views=2) for cloud in (values, after))
+    assert paired_difference(*twice)["interval"] == pytest.approx(found["interval"])
     # What is hard for both cancels: the mean's own interval is far wider.
     error = values.std() / np.sqrt(len(values)) / values.mean()
     assert high - low < 0.05 * error
@@ -61,15 +64,16 @@ def test_the_change_is_of_the_means_and_its_interval_of_pairs():
 def test_a_single_category_carries_the_whole_effect():
     """As one kind of six: significant over objects, nothing over kinds."""
     kinds = np.repeat([f"kind {i}" for i in range(6)], 20)
-    before = RNG.uniform(1, 2, 120) + 4 * (kinds == "kind 2")
-    after = before * np.where(kinds == "kind 2", 0.9, 1.0) + RNG.normal(0, 0.01, 120)
+    rest = kinds != "kind 2"
+    before = RNG.uniform(1, 2, 120) + 4 * ~rest
+    after = before * np.where(rest, 1.0, 0.9) + RNG.normal(0, 0.01, 120)
     found = paired_difference(
         result(before, categories=kinds), result(after, categories=kinds)
     )
     assert found["interval"][1] < -0.02
     assert found["category_interval"][1] > -0.01
     assert found["num_categories"] == 6
-    carrier, rest = found["carried_by"], kinds != "kind 2"
+    carrier = found["carried_by"]
     assert (carrier["category"], carrier["num_examples"]) == ("kind 2", 20)
     part = (after - before)[~rest].sum() / before.sum()
     assert np.isclose(carrier["contribution"], part)
@@ -78,15 +82,13 @@ def test_a_single_category_carries_the_whole_effect():
     low, high = carrier["interval_without"]
     assert low < without < high and high - low < 0.01
     # The largest of all is against the change, and does not carry it.
-    kinds = np.array(["up", "down", "down again"])
-    before, after = np.array([1.0, 1.0, 1.0]), np.array([1.5, 0.6, 0.7])
+    kinds = ["up", "down", "down again"]
+    ones, after = np.ones(3), np.array([1.5, 0.6, 0.7])
     found = paired_difference(
-        result(before, categories=kinds), result(after, categories=kinds)
+        result(ones, categories=kinds), result(after, categories=kinds)
     )
     assert np.isclose(found["change"], -0.2 / 3)
     assert found["carried_by"]["category"] == "down"
-    assert np.isclose(found["carried_by"]["contribution"], -0.4 / 3)
-    assert np.isclose(found["carried_by"]["change_without"], 0.1)
 
 
 def test_resampled_medians_are_those_of_the_drawn_examples():
@@ -112,15 +114,11 @@ def test_adaptation_is_told_of_every_cloud_that_was_adapted():
 
 
 def test_what_cannot_be_compared_is_refused():
-    a = result([1.0, 2.0])
-    for other in (
-        result([1.0, 2.0, 3.0]),
-        result([1.0, 2.0], views=2),
-        result([1.0, 2.0], categories=["bag", "car"]),
-    ):
-        with pytest.raises(ValueError, match="not of the same examples"):
-            paired_difference(a, other)
+    a, zero = result([1.0, 2.0]), result([0.0, 0.0])
+    other = result([1.0, 2.0], categories=["bag", "car"])
+    with pytest.raises(ValueError, match="not of the same examples"):
+        paired_difference(a, other)
     with pytest.raises(ValueError, match="has no emd of network"):
         paired_difference(a, a, "emd")
     with pytest.raises(ValueError, match="is zero"):
-        paired_difference(result([0.0, 0.0]), a)
+        paired_difference(zero, a)

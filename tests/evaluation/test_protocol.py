@@ -51,6 +51,9 @@ def test_scores_are_in_the_complete_clouds_unit_whatever_the_frame(boxes):
         assert np.isclose(reach(complete), 1, rtol=1e-12)
     own = scored_in(example, Protocol(60, 1.4, unit="own"))
     np.testing.assert_array_equal(own.to_unit(example.complete), example.complete)
+    point = np.full((8, 3), 3.0, np.float32)
+    once = scored_in(Example(point, point, None, "dot", "dot"), Protocol(4, 1.4))
+    np.testing.assert_array_equal(once.to_unit(point), np.zeros((8, 3)))
 
 
 @pytest.mark.parametrize("normalisation", ["partial", "oracle"])
@@ -84,18 +87,3 @@ def test_ordered_clouds_are_cut_and_short_ones_repeated(boxes):
     few = example._replace(partial=example.partial[:4])
     rows = given(few, protocol)[0]
     np.testing.assert_array_equal(rows, example.partial[np.arange(10) % 4])
-
-
-def test_one_point_many_times_is_framed():
-    point = np.full((8, 3), 3.0, np.float32)
-    example = Example(point, point, None, "dot", "dot")
-    for name in NORMALISATIONS:
-        assert np.isfinite(given(example, Protocol(4, 1.4, name))[0]).all()
-    frame = scored_in(example, Protocol(4, 1.4))
-    np.testing.assert_array_equal(frame.to_unit(point), np.zeros((8, 3)))
-
-
-def test_unknown_names_are_refused():
-    for field in ("normalisation", "unit"):
-        with pytest.raises(ValueError, match=f"{field} must be one of"):
-            Protocol(60, 1.4, **{field: "metres"})

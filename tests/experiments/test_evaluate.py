@@ -14,7 +14,6 @@ from prism_jax.completion.weights import file_sha256
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.metrics import hausdorff
 from prism_jax.evaluation.run import Predictions
-from prism_jax.geometry.visibility import BACKGROUND, MAP_SIZE, SURFACE
 from tests import launching
 from tests.public_sets import write_pcn, write_shapenet55
 
@@ -84,14 +83,6 @@ def test_a_result_says_what_it_is_of(cells):
     changed = cells["changed"]
     assert changed["clouds"] == result["clouds"]
     assert "set adapt.num_steps=2 adapt.step_size=0.5" in changed["table"]
-
-
-def test_weights_that_are_told_are_told_of_recordings(cells):
-    """`small` is, of what its frames' whole depth images show."""
-    (one,) = cells["adapted"]["told"]
-    assert one.state.shape == (2, MAP_SIZE, MAP_SIZE)
-    assert np.isin([SURFACE, BACKGROUND], one.state).all()
-    assert not cells["changed"]["told"]
 
 
 def test_cells_are_scored_in_their_own_size_under_both_normalisations(cells):

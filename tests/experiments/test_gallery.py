@@ -10,12 +10,8 @@ from experiments import gallery
 from experiments.assets import CELLS
 from experiments.gallery_page import (
     COLUMNS,
-    DISTANCE_COLORS,
-    FAR,
     complete_items,
-    distance_colors,
     gallery_page,
-    picture_row,
 )
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.protocol import Protocol
@@ -48,24 +44,6 @@ def test_numbers_are_those_of_the_evaluation(shown):
         for row in (0, len(item.measured), -1):
             apart = np.linalg.norm(item.complete - cloud[row], axis=1).min()
             assert item.errors[row] == pytest.approx(apart)
-
-
-def bluest(picture):
-    """How much more blue than red there is in a pixel; of a negative, less."""
-    return (picture[..., 2] - picture[..., 0]).max()
-
-
-def test_pictures_show_their_clouds(shown):
-    row = picture_row(shown[0], 48)
-    assert len(row.pictures) == len(COLUMNS)
-    partial, completed, truth, errors = (each.astype(int) for each in row.pictures)
-    assert bluest(partial) > 60 and bluest(-partial) < 60
-    assert bluest(-completed) > 60
-    assert bluest(truth) < 60 and bluest(-truth) < 60 and (truth < 255).any()
-    assert (errors < 255).any()
-    colors = distance_colors(np.array([0.0, FAR, 2 * FAR, FAR * DISTANCE_COLORS[1][0]]))
-    first, second, *_, last = (color for _, color in DISTANCE_COLORS)
-    np.testing.assert_allclose(colors, [first, last, last, second])
 
 
 def test_page_has_every_example_and_needs_no_network(shown):

@@ -1,6 +1,5 @@
 """The label-free training on one's own frames: what it reads, teaches and refuses."""
 
-import dataclasses
 import functools
 import types
 
@@ -96,21 +95,6 @@ def test_a_cloud_is_parted():
         part(CLOUD[:3], EYE, 0)
 
 
-def test_what_lies_behind_is_hidden_from_either_side():
-    """Two plates, the near one covering the far one's lower half."""
-    x, z = np.meshgrid(np.linspace(-1, 1, 30), np.linspace(0, 1, 16))
-    near = np.stack([x, np.zeros_like(x), 0.5 * z], -1).reshape(-1, 3)
-    far = np.stack([x, np.ones_like(x), z], -1).reshape(-1, 3)
-    cloud = np.concatenate([near, far])
-    front = parts.seen_from(cloud, np.array([0.0, -40.0, 0.25]))
-    assert front[: len(near)].all()
-    lower, upper = far[:, 2] < 0.42, far[:, 2] > 0.65
-    assert not front[len(near) :][lower & (np.abs(far[:, 0]) < 0.9)].any()
-    assert front[len(near) :][upper].all()
-    back = parts.seen_from(cloud, np.array([0.0, 40.0, 0.25]))
-    assert back[len(near) :].all() and back[: len(near)].mean() < 0.2
-
-
 def test_a_frame_holds_what_was_measured_and_no_truth(read, config):
     example, number, seen = read(6, 1.0)[5]
     assert (example.complete, example.name, number) == (None, "box 5", 2)
@@ -134,13 +118,6 @@ def test_every_fifth_sequence_checks_or_every_fifth_frame(read):
         plant.held_out(frames[:4])
 
 
-def test_every_frame_comes_once_before_any_comes_again():
-    rows = np.concatenate([plant.rows_of(step, 3, 7, 0) for step in range(7)])
-    assert np.bincount(rows).tolist() == [3] * 7
-    assert sorted(rows[:7]) == list(range(7))
-    assert plant.rows_of(0, 7, 7, 1) != plant.rows_of(0, 7, 7, 0)
-
-
 def test_a_label_is_what_was_measured_and_what_agrees_with_it(read):
     (frame,) = read(1)
     eye, partial = np.asarray(frame.seen.eye), np.asarray(frame.seen.partial)
@@ -158,16 +135,6 @@ def test_a_label_is_what_was_measured_and_what_agrees_with_it(read):
     near = np.asarray(to_unit(label(both, PlantConfig(num_label=900, reach=0.1))))
     measured = np.asarray(to_unit(frame.example.partial))
     assert KDTree(measured).query(near)[0].max() <= 0.1 + 1e-6
-
-
-@pytest.mark.parametrize("whole", [0.0, 1.0])
-def test_the_student_reads_what_is_left_and_is_asked_for_the_rest(read, framing, whole):
-    example, rng = read(1)[0].example, np.random.default_rng(7)
-    asked = dataclasses.replace(SETTINGS, whole=whole), framing
-    batch = student_view(example, example.partial[:96], *asked, rng)
-    assert np.abs(batch.partial).max() <= 1.0 and batch.complete.shape == (128, 3)
-    apart = KDTree(batch.partial).query(batch.complete[96:])[0].min()
-    assert apart < 1e-6 if whole else apart > 0
 
 
 @pytest.fixture

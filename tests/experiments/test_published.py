@@ -1,7 +1,6 @@
 """Published columns, of results with known values and of sets in their layouts."""
 
 import numpy as np
-import pytest
 
 from experiments.published import published_columns, published_options
 from prism_jax.data.public.shapenet import ShapeNet
@@ -32,14 +31,6 @@ def test_shapenet_averages_categories_and_not_examples():
     expected = [5.5, 11.0, 33.0, 16.5, 1e-3 * 16.5]
     np.testing.assert_allclose(list(columns.values()), expected, rtol=1e-6)
     assert published_columns("shapenet55", result, "partial") == columns
-
-
-def test_pcn_has_a_column_a_category():
-    assert published_options("pcn") == {}
-    rows = [row(f"{i}", "car" if i else "bag", 1e-3 * (i + 1)) for i in range(4)]
-    columns = published_columns("pcn", summarise(rows, ("bag", "car"), np.arange(4)))
-    expected = {"bag": 1.0, "car": 3.0, "Average": 2.0, "F-Score@1%": 2e-3}
-    assert columns == pytest.approx(expected)
 
 
 def test_the_published_test_of_shapenet(tmp_path):

@@ -118,24 +118,3 @@ def test_every_scan_has_a_row(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(command, "FLAGS", types.SimpleNamespace(weights="small"))
     scan = command.Given(POINTS.astype(float))
     assert command.row_of(Astray(), SPECS[0], scan)["outside"] == 150
-
-
-def test_points_outside_a_box_are_counted(folder):
-    """The box is 2 x 1 x 4, and a twentieth of a side may be beside it."""
-    path = folder / "kitti" / "frame_0_car_0.pcd"
-    measured = np.array([[1, 0.5, 2], [-0.05, 0.5, 2], [2.05, 0.5, 2], [2.2, 0.5, 2]])
-    added = np.array([[1, 1.04, 2], [1, 1.06, 2], [1, 0.5, -0.19], [1, 0.5, 4.3]])
-    done = Completer().complete(POINTS)
-    points, observed = np.concatenate([measured, added]), np.arange(8) < 4
-    # A turned box and turned points are no other.
-    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    for turned in (np.eye(3), turn):
-        np.savetxt(path.with_suffix(".txt"), CORNERS @ turned.T)
-        outside = command.boxed(path).checks["outside_box"]
-        both = dataclasses.replace(done, points=points @ turned.T, observed=observed)
-        assert outside(both) == {"measured": 0.25, "added": 0.5}
-
-
-def test_a_lidar_reaches_so_far():
-    points = np.array([[0, 0, 0], [5.9, 0, 0], [0, 6.1, 0], [4, 4, 4.0], [0, -1, 0]])
-    np.testing.assert_array_equal(command.near(points), points[[1, 4]])

@@ -16,7 +16,6 @@ from prism_jax.completion.weights import (
     save_weights,
     sha256,
 )
-from prism_jax.io.errors import InputError
 from prism_jax.uncertainty.sigma import PointErrors
 from tests import launching
 
@@ -99,18 +98,3 @@ def test_a_calibration_comes_with_them(path, new, minimal_variables, capsys):
     place.write_text(json.dumps({**result, "weights_sha256": "0"}))
     assert run(new, f"--calibration={place}") == 2
     assert "rerun it for the weights to release" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("load", "damaged", "fault"),
-    [
-        (load_point_errors, {"point_errors": {"base": 1}}, "an estimate of points'"),
-        (load_calibration, {"calibration": {"low": 1}}, "a calibration needs"),
-    ],
-)
-def test_a_damaged_fit_is_one_line(
-    path, minimal, minimal_variables, load, damaged, fault
-):
-    save_weights(path, minimal.config, minimal_variables, damaged)
-    with pytest.raises(InputError, match=fault):
-        load(str(path))

@@ -18,7 +18,6 @@ from prism_jax.completion.weights import (
     load_pretrained,
     read_metadata,
     samples_seen,
-    save_weights,
 )
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.metrics import Scores
@@ -200,24 +199,6 @@ def test_table_three(tmp_path):
     assert table["against"] == "none"
 
 
-@pytest.mark.parametrize("module", [table_3, table_2])
-def test_weights_of_several_sizes_are_refused_before_the_first_is_scored(
-    module, tmp_path, capsys, monkeypatch, minimal, minimal_variables
-):
-    path = tmp_path / "minimal.safetensors"
-    save_weights(path, minimal.config, minimal_variables, {})
-    monkeypatch.setattr(module, "run_evaluation", None)
-    flag = f"--weights={'all=' if module is table_3 else ''}{path}"
-    place = ("--dataset=shapes", f"--data_dir={tmp_path}")
-    assert launching.run(table_3, "--weights=small") == 2
-    assert "write LABEL=NAME|FILE" in capsys.readouterr().err
-    assert launching.run(module, flag, *place) == 2
-    told = capsys.readouterr().err
-    small, sizes = "512 points to 2048, margin 1.4", told.partition("made for ")[2]
-    assert small in sizes and "64 points to 64, margin 1.4" in sizes
-    assert [*tmp_path.iterdir()] == [path]
-
-
 def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
     def make_adapt(config):
         def adapt(variables, partial, camera):
@@ -239,11 +220,3 @@ def test_online_goes_on_from_the_encoders_of_the_frame_before(monkeypatch):
     outputs = [complete(partials, eyes).network for _ in range(2)]
     moved = np.concatenate(outputs)[:, 1, 0]
     assert moved.tolist() == [0, 1, 2, 3]
-
-
-def test_equal_weights_are_those_before_learning():
-    logits = jnp.array([-jnp.inf, 2.0, 3.0])
-    variables = {"params": object(), "weighting": {"logits": logits, "scales": 1}}
-    found = table_2.equally_weighted(variables)
-    assert found["weighting"]["logits"].tolist() == [-np.inf, 0, 0]
-    assert found["params"] is variables["params"] and found["weighting"]["scales"] == 1

@@ -6,14 +6,12 @@ meta-training the networks are; variables, data, optimisers and checkpoints are 
 
 import dataclasses
 import json
-import shutil
 
 import jax
 import numpy as np
 import pytest
 
 from experiments import train, training
-from experiments.simulation.shapes.build import ShapesConfig, build_shapes
 from prism_jax.completion.weights import (
     load_pretrained,
     read_metadata,
@@ -97,16 +95,6 @@ def test_pretraining_from_nothing_stops_and_resumes(pretrain, tmp_path, capsys):
     assert stopped in capsys.readouterr().out
     assert pretrain(f"--workdir={tmp_path}", "--resume") == 0
     assert read_metadata(str(tmp_path / "weights.safetensors"))["pretrained"] is None
-
-
-def test_indices_are_made_beforehand_where_examples_come_again(pretrain, tmp_path):
-    """The corpus has eight."""
-    for n, (count, auxiliary) in enumerate([(8, 0), (16, 0), (8, 4)]):
-        changed = [f"--set=pretrain.backbone.1.num_samples={count}"]
-        changed.append(f"--set=pretrain.auxiliary_samples={auxiliary}")
-        assert pretrain(f"--workdir={tmp_path}/{n}", *changed) == 0
-    made = [data.indices for data, _ in pretrain.calls]
-    assert made == [None, "made", "made"]
 
 
 def test_the_order_of_batches_is_that_of_the_start(pretrain, weights, others, tmp_path):
@@ -223,19 +211,6 @@ def test_a_run_is_resumed_only_as_it_was_begun(meta, unbroken, weights, others, 
         status = meta(*given, "--resume", flag)
         assert "configuration differs from the run" in refused(capsys, status)
     assert {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")} == before
-
-
-def test_and_on_the_same_data(meta, unbroken, few_shapes, weights, tmp_path, capsys):
-    """Wherever they lie."""
-    shutil.copytree(few_shapes, tmp_path / "same")
-    given = [f"--workdir={unbroken}", *CHANGES, f"--weights={weights}", "--resume"]
-    assert meta(*given, f"--data_dir={tmp_path / 'same'}") == 0
-    capsys.readouterr()
-    shutil.rmtree(tmp_path / "same" / "shapes-validation")
-    changed = ShapesConfig("validation", num_shapes=2, num_views=1, seed=1)
-    build_shapes(changed, tmp_path / "same", 0, False)
-    status = meta(*given, f"--data_dir={tmp_path / 'same'}")
-    assert "config.data.digests.validation is" in refused(capsys, status)
 
 
 def test_meta_training_from_nothing(meta, tmp_path, capsys):

@@ -56,20 +56,6 @@ def test_the_commands_in_order(run, tmp_path):
     assert "--name=tiny-pretrained" in commands[9]
 
 
-def test_other_weights_sets_and_branches(run, tmp_path):
-    sets = "--scored=shapes", "--scored=roboarm=cells", "--branches=align,normal"
-    status, _, commands = run("--weights=small", "--name=mine", *sets)
-    assert status == 0
-    assert commands[:2] == [["opened", "shapes", ""], ["opened", "roboarm", "cells"]]
-    trainings = [command for command in commands if command[0] == "train"]
-    assert ["--weights=small" in command for command in trainings] == [True] + 3 * [0]
-    changes = "--set=meta.method.branches=('align','normal',)"
-    place = f"--workdir={tmp_path}/run/meta-align-normal"
-    assert {changes, place, "--phase=meta"} <= set(trainings[3])
-    assert names(commands).count("evaluate") == 3 * 4
-    assert "--name=mine-align-normal" in commands[-1]
-
-
 def test_it_goes_on_where_it_failed_or_was_stopped(run, tmp_path):
     # What never began may change.
     run("--set=wrong=1", fails="--phase=pretrain")
@@ -89,18 +75,3 @@ def test_it_goes_on_where_it_failed_or_was_stopped(run, tmp_path):
     status, told, commands = run("--seed=4")
     assert (status, names(commands)) == (2, ["opened"])
     assert "was begun with other arguments; give those of arguments.txt" in told
-
-
-@pytest.mark.parametrize(
-    ("flag", "fault"),
-    [
-        ("shapes", "shapes: not a flag"),
-        ("--branches=align,normals", "unknown value normals; use normal, denoise"),
-        ("--scored=kitti=/nowhere", "kitti: no held-out split with ground truth"),
-    ],
-)
-def test_a_mistake_shows_before_anything_runs(run, tmp_path, flag, fault):
-    status, told, commands = run(flag)
-    assert status != 0 and not commands
-    assert fault in told and told.count("\n") == 1
-    assert not (tmp_path / "run").exists()

@@ -144,19 +144,6 @@ def test_coincident_points_have_a_finite_gradient():
     assert all(np.all(np.isfinite(g)) for g in interpolated)
 
 
-def test_nearest_takes_linear_memory():
-    """Also through the gradient: far less than one number for every pair."""
-
-    def gradient(query, support):
-        return jax.grad(lambda q: nearest(q, support)[0].sum())(query)
-
-    count = 16384
-    shape = jax.ShapeDtypeStruct((count, 3), jnp.float32)
-    analysis = jax.jit(gradient).lower(shape, shape).compile().memory_analysis()
-    assert analysis is not None
-    assert analysis.temp_size_in_bytes < 0.05 * 4 * count**2
-
-
 def test_vmap():
     def every(query, support):
         found = three_point_interpolate(query, support, support)

@@ -1,14 +1,9 @@
 """Depth rendering (Eq. 1): values against loops, gradients to the winners alone."""
 
-import json
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from jax.test_util import check_grads
-from jaxtyping import TypeCheckError
-from PIL import Image
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.render import render_depth
@@ -150,21 +145,3 @@ def test_vmap_over_clouds_and_cameras():
         expected_depth, expected_mask = render(clouds[i], cameras[i])
         assert np.allclose(depth[i], expected_depth, atol=1e-6)
         assert np.array_equal(mask[i], expected_mask)
-
-
-def test_a_real_depth_image_survives_unprojection(real):
-    image = Image.open(real("kinect/mosd_test24.png"))
-    calibration = json.loads(real("kinect/mosd_test24.json").read_text())
-    fx, fy, cx, cy = (calibration[name] for name in ("fx", "fy", "cx", "cy"))
-    depth = np.asarray(image, np.float32) * np.float32(calibration["depth_scale"])
-    intrinsics = jnp.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    camera = Camera(CAMERA.rotation, CAMERA.translation, intrinsics, 480, 640)
-    found, mask = render(camera.unproject(depth, depth > 0), camera)
-    assert np.array_equal(mask, depth > 0)
-    assert np.allclose(found, depth, atol=1e-5)
-
-
-def test_shapes_are_checked():
-    """Of the suite itself: the import hook of conftest.py is at work."""
-    with pytest.raises(TypeCheckError):
-        render_depth(jnp.zeros((5, 2)), CAMERA)

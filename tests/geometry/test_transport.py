@@ -108,17 +108,6 @@ def test_a_zero_weight_leaves_its_tokens_out():
     assert np.all(np.isfinite(gradient)) and np.all(gradient[2] == 0)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (8, 11)])
-def test_constant_costs_spread_evenly(shape):
-    for value in (0.0, 3.0):
-        cost = jnp.full(shape, value)
-        plan, total = transport(cost, 0.1)
-        assert np.allclose(plan, 1 / plan.size, rtol=1e-5)
-        assert total == pytest.approx(value, rel=1e-5)
-        # Moving every cost alike changes the total alike.
-        assert cost_gradient(cost, 0.1).sum() == pytest.approx(1, abs=1e-5)
-
-
 def test_the_unit_of_costs_changes_nothing_and_far_ones_do_not_underflow():
     cost = squared_costs().astype(jnp.float32)
     epsilon = 0.05 * cost.mean()

@@ -16,17 +16,14 @@ from prism_jax.geometry.visibility import (
     SURFACE,
     UNKNOWN,
     Visibility,
-    clues,
     look_up,
     mirrored,
     nearest_marked,
     nothing_known,
     seen_by,
     surface_alone,
-    to_unit,
-    turned,
+    visibility_features,
 )
-from prism_jax.geometry.workspace import Workspace
 
 # They share what they compile.
 
@@ -129,20 +126,6 @@ def test_a_mirror_image_knows_the_same_of_mirrored_points():
         np.testing.assert_allclose(found, given, atol=1e-5)
 
 
-def test_turned_points_and_those_of_a_workspace_are_found_as_before():
-    """Depths in the unit of the workspace."""
-    rng, view = np.random.default_rng(2), view_along_x()
-    turn = Rotation.random(rng=rng).as_matrix().astype(np.float32)
-    state, behind = look_up(turned(view, turn), POINTS @ turn)
-    np.testing.assert_array_equal(state, STATES)
-    np.testing.assert_allclose(behind, BEHIND, atol=1e-5)
-    workspace = Workspace(np.array([0.3, 2, -1]), np.array(2.5), turn.astype(float))
-    unit = workspace.to_unit(POINTS).astype(np.float32)
-    state, behind = look_up(to_unit(view, workspace), unit)
-    np.testing.assert_array_equal(state, STATES)
-    np.testing.assert_allclose(behind, np.array(BEHIND) / 2.5, atol=1e-5)
-
-
 def test_the_nearest_marked_pixel_is_scipys():
     find = jax.jit(nearest_marked)
     for share in (0.002, 0.1, 1.0):
@@ -169,7 +152,7 @@ def sphere(count):
 FAR_EYE = np.array([20.0, 0, 0])
 
 see = jax.jit(seen_by, static_argnums=2)
-read = jax.jit(clues)
+read = jax.jit(visibility_features)
 
 
 def test_a_cloud_by_itself_tells_its_surface_and_no_more():
@@ -201,14 +184,6 @@ def test_a_gap_wider_than_the_spacing_stays_open():
     inside = np.hypot(*(np.indices(state.shape) - 31.5)) * 1.4 / 32
     assert (state[inside < 0.4] == BACKGROUND).all()
     assert (state[(inside > 0.6) & (inside < 0.9)] == SURFACE).all()
-
-
-def test_clouds_of_few_points_or_of_one_place():
-    for cloud in (sphere(2), jnp.zeros((2, 3)), sphere(2) * jnp.array([1.0, 0, 0])):
-        known = see(cloud, FAR_EYE, "empty")
-        state = np.asarray(known.state)
-        assert 0 < (state == SURFACE).sum() < state.size
-        assert np.isfinite(known.depth).all()
 
 
 def test_mapped_maps_are_those_of_each():
@@ -251,7 +226,7 @@ def test_clues_are_continuous_and_have_their_derivative(x64):
     weights = rng.normal(size=6)
 
     def total(points):
-        found = clues(known, points)
+        found = visibility_features(known, points)
         return (found * weights).sum(), found
 
     read_and_slope = jax.jit(jax.vmap(jax.value_and_grad(total, has_aux=True)))

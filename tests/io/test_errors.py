@@ -27,11 +27,3 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch):
         require("fpsample", "data")
     told = 'fpsample: not installed; install the extra: pip install "prism_jax[data]"'
     assert str(error.value) == told
-
-
-def test_but_not_one_that_is_broken(monkeypatch, tmp_path):
-    """What it needs itself and does not find is its own matter."""
-    (tmp_path / "broken_package.py").write_text("import not_there_at_all")
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ModuleNotFoundError, match="not_there_at_all"):
-        require("broken_package", "data")

@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
-from prism_jax.io import InputError, parse_bounds, read_points, read_scan
+from prism_jax.io import InputError, parse_bounds, read_scan
 
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(300, 3)).astype(np.float32)
 CAMERA = {"width": 20, "height": 10, "fx": 9, "fy": 9, "cx": 9.5, "cy": 4.5}
@@ -94,23 +93,6 @@ def test_depth_image_with_its_camera_beside_or_named(depth_image, tmp_path):
     Image.fromarray(np.zeros((10, 20), np.uint16)).save(depth_image)
     with pytest.raises(InputError, match="no valid depth pixels"):
         read_scan(depth_image, tmp_path / "other.json")
-
-
-@pytest.mark.parametrize(("degrees", "is_camera"), [(0.2, True), (30.0, False)])
-def test_a_camera_hardly_turned_keeps_its_own_axes(depth_image, degrees, is_camera):
-    """As the colour camera beside a depth camera is, and a mounted one is not."""
-    rotation = Rotation.from_euler("zyx", [0, 0, degrees], degrees=True).as_matrix()
-    turned = {**CAMERA, "depth_scale": 1e-3, "rotation": rotation.tolist()}
-    depth_image.with_suffix(".json").write_text(json.dumps(turned))
-    assert read_scan(depth_image).in_camera_frame == is_camera
-
-
-def test_depth_image_and_cloud_of_one_frame_agree(real):
-    image = read_scan(real("kinect/mosd_test24.png"))
-    points = read_points(real("kinect/mosd_test24.pcd"))
-    assert image.points.shape == points.shape
-    # Half a count of 0.25 mm, and the intrinsics were fitted.
-    np.testing.assert_allclose(image.points, points, atol=1.5e-4)
 
 
 def test_real_scans(real):

@@ -7,7 +7,6 @@ import pytest
 from jax.test_util import check_grads
 from ott.geometry import geometry
 from ott.solvers import linear
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from prism_jax.geometry.transport import sinkhorn
@@ -19,10 +18,8 @@ from prism_jax.losses.alignment import (
 
 RNG = np.random.default_rng(7)
 
-COEFFICIENTS = ("lambda_sigma", "lambda_ot", "epsilon_relative", "num_iterations")
-
-align = jax.jit(alignment_loss, static_argnames=COEFFICIENTS[:3])
-transport = jax.jit(transport_alignment, static_argnames=COEFFICIENTS[2:])
+align = jax.jit(alignment_loss, static_argnums=(2, 3))
+transport = jax.jit(transport_alignment, static_argnums=(2, 3))
 gradients = jax.jit(jax.grad(alignment_loss, argnums=(0, 1)))
 
 
@@ -38,25 +35,17 @@ def test_manifold_matching_agrees_with_numpy():
     assert np.allclose(value, means + 0.7 * covariances, rtol=1e-5)
 
 
-@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
-def test_transport_agrees_with_ott(scale):
+def test_transport_agrees_with_ott():
     """In any unit of the tokens."""
     a, b = tokens(12), tokens(17) + 0.5
     cost = cdist(a, b, "sqeuclidean").astype(np.float32)
-    problem = geometry.Geometry(cost, epsilon=0.05 * float(cost.mean()))
+    problem = geometry.Geometry(cost, epsilon=0.1 * float(cost.mean()))
     solution = linear.solve(problem, threshold=1e-6, max_iterations=5000)
-    expected = scale**2 * np.sum(solution.matrix * cost)
-    converged = transport(scale * a, scale * b, num_iterations=1000)
-    assert np.allclose(converged, expected, rtol=1e-3 if scale != 1 else 1e-4)
-    assert np.allclose(transport(scale * a, scale * b), expected, rtol=1e-2)
-
-
-def test_transport_nears_the_best_assignment():
-    a, b = tokens(15), tokens(15)
-    cost = cdist(a, b, "sqeuclidean")
-    best = cost[linear_sum_assignment(cost)].mean()
-    value = transport(a, b, epsilon_relative=0.002, num_iterations=4000)
-    assert best * (1 - 1e-4) < value < 1.02 * best
+    for scale in (1e-4, 1.0, 1e4):
+        expected = scale**2 * np.sum(solution.matrix * cost)
+        converged = transport(scale * a, scale * b, 0.1, num_iterations=1000)
+        assert np.allclose(converged, expected, rtol=1e-3 if scale != 1 else 1e-4)
+        assert np.allclose(transport(scale * a, scale * b, 0.1), expected, rtol=1e-2)
 
 
 def test_alignment_is_the_sum_of_its_terms():

@@ -13,10 +13,8 @@ RNG = np.random.default_rng(6)
 KEY = jax.random.key(0)
 ORIGIN = jnp.asarray([0.5, -2.0, 1.0])
 
-disturb = jax.jit(
-    perturb, static_argnames=("jitter", "drop", "range_noise", "max_distance")
-)
-upsample = jax.jit(upsample_midpoints, static_argnames="num_candidates")
+disturb = jax.jit(perturb, static_argnames=("jitter", "drop", "range_noise"))
+upsample = jax.jit(upsample_midpoints)
 
 
 def cloud(*shape: int) -> jax.Array:
@@ -26,8 +24,7 @@ def cloud(*shape: int) -> jax.Array:
 def test_jitter_has_its_standard_deviation_in_every_direction():
     points = cloud(4096)
     noise = disturb(KEY, points, ORIGIN, drop=0.0, range_noise=0.0) - points
-    covariance = np.cov(np.asarray(noise).T)
-    assert np.allclose(covariance, 1e-4 * np.eye(3), atol=6e-6)
+    assert np.allclose(np.cov(noise.T), 1e-4 * np.eye(3), atol=6e-6)
     assert np.allclose(np.mean(noise, axis=0), 0, atol=6e-4)
 
 
@@ -45,28 +42,20 @@ def test_range_noise_moves_points_along_their_rays_in_proportion_to_range():
     assert abs(share.mean()) < 0.0003
     spread = [np.linalg.norm(moves(d * direction), axis=1).std() for d in (8.0, 16.0)]
     assert np.isclose(spread[1], 2 * spread[0], rtol=0.1)
-    for distance in (20.0, 1e6, 1e15):
-        farthest = moves(16.0 * direction)
-        assert np.allclose(moves(distance * direction), farthest, atol=1e-5)
+    far, farther = (moves(distance * direction) for distance in (16.0, 1e15))
+    assert np.allclose(far, farther, atol=1e-5)
 
 
-@pytest.mark.parametrize("distance", [0.0, 1.0, 1e4])
-def test_gradients_are_finite_wherever_the_sensor_is(distance):
+def test_gradients_are_finite_wherever_the_sensor_is():
     """And reach the points that are kept."""
-    origin = distance * ORIGIN
-    points = cloud(20).at[0].set(origin)
-    to_points, to_origin = slopes(points, origin)
-    assert np.sum(np.any(np.asarray(to_points) != 0, axis=1)) == 10
-    assert np.allclose(to_points.sum(axis=0), 20, rtol=0.02)
-    assert np.isfinite(to_origin).all()
-
-
-@jax.jit
-def slopes(points, origin):
-    def total(points, origin):
-        return jnp.sum(perturb(KEY, points, origin, drop=0.5))
-
-    return jax.grad(total, (0, 1))(points, origin)
+    total = jax.grad(lambda *at: jnp.sum(perturb(KEY, *at, drop=0.5)), (0, 1))
+    slopes = jax.jit(total)
+    for origin in (0 * ORIGIN, ORIGIN, 1e4 * ORIGIN):
+        points = cloud(20).at[0].set(origin)
+        to_points, to_origin = slopes(points, origin)
+        assert np.sum(np.any(np.asarray(to_points) != 0, axis=1)) == 10
+        assert np.allclose(to_points.sum(axis=0), 20, rtol=0.02)
+        assert np.isfinite(to_origin).all()
 
 
 @pytest.mark.parametrize(("drop", "num_kept"), [(0.3, 35), (1.0, 1)])
@@ -88,9 +77,6 @@ def test_perturbation_is_decided_by_the_key():
         assert np.allclose(many, alone, atol=1e-6)
         # Copies are made after the noise.
         assert len(np.unique(alone, axis=0)) == 45
-        # Within the farthest place not a bit depends on it.
-        unbounded = disturb(key, points, ORIGIN, max_distance=1e9)
-        assert np.array_equal(alone, unbounded)
     assert not np.allclose(batched[0], batched[1], atol=1e-3)
 
 
@@ -111,28 +97,21 @@ def tree_midpoints(points):
     return np.asarray(midpoints)
 
 
-def test_midpoints_agree_with_a_tree():
-    """Of points that come three times."""
-    points = np.tile(cloud(40), (3, 1))
-    result = np.asarray(upsample(points))
-    assert np.array_equal(result[:120], points)
-    assert np.allclose(result[120:], tree_midpoints(points), atol=1e-6)
-
-
 @pytest.mark.parametrize(
     "points",
     [
+        np.tile(cloud(40), (3, 1)),
         np.full((9, 3), 2.0),
         np.ones((1, 3)),
-        np.outer(np.arange(9) ** 2, (1.0, 0, 0)),
         np.outer(np.arange(9) ** 2, (1.0, 0, 0)) + 4096,
     ],
-    ids=["repeated", "single", "collinear", "far_away"],
+    ids=["three of each", "repeated", "single", "collinear, far away"],
 )
-def test_midpoints_of_degenerate_clouds(points):
+def test_midpoints_agree_with_a_tree(points):
     points = points.astype(np.float32)
     result = np.asarray(upsample(points))
-    assert np.array_equal(result[len(points) :], tree_midpoints(points))
+    assert np.array_equal(result[: len(points)], points)
+    assert np.allclose(result[len(points) :], tree_midpoints(points), atol=1e-6)
 
 
 def test_midpoints_pass_half_of_the_gradient_to_each_end():

@@ -47,12 +47,8 @@ def clouds():
 def test_without_norm_it_is_that_of_a_norm_that_does_nothing():
     """In a batch as one by one."""
     inputs = (*clouds(), jnp.asarray(RNG.integers(0, 9, (7, 4))))
-    plain, normed = (
-        VectorAttention(dataclasses.replace(CONFIG, use_norm=use))
-        for use in (False, True)
-    )
-    variables = randomised(plain, *inputs)
-    assert set(variables) == {"params"}
+    plain = VectorAttention(dataclasses.replace(CONFIG, use_norm=False))
+    normed, variables = VectorAttention(CONFIG), randomised(plain, *inputs)
     identity = jax.jit(normed.init)(jax.random.key(0), *inputs)
     identity["params"] |= variables["params"]
     identity["batch_stats"] = jax.tree.map(
@@ -76,8 +72,6 @@ def test_attend_is_a_softmax_over_the_neighbours():
     expected = (jax.nn.softmax(30 * logits, -2) * values).sum(-2)
     compiled = jax.jit(attend)
     np.testing.assert_allclose(compiled(30 * logits, values), expected, rtol=1e-10)
-    mapped = jax.vmap(attend)(30 * logits, values)
-    np.testing.assert_allclose(mapped, expected, rtol=1e-10)
     check_grads(compiled, (logits, values), order=2, modes=["rev"], eps=1e-6)
     gradient = jax.grad(lambda x: compiled(x, values).sum())(logits * 1e4)
     assert np.isfinite(gradient).all()

@@ -53,9 +53,7 @@ def test_normals_have_unit_length(branches):
     # A head that returns zero can still learn.
     zeros = jax.tree.map(jnp.zeros_like, variables)
     gradient = jax.jit(jax.grad(lambda v: apply(v, POINTS, FEATURES).sum()))(zeros)
-    leaves = jax.tree.leaves(gradient)
-    assert all(np.isfinite(leaf).all() for leaf in leaves)
-    assert any(np.abs(leaf).max() > 0 for leaf in leaves)
+    assert 0 < max(np.abs(leaf).max() for leaf in jax.tree.leaves(gradient)) < np.inf
 
 
 def test_tokens_of_both_streams_are_normalised(branches):

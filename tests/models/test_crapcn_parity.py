@@ -81,19 +81,12 @@ BLOCK_INPUTS = (
     ("ub0_xyz", "p0", "ub0_feat"),
     ("ub1_xyz", "ub0_xyz", "ub1_feat"),
 )
-SLOW = pytest.mark.slow
 
 
-# Up to the last block, the arrays of the two variants are the same. The quick ones
-# differ in all that blocks differ in: levels, children and support.
+# Up to the last block, the arrays of the two variants are the same.
 @pytest.mark.parametrize(
     ("variant", "number"),
-    [
-        ("pcn", 0),
-        pytest.param("pcn", 1, marks=SLOW),
-        pytest.param("pcn", 2, marks=SLOW),
-        ("sn55", 2),
-    ],
+    [*(pytest.param("pcn", i, marks=pytest.mark.slow) for i in range(3)), ("sn55", 2)],
 )
 def test_upsampling_block(published, variant, number):
     network = published(variant)

@@ -1,7 +1,6 @@
 """Official weights as variables."""
 
 import dataclasses
-import sys
 from collections import OrderedDict
 
 import chex
@@ -50,17 +49,12 @@ def test_faults_are_named(official):
         return str(caught.value)
 
     name = "decoder.ub1.deconv.ps.weight"
-    unused = "encoder.sa_module_3.mlp_conv.1.bn.running_var"
-    for missing in (name, unused):
-        assert f"{missing} is missing" in message({missing: None})
+    assert f"{name} is missing" in message({name: None})
     assert "decoder.more is unexpected" in message({"decoder.more": np.zeros(1)})
     misshapen = message({name: state_dict[name][..., :2]})
     shape = state_dict[name].shape
     assert f"{name} has shape {(*shape[:2], 2)} (expected {shape})" in misshapen
-    reduce = "encoder.conv_21.weight"
-    assert reduce in message({reduce: state_dict[reduce].swapaxes(0, 1)})
-    everything = message(dict.fromkeys(state_dict))
-    assert "more" in everything and len(everything) < 500
+    assert len(message(dict.fromkeys(state_dict))) < 500
     assert "use_norm" in message({}, BackboneConfig(use_norm=False))
     assert "seeds" in message({}, BackboneConfig(seeds_from_patches=True))
 
@@ -68,36 +62,26 @@ def test_faults_are_named(official):
 def test_load_torch(official, tmp_path):
     torch = pytest.importorskip("torch")
     config, state_dict, expected = official
-    path, written = tmp_path / "weights.pth", tmp_path / "written"
+    path = tmp_path / "weights.pth"
     tensors = {f"module.{n}": torch.from_numpy(a) for n, a in state_dict.items()}
     for is_zip in (False, True):
         torch.save({"model": tensors}, path, _use_new_zipfile_serialization=is_zip)
         assert bitwise(load_torch(path, config), expected)
 
-    def message(config=config):
-        with pytest.raises(InputError) as caught:
+    def refused(fault, config=config):
+        with pytest.raises(InputError, match=f"^{path}.*{fault}"):
             load_torch(path, config)
-        line = str(caught.value)
-        assert line.startswith(str(path)) and "\n" not in line and len(line) < 700
-        return line
-
-    other_variant = dataclasses.replace(config, up_factors=(1, 2, 8))
-    assert "decoder.ub1.deconv.ps.weight has shape" in message(other_variant)
-    path.write_bytes(path.read_bytes()[:1000])
-    assert "not a PyTorch checkpoint" in message()
-    torch.save([1, 2], path)
-    assert "not a state dict" in message()
 
     class Command:
         def __reduce__(self):
-            return open, (str(written), "w")
+            return open, (str(tmp_path / "written"), "w")
 
+    other_variant = dataclasses.replace(config, up_factors=(1, 2, 8))
+    refused("decoder.ub1.deconv.ps.weight has shape", other_variant)
+    path.write_bytes(path.read_bytes()[:1000])
+    refused("not a PyTorch checkpoint")
+    torch.save([1, 2], path)
+    refused("not a state dict")
     torch.save({"model": Command()}, path)
-    assert "tensors only" in message()
-    assert not written.exists()
-
-
-def test_absent_torch_names_the_extra(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(InputError, match=r"prism_jax\[torch\]"):
-        load_torch(tmp_path / "weights.pth", BackboneConfig())
+    refused("tensors only")
+    assert not (tmp_path / "written").exists()

@@ -7,8 +7,7 @@ from prism_jax.models.initial import init_auxiliary
 
 
 def test_what_reads_a_backbone_begins_fresh(minimal, minimal_fresh):
-    """Of a key its own, beside the backbone as it was; the losses weigh the same, and
-    none is measured."""
+    """Beside the backbone as it was; the losses weigh the same."""
     backbone = {
         kind: {name: minimal_fresh[kind][name] for name in ("point_encoder", "decoder")}
         for kind in ("params", "batch_stats")
@@ -17,12 +16,9 @@ def test_what_reads_a_backbone_begins_fresh(minimal, minimal_fresh):
         init_auxiliary(jax.random.key(seed), backbone, minimal.model) for seed in (1, 2)
     )
     assert jax.tree.structure(one) == jax.tree.structure(minimal_fresh)
-    for leaf in jax.tree.leaves(one):
-        assert leaf.dtype == np.float32
-        assert np.isfinite(leaf).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(one))
     for kind, parts in backbone.items():
-        for name, tree in parts.items():
-            assert one[kind][name] is tree
+        assert all(one[kind][name] is tree for name, tree in parts.items())
     for name in ("logits", "scales"):
         assert np.array_equal(one["weighting"][name], np.zeros(3))
     kernels = [

@@ -8,13 +8,7 @@ import pytest
 from jax.test_util import check_grads
 
 from prism_jax.geometry import kernels
-from prism_jax.models.layers import (
-    MLP,
-    Conv,
-    ResidualMLP,
-    SplitPoints,
-    highest,
-)
+from prism_jax.models.layers import MLP, Conv, ResidualMLP, SplitPoints, highest
 
 RNG = np.random.default_rng(0)
 
@@ -30,9 +24,8 @@ def randomised(module, *inputs):
     return jax.tree.map(lambda leaf: normal(*leaf.shape), tree)
 
 
-@pytest.mark.parametrize("shape", [(5, 3), (2, 4, 8, 3)])
-def test_highest_is_the_maximum_and_so_is_its_derivative(shape):
-    features, weights = normal(*shape), normal(*shape[:-2], shape[-1])
+def test_highest_is_the_maximum_and_so_is_its_derivative():
+    features, weights = normal(2, 4, 8, 3), normal(2, 4, 3)
     np.testing.assert_array_equal(jax.jit(highest)(features), features.max(-2))
     derivatives = [
         jax.grad(lambda x, pool=pool: (pool(x) ** 2 * weights).sum())(features)
@@ -47,26 +40,17 @@ def test_highest_of_equal_points_and_of_none():
     np.testing.assert_array_equal(gradient[:, 0], [0, 1, 0])
     points = jnp.array([[1.0, 3.0], [jnp.nan, -jnp.inf]])
     np.testing.assert_array_equal(highest(points), [jnp.nan, 3.0])
-    # What `jnp.max` divides by can be zero, when compiled.
-    for pool, divides in ((highest, False), (lambda x: x.max(-2), True)):
-        twice = jax.grad(
-            lambda x, f=pool: (jax.grad(lambda y: (f(y) ** 3).sum())(x)).sum()
-        )
-        assert ("div" in str(jax.make_jaxpr(twice)(jnp.ones((4, 2))))) == divides
+    once = jax.grad(lambda x: (highest(x) ** 3).sum())
+    twice = jax.grad(lambda x: once(x).sum())
+    assert "div" not in str(jax.make_jaxpr(twice)(jnp.ones((4, 2))))
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize(
-    ("module", "parts"),
-    [
-        (MLP((4, 3)), ((4, 3), (2, 2))),
-        (ResidualMLP(4, 3), ((4, 3), (2, 2))),
-        (SplitPoints(3, 2), ((4, 3),)),
-    ],
-    ids=["MLP", "ResidualMLP", "SplitPoints"],
-)
-def test_gradients(module, parts):
-    parts = [normal(*shape) for shape in parts]
+@pytest.mark.parametrize("module", [MLP((4, 3)), ResidualMLP(4, 3), SplitPoints(3, 2)])
+def test_gradients(module):
+    parts = [normal(4, 3)]
+    if not isinstance(module, SplitPoints):
+        parts.append(normal(2, 2))
     variables = randomised(module, *parts)
 
     @jax.jit
@@ -89,11 +73,9 @@ def test_conv_for_a_gpu_keeps_its_windows_apart(monkeypatch):
     np.testing.assert_array_equal(convolved(x), expected)
 
 
-@pytest.mark.parametrize(
-    ("size", "strides", "pixels"), [(1, 2, (9, 6)), (3, 1, (9, 6)), (7, 2, (8, 8))]
-)
-def test_conv_is_flax_conv(size, strides, pixels):
-    x = normal(2, *pixels, 3)
+@pytest.mark.parametrize(("size", "strides"), [(1, 2), (3, 1), (7, 2)])
+def test_conv_is_flax_conv(size, strides):
+    x = normal(2, 9, 6, 3)
     module = Conv(4, size, strides)
     oracle = nn.Conv(4, (size, size), strides, use_bias=False)
 

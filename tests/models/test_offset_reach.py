@@ -13,8 +13,7 @@ from prism_jax.models.layers import take
 def test_children_lie_within_reach_of_their_parents(
     minimal, minimal_fresh, tiny_frames, quick_jit
 ):
-    """Far offsets come to it, and small ones are left alone, so that a training goes on
-    from weights that could reach farther."""
+    """Far offsets come to it, and small ones are left alone."""
     reach, wanted = 0.05, np.float32([1e3, -0.02, 1e-4])
     backbone = dataclasses.replace(minimal.model.backbone, offset_reach=reach)
     variables = jax.tree.map(np.asarray, minimal_fresh)

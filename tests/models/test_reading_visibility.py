@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 
 from prism_jax.data.pipeline import Batch
-from prism_jax.geometry.visibility import (
-    BACKGROUND,
-    SURFACE,
-    UNKNOWN,
-    seen_by,
-)
+from prism_jax.geometry.visibility import BACKGROUND, SURFACE, UNKNOWN, seen_by
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.decoder import Cloud, UpsamplingBlock, VisibilityPooling
+from prism_jax.models.decoder import VisibilityPooling
 from prism_jax.models.prism import predict, prepare_input
 from prism_jax.training.inputs import inputs_of, visibility_of
 
@@ -47,21 +42,16 @@ def complete(reading, frame, maps, quick_jit):
     return lambda variables: [one(variables, known) for known in maps]
 
 
-def parts(decoder):
-    """What a decoder that does not read lacks."""
-    clues = {name: block["clues"] for name, block in decoder.items() if "block" in name}
-    return {"pooling": decoder["visibility_pooling"], **clues}
-
-
 def test_it_goes_on_from_weights_that_do_not(reading, reading_fresh, complete):
-    """Untrained, it completes the same, whatever is known; trained, seeds and points
-    depend on it."""
+    """What is known changes nothing before training, and seeds and points after it."""
 
     @jax.jit
     def init(key):
-        return parts(init_backbone(key, config)["params"]["decoder"])
+        decoder = init_backbone(key, reading.model.backbone)["params"]["decoder"]
+        blocks = {name: block for name, block in decoder.items() if "block" in name}
+        clues = {name: block["clues"] for name, block in blocks.items()}
+        return {"pooling": decoder["visibility_pooling"], **clues}
 
-    config = reading.model.backbone
     fresh = init(jax.random.key(0))
 
     def with_parts(pooling, **clues):
@@ -104,10 +94,8 @@ def test_a_batch_of_maps_is_the_loop(reading, frame, maps):
 
 def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_frames):
     partials, cameras = tiny_frames
-    eyes = cameras.position
-    config = reading.model.backbone
-    batch = Batch(np.asarray(partials), None, np.asarray(eyes), None)
-    known = jax.jit(lambda batch: visibility_of(batch, config))(batch)
+    batch = Batch(np.asarray(partials), None, np.asarray(cameras.position), None)
+    known = visibility_of(batch, reading.model.backbone)
     for row, state in enumerate(np.asarray(known.state)):
         around = UNKNOWN if row % 2 else BACKGROUND
         assert set(np.unique(state)) == {SURFACE, around}
@@ -120,11 +108,6 @@ def test_every_other_row_of_a_training_knows_the_surface_alone(reading, tiny_fra
     np.testing.assert_allclose(again.depth[seen], known.depth[seen] + 1)
 
 
-def test_what_reads_needs_a_map(reading):
-    config = reading.model.backbone
-    block, code = UpsamplingBlock(config, 2), jnp.zeros(config.global_features[-1])
-    points = jnp.zeros((8, 3))
-    with pytest.raises(ValueError, match="needs a map"):
-        block.init(jax.random.key(0), points, code, Cloud(points, points), (), ())
+def test_seeds_cannot_read_alone():
     with pytest.raises(ValueError, match="needs reads_visibility"):
         BackboneConfig(seeds_read_visibility=True)

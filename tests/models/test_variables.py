@@ -26,7 +26,7 @@ VARIABLES = {
 def test_encoders_taken_out_and_put_back():
     before = copy.deepcopy(VARIABLES)
     encoders, rest = pop_encoders(VARIABLES)
-    assert set(encoders) == set(ENCODERS) == {"point_encoder", "depth_encoder"}
+    assert set(encoders) == {"point_encoder", "depth_encoder"}
     assert set(rest["params"]) == {"decoder", "refiner"}
     assert bitwise(put_encoders(encoders, rest), VARIABLES)
     assert bitwise(VARIABLES, before)
@@ -40,9 +40,7 @@ def test_part():
     own = part(VARIABLES, "decoder")
     assert bitwise(own["params"], VARIABLES["params"]["decoder"])
     assert bitwise(own["batch_stats"], VARIABLES["batch_stats"]["decoder"])
-    deeper = part(VARIABLES, "decoder", "dense")
-    assert set(deeper) == {"params"}
-    assert set(deeper["params"]) == {"kernel"}
+    assert set(part(VARIABLES, "decoder", "dense")["params"]) == {"kernel"}
     # Flax takes a missing collection for an empty one, and not the reverse.
     assert set(part(VARIABLES, "point_encoder")) == {"params"}
 

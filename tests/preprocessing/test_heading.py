@@ -49,14 +49,6 @@ def test_any_heading_comes_out_as_one(view, degrees):
     np.testing.assert_allclose(sides[:2], [1.4, 3.0], atol=0.1)
 
 
-def test_what_has_no_sides_turns_by_whole_degrees_all_the_same():
-    points = np.random.default_rng(0).normal(size=(800, 3))
-    for degrees in (1, 100, 199, 300):
-        turn = about_vertical(degrees)
-        there = level(points @ turn.T, turn @ EYE) @ turn
-        np.testing.assert_allclose(there, level(points, EYE), atol=1e-12)
-
-
 def test_the_sensor_comes_to_stand_in_front(view):
     for bearing in range(0, 360, 10):
         eye = about_vertical(bearing) @ [0, 4, 1]

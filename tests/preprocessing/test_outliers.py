@@ -23,12 +23,6 @@ def test_a_few_points_far_away_are_strays():
             assert np.array_equal(far_outliers(1e-3 * points + 1e4), strays)
 
 
-def test_strays_on_both_sides_and_between_the_others():
-    points = blob(1000)
-    points[::125] += np.array([50.0, -80, 0]) * np.resize([1, -1], 8)[:, None]
-    assert np.array_equal(np.flatnonzero(far_outliers(points)), np.arange(0, 1000, 125))
-
-
 def test_how_far_is_too_far():
     """In longest sides of the box of the rest, from that box."""
     line = np.zeros((1001, 3))
@@ -40,14 +34,6 @@ def test_how_far_is_too_far():
         assert far_outliers(line)[-1] == expected
     line[-1] = [0, box[-1] + 0.99 * OUTLIER_SIDES * side, 0]
     assert not far_outliers(line).any()
-
-
-def test_what_is_a_part_of_the_object_stays():
-    """A thin pole that holds more than a hundredth of the points, however long."""
-    pole = np.zeros((30, 3))
-    pole[:, 2] = np.linspace(0, 40, 30)
-    points = np.concatenate([blob(1000), pole])
-    assert not far_outliers(points).any()
 
 
 def test_small_clouds_and_one_place_have_none():

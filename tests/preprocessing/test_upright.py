@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from prism_jax.io.errors import InputError
-from prism_jax.preprocessing.observation import observe
 from prism_jax.preprocessing.upright import UP_AXES, parse_up, upright
 
 AXES = {
@@ -49,13 +48,3 @@ def test_texts_and_what_is_no_direction():
     ]:
         with pytest.raises(InputError, match=f"^--up: .*{fault}.*; use one of .*auto$"):
             parse_up(text)
-
-
-def test_a_tilted_cloud_is_observed_as_the_upright_one():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (200, 3)) * [0.5, 0.3, 0.4] + 5
-    up = np.array([0.3, -0.8, 0.5])
-    expected = observe(points, np.zeros(3))
-    turned = observe(points @ upright(up), np.zeros(3), up=up)
-    np.testing.assert_allclose(turned.partial, expected.partial, atol=1e-12)
-    np.testing.assert_allclose(turned.eye, expected.eye, atol=1e-12)

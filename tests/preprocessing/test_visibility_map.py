@@ -2,7 +2,6 @@
 
 import jax
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from prism_jax.completion.filtering import select
 from prism_jax.geometry.cloud import IndexedCloud
@@ -17,11 +16,9 @@ from prism_jax.geometry.visibility import (
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.preprocessing.visibility import PAST
 from prism_jax.preprocessing.visibility_map import (
-    ENOUGH,
     box_exit,
     in_free_space,
     seen_among,
-    some_of,
 )
 
 EYE = np.array([0.0, -5.0, 0.0])
@@ -117,25 +114,6 @@ def test_narrow_holes_are_closed_and_wide_ones_stay_open():
     assert (state[inner] != UNKNOWN).all()
 
 
-def test_the_whole_scan_turned_and_moved_is_seen_alike():
-    """In another unit, and about the vertical, which decides what is up in the map."""
-    turn = Rotation.from_euler("z", 37, degrees=True).as_matrix().T
-    unit, shift = 1024.0, np.array([3e4, -2e4, 500.0])
-    plain = seen_among(PLATE, AROUND, EYE, CUBE)
-    plate, around, eye = (
-        unit * (cloud @ turn) + shift for cloud in (PLATE, AROUND, EYE)
-    )
-    cube = Workspace(shift, np.array(0.7 * unit), turn.T)
-    known = seen_among(plate, around, eye, cube)
-    assert (known.state == plain.state).mean() > 0.995
-    same = known.state == plain.state
-    assert (np.abs(known.depth - unit * plain.depth)[same] < 1e-3 * unit).mean() > 0.995
-    points = np.random.default_rng(0).uniform(-0.7, 0.7, (500, 3))
-    free = in_free_space(points, plain, 0.05)
-    there = in_free_space(unit * (points @ turn) + shift, known, 0.05 * unit)
-    assert 0.05 < free.mean() < 0.9 and (free == there).mean() > 0.99
-
-
 def test_what_cannot_be_seen_does_not_count():
     alone = seen_among(PLATE, np.zeros((0, 3)), EYE, CUBE)
     behind, aside = AROUND - [0, 20, 0], AROUND + [50, 0, 0]
@@ -186,11 +164,11 @@ def test_what_was_looked_past_is_left_away_but_for_the_rim():
     beside = np.array([(-0.5 - far * reach, 0.0, 0.0) for far in (0.5, 0.9, 1.1)])
     prediction = np.concatenate([beside, PLATE[:5] + [0, 0.2, 0]])
     blind = select(prediction, PLATE, few, EYE)
-    told = select(prediction, PLATE, few, EYE, known=known)
+    told = select(prediction, PLATE, few, EYE, visibility=known)
     assert not blind.looked_through.any()
     np.testing.assert_array_equal(told.looked_through, [0, 0, 1] + [0] * 5)
     np.testing.assert_array_equal(told.kept, blind.kept & ~told.looked_through)
-    lost = select(prediction, PLATE, few, None, known=known)
+    lost = select(prediction, PLATE, few, None, visibility=known)
     assert not lost.looked_through.any()
 
 
@@ -200,16 +178,3 @@ def test_rays_leave_a_box_where_they_should():
     np.testing.assert_allclose(box_exit(eye, rays, *box), [4, 2, 10 / 3, 0, 0])
     inside = box_exit(np.zeros(3), rays, *box)
     np.testing.assert_allclose(inside, [1, 0.5, 1, 1, 1])
-
-
-def test_of_many_points_around_some_are_drawn():
-    """From every column of an image alike, and the same each time."""
-    image = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), -1)
-    around = np.concatenate([image, np.ones((480, 640, 1))], -1).reshape(-1, 3)
-    some = some_of(around)
-    assert abs(len(some) - ENOUGH) < 5 * np.sqrt(ENOUGH)
-    columns = np.bincount(some[:, 0].astype(int), minlength=640)
-    assert columns.min() > 0 and columns.max() < 4 * columns.mean()
-    np.testing.assert_array_equal(some_of(around), some)
-    np.testing.assert_array_equal(some_of(around[:ENOUGH]), around[:ENOUGH])
-    assert len(some_of(around[:0])) == 0

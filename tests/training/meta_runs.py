@@ -1,8 +1,7 @@
 """Meta-trains the same on one device, and on four.
 
-A program, not a test: `test_parallel.py` runs it with a folder and a file of weights,
-and looks at what it leaves there. The trainings are forked from one process that has
-imported everything and run nothing.
+A program, which `test_parallel.py` runs with a folder and a file of weights. Trainings
+are forked from a process that has run nothing.
 """
 
 import multiprocessing

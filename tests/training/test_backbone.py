@@ -5,7 +5,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 
 from experiments.indices import index_table
@@ -19,20 +18,20 @@ BATCH, FRAMING = 4, Framing(64, 128, 1.4)
 
 @pytest.fixture(scope="module")
 def phase_of(minimal, minimal_variables):
-    """``phase_of(blocks, average_decay=...)``: trains so many blocks of the decoder."""
+    """``phase_of(blocks)``: trains so many blocks of the decoder."""
+    names, kinds = ("point_encoder", "decoder"), ("params", "batch_stats")
     backbone = {
-        kind: {name: minimal_variables[kind][name] for name in parts}
-        for kind, parts in dict.fromkeys(
-            ("params", "batch_stats"), ("point_encoder", "decoder")
-        ).items()
+        kind: {name: minimal_variables[kind][name] for name in names} for kind in kinds
     }
 
-    def make(num_blocks, **changes):
+    def make(num_blocks):
         samples = {"num_samples": 60 * BATCH, "learning_rate": 3e-3}
         phase = dataclasses.replace(
             minimal.pretrain.backbone[0], num_blocks=num_blocks, **samples
         )
-        training = dataclasses.replace(minimal.pretrain, batch_size=BATCH, **changes)
+        training = dataclasses.replace(
+            minimal.pretrain, batch_size=BATCH, average_decay=0.15
+        )
         return backbone_phase(backbone, minimal.model.backbone, phase, training)
 
     return make
@@ -55,24 +54,27 @@ def indexed(batch, examples, minimal):
     return batch._replace(indices=jax.tree.map(lambda leaf: leaf[:BATCH], table))
 
 
-def test_the_phase_of_the_seeds_leaves_the_later_stages_alone(phase_of, batch):
-    """The first step has no size, and moves statistics alone. The average that is kept
-    forgets sooner at first."""
-    phase = phase_of(0, average_decay=0.15)
-    before, states = phase.start.variables, [phase.start]
+def test_the_phase_of_the_seeds_has_their_loss_alone(phase_of, batch):
+    phase = phase_of(0)
+    _, losses = jax.eval_shape(phase.step_fn, phase.start, batch)
+    assert losses.shape == (1,) and phase.terms == ("seeds",)
+
+
+def test_the_whole_decoder_trains(stages, indexed):
+    """By the indices that come with a batch. The first step has no size, and moves
+    statistics alone. The average that is kept forgets sooner at first."""
+    states, history = [stages.start], []
     for _ in range(3):
-        state, losses = phase.step_fn(states[-1], batch)
+        state, losses = stages.step_fn(states[-1], indexed)
         states.append(state)
-    assert losses.shape == (1,)
-    assert bitwise(states[1].variables["params"], before["params"])
-    after = states[1].variables["batch_stats"]["point_encoder"]
-    assert not bitwise(after, before["batch_stats"]["point_encoder"])
+        history.append(losses)
+    before, first, *_, last = (state.variables for state in states)
+    assert bitwise(first["params"], before["params"])
+    assert not bitwise(first["batch_stats"], before["batch_stats"])
     for kind in ("params", "batch_stats"):
-        after = states[3].variables[kind]
-        assert not bitwise(before[kind]["point_encoder"], after["point_encoder"])
+        assert not bitwise(before[kind]["point_encoder"], last[kind]["point_encoder"])
         for name, tree in before[kind]["decoder"].items():
-            same = bitwise(tree, after["decoder"][name])
-            assert same == name.startswith("block"), name
+            assert not bitwise(tree, last[kind]["decoder"][name]), name
     expected = before
     for state, kept in zip(states[1:], [0.1, 0.15, 0.15], strict=True):
         expected = jax.tree.map(
@@ -81,20 +83,10 @@ def test_the_phase_of_the_seeds_leaves_the_later_stages_alone(phase_of, batch):
             state.variables,
         )
     assert_close(states[3].kept, expected, 1e-5)
-
-
-def test_the_whole_decoder_trains(stages, indexed):
-    """By the indices that come with a batch, in one compilation."""
-    state, first = stages.step_fn(stages.start, indexed)
-    state, _ = stages.step_fn(state, indexed)
-    before, after = stages.start.variables, state.variables
-    for kind in ("params", "batch_stats"):
-        for name, tree in before[kind]["decoder"].items():
-            assert not bitwise(tree, after[kind]["decoder"][name]), name
     others = jax.tree.map(lambda leaf: leaf[::-1].copy(), indexed.indices)
     _, losses = stages.step_fn(stages.start, indexed._replace(indices=others))
-    assert first.shape == losses.shape == (2,)
-    assert not np.allclose(losses, first, rtol=1e-4)
+    assert losses.shape == (2,)
+    assert not np.allclose(losses, history[0], rtol=1e-4)
     assert stages.step_fn._cache_size() == 1
 
 
@@ -131,13 +123,3 @@ def test_step_sizes_rise_and_then_follow_a_cosine():
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-7)
     found = moves(optimiser("adam", 0.1, 8, 1.0, warmup_steps=200, clip_norm=1.0), 5)
     np.testing.assert_allclose(found, [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
-
-
-def test_gradients_are_clipped_together():
-    """One enormous gradient does not outweigh the moments of all that follow."""
-    adam = optimiser("adam", 0.1, 1000, 1.0, warmup_steps=0, clip_norm=1.0)
-    huge = {"a": jnp.array([3e9, 0.0]), "b": jnp.float32(-4e9)}
-    _, state = adam.update(huge, adam.init(jax.tree.map(jnp.zeros_like, huge)))
-    mu = optax.tree_utils.tree_get(state, "mu")
-    np.testing.assert_allclose(mu["a"], [0.1 * 0.6, 0], rtol=1e-5)
-    np.testing.assert_allclose(mu["b"], 0.1 * -0.8, rtol=1e-5)

@@ -1,5 +1,7 @@
 """States on disk: whole or not at all."""
 
+import contextlib
+import gc
 import shutil
 
 import jax
@@ -25,22 +27,19 @@ def state(step):
 LIKE = state(0)
 
 
-def save(checkpoints, step, score=None):
+def save(checkpoints, step, score):
     checkpoints.save(step, state(step), score)
 
 
 @pytest.fixture
 def checkpoints(tmp_path):
-    opened = Checkpoints(tmp_path)
-    yield opened
-    opened.close()
+    with contextlib.closing(Checkpoints(tmp_path)) as opened:
+        yield opened
 
 
 def reopened(folder):
-    again = Checkpoints(folder)
-    found = again.restore_latest(LIKE), again.restore_best(LIKE), again.best_score()
-    again.close()
-    return found
+    with contextlib.closing(Checkpoints(folder)) as again:
+        return again.restore_latest(LIKE), again.restore_best(LIKE), again.best_score()
 
 
 def test_latest_and_best(checkpoints, tmp_path):
@@ -92,9 +91,8 @@ def test_a_write_that_was_killed_leaves_the_one_before(checkpoints, tmp_path):
     latest, best, score = reopened(tmp_path)
     assert bitwise(latest, state(4)) and bitwise(best, state(4))
     assert score == pytest.approx(0.5)
-    again = Checkpoints(tmp_path)
-    save(again, 8, 0.4)
-    again.close()
+    with contextlib.closing(Checkpoints(tmp_path)) as again:
+        save(again, 8, 0.4)
     assert all(bitwise(each, state(8)) for each in reopened(tmp_path)[:2])
 
 
@@ -120,3 +118,4 @@ def test_a_damaged_one_is_one_line(checkpoints, tmp_path):
                 refused += 1
         path.write_bytes(content)
     assert refused >= 8
+    gc.collect()

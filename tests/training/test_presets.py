@@ -9,7 +9,6 @@ def test_paper_has_the_papers_values():
     assert paper.model.backbone.stage_sizes == (1024, 2048, 4096, 16384)
     assert (paper.adapt.num_steps, paper.adapt.step_size) == (3, 1e-3)
     assert paper.model.auxiliary.max_offset == 0.1
-    assert paper.model.depth_pixels == paper.model.consistency_pixels == 128
     meta, method = paper.meta, paper.meta.method
     assert (meta.optimiser, meta.batch_size) == ("sgd", 32)
     assert (meta.learning_rate, meta.weight_rate) == (5e-5, 5e-4)

@@ -32,26 +32,19 @@ def test_a_folder_holds_one_run_and_its_configuration(tmp_path):
         open_run(str(folder), PRESET, 7, resume=False)
     assert open_run(str(folder), PRESET, 7, resume=True) == folder
     assert (folder / "config.json").read_bytes() == before
-    with pytest.raises(InputError, match="cannot be written to"):
-        open_run(str(folder / "config.json" / "run"), PRESET, 7, resume=False)
 
 
-BLOCKS = "pretrain.backbone.0.num_blocks"
-
-
-@pytest.mark.parametrize(
-    ("preset", "seed", "change"),
-    [
+def test_another_configuration_does_not_go_on(tmp_path):
+    open_run(str(tmp_path), PRESET, 0, resume=False)
+    blocks = "pretrain.backbone.0.num_blocks"
+    for preset, seed, change in (
         (PRESET, 1, "seed is 0, not 1"),
         (settings("small"), 0, "and [0-9]+ more"),
-        (settings("tiny", [f"{BLOCKS}=1"]), 0, f"config.{BLOCKS} is 0, not 1"),
-    ],
-)
-def test_another_configuration_does_not_go_on(tmp_path, preset, seed, change):
-    open_run(str(tmp_path), PRESET, 0, resume=False)
-    fault = f"configuration differs from the run's: .*{change}"
-    with pytest.raises(InputError, match=fault):
-        open_run(str(tmp_path), preset, seed, resume=True)
+        (settings("tiny", [f"{blocks}=1"]), 0, f"config.{blocks} is 0, not 1"),
+    ):
+        fault = f"configuration differs from the run's: .*{change}"
+        with pytest.raises(InputError, match=fault):
+            open_run(str(tmp_path), preset, seed, resume=True)
 
 
 def test_going_on_removes_what_a_kill_left(tmp_path, monkeypatch):
@@ -106,7 +99,7 @@ def written(folder):
     return [json.loads(line) for line in lines]
 
 
-def test_log_lines(tmp_path, capsys, monkeypatch):
+def test_log_lines(tmp_path, monkeypatch):
     """Readable while the run goes on; the time spent waiting is a share of all."""
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
@@ -127,7 +120,6 @@ def test_log_lines(tmp_path, capsys, monkeypatch):
     assert first == place | shares | {"losses": {"a": 0.5, "b": 0.25}}
     shares = {"samples_per_second": 1.0, "data_wait": 0.375}
     assert second == place | shares | {"validation": {"c": 1.0}}
-    assert "seeds" in capsys.readouterr().err
 
 
 def test_going_on_drops_what_was_written_after_the_checkpoint(tmp_path):

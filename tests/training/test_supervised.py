@@ -25,10 +25,9 @@ def test_it_learns_from_eq_10_stage_by_stage(examples, framed):
         resolve("tiny").pretrain, batch_size=BATCH, warmup_steps=2
     )
     settings = PhaseConfig("pcn", 40 * BATCH, None, learning_rate=3e-3)
-    phase, same, other = (
-        network_phase(MODULE, 64, settings, training, seed) for seed in (0, 0, 1)
+    phase, other = (
+        network_phase(MODULE, 64, settings, training, seed) for seed in (0, 1)
     )
-    assert equal(phase.start.variables, same.start.variables)
     assert not equal(phase.start.variables, other.start.variables)
     batch = framed(examples, range(BATCH), Framing(64, 128, 1.4))
     state, first = phase.step_fn(phase.start, batch)
@@ -36,11 +35,7 @@ def test_it_learns_from_eq_10_stage_by_stage(examples, framed):
     complete = jnp.asarray(batch.complete)
     each = jax.jit(jax.vmap(lambda s, c: stage_chamfers(s, c, "l1")))(stages, complete)
     np.testing.assert_allclose(first, each.mean(0), rtol=1e-5)
-    assert (
-        phase.scores
-        == (*phase.terms, "log_cd_l1")
-        == ("stage_0", "stage_1", "log_cd_l1")
-    )
+    assert phase.scores == ("stage_0", "stage_1", "log_cd_l1")
     for _ in range(8):
         state, last = phase.step_fn(state, batch)
     assert last.sum() < first.sum()

@@ -6,9 +6,8 @@ import pytest
 from prism_jax.completion.filtering import select
 from prism_jax.preprocessing.observation import observe
 from prism_jax.uncertainty.confidence import EVIDENCE
-from prism_jax.uncertainty.evidence import Looks, evidence_of, pose_predictions
+from prism_jax.uncertainty.evidence import Looks, evidence_of
 
-RNG = np.random.default_rng(0)
 EYE = np.array([0.0, 0.0, 6.0])
 
 
@@ -78,24 +77,5 @@ def test_disagreement_is_the_chamfer_distance_and_reach_a_mean():
 
 def test_few_collinear_and_repeated_points():
     repeated = np.ones((5, 3)) * [[1], [1], [1], [1], [2]]
-    for points in (repeated, square(20) * [1, 0, 1], square(64)):
-        found = evidence(points, sensor=None)
-        assert all(np.isfinite(value) for value in found.values())
-
-
-def test_far_from_the_origin_and_in_any_unit():
-    points, prediction = square(1000), square(500, height=-0.4, seed=1)
-    away = np.array([4e5, 5e6, 10.0])
-    moved = [1e3 * cloud + away for cloud in (points, prediction, EYE)]
-    here, there = evidence(points, prediction), evidence(*moved[:2], sensor=moved[2])
-    for name in here:
-        assert there[name] == pytest.approx(here[name], rel=1e-3, abs=1e-6), name
-
-
-def test_looks_are_the_first_poses():
-    clouds = RNG.normal(size=(4, 5, 3))
-    for count in (3, 4):
-        looks = pose_predictions(clouds[:count].reshape(-1, 3), count)
-        np.testing.assert_array_equal(looks.clouds, clouds[:3])
-    assert pose_predictions(clouds[:2].reshape(-1, 3), 2) is None
-    assert pose_predictions(clouds[0], 1) is None
+    for points in (repeated, square(20) * [1, 0, 1]):
+        assert np.isfinite(list(evidence(points, sensor=None).values())).all()

@@ -6,16 +6,6 @@ import pytest
 from prism_jax.data.public import layout
 from prism_jax.io import InputError
 
-ENTRY = {"taxonomy_id": "02691156", "taxonomy_name": "airplane", "test": ["a", "b"]}
-
-
-def test_a_list_is_read_in_its_order_without_blank_lines(tmp_path, write):
-    path = write(tmp_path / "a.list", "b/2\n\n a/1 \r\n")
-    assert layout.read_list(path, r"(\w)/(\d)", "a pair") == [("b", "2"), ("a", "1")]
-    path = write(tmp_path / "l.json", [ENTRY, ENTRY | {"test": ["c"], "train": []}])
-    models = layout.read_json_list(path, "test")
-    assert models == [("airplane", "02691156", name) for name in "abc"]
-
 
 @pytest.mark.parametrize(
     ("content", "fault"),
@@ -31,34 +21,6 @@ def test_an_unsound_list_is_refused(tmp_path, content, fault):
     path.write_bytes(content)
     with pytest.raises(InputError, match=fault):
         layout.read_list(path, r"(\w)/(\d)", "a pair")
-
-
-@pytest.mark.parametrize(
-    ("content", "fault"),
-    [
-        ({"taxonomy_id": "x"}, "ids of split 'test'"),
-        ([ENTRY | {"test": [1]}], "ids of split 'test'"),
-        ([ENTRY | {"test": ["../../x"]}], "ids of split 'test'"),
-        ([ENTRY | {"taxonomy_id": ".."}], "ids of split 'test'"),
-        ([ENTRY | {"test": []}], "no objects listed"),
-    ],
-)
-def test_json_of_another_form_is_refused(tmp_path, write, content, fault):
-    path = write(tmp_path / "l.json", content)
-    with pytest.raises(InputError, match=fault):
-        layout.read_json_list(path, "test")
-
-
-def test_missing_files_are_counted_and_the_first_named(tmp_path, write):
-    write(tmp_path / "a" / "1.txt", "x")
-    wanted = {"a": ["1.txt", "2.txt", "3.txt"], "b": ["1.txt", "2.txt"]}
-    with pytest.raises(InputError) as error:
-        layout.require_files(tmp_path, wanted, "the list", "a/<n>.txt")
-    assert str(error.value) == (
-        f"{tmp_path}: 4 of the 5 files in the list are missing: "
-        "a/2.txt, a/3.txt, b/1.txt, ...; copy the whole data set here, as a/<n>.txt"
-    )
-    layout.require_files(tmp_path, {"a": ["1.txt"]}, "the list", "a/<n>.txt")
 
 
 @pytest.mark.parametrize(

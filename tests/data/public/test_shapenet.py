@@ -74,17 +74,6 @@ def test_the_test_crops_take_the_points_nearest_to_the_corners(root, difficulty,
     assert corners[0] == (1, 1, 1)
 
 
-def test_projections_are_as_stored_sixteen_in_training_and_one_in_the_test(root, cloud):
-    train = ProjectedShapeNet("ShapeNet-55", root, "train")
-    test = ProjectedShapeNet("ShapeNet-Unseen21", root, "test")
-    assert (len(train), len(test)) == (32, 2)
-    example = train[16 + 5]
-    np.testing.assert_array_equal(example.complete, cloud(1, 8192))
-    np.testing.assert_array_equal(example.partial, cloud(105, 55))
-    assert (example.category, example.name) == ("car", f"{KEYS[1]}/5")
-    np.testing.assert_array_equal(test[1].partial, cloud(100, 50))
-
-
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
@@ -98,15 +87,6 @@ def test_what_is_not_published_is_refused(root, arguments, fault):
     for loader in (ShapeNet, ProjectedShapeNet):
         with pytest.raises(InputError, match=fault):
             loader(subset, root, split)
-
-
-def test_the_published_model_without_an_id_is_one_like_the_others(
-    tmp_path, cloud, write
-):
-    write(tmp_path / "ShapeNet-55" / "train.txt", "04379243-.npy\n")
-    write(tmp_path / "shapenet_pc" / "04379243-.npy", cloud(0, 8192))
-    example = ShapeNet("ShapeNet-55", tmp_path, "train")[0]
-    assert (example.category, example.name) == ("table", "04379243-")
 
 
 def test_missing_files_and_damaged_clouds_are_refused(tmp_path, write):

@@ -7,7 +7,6 @@ from scipy.spatial import KDTree
 
 from experiments.baselines.trivial import mirrored, training_mean
 from prism_jax.data.source import Example
-from prism_jax.io.errors import InputError
 
 RNG = np.random.default_rng(0)
 PARTIAL = RNG.uniform(-0.7, 0.7, (3, 20, 3)).astype(np.float32)
@@ -34,19 +33,6 @@ def test_mirrored_is_a_farthest_point_sample_of_both(mirrored_fn, num_outputs):
             farthest = chosen.query(points)[0].max()
             assert chosen.query(cloud[n])[0] == pytest.approx(farthest, rel=1e-6)
         np.testing.assert_array_equal(cloud, np.resize(cloud[:count], cloud.shape))
-
-
-def test_degenerate_clouds(mirrored_fn):
-    """Of one point, in the plane and far away: every point is one of both clouds, and
-    each of those has one."""
-    line = np.linspace(-1, 1, 20)[:, None]
-    clouds = [0 * line + [0.3, -0.2, 0.7], line * [0.0, 2.0, -1.0], PARTIAL[0] + 1e4]
-    clouds = np.array(clouds, np.float32)
-    for cloud, found in zip(clouds, mirrored_fn(clouds, 100), strict=True):
-        both = np.unique(np.concatenate([cloud, cloud * FLIP]) + 0.0, axis=0)
-        np.testing.assert_array_equal(np.unique(found, axis=0), both)
-    with pytest.raises(ValueError, match="empty"):
-        mirrored(jnp.zeros((2, 0, 3)), 4)
 
 
 class Shapes:
@@ -88,8 +74,3 @@ def test_the_mean_is_of_as_many_points_of_every_example(count, num_outputs, time
     again, other = (training_mean(Shapes(count), 1.25, num_outputs, s) for s in (0, 1))
     np.testing.assert_array_equal(again, cloud)
     assert not np.array_equal(other, cloud)
-
-
-def test_a_source_without_examples_is_refused():
-    with pytest.raises(InputError, match="data: no examples"):
-        training_mean(Shapes(0), 1.4, 4)

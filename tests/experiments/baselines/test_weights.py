@@ -8,22 +8,8 @@ import pytest
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.weights import load_network, save_network, with_weights
 from experiments.table_1 import LABELS
-from experiments.weights import located
 from prism_jax.completion.weights import load_pretrained, read_metadata, sha256
 from prism_jax.io.errors import InputError
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["crapcn", "prism", "small-meta", "small-meta-align-normal", *with_weights()],
-)
-def test_names_of_what_lies_here(name):
-    assert read_metadata(located(name))["samples"] > 0
-
-
-@pytest.mark.parametrize("name", ["small", "runs/weights.safetensors"])
-def test_anything_else_is_left_to_the_package(name):
-    assert located(name) == name
 
 
 def test_a_network_to_compare_with_comes_back(tmp_path, name="pcn"):

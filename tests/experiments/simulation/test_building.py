@@ -72,23 +72,6 @@ def test_other_content_is_refused(tmp_path, fails_at):
         Squares(tmp_path).build(other)
 
 
-def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
-    (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="not empty"):
-        Squares(tmp_path).build()
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
-
-
-@pytest.mark.parametrize("text", ["{", "[]", "{}", "null"])
-def test_an_invalid_manifest_is_named(tmp_path, text):
-    (tmp_path / "manifest.json").write_text(text)
-    with pytest.raises(InputError, match=r"manifest\.json: not a valid manifest"):
-        manifest.read_manifest(tmp_path, "build it")
-    if text != "{}":
-        with pytest.raises(InputError, match=r"manifest\.json: not a valid manifest"):
-            Squares(tmp_path).build()
-
-
 _WAITING = """
 import functools, os, pathlib, sys, time
 from experiments.simulation import building

@@ -5,7 +5,6 @@ import pickle
 import numpy as np
 import pytest
 
-from experiments import mixture
 from experiments.assets import CELLS
 from experiments.simulation.packing import PackConfig, pack
 from prism_jax.data.pipeline import Framing, frame_example
@@ -14,7 +13,6 @@ from prism_jax.data.shards import Shards
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.visibility import SURFACE, nothing_known
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.io.errors import InputError
 
 CONFIG = PackConfig(num_partial=64, num_complete=128)
 
@@ -98,55 +96,3 @@ def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path)
             found = source[index].visibility
             np.testing.assert_array_equal(found.state, expected.state)
             np.testing.assert_array_equal(found.depth, expected.depth)
-
-
-class Seen(Balls):
-    """Three views of each of two balls, the second of which changes with its views."""
-
-    def __init__(self):
-        super().__init__(6)
-        self.objects = np.repeat([0, 1], 3)
-
-    def __getitem__(self, index):
-        whole = super().__getitem__(index if index > 2 else 0)
-        partial = whole.complete[10 * index :][:70]
-        return whole._replace(partial=partial, name=f"{index}")
-
-
-def test_views_of_an_object_share_its_complete_cloud(tmp_path):
-    """As far as it is the same: a robot moves while it is recorded."""
-    source = packed(tmp_path, seen=Seen(), balls=Balls(2))
-    assert source.objects.tolist() == [0, 0, 0, 1, 1, 1, 2, 3]
-    assert len(np.load(tmp_path / "shard-00000.complete.npy")) == 1 + 3 + 2
-    for index in range(6):
-        given, found = Seen()[index], source[index]
-        assert found.name == f"seen/{index}"
-        step = 1e-4 * np.ptp(given.complete)
-        np.testing.assert_allclose(found.partial, given.partial[:64], atol=step)
-        np.testing.assert_allclose(found.complete, given.complete[:128], atol=step)
-
-
-def test_an_example_without_a_partial_is_refused(tmp_path):
-    with pytest.raises(InputError, match="both clouds"):
-        packed(tmp_path / "x", whole=Balls(partial=None))
-
-
-class OfKinds(Balls):
-    """Views whose names end in their kinds."""
-
-    kinds = ("clear", "occluded", "noisy+stations", "truncated+noisy", "rail")
-
-    def __getitem__(self, index):
-        example = super().__getitem__(index)
-        return example._replace(name=f"{index}/00/{self.kinds[index]}")
-
-
-def test_whole_views_are_told_by_their_names_and_drawn_as_often_as_asked(tmp_path):
-    shards = packed(tmp_path / "packed-train", kinds=OfKinds())
-    assert shards.whole.tolist() == [True, False, True, False, False]
-    (whole, often), (others, seldom) = mixture.parts_of(shards, 0.75)
-    names = [whole[index].name for index in range(len(whole))]
-    assert [name[-5:] for name in names] == ["clear", "tions"]
-    assert (len(others), often, seldom) == (3, 0.75, 0.25)
-    assert [len(part) for part, _ in mixture.parts_of(shards, 1.0)] == [2]
-    assert mixture.parts_of(shards, None) == [(shards, 1.0)]

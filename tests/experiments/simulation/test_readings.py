@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -17,12 +16,9 @@ from experiments.simulation.readings import (
 )
 from experiments.simulation.sensors import L515Config
 from experiments.simulation.surroundings import Surroundings
-from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import (
     BACKGROUND,
-    MAP_MARGIN,
-    MAP_SIZE,
     NEARER,
     SURFACE,
     UNKNOWN,
@@ -93,15 +89,6 @@ def test_noise_is_in_metres(ball):
         depth, slant = found.points[:, 1] + 5, np.linalg.norm(DIRECTIONS, axis=1)
         along = ((depth - 7) * slant * half_extent)[behind]
         assert np.std(along) == pytest.approx(0.01, rel=0.1)
-
-
-def test_the_camera_of_a_map_is_that_of_framing():
-    eye = (3, 1, 1.0)
-    found = framing_camera(POINTS, np.array(eye))
-    expected = Camera.framing(jnp.asarray(POINTS), eye, MAP_MARGIN, MAP_SIZE, MAP_SIZE)
-    assert (found.height, found.width) == (expected.height, expected.width)
-    pixels = [camera.project(POINTS)[0] for camera in (found, expected)]
-    np.testing.assert_allclose(*pixels, atol=1e-3)
 
 
 def test_in_a_map_surface_comes_first_then_doubt_then_what_is_nearest():

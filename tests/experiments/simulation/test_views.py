@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from experiments.simulation import views
 from experiments.simulation.views import QUANTUM, make_views, rounded
 
 
@@ -20,26 +19,6 @@ def test_clouds_fill_their_frame_in_farthest_point_order(shape):
         points = cloud[:100].astype(np.float64)
         gaps = [KDTree(points[:n]).query(points[n])[0] for n in range(1, 100)]
         assert np.diff(gaps).max() <= 4 * QUANTUM
-
-
-def test_a_view_of_too_few_points_is_drawn_again(shape, monkeypatch):
-    """Else the first of fewer views is that of more."""
-    make, drawn = views.make_view, []
-
-    def meagre_at_first(*arguments):
-        view = make(*arguments)
-        drawn.append(view.eye)
-        return view._replace(points=view.points[:15]) if len(drawn) < 3 else view
-
-    monkeypatch.setattr(views, "make_view", meagre_at_first)
-    made = make_views("mug", 11)
-    np.testing.assert_array_equal(made.eyes[0], drawn[2].astype(np.float32))
-    np.testing.assert_array_equal(shape.eyes[0], drawn[0].astype(np.float32))
-    np.testing.assert_array_equal(made.complete, shape.complete)
-    monkeypatch.setattr(views, "MAX_DRAWS", 2)
-    drawn.clear()
-    with pytest.raises(ValueError, match="no self_occlusion view of 16 points in 2"):
-        make_views("mug", 11)
 
 
 def test_coordinates_are_rounded_to_the_nearest_step_and_overflow_is_refused():

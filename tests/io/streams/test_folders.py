@@ -1,6 +1,5 @@
 """Folders of clouds, of depth images, and of recordings."""
 
-import dataclasses
 import json
 import pathlib
 import shutil
@@ -11,7 +10,7 @@ from PIL import Image
 
 from prism_jax.assets import asset
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.io.depth import camera_to_dict, points_from_depth, read_depth
+from prism_jax.io.depth import camera_to_dict, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.ply import write_ply
 from prism_jax.io.scan import read_scan
@@ -66,19 +65,6 @@ def test_depth_images_are_those_of_a_scan(tmp_path):
     (tmp_path / "1.json").write_text(json.dumps(other))
     first, second = open_stream(tmp_path)
     np.testing.assert_allclose(second.depth, 4 * first.depth)
-
-
-def test_a_camera_that_is_given_goes_first(tmp_path):
-    root = asset("roboarm")
-    (frame,) = open_stream(root, "depth")
-    own = dataclasses.replace(frame.camera, rotation=np.eye(3), translation=np.zeros(3))
-    (moved,) = open_stream(root, "depth", own)
-    wanted = points_from_depth(frame.depth, frame.depth > 0, own)
-    np.testing.assert_array_equal(moved.points, wanted)
-    (cloud,) = open_stream(root, "partial", own)
-    assert cloud.camera is own
-    with pytest.raises(InputError, match="--camera: 8x8 pixels, images 640x480"):
-        list(open_stream(root, "depth", own.resized(8, 8)))
 
 
 def test_recordings_have_two_topics():

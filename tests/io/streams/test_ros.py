@@ -1,6 +1,5 @@
 """Bags, .db3 and MCAP files that other packages wrote."""
 
-import importlib
 import sys
 
 import numpy as np
@@ -250,17 +249,6 @@ def test_a_split_recording_is_one_and_without_a_stamp_the_log_tells_the_time(tmp
     frames, lines = lines_of(open_stream(tmp_path))
     assert [len(f.points) for f in frames] == [len(CLOUDS[1]), len(CLOUDS[2])]
     assert [f.timestamp for f in frames] == [9, 10] and not lines
-
-
-def test_a_missing_package_is_one_line(tmp_path, monkeypatch):
-    path = write_mcap(tmp_path / "r.mcap", clouds(ROS2))
-    ros._readers.cache_clear()
-    for name in [n for n in sys.modules if n.startswith("rosbags")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(sys, "path", [])
-    importlib.invalidate_caches()
-    with pytest.raises(InputError, match=r'pip install "prism_jax\[stream\]"'):
-        open_stream(path)
 
 
 def told_joints(found):

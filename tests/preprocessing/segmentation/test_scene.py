@@ -105,19 +105,6 @@ def test_a_tabletop(tabletop):
     assert scene.planes[0].tolerance == pytest.approx(1000 * 0.003, rel=0.6)
 
 
-def test_counts_and_order(tabletop):
-    points, labels, scene = tabletop
-    assert min(overlaps(labels, scene.object)) > 0.85
-    counted = tuple((scene.object == number).sum() for number in range(4))
-    assert scene.num_points == counted
-    assert sorted(counted, reverse=True) == list(counted)
-    assert scene.num_support == (scene.object == SUPPORT).sum()
-    assert scene.num_left_over == (scene.object == LEFT_OVER).sum()
-    assert sum(counted) + scene.num_support + scene.num_left_over == len(points)
-    again = split_scene(points.copy(), "z", EYE)
-    assert np.array_equal(again.object, scene.object)
-
-
 def test_the_sensor_need_not_be_known_and_duplicates_change_nothing(tabletop):
     points, labels, _ = tabletop
     once, twice = split_scene(points), split_scene(np.tile(points, (2, 1)))
@@ -219,17 +206,6 @@ def test_a_plane_alone_is_all_support():
     assert len(scene.planes) == 1
     assert (scene.object == SUPPORT).mean() > 0.98
     assert scene.num_points == ()
-
-
-def test_few_points_are_left_over_and_a_line_or_one_place_is_one_object():
-    for count in (0, 1, 2, 63):
-        points = np.random.default_rng(0).uniform(0, 1, (count, 3))
-        scene = split_scene(points, "z", EYE)
-        assert (scene.object == LEFT_OVER).all()
-        assert (scene.num_left_over, scene.num_points) == (count, ())
-    for points in [np.outer(np.arange(300.0), [1, 2, 3]), np.ones((300, 3))]:
-        scene = split_scene(points, "z", EYE)
-        assert (scene.num_points, scene.planes) == ((300,), ())
 
 
 def test_a_direction_that_is_none():

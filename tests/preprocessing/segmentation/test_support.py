@@ -118,18 +118,6 @@ def test_clouds_without_a_plane():
         assert find_up(points, EYE).source == "z"
 
 
-def test_several_planes_come_largest_first():
-    floor = table(4)
-    wall = table(3, seed=1)[:, [0, 2, 1]] + [0, -2, 1.5]
-    planes = find_planes(np.concatenate([wall, floor]))
-    assert len(planes) == 2
-    assert abs(planes[0].normal[2]) > 0.999
-    assert abs(planes[1].normal[1]) > 0.999
-    assert abs(abs(planes[1].offset) - 2) < 0.01
-    # Three standard deviations.
-    assert planes[0].tolerance == pytest.approx(0.015, rel=0.3)
-
-
 @pytest.mark.parametrize(
     "name", ["kitti/frame_0_car_0.pcd", "shapenet/airplane_partial_2048.ply"]
 )

@@ -7,12 +7,9 @@ import pytest
 import trimesh
 
 from experiments.simulation.roboarm.cell_views import make_cell_view
-from experiments.simulation.roboarm.cells import CellsConfig, build_cells
-from experiments.simulation.roboarm.cells import cell_views as cell_views_of
 from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.roboarm.workcells import make_workcell
 from experiments.simulation.sensors import L515Config
-from prism_jax.data.datasets import open_dataset
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS
 from prism_jax.geometry.visibility import NEARER, UNKNOWN, look_up
 from prism_jax.io.depth import points_from_depth
@@ -61,23 +58,3 @@ def test_who_stands_before_the_cell_is_nearer_and_not_in_the_truth(seen):
         assert gaps.max() < 1e-5
     assert np.sum(np.concatenate(found)) > 100
     assert np.mean(np.concatenate(found)) > 0.4
-
-
-def test_a_built_set_opens_cell_by_cell(model, tmp_path):
-    arms = (model, dataclasses.replace(model, name="armed", tool_link="lower"))
-    sizes = {"width": 80, "height": 60, "partial_points": 128, "complete_points": 256}
-    config = CellsConfig("train", num_cells=2, num_frames=2, **sizes)
-    build_cells(config, tmp_path, 0, False, arms)
-    source = open_dataset("cells", "train", tmp_path)
-    assert source.objects.tolist() == [0, 0, 1, 1]
-    assert source.categories == ("boxes", "armed")
-    _, views = cell_views_of(config, 1, arms)
-    for number, view in enumerate(views):
-        example = source[2 + number]
-        assert example.category == "armed"
-        assert example.name.startswith(f"000001/{number:02d}/")
-        assert example.any_heading and example.ordered
-        step = 2 * np.ptp(view.complete, axis=0).max() / 2**16
-        np.testing.assert_allclose(example.complete, view.complete, atol=step)
-        np.testing.assert_array_equal(example.eye, view.eye)
-        np.testing.assert_array_equal(example.visibility.state, view.visibility.state)

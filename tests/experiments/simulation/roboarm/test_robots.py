@@ -14,7 +14,6 @@ from experiments.simulation.roboarm.models import (
     urdf_path,
 )
 from experiments.simulation.roboarm.robots import Robot
-from prism_jax.io.errors import InputError
 from prism_jax.robots.xacro import plain_urdf
 from tests.experiments.simulation.roboarm import conftest as boxes
 
@@ -51,23 +50,6 @@ def test_a_mimic_follows_and_belongs_to_the_part_that_carries_it(tmp_path):
     pose = robot.link_poses(np.array([[0.0, 0.8]]))[0, 3]
     angle = np.arctan2(pose[0, 2], pose[2, 2])
     assert angle == pytest.approx(0.8 + 0.1 - 0.5 * 0.8)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("<box", "<bx", "not a valid URDF|mesh"),
-        ('<?xml version="1.0"?>', "<!DOCTYPE a><!ENTITY b>", "entities"),
-        ('lower="-2" upper="2"', 'lower="2" upper="-2"', "invalid limits of joint"),
-        ('lower="-2" upper="2"', 'lower="nan" upper="2"', "invalid limits of joint"),
-        ('<child link="lower"/>', '<child link="gone"/>', "gap|root"),
-        ('<child link="lower"/>', '<child link="turret"/>', "loop|root"),
-        ('<box size="0.05 0.05 0.3"/>', '<mesh filename="a.stl"/>', "no such mesh"),
-    ],
-)
-def test_a_bad_file_is_named(tmp_path, old, new, message):
-    with pytest.raises(InputError, match=message):
-        Robot(variant(tmp_path, (old, new)))
 
 
 def test_no_family_of_arms_is_in_two_splits():

@@ -12,7 +12,6 @@ from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.roboarm.sequences import (
     CLOUD_STEP,
     SURVEY,
-    flying_pixels,
     make_frame,
     make_sequence,
     survey,
@@ -48,17 +47,6 @@ def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
         position += int(np.argmax(gap <= CLOUD_STEP / 2 + 1e-6)) + 1
         assert gap.min() <= CLOUD_STEP / 2 + 1e-6
     assert len(frame.partial) > 0.8 * len(rows)
-
-
-def test_flying_pixels_are_those_between_two_surfaces():
-    depth = np.full((20, 30), 1.0)
-    depth[:, 15:] = 2.0
-    depth[4, 15] = 1.4
-    depth[9, 14] = 1.7
-    depth[12:14, 3:5] = 0.0
-    depth[17, 20] = 2.4
-    expected = np.isin(depth, (1.4, 1.7, 2.4))
-    np.testing.assert_array_equal(flying_pixels(depth), expected)
 
 
 def test_the_ground_truth_is_what_is_asked_for_and_seen_from_outside():

@@ -7,19 +7,16 @@ from scipy.spatial import KDTree
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.furnishings import together
-from experiments.simulation.scenes.arrangement import pools_of
 from experiments.simulation.scenes.build import (
     MIN_RETURNS,
     ScenesConfig,
     build_scenes,
-    make_scene,
 )
 from experiments.simulation.scenes.sensing import (
     measured,
     random_camera,
     random_lidar,
 )
-from experiments.simulation.shapes import NOVEL_CATEGORIES
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.source import Source
@@ -41,22 +38,6 @@ def source(tmp_path_factory) -> Scenes:
     found = open_dataset("scenes", "validation", folder)
     assert isinstance(found, Scenes) and isinstance(found, Source)
     return found
-
-
-def test_a_scene_is_read_as_it_was_made(source):
-    assert source.num_scenes == 2
-    made = make_scene(CONFIG, pools_of("validation"), 1)
-    scene = source.scene(1)
-    assert scene.name == "000001" and scene.traits == made.traits
-    np.testing.assert_array_equal(scene.labels, made.measured.labels)
-    step = np.ptp(made.measured.points, axis=0).max() / 2**16
-    np.testing.assert_allclose(scene.points, made.measured.points, atol=step)
-    np.testing.assert_allclose(scene.complete, made.complete, atol=1e-4)
-    np.testing.assert_array_equal(scene.eye, made.sensor.rays.eye)
-    np.testing.assert_array_equal(scene.rotation, made.sensor.rotation)
-    assert scene.categories == tuple(thing.category for thing in made.things)
-    with pytest.raises(IndexError):
-        source.scene(2)
 
 
 def test_items_are_the_things_each_measured_and_on_its_own_surface(source):
@@ -87,27 +68,6 @@ def test_items_are_the_things_each_measured_and_on_its_own_surface(source):
             states |= set(known.state.ravel())
             index += 1
     assert states == {UNKNOWN, SURFACE, NEARER, BACKGROUND} and index == len(source)
-
-
-def test_in_its_own_axes_the_sensor_is_at_the_origin_and_looks_along_z(source):
-    scene = source.scene(0)
-    own = scene.in_sensor_axes()
-    assert own.points[:, 2].min() > 0
-    np.testing.assert_array_equal(own.eye, np.zeros(3))
-    for name in ("points", "complete"):
-        back = getattr(own, name) @ scene.rotation + scene.eye
-        np.testing.assert_allclose(back, getattr(scene, name), atol=1e-5)
-
-
-def test_things_are_of_the_sources_own_splits(catalogue_dir):
-    assert len(pools_of("train").pools) == 2
-    assert not {*NOVEL_CATEGORIES} & {*pools_of("test").categories}
-    assert "open" in pools_of("train").categories
-    assert "open" not in pools_of("test").categories
-    models = pools_of("test", ("objects",), catalogue_dir, progress=False)
-    assert models.digests and all(name.startswith("Scopia/") for name in models.digests)
-    thing = models.draw(np.random.default_rng(0))
-    assert thing.two_sided and thing.category in models.categories
 
 
 @pytest.mark.parametrize("make", [random_camera, random_lidar])

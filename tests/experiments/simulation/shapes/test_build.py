@@ -1,7 +1,5 @@
 """The procedural shapes on disk, and as a source."""
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -9,39 +7,13 @@ from experiments.simulation import building
 from experiments.simulation.shapes import TRAIN_CATEGORIES
 from experiments.simulation.shapes.build import ShapesConfig, build_shapes, shape_seed
 from experiments.simulation.views import make_views
-from prism_jax.data.datasets import folder_of, open_dataset
-from prism_jax.data.shards import Shards
-from prism_jax.data.source import Source
-from prism_jax.io.errors import InputError
+from prism_jax.data.datasets import open_dataset
 
 
 def assert_made(example, made, view):
     np.testing.assert_array_equal(example.partial, made.partials[view])
     np.testing.assert_array_equal(example.complete, made.complete)
     np.testing.assert_array_equal(example.eye, made.eyes[view])
-
-
-def test_items_are_the_views_of_shape_after_shape(shapes_dir, train_config):
-    train = open_dataset("shapes", "train", shapes_dir)
-    assert isinstance(train, Source) and isinstance(train, Shards)
-    assert train.objects.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
-    assert train.categories == TRAIN_CATEGORIES
-    category = TRAIN_CATEGORIES[3]
-    made = make_views(category, shape_seed(train_config, 3), 2)
-    for view in range(2):
-        example = train[6 + view]
-        assert_made(example, made, view)
-        assert (example.name, example.category) == (f"000003/{view:02d}", category)
-        assert example.ordered
-        example.partial[:] += 1  # the caller's own
-    assert_made(train[-1], made, 1)
-    for index in (8, -9):
-        with pytest.raises(IndexError):
-            train[index]
-    # It goes to another process without its arrays.
-    data = pickle.dumps(train)
-    assert len(data) < 2000
-    assert_made(pickle.loads(data)[7], made, 1)
 
 
 def test_a_mixture_keeps_what_the_sensors_knew_and_says_the_kinds(tmp_path):
@@ -108,23 +80,3 @@ def test_seeds_are_disjoint_and_those_that_results_were_recorded_with():
         for index in (*range(10), 23999, 2**32 - 1)
     ]
     assert len(set(seeds)) == len(seeds)
-
-
-@pytest.mark.parametrize(
-    ("setting", "fault"),
-    [
-        ({"num_shapes": -1}, "-1 is not within 1"),
-        ({"split": "dev"}, "unknown value 'dev'; use one of train, "),
-        ({"partial": "lidar"}, "unknown value 'lidar'; use one of self_"),
-    ],
-)
-def test_invalid_settings_are_named(setting, fault):
-    with pytest.raises(InputError, match=f"{next(iter(setting))}: {fault}"):
-        ShapesConfig(**{"split": "train", **setting})
-
-
-def test_the_cache_folder_is_where_it_is_built_by_default(tmp_path, monkeypatch):
-    monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path))
-    assert folder_of("shapes", "train") == tmp_path / "shapes-train"
-    with pytest.raises(InputError, match=r"--split=unseen --output_dir="):
-        open_dataset("shapes", "unseen", tmp_path)

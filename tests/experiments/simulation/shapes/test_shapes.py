@@ -3,9 +3,6 @@ import pytest
 from experiments.simulation.open_shapes import make_open_shape
 from experiments.simulation.shapes import (
     CATEGORIES,
-    NOVEL_CATEGORIES,
-    TRAIN_CATEGORIES,
-    UNSEEN_CATEGORIES,
     make_shape,
 )
 
@@ -27,16 +24,3 @@ def test_a_mesh_is_a_closed_solid_in_one_piece_of_its_size(category):
     step = 1e-5 * mesh.face_normals[faces]
     assert sum(~mesh.contains(points + step)) > 97
     assert sum(mesh.contains(points - step)) > 97
-
-
-def test_training_unseen_and_novel_categories_are_all_there_are():
-    assert CATEGORIES == TRAIN_CATEGORIES + UNSEEN_CATEGORIES + NOVEL_CATEGORIES
-    parts = TRAIN_CATEGORIES, UNSEEN_CATEGORIES, NOVEL_CATEGORIES
-    assert [*map(len, parts), len(set(CATEGORIES))] == [18, 6, 6, 30]
-
-
-def test_unknown_category_and_negative_seed_are_named():
-    with pytest.raises(ValueError, match="unknown category 'spoon': choose one of"):
-        make_shape("spoon", 0)
-    with pytest.raises(ValueError, match="negative"):
-        make_shape("chair", -1)
