@@ -8,7 +8,7 @@ that size (`prism_jax.envelope.carving`), at random places of the body.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -132,20 +132,25 @@ def smallest(rows: Sequence[dict[str, Any]], distance: float, aside: float) -> s
     return f"{100 * min(good):.0f} cm" if good else "none"
 
 
-def main() -> None:
-    """Writes the table for every sensor."""
-    prepare_output(FLAGS.output, ".json")
-    sensors = {name: measured(name, FLAGS.trials) for name in (CAMERA, *RINGS)}
+def table(sensors: Mapping[str, Sequence[dict[str, Any]]]) -> str:
+    """A row for each sensor and direction, a column for each distance."""
     cells = [
         [name, f"{aside:.0f}", *(smallest(rows, r, aside) for r in DISTANCES)]
         for name, rows in sensors.items()
         for aside in ASIDE
     ]
     head = ["sensor", "degrees aside", *(f"{distance:.0f} m" for distance in DISTANCES)]
+    return "\n".join(table_lines(head, cells))
+
+
+def main() -> None:
+    """Writes the table for every sensor."""
+    prepare_output(FLAGS.output, ".json")
+    sensors = {name: measured(name, FLAGS.trials) for name in (CAMERA, *RINGS)}
     bodies = 4 * FLAGS.trials
     held = sum(row["held"] for rows in sensors.values() for row in rows)
     result = {"sensors": sensors, "bodies": bodies, "held": held, "commit": commit()}
-    print_and_write(result, "\n".join(table_lines(head, cells)))
+    print_and_write(result, table(sensors))
 
 
 def define_flags() -> None:

@@ -1,7 +1,7 @@
 """A grid over a workspace in which each voxel is in one of five states.
 
-Free is only what measured rays passed through, with a margin. A completion takes
-nothing away from that: it adds what may be taken, and unseen space stays unseen.
+Free is only what measured rays prove (`prism_jax.envelope.carving`). A completion adds
+what may be taken, and unseen space stays unseen.
 """
 
 import dataclasses

@@ -8,12 +8,15 @@ from prism_jax.envelope.carving import (
     Carving,
     _least,
     carve,
+    check_agreement,
+    check_conflicts,
     proven,
     view_of_cloud,
     view_of_depth,
 )
 from prism_jax.envelope.voxels import Grid
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.errors import InputError
 
 FAR = np.array([400_000.0, -5_000_000.0, 120.0])
 """As survey coordinates have it."""
@@ -303,3 +306,54 @@ def _passed(points, eye, rays, measured):
 def test_nothing_is_in_free_space(seed):
     found, _ = occupied(seed)
     assert not found
+
+
+@pytest.mark.parametrize(
+    ("width", "distance"), [(0.02, 1), (0.02, 2), (0.02, 3), (0.1, 2)]
+)
+def test_a_post_that_returns_nothing_is_not_free(width, distance):
+    """Before a wall at 4 m, from a depth image of 640 x 480 and from its cloud."""
+    camera = camera_at(np.zeros(3), 640, 480, 460.0)
+    column = (np.arange(640) - 319.5) / 460.0 * distance
+    depth = np.full((480, 640), 4.0)
+    depth[:, np.abs(column - 0.013) <= width / 2] = 0.0
+    grid = Grid.over(
+        np.array([-0.2, -0.2, distance - 0.2]), np.array([0.2, 0.2, distance + 0.2])
+    )
+    rows, columns = np.nonzero(depth)
+    rays = np.stack(
+        [(columns - 319.5) / 460, (rows - 239.5) / 460, np.ones(len(rows))], 1
+    )
+    post = np.column_stack(
+        [np.full(99, 0.013), np.linspace(-0.19, 0.19, 99), np.full(99, distance)]
+    )
+    index = grid.index_of(post)
+    for view in (
+        view_of_depth(depth, depth > 0, camera),
+        view_of_cloud(4.0 * rays, np.zeros(3)),
+    ):
+        free = carve(grid, view).ravel()
+        assert not free[index].any()
+    assert free.any() or distance == 3 or width > 0.02
+
+
+def test_a_scan_that_its_depth_image_contradicts_is_refused():
+    camera = camera_at(np.zeros(3))
+    view = wall_view(np.zeros(3), 2.0, camera)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (100, 3)) * [1, 1, 0] + [
+        0,
+        0,
+        2.0,
+    ]
+    check_agreement(view, points, Carving())
+    for wrong in (points * 1.1, points + [0, 0, 0.4], points * 1000):
+        with pytest.raises(
+            InputError, match="0% of the scan's points lie on the image"
+        ):
+            check_agreement(view, wrong, Carving())
+    grid = Grid.over(np.full(3, -0.5), np.full(3, 0.5), 0.1)
+    free = np.zeros(grid.shape, bool)
+    check_conflicts(grid, free, points - [0, 0, 2.0])
+    free[:, :, 5] = True
+    with pytest.raises(InputError, match="voxels with measured points came out free"):
+        check_conflicts(grid, free, points - [0, 0, 2.0])

@@ -1,0 +1,28 @@
+"""The launcher that measures how small a body free space never holds."""
+
+import json
+import pathlib
+
+from experiments import detection
+from tests import launching
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+def test_the_smallest_body_by_sensor_and_distance(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(detection, "DISTANCES", (1.0, 5.0))
+    monkeypatch.setattr(detection, "DIAMETERS", (0.02, 0.08))
+    monkeypatch.setattr(detection, "ASIDE", (0.0,))
+    output = tmp_path / "found.json"
+    assert launching.run(detection, "--trials=1", f"--output={output}") == 0
+    lines = [line.split("|")[3:5] for line in capsys.readouterr().out.splitlines()[2:5]]
+    cells = [[cell.strip() for cell in line] for line in lines]
+    # 64 rings are 9 mm apart at 1 m, 16 rings 35 mm: a body must span two and a half.
+    assert cells == [["2 cm", "2 cm"], ["8 cm", "none"], ["none", "none"]]
+    assert json.loads(output.read_text())["held"] == 0
+
+
+def test_the_page_shows_what_was_measured():
+    found = json.loads((ROOT / "docs/tables/detection.json").read_text())
+    assert found["held"] == 0
+    assert detection.table(found["sensors"]) in (ROOT / "docs/envelope.md").read_text()
