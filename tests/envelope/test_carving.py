@@ -348,12 +348,12 @@ def test_a_scan_that_its_depth_image_contradicts_is_refused():
     check_agreement(view, points, Carving())
     for wrong in (points * 1.1, points + [0, 0, 0.4], points * 1000):
         with pytest.raises(
-            InputError, match="0% of the scan's points lie on the image"
+            InputError, match="0% of the scan's points lie on the depth image"
         ):
             check_agreement(view, wrong, Carving())
     grid = Grid.over(np.full(3, -0.5), np.full(3, 0.5), 0.1)
     free = np.zeros(grid.shape, bool)
     check_conflicts(grid, free, points - [0, 0, 2.0])
     free[:, :, 5] = True
-    with pytest.raises(InputError, match="voxels with measured points came out free"):
+    with pytest.raises(InputError, match="voxels with measured points are called free"):
         check_conflicts(grid, free, points - [0, 0, 2.0])

@@ -17,8 +17,8 @@ def test_the_smallest_body_by_sensor_and_distance(tmp_path, monkeypatch, capsys)
     assert launching.run(detection, "--trials=1", f"--output={output}") == 0
     lines = [line.split("|")[3:5] for line in capsys.readouterr().out.splitlines()[2:5]]
     cells = [[cell.strip() for cell in line] for line in lines]
-    # 64 rings are 9 mm apart at 1 m, 16 rings 35 mm: a body must span two and a half.
-    assert cells == [["2 cm", "2 cm"], ["8 cm", "none"], ["none", "none"]]
+    # A ball must span more than two and a half of the spacings, 9 and 35 mm at 1 m.
+    assert cells == [["2 cm", "2 cm"], ["8 cm", "none"], ["8 cm", "none"]]
     assert json.loads(output.read_text())["held"] == 0
 
 
