@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -192,7 +192,8 @@ def proven(
     """
     padded = np.pad(depth, 1, constant_values=np.inf)
     hole = ~np.isfinite(padded)
-    number, count = ndimage.label(hole, np.ones((3, 3)))
+    found: Any = ndimage.label(hole, np.ones((3, 3)))
+    number, count = found
     outside = number[0, 0]
     # The side of the largest square of pixels in each hole.
     side = np.zeros(count + 1)
@@ -288,7 +289,7 @@ def _least(
     rectangle's own.
     """
     # What is outside of the image proves nothing.
-    inside = ((first >= 0) & (last < image.shape)).all(axis=1)
+    inside = ((first >= 0) & (last < np.array(image.shape))).all(axis=1)
     first, last = first[inside], last[inside]
     sides = (last - first + 1).max(axis=1, initial=1)
     levels = np.floor(np.log2(sides)).astype(int)
