@@ -309,6 +309,6 @@ def _least(
         squares = np.minimum(squares, down)
         across = np.pad(squares, ((0, 0), (0, side)), constant_values=np.inf)
         squares = np.minimum(squares, across[:, side:])
-    found = np.zeros(len(inside))
+    found = np.zeros(inside.shape)
     found[inside] = least
     return found
