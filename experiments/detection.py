@@ -4,10 +4,12 @@
 
 A ball or an upright post stands before a wall, straight ahead or at the side of the
 view, and returns light or none. For each diameter free space is carved for bodies of
-that size (`prism_jax.envelope.carving`), at random places of the body.
+that size (`prism_jax.envelope.carving`), at random places of the body. Beside the table
+stands how much of the bundled robot cells is free.
 """
 
 import itertools
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,13 +18,16 @@ from absl import flags
 from jaxtyping import Float
 from tqdm import tqdm
 
+from experiments.assets import CELLS
 from experiments.output import prepare_output
 from experiments.scoring import print_and_write
 from prism_jax.cli.launch import launch
+from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells
 from prism_jax.envelope.carving import Carving, carve, view_of_cloud, view_of_depth
 from prism_jax.envelope.voxels import Grid
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.depth import points_from_depth
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
@@ -132,6 +137,29 @@ def smallest(rows: Sequence[dict[str, Any]], distance: float, aside: float) -> s
     return f"{100 * min(good):.0f} cm" if good else "none"
 
 
+def bundled() -> dict[str, dict[str, float]]:
+    """Of a cube of 3 m around the robots of the bundled frames, by view and diameter:
+    free cubic metres a frame, and free voxels with measured or true surface."""
+    cells, found = RecordedCells(CELLS), {}
+    grid = Grid.over(np.array([-1.5, -1.5, 0.0]), np.array([1.5, 1.5, 3.0]))
+    for frame in map(cells.read, range(len(cells))):
+        assert frame.complete is not None
+        depth, known = frame.depth * DEPTH_SCALE, frame.depth > 0
+        cloud = points_from_depth(depth, known, frame.camera)
+        views = {
+            "depth image": view_of_depth(depth, known, frame.camera),
+            "cloud": view_of_cloud(cloud, np.asarray(frame.camera.position)),
+        }
+        surface = grid.index_of(np.concatenate([cloud, frame.complete]))
+        surface = np.unique(surface[surface >= 0])
+        for (name, view), body in itertools.product(views.items(), (0.02, 0.05)):
+            free = carve(grid, view, Carving(body=body)).ravel()
+            row = found.setdefault(f"{name}, {body} m", {"free": 0.0, "surface": 0})
+            row["free"] += float(free.sum()) * grid.voxel**3 / len(cells)
+            row["surface"] += int(free[surface].sum())
+    return found
+
+
 def table(sensors: Mapping[str, Sequence[dict[str, Any]]]) -> str:
     """A row for each sensor and direction, a column for each distance."""
     cells = [
@@ -150,7 +178,9 @@ def main() -> None:
     bodies = 4 * FLAGS.trials
     held = sum(row["held"] for rows in sensors.values() for row in rows)
     result = {"sensors": sensors, "bodies": bodies, "held": held, "commit": commit()}
-    print_and_write(result, table(sensors))
+    result["bundled"] = bundled()
+    shown = json.dumps(result["bundled"], indent=1)
+    print_and_write(result, f"{table(sensors)}\n\n{shown}")
 
 
 def define_flags() -> None:

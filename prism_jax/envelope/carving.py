@@ -134,11 +134,12 @@ def carve(
     meets the ball returns nothing, or a depth that is not behind the voxel by the
     margin and d: call its pixel bad (of a cloud: a cell all of whose rays meet it). The
     ball's image holds a square of n x n bad pixels, connected by bad ones to one that
-    the voxel covers or that is next to those. Were that one measured, the voxel would
-    not be free. So it is in a hole. If the whole image is in the hole, n x n pixels
-    fit into that, and `proven` is nearer than the voxel. If not, a bad pixel at the
-    hole's border was measured, and `proven` is no farther than that. If n is 0, the
-    ball is too small to be noticed there, and `proven` is nearer than the voxel.
+    the voxel covers or that is next to those (of cells: at most two away). Were that
+    one measured, the voxel would not be free. So it is in a hole. If the whole image is
+    in the hole, n x n pixels fit into that, and `proven` is nearer than the voxel. If
+    not, a bad pixel at the hole's border was measured, and `proven` is no farther than
+    that. If n is 0, the ball is too small to be noticed there, and `proven` is nearer
+    than the voxel. That the bad pixels of a ball are connected is tested, not proven.
 
     Grid and view are in one frame and unit; NumPy, not differentiable.
     """
@@ -160,7 +161,7 @@ def check_agreement(
             f"only {agree:.0%} of the scan's points lie on the depth image's surface"
         )
         remedy = "check the camera's pose, depth_scale, and the units of both"
-        raise InputError("--depth", fault, remedy)
+        raise InputError("the depth image", fault, remedy)
 
 
 def check_conflicts(
