@@ -1,6 +1,7 @@
 """prism-envelope: which parts of a workspace are occupied, uncertain or free.
 
     prism-envelope calibrate RECORDINGS --output=cal.json
+    prism-envelope reference SCAN --output=reference.ply
     prism-envelope SCAN --calibration=cal.json --alpha=0.1 --output_dir=out
     prism-envelope RECORDING --calibration=cal.json --workspace=-1,-1,0,1,1,2
 
@@ -14,7 +15,7 @@ import json
 import os
 import pathlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from absl import flags
@@ -33,7 +34,7 @@ from prism_jax.cli.stream import (
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.envelope import NOTICE
 from prism_jax.envelope.calibration import conformal_margin, read_calibration
-from prism_jax.envelope.carving import Carving
+from prism_jax.envelope.carving import Carving, View
 from prism_jax.envelope.files import (
     NAMES,
     distances_summary,
@@ -41,29 +42,48 @@ from prism_jax.envelope.files import (
     told_kinds,
 )
 from prism_jax.envelope.recorded import calibrate_on
-from prism_jax.envelope.robot import joints_from_dict, robot_surface
-from prism_jax.envelope.separation import read_terms, separation
-from prism_jax.envelope.surfaces import Method, sensor_name
+from prism_jax.envelope.reference import reference_of
+from prism_jax.envelope.robot import (
+    joints_from_dict,
+    of_robot,
+    robot_digest,
+    robot_surface,
+)
+from prism_jax.envelope.surfaces import Input, Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
-from prism_jax.geometry.camera import Camera, Vector
+from prism_jax.io.atomic import PREVIOUS, set_aside, write_bytes
+from prism_jax.io.clouds import read_points_counted
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
+from prism_jax.io.ply import vertices_bytes
 from prism_jax.io.scan import parse_numbers
 from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
+from prism_jax.io.streams.frame import Frame
 from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.preprocessing.upright import parse_up, upright
 from prism_jax.reporting.summary import plain, software
 from prism_jax.robots.urdf import Linkage
 from prism_jax.streaming.enveloper import (
     FrameEnveloper,
+    FrameScanner,
     MadeEnvelope,
     Scanned,
     standing,
+    unplaced,
 )
+from prism_jax.streaming.observer import default_up
 
 FLAGS = flags.FLAGS
 NAME = "prism-envelope"
-CALIBRATE = "calibrate"
+CALIBRATE, REFERENCE = "calibrate", "reference"
+_UNUSED = {
+    CALIBRATE: "calibration camera depth eye query reference topic pace every_frame "
+    "carving_margin smallest_body max_points output_dir",
+    REFERENCE: "calibration query reference alpha weights adapt density background "
+    "objects around input sensor voxel pace every_frame output_dir",
+    "": "input output",
+}
+"""Flags that a use refuses."""
 _METHOD = Method()
 _CARVING = Carving()
 LINES = "envelope.jsonl"  # of a stream, a line a frame
@@ -80,18 +100,17 @@ def define_flags() -> None:
         "the CameraInfo for a recording.",
         depth="For a cloud cropped from a depth image: the whole 16-bit image, with "
         "--camera. It shows which space is free.",
-        eye="Sensor position of a cloud, x,y,z, if it is not --camera's. Without "
-        "either, no space is known to be free.",
+        eye="Sensor position of a cloud, x,y,z, if it is not --camera's.",
         sensor="Name of the sensor. Default: derived from the camera's image.",
-        workspace="Box of the voxels, x0,y0,z0,x1,y1,z1, to which the scan is "
-        "cropped. Default: the surfaces with their margin, plus some voxels.",
-        ssm="JSON with the terms of a separation distance.",
+        workspace="Box of the voxels in metres, x0,y0,z0,x1,y1,z1, to which the scan "
+        "is cropped. Default: the surfaces with their margin, plus some voxels.",
+        reference="Surfaces that stand still, written by `reference`. A scan that "
+        "disagrees with them is refused.",
         query="Cloud of points to report both distances for.",
     )
     flags.DEFINE_float(
         "alpha", None, "Share of cells that may be missed. Default: the calibration's."
     )
-    flags.DEFINE_bool("scaled", False, "Scale margins by each point's expected error.")
     shared_flags.define_completion_flags(_METHOD.density)
     shared_flags.define_recording_flags()
     shared_flags.define_max_points(io.MAX_POINTS)
@@ -101,7 +120,7 @@ def define_flags() -> None:
         "Write all files for every frame of a recording, each into its own folder; "
         "otherwise only for the last one.",
     )
-    flags.DEFINE_float("voxel", VOXEL, "Side of a voxel, in input units.")
+    flags.DEFINE_float("voxel", VOXEL, "Side of a voxel in metres.")
     flags.DEFINE_float(
         "carving_margin",
         _CARVING.margin,
@@ -112,7 +131,7 @@ def define_flags() -> None:
     flags.DEFINE_float(
         "smallest_body",
         _CARVING.body,
-        "Diameter of the smallest ball that free space must not hold, in input units. "
+        "Diameter of the smallest ball that free space must not hold, in metres. "
         "Sparse sensors prove nothing free for small ones: see docs/envelope.md.",
         lower_bound=1e-3,
     )
@@ -129,58 +148,100 @@ def define_flags() -> None:
         "Measured points that get a margin: all, or only those on objects (not on "
         "removed supports and walls).",
     )
+    flags.DEFINE_enum(
+        "input",
+        None,
+        ["both", "depth", "cloud"],
+        "What `calibrate` takes of each frame: both (default: the cloud, and the depth "
+        "image beside it), depth (the image alone), or cloud (the cloud alone).",
+    )
     flags.DEFINE_string("output_dir", "prism_envelope", "Output folder.")
-    flags.DEFINE_string("output", "calibration.json", "File that `calibrate` writes.")
+    flags.DEFINE_string(
+        "output",
+        None,
+        "File that `calibrate` or `reference` writes. Default: calibration.json or "
+        "reference.ply.",
+    )
+
+
+class _Given(NamedTuple):
+    """What the flags say of any scan."""
+
+    eye: Float[np.ndarray, "3"] | None
+    bounds: io.Bounds | None
+    robot: Linkage | None
+    joints: Joints | None
 
 
 def main(words: Sequence[str] = ()) -> None:
     """Does what the flags and the words beside them ask for."""
-    if words and words[0] == CALIBRATE:
-        if len(words) != 2:
-            fault = f"expected one folder, got {len(words) - 1}"
-            raise io.InputError(CALIBRATE, fault, "give the folder of recordings")
-        print(calibrate(words[1]))
-        return
-    if len(words) != 1:
-        fault = f"expected one scan or recording, got {len(words)}"
+    use = words[0] if words and words[0] in (CALIBRATE, REFERENCE) else ""
+    named = words[1:] if use else words
+    if len(named) != 1:
+        fault = f"expected one scan or recording, got {len(named)}"
         remedy = f"write {NAME} SCAN, or {NAME} {CALIBRATE} RECORDINGS"
-        raise io.InputError(NAME, fault, remedy)
+        raise io.InputError(use or NAME, fault, remedy)
+    for name in _UNUSED[use].split():
+        if FLAGS[name].present:
+            fault = f"not used by {NAME} {use}".strip()
+            raise io.InputError(f"--{name}", fault, "omit it")
     end_as_interrupted()
-    summary = envelope_of(words[0])
-    print(f"notice      {NOTICE}")
-    if is_stream(words[0]):
-        files = LINES, REPORT, *(["000000/", "..."] if FLAGS.every_frame else NAMES)
-        print(told_frames(summary))
-        print(f"written     {FLAGS.output_dir}: {', '.join(files)}")
-        return
-    print(f"margin      q = {summary['q']:.4g}, {summary['calibration']['n']} cells")
-    volumes = ("not_free", "envelope", "free")
-    print(f"volumes     {_told({k: summary['volumes'][k] for k in volumes})}")
-    if summary["query"]:
-        print(f"query       {_told(summary['query'])}")
-    print(f"written     {FLAGS.output_dir}: {', '.join(NAMES)}")
+    if use == CALIBRATE:
+        print(calibrate(named[0]))
+    elif use == REFERENCE:
+        print(make_reference(named[0]))
+    else:
+        print(_said(named[0], envelope_of(named[0])))
 
 
 def calibrate(folder: str) -> str:
     """Scores every cell of recordings, writes the calibration, and says what it is."""
-    cells = RecordedCells(folder)
-    method = _method()
-    robot = None if FLAGS.urdf is None else Linkage(FLAGS.urdf)
+    cells, given = RecordedCells(folder), _given()
+    if given.joints is not None and given.joints.topic is not None:
+        raise io.InputError("--joints", "not a file", "give a .json file, or omit it")
+    method = _method(FLAGS.input or "both", FLAGS.up or "z", given)
     alpha = 0.1 if FLAGS.alpha is None else FLAGS.alpha
     # Too few are known to be so before anything is completed.
     conformal_margin([0.0] * len(set(cells.objects)), alpha)
-    io.make_output_dir(pathlib.Path(FLAGS.output).parent)
-    completer = load_completer(FLAGS.weights)
-    weights = _digest(FLAGS.weights)
-    calibration = calibrate_on(
-        cells, completer, method, robot, weights, alpha, FLAGS.sensor
-    )
-    calibration.write(FLAGS.output)
+    output = FLAGS.output or "calibration.json"
+    io.make_output_dir(pathlib.Path(output).parent)
+    completer, weights = load_completer(FLAGS.weights), _digest(FLAGS.weights)
+    known = FLAGS.sensor, given.robot, given.joints or Joints()
+    calibration = calibrate_on(cells, completer, method, weights, alpha, *known)
+    calibration.write(output)
     return (
-        f"margin      q = {calibration.margin():.4g} for alpha {alpha:g}, "
+        f"margin      q = {calibration.margin():.4g} m for alpha {alpha:g}, "
         f"{len(calibration.cells)} cells\nnotice      {NOTICE}\n"
-        f"written     {FLAGS.output}"
+        f"written     {output}"
     )
+
+
+def make_reference(source: str) -> str:
+    """Writes the surfaces that stand still in a scan, or in all frames of a recording,
+    and says how many points they are."""
+    given, output = _given(), FLAGS.output or "reference.ply"
+    io.make_output_dir(pathlib.Path(output).parent)
+    if is_stream(source):
+        stream, first = _opened(source, given.joints)
+        scanner = FrameScanner(
+            eye=given.eye,
+            sensor=sensor_name(first.camera),
+            robot=given.robot,
+            robot_margin=FLAGS.robot_margin,
+        )
+        scans = map(scanner.complete, stream)
+    else:
+        scans = [_read(source, given)[0]]
+    points = reference_of(map(_still, scans), _carving())
+    write_bytes(output, vertices_bytes(points))
+    return f"reference   {len(points):,} points\nwritten     {output}"
+
+
+def _still(scan: Scanned) -> tuple[View, Float[np.ndarray, "_ 3"]]:
+    """A scan's view, and what was measured of anything but a known robot."""
+    robot = np.zeros((0, 3)) if scan.robot is None else scan.robot
+    own = of_robot(scan.everything, robot, FLAGS.robot_margin)
+    return scan.view(), scan.everything[~own]
 
 
 def envelope_of(source: str) -> dict[str, Any]:
@@ -188,65 +249,69 @@ def envelope_of(source: str) -> dict[str, Any]:
     Returns what the JSON says, of a recording what `stream.json` does. What the user
     can put right raises InputError, if possible before the weights are loaded."""
     seconds: dict[str, float] = {}
-    method = _method()
-    bounds = None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace)
-    up = None if FLAGS.up is None else parse_up(FLAGS.up)
-    eye = None
-    if FLAGS.eye is not None:
-        eye = parse_numbers("--eye", FLAGS.eye, 3, "give x,y,z")
-    stream = scan = asked = None
+    given, carving = _given(), _carving()
+    stream = scan = asked = reference = None
     with _timed(f"reading {source}", "read", seconds):
-        robot, joints = known_robot()
         if is_stream(source):
-            stream, named = _opened(source, joints)
+            stream, first = _opened(source, given.joints)
+            camera, up = first.camera, FLAGS.up or default_up(first)
+            kind = "cloud" if first.depth is None else "depth"
+            if camera is None and given.eye is None:
+                raise unplaced(source)
         else:
-            scan = _read(source, eye, bounds, up, robot, joints)
-            named = scan.named
-        if named is None and FLAGS.eye is None:
-            _say("no space is known to be free: set --camera or --eye")
-        terms = None if FLAGS.ssm is None else read_terms(FLAGS.ssm)
+            scan, kind, up = _read(source, given)
+            camera = scan.named
+            scan.view()
         if FLAGS.query is not None:
-            asked = io.read_points(FLAGS.query, FLAGS.max_points).astype(np.float64)
+            asked, num_read = read_points_counted(FLAGS.query, FLAGS.max_points)
+            if num_read > len(asked):
+                count = num_read - len(asked)
+                _say(f"{FLAGS.query}: {count:,} points are not finite, and left out")
+        if FLAGS.reference is not None:
+            reference = io.read_points(FLAGS.reference).astype(np.float64)
     if FLAGS.calibration is None:
         remedy = f"make one with {NAME} {CALIBRATE} RECORDINGS"
         raise io.InputError("--calibration", "missing", remedy)
-    sensor = FLAGS.sensor or sensor_name(named)
+    sensor = FLAGS.sensor or sensor_name(camera)
     if sensor is None:
         read_bytes(FLAGS.calibration)  # whose absence is the first fault
         raise io.InputError("--sensor", "missing", "use the calibration's sensor")
+    method = _method(kind, up, given)
     runs = method.setup(_digest(FLAGS.weights), sensor)
     calibration = read_calibration(FLAGS.calibration, runs)
     alpha = calibration.alpha if FLAGS.alpha is None else FLAGS.alpha
-    margin = calibration.margin(alpha, FLAGS.scaled)
-    carving = Carving(FLAGS.carving_margin, FLAGS.smallest_body)
+    margin = calibration.margin(alpha)
     about = {
         "notice": NOTICE,
         "prism_jax": software(),
         "weights": FLAGS.weights,
         "weights_sha256": runs.weights,
         "sensor": sensor,
+        "unit": "m",
         "settings": dict(runs.settings),
         "calibration": {"file": FLAGS.calibration, "n": len(calibration.cells)},
+        "reference": FLAGS.reference,
         "alpha": alpha,
         "q": margin,
-        "scaled": FLAGS.scaled,
         "carving": carving._asdict(),
-        "separation": None if terms is None else separation(terms, margin),
     }
     folder = io.make_output_dir(FLAGS.output_dir)
+    if set_aside(folder, (*NAMES, LINES, REPORT, "[0-9]" * 6)):
+        _say(f"the results of an earlier run are now in {folder / PREVIOUS}")
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
         maker = FrameEnveloper(
-            load_completer(FLAGS.weights),
-            method,
-            margin,
-            floor=calibration.floor if FLAGS.scaled else None,
-            voxel=FLAGS.voxel,
+            completer=load_completer(FLAGS.weights),
+            method=method,
+            calibration=calibration,
+            margin=margin,
+            sensor=sensor_name(camera),
             carving=carving,
-            eye=eye,
-            asked=asked,
-            robot=robot,
-            bounds=bounds,
-            up=up,
+            eye=given.eye,
+            asked=None if asked is None else asked.astype(np.float64),
+            reference=reference,
+            robot=given.robot,
+            bounds=given.bounds,
+            up=parse_up(up),
         )
     if stream is not None:
         sink = _Folder(folder, functools.partial(_summary, about, source))
@@ -263,6 +328,23 @@ def envelope_of(source: str) -> dict[str, Any]:
     with _timed(f"writing to {folder}", "write", seconds):
         _write(folder, made, summary)
     return summary
+
+
+def _said(source: str, summary: dict[str, Any]) -> str:
+    """What is printed of an envelope, or of a recording's."""
+    lines = [f"notice      {NOTICE}"]
+    if is_stream(source):
+        files = LINES, REPORT, *(["000000/", "..."] if FLAGS.every_frame else NAMES)
+        lines.append(told_frames(summary))
+    else:
+        files, cells = NAMES, summary["calibration"]["n"]
+        lines.append(f"margin      q = {summary['q']:.4g} m, {cells} cells")
+        told = {k: summary["volumes"][k] for k in ("not_free", "envelope", "free")}
+        lines.append(f"volumes     {_told(told)} (m3)")
+        if summary["query"]:
+            lines.append(f"query       {_told(summary['query'])} (m)")
+    lines.append(f"written     {FLAGS.output_dir}: {', '.join(files)}")
+    return "\n".join(lines)
 
 
 def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str, Any]:
@@ -328,8 +410,20 @@ class _Folder:
         os.replace(self._part, self._folder / LINES)
 
 
-def _opened(source: str, joints: Joints | None) -> tuple[Stream, Camera | None]:
-    """The recording, and the camera of its first frame."""
+def _given() -> _Given:
+    bounds = None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace)
+    eye = None
+    if FLAGS.eye is not None:
+        eye = parse_numbers("--eye", FLAGS.eye, 3, "give x,y,z")
+    return _Given(eye, bounds, *known_robot())
+
+
+def _carving() -> Carving:
+    return Carving(FLAGS.carving_margin, FLAGS.smallest_body)
+
+
+def _opened(source: str, joints: Joints | None) -> tuple[Stream, Frame]:
+    """The recording, and its first frame."""
     if FLAGS.depth is not None:
         raise io.InputError("--depth", "not supported for recordings", "omit it")
     camera = None if FLAGS.camera is None else io.read_camera(FLAGS.camera)
@@ -337,51 +431,61 @@ def _opened(source: str, joints: Joints | None) -> tuple[Stream, Camera | None]:
     # By a second look, so that nothing is told and counted twice.
     looked = open_stream(source, FLAGS.topic, camera, lambda _: None)
     first = next(iter(looked), None)
-    return stream, None if first is None else first.camera
+    if first is None:
+        raise io.InputError(source, "no frames", "check the recording")
+    return stream, first
 
 
-def _read(
-    source: str,
-    eye: Float[np.ndarray, "3"] | None,
-    bounds: io.Bounds | None,
-    up: str | Vector | None,
-    robot: Linkage | None,
-    joints: Joints | None,
-) -> Scanned:
-    """One scan, and what its sensor saw beside it."""
+def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
+    """One scan and what its sensor saw beside it, what was measured, and up."""
     if FLAGS.topic is not None:
         raise io.InputError("--topic", "only supported for recordings", "omit it")
     scan = io.read_scan(source, FLAGS.camera, max_points=FLAGS.max_points)
-    depth_path = source if source.lower().endswith(".png") else FLAGS.depth
-    camera, depth, everything = scan.camera, None, scan.points
+    kind: Input = "cloud" if FLAGS.depth is None else "both"
+    depth_path, camera, depth = FLAGS.depth, scan.camera, None
+    if source.lower().endswith(".png"):
+        kind, depth_path = "depth", source
+    everything = scan.points
     if depth_path is not None:
         camera_path = FLAGS.camera or pathlib.Path(depth_path).with_suffix(".json")
         metres, mask, camera = io.read_depth(depth_path, camera_path, FLAGS.max_points)
-        seen = io.points_from_depth(metres, mask, camera)
-        everything = np.concatenate([scan.points, seen])
         depth = np.where(mask, metres, 0.0)
-    stood = standing(depth, camera, eye)
-    if up is None:
-        up = "-y" if scan.in_camera_frame else "z"
-    if isinstance(up, str) and up == "auto":
+        if kind == "both":
+            seen = io.points_from_depth(metres, mask, camera)
+            everything = np.concatenate([scan.points, seen])
+    stood = standing(depth, camera, given.eye)
+    up = FLAGS.up or ("-y" if scan.in_camera_frame else "z")
+    direction = parse_up(up)
+    if isinstance(direction, str) and direction == "auto":
         place = None if stood is None else np.asarray(stood.position)
         rotation = None if camera is None else camera.rotation
-        up = find_up(scan.points, place, rotation).vector
+        direction = find_up(scan.points, place, rotation).vector
     surface = None
-    if robot is not None and joints is not None:
-        if joints.given is None:
+    if given.robot is not None:
+        held = None if given.joints is None else given.joints.given
+        if given.joints is None or held is None:
             fault = "needs --joints, a .json file of joint positions"
             raise io.InputError("--urdf", fault, "set both")
-        base = {} if joints.base is None else {"base": joints.base}
-        surface = robot_surface(robot, *joints_from_dict({**joints.given, **base}))
-    points = io.crop(scan.points, bounds, source)
-    return Scanned(points, everything, depth, stood, camera, up, surface)
+        if given.joints.base is not None:
+            held = {**held, "base": given.joints.base}
+        posed = joints_from_dict(held, FLAGS.joints, based=True)
+        surface = robot_surface(given.robot, *posed)
+    points = io.crop(scan.points, given.bounds, source)
+    known = points, everything, depth, stood, camera, direction, surface
+    return Scanned(*known), kind, up
 
 
-def _method() -> Method:
-    same = ("adapt", "density", "background", "objects", "around", "robot_margin")
-    robot = "unknown" if FLAGS.urdf is None else "known"
-    return Method(robot=robot, **{name: getattr(FLAGS, name) for name in same})
+def _method(kind: Input, up: str, given: _Given) -> Method:
+    same = "voxel", "adapt", "density", "background", "objects", "around"
+    box, robot = given.bounds, given.robot
+    return Method(
+        input=kind,
+        up=up,
+        workspace=None if box is None else (*box.lower.tolist(), *box.upper.tolist()),
+        robot=None if robot is None else robot_digest(robot),
+        robot_margin=FLAGS.robot_margin,
+        **{name: getattr(FLAGS, name) for name in same},
+    )
 
 
 def _digest(weights: str) -> str:

@@ -26,20 +26,23 @@ from prism_jax.io import atomic
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
 
-FORMAT = "prism_jax envelope calibration, version 1"
+FORMAT = "prism_jax envelope calibration, version 2"
 _AGAIN = "calibrate again: prism-envelope calibrate RECORDINGS --output=FILE"
 _ROUNDING = 1e-9
+
+OUT_OF_SCALE = 10.0
+"""Scans that are so many times larger or smaller than the calibrated ones are refused:
+millimetres, centimetres and inches, but not feet."""
 
 
 def cell_score(truth: Float[np.ndarray, "N 3"], surfaces: Surfaces) -> float:
     """The smallest margin at which inflated surfaces hold every point of the truth.
 
-    In the points' unit, or in scales where the surfaces have some. Infinite without any
-    surface; an empty truth raises InputError.
+    In the points' unit. Infinite without any surface; an empty truth raises InputError.
     """
     if len(truth) == 0:
         raise InputError("truth", "no points", "give the true surface of the cell")
-    return float(surfaces.needed(np.asarray(truth, np.float64)).max())
+    return float(surfaces.distance(np.asarray(truth, np.float64))[0].max())
 
 
 def cells_needed(alpha: float) -> int:
@@ -112,56 +115,57 @@ class MarginCalibration:
     setup: Setup  # what runs
     alpha: float  # the share of cells that may be missed, unless another is asked for
     cells: tuple[str, ...]  # names of the cells
-    scores: tuple[float, ...]  # of each cell, in the unit of its clouds
-    # Of each cell in scales of the points' predicted errors; None where these weights
-    # predict none.
-    scaled_scores: tuple[float, ...] | None = None
-    # The least of such scales, and that of what is not predicted.
-    floor: float | None = None
+    digests: tuple[str, ...]  # what tells the recording of one cell from another's
+    scores: tuple[float, ...]  # of each cell, in metres
+    # The least and the largest diagonal of the scans, in metres.
+    extent: tuple[float, float]
 
     def __post_init__(self):
-        if len(set(self.cells)) != len(self.cells):
-            raise InputError("calibration", "duplicate cell", _AGAIN)
-        for scores in (self.scores, self.scaled_scores or self.scores):
-            if len(scores) != len(self.cells):
-                raise InputError("calibration", "missing score for a cell", _AGAIN)
-            if not all(score >= 0 for score in scores):
-                raise InputError("calibration", "negative score", _AGAIN)
+        for names, told in ((self.cells, "names"), (self.digests, "recordings")):
+            if len(set(names)) != len(names):
+                fault = f"two cells have the same {told}"
+                raise InputError("calibration", fault, "use each cell once")
+            if len(names) != len(self.scores):
+                fault = f"{len(self.scores)} scores, {len(names)} {told} of cells"
+                raise InputError("calibration", fault, _AGAIN)
+        if not all(score >= 0 for score in self.scores):
+            raise InputError("calibration", "negative score", _AGAIN)
+        if not 0 < self.extent[0] <= self.extent[1] < math.inf:
+            raise InputError("calibration", f"extent {self.extent}", _AGAIN)
         self.margin()
 
-    def margin(self, alpha: float | None = None, scaled: bool = False) -> float:
-        """The q for `alpha`, by default the calibration's own.
+    def margin(self, alpha: float | None = None) -> float:
+        """The q for `alpha`, by default the calibration's own. One that there are too
+        few cells for raises InputError."""
+        return conformal_margin(self.scores, self.alpha if alpha is None else alpha)
 
-        With `scaled` it is in scales. One that there are too few cells for, and a
-        scaled one of a calibration without, raise InputError.
-        """
-        if scaled and self.scaled_scores is None:
-            fault = "no scaled scores"
-            raise InputError("calibration", fault, "omit --scaled")
-        scores = self.scaled_scores if scaled else self.scores
-        return conformal_margin(scores or (), self.alpha if alpha is None else alpha)
+    def check_units(self, points: Float[np.ndarray, "N 3"]) -> None:
+        """Raises InputError if a scan is `OUT_OF_SCALE` times larger or smaller than
+        all that this was calibrated on: it is hardly in metres."""
+        size = float(np.linalg.norm(np.ptp(points, axis=0)))
+        least, most = self.extent
+        if not least / OUT_OF_SCALE <= size <= most * OUT_OF_SCALE:
+            fault = f"{size:.4g} across, calibrated on scans of {least:.3g} to "
+            fault += f"{most:.3g} m"
+            raise InputError("the scan", fault, "give metres, and the calibrated part")
 
     def to_dict(self) -> dict[str, Any]:
         """As the file has it."""
-        scaled = None
-        if self.scaled_scores is not None:
-            scaled = {
-                "floor": self.floor,
-                "q": self.margin(scaled=True),
-                "scores": list(self.scaled_scores),
-            }
         return {
             "format": FORMAT,
             "notice": NOTICE,
             "weights_sha256": self.setup.weights,
             "sensor": self.setup.sensor,
             "settings": dict(self.setup.settings),
+            "unit": "m",
+            "extent": list(self.extent),
             "n": len(self.cells),
             "alpha": self.alpha,
             "q": self.margin(),
             "cells": list(self.cells),
-            "scores": [_number(score) for score in self.scores],
-            "scaled": scaled,
+            "digests": list(self.digests),
+            # Strict JSON has no infinity: of a cell without any surface it is null.
+            "scores": [one if math.isfinite(one) else None for one in self.scores],
         }
 
     def write(self, path: str | os.PathLike) -> None:
@@ -204,19 +208,20 @@ def check_setup(
 
 
 def _from_dict(content: Mapping[str, Any]) -> MarginCalibration:
-    scaled = content["scaled"]
-    setup = Setup(
-        str(content["weights_sha256"]),
-        str(content["sensor"]),
-        dict(content["settings"]),
-    )
+    least, most = map(float, content["extent"])
     calibration = MarginCalibration(
-        setup=setup,
+        setup=Setup(
+            str(content["weights_sha256"]),
+            str(content["sensor"]),
+            dict(content["settings"]),
+        ),
         alpha=float(content["alpha"]),
         cells=tuple(map(str, content["cells"])),
-        scores=tuple(map(_score, content["scores"])),
-        scaled_scores=None if scaled is None else tuple(map(_score, scaled["scores"])),
-        floor=None if scaled is None else float(scaled["floor"]),
+        digests=tuple(map(str, content["digests"])),
+        scores=tuple(
+            math.inf if one is None else float(one) for one in content["scores"]
+        ),
+        extent=(least, most),
     )
     if content["n"] != len(calibration.cells):
         raise ValueError(f"n = {content['n']} is not the number of cells")
@@ -224,12 +229,3 @@ def _from_dict(content: Mapping[str, Any]) -> MarginCalibration:
     if not math.isclose(told, calibration.margin(), rel_tol=1e-9):
         raise ValueError(f"q is {calibration.margin():g} by its scores, not {told:g}")
     return calibration
-
-
-def _number(score: float) -> float | None:
-    """A score as strict JSON has it: one of a cell without any surface is null."""
-    return score if math.isfinite(score) else None
-
-
-def _score(value: Any) -> float:
-    return math.inf if value is None else float(value)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from prism_jax.envelope.voxels import Grid
 from prism_jax.geometry.camera import MIN_DEPTH, Camera, Vector
@@ -17,6 +18,10 @@ MAX_CELLS = 8_000_000  # of a range image: a finer one is not made
 LEVELS = 5  # range images that are made of a cloud, each twice as coarse as the last
 
 AGREE = 0.5  # of a scan's points lie on the surface of its depth image
+
+ON, PASSED = 0.05, 0.25
+"""Of a known robot's surface so much lies at least on what was measured; and of what
+was measured of it or beyond, rays passed through so much at most."""
 
 CONFLICTS = 0.01  # of the voxels with measured points may be called free, at most
 
@@ -43,6 +48,14 @@ class DepthView:
     camera: Camera
     depth: Float[np.ndarray, "H W"]
 
+    def ranges(
+        self, points: Float[np.ndarray, "N 3"], margin: float
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        """How far points are, and what was measured there; infinite if nothing was."""
+        pixel, z = map(np.asarray, self.camera.pixel_of(np.asarray(points, np.float64)))
+        depth = np.append(self.depth.ravel(), np.inf)
+        return z, depth[np.minimum(pixel, self.depth.size)]
+
     def carve(self, grid: Grid, carving: Carving) -> Bool[np.ndarray, "X Y Z"]:
         """The voxels that are free; see `carve`."""
         row, column, z = _corners_in_image(grid, self.camera)
@@ -67,6 +80,18 @@ class CloudView:
 
     eye: Float[np.ndarray, "3"]
     points: Float[np.ndarray, "N 3"]
+
+    def ranges(
+        self, points: Float[np.ndarray, "N 3"], margin: float
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        """As of `DepthView`, by the nearest ray if it passes within the margin."""
+        far = np.linalg.norm(points - self.eye, axis=1)
+        if len(self.points) == 0:
+            return far, np.full(len(points), np.inf)
+        length = np.linalg.norm(self.points - self.eye, axis=1)
+        tree = KDTree((self.points - self.eye) / np.maximum(length, 1e-300)[:, None])
+        away, row = tree.query((points - self.eye) / np.maximum(far, 1e-300)[:, None])
+        return far, np.where(away * far <= margin, length[row], np.inf)
 
     def carve(self, grid: Grid, carving: Carving) -> Bool[np.ndarray, "X Y Z"]:
         """The voxels that are free; see `carve`.
@@ -146,22 +171,43 @@ def carve(
     return view.carve(grid, carving)
 
 
+def compare(
+    view: View, points: Float[np.ndarray, "N 3"], margin: float
+) -> tuple[Bool[np.ndarray, " N"], Bool[np.ndarray, " N"]]:
+    """Which points lie on what was measured, and through which a measured ray passed,
+    both by the margin. The others are hidden, or nothing was measured there."""
+    far, measured = view.ranges(points, margin)
+    on = np.abs(measured - far) <= margin
+    return on, np.isfinite(measured) & (measured > far + margin)
+
+
 def check_agreement(
     view: View, points: Float[np.ndarray, "N 3"], carving: Carving
 ) -> None:
     """Raises InputError if less than half of a scan's points lie on the surface of its
     depth image, within the carving margin."""
-    if not isinstance(view, DepthView) or len(points) == 0:
-        return
-    pixel, z = map(np.asarray, view.camera.pixel_of(np.asarray(points, np.float64)))
-    depth = np.append(view.depth.ravel(), np.inf)[np.minimum(pixel, view.depth.size)]
-    agree = float((np.abs(depth - z) <= carving.margin).mean())
+    agree = compare(view, points, carving.margin)[0].mean() if len(points) else 1.0
     if agree < AGREE:
         fault = (
             f"only {agree:.0%} of the scan's points lie on the depth image's surface"
         )
         remedy = "check the camera's pose, depth_scale, and the units of both"
         raise InputError("the depth image", fault, remedy)
+
+
+def check_robot(
+    view: View, surface: Float[np.ndarray, "R 3"], carving: Carving
+) -> None:
+    """Raises InputError if a known robot's surface is not where the scan shows it: see
+    `ON` and `PASSED`."""
+    on, passed = (some.sum() for some in compare(view, surface, carving.margin))
+    if on < ON * len(surface) or passed > PASSED * (on + passed):
+        fault = (
+            f"{on / len(surface):.0%} of its surface lies on measured points, and rays "
+            f"passed through {passed / len(surface):.0%}"
+        )
+        remedy = "check --base, --joints and the model; without --urdf it is unknown"
+        raise InputError("the robot", fault, remedy)
 
 
 def check_conflicts(

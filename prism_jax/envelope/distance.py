@@ -20,9 +20,7 @@ KINDS = STATES[:3]
 NUM_BOXES = 16
 """Nearest middles of voxels among which the nearest box is looked for first."""
 
-LEAF = 32  # points of a leaf of a search tree
-
-STEPS = 2  # scales are rounded to so many a doubling
+LEAF = 10  # points of a leaf of a search tree
 
 _TOUCHING = np.ones((3, 3, 3), bool)
 
@@ -41,22 +39,11 @@ class Distances(NamedTuple):
 
 
 class Surfaces:
-    """Points on surfaces of each kind, each with a scale for its margin.
+    """Points on surfaces of each kind."""
 
-    A margin is `margin` times the scale, and scales are 1 unless told otherwise. Scales
-    are rounded down to `STEPS` a doubling, so that one search tree does for each.
-    """
-
-    def __init__(
-        self,
-        points: Mapping[str, Float[np.ndarray, "_ 3"]],
-        scales: Mapping[str, Float[np.ndarray, " _"]] | None = None,
-    ):
-        """`points` by their kind, of `KINDS`; a kind may be left out or empty.
-
-        `scales` by the same names, one above zero a point. Other names, points that are
-        not finite and scales that are none raise InputError.
-        """
+    def __init__(self, points: Mapping[str, Float[np.ndarray, "_ 3"]]):
+        """`points` by their kind, of `KINDS`; a kind may be left out or empty. Other
+        names and points that are not finite raise InputError."""
         self.points = {kind: np.zeros((0, 3)) for kind in KINDS}
         for kind, cloud in points.items():
             if kind not in KINDS:
@@ -66,51 +53,29 @@ class Surfaces:
                 fault = "some points are not finite"
                 raise InputError(f"{kind} surface", fault, "remove them")
             self.points[kind] = cloud
-        scales = scales or {}
-        whose = np.repeat(np.arange(len(KINDS)), [len(self.points[k]) for k in KINDS])
+        counts = [len(self.points[kind]) for kind in KINDS]
+        self._kinds = np.repeat(np.arange(len(KINDS), dtype=np.int8), counts)
         together = np.concatenate([self.points[kind] for kind in KINDS])
-        rounded = np.concatenate(
-            [
-                _rounded(scales.get(kind, np.ones(len(cloud))), cloud, kind)
-                for kind, cloud in self.points.items()
-            ]
-        )
-        self._trees: list[tuple[float, KDTree, np.ndarray]] = []
-        for scale in np.unique(rounded):
-            rows = rounded == scale
-            # Boxes that are not shrunk to their points are quicker for points far away.
-            tree = KDTree(together[rows], leafsize=LEAF, compact_nodes=False)
-            self._trees.append((float(scale), tree, whose[rows].astype(np.int8)))
+        # Boxes that are neither shrunk to their points nor balanced are many times
+        # quicker for points far away.
+        self._tree = None
+        if len(together):
+            self._tree = KDTree(together, LEAF, False, balanced_tree=False)
 
     def __len__(self) -> int:
         return sum(map(len, self.points.values()))
 
-    def reach(self, margin: float) -> float:
-        """The widest margin around any point."""
-        return max((margin * scale for scale, _, _ in self._trees), default=0.0)
-
     def distance(
         self, points: Float[np.ndarray, "N 3"], margin: float = 0.0
     ) -> tuple[Float64[np.ndarray, " N"], Int8[np.ndarray, " N"]]:
-        """The distance to the nearest surface less its margin, and its kind's number.
+        """The distance to the nearest surface less a margin, and its kind's number.
 
         Infinite and -1 where there is no surface.
         """
-        least = np.full(len(points), np.inf)
-        whose = np.full(len(points), -1, np.int8)
-        for scale, tree, kinds in self._trees:
-            away, row = tree.query(points, workers=-1)
-            away = away - margin * scale
-            nearer = away < least
-            least[nearer], whose[nearer] = away[nearer], kinds[row[nearer]]  # pyright: ignore
-        return least, whose
-
-    def needed(self, points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
-        """The margin at which the inflated surfaces reach each point."""
-        least = np.full(len(points), np.inf)
-        for scale, tree, _ in self._trees:
-            least = np.minimum(least, tree.query(points, workers=-1)[0] / scale)
-        return least
+        if self._tree is None:
+            return np.full(len(points), np.inf), np.full(len(points), -1, np.int8)
+        away, row = self._tree.query(points, workers=-1)
+        return away - margin, self._kinds[row]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +87,7 @@ class Envelope:
     # Of objects and the robot: what the margin inflates. Planes that objects stand on
     # are voxels, but none of these.
     surfaces: Surfaces
-    # What they are inflated by, times their scales: the q of a calibration.
+    # What they are inflated by: the q of a calibration.
     margin: float
 
     @functools.cached_property
@@ -225,18 +190,3 @@ def box_distances(taken: Bool[np.ndarray, "X Y Z"]) -> Float64[np.ndarray, "X Y 
             np.minimum(least[:-offset], before[offset:] + cost, out=least[:-offset])
         squares = np.moveaxis(least, 0, axis)
     return np.sqrt(squares[1:-1, 1:-1, 1:-1])
-
-
-def _rounded(
-    scales: Float[np.ndarray, " _"], points: np.ndarray, kind: str
-) -> Float64[np.ndarray, " _"]:
-    """Scales rounded down, so that a margin is never wider than it was calibrated."""
-    scales = np.asarray(scales, np.float64)
-    if scales.shape != (len(points),):
-        fault = f"{scales.size} scales for {len(points)} points"
-        raise InputError(f"{kind} surface", fault, "give one per point")
-    if not (np.isfinite(scales) & (scales > 0)).all():
-        fault = "scales must be positive"
-        raise InputError(f"{kind} surface", fault, "give expected errors")
-    # 1 stays 1, whatever the logarithm makes of it.
-    return 2.0 ** (np.floor(STEPS * np.log2(scales) + 1e-9) / STEPS)

@@ -57,7 +57,6 @@ def envelope_page(
     names = [cloud.name for panel in panels for cloud in panel.clouds]
     for trace, name in zip(figure.data, names, strict=True):
         trace.meta = {"cloud": name}
-    ssm = summary["separation"]
     return render(
         "envelope.html",
         summary=summary,
@@ -66,7 +65,6 @@ def envelope_page(
         clouds=clouds_html(figure),
         max_shown=f"{MAX_SHOWN_POINTS:,}",
         volumes=[(k.replace("_", " "), number(v)) for k, v in _volumes(summary)],
-        separations=None if ssm is None else ssm["distances"],
         details=_details(summary),
     )
 
@@ -74,9 +72,8 @@ def envelope_page(
 def promise(summary: Mapping[str, Any]) -> str:
     """What the margin is, and what it was measured on."""
     told, alpha = summary["calibration"], summary["alpha"]
-    unit = "times each point's expected error" if summary["scaled"] else "input units"
     return (
-        f"Surfaces are inflated by q = {number(summary['q'])} {unit}, calibrated on "
+        f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "
         f"{told['n']} cells: for another cell like these, the envelope contains the "
         "whole true surface with a probability of at least "
         f"{100 * (1 - alpha):.3g} %. Other cells have no such guarantee."

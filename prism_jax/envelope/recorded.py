@@ -1,73 +1,101 @@
 """Calibrations from recorded cells with their ground truth."""
 
+import hashlib
+from collections import defaultdict
+from typing import Any
+
 import numpy as np
 import tqdm
-from jaxtyping import Float
 
-from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells
+from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells, RecordedFrame
 from prism_jax.envelope.calibration import MarginCalibration, cell_score
+from prism_jax.envelope.carving import Carving, check_robot, view_of_depth
 from prism_jax.envelope.robot import joints_from_dict, robot_surface
-from prism_jax.envelope.surfaces import FLOOR, Method, Seen, see, sensor_name
+from prism_jax.envelope.surfaces import Method, see, sensor_name
+from prism_jax.io.clouds import inside
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
+from prism_jax.io.scan import Bounds, crop
+from prism_jax.io.streams.frame import Joints
+from prism_jax.preprocessing.upright import parse_up
 from prism_jax.robots.urdf import Linkage
 
 
 def calibrate_on(
     cells: RecordedCells,
-    completer,
+    completer: Any,
     method: Method,
-    robot: Linkage | None,
     weights: str,
     alpha: float,
     sensor: str | None = None,
+    robot: Linkage | None = None,
+    joints: Joints = Joints(),
 ) -> MarginCalibration:
-    """Completes every frame and scores it against the truth; of a cell, which is a
-    sequence, the worst frame counts.
+    """Completes every frame and scores it against the truth in the workspace; of a
+    cell, which is a sequence, the worst frame counts.
 
-    `completer` is a `prism_jax.Completer` of the `weights` with that sha256. Where the
-    robot is known its positions are the frames' own. `sensor` is what cameras are
-    called, by default by their images. Frames without the truth or, where they are
-    needed, the joints, and frames of several sensors raise InputError.
+    `completer` is a `prism_jax.Completer` of the `weights` with that sha256. A known
+    robot is where the frames say, or `joints`. `sensor` is what cameras are called, by
+    default by their images. Frames without the truth or, where they are needed, joints
+    and base, frames of several sensors, and cells with a frame in common raise
+    InputError.
     """
-    scores: dict[str, np.ndarray] = {}
-    sensors = set()
+    scores: dict[str, float] = defaultdict(float)
+    digests: dict[str, list[str]] = defaultdict(list)
+    sensors, sizes = set(), []
     for index in tqdm.trange(len(cells), desc="frames", disable=None):
         sequence, name = cells.frames[index]
-        frame = cells.read(index)
-        if frame.complete is None:
-            fault = "no complete cloud"
-            raise InputError(f"{sequence}/{name}", fault, "add the ground truth")
+        place, frame = f"{sequence}/{name}", cells.read(index)
         sensors.add(sensor or sensor_name(frame.camera))
         surface = None
         if robot is not None:
-            joints = joints_from_dict(frame.joints or {}, f"{sequence}/{name}.joints")
-            surface = robot_surface(robot, *joints)
-        metres = frame.depth * DEPTH_SCALE
-        others = points_from_depth(metres, frame.depth > 0, frame.camera)
-        known = surface, others
-        seen = see(completer, frame.partial, frame.camera, method, "z", *known)
-        before = scores.get(sequence, np.zeros(2))
-        scores[sequence] = np.maximum(before, frame_scores(frame.complete, seen))
+            held = dict(joints.given or frame.joints or {})
+            held |= {} if joints.base is None else {"base": joints.base}
+            surface = robot_surface(robot, *joints_from_dict(held, place, True))
+            view = view_of_depth(
+                frame.depth * DEPTH_SCALE, frame.depth > 0, frame.camera
+            )
+            check_robot(view, surface, Carving())
+        points, score = frame_score(frame, completer, method, surface, place)
+        scores[sequence] = max(scores[sequence], score)
+        sizes.append(float(np.linalg.norm(np.ptp(points, axis=0))))
+        digest = hashlib.sha256(frame.depth.tobytes() + frame.partial.tobytes())
+        digests[sequence].append(digest.hexdigest())
     if len(sensors) > 1:
         fault = f"frames of several sensors: {'; '.join(sorted(map(str, sensors)))}"
         raise InputError(cells.root, fault, "calibrate each sensor separately")
-    margins, scaled = np.stack(list(scores.values())).T
-    told = not np.isnan(scaled).any()
+    whose: dict[str, str] = {}
+    for sequence, frames in digests.items():
+        for frame in frames:
+            if whose.setdefault(frame, sequence) != sequence:
+                fault = f"{sequence} has a frame of {whose[frame]}"
+                raise InputError(cells.root, fault, "record each cell once")
     return MarginCalibration(
         method.setup(weights, str(sensors.pop())),
         alpha,
         tuple(scores),
-        tuple(margins.tolist()),
-        tuple(scaled.tolist()) if told else None,
-        FLOOR if told else None,
+        tuple(min(frames) for frames in digests.values()),
+        tuple(scores.values()),
+        (min(sizes), max(sizes)),
     )
 
 
-def frame_scores(truth: Float[np.ndarray, "N 3"], seen: Seen) -> Float[np.ndarray, "2"]:
-    """The margin that a frame needs, and that in scales of the points' own errors: NaN
-    where the weights tell none."""
-    scaled = np.nan
-    if seen.sigma is not None:
-        scaled = cell_score(truth, seen.surfaces(FLOOR))
-    return np.array([cell_score(truth, seen.surfaces()), scaled])
+def frame_score(
+    frame: RecordedFrame, completer: Any, method: Method, robot: Any, place: str
+) -> tuple[np.ndarray, float]:
+    """What of a frame is completed, and the margin that it needs; of one without the
+    truth InputError. `robot` are points on the surface of one that is known."""
+    if frame.complete is None:
+        raise InputError(place, "no complete cloud", "add the ground truth")
+    metres = frame.depth * DEPTH_SCALE
+    image = points_from_depth(metres, frame.depth > 0, frame.camera)
+    points = image if method.input == "depth" else frame.partial
+    others = frame.partial if method.input == "cloud" else image
+    truth = frame.complete
+    if method.workspace is not None:
+        corners = np.reshape(method.workspace, (2, 3))
+        points = crop(points, Bounds(*corners), place)
+        truth = truth[inside(truth, *corners)]
+    known = parse_up(method.up), robot, others
+    seen = see(completer, points, frame.camera, method, *known)
+    return points, cell_score(truth, seen.surfaces())

@@ -1,6 +1,7 @@
 """A robot that is known: its surface by URDF and joint positions, cut out of a scan."""
 
 import functools
+import hashlib
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -22,18 +23,23 @@ LAYOUT += '\'s own origin, "base": a 4x4 pose of the robot'
 
 
 def joints_from_dict(
-    content: Mapping[str, Any], path: str | os.PathLike = "joints"
+    content: Mapping[str, Any],
+    path: str | os.PathLike = "joints",
+    based: bool = False,
 ) -> tuple[dict[str, float], Float64[np.ndarray, "4 4"]]:
     """Joint positions by name and the base's pose in the scan's frame, from the JSON of
     the recordings; InputError about `path`.
 
-    `positions` are needed; `base` is a 4x4 matrix, the identity unless given; all else
-    is left alone.
+    `positions` are needed; `base` is a 4x4 matrix, which `based` needs too, and the
+    identity unless given; all else is left alone.
     """
     positions = content.get("positions")
     if type(positions) is not dict or not all(map(_is_number, positions.values())):
         raise InputError(path, "no joint positions", LAYOUT)
     base = np.eye(4)
+    if based and "base" not in content:
+        remedy = 'give --base: a JSON with "base", a 4x4 pose in the frame of the scan'
+        raise InputError(path, "the robot's base is not known", remedy)
     if "base" in content:
         try:
             base = np.array(content["base"], np.float64)
@@ -69,6 +75,16 @@ def robot_surface(
         for points, pose in zip(links, poses, strict=True)
     ]
     return np.concatenate(placed)
+
+
+def robot_digest(robot: Linkage) -> str:
+    """Tells robots apart: by the names of their joints and the shapes of their links.
+    Where the file lies plays no part."""
+    digest = hashlib.sha256("\n".join(robot.joints + robot.link_names).encode())
+    for mesh in robot.meshes:
+        digest.update(np.asarray(mesh.vertices, "<f8").tobytes())
+        digest.update(np.asarray(mesh.faces, "<i8").tobytes())
+    return digest.hexdigest()[:16]
 
 
 @functools.lru_cache(maxsize=4)

@@ -2,6 +2,7 @@
 the robot where it is known."""
 
 import dataclasses
+import json
 import math
 from typing import Any, Literal
 
@@ -11,22 +12,26 @@ from jaxtyping import Bool, Float, Float64
 from prism_jax.envelope.calibration import Setup
 from prism_jax.envelope.distance import Surfaces
 from prism_jax.envelope.robot import ROBOT_MARGIN, of_robot
+from prism_jax.envelope.voxels import VOXEL
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.preprocessing.segmentation.scene import SUPPORT
 
-FLOOR = 0.05
-"""Metres: no scale of a margin is smaller, and what is not predicted has this one."""
-
-THIN = 0.02
-"""Metres: of what was measured beside a scan, a cube this wide keeps one point."""
+Input = Literal["both", "depth", "cloud"]
+"""What is measured: a cloud and its depth image, that image alone, a cloud alone."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Method:
-    """How scans are completed for envelopes. A calibration holds for one."""
+    """How scans are read and completed for envelopes. A calibration holds for one."""
 
+    input: Input = "both"
+    up: str = "z"  # as `preprocessing.upright.parse_up` reads it, or "auto"
+    # The box that scans are cropped to and the voxels fill, x0,y0,z0,x1,y1,z1; None for
+    # whatever there is.
+    workspace: tuple[float, ...] | None = None
+    voxel: float = VOXEL
     adapt: bool = False  # whether the network adapts to the scan
     # As `prism_jax.Completer.complete` has them.
     density: float = 1.0
@@ -37,16 +42,14 @@ class Method:
     # What of the measured a margin is laid around: "everything", or "objects" alone,
     # without what was set aside or is beside the scan in its depth image.
     around: Literal["everything", "objects"] = "everything"
-    robot: Literal["known", "unknown"] = "unknown"  # whether the robot is known
+    # Which robot is known, by `envelope.robot.robot_digest`; None if none is.
+    robot: str | None = None
     # How near to the robot's surface measured points are its own.
     robot_margin: float = ROBOT_MARGIN
-    # What is completed where the robot is known: "all" measured points, or the "rest"
-    # without it.
-    completed: Literal["all", "rest"] = "rest"
 
     def setup(self, weights: str, sensor: str) -> Setup:
         """What a calibration of this method is for."""
-        return Setup(weights, sensor, dataclasses.asdict(self))
+        return Setup(weights, sensor, json.loads(json.dumps(dataclasses.asdict(self))))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,29 +62,17 @@ class Seen:
     predicted: Float64[np.ndarray, "P 3"]
     # Points on its surface; none where it is not known.
     robot: Float64[np.ndarray, "R 3"]
-    # The error that is expected of each predicted point; None where the weights tell
-    # none.
-    sigma: Float64[np.ndarray, " P"] | None
     fault: str = ""  # why nothing could be completed; empty if something was
 
-    def surfaces(self, floor: float | None = None) -> Surfaces:
-        """What a margin inflates; with a `floor`, in scales of the expected error.
-
-        Where the weights tell no error, scales raise InputError.
-        """
-        points = {
-            "measured": self.measured,
-            "robot": self.robot,
-            "predicted": self.predicted,
-        }
-        if floor is None:
-            return Surfaces(points)
-        if self.sigma is None:
-            fault = "no per-point errors"
-            raise InputError("the weights", fault, "omit --scaled")
-        scales = {kind: np.full(len(cloud), floor) for kind, cloud in points.items()}
-        scales["predicted"] = np.maximum(self.sigma, floor)
-        return Surfaces(points, scales)
+    def surfaces(self) -> Surfaces:
+        """What a margin inflates."""
+        return Surfaces(
+            {
+                "measured": self.measured,
+                "robot": self.robot,
+                "predicted": self.predicted,
+            }
+        )
 
 
 def see(
@@ -96,45 +87,31 @@ def see(
     """Completes a scan, with the robot cut out of what is measured and put back.
 
     `completer` is a `prism_jax.Completer`; points, camera, the points of the robot's
-    surface and `others`, all that was measured beside the scan, are in one frame. Where
-    too little is left to be completed nothing is predicted, and `Seen.fault` says so. A
-    robot where the method knows none, and none where it does, raise InputError.
+    surface and `others`, what was measured beside the scan, are in one frame. Where
+    nothing can be completed nothing is predicted, and `Seen.fault` says why. A robot
+    where the method knows none, and none where it does, raise InputError.
     """
-    if (robot is not None) != (method.robot == "known"):
+    if (robot is not None) != (method.robot is not None):
         told = "missing" if robot is None else "not part of the calibration"
         raise InputError("the robot", told, "use --urdf as in the calibration")
     points = np.asarray(points, np.float64)
     robot = np.zeros((0, 3)) if robot is None else np.asarray(robot, np.float64)
-    others = np.zeros((0, 3)) if others is None else thinned(others)
-    own = of_robot(points, robot, method.robot_margin)
-    asked = points[~own] if method.completed == "rest" else points
-    objects, predicted, sigma, fault = points[~own], np.zeros((0, 3)), np.zeros(0), ""
+    others = np.zeros((0, 3)) if others is None else np.asarray(others, np.float64)
+    points = points[~of_robot(points, robot, method.robot_margin)]
+    objects, predicted, fault = points, np.zeros((0, 3)), ""
     try:
-        check_cloud(asked, "the scan")
+        check_cloud(points, "the scan")
+        done, aside = _completed(completer, points, camera, method, up)
     except InputError as error:
         fault = str(error)
     else:
-        done, aside = _completed(completer, asked, camera, method, up)
         predicted = np.asarray(done.points[~done.observed], np.float64)
-        apart = ~of_robot(predicted, robot, method.robot_margin)
-        predicted, sigma = predicted[apart], getattr(done, "sigma", None)
-        if sigma is not None:
-            sigma = np.asarray(sigma, np.float64)[~done.observed][apart]
-        set_aside = own.copy()
-        set_aside[slice(None) if len(asked) == len(points) else ~own] |= aside
-        objects = points[~set_aside]
-        others = np.concatenate([others, points[set_aside & ~own]])
+        predicted = predicted[~of_robot(predicted, robot, method.robot_margin)]
+        objects, others = points[~aside], np.concatenate([others, points[aside]])
     if method.around == "everything":
         others = others[~of_robot(others, robot, method.robot_margin)]
         objects = np.concatenate([objects, others])
-    return Seen(objects, predicted, robot, sigma, fault)
-
-
-def thinned(points: Float[np.ndarray, "N 3"]) -> Float64[np.ndarray, "M 3"]:
-    """The first point in each cube of side `THIN`, in their order."""
-    points = np.asarray(points, np.float64)
-    cubes = np.floor(points / THIN).astype(int)
-    return points[np.sort(np.unique(cubes, axis=0, return_index=True)[1])]
+    return Seen(objects, predicted, robot, fault)
 
 
 def _completed(

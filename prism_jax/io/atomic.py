@@ -3,9 +3,10 @@
 import contextlib
 import os
 import pathlib
+import shutil
 import tempfile
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from prism_jax.io.errors import InputError, StrPath, unwritable
@@ -43,6 +44,25 @@ def write_together(files: Mapping[Any, bytes]) -> None:
             _sync_directory(directory)
     except OSError as error:
         raise unwritable(current, error) from None
+
+
+PREVIOUS = "previous"  # the folder for what an earlier run wrote
+
+
+def set_aside(folder: StrPath, names: Iterable[str]) -> bool:
+    """Moves what an earlier run wrote in a folder into `PREVIOUS`, in the place of what
+    is there, and says whether there was anything. `names` may be patterns."""
+    place = pathlib.Path(folder)
+    found = [path for name in names for path in place.glob(name)]
+    try:
+        if found:
+            shutil.rmtree(place / PREVIOUS, ignore_errors=True)
+            (place / PREVIOUS).mkdir()
+        for path in found:
+            os.replace(path, place / PREVIOUS / path.name)
+    except OSError as error:
+        raise unwritable(place / PREVIOUS, error) from None
+    return bool(found)
 
 
 def remove_unfinished(folder: StrPath) -> None:

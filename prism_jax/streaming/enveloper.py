@@ -7,19 +7,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from prism_jax.envelope.calibration import MarginCalibration
 from prism_jax.envelope.carving import (
     Carving,
     View,
     carve,
     check_agreement,
     check_conflicts,
+    check_robot,
     view_of_cloud,
     view_of_depth,
 )
 from prism_jax.envelope.distance import Distances, Envelope
-from prism_jax.envelope.robot import of_robot
-from prism_jax.envelope.surfaces import Method, Seen, see
-from prism_jax.envelope.voxels import VOXEL, Grid, label
+from prism_jax.envelope.reference import check_reference
+from prism_jax.envelope.robot import joints_from_dict, of_robot
+from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
+from prism_jax.envelope.voxels import Grid, label
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.frame import Frame
@@ -42,6 +45,14 @@ class Scanned:
     # Points on a known robot's surface; None where none is known.
     robot: Float[np.ndarray, "R 3"] | None
 
+    def view(self) -> View:
+        """The rays that the sensor measured; InputError if its place is not known."""
+        if self.camera is None:
+            raise unplaced("the cloud")
+        if self.depth is not None:
+            return view_of_depth(self.depth, self.depth > 0, self.camera)
+        return view_of_cloud(self.everything, np.asarray(self.camera.position))
+
 
 @dataclasses.dataclass(frozen=True)
 class MadeEnvelope:
@@ -63,6 +74,12 @@ class MadeEnvelope:
         return dataclasses.replace(self, number=number)
 
 
+def unplaced(subject: str) -> InputError:
+    """What is wrong with a cloud without the place of its sensor."""
+    remedy = "set --camera or --eye; of a LiDAR's own points --eye=0,0,0"
+    return InputError(subject, "its sensor's place is not known", remedy)
+
+
 def standing(
     depth: Float[np.ndarray, "H W"] | None,
     camera: Camera | None,
@@ -77,34 +94,24 @@ def standing(
     return Camera(np.eye(3), -eye, np.eye(3), 1, 1)
 
 
-@dataclasses.dataclass(eq=False)
-class FrameEnveloper(FrameObserver):
-    """Makes envelopes of frames and of single scans, all in the same way.
+@dataclasses.dataclass(kw_only=True, eq=False)
+class FrameScanner(FrameObserver):
+    """Takes from frames what envelopes are made of. A cloud's sensor stands where a
+    camera does or at `eye`. Frames of another sensor than the `sensor`, and those whose
+    known robot has no base, raise InputError."""
 
-    `margin` is the q of a calibration for the `method`, in scales of the points' own
-    errors where a `floor` is given. Of clouds, what was measured through is free only
-    where their sensor's place is told, by a camera or by `eye`. `asked` are points to
-    tell the distances of. The grid fills the bounds; without these it goes around each
-    scan.
-    """
-
-    completer: Any
-    method: Method
-    margin: float
-    floor: float | None = None
-    voxel: float = VOXEL
-    carving: Carving = dataclasses.field(default_factory=Carving)
     eye: Float[np.ndarray, "3"] | None = None
-    asked: Float[np.ndarray, "Q 3"] | None = None
+    sensor: str | None = None  # what the frames' camera is called; None for any
 
-    def __post_init__(self):
-        self.robot_margin = self.method.robot_margin
-
-    def complete(self, frame: Frame) -> MadeEnvelope:
-        """The envelope of a frame. One that has too little raises InputError."""
-        start = time.perf_counter()
+    def complete(self, frame: Frame) -> Any:
+        """What is measured in a frame. One that has too little raises InputError."""
+        if self.sensor is not None and sensor_name(frame.camera) != self.sensor:
+            fault = f"of sensor {sensor_name(frame.camera)!r}, not {self.sensor!r}"
+            raise InputError("the frame", fault, "use one sensor a recording")
+        if self.robot is not None and frame.joints is not None:
+            joints_from_dict(frame.joints, "the frame", based=True)
         points, robot, up, _ = self.observe(frame)
-        scan = Scanned(
+        return Scanned(
             points=points,
             everything=frame.points,
             depth=frame.depth,
@@ -113,6 +120,33 @@ class FrameEnveloper(FrameObserver):
             up=up,
             robot=None if self.robot is None else robot,
         )
+
+
+@dataclasses.dataclass(kw_only=True, eq=False)
+class FrameEnveloper(FrameScanner):
+    """Makes envelopes of frames and of single scans, all in the same way.
+
+    `margin` is the q of the `calibration`, which is for the `method`. `asked` are
+    points to give the distances of, `reference` surfaces that stand still. The grid
+    fills the bounds; without these it goes around each scan. Frames of another size,
+    and those that the robot or the reference contradict, raise InputError.
+    """
+
+    completer: Any
+    method: Method
+    calibration: MarginCalibration
+    margin: float
+    carving: Carving = dataclasses.field(default_factory=Carving)
+    asked: Float[np.ndarray, "Q 3"] | None = None
+    reference: Float[np.ndarray, "R 3"] | None = None
+
+    def __post_init__(self):
+        self.robot_margin = self.method.robot_margin
+
+    def complete(self, frame: Frame) -> MadeEnvelope:
+        """The envelope of a frame. One that has too little raises InputError."""
+        start = time.perf_counter()
+        scan = super().complete(frame)
         observed = time.perf_counter() - start
         made = self.make(scan)
         seconds = {"observe": observed, **made.seconds}
@@ -121,38 +155,33 @@ class FrameEnveloper(FrameObserver):
     def make(self, scan: Scanned) -> MadeEnvelope:
         """The scan completed, the voxels around it, and their margin."""
         start = time.perf_counter()
+        self.calibration.check_units(scan.points)
+        view = scan.view()
+        if scan.depth is not None:
+            check_agreement(view, scan.points, self.carving)
+        if scan.robot is not None:
+            check_robot(view, scan.robot, self.carving)
+        if self.reference is not None:
+            check_reference(view, self.reference, self.carving)
         known = scan.camera, self.method, scan.up, scan.robot, scan.everything
         seen = see(self.completer, scan.points, *known)
         completed = time.perf_counter()
-        surfaces = seen.surfaces(self.floor)
         if self.bounds is not None:
-            grid = Grid.over(self.bounds.lower, self.bounds.upper, self.voxel)
+            box = self.bounds.lower, self.bounds.upper
         else:
             held = np.concatenate([scan.points, seen.predicted, seen.robot])
-            reach = surfaces.reach(self.margin) + AROUND * self.voxel
-            grid = Grid.over(held.min(0) - reach, held.max(0) + reach, self.voxel)
-        free = np.zeros(grid.shape, bool)
+            reach = self.margin + AROUND * self.method.voxel
+            box = held.min(0) - reach, held.max(0) + reach
+        grid = Grid.over(*box, self.method.voxel)
+        free = carve(grid, view, self.carving)
+        check_conflicts(grid, free, scan.everything)
         own = of_robot(scan.everything, seen.robot, self.method.robot_margin)
         measured = scan.everything[~own]
-        view = _view(scan)
-        if view is not None:
-            check_agreement(view, scan.points, self.carving)
-            free = carve(grid, view, self.carving)
-            check_conflicts(grid, free, scan.everything)
         state = label(grid, free, measured, seen.predicted, seen.robot)
-        envelope = Envelope(grid, state, surfaces, self.margin)
+        envelope = Envelope(grid, state, seen.surfaces(), self.margin)
         asked = self.asked
         query = None if asked is None else (asked, envelope.query(asked))
         envelope.taken  # noqa: B018  (kept, and part of the time that this takes)
         done = time.perf_counter()
         seconds = {"complete": completed - start, "envelope": done - completed}
         return MadeEnvelope(scan, seen, envelope, query, seconds)
-
-
-def _view(scan: Scanned) -> View | None:
-    """The rays that the sensor measured, if its place is known."""
-    if scan.camera is None:
-        return None
-    if scan.depth is not None:
-        return view_of_depth(scan.depth, scan.depth > 0, scan.camera)
-    return view_of_cloud(scan.everything, np.asarray(scan.camera.position))

@@ -22,6 +22,12 @@ from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.robots.urdf import Linkage
 
 
+def default_up(frame: Frame) -> str:
+    """-y for a depth image in its camera's axes, else z."""
+    camera = None if frame.depth is None else frame.camera
+    return "-y" if camera is not None and in_own_axes(camera) else "z"
+
+
 class Observed(NamedTuple):
     """What a frame holds for completing: `points` measured inside the bounds and not
     the robot's, points on the surface of a `robot` that is known, and what was measured
@@ -79,8 +85,7 @@ class FrameObserver(abc.ABC):
 
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
         if self.up is None:
-            camera = None if frame.depth is None else frame.camera
-            return "-y" if camera is not None and in_own_axes(camera) else "z"
+            return default_up(frame)
         if isinstance(self.up, str) and self.up == "auto":
             eye, rotation = np.zeros(3), None
             if frame.camera is not None:

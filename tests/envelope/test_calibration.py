@@ -21,11 +21,11 @@ RNG = np.random.default_rng(0)
 SETUP = Setup("a" * 64, "camera 640x480", {"adapt": False, "density": 1.0})
 
 
-def calibration(n=20, alpha=0.1, **more):
-    scores = tuple(RNG.uniform(0.1, 0.5, n).tolist())
-    return MarginCalibration(
-        SETUP, alpha, tuple(f"{i:03d}" for i in range(n)), scores, **more
-    )
+def calibration(scores=None, n=20):
+    scores = tuple(RNG.uniform(0.1, 0.5, n).tolist()) if scores is None else scores
+    names = tuple(f"{i:03d}" for i in range(len(scores)))
+    digests = tuple(name * 3 for name in names)
+    return MarginCalibration(SETUP, 0.1, names, digests, scores, (0.8, 2.0))
 
 
 def test_a_score_is_the_directed_hausdorff_distance():
@@ -88,7 +88,7 @@ def test_intervals_are_the_beta_distributions(covered, total):
 
 def test_a_file_is_read_back_and_checked_against_what_runs(tmp_path):
     path = tmp_path / "cal.json"
-    one = calibration(scaled_scores=tuple(np.ones(20)), floor=0.05)
+    one = calibration()
     one.write(path)
     assert read_calibration(path, SETUP) == one
     content = json.loads(path.read_text())
@@ -117,7 +117,10 @@ CONTRADICTIONS = [
     {"scores": [None] * 20},
     {"alpha": 0.001},
     {"cells": ["same"] * 20},
-    {"scaled": {"floor": 0.1}},
+    {"digests": ["same"] * 20},
+    {"digests": ["one"]},
+    {"extent": [-1.0, 2.0]},
+    {"extent": None},
 ]
 
 
@@ -135,14 +138,15 @@ def test_files_that_contradict_themselves_or_are_none_are_refused(tmp_path):
 
 def test_a_cell_without_any_surface_is_null_in_the_file(tmp_path):
     path = tmp_path / "cal.json"
-    names = tuple(map(str, range(30)))
-    one = MarginCalibration(SETUP, 0.1, names, (0.2,) * 29 + (float("inf"),))
+    one = calibration((0.2,) * 29 + (float("inf"),))
     one.write(path)
     assert json.loads(path.read_text())["scores"][-1] is None
     assert read_calibration(path).scores[-1] == np.inf
 
 
-def test_scaled_margins_need_scaled_scores():
-    with pytest.raises(InputError, match="--scaled"):
-        calibration().margin(scaled=True)
-    assert calibration(scaled_scores=(2.0,) * 20).margin(scaled=True) == 2.0
+def test_scans_out_of_all_scale_are_not_in_metres():
+    points = RNG.random((100, 3))
+    calibration().check_units(points)
+    for unit in (1000.0, 100.0, 39.4, 0.001):
+        with pytest.raises(InputError, match=r"calibrated on scans of 0\.8 to 2 m"):
+            calibration().check_units(unit * points)

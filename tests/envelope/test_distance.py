@@ -98,39 +98,16 @@ def test_surfaces_of_each_kind_are_told_apart():
     assert (found < 0).any()
 
 
-def test_scaled_margins_are_balls_of_their_own_size():
-    cloud = RNG.uniform(0, 1, (30, 3))
-    scales = 2.0 ** RNG.integers(-4, 1, 30)
-    one = Surfaces({"predicted": cloud}, {"predicted": scales})
-    points = RNG.uniform(-1, 2, (200, 3))
-    apart = cdist(points, cloud)
-    margin = 0.7
-    expected = (apart - margin * scales).min(axis=1)
-    np.testing.assert_allclose(one.distance(points, margin)[0], expected)
-    needed = one.needed(points)
-    np.testing.assert_allclose(needed, (apart / scales).min(axis=1))
-    assert one.reach(margin) == margin * scales.max()
-    np.testing.assert_array_equal(needed <= margin, expected <= 1e-12)
-
-
-def test_scales_between_steps_are_rounded_down():
-    one = Surfaces({"predicted": np.zeros((1, 3))}, {"predicted": np.array([0.9])})
-    needed = one.needed(np.array([[1.0, 0, 0]]))[0]
-    assert 1 / 0.9 <= needed <= np.sqrt(2) / 0.9
-
-
 @pytest.mark.parametrize(
-    ("points", "scales", "told"),
+    ("points", "told"),
     [
-        ({"people": np.zeros((1, 3))}, None, "unknown kind"),
-        ({"robot": np.full((1, 3), np.nan)}, None, "not finite"),
-        ({"robot": np.zeros((2, 3))}, {"robot": np.ones(1)}, "1 scales for 2"),
-        ({"robot": np.zeros((1, 3))}, {"robot": np.zeros(1)}, "positive"),
+        ({"people": np.zeros((1, 3))}, "unknown kind"),
+        ({"robot": np.full((1, 3), np.nan)}, "not finite"),
     ],
 )
-def test_surfaces_that_are_none_are_refused(points, scales, told):
+def test_surfaces_that_are_none_are_refused(points, told):
     with pytest.raises(InputError, match=told):
-        Surfaces(points, scales)
+        Surfaces(points)
 
 
 @pytest.mark.parametrize("origin", [np.zeros(3), np.array([4e5, -5e6, 100.0])])

@@ -43,3 +43,15 @@ def test_an_output_directory_is_made_where_it_can_be_written_to(tmp_path):
     for path in (tmp_path / "file", tmp_path / "file" / "below", "/proc/nowhere"):
         with pytest.raises(InputError, match="cannot be written to"):
             atomic.make_output_dir(path)
+
+
+def test_an_earlier_runs_files_are_set_aside(tmp_path):
+    assert not atomic.set_aside(tmp_path, ["a", "[0-9]"])
+    for text in ("old", "new"):
+        (tmp_path / "1").mkdir()
+        for name in ("a", "mine", "1/b"):
+            (tmp_path / name).write_text(text)
+        assert atomic.set_aside(tmp_path, ["a", "[0-9]"])
+        assert {*os.listdir(tmp_path)} == {"mine", "previous"}
+        previous = tmp_path / "previous"
+        assert (previous / "a").read_text() == (previous / "1/b").read_text() == text
