@@ -1,24 +1,24 @@
-"""Measures the coverage of envelope margins, and how much space stays free.
+"""Measures the coverage of envelope margins, and how much space they take.
 
     python -m experiments.coverage --weights=small --output=FILE.json
 
 Uses simulated robot cells, each with its own arm pose, fixtures and camera. Margins are
 calibrated on some cells and tested on others with the same arms; a second calibration
-on other arms shows how well a margin transfers to new arms. Scans are the whole depth
-image, or only the cloud of robot and fixtures.
+on other arms shows how well a margin transfers to new arms, and whether a margin for
+each size of scan, or one that is updated as truth comes in, transfers better. Scans are
+the whole depth image, the cloud of robot and fixtures, or that cloud beside the image.
 """
 
-import dataclasses
 import functools
 import io
 import multiprocessing
 import pathlib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from absl import flags
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32
 from tqdm import tqdm
 
 from experiments.output import prepare_output
@@ -36,7 +36,7 @@ from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.completer import Completer
 from prism_jax.completion.weights import file_sha256
-from prism_jax.data.recordings import DEPTH_SCALE
+from prism_jax.data.recordings import DEPTH_SCALE, RecordedFrame
 from prism_jax.envelope.calibration import (
     cell_score,
     cells_needed,
@@ -45,24 +45,22 @@ from prism_jax.envelope.calibration import (
 )
 from prism_jax.envelope.carving import carve, view_of_cloud, view_of_depth
 from prism_jax.envelope.distance import Surfaces
-from prism_jax.envelope.robot import of_robot, on_triangles
-from prism_jax.envelope.surfaces import FLOOR, Method, see, thinned
-from prism_jax.envelope.voxels import (
-    FREE,
-    Grid,
-    label,
-)
+from prism_jax.envelope.recorded import seen_in
+from prism_jax.envelope.robot import on_triangles
+from prism_jax.envelope.surfaces import Input, Method
+from prism_jax.envelope.voxels import Grid
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.atomic import write_bytes
-from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
-ALPHAS = (0.1, 0.05)
-WORKSPACE = np.array([(-1.5, -1.5, 0.0), (1.5, 1.5, 3.0)])
+ALPHA = 0.1
+RATE = 0.05  # of the update of alpha, after each tested cell
+GROUPS = 3  # of scans by their size
+WORKSPACE = (-1.5, -1.5, 0.0, 1.5, 1.5, 3.0)
 """Metres: the 3 m cell."""
 
 SPACING = 0.02
@@ -79,49 +77,28 @@ SETS = {
 }
 """Split, whose arms these are, and seed."""
 
-AROUND = {
-    "measured": "what was measured",
-    "completed": "measured and predicted",
-    "scaled": "the same, in scales of expected errors",
-}
+AROUND = {"measured": "what was measured", "completed": "measured and predicted"}
 """What a margin is laid around. A known robot is part of each."""
 
 
 class Cell(NamedTuple):
-    """A frame and what is true of it: world frame, metres, z up.
+    """A frame in metres and z up, and points on the true surfaces of each of `PARTS`,
+    within `SPACING`."""
 
-    Attributes:
-      camera: the depth camera, and `depth` its image in metres, 0 without a return.
-      partial: what it measured of robot and fixtures, without clutter.
-      complete: those surveyed from all around.
-      parts: points on the true surfaces of each of `PARTS`, within `SPACING`.
-    """
-
-    camera: Camera
-    depth: Float64[np.ndarray, "H W"]
-    partial: Float32[np.ndarray, "N 3"]
-    complete: Float32[np.ndarray, "M 3"]
+    frame: RecordedFrame
     parts: dict[str, Float32[np.ndarray, "S 3"]]
 
 
 class Scored(NamedTuple):
-    """One scan of a cell, with one knowledge of its robot.
+    """One scan of a cell, with one knowledge of its robot."""
 
-    Attributes:
-      scores: the margin that each of `AROUND` needs; of weights that expect no errors,
-        none is scaled.
-      away: how far `SAMPLE` voxels' middles are from each, in metres (or in scales).
-        This and the rest only of tested cells.
-      not_free: which of these voxels are not free.
-      freed: of points of `Cell.complete`, whether their voxel is free.
-      occupied: whether the voxels that hold a true surface are free.
-    """
-
-    scores: dict[str, float]
+    scores: dict[str, float]  # the margin that each of `AROUND` needs
+    size: float  # the diagonal of what is completed, in metres
+    # How far `SAMPLE` voxels' middles are from each of `AROUND`. This and the rest only
+    # of tested cells.
     away: dict[str, Float[np.ndarray, " V"]]
-    not_free: Bool[np.ndarray, " V"]
-    freed: Bool[np.ndarray, " M"]
-    occupied: Bool[np.ndarray, " O"]
+    not_free: Bool[np.ndarray, " V"]  # which of these voxels are not free
+    occupied: Bool[np.ndarray, " O"]  # whether the voxels with a true surface are free
 
 
 _CAMERA = ("rotation", "translation", "intrinsics")
@@ -157,12 +134,11 @@ def read_cell(path: pathlib.Path) -> Cell:
     """A cell that was made before."""
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
+    camera = Camera(*(arrays[name] for name in _CAMERA), *arrays["counts"].shape)
+    clouds = arrays["partial"], arrays["complete"]
     return Cell(
-        camera=Camera(*(arrays[name] for name in _CAMERA), *arrays["counts"].shape),
-        depth=arrays["counts"] * DEPTH_SCALE,
-        partial=arrays["partial"],
-        complete=arrays["complete"],
-        parts={name: arrays[f"part_{name}"] for name in PARTS},
+        RecordedFrame(arrays["counts"], camera, *clouds),
+        {name: arrays[f"part_{name}"] for name in PARTS},
     )
 
 
@@ -181,117 +157,143 @@ def cells(folder: pathlib.Path, name: str, count: int, workers: int) -> Iterator
     return map(read_cell, tqdm(places, name, mininterval=2.0))
 
 
+def _grid() -> Grid:
+    return Grid.over(np.array(WORKSPACE[:3]), np.array(WORKSPACE[3:]))
+
+
+class _Remembered:
+    """A completer that gives the last completion again for the same points."""
+
+    def __init__(self, completer: Completer):
+        self._completer, self._last = completer, (np.zeros(0), None)
+
+    def complete(self, points: np.ndarray, *given: Any, **asked: Any) -> Any:
+        if not np.array_equal(self._last[0], points):
+            done = self._completer.complete(points, *given, **asked)
+            self._last = points, done
+        return self._last[1]
+
+
 def scored(
-    completer: Completer, cell: Cell, robot: Any, tested: bool
-) -> dict[str, Scored]:
-    """A cell's scans, completed without adaptation and measured against its truth; the
-    robot is "known" or "unknown"."""
-    method = Method(robot=robot, around="objects")
-    known = cell.parts["robot"].astype(float) if robot == "known" else None
-    cloud = see(completer, cell.partial, cell.camera, method, "z", known)
-    image = points_from_depth(cell.depth, cell.depth > 0, cell.camera)
-    image = image[~of_robot(image, cloud.robot)]
-    together = np.concatenate([cloud.measured, thinned(image)])
-    depth = dataclasses.replace(cloud, measured=together)
-    truth, grid = cell.complete.astype(float), Grid.over(*WORKSPACE)
-    occupied = grid.index_of(np.concatenate([*cell.parts.values()]))
-    occupied = np.unique(occupied[occupied >= 0])
+    completer: Any, cell: Cell, kind: Input, known: bool, tested: bool
+) -> Scored:
+    """A cell's scan, completed without adaptation and measured against its truth."""
+    method = Method(kind, workspace=WORKSPACE, robot="known" if known else None)
+    robot = cell.parts["robot"].astype(float) if known else None
+    points, seen, truth = seen_in(cell.frame, completer, method, robot, "cell")
+    around = {
+        "measured": Surfaces({"measured": seen.measured, "robot": seen.robot}),
+        "completed": seen.surfaces(),
+    }
+    scores = {name: cell_score(truth, one) for name, one in around.items()}
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if not tested:
+        return Scored(scores, size, {}, np.zeros(0, bool), np.zeros(0, bool))
+    frame, grid = cell.frame, _grid()
+    view = view_of_depth(frame.depth * DEPTH_SCALE, frame.depth > 0, frame.camera)
+    if kind == "cloud":
+        view = view_of_cloud(frame.partial, np.asarray(frame.camera.position))
+    free = carve(grid, view).ravel()
     asked = np.random.default_rng(1).choice(np.prod(grid.shape), SAMPLE, replace=False)
-    found = {}
-    scans = {"depth": (depth, image), "cloud": (cloud, cloud.measured)}
-    for name, (seen, measured) in scans.items():
-        around = {
-            "measured": Surfaces({"measured": seen.measured, "robot": seen.robot})
-        }
-        around["completed"] = seen.surfaces()
-        if seen.sigma is not None:
-            around["scaled"] = seen.surfaces(FLOOR)
-        scores = {kind: cell_score(truth, one) for kind, one in around.items()}
-        if not tested:
-            nothing = np.zeros(0, bool)
-            found[name] = Scored(scores, {}, nothing, nothing, nothing)
-            continue
-        if name == "depth":
-            view = view_of_depth(cell.depth, cell.depth > 0, cell.camera)
-        else:
-            view = view_of_cloud(cell.partial, np.asarray(cell.camera.position))
-        state = label(grid, carve(grid, view), measured, seen.predicted, seen.robot)
-        free = state.ravel() == FREE
-        middles, index = grid.middles(asked), grid.index_of(truth)
-        found[name] = Scored(
-            scores,
-            {kind: one.needed(middles) for kind, one in around.items()},
-            ~free[asked],
-            (index >= 0) & free[index],
-            free[occupied],
-        )
-    return found
+    index = grid.index_of(np.concatenate([*cell.parts.values()]))
+    occupied = free[np.unique(index[index >= 0])]
+    middles = grid.middles(asked)
+    # A voxel with a surface in it is not free, whatever the rays say.
+    for points in around["completed"].points.values():
+        index = grid.index_of(points)
+        free[index[index >= 0]] = False
+    away = {name: one.distance(middles)[0] for name, one in around.items()}
+    return Scored(scores, size, away, ~free[asked], occupied)
 
 
-def coverage(
-    found: Mapping[str, Sequence[Scored]], alphas: Sequence[float]
-) -> dict[str, Any]:
+def fixed(calibrated: Sequence[Scored], tested: Sequence[Scored], around: str):
+    """The margin of each tested cell: one q for all."""
+    margin = conformal_margin([one.scores[around] for one in calibrated], ALPHA)
+    return [margin] * len(tested)
+
+
+def by_size(calibrated: Sequence[Scored], tested: Sequence[Scored], around: str):
+    """Mondrian: a q for each third of the scans by their size (Vovk et al. 2005)."""
+    sizes = np.array([one.size for one in calibrated])
+    ends = np.quantile(sizes, np.arange(1, GROUPS) / GROUPS)
+    group = np.searchsorted(ends, sizes)
+    scores = np.array([one.scores[around] for one in calibrated])
+    margins = [
+        conformal_margin(scores[group == g].tolist(), ALPHA) for g in range(GROUPS)
+    ]
+    return [margins[np.searchsorted(ends, one.size)] for one in tested]
+
+
+def updated(calibrated: Sequence[Scored], tested: Sequence[Scored], around: str):
+    """Adaptive: alpha moves after each cell whose truth is known (Gibbs & Candes 2021).
+    Where it asks for more than there are scores for, the margin is infinite."""
+    scores, margins, alpha = [one.scores[around] for one in calibrated], [], ALPHA
+    for one in tested:
+        least = 1.0 / (len(scores) + 1)
+        margin = np.inf if alpha < least else conformal_margin(scores, min(alpha, 0.99))
+        alpha += RATE * (ALPHA - (one.scores[around] > margin))
+        margins.append(margin)
+    return margins
+
+
+RULES = {"fixed": fixed, "by_size": by_size, "updated": updated}
+"""How the margins of tested cells come from calibrated ones."""
+
+
+def coverage(found: Mapping[str, Sequence[Scored]]) -> dict[str, Any]:
     """What one scan and one knowledge of the robot give, of the cells of each set."""
-    tested, grid = found["test"], Grid.over(*WORKSPACE)
-    whole = np.prod(grid.upper - grid.lower)
-    without = sum(not one.freed.any() for one in tested)
-    rows = []
+    tested, grid = found["test"], _grid()
+    whole, rows = np.prod(grid.upper - grid.lower), []
     for calibrated_on in ("calibration", "other_arms"):
-        for kind in tested[0].scores:
-            for alpha in alphas:
-                scores = [one.scores[kind] for one in found[calibrated_on]]
-                margin = conformal_margin(scores, alpha)
-                covered = sum(one.scores[kind] <= margin for one in tested)
+        for around in AROUND:
+            for name, rule in RULES.items():
+                margins = rule(found[calibrated_on], tested, around)
+                pairs = list(zip(tested, margins, strict=True))
+                covered = sum(one.scores[around] <= q for one, q in pairs)
                 # A voxel counts if the margin reaches its corner.
-                reach = margin + (0.0 if kind == "scaled" else grid.half_diagonal)
-                taken = [one.not_free & (one.away[kind] <= reach) for one in tested]
-                shares = [
-                    (one.away[kind][one.not_free] <= reach).mean() for one in tested
+                taken = [
+                    one.not_free & (one.away[around] <= q + grid.half_diagonal)
+                    for one, q in pairs
                 ]
-                row = {"calibrated_on": calibrated_on, "around": kind, "alpha": alpha}
-                row |= {"q": margin, "covered": covered, "tested": len(tested)}
+                row: dict[str, Any] = {"calibrated_on": calibrated_on}
+                row |= {"around": around, "rule": name}
+                finite = [q for q in margins if np.isfinite(q)]
+                row |= {"q": float(np.mean(finite)), "infinite": len(tested)}
+                row["infinite"] -= len(finite)
+                row |= {"covered": covered, "tested": len(tested)}
                 row["interval"] = coverage_interval(covered, len(tested))
                 row["volume"] = float(np.mean(taken) * whole)
-                row["share_of_not_free"] = float(np.mean(shares))
                 rows.append(row)
     return {
         "rows": rows,
         "free_volume": float(whole * (1 - np.mean([s.not_free for s in tested]))),
-        "cells_with_none_freed": without,
-        "interval": coverage_interval(without, len(tested)),
-        "true_points_freed": float(np.mean([one.freed.mean() for one in tested])),
         "occupied_voxels": sum(len(one.occupied) for one in tested),
         "occupied_voxels_freed": int(sum(one.occupied.sum() for one in tested)),
         "scores": {
-            name: {kind: [one.scores[kind] for one in some] for kind in some[0].scores}
+            name: {kind: [one.scores[kind] for one in some] for kind in AROUND}
             for name, some in found.items()
         },
     }
 
 
 def coverage_markdown(result: Mapping[str, Any]) -> str:
-    """A row for each margin, and one for all that is not free."""
-    head = ["robot", "scan", "calibrated on", "margin around"]
-    head += ["wanted", "q, m", "coverage", "volume, m3"]
-    cells, volume = [], np.prod(WORKSPACE[1] - WORKSPACE[0])
+    """A row for each robot, scan, margin and rule, with both calibrations."""
+    head = ["robot", "scan", "margin around", "rule", "q, m", "coverage", "volume, m3"]
+    cells = []
     for robot, scans in result["robot"].items():
         for scan, told in scans.items():
-            for row in told["rows"]:
-                unit = " scales" if row["around"] == "scaled" else ""
-                cells.append([robot, scan, row["calibrated_on"], AROUND[row["around"]]])
-                cells[-1] += [f"{1 - row['alpha']:.0%}", f"{row['q']:.3f}{unit}"]
-                share = row["covered"] / row["tested"]
-                cells[-1] += [_share(share, row["interval"]), f"{row['volume']:.2f}"]
-            share = told["cells_with_none_freed"] / result["num_tested"]
-            cells.append([robot, scan, "-", "all that is not free", "-", "-"])
-            not_free = volume - told["free_volume"]
-            cells[-1] += [_share(share, told["interval"]), f"{not_free:.2f}"]
-    return "\n".join(table_lines(head, cells)) + "\n"
+            half = len(told["rows"]) // 2
+            pairs = zip(told["rows"][:half], told["rows"][half:], strict=True)
+            for own, other in pairs:
+                row = [robot, scan, AROUND[own["around"]], own["rule"]]
+                cells.append([*row, f"{own['q']:.3f}", _share(own)])
+                cells[-1] += [f"{own['volume']:.2f}", _share(other)]
+    return "\n".join(table_lines([*head, "from other arms"], cells)) + "\n"
 
 
-def _share(share: float, interval: Sequence[float]) -> str:
-    low, high = interval
-    return f"{share:.0%} [{low:.0%}, {high:.0%}]"
+def _share(row: Mapping[str, Any]) -> str:
+    low, high = row["interval"]
+    return f"{row['covered'] / row['tested']:.0%} [{low:.0%}, {high:.0%}]"
 
 
 def define_flags() -> None:
@@ -307,12 +309,11 @@ def define_flags() -> None:
 def main() -> None:
     """Calibrates, tests, prints the table and writes the result."""
     prepare_output(FLAGS.output, ".json")
-    alphas = [alpha for alpha in ALPHAS if FLAGS.num_cells >= cells_needed(alpha)]
-    if not alphas:
-        fault, remedy = "too few", f"use {cells_needed(max(ALPHAS))} or more"
-        raise InputError("--num_cells", fault, remedy)
+    needed = GROUPS * cells_needed(ALPHA)
+    if FLAGS.num_cells < needed:
+        raise InputError("--num_cells", "too few", f"use {needed} or more")
     weights, cache = located(FLAGS.weights), default_cache_dir()
-    completer = Completer.from_pretrained(weights, cache / "traced")
+    once = _Remembered(Completer.from_pretrained(weights, cache / "traced"))
     folder = pathlib.Path(FLAGS.cell_dir or cache / "envelope-cells")
     result: dict[str, Any] = {
         "commit": commit(),
@@ -320,20 +321,21 @@ def main() -> None:
         "weights_sha256": file_sha256(weights),
         "num_cells": FLAGS.num_cells,
         "num_tested": FLAGS.num_tested,
-        "workspace": WORKSPACE.tolist(),
-        "robot": {},
+        "alpha": ALPHA,
+        "workspace": WORKSPACE,
+        "robot": {"unknown": {}, "known": {}},
     }
-    for robot in ("unknown", "known"):
-        found = {}
-        for name in SETS:
-            tested = name == "test"
-            count = FLAGS.num_tested if tested else FLAGS.num_cells
-            some = cells(folder, name, count, FLAGS.num_workers)
-            found[name] = [scored(completer, cell, robot, tested) for cell in some]
-        result["robot"][robot] = {
-            scan: coverage({n: [c[scan] for c in s] for n, s in found.items()}, alphas)
-            for scan in ("depth", "cloud")
-        }
+    found: dict[tuple[str, Input], dict[str, list[Scored]]] = {}
+    for name in SETS:
+        tested = name == "test"
+        count = FLAGS.num_tested if tested else FLAGS.num_cells
+        for cell in cells(folder, name, count, FLAGS.num_workers):
+            for robot in result["robot"]:
+                for kind in get_args(Input):
+                    one = scored(once, cell, kind, robot == "known", tested)
+                    found.setdefault((robot, kind), {}).setdefault(name, []).append(one)
+    for (robot, kind), sets in found.items():
+        result["robot"][robot][kind] = coverage(sets)
     print_and_write(result, coverage_markdown(result))
 
 

@@ -11,7 +11,7 @@ from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells, RecordedFrame
 from prism_jax.envelope.calibration import MarginCalibration, cell_score
 from prism_jax.envelope.carving import Carving, check_robot, view_of_depth
 from prism_jax.envelope.robot import joints_from_dict, robot_surface
-from prism_jax.envelope.surfaces import Method, see, sensor_name
+from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
 from prism_jax.io.clouds import inside
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
@@ -56,7 +56,8 @@ def calibrate_on(
                 frame.depth * DEPTH_SCALE, frame.depth > 0, frame.camera
             )
             check_robot(view, surface, Carving())
-        points, score = frame_score(frame, completer, method, surface, place)
+        points, seen, truth = seen_in(frame, completer, method, surface, place)
+        score = cell_score(truth, seen.surfaces())
         scores[sequence] = max(scores[sequence], score)
         sizes.append(float(np.linalg.norm(np.ptp(points, axis=0))))
         digest = hashlib.sha256(frame.depth.tobytes() + frame.partial.tobytes())
@@ -80,11 +81,12 @@ def calibrate_on(
     )
 
 
-def frame_score(
+def seen_in(
     frame: RecordedFrame, completer: Any, method: Method, robot: Any, place: str
-) -> tuple[np.ndarray, float]:
-    """What of a frame is completed, and the margin that it needs; of one without the
-    truth InputError. `robot` are points on the surface of one that is known."""
+) -> tuple[np.ndarray, Seen, np.ndarray]:
+    """What of a frame is completed, what is known then, and the true surface in the
+    workspace; InputError about `place` without that. `robot` are points on the surface
+    of one that is known."""
     if frame.complete is None:
         raise InputError(place, "no complete cloud", "add the ground truth")
     metres = frame.depth * DEPTH_SCALE
@@ -97,5 +99,4 @@ def frame_score(
         points = crop(points, Bounds(*corners), place)
         truth = truth[inside(truth, *corners)]
     known = parse_up(method.up), robot, others
-    seen = see(completer, points, frame.camera, method, *known)
-    return points, cell_score(truth, seen.surfaces())
+    return points, see(completer, points, frame.camera, method, *known), truth

@@ -18,8 +18,8 @@ from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.preprocessing.segmentation.scene import SUPPORT
 
-Input = Literal["both", "depth", "cloud"]
-"""What is measured: a cloud and its depth image, that image alone, a cloud alone."""
+Input = Literal["both", "cloud", "depth"]
+"""What is measured: a cloud and its depth image, a cloud alone, an image alone."""
 
 
 @dataclasses.dataclass(frozen=True)
