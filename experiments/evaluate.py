@@ -17,10 +17,10 @@ from absl import flags
 
 from experiments.output import prepare_output
 from experiments.published import (
+    OPTIONS,
     PUBLISHED,
     published_columns,
     published_markdown,
-    published_options,
 )
 from experiments.scoring import (
     define_scoring_flags,
@@ -85,8 +85,8 @@ def main():
     result = {**about(config, protocol, split), **scores}
     table = markdown(result)
     if published:
-        result["published"] = published_columns(FLAGS.dataset, result)
-        table = f"{published_markdown(FLAGS.dataset, result)}\n{table}"
+        result["published"] = published_columns(result)
+        table = f"{published_markdown(result)}\n{table}"
     print_and_write(result, table)
 
 
@@ -99,8 +99,7 @@ def open_published(split: str) -> Source:
         fault = f"no published protocol for split {split!r} of {FLAGS.dataset}"
         remedy = f"use the test split of {', '.join(PUBLISHED)}"
         raise InputError("--protocol", fault, remedy)
-    options = published_options(FLAGS.dataset)
-    return open_dataset(FLAGS.dataset, split, FLAGS.data_dir, **options)
+    return open_dataset(FLAGS.dataset, split, FLAGS.data_dir, **OPTIONS)
 
 
 def about(config: PrismConfig, protocol: Protocol, split: str) -> dict[str, Any]:

@@ -2,9 +2,8 @@
 
 ShapeNet-55 and -34 (Yu et al., "PoinTr", ICCV 2021): the test objects from eight fixed
 viewpoints, 25, 50 and 75 % of the points removed (easy, median, hard); CD-L2 x1e3 as
-CD-S, CD-M, CD-H and their mean, and F-score at 1 %. PCN (Yuan et al., 3DV 2018, with
-GRNet's test split): CD-L1 x1e3 by category. Both in the data set's own normalisation.
-An average is the mean over categories of each category's mean, as PoinTr's released
+CD-S, CD-M, CD-H and their mean, and F-score at 1 %, in the data set's own unit. An
+average is the mean over categories of each category's mean, as PoinTr's released
 evaluation takes it.
 """
 
@@ -15,31 +14,25 @@ import numpy as np
 
 from prism_jax.evaluation.tables import clouds_of, table_lines, title
 
-PUBLISHED = ("shapenet55", "shapenet34", "shapenet_unseen21", "pcn")
+PUBLISHED = ("shapenet55", "shapenet34", "shapenet_unseen21")
 """Data sets with a published protocol for their test split."""
 
 _LETTERS = {"easy": "S", "median": "M", "hard": "H"}
 
 
-def published_options(dataset: str) -> dict[str, str]:
-    """Options of `open_dataset` for the published test."""
-    return {} if dataset == "pcn" else {"difficulty": "all"}
+OPTIONS = {"difficulty": "all"}  # of `open_dataset`, for the published test
 
 
 def published_columns(
-    dataset: str, result: Mapping[str, Any], cloud: str = "network"
+    result: Mapping[str, Any], cloud: str = "network"
 ) -> dict[str, float]:
-    """The columns of the data set's published table, scaled as there.
+    """The columns of the published table, scaled as there.
 
-    `result` comes from `evaluate` on the test split, opened with `published_options`,
-    in the data set's own unit. `cloud` is one of its clouds.
+    `result` comes from `evaluate` on the test split, opened with `OPTIONS`, in the data
+    set's own unit. `cloud` is one of its clouds.
     """
     scores = result["clouds"][cloud]["per_category"]
     f_score = float(np.mean([means["f_score"] for means in scores.values()]))
-    if dataset == "pcn":
-        columns = {name: 1e3 * means["cd_l1"] for name, means in scores.items()}
-        average = float(np.mean(list(columns.values())))
-        return {**columns, "Average": average, "F-Score@1%": f_score}
     columns = {
         f"CD-{letter}": _of_difficulty(result["per_example"], cloud, difficulty)
         for difficulty, letter in _LETTERS.items()
@@ -60,15 +53,12 @@ def _of_difficulty(examples: Mapping[str, Any], cloud: str, difficulty: str) -> 
     return 1e3 * float(np.mean([np.mean(rows) for rows in by_category.values()]))
 
 
-def published_markdown(dataset: str, result: Mapping[str, Any]) -> str:
-    """What names the result, and the columns of the data set's published table."""
-    columns = {
-        name: published_columns(dataset, result, name) for name in clouds_of(result)
-    }
-    head = "CD-L1 x1e3" if dataset == "pcn" else "CD-L2 x1e3"
+def published_markdown(result: Mapping[str, Any]) -> str:
+    """What names the result, and the columns of the published table."""
+    columns = {name: published_columns(result, name) for name in clouds_of(result)}
     rows = [
         [name, *(f"{value:.4g}" for value in row.values())]
         for name, row in columns.items()
     ]
-    table = table_lines([head, *next(iter(columns.values()))], rows)
+    table = table_lines(["CD-L2 x1e3", *next(iter(columns.values()))], rows)
     return "\n".join([f"{title(result)}\n", *table, ""])

@@ -12,8 +12,7 @@ import numpy as np
 from prism_jax.data.holdout import Subset, hold_out
 from prism_jax.data.manifest import content_digest, read_manifest
 from prism_jax.data.public.kitti import KITTI
-from prism_jax.data.public.pcn import PCN
-from prism_jax.data.public.shapenet import ProjectedShapeNet, ShapeNet
+from prism_jax.data.public.shapenet import ShapeNet
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.shards import Shards
@@ -115,12 +114,6 @@ DATASETS: Mapping[str, DataSet] = {
     "shapenet55": DataSet(partial(ShapeNet, "ShapeNet-55")),
     "shapenet34": DataSet(partial(ShapeNet, "ShapeNet-34")),
     "shapenet_unseen21": DataSet(partial(ShapeNet, "ShapeNet-Unseen21"), training=None),
-    "projected_shapenet55": DataSet(partial(ProjectedShapeNet, "ShapeNet-55")),
-    "projected_shapenet34": DataSet(partial(ProjectedShapeNet, "ShapeNet-34")),
-    "projected_shapenet_unseen21": DataSet(
-        partial(ProjectedShapeNet, "ShapeNet-Unseen21"), training=None
-    ),
-    "pcn": DataSet(PCN, validation="val", scored=("val", "test")),
     "kitti": DataSet(KITTI, training=None, scored=()),
 }
 """Public sets are named last. Nothing is downloaded: a set is put in place by whoever

@@ -41,7 +41,6 @@ def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
     [
         ("shapenet55", ["train"], (72, 4)),
         ("recordings", ["all"], (72, 4)),
-        ("pcn", ["train", "val"], (80, 7)),
     ],
 )
 def test_of_a_set_without_a_validation_split_some_objects_are_held_out(
@@ -59,7 +58,7 @@ def test_of_a_set_without_a_validation_split_some_objects_are_held_out(
 
 
 def test_a_set_without_a_training_split_is_refused(tmp_path):
-    for name in ("kitti", "shapenet_unseen21", "projected_shapenet_unseen21"):
+    for name in ("kitti", "shapenet_unseen21"):
         with pytest.raises(InputError, match="no training split"):
             open_training(name, tmp_path)
 
@@ -67,17 +66,16 @@ def test_a_set_without_a_training_split_is_refused(tmp_path):
 def test_unknown_names_and_options_are_refused(tmp_path):
     with pytest.raises(InputError, match="unknown value 'shapez'; use one of shapes"):
         open_dataset("shapez", "train")
-    with pytest.raises(InputError, match="unknown value 'pcn'; use one of shapes"):
-        build_dataset("pcn", "train", tmp_path)
+    with pytest.raises(InputError, match="unknown value 'kitti'; use one of shapes"):
+        build_dataset("kitti", "train", tmp_path)
     with pytest.raises(
-        InputError, match=r"^num_points: not an option of pcn; .*list_f"
+        InputError, match=r"^num_points: not an option of kitti; .*list_f"
     ):
-        open_dataset("pcn", "test", tmp_path, num_points=2048)
+        open_dataset("kitti", "test", tmp_path, num_points=2048)
 
 
 def test_splits_that_can_be_scored():
     assert scored_splits("shapes") == ("validation", "test", "unseen", "novel")
-    assert scored_splits("pcn") == ("val", "test")
     assert scored_splits("shapenet55") == ("test",)
     for name in ("recordings", "kitti", "open"):
         with pytest.raises(InputError, match=f"{name}: no held-out split"):

@@ -9,13 +9,14 @@ import pytest
 
 from experiments import evaluate
 from experiments.assets import CELLS
+from experiments.published import PUBLISHED
 from experiments.weights import located
 from prism_jax.completion.weights import file_sha256
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.metrics import hausdorff
 from prism_jax.evaluation.run import Predictions
 from tests import launching
-from tests.public_sets import write_pcn, write_shapenet55
+from tests.public_sets import write_shapenet55
 
 PLACE = ["--dataset=recordings", f"--data_dir={CELLS}", "--split=all", "--limit=2"]
 TOLD = []
@@ -110,25 +111,14 @@ def test_the_command_tells_what_adaptation_changes_and_which_arm_carries_it(cell
     assert "adaptation" not in cells["plain"]
 
 
-PUBLISHED = {
-    "shapenet55": ["CD-L2 x1e3", "CD-S", "CD-M", "CD-H", "CD-Avg", "F-Score@1%"],
-    "pcn": ["CD-L1 x1e3", "airplane", "car", "Average", "F-Score@1%"],
-}
-
-
-@pytest.mark.parametrize("dataset", PUBLISHED)
-def test_a_published_test_prints_its_columns(dataset, tmp_path):
-    place = [f"--dataset={dataset}", f"--data_dir={tmp_path / 'set'}", "--steps=0"]
-    if dataset == "pcn":
-        write_pcn(tmp_path / "set")
-        place.append("--normalisation=partial")
-    else:
-        write_shapenet55(tmp_path / "set", 1)
+def test_a_published_test_prints_its_columns(tmp_path):
+    place = [f"--dataset={PUBLISHED[0]}", f"--data_dir={tmp_path / 'set'}", "--steps=0"]
+    write_shapenet55(tmp_path / "set", 1)
     result = scored(tmp_path / "a.json", *place, "--protocol=published")
-    assert list(result["published"]) == PUBLISHED[dataset][1:]
-    normalisation = "own" if dataset == "shapenet55" else "partial"
-    assert (result["split"], result["normalisation"]) == ("test", normalisation)
-    assert f"| {' | '.join(PUBLISHED[dataset])} |" in result["table"]
+    columns = ["CD-S", "CD-M", "CD-H", "CD-Avg", "F-Score@1%"]
+    assert list(result["published"]) == columns
+    assert (result["split"], result["normalisation"]) == ("test", "own")
+    assert f"| {' | '.join(['CD-L2 x1e3', *columns])} |" in result["table"]
     assert "emd" not in result["clouds"]["network"]["mean"]
 
 
@@ -136,10 +126,13 @@ def test_a_published_test_prints_its_columns(dataset, tmp_path):
     ("arguments", "fault"),
     [
         (
-            ["--dataset=pcn", "--split=val"],
-            "no published protocol for split 'val' of pcn",
+            ["--dataset=shapenet55", "--split=train"],
+            "no published protocol for split 'train' of shapenet55",
         ),
-        (["--dataset=pcn", "--limit=3"], "the published protocol uses the whole test"),
+        (
+            ["--dataset=shapenet55", "--limit=3"],
+            "the published protocol uses the whole test",
+        ),
         (["--output=/dev/null/a.json"], "cannot be written to"),
     ],
 )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.published import published_columns, published_options
+from experiments.published import OPTIONS, published_columns
 from prism_jax.data.public.shapenet import ShapeNet
 from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.protocol import Protocol
@@ -26,18 +26,17 @@ def test_shapenet_averages_categories_and_not_examples():
         for view in range(8)
     ]
     result = summarise(rows, ("bag", "car"), np.arange(96) // 24)
-    columns = published_columns("shapenet55", result)
+    columns = published_columns(result)
     assert list(columns) == ["CD-S", "CD-M", "CD-H", "CD-Avg", "F-Score@1%"]
     expected = [5.5, 11.0, 33.0, 16.5, 1e-3 * 16.5]
     np.testing.assert_allclose(list(columns.values()), expected, rtol=1e-6)
-    assert published_columns("shapenet55", result, "partial") == columns
+    assert published_columns(result, "partial") == columns
 
 
 def test_the_published_test_of_shapenet(tmp_path):
     """The partial given back, of a single model."""
     write_shapenet55(tmp_path, 1)
-    options = published_options("shapenet55")
-    source = ShapeNet("ShapeNet-55", tmp_path, "test", **options)
+    source = ShapeNet("ShapeNet-55", tmp_path, "test", **OPTIONS)
     assert source.objects.tolist() == [0] * 24
     assert [len(source[i].partial) for i in (0, 8, 16)] == [6144, 4096, 2048]
     given = []
@@ -48,7 +47,7 @@ def test_the_published_test_of_shapenet(tmp_path):
 
     protocol = Protocol(256, 1.4, "own", "own", with_emd=False)
     result = evaluate(same, source, protocol, batch_size=8)
-    columns = published_columns("shapenet55", result)
+    columns = published_columns(result)
     # All pairs, of the first test of each difficulty.
     for start, head in ((0, "CD-S"), (8, "CD-M"), (16, "CD-H")):
         kept = result["per_example"]["clouds"]["network"]["cd_l2"][start : start + 8]

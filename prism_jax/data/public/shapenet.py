@@ -1,11 +1,8 @@
-"""ShapeNet-55, ShapeNet-34, the 21 unseen categories, and their projected variants.
+"""ShapeNet-55, ShapeNet-34 and the 21 unseen categories.
 
 PoinTr's release (Yu et al., ICCV 2021; https://github.com/yuxumin/PoinTr): `root`, the
 folder ShapeNet55-34, holds shapenet_pc/<synset>-<model>.npy, 8,192 points each, and the
-lists <subset>/train.txt and <subset>/test.txt, one such name a line. The projected
-variants (Yu et al., "AdaPoinTr", TPAMI 2023) have lists of their own in
-Projected_<subset>_noise/, of names with shapenet_pc/ before them, and
-projected_partial_noise/<synset>/<model>/models/<0 to 15>.pcd.
+lists <subset>/train.txt and <subset>/test.txt, one such name a line.
 """
 
 import json
@@ -37,8 +34,7 @@ SYNSETS: dict[str, str] = json.loads(asset("shapenet_synsets.json").read_text())
 """Names of ShapeNet's 55 categories by their WordNet synset (Chang et al., 2015)."""
 
 NUM_POINTS = 8192
-TRAIN_PROJECTIONS = 16
-_LINE = r"(?:shapenet_pc/)?(\d{8})-([\w-]*)\.npy"
+_LINE = r"(\d{8})-([\w-]*)\.npy"
 """Two published models, 04379243-.npy and 02747177-.npy, have no id."""
 _FORM = "a line such as 02691156-1a04e3eab45ca15dd86060f189eb133.npy"
 
@@ -62,7 +58,7 @@ class ShapeNet(ListedSource):
             choose("difficulty", difficulty, (*CROP_SHARES, "all"))
             every = difficulty == "all"
             self.difficulties = tuple(CROP_SHARES) if every else (difficulty,)
-        models = _read_models(root, split, subset, subset)
+        models = _read_models(root, split, subset)
         views = len(self.difficulties) * len(CROP_VIEWPOINTS) or 1
         super().__init__(root, models, views)
 
@@ -79,46 +75,18 @@ class ShapeNet(ListedSource):
         return Example(complete, partial.astype(np.float32), None, model.category, name)
 
 
-class ProjectedShapeNet(ListedSource):
-    """Complete clouds with partial ones projected from depth images with noise. Sixteen
-    partials a model in training, the first alone in the test; as AdaPoinTr's loader
-    does, neither cloud is normalised. The cameras are not published."""
-
-    def __init__(self, subset: str, root: StrPath, split: str):
-        root = pathlib.Path(root)
-        models = _read_models(root, split, subset, f"Projected_{subset}_noise")
-        views = TRAIN_PROJECTIONS if split == "train" else 1
-        super().__init__(root, models, views)
-        names = [f"{view}.pcd" for view in range(views)]
-        require_files(
-            root,
-            {_projections(model): names for model in models},
-            f"the split {split!r}",
-            "projected_partial_noise/<synset>/<model>/models/<0 to 15>.pcd",
-        )
-
-    def __getitem__(self, index: int) -> Example:
-        model, view = self.locate(index)
-        complete = read_cloud(_complete_path(self.root, model), NUM_POINTS)
-        partial = read_cloud(self.root / _projections(model) / f"{view}.pcd")
-        name = f"{model.folder}-{model.id}/{view}"
-        return Example(complete, partial, None, model.category, name)
-
-
-def _read_models(
-    root: pathlib.Path, split: str, subset: str, folder: str
-) -> list[Model]:
+def _read_models(root: pathlib.Path, split: str, subset: str) -> list[Model]:
     """The models of a split's list, all of whose complete clouds are there."""
     choose("subset", subset, SUBSETS)
     choose("split", split, SUBSETS[subset])
-    path = root / folder / f"{split}.txt"
+    path = root / subset / f"{split}.txt"
     groups = read_list(path, _LINE, _FORM)
     models = [Model(SYNSETS.get(key, key), key, model) for key, model in groups]
     names = [_complete_path(root, model).name for model in models]
     require_files(
         root,
         {"shapenet_pc": names},
-        f"{folder}/{split}.txt",
+        f"{subset}/{split}.txt",
         "shapenet_pc/<synset>-<model>.npy beside the folders of lists",
     )
     return models
@@ -126,10 +94,6 @@ def _read_models(
 
 def _complete_path(root: pathlib.Path, model: Model) -> pathlib.Path:
     return root / "shapenet_pc" / f"{model.folder}-{model.id}.npy"
-
-
-def _projections(model: Model) -> str:
-    return f"projected_partial_noise/{model.folder}/{model.id}/models"
 
 
 def _normalised(path: pathlib.Path) -> Float32[np.ndarray, "8192 3"]:

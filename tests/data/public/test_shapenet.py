@@ -1,4 +1,4 @@
-"""ShapeNet-55, ShapeNet-34 and their like, from a folder in PoinTr's layout."""
+"""ShapeNet-55 and ShapeNet-34, from a folder in PoinTr's layout."""
 
 import pickle
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from prism_jax.data.public.shapenet import SUBSETS, ProjectedShapeNet, ShapeNet
+from prism_jax.data.public.shapenet import SUBSETS, ShapeNet
 from prism_jax.io import InputError
 
 KEYS = ("02691156-1a04e3", "02958343-u6028-fe5f4")
@@ -15,19 +15,13 @@ SPLITS = [(subset, split) for subset, splits in SUBSETS.items() for split in spl
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory, cloud, write):
-    """Two models, all lists, and every projection."""
+    """Two models and all lists."""
     root = tmp_path_factory.mktemp("ShapeNet55-34")
     for seed, key in enumerate(KEYS):
         write(root / "shapenet_pc" / f"{key}.npy", cloud(seed, 8192))
-        synset, model = key.split("-", 1)
-        for view in range(16):
-            folder = root / "projected_partial_noise" / synset / model / "models"
-            write(folder / f"{view}.pcd", cloud(100 * seed + view, 50 + view))
     for subset, split in SPLITS:
         names = [f"{key}.npy\n" for key in KEYS]
         write(root / subset / f"{split}.txt", "".join(names))
-        projected = "".join(f"shapenet_pc/{name}" for name in names)
-        write(root / f"Projected_{subset}_noise" / f"{split}.txt", projected)
     return root
 
 
@@ -84,19 +78,15 @@ def test_the_test_crops_take_the_points_nearest_to_the_corners(root, difficulty,
 )
 def test_what_is_not_published_is_refused(root, arguments, fault):
     subset, split = arguments
-    for loader in (ShapeNet, ProjectedShapeNet):
-        with pytest.raises(InputError, match=fault):
-            loader(subset, root, split)
+    with pytest.raises(InputError, match=fault):
+        ShapeNet(subset, root, split)
 
 
 def test_missing_files_and_damaged_clouds_are_refused(tmp_path, write):
-    for name in ("ShapeNet-34", "Projected_ShapeNet-34_noise"):
-        write(tmp_path / name / "train.txt", f"{KEYS[0]}.npy\n")
+    write(tmp_path / "ShapeNet-34" / "train.txt", f"{KEYS[0]}.npy\n")
     with pytest.raises(InputError, match=rf"missing: shapenet_pc/{KEYS[0]}.npy;"):
         ShapeNet("ShapeNet-34", tmp_path, "train")
     path = write(tmp_path / "shapenet_pc" / f"{KEYS[0]}.npy", np.ones((8192, 3)))
-    with pytest.raises(InputError, match=r"16 of the 16 files .*models/0.pcd, "):
-        ProjectedShapeNet("ShapeNet-34", tmp_path, "train")
     with pytest.raises(InputError, match=rf"{KEYS[0]}.npy: .*zero extent"):
         ShapeNet("ShapeNet-34", tmp_path, "train")[0]
     write(path, np.zeros((100, 3)))
