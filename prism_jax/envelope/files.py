@@ -1,4 +1,4 @@
-"""What is written of an envelope: arrays, points, a closed surface, numbers, a page."""
+"""What is written of an envelope: arrays, points, solids, numbers, a page."""
 
 import io
 import json
@@ -12,6 +12,7 @@ from prism_jax.envelope import NOTICE
 from prism_jax.envelope.distance import KINDS, Distances, Envelope
 from prism_jax.envelope.mesh import envelope_mesh, stl_bytes, stl_origin
 from prism_jax.envelope.page import COLORS, envelope_page
+from prism_jax.envelope.planners import boxes_bytes, octomap_bytes
 from prism_jax.envelope.voxels import FREE, MEASURED, PREDICTED, STATES
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.ply import vertices_bytes
@@ -20,6 +21,8 @@ NAMES = (
     "envelope.npz",
     "envelope.ply",
     "envelope.stl",
+    "envelope.bt",
+    "envelope.boxes.json",
     "envelope.html",
     "envelope.json",
 )
@@ -44,6 +47,8 @@ def envelope_files(
         npz_bytes(envelope, query),
         ply_bytes(envelope),
         stl_bytes(mesh, origin, "prism_jax envelope. Not safety-rated. No people."),
+        octomap_bytes(envelope, origin),
+        boxes_bytes(envelope, summary.get("frame_id", "")),
         # A file's name may hold bytes that are no UTF-8.
         page.encode(errors="backslashreplace"),
         (text + "\n").encode(),

@@ -15,6 +15,8 @@ from prism_jax.robots.urdf import Linkage
 
 SPACING = 0.02  # metres between points on a robot's surface, about
 
+MAX_POINTS = 2_000_000  # of a link's surface: more are those of a wrong unit
+
 ROBOT_MARGIN = 0.03
 """Metres: measured points this near to the robot's surface are the robot's."""
 
@@ -100,24 +102,29 @@ def on_triangles(
 ) -> Float64[np.ndarray, "N 3"]:
     """Points on triangles: none of these is farther than `spacing` from one of them.
 
-    Each triangle gets a lattice of half the spacing; of points in one cube of 0.4 of
-    it, one is kept. The same triangles give the same points.
+    Triangles are halved until no side is longer than half of the spacing; of their
+    corners in one cube of 0.4 of it, one is kept. The same triangles give the same
+    points. More than `MAX_POINTS` raise InputError.
     """
     corners = np.asarray(vertices, np.float64)[np.asarray(faces, int)]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    if len(corners) == 0:
+        return np.zeros((0, 3))
+    found = [corners.reshape(-1, 3)]
     # A point is within side / sqrt(3) of a corner of its part, and that within the
     # cube's diagonal of what is kept: 0.29 and 0.70 of the spacing.
-    parts = np.ceil(sides.max(axis=1) / (0.5 * spacing)).astype(int)
-    parts = np.maximum(parts, 1)
-    found = []
-    for count in np.unique(parts):
-        first, second = np.indices((count + 1, count + 1)).reshape(2, -1)
-        kept = first + second <= count
-        shares = np.stack([first, second, count - first - second], axis=1)[kept]
-        placed = np.einsum("kc,fcj->fkj", shares / count, corners[parts == count])
-        found.append(placed.reshape(-1, 3))
-    if not found:
-        return np.zeros((0, 3))
+    while len(corners):
+        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        rows = np.flatnonzero(sides.max(axis=1) > 0.5 * spacing)
+        ring = (sides[rows].argmax(axis=1)[:, None] + np.arange(3)) % 3
+        start, end, top = corners[rows[:, None], ring].swapaxes(0, 1)
+        found.append(middle := 0.5 * (start + end))
+        if sum(map(len, found[1:])) > MAX_POINTS:
+            long = np.ptp(found[0], axis=0).max()
+            fault = f"a link of {long:,.4g} m takes over {MAX_POINTS:,} points"
+            remedy = "give meshes in metres, or scale them in the URDF (scale=...)"
+            raise InputError("the robot", fault, remedy)
+        halves = [start, middle, top], [middle, end, top]
+        corners = np.concatenate([np.stack(half, axis=1) for half in halves])
     points = np.concatenate(found)
     cubes = np.floor((points - points.min(axis=0)) / (0.4 * spacing)).astype(int)
     number = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))

@@ -4,6 +4,7 @@ import trimesh
 import yourdfpy
 from scipy.spatial import KDTree
 
+from prism_jax.envelope import robot
 from prism_jax.envelope.robot import (
     joints_from_dict,
     of_robot,
@@ -50,6 +51,14 @@ def test_a_triangle_without_area_is_a_line_or_a_point():
     assert (points[:, 1] == points[:, 2]).all()
     assert KDTree(points).query(np.linspace([0, 0, 0], [1, 0, 0], 50))[0].max() <= 0.1
     assert KDTree(points).query([2, 2, 2])[0] == 0
+
+
+def test_a_robot_in_millimetres_is_refused_and_a_long_edge_is_not(monkeypatch):
+    monkeypatch.setattr(robot, "MAX_POINTS", 20_000)
+    thin, face = np.array([[0, 0, 0], [3, 0, 0], [0, 0.01, 0]]), np.array([[0, 1, 2]])
+    assert KDTree(on_triangles(thin, face)).query([1.5, 0.0, 0.0])[0] <= 0.02
+    with pytest.raises(InputError, match="3,000 m takes over 20,000 points; give"):
+        on_triangles(1000 * thin, face)
 
 
 def test_points_near_the_surface_are_the_robots():
