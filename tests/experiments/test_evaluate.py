@@ -131,7 +131,7 @@ def test_a_published_test_prints_its_columns(tmp_path):
         ),
         (
             ["--dataset=shapenet55", "--limit=3"],
-            "the published protocol uses the whole test",
+            "uses the whole test split",
         ),
         (["--output=/dev/null/a.json"], "cannot be written to"),
     ],
