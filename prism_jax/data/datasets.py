@@ -37,8 +37,6 @@ class DataSet:
     training: str | None = "train"
     # The split of its own that a training is validated on.
     validation: str | None = None
-    # The splits with ground truth that no training sees, validation first.
-    scored: tuple[str, ...] = ("test",)
     # Where below the root a split's folder lies, for sets with a manifest.
     folder: str | None = None
     # Whether it is built on the machine, by default in the cache folder.
@@ -64,12 +62,11 @@ def _built(
     name: str, version: int, splits: str, licence: str, kind: type = Shards
 ) -> DataSet:
     """What is known of a set that `experiments.make_data` builds."""
-    _, *scored = splits.split()
+    names = tuple(splits.split())
     return DataSet(
         partial(_open_built, kind, name, version),
-        splits=tuple(splits.split()),
-        validation="validation" if scored else None,
-        scored=tuple(scored),
+        splits=names,
+        validation="validation" if len(names) > 1 else None,
         folder=f"{name}-{{split}}",
         generated=True,
         licence=licence,
@@ -104,17 +101,14 @@ DATASETS: Mapping[str, DataSet] = {
     "packed": DataSet(
         _open_packed,
         validation="validation",
-        scored=("validation",),
         folder="{split}",
         licence="as those are licensed that were packed",
     ),
-    "recordings": DataSet(
-        _open_recordings, splits=("all",), training="all", scored=(), folder=""
-    ),
+    "recordings": DataSet(_open_recordings, splits=("all",), training="all", folder=""),
     "shapenet55": DataSet(partial(ShapeNet, "ShapeNet-55")),
     "shapenet34": DataSet(partial(ShapeNet, "ShapeNet-34")),
     "shapenet_unseen21": DataSet(partial(ShapeNet, "ShapeNet-Unseen21"), training=None),
-    "kitti": DataSet(KITTI, training=None, scored=()),
+    "kitti": DataSet(KITTI, training=None),
 }
 """Public sets are named last. Nothing is downloaded: a set is put in place by whoever
 has the right to it, and one that is not laid out as published is refused."""
@@ -192,16 +186,6 @@ def opened_splits(name: str) -> tuple[str, ...]:
     """The splits that a training opens: its own, and that it is validated on."""
     validation = DATASETS[name].validation
     return (training_split(name), *([validation] if validation else []))
-
-
-def scored_splits(name: str) -> tuple[str, ...]:
-    """The splits with ground truth that no training sees, validation first; InputError
-    if there is none."""
-    splits = DATASETS[name].scored
-    if not splits:
-        fault = "no held-out split with ground truth"
-        raise InputError(name, fault, "score on another set")
-    return splits
 
 
 def open_training(

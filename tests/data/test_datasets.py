@@ -9,7 +9,6 @@ from prism_jax.data.datasets import (
     digest_of,
     open_dataset,
     open_training,
-    scored_splits,
 )
 from prism_jax.io.errors import InputError
 from tests.data.test_holdout import Views, names
@@ -72,11 +71,3 @@ def test_unknown_names_and_options_are_refused(tmp_path):
         InputError, match=r"^num_points: not an option of kitti; .*list_f"
     ):
         open_dataset("kitti", "test", tmp_path, num_points=2048)
-
-
-def test_splits_that_can_be_scored():
-    assert scored_splits("shapes") == ("validation", "test", "unseen", "novel")
-    assert scored_splits("shapenet55") == ("test",)
-    for name in ("recordings", "kitti", "open"):
-        with pytest.raises(InputError, match=f"{name}: no held-out split"):
-            scored_splits(name)
