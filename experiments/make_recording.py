@@ -12,7 +12,6 @@ from absl import flags
 from tqdm import tqdm
 
 from prism_jax.cli.launch import launch
-from prism_jax.data.recordings import RecordedFrame
 from prism_jax.io.atomic import make_output_dir
 from prism_jax.io.errors import InputError, require
 
@@ -60,15 +59,7 @@ def main() -> None:
     rng = np.random.default_rng(FLAGS.seed)
     sequence = make_sequence(arms[FLAGS.arm], FLAGS.num_frames, config, rng)
     numbers = tqdm(range(FLAGS.num_frames), delay=2.0, unit="frame", disable=None)
-    base = sequence.robot.mount.copy()
-    base[2, 3] += sequence.cell.base_height
-
-    def made(number: int) -> RecordedFrame:
-        frame = make_frame(sequence, number, config, rng)
-        joints = {**(frame.joints or {}), "base": base.tolist()}
-        return dataclasses.replace(frame, joints=joints)
-
-    frames = map(made, numbers)
+    frames = (make_frame(sequence, number, config, rng) for number in numbers)
     try:
         beside = record(path, frames, FLAGS.rate)
     except ValueError as error:

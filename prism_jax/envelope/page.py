@@ -57,6 +57,7 @@ def envelope_page(
     names = [cloud.name for panel in panels for cloud in panel.clouds]
     for trace, name in zip(figure.data, names, strict=True):
         trace.meta = {"cloud": name}
+    volumes = summary["volumes"].items()
     return render(
         "envelope.html",
         summary=summary,
@@ -64,7 +65,7 @@ def envelope_page(
         toggles=[(name, css[name]) for name in STATES[: UNSEEN + 1]],
         clouds=clouds_html(figure),
         max_shown=f"{MAX_SHOWN_POINTS:,}",
-        volumes=[(k.replace("_", " "), number(v)) for k, v in _volumes(summary)],
+        volumes=[(k.replace("_", " "), f"{number(v)} m3") for k, v in volumes],
         details=_details(summary),
     )
 
@@ -74,14 +75,10 @@ def promise(summary: Mapping[str, Any]) -> str:
     told, alpha = summary["calibration"], summary["alpha"]
     return (
         f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "
-        f"{told['n']} cells: for another cell like these, the envelope contains the "
-        "whole true surface with a probability of at least "
-        f"{100 * (1 - alpha):.3g} %. Other cells have no such guarantee."
+        f"{told['n']} cells: for another cell drawn like these, the inflated surfaces "
+        "hold all of what the recordings call the true surface with a probability of "
+        f"at least {100 * (1 - alpha):.3g} %. Other cells have no such guarantee."
     )
-
-
-def _volumes(summary: Mapping[str, Any]) -> list[tuple[str, float]]:
-    return list(summary["volumes"].items())
 
 
 def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -96,7 +93,7 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Weights", summary["weights"]),
         ("Sensor", summary["sensor"]),
         ("Calibration", f"{told['file']}, {told['n']} cells"),
-        ("Grid", f"{grid['shape']} voxels of {number(grid['voxel'])} from ({lower})"),
+        ("Grid", f"{grid['shape']} voxels of {number(grid['voxel'])} m from ({lower})"),
         ("Points", ", ".join(f"{n:,} {k}" for k, n in summary["points"].items())),
         ("Seconds", ", ".join(f"{k} {v:.2f}" for k, v in summary["seconds"].items())),
         ("Software", f"prism_jax {summary['prism_jax']}"),
@@ -105,5 +102,5 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.insert(1, ("Not completed", summary["not_completed"]))
     if summary["query"]:
         asked = summary["query"]
-        rows.append(("Query", ", ".join(f"{k} {v}" for k, v in asked.items())))
+        rows.append(("Query (m)", ", ".join(f"{k} {v}" for k, v in asked.items())))
     return rows

@@ -30,6 +30,7 @@ class Robot(Linkage):
 
     def __init__(self, model: ArmModel):
         self.name, self.spacer = model.name, model.spacer
+        self.whole = model.root is None  # all of its file, and not a part
         path, mount = urdf_path(model), np.eye(4)
         mount[:3, :3] = Rotation.from_euler(
             "xyz", model.roll_pitch_yaw, degrees=True

@@ -8,6 +8,7 @@ bounding sphere, so nothing behind a closed shell gets into the cloud.
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import numpy as np
@@ -163,7 +164,8 @@ def make_frame(
 
     The partial cloud is what the depth image holds of robot and fixtures within the
     workspace, row by row, without pixels that lie between two surfaces. `joints` also
-    says which share of the robot's pixels the clutter hides.
+    says which share of the robot's pixels the clutter hides, and of a robot that is all
+    of its file where its base is.
     """
     robot, cell, glossy = sequence.robot, sequence.cell, sequence.glossy
     positions = sequence.positions[number]
@@ -189,6 +191,14 @@ def make_frame(
         config.survey_sensor,
         config.num_stations,
     )
+    joints: dict[str, Any] = {
+        "robot": robot.name,
+        "positions": dict(zip(robot.joints, positions.tolist(), strict=True)),
+    }
+    if robot.whole:
+        base = robot.mount.copy()
+        base[2, 3] += cell.base_height
+        joints["base"] = base.tolist()
     hidden = _hidden_share(whole, uncluttered, cell.camera, sizes[0])
     return RecordedFrame(
         depth=counts,
@@ -196,11 +206,7 @@ def make_frame(
         partial=_partial(counts, labels, cell),
         complete=_rounded(complete),
         labels=labels,
-        joints={
-            "robot": robot.name,
-            "positions": dict(zip(robot.joints, positions.tolist(), strict=True)),
-            "hidden_share": round(hidden, 4),
-        },
+        joints={**joints, "hidden_share": round(hidden, 4)},
     )
 
 

@@ -17,7 +17,10 @@ from experiments.simulation.roboarm.sequences import (
     survey,
 )
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS, RecordedCells
+from prism_jax.envelope.robot import joints_from_dict, of_robot, robot_surface
+from prism_jax.io.depth import points_from_depth
 from prism_jax.io.streams import open_stream
+from prism_jax.robots.urdf import Linkage
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +50,17 @@ def test_the_partial_is_the_depth_image_of_robot_and_fixtures(frame):
         position += int(np.argmax(gap <= CLOUD_STEP / 2 + 1e-6)) + 1
         assert gap.min() <= CLOUD_STEP / 2 + 1e-6
     assert len(frame.partial) > 0.8 * len(rows)
+
+
+def test_the_robot_is_where_its_base_and_joints_say(frame, urdf):
+    """Its pixels lie on its model, and none does where the base is left out."""
+    joints, base = joints_from_dict(frame.joints, based=True)
+    depth = np.where(frame.labels == LABELS["robot"], frame.depth * DEPTH_SCALE, 0)
+    pixels = points_from_depth(depth, depth > 0, frame.camera)
+    assert len(pixels) > 50
+    for place, expected in ((base, 1.0), (np.eye(4), 0.0)):
+        surface = robot_surface(Linkage(urdf), joints, place)
+        assert of_robot(pixels, surface).mean() == pytest.approx(expected, abs=0.02)
 
 
 def test_the_ground_truth_is_what_is_asked_for_and_seen_from_outside():
