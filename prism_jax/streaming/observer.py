@@ -38,7 +38,8 @@ class FrameObserver(abc.ABC):
     """Frames of one sensor as scans, whatever is made of each.
 
     ``bounds`` crop each frame first. Without an ``up`` it is -y for a depth image in
-    its camera's axes and else z; "auto" looks for it in the first frame and keeps it.
+    its camera's axes and a cloud in a `*_optical_frame`, and else z; "auto" looks for
+    it in the first frame and keeps it.
     Of a ``robot`` that is known, points within ``robot_margin`` of where the frame's
     joints put it are cut out.
     """
@@ -79,8 +80,10 @@ class FrameObserver(abc.ABC):
 
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
         if self.up is None:
-            camera = None if frame.depth is None else frame.camera
-            return "-y" if camera is not None and in_own_axes(camera) else "z"
+            optical = frame.frame_id.endswith("_optical_frame")
+            if frame.depth is not None:
+                optical = frame.camera is not None and in_own_axes(frame.camera)
+            return "-y" if optical else "z"
         if isinstance(self.up, str) and self.up == "auto":
             eye, rotation = np.zeros(3), None
             if frame.camera is not None:

@@ -99,6 +99,9 @@ class McapFile(MessageFile):
             counts = summary.statistics.channel_message_counts
         except Exception:  # a file that is cut has none, and fails in many ways
             return None
+        needed = {channel.schema_id for channel in summary.channels.values()}
+        if not needed - {0} <= summary.schemas.keys():
+            return None
         for number, channel in summary.channels.items():
             schema = summary.schemas.get(channel.schema_id)
             kind = full_name("" if schema is None else schema.name)

@@ -8,12 +8,13 @@ import pytest
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.streams import Joints, open_stream, ros
+from prism_jax.io.streams import Joints, open_stream
 from tests.io.streams.recorded import (
     CLOUD,
     IMAGE,
     INFO,
     JOINTS,
+    ROS1,
     ROS2,
     SECOND,
     TEXT,
@@ -23,6 +24,7 @@ from tests.io.streams.recorded import (
     info,
     joints,
     store_of,
+    write_bag,
     write_mcap,
 )
 
@@ -62,6 +64,7 @@ def test_clouds_are_read_as_they_were_written(writer, tmp_path):
             assert frame.points.dtype == np.float32
             assert frame.timestamp == START + number * SECOND // 10
             assert frame.camera is None and frame.depth is None
+            assert frame.frame_id == stream.frame_id == "lidar"
 
 
 @pytest.mark.parametrize("writer", ["bag", "bag-lz4", "db3", "mcap-zstd", "mcap-plain"])
@@ -143,14 +146,14 @@ def test_odd_frames_are_told_and_counted(tmp_path):
     nameless.fields = nameless.fields[:2]
     later = (some, none, points[:0])
     given = [cloud(rows, START + n * SECOND) for n, rows in enumerate(later, 1)]
-    given += [short, nameless, wide, tall]
+    given += [short, nameless, wide, cloud(points, START, frame_id="radar"), tall]
     messages = [("/p", CLOUD, n, message) for n, message in enumerate(given)]
     stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
     frames, lines = lines_of(stream)
     assert [len(frame.points) for frame in frames] == [190, 0, 0, 200, 200]
     assert [frame.num_not_finite for frame in frames] == [7, 200, 0, 0, 0]
     kinds = {"not_finite": 1, "empty": 1, "damaged": 2, "backward": 1, "size": 1}
-    assert stream.remarks == kinds
+    assert stream.remarks == kinds | {"sensor": 1, "duplicate": 1}
     for line, words in zip(
         lines,
         (
@@ -158,6 +161,8 @@ def test_odd_frames_are_told_and_counted(tmp_path):
             "frame 2 is empty",
             "skipped a message on /p: ",
             "frame 3 is 3.000 s older than the one before",
+            "frame 4 is of 'radar', the first of 'lidar'; only those are used",
+            "frame 4 has the time of the one before; both are used",
             "frame 4 has 4x50 rows and columns, the one before 2x100",
         ),
         strict=True,
@@ -204,8 +209,32 @@ def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
     down = np.diag([1.0, -1, -1])
     given = Camera(down, np.array([0, 0, 3.0]), intrinsics, 4, 4)
     (frame,) = open_stream(path, camera=given)
+    assert frame.frame_id == ""
     # One metre in front of a camera that looks down from three.
     np.testing.assert_allclose(frame.points[:, 2], 2.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
+def test_intrinsics_are_those_of_the_depths_own_camera(writer, tmp_path):
+    """And of rectified images those that they were rectified to."""
+    store = store_of(writer)
+    pixels = np.full((4, 4), 1000, np.uint16)
+    about = {"store": store, "distortion": 0.1, "rectified": 500.0}
+    messages = [
+        (f"/d/{name}", IMAGE, 1, image(pixels, START, store))
+        for name in ("image_raw", "image_rect_raw")
+    ]
+    messages.append(("/color/camera_info", INFO, 2, info(4, 4, 615.0, **about)))
+    path = WRITERS[writer](tmp_path, messages)
+    for given in (None, "/c.json"):
+        with pytest.raises(InputError, match="set --camera to one of /color/camera_info,"):
+            open_stream(path, "/d/image_raw", given)
+    for name, wanted in (("image_raw", (615, 1.5)), ("image_rect_raw", (500, 1))):
+        stream = open_stream(path, f"/d/{name}", "/color/camera_info")
+        (frame,), lines = lines_of(stream)
+        focal, _, center = frame.camera.intrinsics[0]
+        assert (focal, center) == wanted and frame.frame_id == "lidar"
+        assert ["distortion" in line for line in lines] == [True] * (focal == 615)
 
 
 def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
@@ -224,6 +253,8 @@ def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
     assert "image is 6x4, camera is 4x4" in told
     assert "frame 1 has 4x6 rows and columns" in told
     assert "/camera_info has lens distortion, which is ignored" in told
+    assert "/camera_info has another size or other intrinsics than before" in told
+    assert stream.remarks["camera"] == 1
 
 
 def test_several_topics_are_listed_and_a_file_without_says_what_it_holds(tmp_path):
@@ -236,10 +267,19 @@ def test_several_topics_are_listed_and_a_file_without_says_what_it_holds(tmp_pat
     assert len(open_stream(path, "/rear")) == 1
     with pytest.raises(InputError, match="no clouds or depth images on /side"):
         open_stream(path, "/side")
+    with pytest.raises(InputError, match="does not say where clouds are"):
+        open_stream(path, "/rear", "/camera_info")
     messages = [m for m in both if m[0] == "/chatter"]
+    # Infrared, unless somebody says that it is depth.
+    grey = image(np.ones((4, 4), np.uint16), 0, encoding="mono16")
+    messages += [("/ir", IMAGE, 1, grey), ("/camera_info", INFO, 0, info(4, 4, 5.0))]
+    depth = tmp_path / "depth.mcap"
+    write_mcap(depth, [*messages, ("/Depth", IMAGE, 1, grey)])
+    assert open_stream(depth).topic == "/Depth"
     path = write_mcap(tmp_path / "r.mcap", messages)
     with pytest.raises(InputError, match=r"found /chatter \(std_msgs/msg/String\)"):
         open_stream(path)
+    assert len(list(open_stream(path, "/ir"))) == 1
 
 
 def test_a_split_recording_is_one_and_without_a_stamp_the_log_tells_the_time(tmp_path):
@@ -249,34 +289,71 @@ def test_a_split_recording_is_one_and_without_a_stamp_the_log_tells_the_time(tmp
     frames, lines = lines_of(open_stream(tmp_path))
     assert [len(f.points) for f in frames] == [len(CLOUDS[1]), len(CLOUDS[2])]
     assert [f.timestamp for f in frames] == [9, 10] and not lines
+    (tmp_path / "r_9.mcap").rename(tmp_path / "other.mcap")
+    with pytest.raises(InputError, match=r"other\.mcap.*give one of them"):
+        open_stream(tmp_path)
+    listed = "  relative_file_paths:\n    - other.mcap\n    - 'bag/r_10.mcap'\n"
+    (tmp_path / "metadata.yaml").write_text(listed)
+    assert len(list(open_stream(tmp_path))) == 2
+    # As ROS 1 names the parts of a bag, and two bags.
+    day, names = "2024-01-02-03", ("04-05_0", "05-05_1", "06-07")
+    for name in names:
+        write_bag(tmp_path / f"{day}-{name}.bag", clouds(ROS1)[:1])
+    for path in tmp_path.glob("*.mcap"):
+        path.unlink()
+    with pytest.raises(InputError, match="several recordings"):
+        open_stream(tmp_path)
+    (tmp_path / f"{day}-06-07.bag").unlink()
+    assert len(open_stream(tmp_path)) == 2
 
 
 def told_joints(found):
     return [frame.joints and frame.joints["positions"] for frame in found]
 
 
-@pytest.mark.parametrize("writer", ["bag", "mcap-zstd"])
-def test_joints_are_the_last_before_each_frame(writer, tmp_path):
-    """Of each joint by itself, by their own stamps and not by when they came."""
-    store = store_of(writer)
-    states = [
-        ({"a": 1.0, "b": 2.0}, -0.1),
-        ({"b": 3.0}, 0.0),
-        ({"a": 4.0}, 0.05),
-        ({"a": 6.0}, 0.15),  # written too late for the third frame
+def states(store, *told, topic="/joint_states"):
+    """Joint states, each of its positions and seconds after the start."""
+    return [
+        (topic, JOINTS, time, joints(positions, time, store))
+        for positions, after in told
+        for time in (START + round(after * SECOND),)
     ]
-    messages = clouds(store)
-    for (positions, after), place in zip(states, (0, 0, 0, 8), strict=True):
-        time = START + int(after * SECOND)
-        entry = ("/joint_states", JOINTS, time, joints(positions, time, store))
-        messages.insert(place, entry)
-    path = WRITERS[writer](tmp_path, messages)
+
+
+@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
+def test_joints_are_interpolated_at_each_frames_time(writer, tmp_path):
+    """Of each joint by itself, by stamps; samples may come after later frames."""
+    store = store_of(writer)
+    told = [
+        ({"a": 1.0, "b": 2.0}, 0.0),
+        ({"a": 2.0}, 0.08),
+        ({"b": 3.0}, 0.1),
+        ({"a": 4.0}, 0.16),
+        ({"b": 6.0}, 0.3),  # 0.2 s after the one before
+        ({"a": 3.1}, 0.29),
+        ({"a": -3.1}, 0.31),  # across half a turn
+    ]
+    before, *after = states(store, *told)
+    path = WRITERS[writer](tmp_path, [before, *clouds(store), *after])
     assert {frame.joints for frame in open_stream(path)} == {None}
     for topic in (None, "/joint_states"):
-        found = told_joints(open_stream(path, joints=Joints(topic)))
-        assert found[0] == {"a": 1.0, "b": 3.0}
-        assert found[1] == found[2] == {"a": 4.0, "b": 3.0}
-        assert found[3] == {"a": 6.0, "b": 3.0}
+        asked = Joints(topic, names=("a", "b"))
+        frames, lines = lines_of(stream := open_stream(path, joints=asked))
+        found = told_joints(frames)
+        assert found[0] == {"a": 1.0, "b": 2.0}
+        assert found[1] == {"a": pytest.approx(2.5), "b": 3.0}
+        assert found[2] is None
+        assert found[3] == {"a": pytest.approx(np.pi), "b": 6.0}
+        assert [f.joints and f.joints["skew"] for f in frames] == [0, 0.02, None, 0.01]
+        assert stream.skew == {"seconds": 0.02, "metres": pytest.approx(0.005)}
+        assert stream.remarks == {"joints": 1}
+        (line,) = lines
+        assert "robot unknown in frame 2: no joint positions within 0.12 s" in line
+    # A joint that is not needed is not missed; a wider gap is enough.
+    (_, _, third, _) = told_joints(open_stream(path, joints=Joints(names=("a", "c"))))
+    assert third is None
+    (_, _, third, _) = told_joints(open_stream(path, joints=Joints(gap=0.21)))
+    assert third == pytest.approx({"a": 4 - 0.9 * 4 / 13, "b": 4.5})
     base = np.eye(4).tolist()
     stream = open_stream(path, joints=Joints(given={"positions": {}}, base=base))
     assert [f.joints for f in stream] == 4 * [{"positions": {}, "base": base}]
@@ -284,18 +361,35 @@ def test_joints_are_the_last_before_each_frame(writer, tmp_path):
         open_stream(path, joints=Joints("/arm"))
 
 
-def test_joints_that_are_missing_or_old_are_told_once_and_counted(tmp_path):
+@pytest.mark.parametrize("joints_first", [False, True])
+def test_joints_of_another_time_are_not_used(joints_first, tmp_path):
+    """The clock goes back by ten seconds: of the joints, and of frames, in any order.
+    Frames that still wait for it are done by the samples before."""
+    frames = [cloud(CLOUDS[0], START + n * SECOND // 10) for n in (50, 100, 101, 50)]
+    frames = [("/p", CLOUD, 0, message) for message in frames]
+    early = states(ROS2, ({"a": 5.0}, 4.98), ({"a": 5.0}, 5.02))
+    late = states(ROS2, ({"a": 9.0}, 9.98), ({"a": 9.0}, 10.02))
+    anew = states(ROS2, ({"a": 7.0}, 4.99), ({"a": 7.0}, 5.01))
+    first, *rest = anew if joints_first else [frames[3], *anew][:0] or anew
+    told = [early[0], frames[0], early[1], late[0], frames[1], late[1], frames[2]]
+    told += [first, frames[3], *rest] if joints_first else [frames[3], first, *rest]
+    path = write_mcap(tmp_path / "r.mcap", told)
+    found = told_joints(lines_of(open_stream(path, joints=Joints()))[0])
+    last = {"a": 7.0} if joints_first else None
+    assert found == [{"a": 5.0}, {"a": 9.0}, None, last]
+
+
+def test_joints_that_never_come_are_told_once_and_counted(tmp_path):
+    """And no more than some frames wait for them."""
     odd = joints({"a": 1.0}, START)
     odd.name.append("b")
-    states = [(odd, START), (joints({"a": 1.0}, START - ros.JOINTS_AGE), START)]
-    messages = [("/j", JOINTS, time, state) for state, time in states]
-    path = write_mcap(tmp_path / "r.mcap", messages + clouds(ROS2))
+    (state,) = states(ROS2, ({"a": 1.0}, 0.0), topic="/j")
+    many = [m for _ in range(10) for m in clouds(ROS2)]
+    path = write_mcap(tmp_path / "r.mcap", [("/j", JOINTS, 0, odd), state, *many])
     stream = open_stream(path, joints=Joints())
     frames, lines = lines_of(stream)
-    assert told_joints(frames) == [{"a": 1.0}, None, None, None]
-    assert "frame 1 has no joint positions" in lines[1]
-    assert "2 joints have 1 positions" in lines[0]
-    assert len(lines) == 2 and stream.remarks == {"damaged": 1, "joints": 3}
+    assert told_joints(frames) == 10 * [{"a": 1.0}, None, None, None]
+    assert "2 joints have 1 positions" in lines[0] and "in frame 1" in lines[1]
     (tmp_path / "none").mkdir()
     path = write_mcap(tmp_path / "none" / "r.mcap", clouds(ROS2))
     with pytest.raises(InputError, match="no joint positions"):
