@@ -38,7 +38,7 @@ def unpack(data: bytes | memoryview, compression: str, size: int) -> bytes:
 
 def unpacked_message(data: bytes) -> bytes:
     """A message as it was before rosbag2 packed it (`compression_mode: MESSAGE`), if it
-    did; no other message of ROS 2 begins like zstd."""
+    did: no message with a header begins like zstd."""
     if not data.startswith(_ZSTD):
         return data
     size = require("zstandard", EXTRA).frame_content_size(data)

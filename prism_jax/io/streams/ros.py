@@ -76,7 +76,7 @@ class RosStream(Stream):
         camera = self.camera
         if self._info is not None:
             camera = self._first_camera()
-        wanted = {self.topic, self._info, self._joints} - {None}
+        wanted = {name for name in (self.topic, self._info, self._joints) if name}
         placed = PlacedFrames(self.joints or Joints())
         for message in self._messages(wanted):
             try:
@@ -95,31 +95,27 @@ class RosStream(Stream):
                 self.remark("damaged", line)
         yield from placed.done(0)
 
-    def _messages(self, wanted: set[str | None]) -> Iterator[Message]:
-        """Those of all files. One that is cut ends early, with a remark."""
+    def _messages(
+        self, wanted: Collection[str], told: bool = True
+    ) -> Iterator[Message]:
+        """Those of all files. One that is cut ends early, with a remark if `told`."""
         for file in self._files:
             count = 0
             try:
-                for message in file.messages({name for name in wanted if name}):
+                for message in file.messages(wanted):
                     count += message.topic == self.topic
                     yield message
             except CutError as error:
                 line = f"{file.path.name} is truncated or damaged: {error}"
-                self.remark("cut", f"{line}; the {count} complete messages are used")
-
-    def _undamaged(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Those of all files, without a remark where one is cut."""
-        for file in self._files:
-            with contextlib.suppress(CutError):
-                yield from file.messages(wanted)
+                line += f"; the {count} complete messages are used"
+                if told:
+                    self.remark("cut", line)
 
     def _read(self, message: Message) -> Any:
         """A message's content. Whatever is wrong with it raises ValueError."""
         kind, encoding, _ = self._topics[message.topic]
         try:
-            packable = encoding == "cdr"
-            data = unpacked_message(message.data) if packable else message.data
-            return _readers()[encoding](data, kind)
+            return _readers()[encoding](unpacked_message(message.data), kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
@@ -151,7 +147,7 @@ class RosStream(Stream):
         if topic is not None:
             images &= {topic}
         depths: set[str] = set()
-        for message in self._undamaged(frozenset(images)) if images else ():
+        for message in self._messages(frozenset(images), False) if images else ():
             if message.topic in images:
                 images.remove(message.topic)
                 with contextlib.suppress(ValueError):
@@ -199,7 +195,7 @@ class RosStream(Stream):
         return camera
 
     def _first_camera(self) -> Camera:
-        for message in self._undamaged({str(self._info)}):
+        for message in self._messages({str(self._info)}, False):
             with contextlib.suppress(ValueError):
                 return self._pinhole(self._read(message))
         fault = f"no readable CameraInfo on {self._info}"

@@ -58,7 +58,7 @@ def image(pixels, time, store=ROS2, encoding="16UC1", padding=0):
 
 
 def info(width, height, focal, time=0, store=ROS2, distortion=0.0, rectified=0.0):
-    """A CameraInfo; its projection has the focal length `rectified`, if that is given."""
+    """A CameraInfo, whose projection has the focal length `rectified`."""
     k = np.array([focal, 0, (width - 1) / 2, 0, focal, (height - 1) / 2, 0, 0, 1.0])
     values = {"d": np.full(5, distortion), "k": k, "r": np.eye(3).ravel()}
     values["p"] = np.zeros(12)
@@ -111,7 +111,9 @@ def pack_messages(path):
     """Packs each message of a .db3 by itself, as rosbag2 does, not all with a size."""
     zstandard = pytest.importorskip("zstandard")
     with contextlib.closing(sqlite3.connect(path)) as database:
-        for number, data in database.execute("SELECT id, data FROM messages").fetchall():
+        for number, data in database.execute(
+            "SELECT id, data FROM messages"
+        ).fetchall():
             packer = zstandard.ZstdCompressor(write_content_size=number % 2 > 0)
             packed = packer.compress(data), number
             database.execute("UPDATE messages SET data = ? WHERE id = ?", packed)
