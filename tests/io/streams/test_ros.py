@@ -333,9 +333,10 @@ def test_joints_are_interpolated_at_each_frames_time(writer, tmp_path):
     store = store_of(writer)
     told = [
         ({"a": 1.0, "b": 2.0}, 0.0),
-        ({"a": 2.0}, 0.08),
+        ({"a": 2.0}, 0.04),
         ({"b": 3.0}, 0.1),
-        ({"a": 4.0}, 0.16),
+        ({"a": 4.0}, 0.12),
+        ({"a": 4.0}, 0.22),
         ({"b": 6.0}, 0.3),  # 0.2 s after the one before
         ({"a": 3.1}, 0.29),
         ({"a": -3.1}, 0.31),  # across half a turn
@@ -346,21 +347,22 @@ def test_joints_are_interpolated_at_each_frames_time(writer, tmp_path):
     for topic in (None, "/joint_states"):
         asked = Joints(topic, names=("a", "b"))
         frames, lines = lines_of(stream := open_stream(path, joints=asked))
-        found = told_joints(frames)
-        assert found[0] == {"a": 1.0, "b": 2.0}
-        assert found[1] == {"a": pytest.approx(2.5), "b": 3.0}
-        assert found[2] is None
-        assert found[3] == {"a": pytest.approx(np.pi), "b": 6.0}
+        first, second, third, last = told_joints(frames)
+        assert first == {"a": 1.0, "b": 2.0} and third is None
+        assert second == {"a": pytest.approx(3.5), "b": 3.0}
+        assert last == {"a": pytest.approx(np.pi), "b": 6.0}
         assert [f.joints and f.joints["skew"] for f in frames] == [0, 0.02, None, 0.01]
         assert stream.skew == {"seconds": 0.02, "metres": pytest.approx(0.005)}
         assert stream.remarks == {"joints": 1}
         (line,) = lines
         assert "robot unknown in frame 2: no joint positions within 0.12 s" in line
-    # A joint that is not needed is not missed; a wider gap is enough.
-    (_, _, third, _) = told_joints(open_stream(path, joints=Joints(names=("a", "c"))))
-    assert third is None
-    (_, _, third, _) = told_joints(open_stream(path, joints=Joints(gap=0.21)))
-    assert third == pytest.approx({"a": 4 - 0.9 * 4 / 13, "b": 4.5})
+    # A joint that is not needed is not missed.
+    for asked, wanted in [
+        (Joints(names=("a", "c")), {"a": 4.0}),
+        (Joints(gap=0.21), {"a": 4.0, "b": 4.5}),
+    ]:
+        _, _, third, _ = told_joints(open_stream(path, joints=asked))
+        assert third == pytest.approx(wanted)
     base = np.eye(4).tolist()
     stream = open_stream(path, joints=Joints(given={"positions": {}}, base=base))
     assert [f.joints for f in stream] == 4 * [{"positions": {}, "base": base}]
@@ -375,11 +377,11 @@ def test_joints_of_another_time_are_not_used(joints_first, tmp_path):
     frames = [("/p", CLOUD, 0, message) for message in frames]
     early = states(ROS2, ({"a": 5.0}, 4.98), ({"a": 5.0}, 5.02))
     late = states(ROS2, ({"a": 9.0}, 9.98), ({"a": 9.0}, 10.02))
-    anew = states(ROS2, ({"a": 7.0}, 4.99), ({"a": 7.0}, 5.01))
+    anew = states(ROS2, *(({"a": 7.0}, after) for after in (4.99, 5.01, 10.0, 10.1)))
     told = [early[0], frames[0], early[1], late[0], frames[1], late[1], frames[2]]
     told += [frames[3], *anew]
     if joints_first:
-        told[-3:-1] = anew[0], frames[3]
+        told[7:9] = anew[0], frames[3]
     path = write_mcap(tmp_path / "r.mcap", told)
     found = told_joints(lines_of(open_stream(path, joints=Joints()))[0])
     assert found == [{"a": 5.0}, {"a": 9.0}, None, {"a": 7.0}]
