@@ -73,8 +73,8 @@ def define_recording_flags() -> None:
     flags.DEFINE_float(
         "robot_speed",
         Joints().speed,
-        "Metres a second of the robot's fastest point. Joint positions of a topic are "
-        "interpolated between samples in which it moves by --robot_margin at most.",
+        "Metres a second of the robot's fastest point. Between two samples of its "
+        "joint positions it may move by --robot_margin.",
         1e-3,
     )
 

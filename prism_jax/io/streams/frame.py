@@ -82,8 +82,7 @@ class Frame:
             fault = f"{camera.width}x{camera.height} pixels, images {width}x{height}"
             raise InputError("--camera", fault, "give the camera of these images")
         seen = Frame.of_depth(self.depth, camera, self.timestamp)
-        kept = {"joints": self.joints, "frame_id": self.frame_id}
-        return dataclasses.replace(seen, **kept)
+        return dataclasses.replace(seen, joints=self.joints, frame_id=self.frame_id)
 
 
 class Stream(abc.ABC):
@@ -191,8 +190,7 @@ class Stream(abc.ABC):
             line = f"frame {number} is {behind / 1e9:.3f} s older than the one before"
             self.remark("backward", f"{line}; used anyway")
         if behind == 0:
-            line = f"frame {number} has the time of the one before"
-            self.remark("duplicate", f"{line}; both are used")
+            self.remark("duplicate", f"frame {number} has the time of the one before")
         if frame.size != before.size and None not in (frame.size, before.size):
             one, other = ("x".join(map(str, f.size or ())) for f in (frame, before))
             line = f"frame {number} has {one} rows and columns, the one before {other}"

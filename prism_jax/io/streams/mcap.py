@@ -99,11 +99,10 @@ class McapFile(MessageFile):
             counts = summary.statistics.channel_message_counts
         except Exception:  # a file that is cut has none, and fails in many ways
             return None
-        needed = {channel.schema_id for channel in summary.channels.values()}
-        if not needed - {0} <= summary.schemas.keys():
-            return None
         for number, channel in summary.channels.items():
             schema = summary.schemas.get(channel.schema_id)
+            if schema is None and channel.schema_id:
+                return None
             kind = full_name("" if schema is None else schema.name)
             known.channels[number] = channel.topic, kind, channel.message_encoding
         most = _MOST_A_BYTE * self.path.stat().st_size

@@ -160,7 +160,7 @@ def test_odd_frames_are_told_and_counted(tmp_path):
             "skipped a message on /p: ",
             "frame 3 is 3.000 s older than the one before",
             "frame 4 is of 'radar', the first of 'lidar'; only those are used",
-            "frame 4 has the time of the one before; both are used",
+            "frame 4 has the time of the one before",
             "frame 4 has 4x50 rows and columns, the one before 2x100",
         ),
         strict=True,
@@ -183,9 +183,14 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
         ("/cam/depth", IMAGE, 1, image(pixels, START, store, encoding, padding=4)),
         ("/cam/camera_info", INFO, 2, info(8, 6, 10.0, store=store)),
         ("/cam/rgb", IMAGE, 3, image(np.zeros((6, 24), np.uint8), 0, store, "rgb8")),
-        ("/rgb/camera_info", INFO, 4, info(640, 480, 500.0, store=store)),
     ]
-    stream = open_stream(WRITERS[writer](tmp_path, messages))
+    about = {"store": store, "distortion": 0.1, "rectified": 500.0}
+    messages.append(("/rgb/camera_info", INFO, 4, info(8, 6, 615.0, **about)))
+    for name in ("raw", "rect_raw"):
+        given = image(pixels, START, store, encoding)
+        messages.append((f"/d/image_{name}", IMAGE, 5, given))
+    path = WRITERS[writer](tmp_path, messages)
+    stream = open_stream(path, "/cam/depth")
     assert stream.topic == "/cam/depth" and len(stream) == 1
     (frame,), lines = lines_of(stream)
     assert not lines and frame.timestamp == START and frame.size == (6, 8)
@@ -194,6 +199,16 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
     wanted = points_from_depth(frame.depth, mask, frame.camera)
     np.testing.assert_array_equal(frame.points, wanted)
     assert frame.camera.intrinsics[0, 0] == 10.0 and frame.camera.width == 8
+    # Another topic's are nobody's unless it is named, and rectified images' its P.
+    infos = "set --camera to one of /cam/camera_info, /rgb/camera_info"
+    with pytest.raises(InputError, match=f"on /c.json; {infos}"):
+        open_stream(path, "/d/image_raw", "/c.json")
+    for name, *wanted in (("raw", 615, 3.5), ("rect_raw", 500, 1)):
+        stream = open_stream(path, f"/d/image_{name}", "/rgb/camera_info")
+        (frame,), lines = lines_of(stream)
+        assert frame.camera.intrinsics[0, [0, 2]].tolist() == wanted
+        assert [("lens" in line) for line in lines] == [True] * (name == "raw")
+        assert frame.frame_id == "lidar"
 
 
 def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
@@ -203,6 +218,9 @@ def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
         InputError, match="no CameraInfo on /cam/camera_info; record /c"
     ):
         open_stream(path)
+    both = [("/cam/depth", IMAGE, 1, message), ("/rgb", INFO, 1, info(4, 4, 615.0))]
+    with pytest.raises(InputError, match="set --camera to one of /rgb, or to a JSON"):
+        open_stream(write_mcap(tmp_path / "both.mcap", both))
     intrinsics = np.array([[4.0, 0, 1.5], [0, 4, 1.5], [0, 0, 1]])
     down = np.diag([1.0, -1, -1])
     given = Camera(down, np.array([0, 0, 3.0]), intrinsics, 4, 4)
@@ -210,32 +228,6 @@ def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
     assert frame.frame_id == ""
     # One metre in front of a camera that looks down from three.
     np.testing.assert_allclose(frame.points[:, 2], 2.0, atol=1e-6)
-
-
-@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
-def test_intrinsics_are_those_of_the_depths_own_camera(writer, tmp_path):
-    """And of rectified images those that they were rectified to."""
-    store = store_of(writer)
-    pixels = np.full((4, 4), 1000, np.uint16)
-    about = {"store": store, "distortion": 0.1, "rectified": 500.0}
-    messages = [
-        (f"/d/{name}", IMAGE, 1, image(pixels, START, store))
-        for name in ("image_raw", "image_rect_raw")
-    ]
-    messages.append(("/color/camera_info", INFO, 2, info(4, 4, 615.0, **about)))
-    path = WRITERS[writer](tmp_path, messages)
-    for given in (None, "/c.json"):
-        with pytest.raises(
-            InputError, match="set --camera to one of /color/camera_info,"
-        ):
-            open_stream(path, "/d/image_raw", given)
-    for name, wanted in (("image_raw", (615, 1.5)), ("image_rect_raw", (500, 1))):
-        stream = open_stream(path, f"/d/{name}", "/color/camera_info")
-        (frame,), lines = lines_of(stream)
-        focal, _, center = frame.camera.intrinsics[0]
-        assert (focal, center) == wanted and frame.frame_id == "lidar"
-        told = ["lens distortion" in line for line in lines]
-        assert told == ([True] if focal == 615 else [])
 
 
 def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
