@@ -26,7 +26,6 @@ from prism_jax import io
 from prism_jax.cli.launch import launch
 from prism_jax.completion.assembly import CompletedScan, CompletedScene
 from prism_jax.completion.completer import Completer
-from prism_jax.data.public.kitti import read_corners
 from prism_jax.evaluation.metrics import UNIT
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
@@ -34,6 +33,7 @@ from prism_jax.geometry.visibility import Background
 from prism_jax.io.files import read_bytes
 from prism_jax.io.pcd import read_pcd, read_pcd_field
 from prism_jax.io.streams import open_stream
+from prism_jax.io.text import read_text
 from prism_jax.reporting.summary import score
 from prism_jax.training.run import commit
 
@@ -147,6 +147,17 @@ def captured(path: pathlib.Path) -> Given:
             return Given(near(frame.points.astype(np.float64)), AT_ORIGIN)
         lacking = stream.remarks["incomplete"]
     raise io.InputError(path, "no complete frame", "check how it was recorded")
+
+
+def read_corners(path: pathlib.Path) -> Float64[np.ndarray, "8 3"]:
+    """The corners of a car's box; InputError of anything else. From corner 0 edges lead
+    to 1, 3 and 4, and that to 3 is the heading."""
+    corners = read_text(path)
+    is_box = corners.shape == (8, 3) and bool(np.isfinite(corners).all())
+    if not is_box or np.array_equal(corners[0, :2], corners[3, :2]):
+        fault = "not the eight corners of a box"
+        raise io.InputError(path, fault, "copy this file again from the data set")
+    return corners
 
 
 def near(points: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ from prism_jax.cli.stream import (
     REPORT,
     end_as_interrupted,
     follow,
+    known_camera,
     known_robot,
     told_frames,
 )
@@ -80,7 +81,7 @@ _UNUSED = {
     CALIBRATE: "calibration camera depth eye query reference topic pace every_frame "
     "carving_margin smallest_body max_points output_dir",
     REFERENCE: "calibration query reference alpha weights adapt density background "
-    "objects around input sensor voxel pace every_frame output_dir",
+    "input sensor voxel pace every_frame output_dir",
     "": "input output",
 }
 """Flags that a use refuses."""
@@ -134,19 +135,6 @@ def define_flags() -> None:
         "Diameter of the smallest ball that free space must not hold, in metres. "
         "Sparse sensors prove nothing free for small ones: see docs/envelope.md.",
         lower_bound=1e-3,
-    )
-    flags.DEFINE_enum(
-        "objects",
-        _METHOD.objects,
-        ["one", "auto"],
-        "one: all points belong to objects. auto: remove supports and walls.",
-    )
-    flags.DEFINE_enum(
-        "around",
-        _METHOD.around,
-        ["everything", "objects"],
-        "Measured points that get a margin: all, or only those on objects (not on "
-        "removed supports and walls).",
     )
     flags.DEFINE_enum(
         "input",
@@ -359,6 +347,7 @@ def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str
                 "points": len(made.scan.points),
                 **({} if made.number is None else frame),
             },
+            "frame_id": made.scan.frame_id,
             "not_completed": made.seen.fault,
             "grid": {"lower": grid.lower, "voxel": grid.voxel, "shape": grid.shape},
             "points": told_kinds(made.envelope),
@@ -405,7 +394,9 @@ class _Folder:
             _write(own, frame, summary)
 
     def close(self) -> None:
-        if self._last is not None and not FLAGS.every_frame:
+        if self._last is None:
+            return self._part.unlink()
+        if not FLAGS.every_frame:
             _write(self._folder, self._last, self._summary(self._last))
         os.replace(self._part, self._folder / LINES)
 
@@ -426,7 +417,7 @@ def _opened(source: str, joints: Joints | None) -> tuple[Stream, Frame]:
     """The recording, and its first frame."""
     if FLAGS.depth is not None:
         raise io.InputError("--depth", "not supported for recordings", "omit it")
-    camera = None if FLAGS.camera is None else io.read_camera(FLAGS.camera)
+    camera = known_camera()
     stream = open_stream(source, FLAGS.topic, camera, _say, joints)
     # By a second look, so that nothing is told and counted twice.
     looked = open_stream(source, FLAGS.topic, camera, lambda _: None)
@@ -476,7 +467,7 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
 
 
 def _method(kind: Input, up: str, given: _Given) -> Method:
-    same = "voxel", "adapt", "density", "background", "objects", "around"
+    same = "voxel", "adapt", "density", "background"
     box, robot = given.bounds, given.robot
     return Method(
         input=kind,

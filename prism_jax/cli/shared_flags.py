@@ -3,6 +3,7 @@
 from absl import flags
 
 from prism_jax.envelope.robot import ROBOT_MARGIN
+from prism_jax.io.streams import Joints
 
 
 def define_strings(**texts: str) -> None:
@@ -25,8 +26,8 @@ def define_completion_flags(density: float) -> None:
         "Up direction in the input frame: x, y, z, -x, -y, -z, three numbers x,y,z, "
         "or auto: the normal of the support plane, else the up direction of the "
         "camera, else z; for a recording, from its first frame. Default: -y for a "
-        "depth image in its camera's own axes; z for a cloud, and if the camera is "
-        "rotated by 10 degrees or more (--camera).",
+        "depth image in its camera's own axes and a cloud of a recording in an optical "
+        "frame; else z.",
     )
     flags.DEFINE_bool(
         "adapt",
@@ -68,6 +69,13 @@ def define_recording_flags() -> None:
     )
     flags.DEFINE_float(
         "robot_margin", ROBOT_MARGIN, "Points nearer to the robot belong to it.", 0.0
+    )
+    flags.DEFINE_float(
+        "robot_speed",
+        Joints().speed,
+        "Metres a second of the robot's fastest point. Between two samples of its "
+        "joint positions it may move by --robot_margin.",
+        1e-3,
     )
 
 

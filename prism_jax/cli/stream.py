@@ -12,6 +12,7 @@ import json
 import pathlib
 import signal
 from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 from absl import flags
@@ -20,6 +21,7 @@ from prism_jax import io
 from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import launch, load_completer, say
 from prism_jax.envelope.robot import LAYOUT, joints_from_dict
+from prism_jax.geometry.camera import Camera
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import require
 from prism_jax.io.files import read_json
@@ -35,15 +37,16 @@ FLAGS = flags.FLAGS
 NAME = "prism-stream"
 REPORT = "stream.json"
 _TOLD = "camera workspace weights adapt up density background poses urdf joints base "
-_TOLD += "robot_margin pace"  # flags that the report repeats
+_TOLD += "robot_margin robot_speed pace"  # flags that the report repeats
+_REASONS = "unusable", "damaged", "cut"  # remarks that tell why there is no frame
 _say = functools.partial(say, NAME)
 
 
 def define_flags() -> None:
     """The flags."""
     shared_flags.define_strings(
-        camera="JSON of the pinhole camera and its pose. Replaces the CameraInfo of "
-        "depth images; sets the sensor position of clouds.",
+        camera="JSON of the pinhole camera and its pose, or a CameraInfo topic. "
+        "Replaces the CameraInfo of depth images; sets the sensor position of clouds.",
         workspace="Box to crop each frame to, x0,y0,z0,x1,y1,z1 in metres.",
     )
     shared_flags.define_recording_flags()
@@ -77,7 +80,17 @@ def known_robot() -> tuple[Linkage | None, Joints | None]:
     if FLAGS.base is not None:
         content = read_json(FLAGS.base, LAYOUT)
         pose = joints_from_dict({"positions": {}} | content, FLAGS.base)[1].tolist()
-    return Linkage(FLAGS.urdf), Joints(None if given else joints, given, pose)
+    robot, topic = Linkage(FLAGS.urdf), None if given else joints
+    gap = FLAGS.robot_margin / FLAGS.robot_speed
+    return robot, Joints(topic, given, pose, gap, FLAGS.robot_speed, robot.joints)
+
+
+def known_camera() -> Camera | str | None:
+    """The camera of the flags as `open_stream` takes it: of a file, or a topic."""
+    given = FLAGS.camera
+    if given is None or (given.startswith("/") and not pathlib.Path(given).is_file()):
+        return given
+    return io.read_camera(given)
 
 
 def main(words: Sequence[str]) -> None:
@@ -97,7 +110,7 @@ def stream_file(source: str) -> dict[str, Any]:
     the weights are loaded."""
     bounds = None if FLAGS.workspace is None else io.parse_bounds(FLAGS.workspace)
     direction = None if FLAGS.up is None else parse_up(FLAGS.up)
-    camera = None if FLAGS.camera is None else io.read_camera(FLAGS.camera)
+    camera = known_camera()
     place = pathlib.Path(FLAGS.output)
     beside = place.suffix.lower() == ".mcap"
     report_path = place.with_name(REPORT) if beside else place / REPORT
@@ -136,20 +149,28 @@ def follow(
     tell: Callable[[str], None],
 ) -> dict[str, Any]:
     """Runs a stream with a bar of progress, and writes and returns what the report
-    says of it, also when it is broken off."""
+    says of it, also when it is broken off. No completed frame is an InputError."""
+    from tqdm import tqdm
+
     from prism_jax.streaming.run import StreamReport, run_stream
 
     report = StreamReport()
     whole = False
     tell(f"{len(stream)} frames; the first run on a machine also compiles")
     try:
-        every = [*sinks, _Progress(len(stream))]
+        bar = tqdm(total=len(stream), unit="frame", delay=2.0, disable=None)
+        progress = SimpleNamespace(write=lambda _: bar.update(), close=bar.close)
+        every: list[Any] = [*sinks, progress]
         run_stream(stream, completer, every, asked["pace"], report)
         whole = True
     finally:
         summary = plain(_summary(asked, stream, report) | {"whole": whole})
         text = json.dumps(summary, indent=2, allow_nan=False)
         write_bytes(report_path, f"{text}\n".encode())
+    if not report.completed:
+        told = [stream.told[kind] for kind in _REASONS if kind in stream.told]
+        reason = told[0] if told else "the recording has none"
+        raise io.InputError(stream.path, "no frame was completed", reason)
     return summary
 
 
@@ -161,9 +182,11 @@ def _summary(asked: Mapping[str, Any], stream: Stream, report: Any) -> dict[str,
     return {
         "source": stream.path,
         "topic": stream.topic,
+        "frame_id": stream.frame_id or None,
         **asked,
         "frames": {"in_recording": len(stream), **frames},
         "remarks": dict(stream.remarks),
+        "joints_skew": stream.skew,
         "frames_a_second": rate,
         "milliseconds": report.latency(),
         "seconds": {"warm_up": report.warm_up, "stream": report.duration},
@@ -188,21 +211,6 @@ def end_as_interrupted() -> None:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, end)
-
-
-class _Progress:
-    """A bar on stderr that counts frames as they are written."""
-
-    def __init__(self, total: int):
-        from tqdm import tqdm
-
-        self._bar = tqdm(total=total, unit="frame", delay=2.0, disable=None)
-
-    def write(self, frame: Any) -> None:
-        self._bar.update()
-
-    def close(self) -> None:
-        self._bar.close()
 
 
 def run() -> None:

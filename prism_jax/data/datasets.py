@@ -11,7 +11,6 @@ import numpy as np
 
 from prism_jax.data.holdout import Subset, hold_out
 from prism_jax.data.manifest import content_digest, read_manifest
-from prism_jax.data.public.kitti import KITTI
 from prism_jax.data.public.shapenet import ShapeNet
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
@@ -108,7 +107,6 @@ DATASETS: Mapping[str, DataSet] = {
     "shapenet55": DataSet(partial(ShapeNet, "ShapeNet-55")),
     "shapenet34": DataSet(partial(ShapeNet, "ShapeNet-34")),
     "shapenet_unseen21": DataSet(partial(ShapeNet, "ShapeNet-Unseen21"), training=None),
-    "kitti": DataSet(KITTI, training=None),
 }
 """Public sets are named last. Nothing is downloaded: a set is put in place by whoever
 has the right to it, and one that is not laid out as published is refused."""

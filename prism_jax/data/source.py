@@ -11,7 +11,7 @@ from prism_jax.geometry.visibility import Visibility
 class Example(NamedTuple):
     """One object or scene: the clouds as their source has them, none resampled."""
 
-    # The ground truth; None where there is none, as for KITTI's cars.
+    # The ground truth; None where there is none.
     complete: Float32[np.ndarray, "M 3"] | None
     # What the sensor measured; None where the pipeline is to crop it from `complete`.
     partial: Float32[np.ndarray, "N 3"] | None

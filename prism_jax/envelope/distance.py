@@ -84,8 +84,7 @@ class Envelope:
 
     grid: Grid  # the voxels, in the user's frame and unit
     state: UInt8[np.ndarray, "X Y Z"]  # of each, one of `voxels.STATES` by number
-    # Of objects and the robot: what the margin inflates. Planes that objects stand on
-    # are voxels, but none of these.
+    # What the margin inflates.
     surfaces: Surfaces
     # What they are inflated by: the q of a calibration.
     margin: float

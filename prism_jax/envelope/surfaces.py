@@ -1,5 +1,5 @@
-"""From a scan to surfaces: what was measured of objects, what is predicted of them, and
-the robot where it is known."""
+"""From a scan to surfaces: what was measured, what is predicted, and the robot where it
+is known."""
 
 import dataclasses
 import json
@@ -7,7 +7,7 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float, Float64
 
 from prism_jax.envelope.calibration import Setup
 from prism_jax.envelope.distance import Surfaces
@@ -16,7 +16,6 @@ from prism_jax.envelope.voxels import VOXEL
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
-from prism_jax.preprocessing.segmentation.scene import SUPPORT
 
 Input = Literal["both", "cloud", "depth"]
 """What is measured: a cloud and its depth image, a cloud alone, an image alone."""
@@ -36,12 +35,6 @@ class Method:
     # As `prism_jax.Completer.complete` has them.
     density: float = 1.0
     background: Literal["unknown", "empty"] = "unknown"
-    # "one" for all points as one object, "auto" for a scene whose supports and walls
-    # are set aside.
-    objects: Literal["one", "auto"] = "one"
-    # What of the measured a margin is laid around: "everything", or "objects" alone,
-    # without what was set aside or is beside the scan in its depth image.
-    around: Literal["everything", "objects"] = "everything"
     # Which robot is known, by `envelope.robot.robot_digest`; None if none is.
     robot: str | None = None
     # How near to the robot's surface measured points are its own.
@@ -98,43 +91,24 @@ def see(
     robot = np.zeros((0, 3)) if robot is None else np.asarray(robot, np.float64)
     others = np.zeros((0, 3)) if others is None else np.asarray(others, np.float64)
     points = points[~of_robot(points, robot, method.robot_margin)]
-    objects, predicted, fault = points, np.zeros((0, 3)), ""
+    predicted, fault = np.zeros((0, 3)), ""
     try:
         check_cloud(points, "the scan")
-        done, aside = _completed(completer, points, camera, method, up)
+        done = completer.complete(
+            points,
+            camera,
+            adapt=method.adapt,
+            up=up,
+            density=method.density,
+            background=method.background,
+        )
     except InputError as error:
         fault = str(error)
     else:
         predicted = np.asarray(done.points[~done.observed], np.float64)
         predicted = predicted[~of_robot(predicted, robot, method.robot_margin)]
-        objects, others = points[~aside], np.concatenate([others, points[aside]])
-    if method.around == "everything":
-        others = others[~of_robot(others, robot, method.robot_margin)]
-        objects = np.concatenate([objects, others])
-    return Seen(objects, predicted, robot, fault)
-
-
-def _completed(
-    completer: Any,
-    points: Float64[np.ndarray, "N 3"],
-    camera: Camera | None,
-    method: Method,
-    up: str | Vector,
-) -> tuple[Any, Bool[np.ndarray, " N"]]:
-    """What the completer makes of points, and which of them lie on planes that were set
-    aside."""
-    settings = {
-        "adapt": method.adapt,
-        "up": up,
-        "density": method.density,
-        "background": method.background,
-    }
-    if method.objects == "one":
-        done = completer.complete(points, camera, **settings)
-        return done, np.zeros(len(points), bool)
-    scene = completer.split_scene(points, camera, up)
-    done = completer.complete_scene(points, camera, scene=scene, **settings)
-    return done, scene.object == SUPPORT
+    others = others[~of_robot(others, robot, method.robot_margin)]
+    return Seen(np.concatenate([points, others]), predicted, robot, fault)
 
 
 def sensor_name(camera: Camera | None) -> str | None:

@@ -33,6 +33,7 @@ class CompletedFrame:
     workspace: Workspace  # the cube that was completed
     timestamp: int  # the measurement's, in nanoseconds
     seconds: dict[str, float]  # spent on "observe", "network" and "assemble"
+    frame_id: str = ""  # of the points, as the measured frame has it
 
     @property
     def observed(self) -> Bool[np.ndarray, " M"]:
@@ -41,7 +42,8 @@ class CompletedFrame:
 
     def numbered(self, number: int) -> Labelled:
         """The frame of that number, as sinks take it."""
-        return Labelled(number, self.timestamp, self.points, self.label)
+        written = self.timestamp, self.points, self.label, self.frame_id
+        return Labelled(number, *written)
 
 
 class FrameCompleter(FrameObserver):
@@ -96,6 +98,7 @@ class FrameCompleter(FrameObserver):
                 "network": ran - observed - seconds["compile"],
                 "assemble": time.perf_counter() - ran,
             },
+            frame_id=frame.frame_id,
         )
 
     def warm_up(self, frame: Frame) -> CompletedFrame:

@@ -44,6 +44,7 @@ class Scanned:
     up: str | Vector  # the direction
     # Points on a known robot's surface; None where none is known.
     robot: Float[np.ndarray, "R 3"] | None
+    frame_id: str = ""  # what a recording calls the points' frame
 
     def view(self) -> View:
         """The rays that the sensor measured; InputError if its place is not known."""
@@ -119,6 +120,7 @@ class FrameScanner(FrameObserver):
             named=frame.camera,
             up=up,
             robot=None if self.robot is None else robot,
+            frame_id=frame.frame_id,
         )
 
 

@@ -23,9 +23,12 @@ from prism_jax.robots.urdf import Linkage
 
 
 def default_up(frame: Frame) -> str:
-    """-y for a depth image in its camera's axes, else z."""
-    camera = None if frame.depth is None else frame.camera
-    return "-y" if camera is not None and in_own_axes(camera) else "z"
+    """-y for a depth image in its camera's axes and a cloud in an optical frame, else
+    z."""
+    optical = frame.frame_id.endswith("_optical_frame")
+    if frame.depth is not None:
+        optical = frame.camera is not None and in_own_axes(frame.camera)
+    return "-y" if optical else "z"
 
 
 class Observed(NamedTuple):
@@ -44,7 +47,8 @@ class FrameObserver(abc.ABC):
     """Frames of one sensor as scans, whatever is made of each.
 
     ``bounds`` crop each frame first. Without an ``up`` it is -y for a depth image in
-    its camera's axes and else z; "auto" looks for it in the first frame and keeps it.
+    its camera's axes and a cloud in a `*_optical_frame`, and else z; "auto" looks for
+    it in the first frame and keeps it.
     Of a ``robot`` that is known, points within ``robot_margin`` of where the frame's
     joints put it are cut out.
     """

@@ -359,7 +359,7 @@ def test_a_known_robot_is_where_each_frame_says_and_needs_its_own_calibration(
     robot = f"--urdf={urdf}"
     words = "calibrate", str(recordings), robot, f"--output={tmp_path / 'no.json'}"
     assert launching.run(envelope, *words) == 2
-    assert "the robot's base is not known" in capsys.readouterr().err
+    assert "no position for joint 'yaw'" in capsys.readouterr().err
     cell = known / "000-panda" / "000000"
     joints = f"--joints={cell.with_name('000000.joints.json')}"
     own = [
@@ -372,6 +372,10 @@ def test_a_known_robot_is_where_each_frame_says_and_needs_its_own_calibration(
     assert "calibrated for robot None, not" in capsys.readouterr().err
     assert launching.run(envelope, *words) == 2
     assert "needs --joints" in capsys.readouterr().err
+    path = tmp_path / "baseless.json"
+    path.write_text(json.dumps({"positions": {"yaw": 0, "shoulder": 0, "elbow": 0}}))
+    assert launching.run(envelope, *words, f"--joints={path}") == 2
+    assert "the robot's base is not known" in capsys.readouterr().err
     words[3] = calibrated(robot, cells=known)
     assert launching.run(envelope, *words, joints) == 0
     # The other pose, and another base.

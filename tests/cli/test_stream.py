@@ -81,11 +81,29 @@ def test_a_folder_of_files(scans, shared, tmp_path, capsys):
     assert len(read_points(other)) > 300
 
 
+def test_without_a_completed_frame_it_fails_and_an_older_file_stays(
+    scans, shared, tmp_path, capsys
+):
+    pytest.importorskip("mcap")
+    out = tmp_path / "out.mcap"
+    out.write_bytes(b"older")
+    words = "--workspace=50,-2,-2,59,2,2", f"--output={out}"
+    assert run(command, str(scans), *words) == 2
+    said = capsys.readouterr()
+    told = "no frame was completed; skipped frame 0: the frame: no points inside"
+    assert told in said.err.splitlines()[-1] and "written" not in said.out
+    assert out.read_bytes() == b"older"
+    summary = json.loads((tmp_path / "stream.json").read_text())
+    assert summary["whole"] and summary["frames"]["completed"] == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"out.mcap", "stream.json"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
         ([], "expected one recording, got 0"),
         (["SCANS", "--joints=j.json"], "set --urdf too"),
+        (["SCANS", "--camera=/camera_info"], "no CameraInfo in this recording"),
         (["SCANS", "--output=SCANS"], "choose another output"),
         (["SCANS", "--output=out.mcap", "--weights=nobody"], "nobody"),
     ],
@@ -143,6 +161,9 @@ def test_a_known_robot_from_end_to_end(
     of_file = "cell.mcap", "--camera=c.json", first
     assert run(command, *of_file, *known, "--output=a") == 0
     assert run(command, str(beside), "--topic=depth", *known, "--output=b") == 0
+    told = json.loads(pathlib.Path("a/stream.json").read_text())
+    assert told["joints_skew"] == {"seconds": 0, "metres": 0}
+    assert (told["frame_id"], told["robot_speed"]) == (None, 0.25)
     for number, frame in enumerate(frames):
         surfaces = []
         for folder in "ab":

@@ -57,17 +57,16 @@ def test_of_a_set_without_a_validation_split_some_objects_are_held_out(
 
 
 def test_a_set_without_a_training_split_is_refused(tmp_path):
-    for name in ("kitti", "shapenet_unseen21"):
-        with pytest.raises(InputError, match="no training split"):
-            open_training(name, tmp_path)
+    with pytest.raises(InputError, match="no training split"):
+        open_training("shapenet_unseen21", tmp_path)
 
 
 def test_unknown_names_and_options_are_refused(tmp_path):
     with pytest.raises(InputError, match="unknown value 'shapez'; use one of shapes"):
         open_dataset("shapez", "train")
-    with pytest.raises(InputError, match="unknown value 'kitti'; use one of shapes"):
-        build_dataset("kitti", "train", tmp_path)
+    with pytest.raises(InputError, match="unknown value 'packed'; use one of shapes"):
+        build_dataset("packed", "train", tmp_path)
     with pytest.raises(
-        InputError, match=r"^num_points: not an option of kitti; .*list_f"
+        InputError, match=r"^num_points: not an option of shapenet55; .*difficulty"
     ):
-        open_dataset("kitti", "test", tmp_path, num_points=2048)
+        open_dataset("shapenet55", "test", tmp_path, num_points=2048)

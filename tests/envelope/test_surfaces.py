@@ -61,28 +61,12 @@ def test_a_robot_that_the_method_does_not_know_is_refused():
         see(FakeCompleter(), POINTS, None, Method(robot="box"))
 
 
-def test_supports_and_what_is_beside_the_scan_have_a_margin_or_none():
-    points = POINTS.copy()
-    points[::3, 2] *= -1
-    others = np.array([[9.0, 9, 9], [9.001, 9, 9], [8, 8, 8]])
-    method = Method(objects="auto", around="objects")
-    seen = see(FakeCompleter(), points, None, method, others=others)
-    assert len(seen.measured) == 200 and (seen.measured[:, 2] > 0).all()
-    method = Method(objects="auto")
-    all_of_it = see(FakeCompleter(), points, None, method, others=others)
-    np.testing.assert_array_equal(all_of_it.measured[:200], seen.measured)
-    np.testing.assert_array_equal(all_of_it.measured[200:203], others)
-    np.testing.assert_array_equal(all_of_it.measured[203:], points[::3])
-
-
-def test_a_robots_points_are_never_measured():
-    points = POINTS.copy()
-    points[::3, 2] *= -1
-    robot = points[:120]
-    method = Method(objects="auto", robot="box", robot_margin=0.001)
-    seen = see(FakeCompleter(), points, None, method, robot=robot, others=robot)
-    expected = {tuple(point) for point in points[120:]}
-    assert {tuple(point) for point in seen.measured} == expected
+def test_a_margin_is_laid_around_all_that_was_measured_but_the_robot():
+    others = np.concatenate([POINTS[:9], [[9.0, 9, 9]]])
+    method = Method(robot="box", robot_margin=0.001)
+    seen = see(FakeCompleter(), POINTS, None, method, robot=POINTS[:120], others=others)
+    expected = np.concatenate([POINTS[120:], others[9:]])
+    np.testing.assert_array_equal(seen.measured, expected)
 
 
 def test_the_sensor_is_called_by_its_image():

@@ -45,6 +45,18 @@ def test_a_frame_is_what_a_scan_is_bit_for_bit(completer, scalar, adapt):
         assert set(done.seconds) == {"observe", "network", "assemble"}
 
 
+def test_up_of_a_cloud_in_an_optical_frame_is_that_of_its_camera(completer):
+    for name, camera, up in [
+        ("lidar", None, "z"),
+        ("cam_optical_frame", None, "-y"),
+        ("cam_optical_frame", Camera.look_at((0, 0, 1.0), (3.5, 0, 0)), "-y"),
+    ]:
+        frame = Frame(shell(0), 0, camera, frame_id=name)
+        assert FrameCompleter(completer).observe(frame).up == up
+    done = FrameCompleter(completer).complete(frame)
+    assert done.numbered(3).frame_id == "cam_optical_frame"
+
+
 def test_poses_are_a_streams_own(completer, monkeypatch):
     """One is what it takes if nothing is said, whatever the weights say."""
     three, asked = completer.in_poses(3), []

@@ -5,12 +5,11 @@ folder is listed once, since a network drive answers 30,000 listings far sooner 
 230,000 questions for single files.
 """
 
-import json
 import os
 import pathlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -18,13 +17,10 @@ from jaxtyping import Float32, Int
 from prism_jax.io.arrays import read_npy
 from prism_jax.io.errors import InputError, StrPath, unreadable
 from prism_jax.io.files import read_bytes
-from prism_jax.io.pcd import read_pcd
 
 _SHOWN = 3
 _TAKE_LIST = "use the list published with the data set"
 _COPY_AGAIN = "copy this file again from the data set"
-_ID = re.compile(r"[\w-]+")
-_READERS = {".npy": read_npy, ".pcd": read_pcd}
 
 
 class Model(NamedTuple):
@@ -74,21 +70,6 @@ def read_list(path: StrPath, pattern: str, form: str) -> list[tuple[str, ...]]:
     return [match.groups() for match in matches if match]
 
 
-def read_json_list(path: StrPath, split: str) -> list[Model]:
-    """The objects of a split, from a category list as GRNet publishes them. It is a
-    JSON list of objects with `taxonomy_id`, `taxonomy_name` and, for each split, a list
-    of ids. Anything else raises InputError."""
-    text = _read_text(path)
-    try:
-        entries = json.loads(text)
-        models = [model for entry in entries for model in _models(entry, split)]
-    except (ValueError, TypeError, KeyError, RecursionError):
-        fault = f"not a list of categories with the ids of split {split!r}"
-        raise InputError(path, fault, _TAKE_LIST) from None
-    _refuse_doubles(path, models)
-    return models
-
-
 def require_files(
     root: pathlib.Path, wanted: Mapping[str, Sequence[str]], listed_in: str, layout: str
 ) -> None:
@@ -111,8 +92,8 @@ def require_files(
 def read_cloud(
     path: pathlib.Path, num_points: int | None = None
 ) -> Float32[np.ndarray, "N 3"]:
-    """The points of an NPY or PCD file, as `sound_cloud` wants them."""
-    return sound_cloud(_READERS[path.suffix](path), path, num_points)
+    """The points of an NPY file, as `sound_cloud` wants them."""
+    return sound_cloud(read_npy(path), path, num_points)
 
 
 def sound_cloud(
@@ -138,16 +119,6 @@ def _read_text(path: StrPath) -> str:
         return read_bytes(path).decode()
     except UnicodeDecodeError:
         raise InputError(path, "not a text file", _TAKE_LIST) from None
-
-
-def _models(entry: dict[str, Any], split: str) -> Iterator[Model]:
-    name, folder, ids = entry["taxonomy_name"], entry["taxonomy_id"], entry[split]
-    if not isinstance(name, str) or not isinstance(ids, list):
-        raise ValueError
-    for item in ids:
-        if not _ID.fullmatch(folder) or not _ID.fullmatch(item):
-            raise ValueError
-        yield Model(name, folder, item)
 
 
 def _refuse_doubles(path: StrPath, entries: Sequence[object]) -> None:

@@ -27,28 +27,19 @@ class BagFile(MessageFile):
     needed, so a bag that was never closed can be read."""
 
     def topics(self) -> dict[str, Topic]:
-        counts: Counter[str | None] = Counter()
+        counts: Counter[str] = Counter()
         kinds: dict[str, str] = {}
         with contextlib.suppress(CutError):  # which iterating over the messages tells
             counts.update(topic for topic, _, _ in self._messages(kinds))
-        return {
-            name: Topic(kinds[name], "ros1", count)
-            for name, count in counts.items()
-            if name in kinds
-        }
+        return {n: Topic(kinds[n], "ros1", count) for n, count in counts.items()}
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
         for topic, time, data in self._messages({}):
-            if topic is None:
-                raise CutError("message without connection")
             if topic in wanted:
                 yield Message(topic, time, bytes(data))
 
-    def _messages(
-        self, kinds: dict[str, str]
-    ) -> Iterator[tuple[str | None, int, memoryview]]:
-        """Each message's topic, if a connection said it, time and data. Fills in the
-        types of topics."""
+    def _messages(self, kinds: dict[str, str]) -> Iterator[tuple[str, int, memoryview]]:
+        """Each message's topic, time and data. Fills in the types of topics."""
         names: dict[int, str] = {}
         for fields, data in self._records():
             try:
@@ -65,8 +56,10 @@ class BagFile(MessageFile):
                     continue
             except (KeyError, IndexError, UnicodeDecodeError, struct.error):
                 raise CutError("damaged record") from None
+            if code == _MESSAGE and number not in names:
+                raise CutError("message without connection")
             if code == _MESSAGE:
-                yield names.get(number), seconds * 1_000_000_000 + nanoseconds, data
+                yield names[number], seconds * 1_000_000_000 + nanoseconds, data
 
     def _records(self) -> Iterator[tuple[_Fields, memoryview]]:
         """Every record, those in chunks like the others."""

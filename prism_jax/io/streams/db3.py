@@ -4,6 +4,7 @@ import contextlib
 import sqlite3
 import struct
 import urllib.parse
+from collections import Counter
 from collections.abc import Collection, Iterator
 
 from prism_jax.io.errors import InputError
@@ -23,12 +24,23 @@ class Db3File(MessageFile):
     """Messages of a .db3 file, in the order in which they were written."""
 
     def topics(self) -> dict[str, Topic]:
+        counted = "SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"
+        counts: Counter[str] = Counter()
         with self._connected() as database:
             rows = self._topics(database)
+            names = {number: name for number, (name, *_) in rows.items()}
+            # Iterating over the messages tells of what is cut.
+            with contextlib.suppress(CutError, sqlite3.DatabaseError):
+                if self._cut_page():
+                    every = self.messages(set(names.values()))
+                    counts.update(message.topic for message in every)
+                else:
+                    for number, count in database.execute(counted):
+                        counts[names.get(number, "")] += count
         return {
-            name: Topic(full_name(kind), encoding, count)
+            name: Topic(full_name(kind), encoding, counts[name])
             for name, kind, encoding in rows.values()
-            if (count := self._count(name))
+            if counts[name]
         }
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
@@ -49,27 +61,10 @@ class Db3File(MessageFile):
             except sqlite3.DatabaseError as error:
                 raise CutError(f"damaged record ({error})") from None
 
-    def _count(self, topic: str) -> int:
-        """How many messages there are of a topic; of a file that is cut, whole ones."""
-        counted = "SELECT COUNT(*) FROM messages WHERE topic_id IN "
-        named = "(SELECT id FROM topics WHERE name = ?)"
-        count = 0
-        # Iterating over the messages tells of what is cut.
-        with contextlib.suppress(CutError, sqlite3.DatabaseError):
-            if not self._cut_page():
-                with self._connected() as database:
-                    return database.execute(counted + named, [topic]).fetchone()[0]
-            for _ in self.messages({topic}):
-                count += 1
-        return count
-
     def _cut_page(self) -> int:
         """The size of a page, if the file is shorter than its header says; else 0."""
         with self.opened(MAGIC, "a ROS 2 bag in SQLite") as file:
-            rest = file.read(16)
-        if len(rest) < 16:
-            remedy = "check how it was recorded or copied"
-            raise InputError(self.path, "not a ROS 2 bag in SQLite", remedy)
+            rest = file.read(16).ljust(16, b"\0")
         page, count = struct.unpack(">H10xI", rest)
         page = 65536 if page == 1 else max(page, 512)
         return page if page * count > self.path.stat().st_size else 0

@@ -12,7 +12,7 @@ from prism_jax.io.clouds import READERS, read_points_counted
 from prism_jax.io.depth import read_camera, read_depth
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_json
-from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
+from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 
 PERIOD = 100_000_000
 """Nanoseconds between files that say nothing of their time: 10 frames a second."""
@@ -31,6 +31,10 @@ class CloudFolder(Stream):
 
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
+        self._paths = self._found(path, topic)
+
+    def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
+        """The frames' files, in order."""
         if topic is not None:
             fault = f"no topics in this recording, so no {topic}"
             raise InputError(path, fault, "omit --topic")
@@ -43,7 +47,7 @@ class CloudFolder(Stream):
         if clouds and images:
             fault = f"folder mixes {len(clouds)} clouds and {len(images)} images"
             raise InputError(path, fault, "put them into separate folders")
-        self._paths = sorted(clouds or images, key=natural)
+        return sorted(clouds or images, key=natural)
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -56,6 +60,7 @@ class CloudFolder(Stream):
                 self.remark("damaged", f"skipped {path.name}: {error}")
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:
+        """One of the frames."""
         if path.suffix.lower() == ".png":
             own = path.with_suffix(".json")
             common = path.with_name("camera.json")
@@ -63,42 +68,33 @@ class CloudFolder(Stream):
         return _cloud_frame(path, None, time)
 
 
-class RecordedFrames(Stream):
+class RecordedFrames(CloudFolder):
     """Frames in the layout of `prism_jax.data.recordings`, in the world frame, sequence
     after sequence: the topic "depth" is the depth images, "partial" the partial clouds.
     Frames count as 10 a second."""
 
-    def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
-        super().__init__(path, tell)
+    def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
         self.topic = chosen_topic(path, topic, TOPICS, "clouds or depth images")
         above = "" if _holds(path) else "*/"
         found = path.glob(f"{above}*{TOPICS[self.topic]}")
-        self._paths = sorted(found, key=lambda p: natural(p.relative_to(path)))
+        return sorted(found, key=lambda p: natural(p.relative_to(path)))
 
-    def __len__(self) -> int:
-        return len(self._paths)
-
-    def _frames(self) -> Iterator[Frame]:
+    def _read(self, path: pathlib.Path, time: int) -> Frame:
         suffix = TOPICS[str(self.topic)]
-        for number, path in enumerate(self._paths):
-            name = path.name.removesuffix(suffix)
-            camera = path.with_name(name + _CAMERA)
-            joints = path.with_name(name + _JOINTS)
-            time = number * PERIOD
-            try:
-                if suffix == _DEPTH:
-                    frame = _depth_frame(path, camera, time)
-                else:
-                    frame = _cloud_frame(path, read_camera(camera), time)
-                if self.joints is not None and joints.exists():
-                    frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
-                yield frame
-            except InputError as error:
-                self.remark("damaged", f"skipped {path.name}: {error}")
+        name = path.name.removesuffix(suffix)
+        camera = path.with_name(name + _CAMERA)
+        joints = path.with_name(name + _JOINTS)
+        if suffix == _DEPTH:
+            frame = _depth_frame(path, camera, time)
+        else:
+            frame = _cloud_frame(path, read_camera(camera), time)
+        if self.joints is not None and joints.exists():
+            frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
+        return frame
 
-    def _check_joints(self, topic: str | None) -> None:
-        if topic is not None:
-            fault = f"no joint topic {topic}; joints are in files next to the frames"
+    def _check_joints(self, joints: Joints) -> None:
+        if joints.topic is not None:
+            fault = f"no joint topic {joints.topic}; joints are in the frames' files"
             raise InputError(self.path, fault, "omit --joints")
 
 

@@ -18,7 +18,7 @@ from prism_jax.io.errors import InputError, StrPath
 
 Tell = Callable[[str], None]  # takes one line for the user
 
-_LATE = 1_000_000  # nanoseconds: clocks that step back by less are not told
+LATE = 1_000_000  # nanoseconds: clocks that step back by less are not told
 
 
 class Joints(NamedTuple):
@@ -31,6 +31,11 @@ class Joints(NamedTuple):
     # The robot's pose in the points' frame, 4x4, or None for what `given` or the frames
     # say of it.
     base: Any = None
+    # Those of a topic are interpolated between samples at most so many seconds apart.
+    # `speed` is that of the robot's fastest point, in metres a second.
+    gap: float = 0.12
+    speed: float = 0.25
+    names: Collection[str] = ()  # joints that a frame must have; by default all seen
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +56,9 @@ class Frame:
     # Of a robot in it, as a `joints.json` of recordings has them, if the stream was
     # asked for them and has some.
     joints: Mapping[str, Any] | None = None
+    # What the recording calls the points' frame; "" if nothing, or if the camera's pose
+    # puts them into another.
+    frame_id: str = ""
 
     @classmethod
     def of_depth(
@@ -74,25 +82,31 @@ class Frame:
             fault = f"{camera.width}x{camera.height} pixels, images {width}x{height}"
             raise InputError("--camera", fault, "give the camera of these images")
         seen = Frame.of_depth(self.depth, camera, self.timestamp)
-        return dataclasses.replace(seen, joints=self.joints)
+        return dataclasses.replace(seen, joints=self.joints, frame_id=self.frame_id)
 
 
 class Stream(abc.ABC):
     """Frames of one sensor from a recording, in the order in which they were recorded.
 
     It can be iterated over again, and from any thread. `remarks` counts what was odd;
-    of each kind the first case is told in one line. `topic` is which of the recording's
-    sensors it is; `camera`, if given, stands in for what the recording says of all
-    frames'; `joints` is where joint positions come from, None if nobody asked.
+    of each kind the first case is told in one line, which `told` keeps. `topic` is
+    which of the recording's sensors it is, and `frame_id` its first frame's; `camera`,
+    if given, stands in for what the recording says of all frames'; `joints` is where
+    joint positions come from, None if nobody asked. `skew` is the longest time between
+    a frame and the nearest sample of its joints, and how far the robot moves in it.
     """
 
     topic: str | None = None
+    frame_id: str = ""
     camera: Camera | None = None
     joints: Joints | None = None
+    skew: Mapping[str, float] | None = None
+    _unknown = "no joint positions"
 
     def __init__(self, path: StrPath, tell: Tell | None = None):
         self.path = os.fspath(path)
         self.remarks: Counter[str] = Counter()
+        self.told: dict[str, str] = {}
         self._tell = tell or functools.partial(print, file=sys.stderr, flush=True)
 
     @abc.abstractmethod
@@ -105,22 +119,41 @@ class Stream(abc.ABC):
 
     def __iter__(self) -> Iterator[Frame]:
         before: Frame | None = None
-        for number, frame in enumerate(self._frames()):
+        number, sensor = 0, None
+        for frame in self._frames():
+            sensor = frame.frame_id if sensor is None else sensor
+            if frame.frame_id != sensor:
+                line = f"frame {number} is of {frame.frame_id!r}, the first of"
+                self.remark("sensor", f"{line} {sensor!r}; only those are used")
+                continue
             self._look_at(number, frame, before)
-            if self.camera is not None and frame.camera is not self.camera:
-                frame = frame.seen_by(self.camera)
-            yield self._with_joints(number, frame)
+            frame = self._with_joints(number, self._placed(frame))
+            self.frame_id = frame.frame_id
+            yield frame
             before = dataclasses.replace(frame, points=_NONE, depth=None)
+            number += 1
+
+    def _placed(self, frame: Frame) -> Frame:
+        """The frame by the camera that was given, if one was."""
+        camera = self.camera
+        if camera is None:
+            return frame
+        if frame.camera is not camera:
+            frame = frame.seen_by(camera)
+        posed = np.any(camera.rotation != np.eye(3)) or np.any(camera.translation)
+        if frame.depth is None or not posed:
+            return frame
+        return dataclasses.replace(frame, frame_id="")
 
     def take_joints(self, joints: Joints) -> None:
         """Has each frame tell joint positions; InputError where there are none."""
         if joints.given is None:
-            self._check_joints(joints.topic)
+            self._check_joints(joints)
         self.joints = joints
 
-    def _check_joints(self, topic: str | None) -> None:
+    def _check_joints(self, joints: Joints) -> None:
         """Looks for joint positions in the recording."""
-        named = "no joint positions" + (f" on {topic}" if topic else "")
+        named = "no joint positions" + (f" on {joints.topic}" if joints.topic else "")
         raise InputError(self.path, named, "set --joints to a .json file")
 
     def _with_joints(self, number: int, frame: Frame) -> Frame:
@@ -128,8 +161,12 @@ class Stream(abc.ABC):
             return frame
         found = frame.joints if self.joints.given is None else self.joints.given
         if found is None:
-            self.remark("joints", f"frame {number} has no joint positions")
+            line = f"robot unknown in frame {number}: {self._unknown}"
+            self.remark("joints", line)
             return frame
+        skew = (frame.joints or {}).get("skew")
+        if skew is not None and (self.skew is None or skew > self.skew["seconds"]):
+            self.skew = {"seconds": skew, "metres": skew * self.joints.speed}
         base = {} if self.joints.base is None else {"base": self.joints.base}
         return dataclasses.replace(frame, joints={**found, **base})
 
@@ -137,6 +174,7 @@ class Stream(abc.ABC):
         """Counts something odd, and tells the first of its kind."""
         self.remarks[kind] += 1
         if self.remarks[kind] == 1:
+            self.told[kind] = line
             self._tell(f"{self.path}: {line}")
 
     def _look_at(self, number: int, frame: Frame, before: Frame | None) -> None:
@@ -148,9 +186,11 @@ class Stream(abc.ABC):
         if before is None:
             return
         behind = before.timestamp - frame.timestamp
-        if behind > _LATE:
+        if behind > LATE:
             line = f"frame {number} is {behind / 1e9:.3f} s older than the one before"
             self.remark("backward", f"{line}; used anyway")
+        if behind == 0:
+            self.remark("duplicate", f"frame {number} has the time of the one before")
         if frame.size != before.size and None not in (frame.size, before.size):
             one, other = ("x".join(map(str, f.size or ())) for f in (frame, before))
             line = f"frame {number} has {one} rows and columns, the one before {other}"

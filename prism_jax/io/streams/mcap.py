@@ -101,6 +101,8 @@ class McapFile(MessageFile):
             return None
         for number, channel in summary.channels.items():
             schema = summary.schemas.get(channel.schema_id)
+            if schema is None and channel.schema_id:
+                return None
             kind = full_name("" if schema is None else schema.name)
             known.channels[number] = channel.topic, kind, channel.message_encoding
         most = _MOST_A_BYTE * self.path.stat().st_size

@@ -55,7 +55,7 @@ class McapOutput:
             raise unwritable(self.path, error) from None
 
     def close(self) -> None:
-        """Ends the file and gives it its name."""
+        """Ends the file and gives it its name; without a message, leaves none."""
         if self._file.closed:
             return
         try:
@@ -63,7 +63,10 @@ class McapOutput:
             self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
-            os.replace(self.part, self.path)
+            if self._channels:
+                os.replace(self.part, self.path)
+            else:
+                self.part.unlink()
         except OSError as error:
             raise unwritable(self.path, error) from None
 

@@ -1,7 +1,8 @@
 """Which format a recording has, by its name."""
 
 import pathlib
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError, StrPath, unreadable
@@ -24,6 +25,7 @@ MESSAGES: dict[str, Callable[[pathlib.Path], MessageFile]] = {
     ".db3": Db3File,
     ".mcap": McapFile,
 }
+Pinhole = Camera | str | None  # a camera, or the topic of its CameraInfo
 OUSTER = (".pcap", ".osf")
 SUFFIXES = (*MESSAGES, *OUSTER)
 
@@ -31,7 +33,7 @@ SUFFIXES = (*MESSAGES, *OUSTER)
 def open_stream(
     path: StrPath,
     topic: str | None = None,
-    camera: Camera | None = None,
+    camera: Pinhole = None,
     tell: Tell | None = None,
     joints: Joints | None = None,
 ) -> Stream:
@@ -40,7 +42,8 @@ def open_stream(
     or one of recordings (`prism_jax.data.recordings`).
 
     If several topics have frames, `topic` chooses; an InputError lists them. A `camera`
-    replaces the CameraInfo of depth images, and says where the sensor of clouds stood.
+    replaces the CameraInfo of depth images, and says where the sensor of clouds stood;
+    the name of a topic takes its CameraInfo for that of depth images.
     `tell` gets a line for each kind of oddity, by default on stderr. Without `joints`
     frames have no joint positions.
     """
@@ -57,7 +60,7 @@ def is_stream(path: StrPath) -> bool:
 
 
 def _opened(
-    path: pathlib.Path, topic: str | None, camera: Camera | None, tell: Tell | None
+    path: pathlib.Path, topic: str | None, camera: Pinhole, tell: Tell | None
 ) -> Stream:
     suffix = path.suffix.lower()
     try:
@@ -67,6 +70,7 @@ def _opened(
     except OSError as error:
         raise unreadable(path, error) from None
     if files:
+        _check_parts(path, files)
         parts = [MESSAGES[p.suffix.lower()](p) for p in sorted(files, key=natural)]
         return RosStream(path, parts, topic, camera, tell)
     if path.is_dir():
@@ -76,6 +80,24 @@ def _opened(
     else:
         remedy = f"use a folder or one of {' '.join(SUFFIXES)}"
         raise InputError(path, f"suffix {suffix!r} is not a recording format", remedy)
+    if isinstance(camera, str):
+        fault = f"no file {camera}, and no CameraInfo in this recording"
+        raise InputError("--camera", fault, "give a JSON file")
     stream = kind(path, topic, tell)
     stream.camera = camera
     return stream
+
+
+def _check_parts(path: pathlib.Path, files: Sequence[pathlib.Path]) -> None:
+    """Refuses files that are not the parts of one recording: named alike but for their
+    number, and in ROS 1 their time, or listed by the folder's metadata."""
+    about, stems = path / "metadata.yaml", [p.stem for p in files]
+    text = about.read_text(errors="replace") if about.is_file() else ""
+    listed = {line.strip("- '\"").rpartition("/")[2] for line in text.splitlines()}
+    alike = {re.sub(r"(\d{4}(-\d\d){5})?_\d+$", "", stem) for stem in stems}
+    numbers = {stem.rpartition("_")[2] for stem in stems}
+    if len(alike) == 1 and len(numbers) == len(files):
+        return
+    if not {p.name for p in files} <= listed:
+        names = ", ".join(p.name for p in files)
+        raise InputError(path, f"several recordings: {names}", "give one of them")

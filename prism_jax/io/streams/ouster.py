@@ -52,6 +52,7 @@ class OusterStream(Stream):
                     points=to_xyz(sweep)[hit].astype(np.float32),
                     timestamp=int(sweep.get_first_valid_packet_timestamp()),
                     size=hit.shape,
+                    frame_id="os_sensor",
                 )
         finally:
             source.close()

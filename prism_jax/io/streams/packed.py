@@ -7,6 +7,7 @@ from prism_jax.io.errors import require
 from prism_jax.io.files import MAX_FILE_BYTES
 
 EXTRA = "stream"
+_ZSTD = b"\x28\xb5\x2f\xfd"  # what data packed by zstd begin with
 
 
 def unpack(data: bytes | memoryview, compression: str, size: int) -> bytes:
@@ -33,3 +34,12 @@ def unpack(data: bytes | memoryview, compression: str, size: int) -> bytes:
     except (OSError, EOFError, RuntimeError) as error:
         raise ValueError(str(error)) from None
     raise ValueError(f"compression {compression!r} is not supported")
+
+
+def unpacked_message(data: bytes) -> bytes:
+    """A message as it was before rosbag2 packed it (`compression_mode: MESSAGE`), if it
+    did: no message with a header begins like zstd."""
+    if not data.startswith(_ZSTD):
+        return data
+    size = require("zstandard", EXTRA).frame_content_size(data)
+    return unpack(data, "zstd", MAX_FILE_BYTES if size < 0 else size)

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import posixpath
-from collections import deque
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
@@ -16,9 +16,10 @@ from prism_jax.io.arrays import stack_columns
 from prism_jax.io.depth import camera_from_dict
 from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS, check_count
-from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
+from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
+from prism_jax.io.streams.joints import PlacedFrames
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
-from prism_jax.io.streams.packed import EXTRA
+from prism_jax.io.streams.packed import EXTRA, unpacked_message
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMAGE = "sensor_msgs/msg/Image"
@@ -28,9 +29,6 @@ JOINTS = "sensor_msgs/msg/JointState"
 DEPTH = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: the type of a pixel, and metres a count (REP 118)."""
 
-JOINTS_AGE = 500_000_000
-"""Nanoseconds: joint positions that are older than this are not a frame's."""
-
 _FLOATS = {7: 4, 8: 8}  # bytes of a number, by PointField's numbers of types
 
 
@@ -38,8 +36,8 @@ class RosStream(Stream):
     """The frames of one topic in one recording, which may be split into several files.
 
     A cloud's points at the very origin are left out: drivers write lost returns so. The
-    CameraInfo beside a depth image gives the pinhole; distortion is not undone. Joint
-    positions are the last up to `JOINTS_AGE` before the frame, of each joint by itself.
+    CameraInfo beside a depth image gives the pinhole, or that of the topic that stands
+    for the camera; distortion is not undone. Joint positions are interpolated.
     """
 
     def __init__(
@@ -47,12 +45,13 @@ class RosStream(Stream):
         path: StrPath,
         files: Sequence[MessageFile],
         topic: str | None = None,
-        camera: Camera | None = None,
+        camera: Camera | str | None = None,
         tell: Tell | None = None,
     ):
         super().__init__(path, tell)
         _readers()
-        self.camera = camera
+        info = camera if isinstance(camera, str) else None
+        self.camera = None if isinstance(camera, str) else camera
         self._files = files
         self._topics: dict[str, Topic] = {}
         for file in files:
@@ -61,9 +60,14 @@ class RosStream(Stream):
                 self._topics[name] = found._replace(count=before + found.count)
         self.topic = self._chosen(topic)
         self._is_depth = self._topics[self.topic].kind == IMAGE
+        last = "/".join(self.topic.split("/")[-2:])
+        self._rectified = re.search("(^|[/_])rect", last) is not None
         self._joints = self._info = None
-        if self._is_depth and camera is None:
-            self._info = self._info_topic()
+        if self._is_depth and self.camera is None:
+            self._info = self._info_topic(info)
+        elif info is not None:
+            fault = f"no file {info}, and a CameraInfo does not say where clouds are"
+            raise InputError("--camera", fault, "give a JSON file")
 
     def __len__(self) -> int:
         return self._topics[str(self.topic)].count
@@ -72,62 +76,59 @@ class RosStream(Stream):
         camera = self.camera
         if self._info is not None:
             camera = self._first_camera()
-        wanted = {self.topic, self._info, self._joints} - {None}
-        joints = _LastJoints()
+        wanted = {name for name in (self.topic, self._info, self._joints) if name}
+        placed = PlacedFrames(self.joints or Joints())
         for message in self._messages(wanted):
             try:
                 content = self._read(message)
+                time = _time(content, message)
                 if message.topic == self._joints:
-                    joints.add(content, _time(content, message))
+                    yield from placed.add_positions(_positions(content), time)
                 elif message.topic == self._info:
-                    camera = self._pinhole(content)
-                elif not self._is_depth:
-                    yield joints.put_into(_cloud(content, _time(content, message)))
-                elif camera is not None:
-                    depth = _depth(content)
-                    if depth.shape != (camera.height, camera.width):
-                        raise ValueError(
-                            f"image is {depth.shape[1]}x{depth.shape[0]}, camera is "
-                            f"{camera.width}x{camera.height}"
-                        )
-                    time = _time(content, message)
-                    yield joints.put_into(Frame.of_depth(depth, camera, time))
+                    camera = self._pinhole(content, camera)
+                else:
+                    frame = _frame(content, camera, time)
+                    known = self._joints is not None
+                    yield from placed.add_frame(frame) if known else [frame]
             except ValueError as error:
                 line = f"skipped a message on {message.topic}: {error}"
                 self.remark("damaged", line)
+        yield from placed.done(0)
 
-    def _messages(self, wanted: set[str | None]) -> Iterator[Message]:
-        """Those of all files. One that is cut ends early, with a remark."""
+    def _messages(
+        self, wanted: Collection[str], told: bool = True
+    ) -> Iterator[Message]:
+        """Those of all files. One that is cut ends early, with a remark if `told`."""
         for file in self._files:
             count = 0
             try:
-                for message in file.messages({name for name in wanted if name}):
+                for message in file.messages(wanted):
                     count += message.topic == self.topic
                     yield message
             except CutError as error:
                 line = f"{file.path.name} is truncated or damaged: {error}"
-                self.remark("cut", f"{line}; the {count} complete messages are used")
-
-    def _undamaged(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Those of all files, without a remark where one is cut."""
-        for file in self._files:
-            with contextlib.suppress(CutError):
-                yield from file.messages(wanted)
+                line += f"; the {count} complete messages are used"
+                if told:
+                    self.remark("cut", line)
 
     def _read(self, message: Message) -> Any:
         """A message's content. Whatever is wrong with it raises ValueError."""
         kind, encoding, _ = self._topics[message.topic]
         try:
-            return _readers()[encoding](message.data, kind)
+            return _readers()[encoding](unpacked_message(message.data), kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
-    def _check_joints(self, topic: str | None) -> None:
-        found = [name for name, held in self._topics.items() if held.kind == JOINTS]
+    def _check_joints(self, joints: Joints) -> None:
+        found = self._of_kind(JOINTS)
         if not found:
-            super()._check_joints(topic)
+            super()._check_joints(joints)
         about = found, "joint positions", "--joints"
-        self._joints = chosen_topic(self.path, topic, *about)
+        self._joints = chosen_topic(self.path, joints.topic, *about)
+        self._unknown = f"no joint positions within {joints.gap:g} s around it"
+
+    def _of_kind(self, kind: str) -> list[str]:
+        return [name for name, found in self._topics.items() if found.kind == kind]
 
     def _chosen(self, topic: str | None) -> str:
         """The topic that frames are taken from."""
@@ -146,42 +147,55 @@ class RosStream(Stream):
         if topic is not None:
             images &= {topic}
         depths: set[str] = set()
-        for message in self._undamaged(frozenset(images)) if images else ():
+        for message in self._messages(frozenset(images), False) if images else ():
             if message.topic in images:
                 images.remove(message.topic)
                 with contextlib.suppress(ValueError):
-                    if self._read(message).encoding in DEPTH:
+                    encoding = self._read(message).encoding
+                    # Infrared is mono16, too.
+                    told = topic is not None or "depth" in message.topic.lower()
+                    if encoding in DEPTH and (told or encoding != "mono16"):
                         depths.add(message.topic)
             if not images:
                 break
         return [n for n, kind in kinds.items() if kind == CLOUD or n in depths]
 
-    def _info_topic(self) -> str:
-        """The topic of the camera's intrinsics."""
-        topic = str(self.topic)
-        infos = [name for name, found in self._topics.items() if found.kind == INFO]
+    def _info_topic(self, asked: str | None) -> str:
+        """The topic of the camera's intrinsics: the one asked for, or beside it."""
+        topic, infos = str(self.topic), self._of_kind(INFO)
         beside = posixpath.join(posixpath.dirname(topic), "camera_info")
-        if beside in infos:
-            return beside
-        if len(infos) == 1:
-            return infos[0]
-        fault = f"depth images on {topic} but no CameraInfo on {beside}"
-        remedy = f"record {beside} too, or set --camera"
+        found = beside if asked is None else asked
+        if found in infos:
+            return found
+        fault = f"depth images on {topic} but no CameraInfo on {found}"
+        remedy = f"record {beside} too, or set --camera to a JSON file"
+        if infos:
+            remedy = f"set --camera to one of {', '.join(infos)}, or to a JSON file"
         raise InputError(self.path, fault, remedy)
 
-    def _pinhole(self, content: Any) -> Camera:
-        """The pinhole of a CameraInfo; ValueError if it is none."""
-        matrix = np.asarray(content.k if hasattr(content, "k") else content.K)
-        fx, _, cx, _, fy, cy, *_ = map(float, matrix)
+    def _pinhole(self, content: Any, before: Camera | None = None) -> Camera:
+        """The pinhole of a CameraInfo, of rectified images that of their projection;
+        ValueError if it is none. What is odd, also beside the one before, is told."""
+        raw, projection = (_either(content, name) for name in "kp")
+        fx, _, cx, _, fy, cy = map(float, raw[:6])
+        if self._rectified and np.any(projection):
+            fx, _, cx, _, _, fy, cy = map(float, projection[:7])
         size = {"width": content.width, "height": content.height}
         camera = camera_from_dict({**size, "fx": fx, "fy": fy, "cx": cx, "cy": cy})
-        if np.any(content.d if hasattr(content, "d") else content.D):
+        if np.any(_either(content, "d")) and not self._rectified:
             line = f"{self._info} has lens distortion, which is ignored"
             self.remark("distortion", line)
+        one, other = (
+            [c.width, c.height, *np.ravel(c.intrinsics)]
+            for c in (before or camera, camera)
+        )
+        if not np.allclose(one, other, rtol=1e-6):
+            line = f"{self._info} has another size or other intrinsics than before"
+            self.remark("camera", f"{line}; used from then on")
         return camera
 
     def _first_camera(self) -> Camera:
-        for message in self._undamaged({str(self._info)}):
+        for message in self._messages({str(self._info)}, False):
             with contextlib.suppress(ValueError):
                 return self._pinhole(self._read(message))
         fault = f"no readable CameraInfo on {self._info}"
@@ -199,42 +213,39 @@ def _readers() -> dict[str, Callable[[bytes, str], Any]]:
     }
 
 
-class _LastJoints:
-    """Joint positions as they come, and the last of each when a frame was measured."""
+def _either(content: Any, name: str) -> Float[np.ndarray, " N"]:
+    """A field of a CameraInfo, which ROS 1 has in capitals."""
+    named = name if hasattr(content, name) else name.upper()
+    return np.asarray(getattr(content, named), np.float64)
 
-    def __init__(self):
-        # Of a clock that runs ahead of the frames', no more are kept.
-        self._waiting: deque[tuple[int, dict[str, float]]] = deque(maxlen=10_000)
-        self._last: dict[str, tuple[int, float]] = {}
 
-    def add(self, content: Any, time: int) -> None:
-        """Takes a JointState; ValueError if it is not as it says."""
-        names, positions = list(content.name), np.asarray(content.position, np.float64)
-        if len(names) != len(positions):
-            raise ValueError(f"{len(names)} joints have {len(positions)} positions")
-        self._waiting.append((time, dict(zip(names, positions.tolist(), strict=True))))
-
-    def put_into(self, frame: Frame) -> Frame:
-        """The frame with the positions of its time, if there are any."""
-        waiting, due = list(self._waiting), []
-        self._waiting.clear()
-        for entry in waiting:
-            (due if entry[0] <= frame.timestamp else self._waiting).append(entry)
-        for time, positions in sorted(due, key=lambda entry: entry[0]):
-            self._last |= {name: (time, value) for name, value in positions.items()}
-        oldest = frame.timestamp - JOINTS_AGE
-        positions = {
-            name: value for name, (time, value) in self._last.items() if time >= oldest
-        }
-        if not positions:
-            return frame
-        return dataclasses.replace(frame, joints={"positions": positions})
+def _positions(content: Any) -> dict[str, float]:
+    """Those of a JointState; ValueError if it is not as it says."""
+    names, positions = list(content.name), np.asarray(content.position, np.float64)
+    if len(names) != len(positions):
+        raise ValueError(f"{len(names)} joints have {len(positions)} positions")
+    return dict(zip(names, positions.tolist(), strict=True))
 
 
 def _time(content: Any, message: Message) -> int:
     """The header's stamp; where nobody filled it in, when it was recorded."""
     stamp = content.header.stamp
     return stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
+
+
+def _frame(content: Any, camera: Camera | None, time: int) -> Frame:
+    """The frame of a cloud, or of a depth image by its camera; ValueError if it is not
+    as it says."""
+    if hasattr(content, "fields"):
+        frame = _cloud(content, time)
+    else:
+        assert camera is not None
+        depth = _depth(content)
+        if depth.shape != (camera.height, camera.width):
+            sizes = f"{depth.shape[1]}x{depth.shape[0]}, camera is "
+            raise ValueError(f"image is {sizes}{camera.width}x{camera.height}")
+        frame = Frame.of_depth(depth, camera, time)
+    return dataclasses.replace(frame, frame_id=content.header.frame_id)
 
 
 def _depth(content: Any) -> Float[np.ndarray, "H W"]:

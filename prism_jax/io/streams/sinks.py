@@ -21,6 +21,7 @@ class Labelled(NamedTuple):
     timestamp: int
     points: Float[np.ndarray, "M 3"]
     label: UInt8[np.ndarray, " M"]
+    frame_id: str = ""  # of the points; "" where nothing tells it
 
 
 @runtime_checkable
@@ -57,7 +58,8 @@ class McapSink:
         self._output = McapOutput(path)
 
     def write(self, frame: Labelled) -> None:
-        cloud = cloud_message(frame.points, frame.timestamp, labels=frame.label)
+        named = frame.frame_id or "sensor"
+        cloud = cloud_message(frame.points, frame.timestamp, named, frame.label)
         kind = "sensor_msgs/msg/PointCloud2"
         self._output.write(TOPIC, kind, frame.timestamp, cloud)
 

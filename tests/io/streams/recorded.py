@@ -1,5 +1,8 @@
 """Recordings written by rosbags, which we did not write: bags, .db3 and MCAP."""
 
+import contextlib
+import sqlite3
+
 import numpy as np
 import pytest
 
@@ -19,13 +22,15 @@ CLOUD, IMAGE, INFO, TEXT, JOINTS = (
 SECOND = 1_000_000_000
 
 
-def _header(store, time):
+def _header(store, time, frame_id="lidar"):
     stamp = store.types["builtin_interfaces/msg/Time"](time // SECOND, time % SECOND)
     seq = {"seq": 0} if store is ROS1 else {}
-    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="lidar", **seq)
+    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id, **seq)
 
 
-def cloud(points, time, store=ROS2, height=1, big=False, gap=4, tail=0):
+def cloud(
+    points, time, store=ROS2, height=1, big=False, gap=4, tail=0, frame_id="lidar"
+):
     """A PointCloud2 with an intensity before x, y, z and padding behind them."""
     scalar = points.dtype.newbyteorder(">" if big else "<")
     size, width = scalar.itemsize, len(points) // height
@@ -39,7 +44,7 @@ def cloud(points, time, store=ROS2, height=1, big=False, gap=4, tail=0):
     fields = [field(*place, 1) for place in [("intensity", 0, 7), *places]]
     layout = {"is_bigendian": big, "point_step": step, "row_step": step * width}
     sizes = {"height": height, "width": width, "fields": fields, "is_dense": False}
-    header = _header(store, time)
+    header = _header(store, time, frame_id)
     return store.types[CLOUD](header=header, data=rows.ravel(), **sizes, **layout)
 
 
@@ -52,10 +57,13 @@ def image(pixels, time, store=ROS2, encoding="16UC1", padding=0):
     return store.types[IMAGE](**sizes, **layout, data=rows.ravel())
 
 
-def info(width, height, focal, time=0, store=ROS2, distortion=0.0):
+def info(width, height, focal, time=0, store=ROS2, distortion=0.0, rectified=0.0):
+    """A CameraInfo, whose projection has the focal length `rectified`."""
     k = np.array([focal, 0, (width - 1) / 2, 0, focal, (height - 1) / 2, 0, 0, 1.0])
     values = {"d": np.full(5, distortion), "k": k, "r": np.eye(3).ravel()}
     values["p"] = np.zeros(12)
+    if rectified:
+        values["p"][[0, 2, 5, 6, 10]] = rectified, 1.0, rectified, 2.0, 1.0
     if store is ROS1:
         values = {name.upper(): value for name, value in values.items()}
     values |= {"distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0}
@@ -99,12 +107,26 @@ def _fill(writer, messages, store, serialize):
             writer.write(known[topic], time, bytes(serialize(message, kind)))
 
 
-def write_mcap(path, messages, packed="ZSTD", chunk=4096):
+def pack_messages(path):
+    """Packs each message of a .db3 by itself, as rosbag2 does, not all with a size."""
+    zstandard = pytest.importorskip("zstandard")
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        for number, data in database.execute(
+            "SELECT id, data FROM messages"
+        ).fetchall():
+            packer = zstandard.ZstdCompressor(write_content_size=number % 2 > 0)
+            packed = packer.compress(data), number
+            database.execute("UPDATE messages SET data = ? WHERE id = ?", packed)
+        database.commit()
+    return path
+
+
+def write_mcap(path, messages, packed="ZSTD", chunk=4096, **asked):
     """An MCAP file by the `mcap` package."""
     mcap = pytest.importorskip("mcap.writer")
     packing = {"compression": mcap.CompressionType[packed], "chunk_size": chunk}
     with open(path, "wb") as file:
-        writer = mcap.Writer(file, use_chunking=chunk > 0, **packing)
+        writer = mcap.Writer(file, use_chunking=chunk > 0, **packing, **asked)
         writer.start()
         channels = {}
         for topic, kind, time, message in messages:
@@ -123,11 +145,15 @@ WRITERS = {
     "bag-bz2": lambda folder, m: write_bag(folder / "r.bag", m, "bz2"),
     "bag-lz4": lambda folder, m: write_bag(folder / "r.bag", m, "lz4"),
     "db3": lambda folder, m: write_bag2(folder / "r", m),
+    "db3-packed": lambda folder, m: pack_messages(write_bag2(folder / "r", m)),
     "db3-folder": lambda folder, m: write_bag2(folder / "r", m).parent,
     "rosbags-mcap": lambda folder, m: write_bag2(folder / "r", m, "MCAP"),
     "mcap-zstd": lambda folder, m: write_mcap(folder / "r.mcap", m),
     "mcap-lz4": lambda folder, m: write_mcap(folder / "r.mcap", m, "LZ4"),
     "mcap-plain": lambda folder, m: write_mcap(folder / "r.mcap", m, "NONE"),
+    "mcap-schemas-once": lambda folder, m: write_mcap(
+        folder / "r.mcap", m, repeat_schemas=False
+    ),
     "mcap-unchunked": lambda folder, m: write_mcap(folder / "r.mcap", m, "NONE", 0),
 }
 """Each takes a folder and messages, and gives the path to open."""

@@ -29,7 +29,7 @@ def test_clouds_with_labels(scalar, tmp_path):
     points = POINTS.astype(scalar)
     for number in range(3):
         time = 7_000_000_000 + number
-        sink.write(Labelled(number, time, points + number, LABEL))
+        sink.write(Labelled(number, time, points + number, LABEL, "cam"))
     assert not path.exists()
     # What a killed program leaves is read up to the last frame.
     left = path.with_name("out.part.mcap")
@@ -41,6 +41,7 @@ def test_clouds_with_labels(scalar, tmp_path):
     assert stream.topic == TOPIC and len(stream) == 3
     for number, frame in enumerate(stream):
         np.testing.assert_array_equal(frame.points, points + number)
+        assert frame.frame_id == "cam"
         assert frame.points.dtype == scalar
         assert frame.timestamp == 7_000_000_000 + number
     with highlevel.AnyReader([path]) as bag:
@@ -54,6 +55,13 @@ def test_clouds_with_labels(scalar, tmp_path):
     with open(path, "rb") as file:
         summary = reader.make_reader(file, validate_crcs=True).get_summary()
     assert summary.statistics.message_count == 3
+    # Of nothing no file is left, and an older one stays.
+    open_sink(path).close()
+    assert not left.exists() and len(open_stream(path)) == 3
+    sink = open_sink(path)
+    sink.write(Labelled(0, 0, points, LABEL))
+    sink.close()
+    assert [frame.frame_id for frame in open_stream(path)] == ["sensor"]
 
 
 def test_a_file_a_frame_and_a_place_that_cannot_be_written(tmp_path):

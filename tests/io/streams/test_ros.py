@@ -8,7 +8,7 @@ import pytest
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.streams import Joints, open_stream, ros
+from prism_jax.io.streams import Joints, open_stream
 from tests.io.streams.recorded import (
     CLOUD,
     IMAGE,
@@ -62,6 +62,7 @@ def test_clouds_are_read_as_they_were_written(writer, tmp_path):
             assert frame.points.dtype == np.float32
             assert frame.timestamp == START + number * SECOND // 10
             assert frame.camera is None and frame.depth is None
+            assert frame.frame_id == stream.frame_id == "lidar"
 
 
 @pytest.mark.parametrize("writer", ["bag", "bag-lz4", "db3", "mcap-zstd", "mcap-plain"])
@@ -143,14 +144,14 @@ def test_odd_frames_are_told_and_counted(tmp_path):
     nameless.fields = nameless.fields[:2]
     later = (some, none, points[:0])
     given = [cloud(rows, START + n * SECOND) for n, rows in enumerate(later, 1)]
-    given += [short, nameless, wide, tall]
+    given += [short, nameless, wide, cloud(points, START, frame_id="radar"), tall]
     messages = [("/p", CLOUD, n, message) for n, message in enumerate(given)]
     stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
     frames, lines = lines_of(stream)
     assert [len(frame.points) for frame in frames] == [190, 0, 0, 200, 200]
     assert [frame.num_not_finite for frame in frames] == [7, 200, 0, 0, 0]
     kinds = {"not_finite": 1, "empty": 1, "damaged": 2, "backward": 1, "size": 1}
-    assert stream.remarks == kinds
+    assert stream.remarks == kinds | {"sensor": 1, "duplicate": 1}
     for line, words in zip(
         lines,
         (
@@ -158,6 +159,8 @@ def test_odd_frames_are_told_and_counted(tmp_path):
             "frame 2 is empty",
             "skipped a message on /p: ",
             "frame 3 is 3.000 s older than the one before",
+            "frame 4 is of 'radar', the first of 'lidar'; only those are used",
+            "frame 4 has the time of the one before",
             "frame 4 has 4x50 rows and columns, the one before 2x100",
         ),
         strict=True,
@@ -180,9 +183,14 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
         ("/cam/depth", IMAGE, 1, image(pixels, START, store, encoding, padding=4)),
         ("/cam/camera_info", INFO, 2, info(8, 6, 10.0, store=store)),
         ("/cam/rgb", IMAGE, 3, image(np.zeros((6, 24), np.uint8), 0, store, "rgb8")),
-        ("/rgb/camera_info", INFO, 4, info(640, 480, 500.0, store=store)),
     ]
-    stream = open_stream(WRITERS[writer](tmp_path, messages))
+    about = {"store": store, "distortion": 0.1, "rectified": 500.0}
+    messages.append(("/rgb/camera_info", INFO, 4, info(8, 6, 615.0, **about)))
+    for name in ("raw", "rect_raw"):
+        given = image(pixels, START, store, encoding)
+        messages.append((f"/d/image_{name}", IMAGE, 5, given))
+    path = WRITERS[writer](tmp_path, messages)
+    stream = open_stream(path, "/cam/depth")
     assert stream.topic == "/cam/depth" and len(stream) == 1
     (frame,), lines = lines_of(stream)
     assert not lines and frame.timestamp == START and frame.size == (6, 8)
@@ -191,6 +199,16 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
     wanted = points_from_depth(frame.depth, mask, frame.camera)
     np.testing.assert_array_equal(frame.points, wanted)
     assert frame.camera.intrinsics[0, 0] == 10.0 and frame.camera.width == 8
+    # Another topic's are nobody's unless it is named, and rectified images' its P.
+    infos = "set --camera to one of /cam/camera_info, /rgb/camera_info"
+    with pytest.raises(InputError, match=f"on /c.json; {infos}"):
+        open_stream(path, "/d/image_raw", "/c.json")
+    for name, *wanted in (("raw", 615, 3.5), ("rect_raw", 500, 1)):
+        stream = open_stream(path, f"/d/image_{name}", "/rgb/camera_info")
+        (frame,), lines = lines_of(stream)
+        assert frame.camera.intrinsics[0, [0, 2]].tolist() == wanted
+        assert [("lens" in line) for line in lines] == [True] * (name == "raw")
+        assert frame.frame_id == "lidar"
 
 
 def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
@@ -200,10 +218,14 @@ def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
         InputError, match="no CameraInfo on /cam/camera_info; record /c"
     ):
         open_stream(path)
+    both = [("/cam/depth", IMAGE, 1, message), ("/rgb", INFO, 1, info(4, 4, 615.0))]
+    with pytest.raises(InputError, match="set --camera to one of /rgb, or to a JSON"):
+        open_stream(write_mcap(tmp_path / "both.mcap", both))
     intrinsics = np.array([[4.0, 0, 1.5], [0, 4, 1.5], [0, 0, 1]])
     down = np.diag([1.0, -1, -1])
     given = Camera(down, np.array([0, 0, 3.0]), intrinsics, 4, 4)
     (frame,) = open_stream(path, camera=given)
+    assert frame.frame_id == ""
     # One metre in front of a camera that looks down from three.
     np.testing.assert_allclose(frame.points[:, 2], 2.0, atol=1e-6)
 
@@ -224,6 +246,8 @@ def test_an_image_of_another_size_and_a_distortion_are_told(tmp_path):
     assert "image is 6x4, camera is 4x4" in told
     assert "frame 1 has 4x6 rows and columns" in told
     assert "/camera_info has lens distortion, which is ignored" in told
+    assert "/camera_info has another size or other intrinsics than before" in told
+    assert stream.remarks["camera"] == 1
 
 
 def test_several_topics_are_listed_and_a_file_without_says_what_it_holds(tmp_path):
@@ -236,10 +260,19 @@ def test_several_topics_are_listed_and_a_file_without_says_what_it_holds(tmp_pat
     assert len(open_stream(path, "/rear")) == 1
     with pytest.raises(InputError, match="no clouds or depth images on /side"):
         open_stream(path, "/side")
+    with pytest.raises(InputError, match="does not say where clouds are"):
+        open_stream(path, "/rear", "/camera_info")
     messages = [m for m in both if m[0] == "/chatter"]
+    # Infrared, unless somebody says that it is depth.
+    grey = image(np.ones((4, 4), np.uint16), 0, encoding="mono16")
+    messages += [("/ir", IMAGE, 1, grey), ("/camera_info", INFO, 0, info(4, 4, 5.0))]
+    depth = tmp_path / "depth.mcap"
+    write_mcap(depth, [*messages, ("/Depth", IMAGE, 1, grey)])
+    assert open_stream(depth).topic == "/Depth"
     path = write_mcap(tmp_path / "r.mcap", messages)
     with pytest.raises(InputError, match=r"found /chatter \(std_msgs/msg/String\)"):
         open_stream(path)
+    assert len(list(open_stream(path, "/ir"))) == 1
 
 
 def test_a_split_recording_is_one_and_without_a_stamp_the_log_tells_the_time(tmp_path):
@@ -251,32 +284,77 @@ def test_a_split_recording_is_one_and_without_a_stamp_the_log_tells_the_time(tmp
     assert [f.timestamp for f in frames] == [9, 10] and not lines
 
 
+@pytest.mark.parametrize(
+    ("names", "listed"),
+    [
+        ("a_0 b_0", None),
+        ("a a_1", ""),
+        ("a b", ["a.mcap", "'run/b.mcap'"]),
+        ("a b", ["a.mcap"]),
+        ("2024-01-02-03-04-05_0 2024-01-02-03-05-05_1", ""),  # as ROS 1 splits bags
+        ("2024-01-02-03-04-05 2024-01-02-03-05-05", None),
+        ("2024-01-02-03-04-05_0 2024-01-02-03-05-05_0", None),
+    ],
+)
+def test_a_folder_is_one_recording_or_refused(names, listed, tmp_path):
+    for name in names.split():
+        write_mcap(tmp_path / f"{name}.mcap", clouds(ROS2)[:1])
+    if listed:
+        lines = "".join(f"    - {name}\n" for name in listed)
+        (tmp_path / "metadata.yaml").write_text(f"  relative_file_paths:\n{lines}")
+    if listed is None or len(listed) == 1:
+        with pytest.raises(InputError, match=r"\.mcap, .*mcap; give one of them"):
+            open_stream(tmp_path)
+    else:
+        assert len(open_stream(tmp_path)) == 2
+
+
 def told_joints(found):
     return [frame.joints and frame.joints["positions"] for frame in found]
 
 
-@pytest.mark.parametrize("writer", ["bag", "mcap-zstd"])
-def test_joints_are_the_last_before_each_frame(writer, tmp_path):
-    """Of each joint by itself, by their own stamps and not by when they came."""
+def states(store, *told):
+    """Joint states of positions, so many seconds after the start."""
+    timed = [(positions, START + round(after * SECOND)) for positions, after in told]
+    return [("/joint_states", JOINTS, t, joints(p, t, store)) for p, t in timed]
+
+
+@pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd"])
+def test_joints_are_interpolated_at_each_frames_time(writer, tmp_path):
+    """Of each joint by itself, by stamps; samples may come after later frames."""
     store = store_of(writer)
-    states = [
-        ({"a": 1.0, "b": 2.0}, -0.1),
-        ({"b": 3.0}, 0.0),
-        ({"a": 4.0}, 0.05),
-        ({"a": 6.0}, 0.15),  # written too late for the third frame
+    told = [
+        ({"a": 1.0, "b": 2.0}, 0.0),
+        ({"a": 2.0}, 0.04),
+        ({"b": 3.0}, 0.1),
+        ({"a": 4.0}, 0.12),
+        ({"a": 4.0}, 0.22),
+        ({"b": 6.0}, 0.3),  # 0.2 s after the one before
+        ({"a": 3.1}, 0.29),
+        ({"a": -3.1}, 0.31),  # across half a turn
     ]
-    messages = clouds(store)
-    for (positions, after), place in zip(states, (0, 0, 0, 8), strict=True):
-        time = START + int(after * SECOND)
-        entry = ("/joint_states", JOINTS, time, joints(positions, time, store))
-        messages.insert(place, entry)
-    path = WRITERS[writer](tmp_path, messages)
+    before, *after = states(store, *told)
+    path = WRITERS[writer](tmp_path, [before, *clouds(store), *after])
     assert {frame.joints for frame in open_stream(path)} == {None}
     for topic in (None, "/joint_states"):
-        found = told_joints(open_stream(path, joints=Joints(topic)))
-        assert found[0] == {"a": 1.0, "b": 3.0}
-        assert found[1] == found[2] == {"a": 4.0, "b": 3.0}
-        assert found[3] == {"a": 6.0, "b": 3.0}
+        asked = Joints(topic, names=("a", "b"))
+        frames, lines = lines_of(stream := open_stream(path, joints=asked))
+        first, second, third, last = told_joints(frames)
+        assert first == {"a": 1.0, "b": 2.0} and third is None
+        assert second == {"a": pytest.approx(3.5), "b": 3.0}
+        assert last == {"a": pytest.approx(np.pi), "b": 6.0}
+        assert [f.joints and f.joints["skew"] for f in frames] == [0, 0.02, None, 0.01]
+        assert stream.skew == {"seconds": 0.02, "metres": pytest.approx(0.005)}
+        assert stream.remarks == {"joints": 1}
+        (line,) = lines
+        assert "robot unknown in frame 2: no joint positions within 0.12 s" in line
+    # A joint that is not needed is not missed.
+    for asked, wanted in [
+        (Joints(names=("a", "c")), {"a": 4.0}),
+        (Joints(gap=0.21), {"a": 4.0, "b": 4.5}),
+    ]:
+        _, _, third, _ = told_joints(open_stream(path, joints=asked))
+        assert third == pytest.approx(wanted)
     base = np.eye(4).tolist()
     stream = open_stream(path, joints=Joints(given={"positions": {}}, base=base))
     assert [f.joints for f in stream] == 4 * [{"positions": {}, "base": base}]
@@ -284,18 +362,36 @@ def test_joints_are_the_last_before_each_frame(writer, tmp_path):
         open_stream(path, joints=Joints("/arm"))
 
 
-def test_joints_that_are_missing_or_old_are_told_once_and_counted(tmp_path):
+@pytest.mark.parametrize("joints_first", [False, True])
+def test_joints_of_another_time_are_not_used(joints_first, tmp_path):
+    """The clocks go back by five seconds, in any order, while a frame still waits."""
+    frames = [cloud(CLOUDS[0], START + n * SECOND // 10) for n in (50, 100, 101, 50)]
+    frames = [("/p", CLOUD, 0, message) for message in frames]
+    early = states(ROS2, ({"a": 5.0}, 4.98), ({"a": 5.0}, 5.02))
+    late = states(ROS2, ({"a": 9.0}, 9.98), ({"a": 9.0}, 10.02))
+    anew = states(ROS2, *(({"a": 7.0}, after) for after in (4.99, 5.01, 10.0, 10.1)))
+    told = [early[0], frames[0], early[1], late[0], frames[1], late[1], frames[2]]
+    told += [frames[3], *anew]
+    if joints_first:
+        told[7:9] = anew[0], frames[3]
+    path = write_mcap(tmp_path / "r.mcap", told)
+    found = told_joints(lines_of(open_stream(path, joints=Joints()))[0])
+    assert found == [{"a": 5.0}, {"a": 9.0}, None, {"a": 7.0}]
+
+
+def test_joints_that_never_come_are_told_once_and_counted(tmp_path):
+    """And no more than some frames wait for them."""
     odd = joints({"a": 1.0}, START)
     odd.name.append("b")
-    states = [(odd, START), (joints({"a": 1.0}, START - ros.JOINTS_AGE), START)]
-    messages = [("/j", JOINTS, time, state) for state, time in states]
-    path = write_mcap(tmp_path / "r.mcap", messages + clouds(ROS2))
-    stream = open_stream(path, joints=Joints())
+    told = [({"a": 1.0}, after) for after in (0.0, 0.05, 0.15, 2.35, 2.45)]
+    first, *late = states(ROS2, *told)
+    many = [cloud(CLOUDS[0], START + n * SECOND // 10) for n in range(25)]
+    many = [("/p", CLOUD, 0, message) for message in many]
+    messages = [("/joint_states", JOINTS, 0, odd), first, *many, *late]
+    stream = open_stream(write_mcap(tmp_path / "r.mcap", messages), joints=Joints())
     frames, lines = lines_of(stream)
-    assert told_joints(frames) == [{"a": 1.0}, None, None, None]
-    assert "frame 1 has no joint positions" in lines[1]
-    assert "2 joints have 1 positions" in lines[0]
-    assert len(lines) == 2 and stream.remarks == {"damaged": 1, "joints": 3}
+    assert told_joints(frames) == [{"a": 1.0}, *23 * [None], {"a": 1.0}]
+    assert "2 joints have 1 positions" in lines[0] and "in frame 1" in lines[1]
     (tmp_path / "none").mkdir()
     path = write_mcap(tmp_path / "none" / "r.mcap", clouds(ROS2))
     with pytest.raises(InputError, match="no joint positions"):
