@@ -1,4 +1,4 @@
-"""Exports the adaptation function of released weights to one file.
+"""Exports completion by released weights, with or without adaptation, to one file.
 
 python -m experiments.export --weights=small --batch_size=1 --output=adapt.jaxexport
 
@@ -21,6 +21,9 @@ def define_flags() -> None:
     """The flags of this launcher."""
     flags.DEFINE_string("weights", "small", "Released weights, name or file.")
     flags.DEFINE_integer("batch_size", 1, "Frames per call.", lower_bound=1)
+    flags.DEFINE_integer(
+        "steps", 0, "Steps of adaptation; 0 for none, as prism-complete.", lower_bound=0
+    )
     flags.DEFINE_list("platforms", list(PLATFORMS), "Target platforms.")
     flags.DEFINE_string("output", "adapt.jaxexport", "File to write.")
 
@@ -29,6 +32,7 @@ def main():
     """Traces, lowers for every platform, writes."""
     prepare_output(FLAGS.output, ".jaxexport")
     config, variables = load_pretrained(located(FLAGS.weights))
+    config = config.with_adapt(num_steps=FLAGS.steps)
     data = export_adapt(config, variables, FLAGS.batch_size, FLAGS.platforms)
     write_bytes(FLAGS.output, data)
     count = config.model.backbone.num_points

@@ -1,4 +1,5 @@
-"""Completes scans with a function that experiments.export wrote. Needs JAX alone.
+"""Completes scans with a function that experiments.export wrote. Needs JAX and
+flatbuffers.
 
 python run_exported.py adapt.jaxexport scans.npy completed.npy
 
@@ -13,6 +14,8 @@ import jax
 import jax.export
 import numpy as np
 
+if len(sys.argv) != 4:
+    sys.exit(f"usage: python {sys.argv[0]} FUNCTION.jaxexport SCANS.npy OUTPUT.npy")
 function, scans, output = sys.argv[1:]
 exported = jax.export.deserialize(bytearray(pathlib.Path(function).read_bytes()))
 points = np.load(scans, allow_pickle=False).astype(np.float32)

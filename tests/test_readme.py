@@ -8,11 +8,16 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from experiments import results
 from experiments.assets import CELLS
 from experiments.calibrate import unfitted
+from prism_jax import Camera, Completer
+from prism_jax.assets import asset
 from prism_jax.completion.weights import save_weights
+from prism_jax.evaluation.metrics import cd_l2
+from prism_jax.io.ply import read_ply
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PAGES = {page.name: page for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]}
@@ -25,9 +30,6 @@ GIVEN = """
 import numpy as np
 points = np.load("scan.npy")
 sensor_position = np.array([0.0, 0.0, 0.0], np.float32)
-"""
-SHOWN = """
-np.save("metres.npy", metres)
 """
 
 
@@ -66,15 +68,22 @@ def test_a_plain_script(run, folder):
 
 
 @pytest.mark.slow
-def test_inside_ones_own_jax_code(run, folder, minimal):
-    run(GIVEN + EXAMPLES["python.md"][0] + SHOWN)
-    metres, scan = np.load(folder / "metres.npy"), np.load(folder / "scan.npy")
-    assert metres.shape == (3 * minimal.model.backbone.stage_sizes[-1], 3)
-    assert np.isfinite(metres).all()
-    # The unit cube is the box of the scan, its longest side times the margin.
-    half = 0.5 * minimal.model.margin * np.ptp(scan, axis=0).max()
-    middle = 0.5 * (scan.min(0) + scan.max(0))
-    assert (np.abs(metres - middle) <= half * (1 + 1e-5)).all()
+def test_a_turned_scan_inside_ones_own_jax_code(tmp_path, monkeypatch):
+    """With the weights that users have, as `Completer` completes it."""
+    monkeypatch.chdir(tmp_path)
+    sensor, turn = (
+        np.float32([2.5, 0, 1.5]),
+        Rotation.from_euler("z", 135, degrees=True),
+    )
+    points = turn.apply(read_ply(asset("sample.ply"))).astype(np.float32)
+    np.save("scan.npy", points)
+    given = GIVEN.replace("[0.0, 0.0, 0.0]", str(sensor.tolist()))
+    exec(given + EXAMPLES["python.md"][0] + 'np.save("done.npy", completed)', {})
+    camera = Camera(np.eye(3), -sensor, np.eye(3), 1, 1)
+    expected = Completer.from_pretrained("small").complete(points, camera).prediction
+    np.testing.assert_allclose(np.load("done.npy"), expected, atol=1e-3)
+    truth = turn.apply(read_ply(asset("sample_complete.ply")))
+    assert cd_l2(expected, truth) < 0.2 * cd_l2(points, truth)
 
 
 @pytest.mark.slow

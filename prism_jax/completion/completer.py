@@ -192,9 +192,9 @@ class Completer:
         The first step of `complete`, whose arguments these are; up is never "auto".
         """
         model = self.config.model
-        framing = workspace, model.margin, options.up, model.heading
         sensor = "likely" if camera is None else np.asarray(camera.position)
-        seen = observe(points, sensor, *framing)
+        frame = model if workspace is None else workspace
+        seen = observe(points, sensor, frame, options.up)
         check_cloud(points[seen.inside], "points inside the workspace")
         place = "unknown" if not seen.sensor_known else "origin"
         place = "given" if camera is not None and seen.sensor_known else place

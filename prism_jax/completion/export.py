@@ -1,4 +1,4 @@
-"""The adaptation function as one file that needs nothing but JAX to run."""
+"""Completion as one file that needs nothing but JAX and flatbuffers to run."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,8 @@ def export_adapt(
     batch_size: int = 1,
     platforms: Sequence[str] = PLATFORMS,
 ) -> bytes:
-    """Test-time adaptation, weights included, as portable StableHLO (`jax.export`).
+    """Completion, after `config.adapt.num_steps` of adaptation, weights included, as
+    portable StableHLO (`jax.export`).
 
     `jax.export.deserialize` gives it back: its ``call`` takes scans ``(B, N, 3)`` of
     exactly ``config.model.backbone.num_points`` points, and the sensors' positions
@@ -40,9 +41,7 @@ def export_adapt(
     adapt = make_adapt(config)
 
     def complete(scan: Float[Array, "N 3"], sensor: Float[Array, "3"]):
-        model = config.model
-        seen = observe(scan, sensor, margin=model.margin, heading=model.heading)
-        seen = seen.filled()
+        seen = observe(scan, sensor, config.model).filled()
         completion = adapt(variables, jnp.asarray(seen.partial), seen.camera)
         return {
             "points": seen.workspace.from_unit(completion.points),

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,18 @@ from prism_jax.preprocessing.upright import upright
 
 Heading = Literal["given", "level"]
 """Which heading a network knows objects in: the given one, or `level_heading`'s."""
+
+
+@runtime_checkable
+class Framing(Protocol):
+    """How a model frames clouds; `prism_jax.models.config.ModelConfig` is one."""
+
+    @property
+    def margin(self) -> float: ...
+
+    @property
+    def heading(self) -> Heading: ...
+
 
 UNKNOWN_EYE = np.sqrt(3.0) * np.ones(3)
 """Where the sensor is taken to be, in the unit workspace, if nobody knows: in the
@@ -119,11 +131,9 @@ class Observation:
 
 def observe(
     points: Float[Array | np.ndarray, "N 3"],
-    sensor: Vector | Literal["origin", "likely"] | None = None,
-    workspace: Workspace | None = None,
-    margin: float = CUBE_MARGIN,
+    sensor: Vector | Literal["origin", "likely"] | None,
+    frame: Framing | Workspace,
     up: str | Vector = "z",
-    heading: Heading = "given",
 ) -> Observation:
     """The network's input, from points and a sensor position in the user's frame.
 
@@ -133,49 +143,46 @@ def observe(
     half extents from its centre. "likely", for NumPy alone, is the same, but in place
     of an unknown position, or of an origin that is not believed, it takes `likely_eye`.
 
-    `workspace` is the cube to complete; points outside it are not ``inside``. The
-    default is `workspace_around` the points, with `margin`, `up` and `heading`; only
-    outliers (`far_outliers`) can lie outside that. A workspace without a rotation
-    takes its axes from `up`.
+    `frame` is the model's configuration (`config.model`), whose margin and heading
+    make the cube to complete, `workspace_around` the points; only outliers
+    (`far_outliers`) can lie outside that. Or it is the cube itself: points outside it
+    are not ``inside``, and without a rotation it takes its axes from `up`.
 
     With NumPy points all is in double precision, for frames with a far origin. With
     JAX arrays it can be jitted and mapped; use ``points`` near the origin then.
     Differentiable, except for ``inside``. An empty cloud raises ValueError; points
     must be finite.
     """
-    framing = workspace, margin, up, heading
     if not (isinstance(sensor, str) and sensor == "likely"):
-        return _framed(points, sensor, *framing)
-    seen = _framed(points, "origin", *framing)
+        return _framed(points, sensor, frame, up)
+    seen = _framed(points, "origin", frame, up)
     if not seen.inside.any():
         return seen
     inside = np.asarray(points)[seen.inside]
     likely = likely_eye(inside, seen.workspace.up)
     if seen.sensor_known and is_believable(inside, np.zeros(3), likely):
         return seen
-    seen = _framed(points, likely, *framing)
+    seen = _framed(points, likely, frame, up)
     return dataclasses.replace(seen, sensor_known=np.bool_(False))
 
 
 def _framed(
     points: Float[Array | np.ndarray, "N 3"],
     sensor: Vector | Literal["origin"] | None,
-    workspace: Workspace | None,
-    margin: float,
+    frame: Framing | Workspace,
     up: str | Vector,
-    heading: Heading,
 ) -> Observation:
     """What was observed, with the sensor where it is said to be."""
     xp = _numpy_of(points)
-    if workspace is None:
+    if not isinstance(frame, Workspace):
         strays = far_outliers(points)
-        workspace = workspace_around(points, sensor, margin, up, heading, ~strays)
+        framing = frame.margin, up, frame.heading, ~strays
+        workspace = workspace_around(points, sensor, *framing)
         partial = workspace.to_unit(points)
         # Rounding must not leave out what decided the cube.
         inside = ~strays | _within(partial)
     else:
-        if xp is np:
-            workspace = _doubled(workspace)
+        workspace = _doubled(frame) if xp is np else frame
         if workspace.rotation is None:
             workspace = dataclasses.replace(workspace, rotation=upright(up))
         partial = workspace.to_unit(points)

@@ -11,6 +11,7 @@ from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.assembly import Task, assemble
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.completion.weights import load_calibration, load_point_errors
+from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import observe
 
 EYE = np.array([0.0, -4.0, 1.0])
@@ -36,7 +37,7 @@ def test_a_completion_builds_eight_trees_at_most(trees):
     rng = np.random.default_rng(0)
     ball = rng.normal(size=(3000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
-    seen = observe(ball[ball @ EYE > 1.0], EYE, margin=1.4)
+    seen = observe(ball[ball @ EYE > 1.0], EYE, ModelConfig())
     task = Task(ball[ball @ EYE > 1.0], seen, seen.sampled(512), seen.camera, "given")
     poses = seen.workspace.to_unit(ball) + 0.01 * rng.normal(size=ball.shape)
     calibration, errors = load_calibration("small"), load_point_errors("small")

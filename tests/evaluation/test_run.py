@@ -83,7 +83,7 @@ def test_completed_is_what_a_user_gets(boxes):
     read = np.asarray(observed(example, own).partial)
     prediction = (read * np.float32([1, 1, -1]))[:40]
     clouds = scored_clouds(example, read, Predictions(prediction, prediction), own)
-    seen = observe(example.partial.astype(np.float64), example.eye, margin=own.margin)
+    seen = observe(example.partial.astype(np.float64), example.eye, own)
     read_too = seen.sampled(own.num_partial)
     task = Task(example.partial, seen, read_too, seen.camera, "given")
     losses = Losses(*np.ones((len(Losses._fields), 1)))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.heading import MAX_POINTS, footprint_angle, level_heading
 from prism_jax.preprocessing.observation import observe, workspace_around
 from prism_jax.preprocessing.upright import upright
@@ -79,14 +80,14 @@ def test_jit_and_vmap_agree_with_numpy_and_gradients_pass_through(view):
     eyes = np.stack([turn @ EYE for turn in turns])
 
     def loss(points, eye):
-        partial = observe(points, eye, heading="level").partial
+        partial = observe(points, eye, ModelConfig(heading="level")).partial
         return (partial**2).sum(), partial
 
     mapped = jax.jit(jax.vmap(jax.grad(loss, has_aux=True)))
     given = jnp.asarray(clouds, jnp.float32), jnp.asarray(eyes, jnp.float32)
     gradient, found = mapped(*given)
     for i in range(3):
-        wanted = observe(clouds[i], eyes[i], heading="level").partial
+        wanted = observe(clouds[i], eyes[i], ModelConfig(heading="level")).partial
         np.testing.assert_allclose(found[i], wanted, atol=1e-5)
     assert jnp.isfinite(gradient).all() and (gradient != 0).any()
 

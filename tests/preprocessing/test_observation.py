@@ -8,9 +8,11 @@ import pytest
 from prism_jax.geometry.sampling import resample
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
+from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import FAR_ORIGIN, UNKNOWN_EYE, observe, padded
 from prism_jax.preprocessing.upright import UP_AXES, upright
 
+MODEL = ModelConfig()
 EYE = np.array([3.0, -2.0, 1.5])
 FAR = np.array([4e5, 5e6, 100.0])
 
@@ -22,7 +24,7 @@ def cloud(count=300, seed=0):
 
 def test_the_cube_around_the_points_is_the_workspace():
     points = cloud()
-    seen = observe(points, EYE, margin=1.4)
+    seen = observe(points, EYE, MODEL)
     expected = Workspace.from_points(points, 1.4)
     assert np.array_equal(seen.partial, expected.to_unit(points))
     assert np.array_equal(seen.eye, expected.to_unit(EYE))
@@ -30,15 +32,15 @@ def test_the_cube_around_the_points_is_the_workspace():
     assert np.abs(seen.partial).max() == pytest.approx(1 / 1.4)
     np.testing.assert_allclose(seen.workspace.from_unit(seen.partial), points)
     # Far from the origin as near it: in double precision, whatever the points are in.
-    far = observe(points + FAR, EYE + FAR, margin=1.4)
+    far = observe(points + FAR, EYE + FAR, MODEL)
     np.testing.assert_allclose(far.partial, seen.partial, rtol=0, atol=1e-8)
     np.testing.assert_allclose(far.eye, seen.eye, rtol=0, atol=1e-8)
     assert far.partial.dtype == far.eye.dtype == np.float64
-    assert observe(points.astype(np.float32), EYE).partial.dtype == np.float64
+    assert observe(points.astype(np.float32), EYE, MODEL).partial.dtype == np.float64
 
 
 def test_the_view_is_at_the_eye_and_filled_by_the_partial():
-    seen = observe(cloud(), EYE)
+    seen = observe(cloud(), EYE, MODEL)
     np.testing.assert_allclose(seen.camera.position, seen.eye, atol=1e-5)
     pixels, depth = seen.camera.project(jnp.asarray(seen.partial, jnp.float32))
     assert (depth > 0).all()
@@ -50,7 +52,7 @@ def test_the_view_is_at_the_eye_and_filled_by_the_partial():
 def test_up_is_up_in_the_workspace_and_undone_on_the_way_back(up):
     top = (-1.0 if up[0] == "-" else 1.0) * np.eye(3)["xyz".index(up[-1])]
     points = cloud() + FAR
-    seen = observe(points, FAR + 3 * top, up=up)
+    seen = observe(points, FAR + 3 * top, MODEL, up)
     assert np.array_equal(seen.eye.round(6).argmax(), 2)
     flat = seen.partial - seen.partial.mean(0)
     heights = (points - points.mean(0)) @ top
@@ -80,7 +82,7 @@ def test_a_given_workspace_crops():
     assert 20 < expected.sum() < 200
     assert np.array_equal(seen.partial, corner.to_unit(points))
     # One that came back is the same again; as JAX arrays it is still double precision.
-    first = observe(points + FAR, EYE + FAR, up="y")
+    first = observe(points + FAR, EYE + FAR, MODEL, "y")
     again = observe(points + FAR, EYE + FAR, first.workspace)
     assert np.array_equal(first.partial, again.partial)
     single = jax.tree.map(jnp.asarray, corner)
@@ -89,7 +91,7 @@ def test_a_given_workspace_crops():
 
 def test_strays_do_not_decide_the_workspace():
     points = np.concatenate([cloud(948), cloud(5) + [300, 0, 0]])
-    expected, seen = observe(cloud(948), EYE), observe(points, EYE)
+    expected, seen = (observe(p, EYE, MODEL) for p in (cloud(948), points))
     assert np.array_equal(seen.inside, np.arange(953) < 948)
     assert np.array_equal(seen.partial[:948], expected.partial)
     assert np.array_equal(seen.eye, expected.eye)
@@ -97,7 +99,7 @@ def test_strays_do_not_decide_the_workspace():
     # With a margin of one, rounding puts some of those that decide beyond a face.
     for seed in range(8):
         points = (cloud(seed=seed) + 37).astype(np.float32)
-        assert observe(points, EYE, margin=1.0).inside.all()
+        assert observe(points, EYE, ModelConfig(margin=1.0)).inside.all()
 
 
 @pytest.mark.parametrize(
@@ -111,7 +113,7 @@ def test_an_origin_among_the_points_or_far_away_is_no_sensor(share, known):
     assert np.allclose(seen.eye, [-share, 0, 0] if known else UNKNOWN_EYE)
     given = observe(points, np.zeros(3), workspace)
     assert given.sensor_known and np.allclose(given.eye, [-share, 0, 0])
-    beyond = observe(points + [FAR_ORIGIN, 0, 0], "origin")
+    beyond = observe(points + [FAR_ORIGIN, 0, 0], "origin", MODEL)
     assert not beyond.sensor_known
     for sensor in (None, np.full(3, np.nan), [0.0, np.inf, 0]):
         seen = observe(points, sensor, workspace)
@@ -120,15 +122,15 @@ def test_an_origin_among_the_points_or_far_away_is_no_sensor(share, known):
 
 def test_one_place_is_observed_and_no_points_are_refused():
     for points in (np.ones((1, 3)), np.full((200, 3), 7.0)):
-        seen = observe(points, EYE)
+        seen = observe(points, EYE, MODEL)
         assert np.array_equal(seen.partial, 0 * points)
         assert seen.workspace.half_extent == 1 and seen.inside.all()
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(seen.camera))
     for array in (np.zeros, jnp.zeros):
         with pytest.raises(ValueError, match="empty cloud"):
-            observe(array((0, 3)), EYE)
+            observe(array((0, 3)), EYE, MODEL)
     with pytest.raises(InputError, match="up=north: no such axis; use one of x, y, z"):
-        observe(cloud(), EYE, up="north")
+        observe(cloud(), EYE, MODEL, "north")
 
 
 def test_jit_and_vmap_agree_with_numpy():
@@ -140,14 +142,14 @@ def test_jit_and_vmap_agree_with_numpy():
     @jax.jit
     @jax.vmap
     def traced(points, eye):
-        seen = observe(points, eye, margin=1.4, up="-y").filled()
-        at_origin = observe(points + 5, "origin"), observe(points, "origin")
+        seen = observe(points, eye, MODEL, up="-y").filled()
+        at_origin = [observe(p, "origin", MODEL) for p in (points + 5, points)]
         return seen, seen.camera, [known.sensor_known for known in at_origin]
 
     found, cameras, at_origin = traced(clouds, eyes)
     assert at_origin[0].all() and not at_origin[1].any()
     for i in range(3):
-        seen = observe(clouds[i], eyes[i], margin=1.4, up="-y")
+        seen = observe(clouds[i], eyes[i], MODEL, up="-y")
         assert np.array_equal(found.inside[i], seen.inside)
         assert found.sensor_known[i] == seen.sensor_known
         expected = seen.filled()
@@ -166,7 +168,7 @@ def test_jit_and_vmap_agree_with_numpy():
 def test_gradients_reach_points_and_sensor(x64):
     @jax.jit
     def total(points, eye):
-        seen = observe(points, eye, up="y")
+        seen = observe(points, eye, MODEL, "y")
         return (seen.partial**2).sum() + (seen.eye * jnp.arange(3.0)).sum()
 
     points, eye = jnp.asarray(cloud(20)), jnp.asarray(EYE)

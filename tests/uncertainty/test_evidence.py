@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from prism_jax.completion.filtering import select
+from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import observe
 from prism_jax.uncertainty.confidence import EVIDENCE
 from prism_jax.uncertainty.evidence import Looks, evidence_of
@@ -22,7 +23,7 @@ def evidence(points, prediction=None, num_read=128, looks=None, sensor=EYE):
 
     The workspace is the points' own box, so that the unit is theirs.
     """
-    seen = observe(points, sensor, margin=1.0)
+    seen = observe(points, sensor, ModelConfig(margin=1.0))
     read = seen.sampled(num_read)
     unit = np.asarray(seen.partial)
     predicted = unit if prediction is None else seen.workspace.to_unit(prediction)

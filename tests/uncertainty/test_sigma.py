@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import observe
 from prism_jax.uncertainty.evidence import Looks
 from prism_jax.uncertainty.sigma import CLUES, PointErrors, clues_of, spread
@@ -21,7 +22,7 @@ def square(count, height=0.0, seed=0):
 def clues(points, prediction, asked=None, off=0.0, sensor=EYE, num_read=128):
     """By name, of the prediction or some of it. The workspace is the measured points'
     own box, so that the unit is theirs; other poses are completed `off` in z."""
-    seen = observe(points, sensor, margin=1.0)
+    seen = observe(points, sensor, ModelConfig(margin=1.0))
     unit = np.asarray(seen.workspace.to_unit(prediction), np.float64)
     some = unit if asked is None else unit[asked]
     looks = Looks([unit, unit + [0, 0, off], unit - [0, 0, 2 * off]])
