@@ -20,7 +20,6 @@ from prism_jax.io.errors import InputError
 FAR = np.array([400_000.0, -5_000_000.0, 120.0])
 """As survey coordinates have it."""
 
-
 BODY = 0.1
 
 
@@ -202,8 +201,8 @@ def test_a_scan_that_its_depth_image_contradicts_is_refused():
         with pytest.raises(InputError, match=fault):
             check_agreement(view, wrong, Carving())
     grid = Grid.over(np.full(3, -0.5), np.full(3, 0.5), 0.1)
-    free = np.zeros(grid.shape, bool)
-    check_conflicts(grid, free, points - [0, 0, 2.0])
+    free, points = np.zeros(grid.shape, bool), points - [0, 0, 2.0]
+    check_conflicts(grid, free, points)
     free[:, :, 5] = True
     with pytest.raises(InputError, match="voxels with measured points are called free"):
-        check_conflicts(grid, free, points - [0, 0, 2.0])
+        check_conflicts(grid, free, points)

@@ -11,6 +11,7 @@ from prism_jax.envelope.voxels import Grid
 from prism_jax.geometry.camera import Camera
 
 BODY = 0.1
+ROUND = {"ball": 3, "post": 2}  # axes of a thing, of the others none
 
 
 class Thing(NamedTuple):
@@ -22,22 +23,18 @@ class Thing(NamedTuple):
     axes: np.ndarray
     dark: bool  # it returns no light
 
-    @property
-    def rounded(self):
-        """How many of its axes are round."""
-        return {"ball": 3, "post": 2}.get(self.kind, 0)
-
     def hit(self, eye, rays):
         """How far along each ray it begins; infinite where it is missed."""
         local, start = rays @ self.axes.T, self.axes @ (eye - self.center)
+        rounded = ROUND.get(self.kind, 0)
         near, far = np.full(len(rays), -np.inf), np.full(len(rays), np.inf)
-        if self.rounded:
-            flat, begin = local[:, : self.rounded], start[: self.rounded]
+        if rounded:
+            flat, begin = local[:, :rounded], start[:rounded]
             square, mixed = (flat**2).sum(axis=1), flat @ begin
             root = mixed**2 - square * (begin @ begin - self.half[0] ** 2)
             step = np.where(root > 0, np.sqrt(np.maximum(root, 0.0)), -np.inf)
             near, far = (-mixed - step) / square, (-mixed + step) / square
-        for axis in range(self.rounded, 3):
+        for axis in range(rounded, 3):
             ends = np.array([[-1.0], [1.0]]) * self.half[axis] - start[axis]
             ends = ends / local[:, axis]
             near, far = np.maximum(near, ends.min(0)), np.minimum(far, ends.max(0))
@@ -46,10 +43,11 @@ class Thing(NamedTuple):
     def core(self, points, ball):
         """The nearest middles of balls of a radius that are inside of it."""
         local, size = (points - self.center) @ self.axes.T, self.half - ball
-        flat = local[:, : self.rounded]
+        rounded = ROUND.get(self.kind, 0)
+        flat = local[:, :rounded]
         length = np.linalg.norm(flat, axis=1, keepdims=True)
         flat *= np.minimum(size[0] / np.maximum(length, 1e-9), 1.0)
-        rest = slice(self.rounded, 3)
+        rest = slice(rounded, 3)
         local[:, rest] = np.clip(local[:, rest], -size[rest], size[rest])
         return self.center + local @ self.axes
 
@@ -110,9 +108,9 @@ def _things(rng, eye):
     return [things[row] for row in np.flatnonzero(np.array(away) > 0.05)], target
 
 
-def _rays(rng, toward):
-    """Those of a sweep, or of a camera with its rotation and intrinsics."""
-    axes, distance = _turned(toward, rng), np.linalg.norm(toward)
+def _rays(rng, eye, target):
+    """Those of a sweep, or of a camera and that."""
+    axes, distance = _turned(target - eye, rng), np.linalg.norm(target - eye)
     sweep = rng.random() < 0.4
     rows, columns = (int(count) for count in rng.integers(32, 90, 2))
     step = BODY / distance / _log_uniform(rng, 3.0 if sweep else 1.5, 16.0)
@@ -123,8 +121,9 @@ def _rays(rng, toward):
     across = step[1] * (np.arange(columns) - middle[0])
     if not sweep:
         rays = np.stack(np.broadcast_arrays(across, down, 1.0), axis=-1)
-        rows = [1 / step[1], 0, middle[0]], [0, 1 / step[0], middle[1]], [0, 0, 1.0]
-        return rays @ axes, (axes, np.array(rows))
+        lines = [1 / step[1], 0, middle[0]], [0, 1 / step[0], middle[1]], [0, 0, 1.0]
+        camera = Camera(axes, -axes @ eye, np.array(lines), rows, columns)
+        return rays @ axes, camera
     if rng.random() < 0.3:  # all around
         across = np.linspace(-np.pi, np.pi, rng.integers(100, 400), endpoint=False)
     parts = np.sin(across), -np.tan(np.clip(down, -1.2, 1.2)), np.cos(across)
@@ -135,12 +134,10 @@ def _rays(rng, toward):
 def _measure(rng, things, eye, rays, target, margin):
     """How far along its ray each one was measured."""
     flat = rays.reshape(-1, 3)
-    room = np.linalg.norm(target - eye) + rng.uniform(0.5, 4.0)
-    hits = [thing.hit(eye, flat) for thing in things]
-    depth = np.stack([np.full(len(flat), room), *hits])
-    nearest = depth.argmin(axis=0)
+    room = np.linalg.norm(target - eye) + rng.uniform(0.5, 4.0) * np.ones(len(flat))
+    depth = np.stack([room, *(thing.hit(eye, flat) for thing in things)])
+    dark = np.array([False, *(thing.dark for thing in things)])[depth.argmin(axis=0)]
     depth = depth.min(axis=0)
-    dark = np.array([False] + [thing.dark for thing in things])[nearest]
     lost = dark | (rng.random(len(flat)) < rng.choice([0, 0, 0.01, 0.1, 0.3]))
     points = eye + np.where(dark, 0.0, depth)[:, None] * flat
     if rng.random() < 0.3:  # a filter took a box out
@@ -157,16 +154,13 @@ def scene(seed):
     toward, distance = rng.normal(size=3), _log_uniform(rng, 0.6, 6.0)
     eye = distance * toward / np.linalg.norm(toward)
     things, target = _things(rng, eye)
-    rays, camera = _rays(rng, target - eye)
+    rays, camera = _rays(rng, eye, target)
     margin = BODY * rng.choice([0.0, _log_uniform(rng, 0.1, 4.0)])
     measured = _measure(rng, things, eye, rays, target, margin)
     known = np.isfinite(measured)
-    if camera is None or rng.random() < 0.3:
-        view = view_of_cloud(eye + measured[known][:, None] * rays[known], eye)
-    else:
-        rotation, intrinsics = camera
-        camera = Camera(rotation, -rotation @ eye, intrinsics, *measured.shape)
-        view = view_of_depth(np.where(known, measured, 0.0), known, camera)
+    view = view_of_cloud(eye + measured[known][:, None] * rays[known], eye)
+    if camera is not None and rng.random() >= 0.3:
+        view = view_of_depth(measured, known, camera)
     voxel, counts = BODY * _log_uniform(rng, 0.05, 4.0), rng.integers(10, 20, 3)
     lower = target - rng.uniform(0.2, 0.8, 3) * counts * voxel
     grid = Grid.over(lower, lower + counts * voxel, voxel)
@@ -192,24 +186,29 @@ def _passed(points, eye, rays, measured):
     ball of `BODY` across it would hide from them."""
     length = np.linalg.norm(rays, axis=-1)
     directions = rays / length[..., None]
-    steps = [np.linalg.norm(np.diff(directions, axis=a), axis=-1).max() for a in (0, 1)]
     passed = np.zeros(len(points), bool)
     for number, point in enumerate(points):
         away = np.linalg.norm(point - eye)
+        cosine = directions @ ((point - eye) / away)
+        row, column = np.unravel_index(cosine.argmax(), cosine.shape)
+        near = directions[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        steps = [np.linalg.norm(np.diff(near, axis=a), axis=-1).max() for a in (0, 1)]
         side = max(int(BODY / np.sqrt(2) / away / max(steps) + 0.1), 1)
         bad = ~np.isfinite(measured) | (measured * length <= away)
         bad = np.pad(bad, side + 1, constant_values=True)
         hidden = ndimage.binary_opening(bad, np.ones((side, side)))
-        cosine = directions @ ((point - eye) / away)
-        row, column = np.unravel_index(cosine.argmax(), cosine.shape)
         about = hidden[row + side : row + side + 3, column + side : column + side + 3]
         passed[number] = not about.any()
     return passed
 
 
-@pytest.mark.parametrize(
-    "seeds", [range(40), pytest.param(range(40, 1000), marks=pytest.mark.slow)]
-)
+DECIDED = (27, 73, 82, 175, 469, 744)
+"""Scenes that a rule without one of its parts fails, and few others do."""
+
+SLOW = pytest.param(range(20, 1000), marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("seeds", [(*range(20), *DECIDED), SLOW], ids=["few", "many"])
 def test_nothing_is_in_free_space(seeds):
     free = 0
     for seed in seeds:
