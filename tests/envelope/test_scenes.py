@@ -109,13 +109,12 @@ def _things(rng, eye):
 
 
 def _rays(rng, eye, target):
-    """Those of a sweep, or of a camera and that."""
+    """Those of a sweep, or of a camera, and the camera; sometimes far apart."""
     axes, distance = _turned(target - eye, rng), np.linalg.norm(target - eye)
     sweep = rng.random() < 0.4
     rows, columns = (int(count) for count in rng.integers(32, 90, 2))
     step = BODY / distance / _log_uniform(rng, 3.0 if sweep else 1.5, 16.0)
-    sparse = 4.0 if rng.random() < 0.1 else 1.0
-    step = step * rng.uniform(0.8, [sparse, 1.0])
+    step = step * rng.uniform(0.8, [4.0 if rng.random() < 0.1 else 1.0, 1.0])
     middle = (columns - 1) / 2, (rows - 1) / 2
     down = step[0] * (np.arange(rows) - middle[1])[:, None]
     across = step[1] * (np.arange(columns) - middle[0])
