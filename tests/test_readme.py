@@ -25,7 +25,7 @@ EXAMPLES = {
     name: re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
     for name, page in PAGES.items()
 }
-FILES = (".json", ".jsonl", ".html", ".npz", ".ply", ".stl")
+FILES = (".bt", ".json", ".jsonl", ".html", ".npz", ".ply", ".stl")
 GIVEN = """
 import numpy as np
 points = np.load("scan.npy")

@@ -51,8 +51,6 @@ class Frame:
     # A depth image along the camera's z, 0 where there was no return, or None.
     depth: Float[np.ndarray, "H W"] | None = None
     num_not_finite: int = 0  # points that were left out because they are not finite
-    # Rows and columns of an image or of an organised cloud; None for any other.
-    size: tuple[int, int] | None = None
     # Of a robot in it, as a `joints.json` of recordings has them, if the stream was
     # asked for them and has some.
     joints: Mapping[str, Any] | None = None
@@ -70,7 +68,7 @@ class Frame:
         points = points_from_depth(depth, mask, camera)
         odd = int(np.isnan(depth).sum())
         depth = np.where(mask, depth, 0.0).astype(depth.dtype)
-        return cls(points, timestamp, camera, depth, odd, depth.shape)
+        return cls(points, timestamp, camera, depth, odd)
 
     def seen_by(self, camera: Camera) -> "Frame":
         """The same measurement by a camera that is known better. A depth image gives
@@ -191,10 +189,6 @@ class Stream(abc.ABC):
             self.remark("backward", f"{line}; used anyway")
         if behind == 0:
             self.remark("duplicate", f"frame {number} has the time of the one before")
-        if frame.size != before.size and None not in (frame.size, before.size):
-            one, other = ("x".join(map(str, f.size or ())) for f in (frame, before))
-            line = f"frame {number} has {one} rows and columns, the one before {other}"
-            self.remark("size", f"{line}; both are used")
 
 
 def chosen_topic(

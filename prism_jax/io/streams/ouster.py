@@ -51,7 +51,6 @@ class OusterStream(Stream):
                 yield Frame(
                     points=to_xyz(sweep)[hit].astype(np.float32),
                     timestamp=int(sweep.get_first_valid_packet_timestamp()),
-                    size=hit.shape,
                     frame_id="os_sensor",
                 )
         finally:

@@ -288,7 +288,6 @@ def _cloud(content: Any, time: int) -> Frame:
         points=points[kept],
         timestamp=time,
         num_not_finite=int((~finite).sum()),
-        size=(height, width) if height > 1 else None,
     )
 
 

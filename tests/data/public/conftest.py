@@ -8,9 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-SYNSETS = ("02691156", "02958343")
-"""Of airplanes and cars."""
-
 
 @pytest.fixture(scope="session")
 def cloud() -> Callable[[int, int], np.ndarray]:
@@ -34,7 +31,7 @@ def write() -> Callable[..., Path]:
         elif isinstance(content, str):
             path.write_text(content)
         else:
-            path.write_bytes(_ENCODERS[path.suffix](content))
+            path.write_bytes(_npy(content))
         return path
 
     return to_file
@@ -44,18 +41,3 @@ def _npy(points: np.ndarray) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, points, allow_pickle=False)
     return buffer.getvalue()
-
-
-def _pcd(points: np.ndarray) -> bytes:
-    size = f"WIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA binary\n"
-    header = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n" + size
-    return header.encode() + np.asarray(points, "<f4").tobytes()
-
-
-def _txt(rows: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    np.savetxt(buffer, rows)
-    return buffer.getvalue()
-
-
-_ENCODERS = {".npy": _npy, ".pcd": _pcd, ".txt": _txt}

@@ -36,14 +36,3 @@ def test_an_unsound_list_is_refused(tmp_path, content, fault):
 def test_an_unsound_cloud_is_refused(points, fault):
     with pytest.raises(InputError, match=rf"^file\.npy: .*{fault}"):
         layout.sound_cloud(points, "file.npy", 4)
-
-
-def test_items_walk_through_the_views_of_each_model(tmp_path):
-    models = [layout.Model("b", "x", "1"), layout.Model("a", "y", "2")]
-    source = layout.ListedSource(tmp_path, models, views=3)
-    assert source.categories == ("a", "b")
-    found = [source.locate(index) for index in range(len(source))]
-    assert found == [(model, view) for model in models for view in range(3)]
-    assert source.locate(-1) == found[-1]
-    with pytest.raises(IndexError):
-        source.locate(6)

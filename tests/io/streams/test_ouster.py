@@ -27,7 +27,7 @@ def test_a_capture_with_its_metadata_also_where_it_is_cut(real, tmp_path):
     assert len(stream) == 1 and stream.topic == "122150000150"
     for _ in range(2):
         (frame,) = stream
-        assert frame.points.shape == (97_299, 3) and frame.size == (128, 1024)
+        assert frame.points.shape == (97_299, 3)
         assert frame.frame_id == "os_sensor"
         assert frame.timestamp == 1_650_408_693_797_044_000
         # A sweep around the sensor, the nearest return beyond its own housing.
