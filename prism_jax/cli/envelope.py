@@ -97,8 +97,8 @@ def define_flags() -> None:
     """The flags of both uses."""
     shared_flags.define_strings(
         calibration="File written by `calibrate`; required.",
-        camera="Camera JSON. Default: the .json of the same name for a depth image, "
-        "the CameraInfo for a recording.",
+        camera="Camera JSON, or a recording's CameraInfo topic. Default: the .json of "
+        "the same name for a depth image, the CameraInfo for a recording.",
         depth="For a cloud cropped from a depth image: the whole 16-bit image, with "
         "--camera. It shows which space is free.",
         eye="Sensor position of a cloud, x,y,z, if it is not --camera's.",

@@ -58,7 +58,7 @@ def define_recording_flags() -> None:
         joints="Joint positions of the robot: a .json file, or a JointState topic of "
         "the recording. Default: the positions recorded with each frame.",
         base='JSON with the robot base pose in the frame of the points ("base", 4x4). '
-        "Default: the pose given with the joints, else the identity.",
+        "Default: the pose given with the joints; in prism-stream, else the identity.",
     )
     flags.DEFINE_enum(
         "pace",
@@ -68,7 +68,10 @@ def define_recording_flags() -> None:
         "dropped.",
     )
     flags.DEFINE_float(
-        "robot_margin", ROBOT_MARGIN, "Points nearer to the robot belong to it.", 0.0
+        "robot_margin",
+        ROBOT_MARGIN,
+        "Points so near to the robot, in metres, are its.",
+        0.0,
     )
     flags.DEFINE_float(
         "robot_speed",
