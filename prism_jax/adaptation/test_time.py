@@ -54,7 +54,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
     """The adaptation function of a configuration.
 
     It takes variables (`prism_jax.load_pretrained`), a partial cloud of exactly
-    ``config.model.backbone.num_points`` points (`prism_jax.geometry.resample`), a
+    ``config.model.backbone.num_points`` points (`geometry.sampling.resample`), a
     camera, and optionally visibility, all in the unit workspace
     (`prism_jax.Workspace`). It is pure: ``jit`` it, ``vmap`` it over partials and
     cameras (each frame then has its own encoders). Only the two encoders are updated.
@@ -77,8 +77,8 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         if partial.ndim != 2 or partial.shape[0] != wanted:
             raise ValueError(
                 f"adapt takes one cloud of {wanted} points, not an array of shape "
-                f"{partial.shape}; use prism_jax.geometry.resample, and jax.vmap for "
-                "frames"
+                f"{partial.shape}; use prism_jax.geometry.sampling.resample, and "
+                "jax.vmap for frames"
             )
         key = jax.random.key(settings.seed)
         inputs = prepare_input(partial, camera, key, model, visibility=visibility)

@@ -70,7 +70,7 @@ def define_recording_flags() -> None:
     flags.DEFINE_float(
         "robot_margin",
         ROBOT_MARGIN,
-        "Points so near to the robot, in metres, are its.",
+        "Metres from the robot: its own points.",
         0.0,
     )
     flags.DEFINE_float(

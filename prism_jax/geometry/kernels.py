@@ -105,7 +105,7 @@ def farthest_indices(
             candidates = jnp.where(may, distances, -1.0)
             return distances, jax.lax.argmax(candidates, 0, jnp.int32)
 
-        begin = (jnp.full(size, 1e10, points.dtype), first_ref[0])
+        begin = (jnp.full(size, jnp.inf, points.dtype), first_ref[0])
         jax.lax.fori_loop(0, num_samples, add, begin)
 
     call = pl.pallas_call(

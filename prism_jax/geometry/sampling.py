@@ -59,8 +59,8 @@ def _farthest_indices(
         distances = jnp.minimum(distances, x**2 + y**2 + z**2)
         return (distances, first_highest(distances)), last
 
-    # float32 of 1e10, as the reference: any first distance is smaller. One of -1 stays.
-    unlimited = jnp.asarray(1e10, points.dtype)
+    # Any first distance is smaller. One of -1 stays.
+    unlimited = jnp.asarray(jnp.inf, points.dtype)
     first = (jnp.where(chosen_from, unlimited, -1.0), start)
     return jax.lax.scan(add, first, None, length=num_samples)[1]
 

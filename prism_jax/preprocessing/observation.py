@@ -92,7 +92,7 @@ class Observation:
     def sampled(self, num_points: int) -> "Observation":
         """The same with ``num_points`` of the points inside, in farthest-point order.
 
-        Fewer are repeated; see `prism_jax.geometry.resample`. In float32. Not traced:
+        Fewer are repeated; see `geometry.sampling.resample`. In float32. Not traced:
         how many are inside must be known. Clouds of any size need few compilations.
         """
         points = np.asarray(self.partial)[np.asarray(self.inside)].astype(np.float32)

@@ -45,6 +45,8 @@ def test_agrees_with_a_loop():
         expected = looped_sample(points, 60, start)
         assert np.array_equal(sample(points, 60, start), expected)
         assert np.array_equal(sample(points + 1024, 60, start), expected)
+        # A power of two, exact as well: squares up to 1e13.
+        assert np.array_equal(sample(2.0**20 * points, 60, start), expected)
         assert np.array_equal(sample(points, 25, start), expected[:25])
 
 
