@@ -42,6 +42,7 @@ from prism_jax.envelope.files import (
     envelope_files,
     told_kinds,
 )
+from prism_jax.envelope.page import told
 from prism_jax.envelope.recorded import calibrate_on
 from prism_jax.envelope.reference import reference_of
 from prism_jax.envelope.robot import (
@@ -57,7 +58,7 @@ from prism_jax.io.clouds import read_points_counted
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
 from prism_jax.io.ply import vertices_bytes
-from prism_jax.io.scan import parse_numbers
+from prism_jax.io.scan import parse_numbers, parted
 from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
 from prism_jax.io.streams.frame import Frame
 from prism_jax.preprocessing.segmentation.support import find_up
@@ -237,8 +238,12 @@ def envelope_of(source: str) -> dict[str, Any]:
     Returns what the JSON says, of a recording what `stream.json` does. What the user
     can put right raises InputError, if possible before the weights are loaded."""
     seconds: dict[str, float] = {}
+    if set_aside(FLAGS.output_dir, (*NAMES, LINES, REPORT, "[0-9]" * 6)):
+        place = pathlib.Path(FLAGS.output_dir) / PREVIOUS
+        _say(f"the results of an earlier run are now in {place}")
     given, carving = _given(), _carving()
     stream = scan = asked = reference = None
+    left_out = 0  # of the points that are asked for
     with _timed(f"reading {source}", "read", seconds):
         if is_stream(source):
             stream, first = _opened(source, given.joints)
@@ -252,9 +257,9 @@ def envelope_of(source: str) -> dict[str, Any]:
             scan.view()
         if FLAGS.query is not None:
             asked, num_read = read_points_counted(FLAGS.query, FLAGS.max_points)
-            if num_read > len(asked):
-                count = num_read - len(asked)
-                _say(f"{FLAGS.query}: {count:,} points are not finite, and left out")
+            left_out = num_read - len(asked)
+            if left_out:
+                _say(f"{FLAGS.query}: {left_out:,} points are not finite: left out")
         if FLAGS.reference is not None:
             reference = io.read_points(FLAGS.reference).astype(np.float64)
     if FLAGS.calibration is None:
@@ -278,14 +283,12 @@ def envelope_of(source: str) -> dict[str, Any]:
         "unit": "m",
         "settings": dict(runs.settings),
         "calibration": {"file": FLAGS.calibration, "n": len(calibration.cells)},
-        "reference": FLAGS.reference,
+        "query_not_finite": left_out,
         "alpha": alpha,
         "q": margin,
         "carving": carving._asdict(),
     }
     folder = io.make_output_dir(FLAGS.output_dir)
-    if set_aside(folder, (*NAMES, LINES, REPORT, "[0-9]" * 6)):
-        _say(f"the results of an earlier run are now in {folder / PREVIOUS}")
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
         maker = FrameEnveloper(
             completer=load_completer(FLAGS.weights),
@@ -303,8 +306,8 @@ def envelope_of(source: str) -> dict[str, Any]:
         )
     if stream is not None:
         sink = _Folder(folder, functools.partial(_summary, about, source))
-        told = {**about, "pace": FLAGS.pace}
-        return follow(stream, maker, [sink], told, folder / REPORT, _say)
+        asked_for = {**about, "pace": FLAGS.pace}
+        return follow(stream, maker, [sink], asked_for, folder / REPORT, _say)
     assert scan is not None
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     with _timed(f"completing {count}", "make", {}):
@@ -327,10 +330,13 @@ def _said(source: str, summary: dict[str, Any]) -> str:
     else:
         files, cells = NAMES, summary["calibration"]["n"]
         lines.append(f"margin      q = {summary['q']:.4g} m, {cells} cells")
-        told = {k: summary["volumes"][k] for k in ("not_free", "envelope", "free")}
-        lines.append(f"volumes     {_told(told)} (m3)")
+        names = "not_free", "envelope", "free"
+        volumes = {name: summary["volumes"][name] for name in names}
+        lines.append(f"volumes     {told(volumes)} (m3)")
+        if summary["reference"]:
+            lines.append(f"reference   {told(summary['reference'])}")
         if summary["query"]:
-            lines.append(f"query       {_told(summary['query'])} (m)")
+            lines.append(f"query       {told(summary['query'])} (m)")
     lines.append(f"written     {FLAGS.output_dir}: {', '.join(files)}")
     return "\n".join(lines)
 
@@ -353,6 +359,7 @@ def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str
             "points": told_kinds(made.envelope),
             "volumes": made.envelope.volumes(),
             "query": None if query is None else distances_summary(query[1]),
+            "reference": made.shown,
             "seconds": made.seconds,
         }
     )
@@ -381,9 +388,9 @@ class _Folder:
 
     def write(self, frame: MadeEnvelope) -> None:
         summary, self._last = self._summary(frame), frame
-        told = ("points", "volumes", "q", "query", "not_completed", "seconds")
+        named = ("points", "volumes", "q", "query", "reference", "not_completed")
         line = {"frame": frame.number, "timestamp": frame.timestamp}
-        line |= {name: summary[name] for name in told}
+        line |= {name: summary[name] for name in (*named, "seconds")}
         try:
             with open(self._part, "a") as file:
                 file.write(json.dumps(line, allow_nan=False) + "\n")
@@ -423,7 +430,8 @@ def _opened(source: str, joints: Joints | None) -> tuple[Stream, Frame]:
     looked = open_stream(source, FLAGS.topic, camera, lambda _: None)
     first = next(iter(looked), None)
     if first is None:
-        raise io.InputError(source, "no frames", "check the recording")
+        reason = next(iter(looked.told.values()), "the recording has none")
+        raise io.InputError(source, "no frames", reason)
     return stream, first
 
 
@@ -436,14 +444,15 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
     depth_path, camera, depth = FLAGS.depth, scan.camera, None
     if source.lower().endswith(".png"):
         kind, depth_path = "depth", source
-    everything = scan.points
+    points, around = parted(scan.points, given.bounds, source)
+    others = points[:0] if around is None else around
     if depth_path is not None:
         camera_path = FLAGS.camera or pathlib.Path(depth_path).with_suffix(".json")
         metres, mask, camera = io.read_depth(depth_path, camera_path, FLAGS.max_points)
         depth = np.where(mask, metres, 0.0)
         if kind == "both":
             seen = io.points_from_depth(metres, mask, camera)
-            everything = np.concatenate([scan.points, seen])
+            others = np.concatenate([others, seen])
     stood = standing(depth, camera, given.eye)
     up = FLAGS.up or ("-y" if scan.in_camera_frame else "z")
     direction = parse_up(up)
@@ -460,9 +469,8 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
         if given.joints.base is not None:
             held = {**held, "base": given.joints.base}
         posed = joints_from_dict(held, FLAGS.joints, based=True)
-        surface = robot_surface(given.robot, *posed)
-    points = io.crop(scan.points, given.bounds, source)
-    known = points, everything, depth, stood, camera, direction, surface
+        surface = robot_surface(given.robot, *posed, path=FLAGS.joints)
+    known = points, others, depth, stood, camera, direction, surface
     return Scanned(*known), kind, up
 
 
@@ -484,11 +492,6 @@ def _digest(weights: str) -> str:
     from prism_jax.completion.weights import file_sha256
 
     return file_sha256(weights)
-
-
-def _told(numbers: dict[str, Any]) -> str:
-    told = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in numbers.items()}
-    return ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in told.items())
 
 
 def run() -> None:

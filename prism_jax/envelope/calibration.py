@@ -27,7 +27,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
 
 FORMAT = "prism_jax envelope calibration, version 2"
-_AGAIN = "calibrate again: prism-envelope calibrate RECORDINGS --output=FILE"
+_AGAIN = "calibrate again, with the flags of this run"
 _ROUNDING = 1e-9
 
 OUT_OF_SCALE = 10.0
@@ -145,7 +145,7 @@ class MarginCalibration:
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
         least, most = self.extent
         if not least / OUT_OF_SCALE <= size <= most * OUT_OF_SCALE:
-            fault = f"{size:.4g} across, calibrated on scans of {least:.3g} to "
+            fault = f"extends {size:.4g}, calibrated on scans of {least:.3g} to "
             fault += f"{most:.3g} m"
             raise InputError("the scan", fault, "give metres, and the calibrated part")
 

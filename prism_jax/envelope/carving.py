@@ -203,8 +203,9 @@ def check_robot(
     on, passed = (some.sum() for some in compare(view, surface, carving.margin))
     if on < ON * len(surface) or passed > PASSED * (on + passed):
         fault = (
-            f"{on / len(surface):.0%} of its surface lies on measured points, and rays "
-            f"passed through {passed / len(surface):.0%}"
+            f"{on / len(surface):.0%} of its surface lies on measured points ({ON:.0%} "
+            f"at least), and rays pass through {passed / max(on + passed, 1):.0%} of "
+            f"what they should hit ({PASSED:.0%} at most)"
         )
         remedy = "check --base, --joints and the model; without --urdf it is unknown"
         raise InputError("the robot", fault, remedy)

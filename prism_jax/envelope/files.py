@@ -112,12 +112,13 @@ def ply_bytes(envelope: Envelope) -> bytes:
 def distances_summary(found: Distances) -> dict[str, Any]:
     """What is told of the points that were asked for: always both distances."""
     if len(found.kind) == 0:
-        return {"points": 0}
+        return {"points": 0, "in_free_space": 0}
     near = int(np.argmin(found.surface))
     kind = int(found.kind[near])
     least = float(found.surface[near])
     return {
         "points": len(found.kind),
+        "in_free_space": int((found.not_free > 0).sum()),
         "nearest_not_known_to_be_free": float(found.not_free.min()),
         "nearest_inflated_surface": least if np.isfinite(least) else None,
         "whose_surface": KINDS[kind] if kind >= 0 else None,

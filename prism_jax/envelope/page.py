@@ -45,7 +45,8 @@ def envelope_page(
     panels = [
         Panel("Surfaces", [cloud for cloud in surfaces if len(cloud.points)]),
         Panel(
-            "Envelope: voxels not known to be free",
+            f"Envelope: not free, and within {envelope.margin:.3g} m of a surface. "
+            "Elsewhere see the volumes: white is not free",
             [cloud for cloud in voxels if len(cloud.points)],
         ),
     ]
@@ -62,7 +63,7 @@ def envelope_page(
         "envelope.html",
         summary=summary,
         promise=promise(summary),
-        toggles=[(name, css[name]) for name in STATES[: UNSEEN + 1]],
+        toggles=[(name, css[name]) for name in STATES if name in names],
         clouds=clouds_html(figure),
         max_shown=f"{MAX_SHOWN_POINTS:,}",
         volumes=[(k.replace("_", " "), f"{number(v)} m3") for k, v in volumes],
@@ -81,8 +82,14 @@ def promise(summary: Mapping[str, Any]) -> str:
     )
 
 
+def told(numbers: Mapping[str, Any]) -> str:
+    """Numbers by their names, in words."""
+    shown = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in numbers.items()}
+    return ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in shown.items())
+
+
 def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    grid, told = summary["grid"], summary["calibration"]
+    grid, calibration = summary["grid"], summary["calibration"]
     lower = ", ".join(f"{value:.6g}" for value in grid["lower"])
     frame = summary["input"].get("frame")
     rows = [
@@ -92,15 +99,16 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("Weights", summary["weights"]),
         ("Sensor", summary["sensor"]),
-        ("Calibration", f"{told['file']}, {told['n']} cells"),
+        ("Calibration", f"{calibration['file']}, {calibration['n']} cells"),
         ("Grid", f"{grid['shape']} voxels of {number(grid['voxel'])} m from ({lower})"),
         ("Points", ", ".join(f"{n:,} {k}" for k, n in summary["points"].items())),
         ("Seconds", ", ".join(f"{k} {v:.2f}" for k, v in summary["seconds"].items())),
-        ("Software", f"prism_jax {summary['prism_jax']}"),
+        ("Software", f"prism_jax {summary['prism_jax'] or '(not installed)'}"),
     ]
     if summary["not_completed"]:
         rows.insert(1, ("Not completed", summary["not_completed"]))
+    if summary["reference"]:
+        rows.append(("Reference", told(summary["reference"])))
     if summary["query"]:
-        asked = summary["query"]
-        rows.append(("Query (m)", ", ".join(f"{k} {v}" for k, v in asked.items())))
+        rows.append(("Query (m)", told(summary["query"])))
     return rows

@@ -15,7 +15,7 @@ from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
 from prism_jax.io.clouds import inside
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.scan import Bounds, crop
+from prism_jax.io.scan import Bounds, parted
 from prism_jax.io.streams.frame import Joints
 from prism_jax.preprocessing.upright import parse_up
 from prism_jax.robots.urdf import Linkage
@@ -51,7 +51,8 @@ def calibrate_on(
         if robot is not None:
             held = dict(joints.given or frame.joints or {})
             held |= {} if joints.base is None else {"base": joints.base}
-            surface = robot_surface(robot, *joints_from_dict(held, place, True))
+            posed = joints_from_dict(held, place, True)
+            surface = robot_surface(robot, *posed, path=place)
             view = view_of_depth(
                 frame.depth * DEPTH_SCALE, frame.depth > 0, frame.camera
             )
@@ -91,12 +92,13 @@ def seen_in(
         raise InputError(place, "no complete cloud", "add the ground truth")
     metres = frame.depth * DEPTH_SCALE
     image = points_from_depth(metres, frame.depth > 0, frame.camera)
-    points = image if method.input == "depth" else frame.partial
-    others = frame.partial if method.input == "cloud" else image
-    truth = frame.complete
+    points, truth = image if method.input == "depth" else frame.partial, frame.complete
+    others = [image] if method.input == "both" else []
     if method.workspace is not None:
         corners = np.reshape(method.workspace, (2, 3))
-        points = crop(points, Bounds(*corners), place)
+        points, around = parted(points, Bounds(*corners), place)
+        others += [] if around is None else [around]
         truth = truth[inside(truth, *corners)]
-    known = parse_up(method.up), robot, others
+    beside = np.concatenate([np.zeros((0, 3)), *others])
+    known = parse_up(method.up), robot, beside
     return points, see(completer, points, frame.camera, method, *known), truth

@@ -14,7 +14,7 @@ from prism_jax.io.errors import InputError
 
 THIN = 0.02  # metres: of a reference, a cube this wide keeps one point
 
-MOVED, SHOWN = 0.05, 0.2
+MOVED, SHOWN = 0.02, 0.5
 """Of a reference that is seen, rays passed through so much at most; and so much of all
 of it is seen at least."""
 
@@ -40,16 +40,19 @@ def reference_of(
 
 def check_reference(
     view: View, reference: Float[np.ndarray, "R 3"], carving: Carving = Carving()
-) -> None:
-    """Raises InputError if the surfaces are not where they were: see `MOVED` and
-    `SHOWN`. What hides them is no fault, as long as enough is seen."""
+) -> dict[str, float]:
+    """The share of the surfaces that is `seen`, and of that what has `moved`. Raises
+    InputError if they are not where they were: see `MOVED` and `SHOWN`. What hides them
+    is no fault, as long as enough is seen."""
     on, passed = (some.sum() for some in compare(view, reference, carving.margin))
-    seen = on + passed
-    if seen < SHOWN * len(reference):
-        fault = f"only {seen / len(reference):.0%} of it is seen"
+    seen = float((on + passed) / len(reference))
+    moved = float(passed / max(on + passed, 1))
+    if seen < SHOWN:
+        fault = f"only {seen:.0%} of it is seen, not {SHOWN:.0%}"
         remedy = "uncover the view, check the camera's pose, or make it again"
         raise InputError("the reference", fault, remedy)
-    if passed > MOVED * seen:
-        fault = f"{passed / seen:.0%} of what is seen of it has moved or is gone"
+    if moved > MOVED:
+        fault = f"{moved:.1%} of what is seen of it has moved or is gone"
         remedy = "check the camera's pose; of another layout make a new reference"
         raise InputError("the reference", fault, remedy)
+    return {"seen": seen, "moved": moved}

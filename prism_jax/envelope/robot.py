@@ -57,18 +57,19 @@ def robot_surface(
     positions: Mapping[str, float],
     base: Float[np.ndarray, "4 4"],
     spacing: float = SPACING,
+    path: str | os.PathLike = "joints",
 ) -> Float64[np.ndarray, "R 3"]:
     """Points on a robot's surface in the scan's frame, evenly spaced on each link
     (`on_triangles`), so that another pose of the same robot takes next to no time.
 
-    A joint of the robot without a position raises InputError; other positions are left
-    alone.
+    A joint of the robot without a position raises InputError about `path`; other
+    positions are left alone.
     """
     missing = [name for name in robot.joints if name not in positions]
     if missing:
         fault = f"no position for joint {missing[0]!r}"
         remedy = f"give all of {', '.join(robot.joints)}"
-        raise InputError("joints", fault, remedy)
+        raise InputError(path, fault, remedy)
     given = np.array([positions[name] for name in robot.joints])
     poses = base @ robot.link_poses(given[None])[0]
     links = _link_points(robot, spacing)

@@ -1,6 +1,7 @@
 """Envelopes of scans, one after the other."""
 
 import dataclasses
+import functools
 import time
 from typing import Any
 
@@ -37,7 +38,7 @@ class Scanned:
     """What an envelope is made of, in one frame and unit."""
 
     points: Float[np.ndarray, "N 3"]  # those that are completed
-    everything: Float[np.ndarray, "M 3"]  # all that was measured
+    others: Float[np.ndarray, "M 3"]  # what was measured beside them
     depth: Float[np.ndarray, "H W"] | None  # the whole image, if there is one
     camera: Camera | None  # stands where the sensor did, if that is known
     named: Camera | None  # the depth camera, if there is one
@@ -45,6 +46,11 @@ class Scanned:
     # Points on a known robot's surface; None where none is known.
     robot: Float[np.ndarray, "R 3"] | None
     frame_id: str = ""  # what a recording calls the points' frame
+
+    @functools.cached_property
+    def everything(self) -> Float[np.ndarray, "A 3"]:
+        """All that was measured."""
+        return np.concatenate([self.points, self.others])
 
     def view(self) -> View:
         """The rays that the sensor measured; InputError if its place is not known."""
@@ -65,6 +71,7 @@ class MadeEnvelope:
     envelope: Envelope
     # The points that were asked for with their distances, if any were.
     query: tuple[Float[np.ndarray, "Q 3"], Distances] | None
+    shown: dict[str, float] | None  # shares of a reference, as it was checked
     seconds: dict[str, float]  # spent on "observe", "complete" and "envelope"
     # Of the frame, in its recording and in nanoseconds; of a scan no number is told.
     number: int | None = None
@@ -111,10 +118,10 @@ class FrameScanner(FrameObserver):
             raise InputError("the frame", fault, "use one sensor a recording")
         if self.robot is not None and frame.joints is not None:
             joints_from_dict(frame.joints, "the frame", based=True)
-        points, robot, up, _ = self.observe(frame)
+        points, robot, up, around = self.observe(frame)
         return Scanned(
             points=points,
-            everything=frame.points,
+            others=points[:0] if around is None else around,
             depth=frame.depth,
             camera=standing(frame.depth, frame.camera, self.eye),
             named=frame.camera,
@@ -163,9 +170,10 @@ class FrameEnveloper(FrameScanner):
             check_agreement(view, scan.points, self.carving)
         if scan.robot is not None:
             check_robot(view, scan.robot, self.carving)
+        shown = None
         if self.reference is not None:
-            check_reference(view, self.reference, self.carving)
-        known = scan.camera, self.method, scan.up, scan.robot, scan.everything
+            shown = check_reference(view, self.reference, self.carving)
+        known = scan.camera, self.method, scan.up, scan.robot, scan.others
         seen = see(self.completer, scan.points, *known)
         completed = time.perf_counter()
         if self.bounds is not None:
@@ -186,4 +194,4 @@ class FrameEnveloper(FrameScanner):
         envelope.taken  # noqa: B018  (kept, and part of the time that this takes)
         done = time.perf_counter()
         seconds = {"complete": completed - start, "envelope": done - completed}
-        return MadeEnvelope(scan, seen, envelope, query, seconds)
+        return MadeEnvelope(scan, seen, envelope, query, shown, seconds)

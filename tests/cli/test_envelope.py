@@ -119,6 +119,7 @@ def test_all_files_are_written_and_agree(asked, tmp_path, capsys):
     assert "People are never predicted" in told["notice"]
     said = capsys.readouterr()
     assert "Not safety-rated" in said.out and "1 points are not finite" in said.err
+    assert told_of(tmp_path / "out")["query_not_finite"] == 1
     state, voxel = arrays["state"], float(arrays["voxel"])
     assert state.shape == tuple(told["grid"]["shape"])
     marked = {str(n): state == i for i, n in enumerate(arrays["states"])}
@@ -129,7 +130,8 @@ def test_all_files_are_written_and_agree(asked, tmp_path, capsys):
     assert ((arrays["not_free"] > 0) == (state == 4)).all()
     measured = read_ply(FRAME.with_name("000000.partial.ply"))
     np.testing.assert_array_equal(arrays["measured"][: len(measured)], measured)
-    assert len(arrays["measured"]) > len(measured)
+    count = len(measured) + np.count_nonzero(RecordedCells.bundled().read(0).depth)
+    assert len(arrays["measured"]) == told["points"]["measured"] == count
     assert arrays["query_surface"].shape == (2,)
     assert len(read_ply(out / "envelope.ply")) == (state != 4).sum()
     solid = trimesh.load(io.BytesIO((out / "envelope.stl").read_bytes()), "stl")
@@ -137,6 +139,7 @@ def test_all_files_are_written_and_agree(asked, tmp_path, capsys):
     page = (out / "envelope.html").read_text()
     assert "Not safety-rated" in page and f"q = {told['q']:.3g}" in page
     assert told["query"]["nearest_not_known_to_be_free"] == 0
+    assert told["query"]["in_free_space"] == (arrays["query_not_free"] > 0).sum()
 
 
 @pytest.mark.parametrize(
@@ -283,6 +286,8 @@ def test_a_scan_that_disagrees_with_what_stands_still_is_refused(
     assert 0.5 < len(path.read_bytes()) / len(alone) < 1.5
     given = [*asked, f"--reference={path}"]
     assert launching.run(envelope, *given) == 0
+    shown = told_of(tmp_path / "out")["reference"]
+    assert shown["seen"] > 0.99 and shown["moved"] < 0.001
     camera = json.loads(pathlib.Path(asked[2].partition("=")[2]).read_text())
     camera["translation"][2] += 0.1
     (tmp_path / "moved.json").write_text(json.dumps(camera))

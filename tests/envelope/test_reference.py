@@ -57,7 +57,7 @@ def test_a_reference_holds_what_stands_still_and_refuses_what_moved(kind):
     # The box is gone; the camera stands 10 cm farther away; it sees something else.
     for wrong, told in (
         (empty, "has moved or is gone"),
-        (views(2.1, 1.6)[kind], "100% of what is seen of it has moved"),
+        (views(2.1, 1.6)[kind], r"100\.0% of what is seen of it has moved"),
         (views(0.5)[kind], "only 0% of it is seen"),
     ):
         with pytest.raises(InputError, match=told):
