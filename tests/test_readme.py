@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from experiments import results
 from experiments.assets import CELLS
 from experiments.calibrate import unfitted
+from experiments.coverage import coverage_markdown
 from prism_jax import Camera, Completer
 from prism_jax.assets import asset
 from prism_jax.completion.weights import save_weights
@@ -142,6 +143,13 @@ def test_what_a_user_gets_is_what_was_scored(page):
     told = stored("background")["sets"]["objects-test"]["rows"]["empty"]["mean"]
     shown = cells(page, "| scored on |", "artist-made models")
     assert shown[4] == f"{1e4 * told['cd_l2']:.4g}"
+
+
+def test_coverage_of_envelopes_is_what_was_measured():
+    page = PAGES["envelope.md"].read_text()
+    rows = coverage_markdown(stored("coverage")).splitlines()
+    fixed = [row.replace(" fixed |", "") for row in rows if " fixed |" in row]
+    assert len(fixed) == 12 and all(row in page for row in fixed)
 
 
 def test_figures_stand_where_they_belong():
