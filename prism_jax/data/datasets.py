@@ -11,9 +11,9 @@ import numpy as np
 
 from prism_jax.data.holdout import Subset, hold_out
 from prism_jax.data.manifest import content_digest, read_manifest
-from prism_jax.data.public.shapenet import ShapeNet
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
+from prism_jax.data.shapenet import ShapeNet
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Source
 from prism_jax.io.errors import InputError, StrPath, choose
