@@ -72,14 +72,6 @@ def _built(
     )
 
 
-def _open_packed(root: pathlib.Path, split: str) -> Source:
-    return Shards(root / split)
-
-
-def _open_recordings(root: pathlib.Path, split: str) -> Source:
-    return RecordedCells(root)
-
-
 _ALL = "train validation test"
 _PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
 _ARMS = "arms of example-robot-data (tiago Apache-2.0, pr2 BSD, tiago_pro Apache-2.0, "
@@ -98,12 +90,17 @@ DATASETS: Mapping[str, DataSet] = {
     "cells": _built("cells", CELLS_VERSION, "train validation", _MORE_ARMS),
     "scenes": _built("scenes", SCENES_VERSION, _ALL, _SCENES, Scenes),
     "packed": DataSet(
-        _open_packed,
+        lambda root, split: Shards(root / split),
         validation="validation",
         folder="{split}",
         licence="as those are licensed that were packed",
     ),
-    "recordings": DataSet(_open_recordings, splits=("all",), training="all", folder=""),
+    "recordings": DataSet(
+        lambda root, split: RecordedCells(root),
+        splits=("all",),
+        training="all",
+        folder="",
+    ),
     "shapenet55": DataSet(partial(ShapeNet, "ShapeNet-55")),
     "shapenet34": DataSet(partial(ShapeNet, "ShapeNet-34")),
     "shapenet_unseen21": DataSet(partial(ShapeNet, "ShapeNet-Unseen21"), training=None),
@@ -193,8 +190,7 @@ def open_training(
     their own where the set has one, else as many objects, evenly spaced and no more
     than a tenth of all, held out with all their views."""
     train = open_dataset(name, training_split(name), data_dir)
-    split = DATASETS[name].validation
-    if split is None:
+    if DATASETS[name].validation is None:
         return hold_out(train, num_validation)
     return train, validation_rows(name, data_dir, num_validation)
 

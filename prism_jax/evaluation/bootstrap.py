@@ -33,14 +33,14 @@ def quantiles(resampled: Float[np.ndarray, "R ..."]) -> Float[np.ndarray, "2 ...
 
 
 def resampled_means(
-    values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"], seed: int = 0
+    values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
 ) -> Float[np.ndarray, "R K"]:
-    """Means over examples of every resample. Sets with one `seed` are drawn alike."""
+    """Means over examples of every resample."""
     rows = np.column_stack([values, np.ones(len(values))])
     sums = np.zeros((int(groups.max()) + 1, rows.shape[1]))
     np.add.at(sums, groups, rows)
     means = []
-    for drawn in _draws(len(sums), seed):
+    for drawn in _draws(len(sums)):
         total = sums[drawn].sum(0)
         means.append(total[:-1] / total[-1])
     return np.array(means)
@@ -65,6 +65,6 @@ def resampled_medians(
     return medians
 
 
-def _draws(count: int, seed: int = 0):
-    rng = np.random.default_rng(seed)
+def _draws(count: int):
+    rng = np.random.default_rng(0)
     return (rng.integers(0, count, count) for _ in range(_RESAMPLES))
