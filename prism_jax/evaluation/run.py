@@ -65,11 +65,7 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
 
     batched = jax.jit(jax.vmap(one, (None, 0, 0, 0)))
 
-    def complete(
-        partials: np.ndarray | Array,
-        eyes: np.ndarray | Array,
-        visibility: Visibility | None = None,
-    ) -> Predictions:
+    def complete(partials, eyes, visibility=None) -> Predictions:
         return Predictions(*batched(variables, partials, eyes, visibility))
 
     return complete
@@ -136,9 +132,8 @@ def _complete(
         partials, eyes = side_by_side(seen)
         maps: list[Visibility | None] = []
         if protocol.uses_visibility:
-            each = [
-                framed_map(e.visibility, workspace_for(e, protocol)) for e in examples
-            ]
+            spaces = [workspace_for(example, protocol) for example in examples]
+            each = map(framed_map, (e.visibility for e in examples), spaces)
             maps = [jax.tree.map(lambda *rows: np.stack(rows), *each)]
         predictions = jax.device_get(complete_fn(partials, eyes, *maps))
         each = [jax.tree.map(operator.itemgetter(i), predictions) for i in range(size)]

@@ -19,7 +19,7 @@ def result(values, views=1, categories=None, **clouds):
     ``network``."""
     objects = np.arange(len(values)) // views
     kinds = ["bag"] * len(values) if categories is None else list(categories)
-    metrics = {metric for metric, _ in MEASURES.values()}
+    metrics = {metric for metric, *_ in MEASURES.values()}
     return {
         "per_example": {
             "name": [f"{i // views}/{i % views}" for i in range(len(values))],
