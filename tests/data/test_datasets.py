@@ -5,11 +5,7 @@ import pytest
 from experiments.simulation.build_dataset import build_dataset, build_if_missing
 from experiments.simulation.shapes import build as shapes_build
 from prism_jax.data import datasets
-from prism_jax.data.datasets import (
-    digest_of,
-    open_dataset,
-    open_training,
-)
+from prism_jax.data.datasets import digest_of, open_dataset, open_training
 from prism_jax.io.errors import InputError
 from tests.data.test_holdout import Views, names
 
@@ -37,10 +33,7 @@ def test_what_was_broken_off_goes_on(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "splits", "sizes"),
-    [
-        ("shapenet55", ["train"], (72, 4)),
-        ("recordings", ["all"], (72, 4)),
-    ],
+    [("shapenet55", ["train"], (72, 4)), ("recordings", ["all"], (72, 4))],
 )
 def test_of_a_set_without_a_validation_split_some_objects_are_held_out(
     monkeypatch, name, splits, sizes

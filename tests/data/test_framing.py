@@ -10,12 +10,7 @@ from scipy.spatial import KDTree
 from experiments.simulation.views import make_views
 from prism_jax.data.pipeline import Framing, frame_example, stack
 from prism_jax.data.source import Example
-from prism_jax.geometry.visibility import (
-    BACKGROUND,
-    SURFACE,
-    look_up,
-    nothing_known,
-)
+from prism_jax.geometry.visibility import BACKGROUND, SURFACE, look_up, nothing_known
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.errors import InputError
 

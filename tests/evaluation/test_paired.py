@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 
 from prism_jax.evaluation.bootstrap import resampled_medians
-from prism_jax.evaluation.paired import (
-    MEASURES,
-    adaptation_effect,
-    paired_difference,
-)
+from prism_jax.evaluation.paired import MEASURES, adaptation_effect, paired_difference
 
 RNG = np.random.default_rng(1)
 

@@ -129,10 +129,7 @@ def test_a_published_test_prints_its_columns(tmp_path):
             ["--dataset=shapenet55", "--split=train"],
             "no published protocol for split 'train' of shapenet55",
         ),
-        (
-            ["--dataset=shapenet55", "--limit=3"],
-            "uses the whole test split",
-        ),
+        (["--dataset=shapenet55", "--limit=3"], "uses the whole test split"),
         (["--output=/dev/null/a.json"], "cannot be written to"),
     ],
 )

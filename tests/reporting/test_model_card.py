@@ -58,11 +58,7 @@ def test_the_table_has_what_users_get_of_each_split(told_of):
 
 @pytest.mark.parametrize(
     ("name", "split"),
-    [
-        ("test", "shapes-test"),
-        ("unseen", "shapes-unseen"),
-        ("robots", "roboarm-test"),
-    ],
+    [("test", "shapes-test"), ("unseen", "shapes-unseen"), ("robots", "roboarm-test")],
 )
 def test_scores_that_they_ship_with_are_shown(name, split):
     released = read_metadata("small")["scores"][split]

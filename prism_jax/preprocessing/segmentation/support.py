@@ -133,10 +133,7 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
 
 
 def _standing(
-    cloud: IndexedCloud,
-    aside: Bool[np.ndarray, " N"],
-    plane: Plane,
-    border: Outline,
+    cloud: IndexedCloud, aside: Bool[np.ndarray, " N"], plane: Plane, border: Outline
 ) -> float:
     """How many cells stand on a plane, those set aside left out; zero if it is none
     that objects stand on."""
