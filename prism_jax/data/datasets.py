@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from prism_jax.data.holdout import Subset, hold_out
 from prism_jax.data.manifest import content_digest, read_manifest
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.shapenet import ShapeNet
 from prism_jax.data.shards import Shards
-from prism_jax.data.source import Source
+from prism_jax.data.source import Source, Subset
 from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.files import default_cache_dir
 
@@ -188,11 +187,17 @@ def open_training(
 ) -> tuple[Source, Source]:
     """What to train on, and `num_validation` examples to validate with: of a split of
     their own where the set has one, else as many objects, evenly spaced and no more
-    than a tenth of all, held out with all their views."""
+    than a tenth of all, held out with all their views, of which the first is taken."""
     train = open_dataset(name, training_split(name), data_dir)
-    if DATASETS[name].validation is None:
-        return hold_out(train, num_validation)
-    return train, validation_rows(name, data_dir, num_validation)
+    if DATASETS[name].validation is not None:
+        return train, validation_rows(name, data_dir, num_validation)
+    objects, first = np.unique(train.objects, return_index=True)
+    if len(objects) < 2:
+        raise InputError("data", "only one object", "add more to train on")
+    count = min(num_validation, max(1, len(objects) // 10))
+    held = np.unique(np.linspace(0, len(objects) - 1, count + 2, dtype=int)[1:-1])
+    rest = np.flatnonzero(~np.isin(train.objects, held))
+    return Subset(train, rest), Subset(train, first[held])
 
 
 def parts_of(name: str, data_dir: StrPath | None = None) -> list[str]:

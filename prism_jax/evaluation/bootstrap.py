@@ -16,7 +16,8 @@ def mean_intervals(
     values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
 ) -> tuple[list[float], list[float]]:
     """Lower and upper bounds of each column's mean, with `groups` numbered from 0."""
-    low, high = quantiles(resampled_means(values, groups))
+    resampled = resampled_means(values, groups)
+    low, high = np.quantile(resampled, _QUANTILES, axis=0)
     return low.tolist(), high.tolist()
 
 
@@ -24,12 +25,7 @@ def change_interval(resampled: Float[np.ndarray, "R 2"]) -> list[float]:
     """Bounds of how much the second column is above the first, as a share of it."""
     before, after = resampled.T
     changes = (after - before) / np.where(before == 0, 1, before)
-    return quantiles(changes).tolist()
-
-
-def quantiles(resampled: Float[np.ndarray, "R ..."]) -> Float[np.ndarray, "2 ..."]:
-    """The interval's bounds, of what was found in every resample."""
-    return np.quantile(resampled, _QUANTILES, axis=0)
+    return np.quantile(changes, _QUANTILES, axis=0).tolist()
 
 
 def resampled_means(
