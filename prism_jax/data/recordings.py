@@ -73,9 +73,8 @@ class RecordedCells:
 
     File names are checked when this is made, contents when an example is read; faults
     and a file that differs from the manifest raise InputError. A sequence counts as one
-    object. Its category is the robot if its name tells it, as
-    003-ur5 does. What the sensor knows is told by the whole depth image, and by no
-    labels.
+    object. Its category is the robot if its name tells it, as 003-ur5 does. What the
+    sensor knows is told by the whole depth image, and by no labels.
     """
 
     def __init__(self, root: StrPath):
