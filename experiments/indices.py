@@ -30,10 +30,9 @@ def index_table(
 
     None if they would take more than `MAX_BYTES`, if 16 bits do not number a partial's
     points, or if partials change: cropped at random from complete clouds by a source
-    that has no others, or spoiled when they are read.
+    that has no others.
     """
-    changing = source[0].partial is None or framing.augmentation is not None
-    if changing or config.num_points > 2**16:
+    if source[0].partial is None or config.num_points > 2**16:
         return None
 
     @jax.jit

@@ -13,9 +13,8 @@ from prism_jax.data.datasets import (
     training_split,
     validation_rows,
 )
-from prism_jax.data.holdout import Subset
 from prism_jax.data.shards import Shards
-from prism_jax.data.source import Example, Source
+from prism_jax.data.source import Example, Source, Subset
 from prism_jax.io.errors import InputError, choose
 
 MAX_WEIGHT = 1e6

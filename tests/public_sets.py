@@ -1,26 +1,18 @@
-"""Small public sets in their published layouts, written by tests that score on them."""
+"""ShapeNet in PoinTr's layout, written by tests that read it or score on it."""
 
 from pathlib import Path
 
 import numpy as np
 
-SYNSETS = {"02691156": "airplane", "02958343": "car"}
+KEYS = ("02691156-1a04e3", "02958343-u6028-fe5f4")
 
 
-def write_shapenet55(root: Path, num_models: int = 2) -> None:
-    """ShapeNet-55's test split: model i is of synset i % 2."""
-    names = []
-    for i in range(num_models):
-        names.append(f"{list(SYNSETS)[i % 2]}-model{i}.npy")
-        path = root / "shapenet_pc" / names[-1]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.save(path, _cloud(i, 8192), allow_pickle=False)
-    path = root / "ShapeNet-55" / "test.txt"
-    path.parent.mkdir(parents=True)
-    path.write_text("\n".join(names))
-
-
-def _cloud(seed: int, count: int) -> np.ndarray:
-    """A block off the origin, twice as long as wide."""
-    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
-    return (points * [1.0, 0.5, 0.25] + 3.0).astype(np.float32)
+def write_shapenet(root: Path, keys=KEYS[:1], subset="ShapeNet-55", split="test"):
+    """Blocks off the origin, twice as long as wide, and a list of them."""
+    for folder in ("shapenet_pc", subset):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    (root / subset / f"{split}.txt").write_text("".join(f"{key}.npy\n" for key in keys))
+    for seed, key in enumerate(keys):
+        points = np.random.default_rng(seed).uniform(-1, 1, (8192, 3))
+        points = (points * [1.0, 0.5, 0.25] + 3.0).astype(np.float32)
+        np.save(root / "shapenet_pc" / f"{key}.npy", points)

@@ -9,7 +9,7 @@ from prism_jax.data.pipeline import Batch
 from prism_jax.models.variables import Variables, apply, apply_training
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.phase import Phase
-from prism_jax.training.supervised import Stages, stage_losses, supervised_phase
+from prism_jax.training.supervised import Stages, supervised_phase
 
 
 def network_phase(
@@ -30,8 +30,7 @@ def network_phase(
 
     def train(variables: Variables, batch: Batch):
         partial = jnp.asarray(batch.partial)
-        stages, statistics = apply_training(module, variables, partial)
-        return stage_losses(stages, batch, training.norm), statistics
+        return apply_training(module, variables, partial)
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         return apply(module, variables, jnp.asarray(batch.partial))

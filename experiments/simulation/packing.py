@@ -20,8 +20,7 @@ from experiments.simulation.raycast import Scene
 from experiments.simulation.shard_writer import build_shards
 from prism_jax.data.manifest import files_digest, hash_files
 from prism_jax.data.ordering import first_points
-from prism_jax.data.public.layout import sound_cloud
-from prism_jax.data.source import Example, Source
+from prism_jax.data.source import Example, Source, sound_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
 

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from prism_jax.data.holdout import Subset, hold_out
 from prism_jax.data.manifest import content_digest, read_manifest
-from prism_jax.data.public.shapenet import ShapeNet
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.scenes import Scenes
+from prism_jax.data.shapenet import ShapeNet
 from prism_jax.data.shards import Shards
-from prism_jax.data.source import Source
+from prism_jax.data.source import Source, Subset
 from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.files import default_cache_dir
 
@@ -72,14 +71,6 @@ def _built(
     )
 
 
-def _open_packed(root: pathlib.Path, split: str) -> Source:
-    return Shards(root / split)
-
-
-def _open_recordings(root: pathlib.Path, split: str) -> Source:
-    return RecordedCells(root)
-
-
 _ALL = "train validation test"
 _PROCEDURAL = "procedural, made by prism_jax (Apache-2.0), nobody else's meshes"
 _ARMS = "arms of example-robot-data (tiago Apache-2.0, pr2 BSD, tiago_pro Apache-2.0, "
@@ -98,12 +89,17 @@ DATASETS: Mapping[str, DataSet] = {
     "cells": _built("cells", CELLS_VERSION, "train validation", _MORE_ARMS),
     "scenes": _built("scenes", SCENES_VERSION, _ALL, _SCENES, Scenes),
     "packed": DataSet(
-        _open_packed,
+        lambda root, split: Shards(root / split),
         validation="validation",
         folder="{split}",
         licence="as those are licensed that were packed",
     ),
-    "recordings": DataSet(_open_recordings, splits=("all",), training="all", folder=""),
+    "recordings": DataSet(
+        lambda root, split: RecordedCells(root),
+        splits=("all",),
+        training="all",
+        folder="",
+    ),
     "shapenet55": DataSet(partial(ShapeNet, "ShapeNet-55")),
     "shapenet34": DataSet(partial(ShapeNet, "ShapeNet-34")),
     "shapenet_unseen21": DataSet(partial(ShapeNet, "ShapeNet-Unseen21"), training=None),
@@ -191,12 +187,17 @@ def open_training(
 ) -> tuple[Source, Source]:
     """What to train on, and `num_validation` examples to validate with: of a split of
     their own where the set has one, else as many objects, evenly spaced and no more
-    than a tenth of all, held out with all their views."""
+    than a tenth of all, held out with all their views, of which the first is taken."""
     train = open_dataset(name, training_split(name), data_dir)
-    split = DATASETS[name].validation
-    if split is None:
-        return hold_out(train, num_validation)
-    return train, validation_rows(name, data_dir, num_validation)
+    if DATASETS[name].validation is not None:
+        return train, validation_rows(name, data_dir, num_validation)
+    objects, first = np.unique(train.objects, return_index=True)
+    if len(objects) < 2:
+        raise InputError("data", "only one object", "add more to train on")
+    count = min(num_validation, max(1, len(objects) // 10))
+    held = np.unique(np.linspace(0, len(objects) - 1, count + 2, dtype=int)[1:-1])
+    rest = np.flatnonzero(~np.isin(train.objects, held))
+    return Subset(train, rest), Subset(train, first[held])
 
 
 def parts_of(name: str, data_dir: StrPath | None = None) -> list[str]:

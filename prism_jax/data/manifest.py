@@ -20,14 +20,13 @@ def read_manifest(folder: StrPath, remedy: str, **expected: Any) -> dict[str, An
     try:
         manifest = json.loads(path.read_text())
         files = manifest["files"]
-        if any(manifest.get(name) != value for name, value in expected.items()):
-            raise InputError(folder, "built by another version of prism_jax", anew)
+        fitting = all(manifest.get(name) == value for name, value in expected.items())
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(folder, "not built yet", remedy) from None
-    except InputError:
-        raise
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "not a valid manifest", anew) from None
+    if not fitting:
+        raise InputError(folder, "built by another version of prism_jax", anew)
     if not isinstance(files, dict):
         raise InputError(folder, "incomplete: the build was interrupted", remedy)
     return manifest

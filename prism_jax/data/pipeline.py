@@ -12,7 +12,6 @@ from absl import flags
 from jaxtyping import Float32
 from scipy.spatial.transform import Rotation
 
-from prism_jax.data.augmentation import Augmentation, augmented
 from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop, random_crop
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source
@@ -49,14 +48,12 @@ class Batch(NamedTuple):
 @dataclasses.dataclass(frozen=True)
 class Framing:
     """How examples become arrays of one size: points of the partial and of the
-    complete cloud, the workspace's margin around the partial and its heading, and what
-    befalls the partial in training, if anything does."""
+    complete cloud, the workspace's margin around the partial, and its heading."""
 
     num_partial: int
     num_complete: int
     margin: float
     heading: Heading = "given"
-    augmentation: Augmentation | None = None
 
 
 def frame_example(
@@ -65,9 +62,9 @@ def frame_example(
     """One example in the workspace of its partial, without a batch axis.
 
     With `rng`, for training: mirrored along x with probability one half; turned about
-    the vertical at random where it may have any heading; spoiled as the framing says;
-    and a partial that is None is cropped at random. Without, it is cropped as the
-    median test from the first fixed viewpoint.
+    the vertical at random where it may have any heading; and a partial that is None is
+    cropped at random. Without, it is cropped as the median test from the first fixed
+    viewpoint.
 
     Where the network finds the heading itself, each example has any heading, and every
     other a tilt of up to `MAX_TILT`; without `rng` these are a function of the
@@ -75,8 +72,6 @@ def frame_example(
     rule will take one side for another now and then.
     """
     example = with_partial(example, rng)
-    if rng is not None and framing.augmentation is not None:
-        example = augmented(example, framing.augmentation, rng)
     assert example.partial is not None and example.complete is not None
     clouds = {
         "partial": example.partial,
@@ -102,7 +97,7 @@ def frame_example(
         np.asarray(workspace.to_unit(clouds["many"]), np.float32),
         np.asarray(seen.eye, np.float32),
         np.asarray(workspace.half_extent / unit.half_extent, np.float32),
-        visibility=None if visibility is None else framed_map(visibility, workspace),
+        visibility=framed_map(visibility, workspace),
     )
     if rng is None:
         return batch
@@ -139,12 +134,12 @@ def training_batches(
     indices: Any = None,
     start: int = 0,
 ) -> Iterator[Batch]:
-    """Endless batches: each example once per epoch, freshly shuffled and augmented.
+    """Endless batches: each example once per epoch, freshly shuffled and mirrored.
 
     What the n-th batch holds is a function of the source, the framing, the size, the
     seed and n alone; `start` is the n of the first. `num_workers` processes read ahead,
     0 for threads of this one. `indices`, a tree of arrays with a row for each item,
-    come with the batches; augmentation must not change them.
+    come with the batches; a mirror image must not change them.
     """
     grain = require("grain", "train")
     if len(source) < batch_size:
@@ -231,8 +226,13 @@ def _about_vertical(angle: float) -> Float32[np.ndarray, "3 3"]:
     return np.array([(cosine, sine, 0), (-sine, cosine, 0), (0, 0, 1)], np.float32)
 
 
-def framed_map(visibility: Visibility, workspace: Workspace) -> Visibility:
-    """In the unit of the workspace, and in single precision."""
+def framed_map(
+    visibility: Visibility | None, workspace: Workspace
+) -> Visibility | None:
+    """In the unit of the workspace, and in single precision; None where the source does
+    not say."""
+    if visibility is None:
+        return None
     unit = to_unit(visibility, workspace)
     camera = jax.tree.map(lambda array: np.asarray(array, np.float32), unit.camera)
     return Visibility(camera, unit.state, np.asarray(unit.depth, np.float32))

@@ -72,16 +72,15 @@ class RecordedCells:
     """The frames below a folder as a `Source` of examples, in order of their names.
 
     File names are checked when this is made, contents when an example is read; faults
-    and, with `verify`, a file that differs from the manifest raise InputError. A
-    sequence counts as one object. Its category is the robot if its name tells it, as
-    003-ur5 does. What the sensor knows is told by the whole depth image, and by no
-    labels.
+    and a file that differs from the manifest raise InputError. A sequence counts as one
+    object. Its category is the robot if its name tells it, as 003-ur5 does. What the
+    sensor knows is told by the whole depth image, and by no labels.
     """
 
-    def __init__(self, root: StrPath, verify: bool = True):
+    def __init__(self, root: StrPath):
         self.root = pathlib.Path(root)
         found = _find_frames(self.root)
-        if verify and (self.root / MANIFEST).exists():
+        if (self.root / MANIFEST).exists():
             manifest = read_manifest(self.root, "let the recording finish")
             check_files(self.root, manifest["files"], _COPY)
         self.frames = tuple(found)
@@ -176,10 +175,10 @@ def frame_file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
     return frame.with_name(f"{frame.name}.{suffix}")
 
 
-def check_recordings(root: StrPath, verify: bool = True) -> int:
+def check_recordings(root: StrPath) -> int:
     """Reads every frame below a folder and returns their number. The first fault raises
     InputError with the file, what is wrong with it, and what to do about it."""
-    cells = RecordedCells(root, verify)
+    cells = RecordedCells(root)
     for index in range(len(cells)):
         cells.read(index)
     return len(cells)

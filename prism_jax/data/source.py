@@ -3,9 +3,12 @@
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float, Float32, Int
 
 from prism_jax.geometry.visibility import Visibility
+from prism_jax.io.errors import InputError, StrPath
+
+_COPY_AGAIN = "copy this file again from the data set"
 
 
 class Example(NamedTuple):
@@ -50,3 +53,35 @@ class Source(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int, /) -> Example: ...
+
+
+class Subset:
+    """Some items of a source, in the order of `rows`."""
+
+    def __init__(self, source: Source, rows: np.ndarray):
+        self._source, self._rows = source, np.asarray(rows)
+        self.categories = source.categories
+        self.objects = np.unique(source.objects[self._rows], return_inverse=True)[1]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, index: int) -> Example:
+        return self._source[int(self._rows[index])]
+
+
+def sound_cloud(
+    points: Float[np.ndarray, "N 3"], subject: StrPath, num_points: int | None = None
+) -> Float32[np.ndarray, "N 3"]:
+    """The points as float32; none, another count, or a NaN raises InputError."""
+    if len(points) == 0:
+        fault = f"array of shape {points.shape} and type {points.dtype}"
+        raise InputError(subject, f"{fault} is not a cloud", _COPY_AGAIN)
+    if num_points is not None and len(points) != num_points:
+        fault = f"{len(points)} points instead of {num_points}"
+        raise InputError(subject, fault, _COPY_AGAIN)
+    with np.errstate(over="ignore"):
+        cloud = np.ascontiguousarray(points, np.float32)
+    if not np.isfinite(cloud).all():
+        raise InputError(subject, "some points are not finite", _COPY_AGAIN)
+    return cloud

@@ -16,7 +16,8 @@ def mean_intervals(
     values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
 ) -> tuple[list[float], list[float]]:
     """Lower and upper bounds of each column's mean, with `groups` numbered from 0."""
-    low, high = quantiles(resampled_means(values, groups))
+    resampled = resampled_means(values, groups)
+    low, high = np.quantile(resampled, _QUANTILES, axis=0)
     return low.tolist(), high.tolist()
 
 
@@ -24,23 +25,18 @@ def change_interval(resampled: Float[np.ndarray, "R 2"]) -> list[float]:
     """Bounds of how much the second column is above the first, as a share of it."""
     before, after = resampled.T
     changes = (after - before) / np.where(before == 0, 1, before)
-    return quantiles(changes).tolist()
-
-
-def quantiles(resampled: Float[np.ndarray, "R ..."]) -> Float[np.ndarray, "2 ..."]:
-    """The interval's bounds, of what was found in every resample."""
-    return np.quantile(resampled, _QUANTILES, axis=0)
+    return np.quantile(changes, _QUANTILES, axis=0).tolist()
 
 
 def resampled_means(
-    values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"], seed: int = 0
+    values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
 ) -> Float[np.ndarray, "R K"]:
-    """Means over examples of every resample. Sets with one `seed` are drawn alike."""
+    """Means over examples of every resample."""
     rows = np.column_stack([values, np.ones(len(values))])
     sums = np.zeros((int(groups.max()) + 1, rows.shape[1]))
     np.add.at(sums, groups, rows)
     means = []
-    for drawn in _draws(len(sums), seed):
+    for drawn in _draws(len(sums)):
         total = sums[drawn].sum(0)
         means.append(total[:-1] / total[-1])
     return np.array(means)
@@ -65,6 +61,6 @@ def resampled_medians(
     return medians
 
 
-def _draws(count: int, seed: int = 0):
-    rng = np.random.default_rng(seed)
+def _draws(count: int):
+    rng = np.random.default_rng(0)
     return (rng.integers(0, count, count) for _ in range(_RESAMPLES))

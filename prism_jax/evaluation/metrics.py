@@ -22,7 +22,6 @@ _FEWEST = 16  # fewer points than this are not worth an assignment of their own
 _ROUNDS = 10
 """Of relaxing the prices of a whole assignment; more cost more than they save."""
 
-
 Cloud = Float[np.ndarray, "_ 3"]
 
 

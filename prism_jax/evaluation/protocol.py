@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from prism_jax.data.ordering import first_points
-from prism_jax.data.pipeline import framed_map
 from prism_jax.data.source import Example
 from prism_jax.evaluation import metrics
-from prism_jax.geometry.visibility import Background, Visibility
+from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.preprocessing.observation import (
     Heading,
@@ -77,20 +76,15 @@ def workspace_for(example: Example, protocol: Protocol) -> Workspace:
     return Workspace.from_points(example.complete, margin, workspace.rotation)
 
 
-def scored_in(example: Example, protocol: Protocol) -> Workspace:
-    """The frame whose unit is that of the scores."""
-    if protocol.unit == "own":
-        return Workspace.unit()
-    assert example.complete is not None
-    return Workspace.from_points(example.complete, 1.0)
-
-
 def into_scored(
     example: Example, protocol: Protocol
 ) -> tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]:
     """Two functions into the frame of the scores: of clouds in the example's own frame,
     and of clouds in the workspace."""
-    workspace, frame = workspace_for(example, protocol), scored_in(example, protocol)
+    workspace, frame = workspace_for(example, protocol), Workspace.unit()
+    if protocol.unit == "complete":
+        assert example.complete is not None
+        frame = Workspace.from_points(example.complete, 1.0)
 
     def from_own(cloud: np.ndarray) -> np.ndarray:
         return np.asarray(frame.to_unit(cloud.astype(np.float64)))
@@ -116,10 +110,3 @@ def side_by_side(
     partials = np.stack([seen.partial for seen in observations])
     eyes = np.stack([seen.eye for seen in observations])
     return partials.astype(np.float32), eyes.astype(np.float32)
-
-
-def map_of(example: Example, workspace: Workspace) -> Visibility | None:
-    """What the sensor knows, in the unit of the workspace; None where the source does
-    not say."""
-    visibility = example.visibility
-    return None if visibility is None else framed_map(visibility, workspace)

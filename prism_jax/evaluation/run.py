@@ -1,8 +1,8 @@
 """A completer run over a data set and scored, batch by batch."""
 
-import collections
 import concurrent.futures
 import itertools
+import operator
 import os
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -17,13 +17,12 @@ from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.completion.filtering import added_points
 from prism_jax.data.ordering import first_points
-from prism_jax.data.pipeline import with_partial
+from prism_jax.data.pipeline import framed_map, with_partial
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.protocol import (
     UNITS,
     Protocol,
     into_scored,
-    map_of,
     observed,
     side_by_side,
     workspace_for,
@@ -66,11 +65,7 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
 
     batched = jax.jit(jax.vmap(one, (None, 0, 0, 0)))
 
-    def complete(
-        partials: np.ndarray | Array,
-        eyes: np.ndarray | Array,
-        visibility: Visibility | None = None,
-    ) -> Predictions:
+    def complete(partials, eyes, visibility=None) -> Predictions:
         return Predictions(*batched(variables, partials, eyes, visibility))
 
     return complete
@@ -106,19 +101,18 @@ def evaluate(
     count = len(source) if limit is None else min(limit, len(source))
     size = min(batch_size, count)
     rows: list[ExampleScores] = []
-    waiting: collections.deque = collections.deque()
+    waiting: list[concurrent.futures.Future[ExampleScores]] = []
     with (
         tqdm(total=count, desc="evaluate", unit="shape", mininterval=2.0) as bar,
         concurrent.futures.ThreadPoolExecutor(num_workers or os.cpu_count()) as pool,
     ):
         batches = _complete(complete_fn, source, protocol, count, size)
-        for batch in itertools.chain(batches, [None]):
-            if batch is not None:
-                waiting.append([pool.submit(_score, item, protocol) for item in batch])
-            while waiting and (batch is None or len(waiting) > 1):
-                for future in waiting.popleft():
-                    rows.append(future.result())
-                    bar.update()
+        for batch in itertools.chain(batches, [[]]):
+            started = [pool.submit(_score, protocol, *item) for item in batch]
+            for future in waiting:
+                rows.append(future.result())
+                bar.update()
+            waiting = started
     return {
         "unit": UNITS[protocol.unit],
         "num_partial": protocol.num_partial,
@@ -126,17 +120,11 @@ def evaluate(
     }
 
 
-class _Item(NamedTuple):
-    example: Example
-    network_input: np.ndarray
-    predictions: Predictions
-    """Of this example: without the leading axis."""
-
-
 def _complete(
     complete_fn: CompleteFn, source: Source, protocol: Protocol, count: int, size: int
-) -> Iterator[list[_Item]]:
-    """Batches of one size; the last is filled up with the first examples."""
+) -> Iterator[list[tuple[Example, np.ndarray, Predictions]]]:
+    """Examples, what the network read of each, and predictions without a leading axis.
+    Batches have one size; the last is filled up with the first examples."""
     for start in range(0, count, size):
         rows = np.arange(start, start + size) % count
         examples = [with_partial(source[int(row)]) for row in rows]
@@ -144,17 +132,12 @@ def _complete(
         partials, eyes = side_by_side(seen)
         maps: list[Visibility | None] = []
         if protocol.uses_visibility:
-            each = [map_of(one, workspace_for(one, protocol)) for one in examples]
+            spaces = [workspace_for(example, protocol) for example in examples]
+            each = map(framed_map, (e.visibility for e in examples), spaces)
             maps = [jax.tree.map(lambda *rows: np.stack(rows), *each)]
         predictions = jax.device_get(complete_fn(partials, eyes, *maps))
-        yield [
-            _Item(examples[i], partials[i], _one(predictions, i))
-            for i in range(min(size, count - start))
-        ]
-
-
-def _one(predictions: Predictions, row: int) -> Predictions:
-    return jax.tree.map(lambda array: array[row], predictions)
+        each = [jax.tree.map(operator.itemgetter(i), predictions) for i in range(size)]
+        yield [*zip(examples, partials, each, strict=True)][: count - start]
 
 
 def scored_clouds(
@@ -173,7 +156,7 @@ def scored_clouds(
     measured, eye = np.asarray(seen.partial), np.asarray(seen.eye)
     visibility = None
     if protocol.uses_visibility:
-        visibility = map_of(example, workspace)
+        visibility = framed_map(example.visibility, workspace)
     clouds: dict[str, np.ndarray] = {}
     if protocol.with_measured:
         clouds["partial"] = from_own(example.partial)
@@ -200,15 +183,16 @@ def scored_clouds(
     return clouds
 
 
-def _score(item: _Item, protocol: Protocol) -> ExampleScores:
+def _score(
+    protocol: Protocol, example: Example, partial: np.ndarray, predictions: Predictions
+) -> ExampleScores:
     """The scores of one example, in their frame."""
-    example, predictions = item.example, item.predictions
     assert example.complete is not None
     from_own, _ = into_scored(example, protocol)
     few = None
     if protocol.with_emd:
         few = from_own(first_points(example.complete, EMD_POINTS, example.ordered))
-    clouds = scored_clouds(example, item.network_input, predictions, protocol)
+    clouds = scored_clouds(example, partial, predictions, protocol)
     accepted = predictions.accepted
     return ExampleScores(
         example.name,

@@ -1,7 +1,6 @@
 """Every metric of every cloud of one example, with each search done once."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -26,15 +25,6 @@ network_unadapted, completed_unadapted: the same without test-time adaptation. O
 """
 
 
-class _Matched(NamedTuple):
-    """A cloud, its points' distances to the nearest complete ones (`forward`), and the
-    reverse (`backward`)."""
-
-    cloud: np.ndarray
-    forward: np.ndarray
-    backward: np.ndarray
-
-
 def score(
     clouds: Mapping[str, Float[np.ndarray, "_ 3"]],
     complete: Float[np.ndarray, "M 3"],
@@ -50,29 +40,24 @@ def score(
     tree = KDTree(complete)
     apart = {id(cloud): name for name, cloud in reversed(clouds.items())}  # pyright: ignore
     first = {name: apart[id(cloud)] for name, cloud in clouds.items()}
-    matched = {
-        name: _match(clouds[name], complete, tree)
-        for name in dict.fromkeys(first.values())
-    }
+    distinct = {name: clouds[name] for name in dict.fromkeys(first.values())}
     scores = {
-        name: metrics.from_distances(one.forward, one.backward)
-        for name, one in matched.items()
+        name: metrics.from_distances(
+            tree.query(cloud)[0], KDTree(cloud).query(complete)[0]
+        )
+        for name, cloud in distinct.items()
     }
     if complete_few is not None:
-        for name, value in _emds(matched, complete_few).items():
+        for name, value in _emds(distinct, complete_few).items():
             scores[name] = scores[name]._replace(emd=value)
     return {name: scores[first[name]] for name in CLOUDS if name in clouds}
 
 
-def _match(cloud: np.ndarray, complete: np.ndarray, tree: KDTree) -> _Matched:
-    return _Matched(cloud, tree.query(cloud)[0], KDTree(cloud).query(complete)[0])
-
-
 def _emds(
-    matched: dict[str, _Matched], complete_few: Float[np.ndarray, "E 3"]
+    clouds: dict[str, np.ndarray], complete_few: Float[np.ndarray, "E 3"]
 ) -> dict[str, float]:
     """The exact earth mover's distance of each cloud's farthest points."""
-    few = {k: farthest_point_order(m.cloud, EMD_POINTS) for k, m in matched.items()}
+    few = {k: farthest_point_order(c, EMD_POINTS) for k, c in clouds.items()}
     values = {}
     # `emds` is fast for clouds that are alike, and the partial is unlike the others.
     for names in (["partial"] * ("partial" in few), [k for k in few if k != "partial"]):

@@ -27,16 +27,6 @@ COLUMNS = (
     Column("mean", "truth_to_prediction", "truth to prediction x1e4", 1e4),
 )
 
-LABELS = {
-    "cd_l2": "CD-L2",
-    "cd_l2_median": "median CD-L2",
-    "prediction_to_truth": "prediction to truth",
-    "truth_to_prediction": "truth to prediction",
-    "cd_l1": "CD-L1",
-    "f_score": "F@0.01",
-}
-"""`MEASURES` in words."""
-
 
 def markdown(result: Mapping[str, Any]) -> str:
     """What the result is of, the means with their intervals, CD-L2 by category, and
@@ -57,9 +47,9 @@ def markdown(result: Mapping[str, Any]) -> str:
         "",
     ]
     changes = {
-        f"{cloud}, {LABELS[measure]}": found[measure]
+        f"{cloud}, {label}": found[measure]
         for cloud, found in result.get("adaptation", {}).items()
-        for measure in MEASURES
+        for measure, (_, _, label) in MEASURES.items()
         if measure in found
     }
     if changes:

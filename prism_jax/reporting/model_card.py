@@ -35,7 +35,8 @@ def model_card(name_or_path: str) -> str:
         f"{sizes}; {count:,} parameters; {adapting}.\n",
         *(f"- {line}" for line in _trainings(about)),
     ]
-    scores = released_scores(name_or_path)
+    # By data set and split, without what `evaluate` holds of every example.
+    scores = about.get("scores", {})
     for result in scores.values():
         lines += [f"\n{markdown(result)}", _worst(result)]
     if not scores:
@@ -52,8 +53,9 @@ def weights_table(names: Sequence[str]) -> str:
     from the truth the scan is and what a user gets of it, without adaptation."""
     rows = [("weights", "samples", "scored on", "the scan", "completed", "worst at")]
     for name in names:
-        told: Any = (name, f"{samples_seen(read_metadata(name)):,}")
-        for split, result in released_scores(name).items():
+        about = read_metadata(name)
+        told: Any = (name, f"{samples_seen(about):,}")
+        for split, result in about.get("scores", {}).items():
             clouds = result["clouds"]
             done = clouds.get("completed_unadapted", clouds["completed"])
             errors = (clouds["partial"]["mean"]["cd_l2"], done["mean"]["cd_l2"])
@@ -68,12 +70,6 @@ def weights_table(names: Sequence[str]) -> str:
         for row in rows
     ]
     return "\n".join(line.rstrip() for line in lines)
-
-
-def released_scores(name_or_path: str) -> dict[str, dict[str, Any]]:
-    """The results of `evaluate` that came with weights, by data set and split, without
-    what they hold of every example."""
-    return read_metadata(name_or_path).get("scores", {})
 
 
 def _trainings(about: Mapping[str, Any]) -> Iterator[str]:

@@ -80,6 +80,10 @@ def render_report(
         [np.asarray(result.depth_observed), np.asarray(result.depth_completed)],
         [np.asarray(result.mask_observed), np.asarray(result.mask_completed)],
     )
+    losses = {
+        name.replace("_", " "): [np.nan if v is None else v for v in values]
+        for name, values in summary["losses"].items()
+    }
     return render(
         summary=summary,
         verdict=verdict_of_scan(summary, float(np.ptp(measured, axis=0).max())),
@@ -90,16 +94,8 @@ def render_report(
         objects=None,
         max_shown=f"{MAX_SHOWN_POINTS:,}",
         depth=chart_html(depth, "depth"),
-        losses=_losses(summary),
+        losses=chart_html(losses_figure(losses), "losses") if losses else "",
         metrics=METRICS,
         cloud_names=CLOUDS,
         details=of_scan(summary),
     )
-
-
-def _losses(summary: Mapping[str, Any]) -> str:
-    losses = {
-        name.replace("_", " "): [np.nan if v is None else v for v in values]
-        for name, values in summary["losses"].items()
-    }
-    return chart_html(losses_figure(losses), "losses") if losses else ""

@@ -77,12 +77,12 @@ class Linkage:
         self, positions: Float[np.ndarray, " J"]
     ) -> tuple[Float64[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
         """Vertices and faces of all links in one pose, link by link."""
-        poses = self.link_poses(positions[None])[0]
+        trimesh, poses = require("trimesh", _EXTRA), self.link_poses(positions[None])[0]
         placed = [
             mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
             for mesh, pose in zip(self.meshes, poses, strict=True)
         ]
-        return np.concatenate(placed), _numbered_on(self.meshes)
+        return trimesh.util.append_faces(placed, [mesh.faces for mesh in self.meshes])
 
     def _frame_poses(self, positions: np.ndarray) -> np.ndarray:
         """Every frame of the chain, meshes or not."""
@@ -161,14 +161,8 @@ def _motion(joint: Any, positions: dict, count: int) -> Float64[np.ndarray, "P 4
 def _joined(meshes: list[Any]) -> Any:
     """The meshes as one, their triangles in order."""
     trimesh = require("trimesh", _EXTRA)
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    return trimesh.Trimesh(vertices, _numbered_on(meshes), process=False)
-
-
-def _numbered_on(meshes: list[Any]) -> Int[np.ndarray, "F 3"]:
-    """The faces of all meshes, whose vertices stand one after the other."""
-    starts = np.cumsum([0, *[len(mesh.vertices) for mesh in meshes]])
-    return np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=False)])
+    parts = [mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes]
+    return trimesh.Trimesh(*trimesh.util.append_faces(*parts), process=False)
 
 
 def _link_shapes(link: Any, path: pathlib.Path) -> list[Any]:

@@ -14,7 +14,7 @@ from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
 from prism_jax.training.inputs import indices_of, visibility_of
 from prism_jax.training.phase import Phase
-from prism_jax.training.supervised import Stages, Terms, stage_losses, supervised_phase
+from prism_jax.training.supervised import Stages, supervised_phase
 
 
 def backbone_phase(
@@ -27,7 +27,7 @@ def backbone_phase(
     blocks = len(config.up_factors) if phase.num_blocks is None else phase.num_blocks
     names = ("seeds", *(f"stage_{i + 1}" for i in range(blocks)))
 
-    def train(variables: Variables, batch: Batch) -> tuple[Terms, Variables]:
+    def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
         partial = jnp.asarray(batch.partial)
         indices = indices_of(batch)
         if indices is None:
@@ -40,7 +40,7 @@ def backbone_phase(
             phase.num_blocks,
             visibility_of(batch, config),
         )
-        return stage_losses(decoded.stages, batch, training.norm), statistics
+        return decoded.stages, statistics
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial, visibility = jnp.asarray(batch.partial), visibility_of(batch, config)

@@ -38,13 +38,16 @@ class Checkpoints:
         metrics = None if step is None else self._best.metrics(step)
         return None if metrics is None else float(metrics["score"])
 
-    def restore_latest(self, like: Any) -> Any | None:
-        """The latest state, in the structure of ``like``; None if there is none."""
-        return _restore(self._latest, like)
-
-    def restore_best(self, like: Any) -> Any | None:
-        """The best state, in the structure of ``like``; None if there is none."""
-        return _restore(self._best, like)
+    def restore(self, like: Any, best: bool = False) -> Any | None:
+        """The latest state or the best, in the structure of ``like``; None if there is
+        none."""
+        manager = self._best if best else self._latest
+        step = manager.latest_step()
+        if step is None:
+            return None
+        abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
+        with _undamaged(manager.directory):
+            return manager.restore(step, args=ocp.args.StandardRestore(abstract))
 
     def close(self) -> None:
         """Waits for what is being written."""
@@ -56,15 +59,6 @@ def _manager(folder: pathlib.Path, **options: Any) -> ocp.CheckpointManager:
     kept = ocp.CheckpointManagerOptions(max_to_keep=1, create=True, **options)
     with _undamaged(folder):
         return ocp.CheckpointManager(folder, options=kept)
-
-
-def _restore(manager: ocp.CheckpointManager, like: Any) -> Any | None:
-    step = manager.latest_step()
-    if step is None:
-        return None
-    abstract = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
-    with _undamaged(manager.directory):
-        return manager.restore(step, args=ocp.args.StandardRestore(abstract))
 
 
 @contextlib.contextmanager

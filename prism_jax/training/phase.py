@@ -107,7 +107,7 @@ def train_phase(
     mesh = parallel.data_mesh()
     checkpoints = Checkpoints(folder / phase.name)
     start = parallel.replicate(phase.start, mesh)
-    state = parallel.replicate(checkpoints.restore_latest(start) or start, mesh)
+    state = parallel.replicate(checkpoints.restore(start) or start, mesh)
     num_steps = steps_of(phase.name, phase.num_samples, phase.batch_size)
     step = int(state.step)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
@@ -159,7 +159,7 @@ def train_phase(
         checkpoints.save(step, state, score)
         saved = time.monotonic()
     log.close()
-    best = checkpoints.restore_best(state)
+    best = checkpoints.restore(state, best=True)
     checkpoints.close()
     return Trained((best or state).kept, state, step >= num_steps)
 

@@ -94,17 +94,14 @@ class Log:
     def __init__(
         self, folder: pathlib.Path, name: str, total: int, step: int, batch_size: int
     ):
-        done = step * batch_size
         path = folder / "metrics.jsonl"
         if path.exists():
             _drop_after(path, name, step)
         self._file = path.open("a")
         self._name = name
-        self._start, self._done_at_start = time.monotonic(), done
-        self._waited = 0.0
-        self._bar = tqdm(
-            total=total, initial=done, desc=name, unit="sample", mininterval=2.0
-        )
+        self._start, self._waited = time.monotonic(), 0.0
+        done, shown = step * batch_size, {"unit": "sample", "mininterval": 2.0}
+        self._bar = tqdm(total=total, initial=done, desc=name, **shown)
 
     def advance(self, samples: int) -> None:
         """Moves the bar."""
@@ -126,7 +123,7 @@ class Log:
     def write(self, step: int, **values: dict[str, float]) -> None:
         """Adds a line."""
         seconds = self._seconds()
-        rate = (self._bar.n - self._done_at_start) / seconds
+        rate = (self._bar.n - self._bar.initial) / seconds
         line = {"phase": self._name, "step": step, "samples": self._bar.n}
         line |= {"samples_per_second": round(rate, 2)}
         line |= {"data_wait": round(self._waited / seconds, 4), **values}

@@ -9,7 +9,7 @@ import optax
 from jaxtyping import Array, Float
 
 from prism_jax.data.pipeline import Batch
-from prism_jax.losses.chamfer import ChamferNorm, chamfer
+from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
@@ -17,25 +17,18 @@ from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import Phase, TrainState, steps_of
 
 Stages = tuple[Float[Array, "B _ 3"], ...]
-Terms = Float[Array, "B _"]
-
-
-def stage_losses(stages: Stages, batch: Batch, norm: ChamferNorm) -> Terms:
-    """The terms of Eq. 10 of each example."""
-    terms = jax.vmap(functools.partial(stage_chamfers, norm=norm))
-    return terms(stages, jnp.asarray(batch.complete))
 
 
 def supervised_phase(
     variables: Variables,
-    train_fn: Callable[[Variables, Batch], tuple[Terms, Variables]],
+    train_fn: Callable[[Variables, Batch], tuple[Stages, Variables]],
     stages_fn: Callable[[Variables, Batch], Stages],
     names: tuple[str, ...],
     phase: PhaseConfig,
     training: PretrainConfig,
 ) -> Phase:
-    """The sum of the losses of ``train_fn``, which also returns BatchNorm's updated
-    statistics; validated on the stages of ``stages_fn``, by CD-L2 in the unit of the
+    """The terms of Eq. 10, of the stages that ``train_fn`` returns with BatchNorm's
+    updated statistics; validated on those of ``stages_fn``, by CD-L2 in the unit of the
     scores. What decides is the mean logarithm of the last stage's CD-L1, which one bad
     example cannot carry. ``names`` are the stages', coarse first."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
@@ -44,8 +37,9 @@ def supervised_phase(
 
     def loss_fn(params: Variables, batch_stats: Variables, batch: Batch):
         variables = {"params": params, "batch_stats": batch_stats}
-        losses, statistics = train_fn(variables, batch)
-        losses = losses.mean(0)
+        stages, statistics = train_fn(variables, batch)
+        terms = jax.vmap(functools.partial(stage_chamfers, norm=training.norm))
+        losses = terms(stages, jnp.asarray(batch.complete)).mean(0)
         return losses.sum(), (losses, statistics)
 
     @jax.jit

@@ -199,7 +199,6 @@ def test_files_are_held_against_the_manifest(root):
     (root / name).write_bytes(png(WALL))
     with pytest.raises(InputError, match=f"{name}: differs from the manifest"):
         RecordedCells(root)
-    assert len(RecordedCells(root, verify=False)) == 3
 
 
 def test_the_recorded_cells_are_one_scene_each_in_one_frame():

@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 
 from prism_jax.evaluation.bootstrap import resampled_medians
-from prism_jax.evaluation.paired import (
-    MEASURES,
-    adaptation_effect,
-    paired_difference,
-)
+from prism_jax.evaluation.paired import MEASURES, adaptation_effect, paired_difference
 
 RNG = np.random.default_rng(1)
 
@@ -19,7 +15,7 @@ def result(values, views=1, categories=None, **clouds):
     ``network``."""
     objects = np.arange(len(values)) // views
     kinds = ["bag"] * len(values) if categories is None else list(categories)
-    metrics = {metric for metric, _ in MEASURES.values()}
+    metrics = {metric for metric, *_ in MEASURES.values()}
     return {
         "per_example": {
             "name": [f"{i // views}/{i % views}" for i in range(len(values))],

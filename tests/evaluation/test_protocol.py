@@ -7,8 +7,8 @@ from prism_jax.data.source import Example
 from prism_jax.evaluation.protocol import (
     NORMALISATIONS,
     Protocol,
+    into_scored,
     observed,
-    scored_in,
     side_by_side,
     workspace_for,
 )
@@ -45,15 +45,15 @@ def test_each_normalisation_frames_its_own_cloud(boxes):
 def test_scores_are_in_the_complete_clouds_unit_whatever_the_frame(boxes):
     example = boxes(**METRES)[1]
     for normalisation in NORMALISATIONS:
-        frame = scored_in(example, Protocol(60, 1.4, normalisation))
-        complete = frame.to_unit(example.complete.astype(np.float64))
+        scored, _ = into_scored(example, Protocol(60, 1.4, normalisation))
+        complete = scored(example.complete)
         assert np.isclose(np.ptp(complete, axis=0).max(), 2, rtol=1e-12)
         assert np.isclose(reach(complete), 1, rtol=1e-12)
-    own = scored_in(example, Protocol(60, 1.4, unit="own"))
-    np.testing.assert_array_equal(own.to_unit(example.complete), example.complete)
+    own, _ = into_scored(example, Protocol(60, 1.4, unit="own"))
+    np.testing.assert_array_equal(own(example.complete), example.complete)
     point = np.full((8, 3), 3.0, np.float32)
-    once = scored_in(Example(point, point, None, "dot", "dot"), Protocol(4, 1.4))
-    np.testing.assert_array_equal(once.to_unit(point), np.zeros((8, 3)))
+    once, _ = into_scored(Example(point, point, None, "dot", "dot"), Protocol(4, 1.4))
+    np.testing.assert_array_equal(once(point), np.zeros((8, 3)))
 
 
 @pytest.mark.parametrize("normalisation", ["partial", "oracle"])

@@ -16,7 +16,7 @@ from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.metrics import hausdorff
 from prism_jax.evaluation.run import Predictions
 from tests import launching
-from tests.public_sets import write_shapenet55
+from tests.public_sets import write_shapenet
 
 PLACE = ["--dataset=recordings", f"--data_dir={CELLS}", "--split=all", "--limit=2"]
 TOLD = []
@@ -113,7 +113,7 @@ def test_the_command_tells_what_adaptation_changes_and_which_arm_carries_it(cell
 
 def test_a_published_test_prints_its_columns(tmp_path):
     place = [f"--dataset={PUBLISHED[0]}", f"--data_dir={tmp_path / 'set'}", "--steps=0"]
-    write_shapenet55(tmp_path / "set", 1)
+    write_shapenet(tmp_path / "set")
     result = scored(tmp_path / "a.json", *place, "--protocol=published")
     columns = ["CD-S", "CD-M", "CD-H", "CD-Avg", "F-Score@1%"]
     assert list(result["published"]) == columns
@@ -129,10 +129,7 @@ def test_a_published_test_prints_its_columns(tmp_path):
             ["--dataset=shapenet55", "--split=train"],
             "no published protocol for split 'train' of shapenet55",
         ),
-        (
-            ["--dataset=shapenet55", "--limit=3"],
-            "uses the whole test split",
-        ),
+        (["--dataset=shapenet55", "--limit=3"], "uses the whole test split"),
         (["--output=/dev/null/a.json"], "cannot be written to"),
     ],
 )

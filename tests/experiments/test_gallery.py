@@ -8,11 +8,7 @@ from PIL import Image
 
 from experiments import gallery
 from experiments.assets import CELLS
-from experiments.gallery_page import (
-    COLUMNS,
-    complete_items,
-    gallery_page,
-)
+from experiments.gallery_page import COLUMNS, complete_items, gallery_page
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.protocol import Protocol
 from prism_jax.evaluation.run import Predictions, evaluate

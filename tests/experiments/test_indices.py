@@ -1,7 +1,5 @@
 """What the encoder would look up, looked up once."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ import pytest
 from experiments import indices
 from experiments.assets import CELLS
 from experiments.indices import index_table
-from prism_jax.data.augmentation import Augmentation
 from prism_jax.data.pipeline import Framing, training_batches
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.models.backbone import partial_indices
@@ -81,8 +78,6 @@ def test_they_name_the_same_points_of_what_is_turned_and_in_no_order(config):
 def test_none_is_made_if_it_is_too_large_or_partials_change(
     table, examples, config, monkeypatch
 ):
-    spoiled = dataclasses.replace(FRAMING, augmentation=Augmentation(crop=0.5))
-    assert index_table(examples, spoiled, config) is None
     complete = [examples[0]._replace(partial=None, eye=None)]
     assert index_table(complete, FRAMING, config) is None
     size = sum(leaf.nbytes for leaf in jax.tree.leaves(table))

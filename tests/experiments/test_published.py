@@ -3,12 +3,12 @@
 import numpy as np
 
 from experiments.published import OPTIONS, published_columns
-from prism_jax.data.public.shapenet import ShapeNet
+from prism_jax.data.shapenet import ShapeNet
 from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.protocol import Protocol
 from prism_jax.evaluation.run import Predictions, evaluate
 from prism_jax.evaluation.summary import ExampleScores, summarise
-from tests.public_sets import write_shapenet55
+from tests.public_sets import write_shapenet
 
 
 def row(name, category, value) -> ExampleScores:
@@ -35,7 +35,7 @@ def test_shapenet_averages_categories_and_not_examples():
 
 def test_the_published_test_of_shapenet(tmp_path):
     """The partial given back, of a single model."""
-    write_shapenet55(tmp_path, 1)
+    write_shapenet(tmp_path)
     source = ShapeNet("ShapeNet-55", tmp_path, "test", **OPTIONS)
     assert source.objects.tolist() == [0] * 24
     assert [len(source[i].partial) for i in (0, 8, 16)] == [6144, 4096, 2048]

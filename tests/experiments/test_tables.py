@@ -14,11 +14,7 @@ from experiments.baselines.networks import NETWORKS
 from experiments.comparison import Row, comparison
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.completion.weights import (
-    load_pretrained,
-    read_metadata,
-    samples_seen,
-)
+from prism_jax.completion.weights import load_pretrained, read_metadata, samples_seen
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.run import Predictions

@@ -8,7 +8,7 @@ import pytest
 from experiments.simulation.roboarm.models import arms_of
 from prism_jax.completion.weights import read_metadata, save_weights
 from prism_jax.evaluation.tables import markdown
-from prism_jax.reporting.model_card import model_card, released_scores, weights_table
+from prism_jax.reporting.model_card import model_card, weights_table
 
 README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
 
@@ -33,7 +33,7 @@ def test_all_that_ship_have_one():
         assert note.replace("experiments.md", "findings.md") in card
     assert "512 points in, 6,144 out, of 3 poses" in card
     assert "meshes of shapes: procedural" in card
-    for result in released_scores("small").values():
+    for result in about["scores"].values():
         completed = result["clouds"]["completed"]
         low, high = (1e4 * bound for bound in completed["intervals"]["cd_l2"])
         mean = 1e4 * completed["mean"]["cd_l2"]
@@ -58,14 +58,10 @@ def test_the_table_has_what_users_get_of_each_split(told_of):
 
 @pytest.mark.parametrize(
     ("name", "split"),
-    [
-        ("test", "shapes-test"),
-        ("unseen", "shapes-unseen"),
-        ("robots", "roboarm-test"),
-    ],
+    [("test", "shapes-test"), ("unseen", "shapes-unseen"), ("robots", "roboarm-test")],
 )
 def test_scores_that_they_ship_with_are_shown(name, split):
-    released = released_scores("small")[split]
+    released = read_metadata("small")["scores"][split]
     path = README.parent / "docs" / "tables" / f"{name}.json"
     tables = markdown(released), markdown(json.loads(path.read_text()))
     lines, stored = ({s for s in text.splitlines() if "[" in s} for text in tables)

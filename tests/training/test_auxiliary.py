@@ -112,7 +112,7 @@ def test_its_state_goes_through_a_checkpoint(phase, batch, tmp_path):
     state, _ = steps(phase, batch, 2)
     with contextlib.closing(Checkpoints(tmp_path)) as checkpoints:
         checkpoints.save(2, state, None)
-        restored = checkpoints.restore_latest(phase.start)
+        restored = checkpoints.restore(phase.start)
     assert bitwise(restored, state)
     restored = jax.device_put(jax.device_get(restored))
     phase.step_fn(restored, batch)

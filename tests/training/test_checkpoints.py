@@ -39,14 +39,14 @@ def checkpoints(tmp_path):
 
 def reopened(folder):
     with contextlib.closing(Checkpoints(folder)) as again:
-        return again.restore_latest(LIKE), again.restore_best(LIKE), again.best_score()
+        return again.restore(LIKE), again.restore(LIKE, best=True), again.best_score()
 
 
 def test_latest_and_best(checkpoints, tmp_path):
     """One of each is kept; an equal score does not replace the best, and one that is
     not a number never is, not even the first."""
-    assert checkpoints.restore_latest(LIKE) is None
-    assert checkpoints.restore_best(LIKE) is None
+    assert checkpoints.restore(LIKE) is None
+    assert checkpoints.restore(LIKE, best=True) is None
     save(checkpoints, 1, float("nan"))
     assert checkpoints.best_score() is None
     scores = {2: 0.5, 4: 0.3, 6: 0.4, 7: float("nan"), 8: 0.3, 9: None}
@@ -72,8 +72,8 @@ def test_the_best_is_written_before_the_latest(checkpoints, monkeypatch):
     monkeypatch.setattr(checkpoints._latest, "save", ended)
     with pytest.raises(KeyboardInterrupt):
         save(checkpoints, 4, 0.3)
-    assert bitwise(checkpoints.restore_latest(LIKE), state(2))
-    assert bitwise(checkpoints.restore_best(LIKE), state(4))
+    assert bitwise(checkpoints.restore(LIKE), state(2))
+    assert bitwise(checkpoints.restore(LIKE, best=True), state(4))
 
 
 def test_a_write_that_was_killed_leaves_the_one_before(checkpoints, tmp_path):

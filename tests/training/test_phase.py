@@ -57,7 +57,7 @@ def lines(folder):
 
 def latest(phase, folder):
     with contextlib.closing(Checkpoints(folder / phase.name)) as checkpoints:
-        return checkpoints.restore_latest(phase.start)
+        return checkpoints.restore(phase.start)
 
 
 def recording(phase, seen):

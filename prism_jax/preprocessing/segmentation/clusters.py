@@ -49,8 +49,7 @@ def extent(points: Float64[np.ndarray, "N D"]) -> float:
 
 
 def components(
-    points: IndexedCloud | Float64[np.ndarray, "N D"],
-    reach: Float64[np.ndarray, " N"],
+    points: IndexedCloud | Float64[np.ndarray, "N D"], reach: Float64[np.ndarray, " N"]
 ) -> Int[np.ndarray, " N"]:
     """Numbers of connected groups; two points within both their reaches are linked.
     Only the `LINK_NEIGHBORS` nearest of each point are asked."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
@@ -47,57 +46,43 @@ class Thinned:
         self.points = np.asarray(points, np.float64)
         self.cells = IndexedCloud(thin(self.points)[0])
 
-    @classmethod
-    def of(cls, points: Any) -> "Thinned":
-        """A thinned cloud as it is, or an array of points thinned."""
-        return points if isinstance(points, Thinned) else cls(points)
-
     @functools.cached_property
     def planes(self) -> list[Plane]:
-        """The large planes, as `find_planes` has them."""
-        return _planes_of(self.cells)
+        """Large planes, the largest first, by RANSAC with a fixed seed.
+
+        Each is refined by least squares of the points within a tolerance that follows
+        from their own noise; noise over a hundredth of the cloud's longest side hides a
+        plane. Unit and origin do not matter, nor the distance of a surface from the
+        sensor. Which side a normal points to means nothing.
+        """
+        if len(self.cells) < 4:
+            return []
+        center = self.cells.points.mean(axis=0)
+        cells = self.cells.points - center
+        side, apart = extent(cells), self.cells.spacing
+        rng = np.random.default_rng(0)
+        rest = np.ones(len(cells), bool)
+        planes = []
+        for _ in range(MAX_PLANES):
+            if rest.sum() < max(4, MIN_SHARE * len(cells)):
+                break
+            plane = _consensus(cells[rest], COARSE * side, rng)
+            if plane is None:
+                break
+            plane = _refined(cells[rest], plane, apart, COARSEST * side)
+            on = rest & plane.holds(cells)
+            if on.sum() < max(4, MIN_SHARE * len(cells)):
+                break
+            rest &= ~on
+            if plane.tolerance < COARSEST * side:
+                offset = float(plane.offset + plane.normal @ center)
+                planes.append(dataclasses.replace(plane, offset=offset))
+        return planes
 
     @functools.cached_property
     def borders(self) -> "list[Outline | None]":
         """Where each plane has points."""
         return [outline(self.cells.points, plane) for plane in self.planes]
-
-
-def find_planes(points: Thinned | Float[np.ndarray, "N 3"]) -> list[Plane]:
-    """Large planes, the largest first, by RANSAC with a fixed seed.
-
-    Each is refined by least squares of the points within a tolerance that follows from
-    their own noise; noise over a hundredth of the cloud's longest side hides a plane.
-    Unit and origin do not matter, nor the distance of a surface from the sensor. Which
-    side a normal points to means nothing.
-    """
-    return Thinned.of(points).planes
-
-
-def _planes_of(cloud: IndexedCloud) -> list[Plane]:
-    if len(cloud) < 4:
-        return []
-    center = cloud.points.mean(axis=0)
-    cells = cloud.points - center
-    side, apart = extent(cells), cloud.spacing
-    rng = np.random.default_rng(0)
-    rest = np.ones(len(cells), bool)
-    planes = []
-    for _ in range(MAX_PLANES):
-        if rest.sum() < max(4, MIN_SHARE * len(cells)):
-            break
-        plane = _consensus(cells[rest], COARSE * side, rng)
-        if plane is None:
-            break
-        plane = _refined(cells[rest], plane, apart, COARSEST * side)
-        on = rest & plane.holds(cells)
-        if on.sum() < max(4, MIN_SHARE * len(cells)):
-            break
-        rest &= ~on
-        if plane.tolerance < COARSEST * side:
-            offset = float(plane.offset + plane.normal @ center)
-            planes.append(dataclasses.replace(plane, offset=offset))
-    return planes
 
 
 @dataclasses.dataclass(frozen=True)

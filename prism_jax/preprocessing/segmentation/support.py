@@ -8,11 +8,7 @@ from jaxtyping import Array, Bool, Float, Float64
 from prism_jax.geometry.camera import Vector
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.preprocessing.segmentation.clusters import components
-from prism_jax.preprocessing.segmentation.planes import (
-    Outline,
-    Plane,
-    Thinned,
-)
+from prism_jax.preprocessing.segmentation.planes import Outline, Plane, Thinned
 from prism_jax.preprocessing.upright import upright
 
 RIM = 0.01  # how far from a plane's border something is inside or outside, in its width
@@ -83,7 +79,7 @@ def find_support(
     If it is None or not finite, the objects' side is that of z, and a plane tilted from
     it by over `MAX_TILT` is none: inner sides of single objects would pass.
     """
-    thinned = Thinned.of(points)
+    thinned = points if isinstance(points, Thinned) else Thinned(points)
     cells, planes, borders = thinned.cells.points, thinned.planes, thinned.borders
     best, most = None, 0.0
     for plane, border in zip(planes, borders, strict=True):
@@ -137,10 +133,7 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
 
 
 def _standing(
-    cloud: IndexedCloud,
-    aside: Bool[np.ndarray, " N"],
-    plane: Plane,
-    border: Outline,
+    cloud: IndexedCloud, aside: Bool[np.ndarray, " N"], plane: Plane, border: Outline
 ) -> float:
     """How many cells stand on a plane, those set aside left out; zero if it is none
     that objects stand on."""

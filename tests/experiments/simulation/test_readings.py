@@ -7,22 +7,11 @@ import pytest
 import trimesh
 
 from experiments.simulation.raycast import Scene
-from experiments.simulation.readings import (
-    Rays,
-    Readings,
-    World,
-    map_of,
-    map_rays,
-)
+from experiments.simulation.readings import Rays, Readings, World, map_of, map_rays
 from experiments.simulation.sensors import L515Config
 from experiments.simulation.surroundings import Surroundings
 from prism_jax.geometry.framing import framing_camera
-from prism_jax.geometry.visibility import (
-    BACKGROUND,
-    NEARER,
-    SURFACE,
-    UNKNOWN,
-)
+from prism_jax.geometry.visibility import BACKGROUND, NEARER, SURFACE, UNKNOWN
 
 EXACT = L515Config().exact()
 EYE = np.array([0.0, -5.0, 0.0])

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prism_jax.io.clouds import read_points
-from prism_jax.preprocessing.segmentation.planes import find_planes
+from prism_jax.preprocessing.segmentation.planes import Thinned
 from prism_jax.preprocessing.segmentation.support import find_support, find_up
 
 EYE = np.array([0.4, 3.0, 2.5])
@@ -114,7 +114,7 @@ def test_clouds_without_a_plane():
     line = np.outer(np.arange(300.0), [1, 2, 3])
     triangle = np.repeat(np.eye(3), 100, axis=0)
     for points in (np.zeros((0, 3)), np.ones((500, 3)), line, triangle):
-        assert find_planes(points) == []
+        assert Thinned(points).planes == []
         assert find_up(points, EYE).source == "z"
 
 

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 import yourdfpy
 
-from experiments.simulation.roboarm.models import (
-    ARMS,
-    CELL_ARMS,
-    ArmModel,
-    urdf_path,
-)
+from experiments.simulation.roboarm.models import ARMS, CELL_ARMS, ArmModel, urdf_path
 from experiments.simulation.roboarm.robots import Robot
 from prism_jax.robots.xacro import plain_urdf
 from tests.experiments.simulation.roboarm import conftest as boxes

@@ -7,16 +7,8 @@ from scipy.spatial import KDTree
 
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.furnishings import together
-from experiments.simulation.scenes.build import (
-    MIN_RETURNS,
-    ScenesConfig,
-    build_scenes,
-)
-from experiments.simulation.scenes.sensing import (
-    measured,
-    random_camera,
-    random_lidar,
-)
+from experiments.simulation.scenes.build import MIN_RETURNS, ScenesConfig, build_scenes
+from experiments.simulation.scenes.sensing import measured, random_camera, random_lidar
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.scenes import Scenes
 from prism_jax.data.source import Source

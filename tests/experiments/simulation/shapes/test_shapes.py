@@ -1,10 +1,7 @@
 import pytest
 
 from experiments.simulation.open_shapes import make_open_shape
-from experiments.simulation.shapes import (
-    CATEGORIES,
-    make_shape,
-)
+from experiments.simulation.shapes import CATEGORIES, make_shape
 
 OFF_THE_FLOOR = {"chair", "table", "cabinet", "lamp", "mug", "airplane", "arm"}
 """What does not stand at z = 0 to the last bit."""

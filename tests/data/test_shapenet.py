@@ -6,35 +6,31 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from prism_jax.data.public.shapenet import SUBSETS, ShapeNet
+from prism_jax.data.shapenet import SUBSETS, ShapeNet
+from prism_jax.data.source import sound_cloud
 from prism_jax.io import InputError
+from tests.public_sets import KEYS, write_shapenet
 
-KEYS = ("02691156-1a04e3", "02958343-u6028-fe5f4")
 SPLITS = [(subset, split) for subset, splits in SUBSETS.items() for split in splits]
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory, cloud, write):
+def root(tmp_path_factory):
     """Two models and all lists."""
     root = tmp_path_factory.mktemp("ShapeNet55-34")
-    for seed, key in enumerate(KEYS):
-        write(root / "shapenet_pc" / f"{key}.npy", cloud(seed, 8192))
     for subset, split in SPLITS:
-        names = [f"{key}.npy\n" for key in KEYS]
-        write(root / subset / f"{split}.txt", "".join(names))
+        write_shapenet(root, KEYS, subset, split)
     return root
 
 
 @pytest.mark.parametrize(("subset", "split"), SPLITS)
-def test_complete_clouds_are_normalised_and_left_to_be_cropped(
-    root, cloud, subset, split
-):
+def test_complete_clouds_are_normalised_and_left_to_be_cropped(root, subset, split):
     source = ShapeNet(subset, root, split)
     assert source.categories == ("airplane", "car")
     assert len(source) == 2
-    for seed, (example, key) in enumerate(zip(source, KEYS, strict=True)):
+    for example, key in zip(source, KEYS, strict=True):
         assert (example.name, example.partial, example.eye) == (key, None, None)
-        expected = cloud(seed, 8192).astype(np.float64)
+        expected = np.load(root / "shapenet_pc" / f"{key}.npy").astype(np.float64)
         expected -= expected.mean(axis=0)
         expected /= np.linalg.norm(expected, axis=1).max()
         np.testing.assert_allclose(example.complete, expected, atol=1e-6)
@@ -69,26 +65,47 @@ def test_the_test_crops_take_the_points_nearest_to_the_corners(root, difficulty,
 
 
 @pytest.mark.parametrize(
-    ("arguments", "fault"),
+    ("subset", "split", "fault"),
     [
-        (("ShapeNet-Unseen21", "train"), "^split: unknown value 'train'; use test"),
-        (("ShapeNet-56", "test"), "^subset: unknown value"),
-        (("ShapeNet-55", "val"), "use one of train, test"),
+        ("ShapeNet-Unseen21", "train", "^split: unknown value 'train'; use test"),
+        ("ShapeNet-56", "test", "^subset: unknown value"),
+        ("ShapeNet-55", "val", "use one of train, test"),
     ],
 )
-def test_what_is_not_published_is_refused(root, arguments, fault):
-    subset, split = arguments
+def test_what_is_not_published_is_refused(root, subset, split, fault):
     with pytest.raises(InputError, match=fault):
         ShapeNet(subset, root, split)
 
 
-def test_missing_files_and_damaged_clouds_are_refused(tmp_path, write):
-    write(tmp_path / "ShapeNet-34" / "train.txt", f"{KEYS[0]}.npy\n")
-    with pytest.raises(InputError, match=rf"missing: shapenet_pc/{KEYS[0]}.npy;"):
-        ShapeNet("ShapeNet-34", tmp_path, "train")
-    path = write(tmp_path / "shapenet_pc" / f"{KEYS[0]}.npy", np.ones((8192, 3)))
-    with pytest.raises(InputError, match=rf"{KEYS[0]}.npy: .*zero extent"):
-        ShapeNet("ShapeNet-34", tmp_path, "train")[0]
-    write(path, np.zeros((100, 3)))
-    with pytest.raises(InputError, match=rf"{KEYS[0]}.npy: .*instead of 8192"):
-        ShapeNet("ShapeNet-34", tmp_path, "train")[0]
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [
+        (b"\n \n", "no objects listed"),
+        (b"02691156-a.npy\n../secret\n", "invalid line '../secret', expected a line"),
+        (b"02691156-.npy\n02691156-b.npy\n02691156-.npy\n", "duplicate object"),
+        (b"\xff\xfe\x00", "not a text file"),
+        (b"02691156-a.npy\n", "1 of the 1 files .* missing: shapenet_pc/02691156-a"),
+    ],
+)
+def test_an_unsound_list_is_refused(tmp_path, content, fault):
+    write_shapenet(tmp_path)
+    (tmp_path / "ShapeNet-55" / "test.txt").write_bytes(content)
+    with pytest.raises(InputError, match=fault):
+        ShapeNet("ShapeNet-55", tmp_path, "test")
+
+
+@pytest.mark.parametrize(
+    ("points", "fault"),
+    [
+        (np.zeros((100, 3)), "100 points instead of 8192"),
+        (np.full((8192, 3), 1e300), "not finite"),
+        (np.ones((8192, 3)), "zero extent"),
+    ],
+)
+def test_an_unsound_cloud_is_refused(tmp_path, points, fault):
+    write_shapenet(tmp_path)
+    np.save(tmp_path / "shapenet_pc" / f"{KEYS[0]}.npy", points)
+    with pytest.raises(InputError, match=rf"{KEYS[0]}\.npy: .*{fault}"):
+        ShapeNet("ShapeNet-55", tmp_path, "test")[0]
+    with pytest.raises(InputError, match=r"shape \(0, 3\) .* is not a cloud"):
+        sound_cloud(points[:0], "file.npy")

@@ -1,1 +1,0 @@
-"""Public data sets in their published layouts, each a Source of Examples."""
