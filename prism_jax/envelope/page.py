@@ -45,8 +45,7 @@ def envelope_page(
     panels = [
         Panel("Surfaces", [cloud for cloud in surfaces if len(cloud.points)]),
         Panel(
-            f"Envelope: not free, and within {envelope.margin:.3g} m of a surface. "
-            "Elsewhere see the volumes: white is not free",
+            "Envelope: not free, and within q of a surface. White may be unseen",
             [cloud for cloud in voxels if len(cloud.points)],
         ),
     ]
@@ -76,7 +75,7 @@ def promise(summary: Mapping[str, Any]) -> str:
     told, alpha = summary["calibration"], summary["alpha"]
     return (
         f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "
-        f"{told['n']} cells: for another cell drawn like these, the inflated surfaces "
+        f"{told['n']} cells: of another cell of the same population, the inflated surfaces "
         "hold all of what the recordings call the true surface with a probability of "
         f"at least {100 * (1 - alpha):.3g} %. Other cells have no such guarantee."
     )

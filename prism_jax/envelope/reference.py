@@ -41,7 +41,7 @@ def reference_of(
 def check_reference(
     view: View, reference: Float[np.ndarray, "R 3"], carving: Carving = Carving()
 ) -> dict[str, float]:
-    """The share of the surfaces that is `seen`, and of that what has `moved`. Raises
+    """The share of the surfaces that is seen, and of that the one that moved. Raises
     InputError if they are not where they were: see `MOVED` and `SHOWN`. What hides them
     is no fault, as long as enough is seen."""
     on, passed = (some.sum() for some in compare(view, reference, carving.margin))
@@ -55,4 +55,4 @@ def check_reference(
         fault = f"{moved:.1%} of what is seen of it has moved or is gone"
         remedy = "check the camera's pose; of another layout make a new reference"
         raise InputError("the reference", fault, remedy)
-    return {"seen": seen, "moved": moved}
+    return {"share_seen": seen, "share_moved": moved}

@@ -287,7 +287,7 @@ def test_a_scan_that_disagrees_with_what_stands_still_is_refused(
     given = [*asked, f"--reference={path}"]
     assert launching.run(envelope, *given) == 0
     shown = told_of(tmp_path / "out")["reference"]
-    assert shown["seen"] > 0.99 and shown["moved"] < 0.001
+    assert shown["share_seen"] > 0.99 and shown["share_moved"] < 0.001
     camera = json.loads(pathlib.Path(asked[2].partition("=")[2]).read_text())
     camera["translation"][2] += 0.1
     (tmp_path / "moved.json").write_text(json.dumps(camera))
