@@ -75,9 +75,10 @@ def promise(summary: Mapping[str, Any]) -> str:
     told, alpha = summary["calibration"], summary["alpha"]
     return (
         f"Surfaces are inflated by q = {number(summary['q'])} m, calibrated on "
-        f"{told['n']} cells: of another cell of the same population, the inflated surfaces "
-        "hold all of what the recordings call the true surface with a probability of "
-        f"at least {100 * (1 - alpha):.3g} %. Other cells have no such guarantee."
+        f"{told['n']} cells: of another cell of the same population, the inflated "
+        "surfaces hold all of what the recordings call the true surface with a "
+        f"probability of at least {100 * (1 - alpha):.3g} %. Other cells have no such "
+        "guarantee."
     )
 
 
