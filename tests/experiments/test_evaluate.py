@@ -133,7 +133,7 @@ def test_a_published_test_prints_its_columns(tmp_path):
             ["--dataset=shapenet55", "--limit=3"],
             "uses the whole test split",
         ),
-        (["--output=/dev/null/a.json"], "cannot be written to"),
+        (["--output=/dev/null/a.json"], "cannot be written"),
     ],
 )
 def test_a_mistake_ends_in_one_line_before_the_work(capsys, arguments, fault):
