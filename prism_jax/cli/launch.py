@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import io
+import math
 import os
 import sys
 import threading
@@ -13,6 +14,7 @@ from typing import Any
 import jax
 from absl import app, flags, logging
 
+from prism_jax.io.atomic import keep
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 
@@ -27,10 +29,18 @@ class SomeFailed(Exception):
 def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> None:
     """Runs `main` under absl. An `InputError` or a fault in the flags ends in one line
     on stderr and status 2, `SomeFailed` in a line for each and status 1, Ctrl-C in one
-    line and status 130. `main` gets the words that are no flags if it takes them."""
+    line and status 130. `main` gets the words that are no flags if it takes them; then
+    it can replace no file that is given."""
 
     def with_words(argv: Sequence[str]) -> None:
+        for flag in FLAGS:
+            value = FLAGS[flag].value
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InputError(f"--{flag}", f"not finite: {value}", "give a number")
         if takes_words:
+            given = (FLAGS[n].value for n in FLAGS if not n.startswith("output"))
+            files = (v for v in given if isinstance(v, str) and os.path.isfile(v))
+            keep([*argv[1:], *files])
             return main(argv[1:])
         if len(argv) > 1:
             raise InputError(argv[1], "not a flag", "write flags as --name=value")
