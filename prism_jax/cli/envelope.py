@@ -26,7 +26,6 @@ from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import launch, load_completer, say, timed
 from prism_jax.cli.stream import (
     REPORT,
-    end_as_interrupted,
     follow,
     known_camera,
     known_robot,
@@ -173,7 +172,6 @@ def main(words: Sequence[str] = ()) -> None:
         if FLAGS[name].present:
             fault = f"not used by {NAME} {use}".strip()
             raise io.InputError(f"--{name}", fault, "omit it")
-    end_as_interrupted()
     if use == CALIBRATE:
         print(calibrate(named[0]))
     elif use == REFERENCE:

@@ -1,7 +1,67 @@
 """What every command shares."""
 
+import os
+import subprocess
+import sys
+
+import pytest
+
 from experiments import evaluate, train
+from prism_jax.cli import envelope
 from tests.launching import run
+
+STARTED = """
+import os, signal, sys, threading, time, types
+import prism_jax_commands as commands
+
+def run():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60)
+
+def write():
+    sys.modules["prism_jax.io.atomic"] = types.SimpleNamespace(WRITING=threading.Lock())
+    with sys.modules["prism_jax.io.atomic"].WRITING:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.2)
+        print("whole", flush=True)
+    time.sleep(60)
+
+commands.importlib.import_module = lambda _: types.SimpleNamespace(run=lambda: {})
+commands.stream()
+"""
+
+
+def started(call, stdout=subprocess.PIPE):
+    """The status, output and errors of a command that does no more than that."""
+    program = [sys.executable, "-c", STARTED.format(call)]
+    ended = subprocess.run(program, stdout=stdout, stderr=subprocess.PIPE, text=True)
+    return ended.returncode, ended.stdout, ended.stderr
+
+
+def test_ctrl_c_ends_in_one_line_but_not_while_files_are_replaced():
+    assert started("print(1)") == (0, "1\n", "")
+    assert started("run()") == (130, "", "prism-stream: interrupted\n")
+    assert started("write()") == (130, "whole\n", "prism-stream: interrupted\n")
+
+
+@pytest.mark.parametrize("length", [1, 100_000])
+def test_nobody_takes_what_is_printed(length):
+    reader, writer = os.pipe()
+    os.close(reader)
+    assert started(f"print({length} * 'a')", writer) == (1, None, "")
+    os.close(writer)
+    with open("/dev/full", "w") as full:
+        ended = started(f"print({length} * 'a')", full)
+    told = "standard output: cannot be written (No space left on device)"
+    assert ended == (1, None, f"prism-stream: {told}\n")
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+@pytest.mark.parametrize("flag", ["density", "robot_margin", "voxel", "alpha"])
+def test_what_is_no_number_is_refused(flag, value, capsys):
+    assert run(envelope, "scan.npy", f"--{flag}={value}") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f": --{flag}: not finite: {value}; give a number")
 
 
 def test_an_output_that_is_no_json_is_refused(tmp_path, capsys):

@@ -1,0 +1,69 @@
+"""The installed commands start here, outside the package, so that Ctrl-C ends them in
+one line also while the package and JAX are being imported, which takes seconds."""
+
+import contextlib
+import errno
+import importlib
+import os
+import signal
+import sys
+import threading
+
+
+def complete() -> None:
+    """The command `prism-complete`."""
+    _start("complete")
+
+
+def stream() -> None:
+    """The command `prism-stream`."""
+    _start("stream")
+
+
+def envelope() -> None:
+    """The command `prism-envelope`."""
+    _start("envelope")
+
+
+def _start(command: str) -> None:
+    """Runs it. A stream, which has files to end, takes care of Ctrl-C itself; at the
+    very end it is too late."""
+    reader, writer = os.pipe()
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as a shell may have it
+        os.set_blocking(writer, False)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        signal.signal(signal.SIGINT, lambda *_: None)
+        threading.Thread(target=_wait, args=(reader, command), daemon=True).start()
+    try:
+        importlib.import_module(f"prism_jax.cli.{command}").run()
+    except OSError as error:  # of files it is told as a user's mistake
+        if error.filename or error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        _end_unheard(command, error)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            print(end="", flush=True)
+        except OSError as error:
+            _end_unheard(command, error)
+
+
+def _wait(reader: int, command: str) -> None:
+    """Ends the process after Ctrl-C, but not while it replaces files. An exception in
+    the main thread would wait for a compilation to end, and one that comes in a
+    callback, a finalizer or the start of an extension is dropped or aborts."""
+    os.read(reader, 1)
+    atomic = sys.modules.get("prism_jax.io.atomic")
+    with getattr(atomic, "WRITING", contextlib.nullcontext()):
+        with contextlib.suppress(OSError):
+            os.write(2, f"prism-{command}: interrupted\n".encode())
+        os._exit(130)
+
+
+def _end_unheard(command: str, error: OSError) -> None:
+    """Ends where nothing takes what is printed. A closed pipe asks for no line."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if error.errno != errno.EPIPE:
+        line = f"standard output: cannot be written ({error.strerror})"
+        print(f"prism-{command}: {line}", file=sys.stderr)
+    sys.exit(1)
