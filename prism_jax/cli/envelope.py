@@ -51,7 +51,13 @@ from prism_jax.envelope.robot import (
 )
 from prism_jax.envelope.surfaces import Input, Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
-from prism_jax.io.atomic import PREVIOUS, set_aside, write_bytes
+from prism_jax.io.atomic import (
+    PREVIOUS,
+    check_targets,
+    claim,
+    set_aside,
+    write_bytes,
+)
 from prism_jax.io.clouds import read_points_counted
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
@@ -191,6 +197,7 @@ def calibrate(folder: str) -> str:
     conformal_margin([0.0] * len(set(cells.objects)), alpha)
     output = FLAGS.output or "calibration.json"
     io.make_output_dir(pathlib.Path(output).parent)
+    check_targets([output])
     completer, weights = load_completer(FLAGS.weights), _digest(FLAGS.weights)
     known = FLAGS.sensor, given.robot, given.joints or Joints()
     calibration = calibrate_on(cells, completer, method, weights, alpha, *known)
@@ -207,6 +214,7 @@ def make_reference(source: str) -> str:
     and says how many points they are."""
     given, output = _given(), FLAGS.output or "reference.ply"
     io.make_output_dir(pathlib.Path(output).parent)
+    check_targets([output])
     if is_stream(source):
         stream, first = _opened(source, given.joints)
         scanner = FrameScanner(
@@ -281,7 +289,7 @@ def envelope_of(source: str) -> dict[str, Any]:
         "q": margin,
         "carving": carving._asdict(),
     }
-    folder = io.make_output_dir(FLAGS.output_dir)
+    folder = claim(FLAGS.output_dir)
     if set_aside(folder, (*NAMES, LINES, REPORT, "[0-9]" * 6)):
         _say(f"the results of an earlier run are now in {folder / PREVIOUS}")
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):

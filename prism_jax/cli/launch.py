@@ -29,8 +29,7 @@ class SomeFailed(Exception):
 def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> None:
     """Runs `main` under absl. An `InputError` or a fault in the flags ends in one line
     on stderr and status 2, `SomeFailed` in a line for each and status 1, Ctrl-C in one
-    line and status 130. `main` gets the words that are no flags if it takes them; then
-    it can replace no file that is given."""
+    line and status 130. `main` gets the words that are no flags if it takes them."""
 
     def with_words(argv: Sequence[str]) -> None:
         for flag in FLAGS:
@@ -40,7 +39,7 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         if takes_words:
             given = (FLAGS[n].value for n in FLAGS if not n.startswith("output"))
             files = (v for v in given if isinstance(v, str) and os.path.isfile(v))
-            keep([*argv[1:], *files])
+            keep([*argv[1:], *files])  # whatever is written
             return main(argv[1:])
         if len(argv) > 1:
             raise InputError(argv[1], "not a flag", "write flags as --name=value")

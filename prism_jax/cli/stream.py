@@ -113,12 +113,9 @@ def stream_file(source: str) -> dict[str, Any]:
     place = pathlib.Path(FLAGS.output)
     beside = place.suffix.lower() == ".mcap"
     report_path = place.with_name(REPORT) if beside else place / REPORT
-    if pathlib.Path(source).resolve() == place.resolve():
-        fault = "this is the recording itself"
-        raise io.InputError(FLAGS.output, fault, "choose another output")
+    check_targets([place, report_path], folders=not beside)
     robot, positions = known_robot()
     stream = open_stream(source, FLAGS.topic, camera, _say, positions)
-    check_targets([place, report_path] if beside else [report_path])
     claim(report_path.parent)
     if beside:
         require("mcap.writer", EXTRA)
@@ -156,19 +153,16 @@ def follow(
 
     report = StreamReport()
     whole = False
-    ended = end_as_interrupted()
+    came = end_as_interrupted()
     tell(f"{len(stream)} frames; the first run on a machine also compiles")
     try:
         bar = tqdm(total=len(stream), unit="frame", delay=2.0, disable=None)
-
-        def update(_: Any) -> None:
-            if ended:  # and the exception came where nothing passes it on
-                raise KeyboardInterrupt
-            bar.update()
-
-        every: list[Any] = [*sinks, SimpleNamespace(write=update, close=bar.close)]
+        progress = SimpleNamespace(write=lambda _: bar.update(), close=bar.close)
+        every: list[Any] = [*sinks, progress]
         run_stream(stream, completer, every, asked["pace"], report)
         whole = True
+        if came:  # where a callback dropped the exception
+            raise KeyboardInterrupt
     finally:
         summary = plain(_summary(asked, stream, report) | {"whole": whole})
         text = json.dumps(summary, indent=2, allow_nan=False)

@@ -22,7 +22,7 @@ _CLAIMED: dict[str, int] = {}  # folders and their descriptors
 def keep(paths: Iterable[StrPath]) -> None:
     """From now on these files, those in folders, and images' cameras are kept."""
     _KEPT.clear()
-    for path in map(os.path.abspath, paths):
+    for path in (os.path.abspath(path) for path in paths):
         inside = glob.glob(os.path.join(glob.escape(path), "*"))
         beside = [path[:-4] + ".json"] if path.lower().endswith(".png") else []
         _KEPT.extend([path, *(p for p in inside if not p.endswith(_REPORTS)), *beside])
@@ -31,8 +31,7 @@ def keep(paths: Iterable[StrPath]) -> None:
 def check_targets(paths: Iterable[StrPath], folders: bool = False) -> None:
     """InputError if a path is a file to `keep`, however it is spelled, or a folder
     where none is expected. For what takes long, before it starts."""
-    # By inode and device.
-    kept = {os.stat(path)[1:3] for path in _KEPT if os.path.exists(path)}
+    kept = {os.stat(path)[1:3] for path in _KEPT if os.path.exists(path)}  # inodes
     for path in filter(os.path.exists, paths):
         if os.stat(path)[1:3] in kept:
             raise InputError(path, "this is an input", "choose another output")
@@ -86,7 +85,7 @@ def set_aside(folder: StrPath, names: Iterable[str]) -> bool:
     is there, and says whether there was anything. `names` may be patterns."""
     place = pathlib.Path(folder)
     found = [path for name in names for path in place.glob(name)]
-    check_targets(found, folders=True)
+    check_targets([*found, *(place / PREVIOUS).rglob("*")], folders=True)
     try:
         if found:
             shutil.rmtree(place / PREVIOUS, ignore_errors=True)

@@ -21,8 +21,8 @@ Maker = Callable[..., Any]
 
 class McapOutput:
     """An MCAP file that is being written. Each message is on the disk at once. Until
-    `close` its name is `aside`, ends in `.part.mcap`, and what a killed program leaves
-    can be read up to the last whole message; an older file stays whole till then."""
+    `close` its name is `aside`: what a killed program leaves there can be read up to
+    the last whole message, and an older file of the name is still whole."""
 
     def __init__(self, path: StrPath):
         writer = require("mcap.writer", EXTRA)
