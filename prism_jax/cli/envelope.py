@@ -51,13 +51,7 @@ from prism_jax.envelope.robot import (
 )
 from prism_jax.envelope.surfaces import Input, Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
-from prism_jax.io.atomic import (
-    PREVIOUS,
-    check_targets,
-    claim,
-    set_aside,
-    write_bytes,
-)
+from prism_jax.io.atomic import PREVIOUS, check_targets, claim, set_aside, write_bytes
 from prism_jax.io.clouds import read_points_counted
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes

@@ -39,7 +39,7 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         if takes_words:
             given = (FLAGS[n].value for n in FLAGS if not n.startswith("output"))
             files = (v for v in given if isinstance(v, str) and os.path.isfile(v))
-            keep([*argv[1:], *files])  # whatever is written
+            keep([*argv[1:], *files])
             return main(argv[1:])
         if len(argv) > 1:
             raise InputError(argv[1], "not a flag", "write flags as --name=value")

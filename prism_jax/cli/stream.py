@@ -113,7 +113,10 @@ def stream_file(source: str) -> dict[str, Any]:
     place = pathlib.Path(FLAGS.output)
     beside = place.suffix.lower() == ".mcap"
     report_path = place.with_name(REPORT) if beside else place / REPORT
-    check_targets([place, report_path], folders=not beside)
+    if pathlib.Path(source).resolve() == place.resolve():
+        fault = "this is the recording itself"
+        raise io.InputError(FLAGS.output, fault, "choose another output")
+    check_targets([place, report_path] if beside else [report_path])
     robot, positions = known_robot()
     stream = open_stream(source, FLAGS.topic, camera, _say, positions)
     claim(report_path.parent)

@@ -295,6 +295,7 @@ FAULTS = [
     (["--ground_truth=completed.ply", HERE], "completed.ply: this is an input"),
     (["--camera=result.json", HERE], "result.json: this is an input"),
     (["--weights=report.html", HERE], "report.html: this is an input"),
+    (["--density=nan"], "--density: not finite: nan; give a number"),
     (["--inptu=scan.npy"], "Unknown command line flag 'inptu'"),
 ]
 

@@ -7,7 +7,6 @@ import sys
 import pytest
 
 from experiments import evaluate, train
-from prism_jax.cli import envelope
 from tests.launching import run
 
 STARTED = """
@@ -49,14 +48,6 @@ def test_nobody_takes_what_is_printed(length):
         ended = started(f"print({length} * 'a')", full)
     told = "standard output: cannot be written (No space left on device)"
     assert ended == (1, None, f"prism-stream: {told}\n")
-
-
-@pytest.mark.parametrize("value", ["nan", "inf"])
-@pytest.mark.parametrize("flag", ["density", "robot_margin", "voxel", "alpha"])
-def test_what_is_no_number_is_refused(flag, value, capsys):
-    assert run(envelope, "scan.npy", f"--{flag}={value}") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith(f": --{flag}: not finite: {value}; give a number")
 
 
 def test_an_output_that_is_no_json_is_refused(tmp_path, capsys):
