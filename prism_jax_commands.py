@@ -1,6 +1,7 @@
 """The installed commands start here, outside the package, so that Ctrl-C ends them in
 one line also while the package and JAX are being imported, which takes seconds."""
 
+import atexit
 import contextlib
 import errno
 import importlib
@@ -26,22 +27,39 @@ def envelope() -> None:
 
 
 def _start(command: str) -> None:
-    """Runs it. A stream, which has files to end, takes care of Ctrl-C itself; at the
-    very end it is too late."""
+    """Runs it and ends the process. A stream, which has files to end, takes care of
+    Ctrl-C itself."""
     reader, writer = os.pipe()
-    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as a shell may have it
-        os.set_blocking(writer, False)
+    os.set_blocking(writer, False)
+    threading.Thread(target=_wait, args=(reader, command), daemon=True).start()
+    _tell(writer)
+    try:
+        _run(command)
+    except SystemExit as ended:
+        if isinstance(ended.code, str):
+            raise
+        # Python takes half a second to end after JAX, and loses a Ctrl-C meanwhile.
+        _tell(writer)
+        atexit._run_exitfuncs()
+        os._exit(ended.code or 0)
+
+
+def _tell(writer: int) -> None:
+    """Has Ctrl-C write there, unless the shell had it ignored."""
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         signal.signal(signal.SIGINT, lambda *_: None)
-        threading.Thread(target=_wait, args=(reader, command), daemon=True).start()
+
+
+def _run(command: str) -> None:
     try:
         importlib.import_module(f"prism_jax.cli.{command}").run()
+        sys.exit()
     except OSError as error:  # of files it is told as a user's mistake
         if error.filename or error.errno not in (errno.EPIPE, errno.ENOSPC):
             raise
         _end_unheard(command, error)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             print(end="", flush=True)
         except OSError as error:
