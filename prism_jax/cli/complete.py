@@ -22,6 +22,7 @@ from prism_jax import io
 from prism_jax.assets import asset
 from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
+from prism_jax.io.atomic import check_targets, claim
 from prism_jax.io.clouds import READERS
 from prism_jax.preprocessing.upright import AUTO, parse_up
 from prism_jax.reporting import render_report, render_scene_report
@@ -34,6 +35,7 @@ NAME = "prism-complete"
 LIST = "list"  # in place of a name of weights
 
 _SCANS = (*READERS, ".png")  # what is taken from a folder
+_FILES = "completed.ply", "report.html", "result.json"
 
 _timed = functools.partial(timed, NAME)
 _say = functools.partial(say, NAME)
@@ -123,7 +125,8 @@ def complete_file(
             if not np.ptp(truth, axis=0).any():
                 fault = "all points coincide"
                 raise io.InputError(ground_truth, fault, "give the complete cloud")
-    folder = io.make_output_dir(output_dir)
+    folder = claim(output_dir)
+    check_targets(folder / name for name in _FILES)
     with _timed(f"loading the weights {weights}", "load", seconds):
         completer = load_completer(weights)
     if direction is None:
@@ -169,15 +172,14 @@ def complete_file(
             report, numbers = render_scene_report(result, told), result.object
         else:
             report, numbers = render_report(result, told, truth), None
-        contents = {
-            "completed.ply": io.ply_bytes(
-                result.points, ~result.observed, numbers, result.sigma
-            ),
+        contents = (
+            io.ply_bytes(result.points, ~result.observed, numbers, result.sigma),
             # A file's name may hold bytes that are no UTF-8.
-            "report.html": report.encode(errors="backslashreplace"),
-            "result.json": f"{json.dumps(told, indent=2, allow_nan=False)}\n".encode(),
-        }
-        io.write_together({folder / name: data for name, data in contents.items()})
+            report.encode(errors="backslashreplace"),
+            f"{json.dumps(told, indent=2, allow_nan=False)}\n".encode(),
+        )
+        places = (folder / name for name in _FILES)
+        io.write_together(dict(zip(places, contents, strict=True)))
     return plain(summary)
 
 
@@ -221,7 +223,8 @@ def complete_files(
         fault = "cannot be used with several scans"
         raise io.InputError("--ground_truth", fault, "score the scans one by one")
     jobs = _jobs(inputs)
-    folder = io.make_output_dir(output_dir)
+    folder = claim(output_dir)
+    check_targets([folder / "index.html"])
     done: dict[str, dict[str, Any]] = {}
     faults: list[io.InputError] = []
     for number, (name, path) in enumerate(jobs.items(), 1):
@@ -258,12 +261,18 @@ def _jobs(inputs: Sequence[str]) -> dict[str, pathlib.Path]:
             paths.append(given)
     jobs: dict[str, pathlib.Path] = {}
     for path in paths:
-        name, again = path.stem, 1
-        while name in jobs:
+        name, again = _folder_name(path), 1
+        while name.casefold() in ("index.html", *map(str.casefold, jobs)):
             again += 1
-            name = f"{path.stem}-{again}"
+            name = f"{_folder_name(path)}-{again}"
         jobs[name] = path
     return jobs
+
+
+def _folder_name(path: pathlib.Path) -> str:
+    """The stem, without what is hidden, separates, or cannot be shown."""
+    plain = (c if c.isprintable() and c not in "/\\:" else "_" for c in path.stem)
+    return "".join(plain).strip(". ") or "scan"
 
 
 def weights_that_ship() -> str:

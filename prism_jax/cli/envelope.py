@@ -26,7 +26,6 @@ from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import launch, load_completer, say, timed
 from prism_jax.cli.stream import (
     REPORT,
-    end_as_interrupted,
     follow,
     known_camera,
     known_robot,
@@ -53,7 +52,7 @@ from prism_jax.envelope.robot import (
 )
 from prism_jax.envelope.surfaces import Input, Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
-from prism_jax.io.atomic import PREVIOUS, set_aside, write_bytes
+from prism_jax.io.atomic import PREVIOUS, check_targets, claim, set_aside, write_bytes
 from prism_jax.io.clouds import read_points_counted
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
@@ -174,7 +173,6 @@ def main(words: Sequence[str] = ()) -> None:
         if FLAGS[name].present:
             fault = f"not used by {NAME} {use}".strip()
             raise io.InputError(f"--{name}", fault, "omit it")
-    end_as_interrupted()
     if use == CALIBRATE:
         print(calibrate(named[0]))
     elif use == REFERENCE:
@@ -194,6 +192,7 @@ def calibrate(folder: str) -> str:
     conformal_margin([0.0] * len(set(cells.objects)), alpha)
     output = FLAGS.output or "calibration.json"
     io.make_output_dir(pathlib.Path(output).parent)
+    check_targets([output])
     completer, weights = load_completer(FLAGS.weights), _digest(FLAGS.weights)
     known = FLAGS.sensor, given.robot, given.joints or Joints()
     calibration = calibrate_on(cells, completer, method, weights, alpha, *known)
@@ -210,6 +209,7 @@ def make_reference(source: str) -> str:
     and says how many points they are."""
     given, output = _given(), FLAGS.output or "reference.ply"
     io.make_output_dir(pathlib.Path(output).parent)
+    check_targets([output])
     if is_stream(source):
         stream, first = _opened(source, given.joints)
         scanner = FrameScanner(
@@ -288,7 +288,7 @@ def envelope_of(source: str) -> dict[str, Any]:
         "q": margin,
         "carving": carving._asdict(),
     }
-    folder = io.make_output_dir(FLAGS.output_dir)
+    folder = claim(FLAGS.output_dir)
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
         maker = FrameEnveloper(
             completer=load_completer(FLAGS.weights),

@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import io
+import math
 import os
 import sys
 import threading
@@ -13,6 +14,7 @@ from typing import Any
 import jax
 from absl import app, flags, logging
 
+from prism_jax.io.atomic import keep
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 
@@ -30,7 +32,14 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     line and status 130. `main` gets the words that are no flags if it takes them."""
 
     def with_words(argv: Sequence[str]) -> None:
+        for flag in FLAGS:
+            value = FLAGS[flag].value
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InputError(f"--{flag}", f"not finite: {value}", "give a number")
         if takes_words:
+            given = (FLAGS[n].value for n in FLAGS if not n.startswith("output"))
+            files = (v for v in given if isinstance(v, str) and os.path.isfile(v))
+            keep([*argv[1:], *files])
             return main(argv[1:])
         if len(argv) > 1:
             raise InputError(argv[1], "not a flag", "write flags as --name=value")

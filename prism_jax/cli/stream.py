@@ -22,7 +22,7 @@ from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import launch, load_completer, say
 from prism_jax.envelope.robot import LAYOUT, joints_from_dict
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.atomic import write_bytes
+from prism_jax.io.atomic import check_targets, claim, write_bytes
 from prism_jax.io.errors import require
 from prism_jax.io.files import read_json
 from prism_jax.io.streams import Joints, Stream, open_stream
@@ -98,7 +98,6 @@ def main(words: Sequence[str]) -> None:
     if len(words) != 1:
         fault = f"expected one recording, got {len(words)}"
         raise io.InputError("input", fault, f"write {NAME} RECORDING --output=PATH")
-    end_as_interrupted()
     summary = stream_file(words[0])
     print(f"{told_frames(summary)}\nwritten     {FLAGS.output} and {REPORT}")
 
@@ -117,9 +116,10 @@ def stream_file(source: str) -> dict[str, Any]:
     if pathlib.Path(source).resolve() == place.resolve():
         fault = "this is the recording itself"
         raise io.InputError(FLAGS.output, fault, "choose another output")
+    check_targets([place, report_path] if beside else [report_path])
     robot, positions = known_robot()
     stream = open_stream(source, FLAGS.topic, camera, _say, positions)
-    io.make_output_dir(place.parent if beside else place)
+    claim(report_path.parent)
     if beside:
         require("mcap.writer", EXTRA)
     # Imported this late, so that a wrong recording is refused in a moment.
@@ -156,6 +156,7 @@ def follow(
 
     report = StreamReport()
     whole = False
+    came = end_as_interrupted()
     tell(f"{len(stream)} frames; the first run on a machine also compiles")
     try:
         bar = tqdm(total=len(stream), unit="frame", delay=2.0, disable=None)
@@ -163,6 +164,8 @@ def follow(
         every: list[Any] = [*sinks, progress]
         run_stream(stream, completer, every, asked["pace"], report)
         whole = True
+        if came:  # where a callback dropped the exception
+            raise KeyboardInterrupt
     finally:
         summary = plain(_summary(asked, stream, report) | {"whole": whole})
         text = json.dumps(summary, indent=2, allow_nan=False)
@@ -204,13 +207,19 @@ def told_frames(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def end_as_interrupted() -> None:
-    """Has a signal to end do what Ctrl-C does, so that all files are whole."""
+def end_as_interrupted() -> list[int]:
+    """Has Ctrl-C and a signal to end break off the stream, so that all files are whole.
+    The list gets the signals that came."""
+    came: list[int] = []
 
-    def end(*_: Any) -> None:
+    def end(number: int, _: Any) -> None:
+        came.append(number)
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGTERM, end)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, end)
+    return came
 
 
 def run() -> None:

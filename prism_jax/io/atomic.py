@@ -1,6 +1,7 @@
 """Files that are written whole or not at all."""
 
 import contextlib
+import glob
 import os
 import pathlib
 import shutil
@@ -10,6 +11,36 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from prism_jax.io.errors import InputError, StrPath, unwritable
+
+_REPORTS = (".html", "calibration.json", "stream.json")  # in no folder an input
+_KEPT: list[str] = []
+_CLAIMED: dict[str, int] = {}  # folders and their descriptors
+
+
+def keep(paths: Iterable[StrPath]) -> None:
+    """From now on these files, those in folders, and images' cameras are kept."""
+    _KEPT.clear()
+    for path in (os.path.abspath(path) for path in paths):
+        inside = glob.glob(os.path.join(glob.escape(path), "*"))
+        beside = [path[:-4] + ".json"] if path.lower().endswith(".png") else []
+        _KEPT.extend([path, *(p for p in inside if not p.endswith(_REPORTS)), *beside])
+
+
+def check_targets(paths: Iterable[StrPath], folders: bool = False) -> None:
+    """InputError if a path is a file to `keep`, however it is spelled, or a folder
+    where none is expected. For what takes long, before it starts."""
+    kept = {os.stat(path)[1:3] for path in _KEPT if os.path.exists(path)}  # inodes
+    for path in filter(os.path.exists, paths):
+        if os.stat(path)[1:3] in kept:
+            raise InputError(path, "this is an input", "choose another output")
+        if os.path.isdir(path) and not folders:
+            raise unwritable(path, IsADirectoryError("is a folder"))
+
+
+def aside(path: StrPath, suffix: str = ".tmp") -> pathlib.Path:
+    """A hidden name that nothing else has, for a file until it is whole."""
+    place = pathlib.Path(path)
+    return place.with_name(f".{place.stem[:32]}.{uuid.uuid4().hex}{suffix}")
 
 
 def write_bytes(path: StrPath, data: bytes) -> None:
@@ -25,21 +56,19 @@ def write_together(files: Mapping[Any, bytes]) -> None:
     leaves the first files new and the last as they were.
     """
     named = {pathlib.Path(path): data for path, data in files.items()}
-    mark = uuid.uuid4().hex
-    aside = {path: path.with_name(f".{path.name}.{mark}.tmp") for path in named}
+    check_targets(named)
+    temporaries = {path: aside(path) for path in named}
     current = pathlib.Path()
     try:
-        try:
+        with contextlib.ExitStack() as stack:
             for current, data in named.items():
-                with open(aside[current], "xb") as file:
+                stack.callback(temporaries[current].unlink, missing_ok=True)
+                with open(temporaries[current], "xb") as file:
                     file.write(data)
                     file.flush()
                     os.fsync(file.fileno())
-            for current, temporary in aside.items():
+            for current, temporary in temporaries.items():
                 os.replace(temporary, current)
-        finally:
-            for temporary in aside.values():
-                temporary.unlink(missing_ok=True)
         for directory in {path.parent for path in named}:
             _sync_directory(directory)
     except OSError as error:
@@ -54,6 +83,7 @@ def set_aside(folder: StrPath, names: Iterable[str]) -> bool:
     is there, and says whether there was anything. `names` may be patterns."""
     place = pathlib.Path(folder)
     found = [path for name in names for path in place.glob(name)]
+    check_targets([*found, *(place / PREVIOUS).rglob("*")], folders=True)
     try:
         if found:
             shutil.rmtree(place / PREVIOUS, ignore_errors=True)
@@ -70,8 +100,31 @@ def remove_unfinished(folder: StrPath) -> None:
     that has one writer, when it starts: it cannot tell a killed writer's files from
     those of another that is at work."""
     mark = "[0-9a-f]" * len(uuid.uuid4().hex)
-    for path in pathlib.Path(folder).glob(f".*.{mark}.tmp"):
+    for path in pathlib.Path(folder).glob(f".*.{mark}.*"):
         path.unlink(missing_ok=True)
+
+
+def claim(path: StrPath) -> pathlib.Path:
+    """`make_output_dir` for this process alone, until it claims one beside it or ends;
+    others get an InputError. What killed ones left there is removed. Both only where
+    the system can lock a folder."""
+    folder = make_output_dir(path)
+    real = os.path.realpath(folder)
+    for other in _CLAIMED.keys() - {real, os.path.dirname(real)}:
+        os.close(_CLAIMED.pop(other))
+    with contextlib.suppress(ImportError, OSError):
+        import fcntl
+
+        if real not in _CLAIMED:
+            descriptor = os.open(folder, os.O_RDONLY)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                remedy = "wait for its end, or choose another output"
+                raise InputError(path, "another process writes here", remedy) from None
+            _CLAIMED[real] = descriptor
+        remove_unfinished(folder)
+    return folder
 
 
 def make_output_dir(path: StrPath) -> pathlib.Path:
@@ -83,9 +136,7 @@ def make_output_dir(path: StrPath) -> pathlib.Path:
         with tempfile.TemporaryFile(dir=directory):
             return directory
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        remedy = "choose a directory that you can write to"
-        raise InputError(path, f"cannot be written to ({reason})", remedy) from None
+        raise unwritable(path, error) from None
 
 
 def _sync_directory(directory: pathlib.Path) -> None:

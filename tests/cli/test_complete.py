@@ -45,6 +45,10 @@ def folder(tmp_path, monkeypatch):
     pathlib.Path("nonsense.ply").write_bytes(b"ply\nnonsense\n")
     behind = CAMERA | {"translation": [0, 0, -9]}
     pathlib.Path("behind.json").write_text(json.dumps(behind))
+    pathlib.Path("completed.ply").write_bytes(io.ply_bytes(POINTS))
+    pathlib.Path("result.json").write_text(json.dumps(CAMERA | {"depth_scale": 1e-3}))
+    pathlib.Path("report.html").touch()
+    Image.fromarray(np.full((30, 40), 2000, np.uint16)).save("result.png")
     pathlib.Path("half.json").write_text(json.dumps({"width": 64}))
     return tmp_path
 
@@ -275,7 +279,9 @@ def test_tells_of_the_weights_that_ship(capsys):
     assert not OUT.exists()
 
 
+HERE = "--output_dir="
 FAULTS = [
+    (["--input=completed.ply", HERE], "completed.ply: this is an input; choose"),
     (["--input=missing.ply"], "missing.ply: no such file; check the path"),
     (["--input=nonsense.ply"], "nonsense.ply: not a valid PLY file"),
     (["--max_points=199"], "scan.npy: 200 points exceed the limit of 199; crop or"),
@@ -284,7 +290,12 @@ FAULTS = [
     (["--camera=half.json"], "half.json: not a valid camera: height is missing"),
     (["--ground_truth=nan.npy"], "nan.npy: no finite points"),
     (["--workspace=1,2,3"], "--workspace: cannot read '1,2,3'; give x0,y0,z0"),
-    (["--output_dir=scan.npy/out"], "scan.npy/out: cannot be written to"),
+    (["--output_dir=scan.npy/out"], "scan.npy/out: cannot be written"),
+    (["--input=result.png", HERE], "result.json: this is an input; choose another"),
+    (["--ground_truth=completed.ply", HERE], "completed.ply: this is an input"),
+    (["--camera=result.json", HERE], "result.json: this is an input"),
+    (["--weights=report.html", HERE], "report.html: this is an input"),
+    (["--density=nan"], "--density: not finite: nan; give a number"),
     (["--inptu=scan.npy"], "Unknown command line flag 'inptu'"),
 ]
 
@@ -321,6 +332,19 @@ def test_several_scans_have_a_folder_each_and_an_index(several, capsys):
     assert "Not completed" not in page
     assert "prism-complete: 2 of 3: scans/b.npy\n" in printed.err
     assert printed.out == "written     out: index.html and 3 folders\n"
+
+
+def test_folders_have_names_of_their_own_whatever_the_scans_are_called():
+    """Within the output folder, and not that of the index."""
+    stems = "..", ".", "index.html", "a", "A", "a-2", os.fsdecode(b"\xe4")
+    scans = [f"{number}/{stem}.npy" for number, stem in enumerate(stems)]
+    for scan in scans:
+        os.mkdir(scan[0])
+        np.save(scan, POINTS)
+    assert run(*scans, "--output_dir=out/in") == 0
+    names = ["A-2", "_", "a", "a-2-2", "index.html", "index.html-2"]
+    assert sorted(os.listdir("out/in")) == [*names, "scan", "scan-2"]
+    assert os.listdir("out") == ["in"]
 
 
 def test_a_bad_file_is_told_at_the_end_and_the_others_are_done(several, capsys):

@@ -130,7 +130,7 @@ def test_a_published_test_prints_its_columns(tmp_path):
             "no published protocol for split 'train' of shapenet55",
         ),
         (["--dataset=shapenet55", "--limit=3"], "uses the whole test split"),
-        (["--output=/dev/null/a.json"], "cannot be written to"),
+        (["--output=/dev/null/a.json"], "cannot be written"),
     ],
 )
 def test_a_mistake_ends_in_one_line_before_the_work(capsys, arguments, fault):

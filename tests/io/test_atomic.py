@@ -1,6 +1,8 @@
 """Files appear whole or not at all."""
 
+import fcntl
 import os
+import pathlib
 import stat
 
 import pytest
@@ -36,12 +38,62 @@ def test_failure_leaves_the_old_file_and_no_other(tmp_path, monkeypatch, call, e
     assert os.listdir(tmp_path) == ["a.bin"]
 
 
+def test_a_folder_in_a_files_place_leaves_all_as_they_were(tmp_path):
+    (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match="b: cannot be written"):
+        atomic.write_together({tmp_path / name: b"new" for name in "ab"})
+    assert os.listdir(tmp_path) == ["b"]
+
+
+SPELLINGS = ["d/scan", "d/../d/scan", "../x/d/scan", "symbolic", "hard", "linked/scan"]
+
+
+@pytest.mark.parametrize("given", ["d/scan", "d", "symbolic", "d/IMAGE.PNG"])
+@pytest.mark.parametrize("target", SPELLINGS)
+def test_what_is_read_is_not_replaced(given, target, tmp_path, monkeypatch):
+    """However it is spelled."""
+    (tmp_path / "x" / "d").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "x")
+    monkeypatch.setattr(atomic, "_KEPT", [])
+    name = "IMAGE.json" if given.endswith("PNG") else "scan"
+    pathlib.Path("d", name).write_bytes(b"precious")
+    os.symlink(f"d/{name}", "symbolic")
+    os.symlink("d", "linked")
+    os.link(f"d/{name}", "hard")
+    target = target.replace("scan", name)
+    atomic.keep([given])
+    with pytest.raises(InputError, match="this is an input; choose another output"):
+        atomic.write_together({"new": b"", target: b"other"})
+    with pytest.raises(InputError, match="this is an input"):
+        atomic.set_aside(".", [target])
+    os.makedirs("previous")
+    os.link("hard", "previous/hard")
+    with pytest.raises(InputError, match="this is an input"):
+        atomic.set_aside(".", ["nothing"])
+    assert pathlib.Path("d", name).read_bytes() == b"precious"
+    assert sorted(os.listdir()) == ["d", "hard", "linked", "previous", "symbolic"]
+
+
+def test_a_folder_has_one_writer_who_removes_what_killed_ones_left(tmp_path):
+    left = [atomic.aside(tmp_path / "name", end) for end in (".tmp", ".part.mcap")]
+    for file in (*left, tmp_path / ".mine.tmp"):
+        file.touch()
+    other = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(other, fcntl.LOCK_EX)
+    with pytest.raises(InputError, match="another process writes here; wait"):
+        atomic.claim(tmp_path)
+    assert all(file.exists() for file in left)
+    os.close(other)
+    assert atomic.claim(tmp_path) == atomic.claim(tmp_path) == tmp_path
+    assert os.listdir(tmp_path) == [".mine.tmp"]
+
+
 def test_an_output_directory_is_made_where_it_can_be_written_to(tmp_path):
     made = atomic.make_output_dir(tmp_path / "a" / "b")
     assert made.is_dir() and os.listdir(made) == []
     (tmp_path / "file").touch()
     for path in (tmp_path / "file", tmp_path / "file" / "below", "/proc/nowhere"):
-        with pytest.raises(InputError, match="cannot be written to"):
+        with pytest.raises(InputError, match="cannot be written"):
             atomic.make_output_dir(path)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from prism_jax.io.atomic import aside, check_targets
 from prism_jax.io.errors import StrPath, require, unwritable
 from prism_jax.io.streams.packed import EXTRA
 
@@ -20,22 +21,24 @@ Maker = Callable[..., Any]
 
 class McapOutput:
     """An MCAP file that is being written. Each message is on the disk at once. Until
-    `close` its name ends in `.part.mcap`: what a killed program leaves there can be
-    read up to the last whole message, and an older file of the name is still whole."""
+    `close` its name is `aside`: what a killed program leaves there can be read up to
+    the last whole message, and an older file of the name is still whole."""
 
     def __init__(self, path: StrPath):
         writer = require("mcap.writer", EXTRA)
         types = require("rosbags.typesys", EXTRA)
         self._store = types.get_typestore(types.Stores.ROS2_HUMBLE)
         self.path = pathlib.Path(path)
-        self.part = self.path.with_suffix(".part.mcap")
+        check_targets([self.path])
+        self.part = aside(self.path, ".part.mcap")
         try:
-            self._file = io.BufferedWriter(io.FileIO(self.part, "w"))
+            self._file = io.BufferedWriter(io.FileIO(self.part, "x"))
+            # A chunk for each message, so that none waits for the next.
+            self._writer = writer.Writer(self._file, chunk_size=1)
+            self._writer.start("ros2", "prism_jax")
+            self._file.flush()
         except OSError as error:
             raise unwritable(self.path, error) from None
-        # A chunk for each message, so that none waits for the next.
-        self._writer = writer.Writer(self._file, chunk_size=1)
-        self._writer.start("ros2", "prism_jax")
         self._channels: dict[str, int] = {}
 
     def write(self, topic: str, kind: str, time: int, make: Maker) -> None:

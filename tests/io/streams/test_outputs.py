@@ -12,6 +12,7 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import read_points
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams import open_stream
+from prism_jax.io.streams.mcap import McapFile
 from prism_jax.io.streams.mcap_output import McapOutput
 from prism_jax.io.streams.sinks import TOPIC, Labelled, open_sink
 
@@ -26,13 +27,14 @@ LABEL = np.repeat(np.arange(3, dtype=np.uint8), [20, 20, 10])
 def test_clouds_with_labels(scalar, tmp_path):
     path = tmp_path / "new" / "out.mcap"
     sink = open_sink(path)
+    (left,) = path.parent.glob(".out.*.part.mcap")
+    assert McapFile(left).topics() == {}
     points = POINTS.astype(scalar)
     for number in range(3):
         time = 7_000_000_000 + number
         sink.write(Labelled(number, time, points + number, LABEL, "cam"))
     assert not path.exists()
     # What a killed program leaves is read up to the last frame.
-    left = path.with_name("out.part.mcap")
     assert len(list(open_stream(left, tell=lambda _: None))) == 3
     sink.close()
     sink.close()
@@ -71,7 +73,7 @@ def test_a_file_a_frame_and_a_place_that_cannot_be_written(tmp_path):
     (path,) = (tmp_path / "out").iterdir()
     assert path.name == "000012.ply"
     np.testing.assert_array_equal(read_points(path), POINTS)
-    (tmp_path / "out.part.mcap").mkdir()
+    (tmp_path / "out.mcap").mkdir()
     with pytest.raises(InputError, match="cannot be written"):
         McapOutput(tmp_path / "out.mcap")
 
