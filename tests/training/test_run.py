@@ -60,7 +60,7 @@ def test_going_on_removes_what_a_kill_left(tmp_path, monkeypatch):
         killed.setattr("os.replace", die)
         with pytest.raises(KeyboardInterrupt):
             write_bytes(tmp_path / "metrics.jsonl", b"half")
-    assert len([*tmp_path.glob(".metrics.jsonl.*.tmp")]) == 1
+    assert len([*tmp_path.glob(".metrics.*.tmp")]) == 1
     open_run(str(tmp_path), PRESET, 0, resume=True)
     assert {path.name for path in tmp_path.iterdir()} == {"config.json", ".notes.tmp"}
 
