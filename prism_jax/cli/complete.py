@@ -116,7 +116,7 @@ def complete_file(
         raise io.InputError(source, "a folder, not a scan", remedy)
     truth = None
     with _timed(f"reading {source}", "read", seconds):
-        scan = io.read_scan(source, camera, bounds, max_points)
+        scan = io.read_scan(source, camera, bounds, max_points, _say)
         if ground_truth is not None:
             truth = io.read_points(ground_truth, max_points)
             truth = io.crop(truth, bounds, ground_truth)

@@ -7,7 +7,7 @@ import warnings
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt
+from jaxtyping import Bool, Float, Num, UInt
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
@@ -72,9 +72,19 @@ def read_camera(path: StrPath) -> Camera:
 def read_depth(
     path: StrPath, camera_path: StrPath, max_points: int = MAX_POINTS
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
-    """Depth in metres, the mask of measured pixels (not 0), and the camera. The image
-    is a 16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count.
-    Whatever does not fit raises an InputError before the image is unpacked."""
+    """Depth in metres, 0 where nothing was measured, the mask of measured pixels, and
+    the camera; see `read_counts` and `measured_depth`."""
+    counts, scale, camera = read_counts(path, camera_path, max_points)
+    depth = measured_depth(counts, scale)[0]
+    return depth, depth > 0, camera
+
+
+def read_counts(
+    path: StrPath, camera_path: StrPath, max_points: int = MAX_POINTS
+) -> tuple[UInt[np.ndarray, "H W"], float, Camera]:
+    """The pixels of a depth image, metres a count, and the camera. The image is a
+    16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count. Whatever
+    does not fit raises an InputError before the image is unpacked."""
     camera, entries = _read_camera_entries(camera_path)
     try:
         scale = _number(entries, "depth_scale")
@@ -83,8 +93,24 @@ def read_depth(
     except ValueError as error:
         remedy = 'add "depth_scale": metres per count, as 0.001'
         raise InputError(camera_path, str(error), remedy) from None
-    counts = read_grey(path, camera, 16, max_points)
-    return counts * scale, counts > 0, camera
+    return read_grey(path, camera, 16, max_points), scale, camera
+
+
+def measured_depth(
+    pixels: Num[np.ndarray, "H W"], scale: float
+) -> tuple[Float[np.ndarray, "H W"], int, dict[str, str]]:
+    """Depth in units of `scale`, 0 where there was no return. That is a pixel of 0, and
+    an odd one: negative, not finite, or the largest value of an integer type, which
+    many sensors write for a lost return. Also how many are odd, and what to tell of
+    them; NaN is too common for that."""
+    odd, what = ~np.isfinite(pixels) | (pixels < 0), "infinite or negative depth"
+    if pixels.dtype.kind == "u":
+        odd, what = pixels == np.iinfo(pixels.dtype).max, "the largest value"
+    notes, count = {}, int((odd & ~np.isnan(pixels)).sum())
+    if count:
+        notes["no_return"] = f"{count:,} pixels of {what} count as no return"
+    depth = np.where(odd, pixels.dtype.type(0), pixels) * scale
+    return depth, int(odd.sum()), notes
 
 
 def points_from_depth(

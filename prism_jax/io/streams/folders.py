@@ -5,11 +5,9 @@ import pathlib
 import re
 from collections.abc import Iterator
 
-import numpy as np
-
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import READERS, read_points_counted
-from prism_jax.io.depth import read_camera, read_depth
+from prism_jax.io.depth import read_camera, read_counts
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_json
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
@@ -119,5 +117,5 @@ def _cloud_frame(path: pathlib.Path, camera: Camera | None, time: int) -> Frame:
 
 
 def _depth_frame(path: pathlib.Path, camera: pathlib.Path, time: int) -> Frame:
-    depth, mask, view = read_depth(path, camera)
-    return Frame.of_depth(np.where(mask, depth, 0.0), view, time)
+    counts, scale, view = read_counts(path, camera)
+    return Frame.of_depth(counts, view, time, scale)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.arrays import stack_columns
@@ -240,16 +240,17 @@ def _frame(content: Any, camera: Camera | None, time: int) -> Frame:
         frame = _cloud(content, time)
     else:
         assert camera is not None
-        depth = _depth(content)
-        if depth.shape != (camera.height, camera.width):
-            sizes = f"{depth.shape[1]}x{depth.shape[0]}, camera is "
+        pixels, scale = _depth(content)
+        if pixels.shape != (camera.height, camera.width):
+            sizes = f"{pixels.shape[1]}x{pixels.shape[0]}, camera is "
             raise ValueError(f"image is {sizes}{camera.width}x{camera.height}")
-        frame = Frame.of_depth(depth, camera, time)
+        frame = Frame.of_depth(pixels, camera, time, scale)
     return dataclasses.replace(frame, frame_id=content.header.frame_id)
 
 
-def _depth(content: Any) -> Float[np.ndarray, "H W"]:
-    """Depth in metres of an Image; ValueError if it is not as it says."""
+def _depth(content: Any) -> tuple[Num[np.ndarray, "H W"], float]:
+    """The pixels of a depth Image, and metres a count; ValueError if it is not as it
+    says."""
     if content.encoding not in DEPTH:
         raise ValueError(f"image encoding {content.encoding} is not supported")
     kind, scale = DEPTH[content.encoding]
@@ -260,7 +261,7 @@ def _depth(content: Any) -> Float[np.ndarray, "H W"]:
         raise ValueError("rows are shorter than declared")
     rows = np.asarray(content.data, np.uint8)[: step * height].reshape(height, step)
     counts = np.ascontiguousarray(rows[:, : width * kind.itemsize]).view(kind)
-    return counts * scale if kind.kind == "u" else counts.astype(np.float32)
+    return counts.astype(kind.newbyteorder("=")), scale
 
 
 def _cloud(content: Any, time: int) -> Frame:
