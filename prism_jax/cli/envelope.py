@@ -251,7 +251,8 @@ def envelope_of(source: str) -> dict[str, Any]:
             camera = scan.named
             scan.view()
         if FLAGS.query is not None:
-            asked, num_read = read_points_counted(FLAGS.query, FLAGS.max_points)
+            given_query = FLAGS.query, FLAGS.max_points
+            asked, num_read = read_points_counted(*given_query, are_returns=False)
             if num_read > len(asked):
                 count = num_read - len(asked)
                 _say(f"{FLAGS.query}: {count:,} points are not finite, and left out")

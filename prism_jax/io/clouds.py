@@ -1,6 +1,7 @@
 """Point clouds from files of every kind, checked and cropped."""
 
 import pathlib
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,25 +34,59 @@ def read_points(
     path: StrPath, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
     """The finite points of a cloud file, in its units and frame: PLY, PCD, NPY, NPZ,
-    XYZ, TXT or CSV by its suffix, each value as stored. A malformed file, more than
-    `max_points` points and a cloud without a finite point raise an InputError, before
-    memory is taken for what a header claims."""
-    return read_points_counted(path, max_points)[0]
+    XYZ, TXT or CSV by its suffix, each value as stored, without lost returns. A
+    malformed file, more than `max_points` points and a cloud without a finite point
+    raise an InputError, before memory is taken for what a header claims."""
+    return read_cloud(path, max_points).points
 
 
 def read_points_counted(
-    path: StrPath, max_points: int = MAX_POINTS
+    path: StrPath, max_points: int = MAX_POINTS, are_returns: bool = True
 ) -> tuple[Float[np.ndarray, "N 3"], int]:
-    """As `read_points`, with the number of points in the file, finite or not."""
+    """As `read_points`, with the number of points in the file. Points that are nobody's
+    returns may lie at 0,0,0."""
+    cloud = read_cloud(path, max_points, are_returns)
+    return cloud.points, cloud.num_read
+
+
+class Cloud(NamedTuple):
+    """The points of a file, how many it has with those that were left out, and what was
+    odd, a line for each kind."""
+
+    points: Float[np.ndarray, "N 3"]
+    num_read: int
+    notes: dict[str, str]
+
+
+def read_cloud(
+    path: StrPath, max_points: int = MAX_POINTS, are_returns: bool = True
+) -> Cloud:
+    """As `read_points_counted`, with what is to be told."""
     suffix = pathlib.Path(path).suffix.lower()
     if suffix not in READERS:
         fault = f"suffix {suffix!r} is not a point cloud format"
         raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
     points = READERS[suffix](path, max_points)
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.any():
-        raise InputError(path, "no finite points", "check the sensor or the export")
-    return points[finite], len(points)
+    kept, notes = measured(points, are_returns)
+    if len(kept) == 0:
+        fault = "no finite points" + (" other than 0,0,0" if notes else "")
+        raise InputError(path, fault, "check the sensor or the export")
+    return Cloud(kept, len(points), notes)
+
+
+def measured(
+    points: Float[np.ndarray, "N 3"], are_returns: bool = True
+) -> tuple[Float[np.ndarray, "K 3"], dict[str, str]]:
+    """Points without those that are not finite and lost returns, which many drivers
+    write as 0,0,0, and what to tell of the latter. Of any cloud the origin is at most
+    one point, which is not missed."""
+    kept, notes = np.isfinite(points).all(axis=1), {}
+    lost = (points == 0).all(axis=1)
+    if are_returns and lost.any():
+        kept &= ~lost
+        count = f"{lost.sum():,} of {len(points):,} points are at 0,0,0"
+        notes["no_return"] = f"{count} and count as no return"
+    return points[kept], notes
 
 
 def inside(

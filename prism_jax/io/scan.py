@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_points_counted
+from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_cloud
 from prism_jax.io.depth import (
     measured_depth,
     points_from_depth,
@@ -58,7 +58,7 @@ def read_scan(
     For any other file see `read_points`. Points outside `bounds` are kept apart. `tell`
     gets a line for each kind of oddity.
     """
-    in_camera_frame, notes = False, {}
+    in_camera_frame = False
     if pathlib.Path(path).suffix.lower() == ".png":
         beside = pathlib.Path(path).with_suffix(".json")
         if not camera_path and not beside.exists():
@@ -74,7 +74,7 @@ def read_scan(
         num_read = len(points) + num_odd
     else:
         camera = read_camera(camera_path) if camera_path else None
-        points, num_read = read_points_counted(path, max_points)
+        points, num_read, notes = read_cloud(path, max_points)
     for line in notes.values():
         tell(f"{path}: {line}")
     num_finite = len(points)

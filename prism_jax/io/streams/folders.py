@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.clouds import READERS, read_points_counted
+from prism_jax.io.clouds import READERS, read_cloud
 from prism_jax.io.depth import read_camera, read_counts
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_json
@@ -112,8 +112,9 @@ def _holds(path: pathlib.Path) -> bool:
 
 
 def _cloud_frame(path: pathlib.Path, camera: Camera | None, time: int) -> Frame:
-    points, count = read_points_counted(path)
-    return Frame(points, time, camera, num_not_finite=count - len(points))
+    points, num_read, notes = read_cloud(path)
+    num_lost = num_read - len(points)
+    return Frame(points, time, camera, num_not_finite=num_lost, notes=notes)
 
 
 def _depth_frame(path: pathlib.Path, camera: pathlib.Path, time: int) -> Frame:

@@ -13,6 +13,7 @@ from jaxtyping import Float, Num
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.arrays import stack_columns
+from prism_jax.io.clouds import measured
 from prism_jax.io.depth import camera_from_dict
 from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS, check_count
@@ -35,9 +36,8 @@ _FLOATS = {7: 4, 8: 8}  # bytes of a number, by PointField's numbers of types
 class RosStream(Stream):
     """The frames of one topic in one recording, which may be split into several files.
 
-    A cloud's points at the very origin are left out: drivers write lost returns so. The
-    CameraInfo beside a depth image gives the pinhole, or that of the topic that stands
-    for the camera; distortion is not undone. Joint positions are interpolated.
+    The CameraInfo beside a depth image gives the pinhole, or that of the topic that
+    stands for the camera; distortion is not undone. Joint positions are interpolated.
     """
 
     def __init__(
@@ -283,13 +283,9 @@ def _cloud(content: Any, time: int) -> Frame:
     data = np.asarray(content.data, np.uint8)[: row * height].reshape(height, row)
     rows = np.ascontiguousarray(data[:, : step * width]).view(layout).ravel()
     points = stack_columns((rows[axis] for axis in "xyz"), map(np.dtype, kinds))
-    finite = np.isfinite(points).all(axis=1)
-    kept = finite & (points != 0).any(axis=1)
-    return Frame(
-        points=points[kept],
-        timestamp=time,
-        num_not_finite=int((~finite).sum()),
-    )
+    kept, notes = measured(points)
+    num_lost = len(points) - len(kept)
+    return Frame(kept, time, num_not_finite=num_lost, notes=notes)
 
 
 def _check_size(count: int, claimed: int, held: int) -> None:

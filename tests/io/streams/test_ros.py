@@ -149,13 +149,14 @@ def test_odd_frames_are_told_and_counted(tmp_path):
     stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
     frames, lines = lines_of(stream)
     assert [len(frame.points) for frame in frames] == [190, 0, 0, 200, 200]
-    assert [frame.num_not_finite for frame in frames] == [7, 200, 0, 0, 0]
+    assert [frame.num_not_finite for frame in frames] == [10, 200, 0, 0, 0]
     kinds = {"not_finite": 1, "empty": 1, "damaged": 2, "backward": 1}
-    assert stream.remarks == kinds | {"sensor": 1, "duplicate": 1}
+    assert stream.remarks == kinds | {"sensor": 1, "duplicate": 1, "no_return": 1}
     for line, words in zip(
         lines,
         (
-            "frame 1: none of 200 points are finite",
+            "frame 0: 3 of 200 points are at 0,0,0 and count as no return",
+            "frame 1: none of 200 points is a return",
             "frame 2 is empty",
             "skipped a message on /p: ",
             "frame 3 is 3.000 s older than the one before",
