@@ -2,8 +2,9 @@
 
 import io
 import itertools
+import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,8 @@ from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 _REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
+_FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#\w+)", re.IGNORECASE)
+"""NaN and infinity as some C libraries write them: -nan(ind), 1.#QNAN, 1.#INF."""
 
 
 def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
@@ -23,7 +26,7 @@ def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, 
     otherwise the first three are taken. Lines of different widths, a header of other
     columns, and more than `max_points` lines raise an InputError.
     """
-    data = read_bytes(path)
+    data = plain_numbers(read_bytes(path))
     try:
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
         text = io.StringIO(data.decode("utf-8-sig"), newline=None)
@@ -38,6 +41,33 @@ def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, 
         return parse_rows(points, columns, delimiter=delimiter)
     except ValueError as error:
         raise unsound(path, "a valid table of points", error, _REMEDY) from None
+
+
+def plain_numbers(data: bytes) -> bytes:
+    """Lines of numbers in which all that is not finite is "nan" or "inf"."""
+    return _FOREIGN.sub(b"nan", data) if b"#" in data or b"(" in data else data
+
+
+def body_lines(data: bytes) -> Iterator[bytes]:
+    """Lines of numbers that are not blank, also where each ends in a lone CR."""
+    body = io.BytesIO(plain_numbers(data.replace(b"\r", b"\n")))
+    return (line for line in body if not line.isspace())
+
+
+def header_lines(data: bytes, last: str, most: int) -> tuple[list[list[str]], int]:
+    """The words of each line up to the one that `last` begins, and where the body
+    starts; ValueError if that is not within `most` bytes. Lines end as the first one
+    does, in LF, CR LF or a lone CR."""
+    first = re.search(b"\r\n?|\n", data[:most])
+    mark = b"\r" if first and first.group() == b"\r" else b"\n"
+    lines, start = [[""]], 0
+    while not lines[-1] or lines[-1][0].upper() != last.upper():
+        end = data.find(mark, start, most)
+        if end < 0:
+            raise ValueError(f"no {last} line in the header")
+        lines.append(data[start:end].decode("latin-1").split())
+        start = end + 1
+    return lines[1:], start
 
 
 def parse_rows(

@@ -73,6 +73,18 @@ def test_fields_in_any_order_type_and_count(tmp_path, mode):
             read_pcd_field(path, name)
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_small_letters_lone_crs_odd_types_and_spellings(tmp_path, mode):
+    points, header = POINTS.copy(), replaced("U U F F F", "u X f f f")
+    points[:3, 0] = np.nan
+    data = body(mode, points)
+    if mode == "ascii":
+        for spelling in (b"-1.#IND", b"1.#QNAN", b"-nan(ind)"):
+            data = data.replace(b" nan", b" " + spelling, 1)
+    header = header.replace("\n", "\r")
+    np.testing.assert_array_equal(read_pcd(pcd(tmp_path, mode, data, header)), points)
+
+
 def test_old_version_without_count_and_double_coordinates(tmp_path):
     header = "VERSION .5\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nPOINTS 6\nDATA {}\n"
     points = POINTS.astype(np.float64) + 1e6
