@@ -42,8 +42,8 @@ _say = functools.partial(say, NAME)
 def define_flags() -> None:
     """The flags; what they are called and what they default to is `complete_file`'s."""
     shared_flags.define_strings(
-        input="Partial scan: .ply .pcd .npy .npz .xyz .txt .csv, or a 16-bit depth "
-        ".png. Default: a bundled sample.",
+        input=f"Partial scan: {' '.join(READERS)}, or a 16-bit depth .png. Default: a "
+        "bundled sample.",
         ground_truth="Complete cloud to score against.",
         camera="Camera JSON. Default for a depth image: the .json of the same name. "
         "Default for a cloud: a camera at the origin that looks at the points; if the "

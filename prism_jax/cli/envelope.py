@@ -53,7 +53,7 @@ from prism_jax.envelope.robot import (
 from prism_jax.envelope.surfaces import Input, Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
 from prism_jax.io.atomic import PREVIOUS, set_aside, write_bytes
-from prism_jax.io.clouds import read_points_counted
+from prism_jax.io.clouds import read_cloud
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
 from prism_jax.io.ply import vertices_bytes
@@ -252,7 +252,7 @@ def envelope_of(source: str) -> dict[str, Any]:
             scan.view()
         if FLAGS.query is not None:
             given_query = FLAGS.query, FLAGS.max_points
-            asked, num_read = read_points_counted(*given_query, are_returns=False)
+            asked, num_read, _ = read_cloud(*given_query, are_returns=False)
             if num_read > len(asked):
                 count = num_read - len(asked)
                 _say(f"{FLAGS.query}: {count:,} points are not finite, and left out")

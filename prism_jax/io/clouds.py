@@ -1,13 +1,12 @@
 """Point clouds from files of every kind, checked and cropped."""
 
 import pathlib
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
-from prism_jax.io.arrays import read_npy, read_npz
+from prism_jax.io.arrays import read_kitti, read_npy, read_npz
 from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.pcd import read_pcd
@@ -24,54 +23,39 @@ READERS = {
     ".pcd": read_pcd,
     ".npy": read_npy,
     ".npz": read_npz,
-    ".xyz": read_text,
-    ".txt": read_text,
-    ".csv": read_text,
+    **dict.fromkeys((".xyz", ".txt", ".csv", ".pts", ".asc", ".xyzrgb"), read_text),
+    ".bin": read_kitti,
 }
 
 
 def read_points(
     path: StrPath, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
-    """The finite points of a cloud file, in its units and frame: PLY, PCD, NPY, NPZ,
-    XYZ, TXT or CSV by its suffix, each value as stored, without lost returns. A
+    """The finite points of a cloud file, in its units and frame: one of `READERS` by
+    its suffix, each value as stored, without lost returns. A
     malformed file, more than `max_points` points and a cloud without a finite point
     raise an InputError, before memory is taken for what a header claims."""
-    return read_cloud(path, max_points).points
-
-
-def read_points_counted(
-    path: StrPath, max_points: int = MAX_POINTS, are_returns: bool = True
-) -> tuple[Float[np.ndarray, "N 3"], int]:
-    """As `read_points`, with the number of points in the file. Points that are nobody's
-    returns may lie at 0,0,0."""
-    cloud = read_cloud(path, max_points, are_returns)
-    return cloud.points, cloud.num_read
-
-
-class Cloud(NamedTuple):
-    """The points of a file, how many it has with those that were left out, and what was
-    odd, a line for each kind."""
-
-    points: Float[np.ndarray, "N 3"]
-    num_read: int
-    notes: dict[str, str]
+    return read_cloud(path, max_points)[0]
 
 
 def read_cloud(
     path: StrPath, max_points: int = MAX_POINTS, are_returns: bool = True
-) -> Cloud:
-    """As `read_points_counted`, with what is to be told."""
+) -> tuple[Float[np.ndarray, "N 3"], int, dict[str, str]]:
+    """As `read_points`, with the number of points in the file, and what is to be told,
+    a line for each kind. Points that are nobody's returns may lie at 0,0,0."""
     suffix = pathlib.Path(path).suffix.lower()
     if suffix not in READERS:
         fault = f"suffix {suffix!r} is not a point cloud format"
         raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
-    points = READERS[suffix](path, max_points)
+    table = READERS[suffix](path, max_points)
+    points, columns = table[:, :3], table.shape[1]
     kept, notes = measured(points, are_returns)
+    if columns > 3:
+        notes["columns"] = f"the first three of {columns} columns are x, y and z"
     if len(kept) == 0:
         fault = "no finite points" + (" other than 0,0,0" if notes else "")
         raise InputError(path, fault, "check the sensor or the export")
-    return Cloud(kept, len(points), notes)
+    return kept, len(points), notes
 
 
 def measured(
