@@ -59,11 +59,26 @@ class _Header(NamedTuple):
 def read_pcd(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """Positions as stored: float32 where x, y and z are, else float64.
 
-    Rows that are not finite, as where an organised cloud saw nothing, are kept;
-    VIEWPOINT is not applied. A malformed or cut file and one of more than `max_points`
-    points raise an InputError.
+    Rows that are not finite, as where an organised cloud saw nothing, are kept; for
+    VIEWPOINT see `read_viewpoint`. A malformed or cut file and one of more than
+    `max_points` points raise an InputError.
     """
     return stack_columns(*_read(path, "xyz", max_points))
+
+
+def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
+    """Where VIEWPOINT says that the sensor stood; None where it says nothing, or the
+    origin, as writers do that do not know."""
+    lines, _ = header_lines(read_bytes(path), "DATA", 2**16)
+    try:
+        eye = np.array(
+            [line[1:4] for line in lines if line[:1] == ["VIEWPOINT"]], float
+        )
+    except ValueError:
+        return None
+    return (
+        eye[0] if eye.shape == (1, 3) and np.isfinite(eye).all() and eye.any() else None
+    )
 
 
 def read_pcd_field(

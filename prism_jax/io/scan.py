@@ -17,6 +17,7 @@ from prism_jax.io.depth import (
 )
 from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS
+from prism_jax.io.pcd import read_viewpoint
 
 CAMERA_FRAME_DEGREES = 10.0
 
@@ -42,6 +43,8 @@ class Scan:
     in_camera_frame: bool = False
     # The finite points outside the bounds; None without bounds.
     around: Float[np.ndarray, "R 3"] | None = None
+    # Where the file of a cloud says that its sensor stood, if there is no camera.
+    eye: Float[np.ndarray, "3"] | None = None
 
 
 def read_scan(
@@ -58,7 +61,7 @@ def read_scan(
     For any other file see `read_points`. Points outside `bounds` are kept apart. `tell`
     gets a line for each kind of oddity.
     """
-    in_camera_frame = False
+    in_camera_frame, eye = False, None
     if pathlib.Path(path).suffix.lower() == ".png":
         beside = pathlib.Path(path).with_suffix(".json")
         if not camera_path and not beside.exists():
@@ -75,6 +78,8 @@ def read_scan(
     else:
         camera = read_camera(camera_path) if camera_path else None
         points, num_read, notes = read_cloud(path, max_points)
+        if camera is None and pathlib.Path(path).suffix.lower() == ".pcd":
+            eye = read_viewpoint(path)
     for line in notes.values():
         tell(f"{path}: {line}")
     num_finite = len(points)
@@ -83,7 +88,13 @@ def read_scan(
     if camera is not None:
         check_in_view(points, camera, path)
     not_finite, outside = num_read - num_finite, num_finite - len(points)
-    return Scan(points, camera, not_finite, outside, in_camera_frame, around)
+    return Scan(points, camera, not_finite, outside, in_camera_frame, around, eye)
+
+
+def standing_at(eye: Float[np.ndarray, "3"]) -> Camera:
+    """A camera that says no more than where it stands; its up is z."""
+    rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return Camera(rotation, -rotation @ eye, np.eye(3), 1, 1)
 
 
 def crop(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prism_jax.io import InputError
-from prism_jax.io.pcd import read_pcd, read_pcd_field
+from prism_jax.io.pcd import read_pcd, read_pcd_field, read_viewpoint
 
 POINTS = np.random.default_rng(0).normal(size=(6, 3)).astype(np.float32)
 ROW = np.dtype(
@@ -83,6 +83,20 @@ def test_small_letters_lone_crs_odd_types_and_spellings(tmp_path, mode):
             data = data.replace(b" nan", b" " + spelling, 1)
     header = header.replace("\n", "\r")
     np.testing.assert_array_equal(read_pcd(pcd(tmp_path, mode, data, header)), points)
+
+
+def test_where_the_sensor_stood(tmp_path):
+    eye = read_viewpoint(pcd(tmp_path, "binary"))
+    assert eye is not None and eye.tolist() == [1, 2, 3]
+    for said in (
+        "0 0 0 1 0 0 0",
+        "-0.0 0 0 0.5 0 0 0.8",
+        "nan 0 0 1 0 0 0",
+        "",
+        "1 a 3",
+    ):
+        header = replaced("VIEWPOINT 1 2 3 1 0 0 0", f"VIEWPOINT {said}")
+        assert read_viewpoint(pcd(tmp_path, "binary", header=header)) is None
 
 
 def test_old_version_without_count_and_double_coordinates(tmp_path):

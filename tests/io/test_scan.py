@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from prism_jax.io import InputError, parse_bounds, read_depth, read_scan
+from prism_jax.io.scan import standing_at
 from prism_jax.io.streams.frame import Frame
 from prism_jax.io.streams.opening import open_stream
 
@@ -79,6 +80,12 @@ def test_cloud_with_a_camera(cloud, tmp_path):
     (tmp_path / "c.json").write_text(json.dumps(posed))
     with pytest.raises(InputError, match=r"scan\.npy: all points are behind"):
         read_scan(cloud, tmp_path / "c.json")
+
+
+def test_a_camera_that_only_stands_somewhere():
+    camera = standing_at(np.array([10.0, 5.0, 1.2]))
+    np.testing.assert_allclose(camera.position, [10, 5, 1.2])
+    np.testing.assert_allclose(-camera.rotation[1], [0, 0, 1])
 
 
 def test_depth_image_with_its_camera_beside_or_named(depth_image, tmp_path):
