@@ -8,7 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_cloud
+from prism_jax.io.clouds import (
+    MAX_EXTENT,
+    check_cloud,
+    check_in_view,
+    inside,
+    read_cloud,
+)
 from prism_jax.io.depth import (
     measured_depth,
     points_from_depth,
@@ -68,15 +74,21 @@ def read_scan(
             remedy = f"set --camera, or add {beside.name} next to the image"
             raise InputError(path, "depth image without a camera", remedy)
         camera_path = camera_path or beside
-        counts, scale, camera = read_counts(path, camera_path, max_points)
+        counts, scale, camera = read_counts(path, camera_path, max_points, tell)
         depth, num_odd, notes = measured_depth(counts, scale)
         if not depth.any():
             raise InputError(path, "no valid depth pixels", "check the sensor")
         points = points_from_depth(depth, depth > 0, camera)
         in_camera_frame = in_own_axes(camera)
         num_read = len(points) + num_odd
+        if scale >= 1 and np.ptp(points) > MAX_EXTENT:
+            fault = (
+                f"depth_scale {scale:g} is too large: depths up to {depth.max():.4g}"
+            )
+            remedy = "give metres a count, as 0.001, or 0.0002 for 5,000 counts a metre"
+            raise InputError(camera_path, fault, remedy)
     else:
-        camera = read_camera(camera_path) if camera_path else None
+        camera = read_camera(camera_path, tell) if camera_path else None
         points, num_read, notes = read_cloud(path, max_points)
         if camera is None and pathlib.Path(path).suffix.lower() == ".pcd":
             eye = read_viewpoint(path)

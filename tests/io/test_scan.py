@@ -104,6 +104,13 @@ def test_depth_image_with_its_camera_beside_or_named(depth_image, tmp_path):
         read_scan(depth_image, tmp_path / "other.json")
 
 
+def test_a_depth_scale_that_is_its_inverse_is_the_fault(depth_image):
+    camera = json.dumps({**CAMERA, "depth_scale": 5000})
+    depth_image.with_suffix(".json").write_text(camera)
+    with pytest.raises(InputError, match=r"scan.json: depth_scale 5000 is too large"):
+        read_scan(depth_image)
+
+
 def test_the_largest_value_of_an_image_is_no_return(depth_image, tmp_path):
     """Of PNGs as of every encoding of streams, like what is not finite or negative."""
     whole, lines = read_scan(depth_image), []
