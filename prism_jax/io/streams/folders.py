@@ -27,6 +27,8 @@ class CloudFolder(Stream):
     depth image's camera is the JSON of the same name or `camera.json`. A file that
     cannot be read is left out and remarked. Frames count as 10 a second."""
 
+    camera_file: pathlib.Path | None = None  # in place of those, with its depth_scale
+
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
         self._paths = self._found(path, topic)
@@ -62,8 +64,18 @@ class CloudFolder(Stream):
         if path.suffix.lower() == ".png":
             own = path.with_suffix(".json")
             common = path.with_name("camera.json")
-            return _depth_frame(path, own if own.exists() else common, time)
+            beside = own if own.exists() else common
+            return self._depth_frame(path, self.camera_file or beside, time)
         return _cloud_frame(path, None, time)
+
+    def _of_camera(self, line: str) -> None:
+        self.remark("camera_file", line)
+
+    def _depth_frame(
+        self, path: pathlib.Path, camera: pathlib.Path, time: int
+    ) -> Frame:
+        counts, scale, view = read_counts(path, camera, tell=self._of_camera)
+        return Frame.of_depth(counts, view, time, scale)
 
 
 class RecordedFrames(CloudFolder):
@@ -83,9 +95,9 @@ class RecordedFrames(CloudFolder):
         camera = path.with_name(name + _CAMERA)
         joints = path.with_name(name + _JOINTS)
         if suffix == _DEPTH:
-            frame = _depth_frame(path, camera, time)
+            frame = self._depth_frame(path, camera, time)
         else:
-            frame = _cloud_frame(path, read_camera(camera), time)
+            frame = _cloud_frame(path, read_camera(camera, self._of_camera), time)
         if self.joints is not None and joints.exists():
             frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
         return frame
@@ -115,8 +127,3 @@ def _cloud_frame(path: pathlib.Path, camera: Camera | None, time: int) -> Frame:
     points, num_read, notes = read_cloud(path)
     num_lost = num_read - len(points)
     return Frame(points, time, camera, num_not_finite=num_lost, notes=notes)
-
-
-def _depth_frame(path: pathlib.Path, camera: pathlib.Path, time: int) -> Frame:
-    counts, scale, view = read_counts(path, camera)
-    return Frame.of_depth(counts, view, time, scale)

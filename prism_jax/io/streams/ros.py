@@ -63,6 +63,7 @@ class RosStream(Stream):
         last = "/".join(self.topic.split("/")[-2:])
         self._rectified = re.search("(^|[/_])rect", last) is not None
         self._joints = self._info = None
+        self._unit = self._depth_unit()
         if self._is_depth and self.camera is None:
             self._info = self._info_topic(info)
         elif info is not None:
@@ -87,7 +88,7 @@ class RosStream(Stream):
                 elif message.topic == self._info:
                     camera = self._pinhole(content, camera)
                 else:
-                    frame = _frame(content, camera, time)
+                    frame = _frame(content, camera, time, self._unit)
                     known = self._joints is not None
                     yield from placed.add_frame(frame) if known else [frame]
             except ValueError as error:
@@ -164,6 +165,8 @@ class RosStream(Stream):
         """The topic of the camera's intrinsics: the one asked for, or beside it."""
         topic, infos = str(self.topic), self._of_kind(INFO)
         beside = posixpath.join(posixpath.dirname(topic), "camera_info")
+        own = re.sub("/image/data$", "/info/camera_info", topic)  # RealSense's bags
+        beside = own if own in infos else beside
         found = beside if asked is None else asked
         if found in infos:
             return found
@@ -172,6 +175,16 @@ class RosStream(Stream):
         if infos:
             remedy = f"set --camera to one of {', '.join(infos)}, or to a JSON file"
         raise InputError(self.path, fault, remedy)
+
+    def _depth_unit(self) -> float | None:
+        """Metres a count by a RealSense's own bag, None by any other recording."""
+        topic = str(self.topic)
+        units = re.sub("/[^/]*/image/data$", "/option/Depth_Units/value", topic)
+        if units == topic or units not in self._topics:
+            return None
+        with contextlib.suppress(ValueError, AttributeError, TypeError):
+            unit = float(self._read(next(self._messages({units}, False), None)).data)
+            return unit if 0 < unit < 1 else None
 
     def _pinhole(self, content: Any, before: Camera | None = None) -> Camera:
         """The pinhole of a CameraInfo, of rectified images that of their projection;
@@ -233,9 +246,9 @@ def _time(content: Any, message: Message) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
 
 
-def _frame(content: Any, camera: Camera | None, time: int) -> Frame:
-    """The frame of a cloud, or of a depth image by its camera; ValueError if it is not
-    as it says."""
+def _frame(content: Any, camera: Camera | None, time: int, unit: float | None) -> Frame:
+    """The frame of a cloud, or of a depth image by its camera, a count of integers
+    being the unit, if that is known; ValueError if it is not as it says."""
     if hasattr(content, "fields"):
         frame = _cloud(content, time)
     else:
@@ -244,6 +257,7 @@ def _frame(content: Any, camera: Camera | None, time: int) -> Frame:
         if pixels.shape != (camera.height, camera.width):
             sizes = f"{pixels.shape[1]}x{pixels.shape[0]}, camera is "
             raise ValueError(f"image is {sizes}{camera.width}x{camera.height}")
+        scale = unit or scale if pixels.dtype.kind == "u" else scale
         frame = Frame.of_depth(pixels, camera, time, scale)
     return dataclasses.replace(frame, frame_id=content.header.frame_id)
 
@@ -270,7 +284,8 @@ def _cloud(content: Any, time: int) -> Frame:
     if not fields.keys() >= set("xyz"):
         raise ValueError(f"points have {', '.join(fields) or 'nothing'}, not x y z")
     height, width = content.height, content.width
-    step, row = content.point_step, content.row_step
+    step = content.point_step
+    row = content.row_step or step * width  # which some leave at 0
     _check_size(height * width, row * height, len(content.data))
     order = ">" if content.is_bigendian else "<"
     sizes = [_FLOATS.get(fields[axis].datatype, np.inf) for axis in "xyz"]

@@ -65,6 +65,9 @@ def test_depth_images_are_those_of_a_scan(tmp_path):
     (tmp_path / "1.json").write_text(json.dumps(other))
     first, second = open_stream(tmp_path)
     np.testing.assert_allclose(second.depth, 4 * first.depth)
+    (tmp_path / "camera.json").rename(tmp_path / "given")
+    for frame in open_stream(tmp_path, camera=str(tmp_path / "given")):
+        np.testing.assert_array_equal(frame.points, scan.points)
 
 
 def test_recordings_have_two_topics():

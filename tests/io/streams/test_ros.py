@@ -127,6 +127,7 @@ def test_layouts_of_clouds(big, tmp_path):
     for scalar in (np.float32, np.float64):
         points = RNG.normal(size=(12, 3)).astype(scalar)
         message = cloud(points, START, height=3, big=big, gap=8, tail=5)
+        message.row_step *= not big  # 0 where nobody filled it in
         path = write_mcap(tmp_path / "r.mcap", [("/p", CLOUD, 1, message)])
         (frame,) = open_stream(path)
         np.testing.assert_array_equal(frame.points, points)
@@ -212,6 +213,32 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
         assert frame.camera.intrinsics[0, [0, 2]].tolist() == wanted
         assert sum("lens" in line for line in lines) == (name == "raw")
         assert frame.frame_id == "lidar"
+
+
+def test_bags_of_a_realsense(tmp_path):
+    """Its CameraInfo lies elsewhere, and counts are of its own unit."""
+    sensor, store = "/device_0/sensor_0", store_of("bag")
+    pixels = np.full((4, 4), 4000, np.uint16)
+    units = store.types["std_msgs/msg/Float32"](data=0.00025)
+    messages = [
+        (f"{sensor}/option/Depth_Units/value", "std_msgs/msg/Float32", 0, units),
+        (
+            "/device_0/sensor_1/Color_0/info/camera_info",
+            INFO,
+            0,
+            info(4, 4, 9.0, store=store),
+        ),
+        (f"{sensor}/Depth_0/info/camera_info", INFO, 0, info(4, 4, 5.0, store=store)),
+        (
+            f"{sensor}/Depth_0/image/data",
+            IMAGE,
+            1,
+            image(pixels, START, store, "mono16"),
+        ),
+    ]
+    (frame,) = open_stream(WRITERS["bag"](tmp_path, messages))
+    np.testing.assert_allclose(frame.depth, 1.0)
+    assert frame.camera.intrinsics[0, 0] == 5.0
 
 
 def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
