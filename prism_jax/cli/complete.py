@@ -193,12 +193,12 @@ def _view(scan: io.Scan, eye: str | None, source: str) -> Any:
     """The camera of a scan, or one that stands where the flag or the file says."""
     if eye is not None and source.lower().endswith(".png"):
         raise io.InputError("--eye", "not supported for depth images", "omit it")
+    place = scan.eye
     if eye is not None:
-        return standing_at(parse_numbers("--eye", eye, 3, "give x,y,z"))
-    if scan.eye is None:
-        return scan.camera
-    _say(f"the sensor is at {','.join(f'{v:g}' for v in scan.eye)}, the VIEWPOINT")
-    return standing_at(scan.eye)
+        place = parse_numbers("--eye", eye, 3, "give x,y,z")
+    elif place is not None:
+        _say(f"the sensor is at {','.join(f'{v:g}' for v in place)}, the VIEWPOINT")
+    return scan.camera if place is None else standing_at(place)
 
 
 def _warn(result: Any, scan: io.Scan, background: str) -> None:

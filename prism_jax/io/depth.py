@@ -79,17 +79,16 @@ def _by_our_names(entries: dict[str, Any]) -> dict[str, Any]:
     rows or by columns: its last row tells."""
     inner = entries.get("intrinsic", entries.get("intrinsics"))
     entries = (inner if isinstance(inner, dict) else {}) | entries
-    entries = {
-        _OTHER_NAMES[k]: entries[k] for k in _OTHER_NAMES if k in entries
-    } | entries
+    theirs = {our: entries[key] for key, our in _OTHER_NAMES.items() if key in entries}
+    entries = theirs | entries
     for name in (name for name in _MATRICES if name in entries):
         given = _bare(entries[name])
         is_nested = isinstance(given, list) and isinstance((given or [0])[0], list)
         shape = (3, 3) if is_nested else 9
         matrix = _array({name: given}, name, np.zeros(shape)).reshape(3, 3)
-        (fx, _, cx), (_, fy, cy), _ = matrix.T if matrix[2, :2].any() else matrix
-        found = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
-        entries = {key: float(value) for key, value in found.items()} | entries
+        matrix = matrix.T if matrix[2, :2].any() else matrix
+        fx, _, cx, _, fy, cy, *_ = matrix.ravel().tolist()
+        entries = {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | entries
     return entries
 
 

@@ -8,13 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.clouds import (
-    MAX_EXTENT,
-    check_cloud,
-    check_in_view,
-    inside,
-    read_cloud,
-)
+from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_cloud
 from prism_jax.io.depth import (
     measured_depth,
     points_from_depth,
@@ -67,7 +61,7 @@ def read_scan(
     For any other file see `read_points`. Points outside `bounds` are kept apart. `tell`
     gets a line for each kind of oddity.
     """
-    in_camera_frame, eye = False, None
+    in_camera_frame, eye, subject = False, None, path
     if pathlib.Path(path).suffix.lower() == ".png":
         beside = pathlib.Path(path).with_suffix(".json")
         if not camera_path and not beside.exists():
@@ -81,12 +75,8 @@ def read_scan(
         points = points_from_depth(depth, depth > 0, camera)
         in_camera_frame = in_own_axes(camera)
         num_read = len(points) + num_odd
-        if scale >= 1 and np.ptp(points) > MAX_EXTENT:
-            fault = (
-                f"depth_scale {scale:g} is too large: depths up to {depth.max():.4g}"
-            )
-            remedy = "give metres a count, as 0.001, or 0.0002 for 5,000 counts a metre"
-            raise InputError(camera_path, fault, remedy)
+        if scale >= 1 and depth.max() > 1000:  # if anything is wrong, it is this
+            subject = f"{camera_path}: depth_scale {scale:g}, where 0.001 means mm"
     else:
         camera = read_camera(camera_path, tell) if camera_path else None
         points, num_read, notes = read_cloud(path, max_points)
@@ -96,7 +86,7 @@ def read_scan(
         tell(f"{path}: {line}")
     num_finite = len(points)
     points, around = parted(points, bounds, path)
-    check_cloud(points, path)
+    check_cloud(points, subject)
     if camera is not None:
         check_in_view(points, camera, path)
     not_finite, outside = num_read - num_finite, num_finite - len(points)

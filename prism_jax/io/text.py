@@ -16,7 +16,7 @@ _REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
 _FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#\w+)", re.IGNORECASE)
 """NaN and infinity as some C libraries write them: -nan(ind), 1.#QNAN, 1.#INF."""
 
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
+_DECIMAL_COMMAS = r"\s*([-+]?\d+,\d+\s+){2}[-+]?\d+,\d"  # with blanks between them
 _NAMES = ("%s%.0s", r"%s\d%.0s", r".*(?:xyz|points?)\W%.0s%d")
 """How columns are named x, y and z, by the letter or the number, in this order."""
 
@@ -60,10 +60,11 @@ def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
         if int(rows[0]) != len(rows) - 1:
             raise ValueError(f"{rows[0]} points announced, {len(rows) - 1} found")
         del rows[0], places[0]
-    delimiter = next((mark for mark in ";\t" if mark in rows[-1]), None)
-    if delimiter or all(map(_DECIMAL_COMMA.fullmatch, rows[-1].split()[:3])):
+    some = rows[len(rows) // 2]
+    delimiter = next((mark for mark in ";\t" if mark in some), None)
+    if delimiter or re.match(_DECIMAL_COMMAS, some):
         rows = [row.replace(",", ".") for row in rows]
-    elif "," in rows[-1]:
+    elif "," in some:
         delimiter = ","
     first = int(_is_header(rows[0], delimiter))
     widths = [len(row.split(delimiter)) for row in rows[first:]] or [3]
@@ -72,10 +73,8 @@ def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
             raise ValueError(f"line {place + 1} has {width} columns, not {needed}")
     columns = _named([*comments, *rows[:first]], delimiter, widths[0])
     named = len(rows[0].split(delimiter)) if first and not columns else 0
-    if named > 2 and named != widths[0]:
-        raise ValueError(f"header names {named} columns, lines have {widths[0]}")
-    if named > 3:
-        raise ValueError(f"columns of {rows[0]!r} are not named x, y and z")
+    if named > 2 and (named, widths[0]) != (3, 3):
+        raise ValueError(f"{rows[0]!r} names no x, y, z of {widths[0]} columns")
     try:
         points = parse_rows(rows[first:], columns or [0, 1, 2], None, delimiter)
     except ValueError as error:

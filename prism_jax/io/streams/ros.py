@@ -63,7 +63,10 @@ class RosStream(Stream):
         last = "/".join(self.topic.split("/")[-2:])
         self._rectified = re.search("(^|[/_])rect", last) is not None
         self._joints = self._info = None
-        self._unit = self._depth_unit()
+        # Metres a count, as RealSense's own bags have it.
+        option = re.sub("/[^/]*/image/data$", "/option/Depth_Units/value", self.topic)
+        known = option != self.topic and option in self._topics
+        self._units = option if known else None
         if self._is_depth and self.camera is None:
             self._info = self._info_topic(info)
         elif info is not None:
@@ -77,18 +80,22 @@ class RosStream(Stream):
         camera = self.camera
         if self._info is not None:
             camera = self._first_camera()
-        wanted = {name for name in (self.topic, self._info, self._joints) if name}
+        unit, topics = None, (self.topic, self._info, self._joints, self._units)
+        wanted = {name for name in topics if name}
         placed = PlacedFrames(self.joints or Joints())
         for message in self._messages(wanted):
             try:
                 content = self._read(message)
+                if message.topic == self._units:
+                    unit = float(content.data)
+                    continue
                 time = _time(content, message)
                 if message.topic == self._joints:
                     yield from placed.add_positions(_positions(content), time)
                 elif message.topic == self._info:
                     camera = self._pinhole(content, camera)
                 else:
-                    frame = _frame(content, camera, time, self._unit)
+                    frame = _frame(content, camera, time, unit)
                     known = self._joints is not None
                     yield from placed.add_frame(frame) if known else [frame]
             except ValueError as error:
@@ -175,16 +182,6 @@ class RosStream(Stream):
         if infos:
             remedy = f"set --camera to one of {', '.join(infos)}, or to a JSON file"
         raise InputError(self.path, fault, remedy)
-
-    def _depth_unit(self) -> float | None:
-        """Metres a count by a RealSense's own bag, None by any other recording."""
-        topic = str(self.topic)
-        units = re.sub("/[^/]*/image/data$", "/option/Depth_Units/value", topic)
-        if units == topic or units not in self._topics:
-            return None
-        with contextlib.suppress(ValueError, AttributeError, TypeError):
-            unit = float(self._read(next(self._messages({units}, False), None)).data)
-            return unit if 0 < unit < 1 else None
 
     def _pinhole(self, content: Any, before: Camera | None = None) -> Camera:
         """The pinhole of a CameraInfo, of rectified images that of their projection;
