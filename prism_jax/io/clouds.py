@@ -31,10 +31,10 @@ READERS = {
 def read_points(
     path: StrPath, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
-    """The finite points of a cloud file, in its units and frame: one of `READERS` by
-    its suffix, each value as stored, without lost returns. A
-    malformed file, more than `max_points` points and a cloud without a finite point
-    raise an InputError, before memory is taken for what a header claims."""
+    """The finite points of a cloud file, in its units and frame: of `READERS` by its
+    suffix, each value as stored, without lost returns (`measured`). A malformed file,
+    more than `max_points` points and a cloud without a finite point raise an
+    InputError, before memory is taken for what a header claims."""
     return read_cloud(path, max_points)[0]
 
 
@@ -53,7 +53,7 @@ def read_cloud(
     if columns > 3:
         notes["columns"] = f"the first three of {columns} columns are x, y and z"
     if len(kept) == 0:
-        fault = "no finite points" + (" other than 0,0,0" if notes else "")
+        fault = "no finite points" + " other than 0,0,0" * ("no_return" in notes)
         raise InputError(path, fault, "check the sensor or the export")
     return kept, len(points), notes
 

@@ -75,8 +75,10 @@ def read_scan(
         points = points_from_depth(depth, depth > 0, camera)
         in_camera_frame = in_own_axes(camera)
         num_read = len(points) + num_odd
-        if scale >= 1 and depth.max() > 1000:  # if anything is wrong, it is this
-            subject = f"{camera_path}: depth_scale {scale:g}, where 0.001 means mm"
+        if scale >= 1 and depth.max() > 1000:
+            cause = f"depth_scale {scale:g}, where 0.001 means millimetres"
+            subject = f"{camera_path}: {cause}"  # of whatever is wrong
+            notes["scale"] = f"depths are up to {depth.max():,.0f} by {cause}"
     else:
         camera = read_camera(camera_path, tell) if camera_path else None
         points, num_read, notes = read_cloud(path, max_points)

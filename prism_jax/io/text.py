@@ -1,4 +1,4 @@
-"""Point clouds as lines of numbers: XYZ, TXT and CSV."""
+"""Point clouds as lines of numbers: XYZ, TXT, CSV and their like."""
 
 import io
 import re
@@ -13,7 +13,7 @@ from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
 _REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
-_FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#\w+)", re.IGNORECASE)
+_FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#([qs]nan|ind|inf)\w*)", re.IGNORECASE)
 """NaN and infinity as some C libraries write them: -nan(ind), 1.#QNAN, 1.#INF."""
 
 _DECIMAL_COMMAS = r"\s*([-+]?\d+,\d+\s+){2}[-+]?\d+,\d"  # with blanks between them

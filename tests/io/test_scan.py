@@ -107,8 +107,10 @@ def test_depth_image_with_its_camera_beside_or_named(depth_image, tmp_path):
 def test_a_depth_scale_that_is_its_inverse_is_the_fault(depth_image):
     camera = json.dumps({**CAMERA, "depth_scale": 5000})
     depth_image.with_suffix(".json").write_text(camera)
+    lines = []
     with pytest.raises(InputError, match=r"scan.json: depth_scale 5000, .* extent 2"):
-        read_scan(depth_image)
+        read_scan(depth_image, tell=lines.append)
+    assert "depths are up to 10,000,000 by depth_scale 5000" in lines[0]
 
 
 def test_the_largest_value_of_an_image_is_no_return(depth_image, tmp_path):

@@ -74,7 +74,9 @@ class CloudFolder(Stream):
     def _depth_frame(
         self, path: pathlib.Path, camera: pathlib.Path, time: int
     ) -> Frame:
-        counts, scale, view = read_counts(path, camera, tell=self._of_camera)
+        is_told = camera == self.camera_file
+        tell = (lambda _: None) if is_told else self._of_camera
+        counts, scale, view = read_counts(path, camera, tell=tell)
         return Frame.of_depth(counts, view, time, scale)
 
 

@@ -178,9 +178,7 @@ class Stream(abc.ABC):
 
     def _look_at(self, number: int, frame: Frame, before: Frame | None) -> None:
         if len(frame.points) == 0 and frame.num_not_finite:
-            line = (
-                f"frame {number}: none of {frame.num_not_finite:,} points is a return"
-            )
+            line = f"frame {number}: no return in {frame.num_not_finite:,} points"
             self.remark("not_finite", line)
         elif len(frame.points) == 0:
             self.remark("empty", f"frame {number} is empty")

@@ -157,7 +157,7 @@ def test_odd_frames_are_told_and_counted(tmp_path):
         lines,
         (
             "frame 0: 3 of 200 points are at 0,0,0 and count as no return",
-            "frame 1: none of 200 points is a return",
+            "frame 1: no return in 200 points",
             "frame 2 is empty",
             "skipped a message on /p: ",
             "frame 3 is 3.000 s older than the one before",
