@@ -12,11 +12,12 @@ from prism_jax.io.arrays import check_not_index
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
-_REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
+_REMEDY = "write one point per line as 'x y z', or name the columns in the first line"
 _FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#([qs]nan|ind|inf)\w*)", re.IGNORECASE)
 """NaN and infinity as some C libraries write them: -nan(ind), 1.#QNAN, 1.#INF."""
 
 _DECIMAL_COMMAS = r"\s*([-+]?\d+,\d+\s+){2}[-+]?\d+,\d"  # with blanks between them
+_HEADER = r"\W*(?!(nan|inf)\b)[^\W\d_]"  # begins with a letter
 _NAMES = ("%s%.0s", r"%s\d%.0s", r".*(?:xyz|points?)\W%.0s%d")
 """How columns are named x, y and z, by the letter or the number, in this order."""
 
@@ -66,7 +67,7 @@ def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
         rows = [row.replace(",", ".") for row in rows]
     elif "," in some:
         delimiter = ","
-    first = int(_is_header(rows[0], delimiter))
+    first = int(re.match(_HEADER, rows[0].lower()) is not None)
     widths = [len(row.split(delimiter)) for row in rows[first:]] or [3]
     for place, width in zip(places[first:], widths, strict=False):
         if width != (needed := max(widths[0], 3)):
@@ -81,7 +82,7 @@ def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
         row, fault = re.search(r" at row (\d+)", str(error)), str(error)
         if row:
             fault = fault.replace(row[0], f" in line {places[int(row[1]) + first] + 1}")
-        raise ValueError(fault[:200]) from None
+        raise ValueError(fault[:200].rstrip(".")) from None
     if not columns:
         check_not_index(points[:, 0])
     return points
@@ -140,14 +141,6 @@ def parse_rows(
 
 def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "//", "%"))
-
-
-def _is_header(line: str, delimiter: str | None) -> bool:
-    try:
-        _ = [float(word) for word in line.split(delimiter)[:3]]
-    except ValueError:
-        return any(map(str.isalpha, line))
-    return False
 
 
 def _named(headers: Sequence[str], delimiter: str | None, width: int) -> list[int]:

@@ -63,6 +63,7 @@ FAULTS = [
     (b"1 2\n3 4\n", "column"),
     (b"# a\n\nx,y,z\n1,2,3\n1,,3\n", "in line 5"),
     (b"1 2 3\n1 2 0x10\n", "0x10"),
+    (b"1 2 a\n1 2 3\n", "'a' to float64 in line 1"),
     ("1 2 3\n".encode("utf-16-le"), "line 2 has 1 columns, not 3"),
     (b"1,2,3\n1;2;3\n", "line 1 has 1 columns, not 3"),
 ]
