@@ -24,6 +24,7 @@ from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
 from prism_jax.io.atomic import check_targets, claim
 from prism_jax.io.clouds import READERS
+from prism_jax.io.scan import parse_numbers, standing_at
 from prism_jax.preprocessing.upright import AUTO, parse_up
 from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.confidence import trust_of_all
@@ -44,13 +45,15 @@ _say = functools.partial(say, NAME)
 def define_flags() -> None:
     """The flags; what they are called and what they default to is `complete_file`'s."""
     shared_flags.define_strings(
-        input="Partial scan: .ply .pcd .npy .npz .xyz .txt .csv, or a 16-bit depth "
-        ".png. Default: a bundled sample.",
+        input=f"Partial scan: {' '.join(READERS)}, or a 16-bit depth .png. Default: a "
+        "bundled sample.",
         ground_truth="Complete cloud to score against.",
         camera="Camera JSON. Default for a depth image: the .json of the same name. "
         "Default for a cloud: a camera at the origin that looks at the points; if the "
         "origin is too far away, among the points, or on their far side, the position "
         "is estimated from the points.",
+        eye="Sensor position of a cloud, x,y,z, if it is not --camera's. Default: a "
+        "PCD's VIEWPOINT, unless that is the origin.",
         workspace="Box x0,y0,z0,x1,y1,z1 in input units that the scan and the ground "
         "truth are cropped to. Points outside it still show which space is free. "
         "Added points may lie outside the box, but inside the completed cube: its "
@@ -93,6 +96,7 @@ def complete_file(
     *,
     ground_truth: str | None = None,
     camera: str | None = None,
+    eye: str | None = None,
     workspace: str | None = None,
     max_points: int = io.MAX_POINTS,
     up: str | None = None,
@@ -118,13 +122,14 @@ def complete_file(
         raise io.InputError(source, "a folder, not a scan", remedy)
     truth = None
     with _timed(f"reading {source}", "read", seconds):
-        scan = io.read_scan(source, camera, bounds, max_points)
+        scan = io.read_scan(source, camera, bounds, max_points, _say)
         if ground_truth is not None:
             truth = io.read_points(ground_truth, max_points)
             truth = io.crop(truth, bounds, ground_truth)
             if not np.ptp(truth, axis=0).any():
                 fault = "all points coincide"
                 raise io.InputError(ground_truth, fault, "give the complete cloud")
+    view = _view(scan, eye, source)
     folder = claim(output_dir)
     check_targets(folder / name for name in _FILES)
     with _timed(f"loading the weights {weights}", "load", seconds):
@@ -134,13 +139,13 @@ def complete_file(
     scene, taken_apart = None, False
     if objects == "auto" and truth is None:
         with _timed("looking for objects", "split", seconds):
-            scene = completer.split_scene(scan.points, scan.camera, direction)
+            scene = completer.split_scene(scan.points, view, direction)
             taken_apart = bool(scene.planes) or len(scene.num_points) > 1
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     doing = "adapting to and completing" if adapt else "completing"
     asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
     asked["background"] = background
-    given = scan.points, scan.camera
+    given = scan.points, view
     with _timed(f"{doing} {count}", "complete", seconds):
         if taken_apart:
             result = completer.complete_scene(
@@ -184,6 +189,18 @@ def complete_file(
 
 
 _SETTINGS = tuple(inspect.signature(complete_file).parameters)[1:]
+
+
+def _view(scan: io.Scan, eye: str | None, source: str) -> Any:
+    """The camera of a scan, or one that stands where the flag or the file says."""
+    if eye is not None and source.lower().endswith(".png"):
+        raise io.InputError("--eye", "not supported for depth images", "omit it")
+    place = scan.eye
+    if eye is not None:
+        place = parse_numbers("--eye", eye, 3, "give x,y,z")
+    elif place is not None:
+        _say(f"the sensor is at {','.join(f'{v:g}' for v in place)}, the VIEWPOINT")
+    return scan.camera if place is None else standing_at(place)
 
 
 def _warn(result: Any, scan: io.Scan, background: str) -> None:

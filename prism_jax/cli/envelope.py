@@ -53,7 +53,7 @@ from prism_jax.envelope.robot import (
 from prism_jax.envelope.surfaces import Input, Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
 from prism_jax.io.atomic import PREVIOUS, check_targets, claim, set_aside, write_bytes
-from prism_jax.io.clouds import read_points_counted
+from prism_jax.io.clouds import read_cloud
 from prism_jax.io.errors import unwritable
 from prism_jax.io.files import read_bytes
 from prism_jax.io.ply import vertices_bytes
@@ -256,7 +256,8 @@ def envelope_of(source: str) -> dict[str, Any]:
             camera = scan.named
             scan.view()
         if FLAGS.query is not None:
-            asked, num_read = read_points_counted(FLAGS.query, FLAGS.max_points)
+            given_query = FLAGS.query, FLAGS.max_points
+            asked, num_read, _ = read_cloud(*given_query, are_returns=False)
             left_out = num_read - len(asked)
             if left_out:
                 _say(f"{FLAGS.query}: {left_out:,} points are not finite: left out")
@@ -453,7 +454,8 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
         if kind == "both":
             seen = io.points_from_depth(metres, mask, camera)
             others = np.concatenate([others, seen])
-    stood = standing(depth, camera, given.eye)
+    eye = scan.eye if given.eye is None and depth is None else given.eye
+    stood = standing(depth, camera, eye)
     up = FLAGS.up or ("-y" if scan.in_camera_frame else "z")
     direction = parse_up(up)
     if isinstance(direction, str) and direction == "auto":

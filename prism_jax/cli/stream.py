@@ -21,7 +21,6 @@ from prism_jax import io
 from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import launch, load_completer, say
 from prism_jax.envelope.robot import LAYOUT, joints_from_dict
-from prism_jax.geometry.camera import Camera
 from prism_jax.io.atomic import check_targets, claim, write_bytes
 from prism_jax.io.errors import require
 from prism_jax.io.files import read_json
@@ -85,12 +84,12 @@ def known_robot() -> tuple[Linkage | None, Joints | None]:
     return robot, Joints(topic, given, pose, gap, FLAGS.robot_speed, robot.joints)
 
 
-def known_camera() -> Camera | str | None:
-    """The camera of the flags as `open_stream` takes it: of a file, or a topic."""
+def known_camera() -> str | None:
+    """The camera of the flags as `open_stream` takes it: a file, or a topic."""
     given = FLAGS.camera
-    if given is None or (given.startswith("/") and not pathlib.Path(given).is_file()):
-        return given
-    return io.read_camera(given)
+    if given and (pathlib.Path(given).is_file() or not given.startswith("/")):
+        io.read_camera(given, lambda _: None)  # the file may be no camera
+    return given
 
 
 def main(words: Sequence[str]) -> None:

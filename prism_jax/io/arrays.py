@@ -22,13 +22,14 @@ _HEADER_READERS = {
 }
 _HEAD_BYTES = 2**16
 _ENTRY = b"PK\1\2"  # every entry of an archive's directory starts with it
+_MAX_COLUMNS = 16  # an array of more is an image
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
 
 
-def read_npy(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
-    """The array of an NPY file: float32 stays so, other real numbers become float64. An
-    array that is not (N, 3), of complex numbers or of objects, more than `max_points`
-    rows, and a file that is cut raise an InputError."""
+def read_npy(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N C"]:
+    """The array of an NPY file, (N, C) or (H, W, C) with three to 16 columns, or its
+    fields x, y and z: float32 stays so, other real numbers become float64. Any other
+    array, more than `max_points` rows, and a file that is cut raise an InputError."""
     data = read_bytes(path)
     try:
         return _parse(data, max_points)
@@ -36,8 +37,23 @@ def read_npy(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
         raise unsound(path, "a valid NPY cloud", error, _REMEDY) from None
 
 
-def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
-    """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array. Of other
+def read_kitti(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
+    """The positions of a sweep as KITTI has it: x, y, z and a reflectance of 0 to 255,
+    all float32. A file of other numbers raises an InputError."""
+    data = read_bytes(path)
+    try:
+        check_count(len(data) // 16, max_points)
+        rows = np.frombuffer(data, "<f4").reshape(-1, 4)
+        if ((rows[:, 3] < 0) | (rows[:, 3] > 255)).any():
+            raise ValueError("the fourth number of a point is no reflectance")
+    except ValueError as error:
+        raise unsound(path, "a KITTI sweep", error, _REMEDY) from None
+    return rows[:, :3]
+
+
+def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N C"]:
+    """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array, or its only
+    other one that `read_npy` takes and that has more rows than columns. Of other
     arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
     InputError. Otherwise as `read_npy`."""
     data = read_bytes(path)
@@ -52,13 +68,19 @@ def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
 
 def stack_columns(
     columns: Iterable[np.ndarray], stored: Iterable[np.dtype]
-) -> Float[np.ndarray, "N 3"]:
-    """Three columns as a cloud: float32 if all were stored so, else float64. What does
+) -> Float[np.ndarray, "N C"]:
+    """Columns as a cloud: float32 if all were stored so, else float64. What does
     not fit the type becomes infinite, without a warning."""
     is_single = all(dtype.kind == "f" and dtype.itemsize == 4 for dtype in stored)
     target = np.float32 if is_single else np.float64
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([column.astype(target) for column in columns], axis=1)
+
+
+def check_not_index(column: Float[np.ndarray, " N"]) -> None:
+    """Raise a ValueError if what would be x is but the number of each row."""
+    if len(column) > 9 and np.array_equal(column, column[0] + np.arange(len(column))):
+        raise ValueError("the first column counts the rows: which are x, y and z?")
 
 
 class _Header(NamedTuple):
@@ -70,9 +92,14 @@ class _Header(NamedTuple):
     start: int
 
     @property
-    def is_cloud(self) -> bool:
-        shape, kind = self.shape, self.dtype.kind
-        return len(shape) == 2 and shape[0] > 0 and shape[1] == 3 and kind in "fiu"
+    def count(self) -> int:
+        """Points: rows of three to 16 numbers, or of fields that include x, y and z."""
+        if {*"xyz"} <= {*(self.dtype.names or ())}:
+            return math.prod(self.shape)
+        if len(self.shape) < 2 or min(self.shape) < 1 or self.dtype.kind not in "fiu":
+            return 0
+        is_table = 3 <= self.shape[-1] <= _MAX_COLUMNS
+        return math.prod(self.shape[:-1]) if is_table else 0
 
     @property
     def end(self) -> int:
@@ -88,7 +115,9 @@ def _read_archive(archive: zipfile.ZipFile, max_points: int) -> np.ndarray:
         with archive.open(member) as file:
             header = _parse_header(file.read(_HEAD_BYTES))
         found[member.removesuffix(".npy")] = member, header
-    clouds = [name for name, (_, header) in found.items() if header.is_cloud]
+    counts = {name: header.count for name, (_, header) in found.items()}
+    exact = [n for n in counts if counts[n] and found[n][1].shape[1:] == (3,)]
+    clouds = exact or [n for n in counts if counts[n] > _MAX_COLUMNS]
     named = [name for name in ("xyz", "points") if name in clouds]
     if not clouds:
         held = ", ".join(f"{name}: {header}" for name, (_, header) in found.items())
@@ -96,7 +125,7 @@ def _read_archive(archive: zipfile.ZipFile, max_points: int) -> np.ndarray:
     if not named and len(clouds) > 1:
         raise ValueError(f"several arrays could be the cloud: {', '.join(clouds)}")
     member, header = found[(named or clouds)[0]]
-    check_count(header.shape[0], max_points)
+    check_count(header.count, max_points)
     with archive.open(member) as file:
         return _parse(file.read(header.end), max_points)
 
@@ -105,14 +134,20 @@ def _parse(data: bytes, max_points: int) -> np.ndarray:
     """The cloud in an NPY file's bytes; nothing is allocated before it is known to fit.
     Whatever is wrong with them raises a ValueError."""
     header = _parse_header(data)
-    if not header.is_cloud:
+    if not header.count:
         raise ValueError(f"found {header}")
-    check_count(header.shape[0], max_points)
+    check_count(header.count, max_points)
     if header.end > len(data):
         raise ValueError("the file is truncated")
     array = np.frombuffer(data, header.dtype, math.prod(header.shape), header.start)
     array = array.reshape(header.shape, order="F" if header.is_fortran else "C")
-    return stack_columns(array.T, [header.dtype])
+    if header.dtype.names:
+        columns = [array[axis].ravel() for axis in "xyz"]
+    else:
+        columns = list(array.reshape(-1, header.shape[-1]).T)
+    if len(columns) > 3:
+        check_not_index(columns[0])
+    return stack_columns(columns, [column.dtype for column in columns])
 
 
 def _parse_header(data: bytes) -> _Header:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
-from prism_jax.io.arrays import read_npy, read_npz
+from prism_jax.io.arrays import read_kitti, read_npy, read_npz
 from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.pcd import read_pcd
@@ -23,35 +23,54 @@ READERS = {
     ".pcd": read_pcd,
     ".npy": read_npy,
     ".npz": read_npz,
-    ".xyz": read_text,
-    ".txt": read_text,
-    ".csv": read_text,
+    **dict.fromkeys((".xyz", ".txt", ".csv", ".pts", ".asc", ".xyzrgb"), read_text),
+    ".bin": read_kitti,
 }
 
 
 def read_points(
     path: StrPath, max_points: int = MAX_POINTS
 ) -> Float[np.ndarray, "N 3"]:
-    """The finite points of a cloud file, in its units and frame: PLY, PCD, NPY, NPZ,
-    XYZ, TXT or CSV by its suffix, each value as stored. A malformed file, more than
-    `max_points` points and a cloud without a finite point raise an InputError, before
-    memory is taken for what a header claims."""
-    return read_points_counted(path, max_points)[0]
+    """The finite points of a cloud file, in its units and frame: of `READERS` by its
+    suffix, each value as stored, without lost returns (`measured`). A malformed file,
+    more than `max_points` points and a cloud without a finite point raise an
+    InputError, before memory is taken for what a header claims."""
+    return read_cloud(path, max_points)[0]
 
 
-def read_points_counted(
-    path: StrPath, max_points: int = MAX_POINTS
-) -> tuple[Float[np.ndarray, "N 3"], int]:
-    """As `read_points`, with the number of points in the file, finite or not."""
+def read_cloud(
+    path: StrPath, max_points: int = MAX_POINTS, are_returns: bool = True
+) -> tuple[Float[np.ndarray, "N 3"], int, dict[str, str]]:
+    """As `read_points`, with the number of points in the file, and what is to be told,
+    a line for each kind. Points that are nobody's returns may lie at 0,0,0."""
     suffix = pathlib.Path(path).suffix.lower()
     if suffix not in READERS:
         fault = f"suffix {suffix!r} is not a point cloud format"
         raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
-    points = READERS[suffix](path, max_points)
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.any():
-        raise InputError(path, "no finite points", "check the sensor or the export")
-    return points[finite], len(points)
+    table = READERS[suffix](path, max_points)
+    points, columns = table[:, :3], table.shape[1]
+    kept, notes = measured(points, are_returns)
+    if columns > 3:
+        notes["columns"] = f"the first three of {columns} columns are x, y and z"
+    if len(kept) == 0:
+        fault = "no finite points" + " other than 0,0,0" * ("no_return" in notes)
+        raise InputError(path, fault, "check the sensor or the export")
+    return kept, len(points), notes
+
+
+def measured(
+    points: Float[np.ndarray, "N 3"], are_returns: bool = True
+) -> tuple[Float[np.ndarray, "K 3"], dict[str, str]]:
+    """Points without those that are not finite and lost returns, which many drivers
+    write as 0,0,0, and what to tell of the latter. Of any cloud the origin is at most
+    one point, which is not missed."""
+    kept, notes = np.isfinite(points).all(axis=1), {}
+    lost = (points == 0).all(axis=1)
+    if are_returns and lost.any():
+        kept &= ~lost
+        count = f"{lost.sum():,} of {len(points):,} points are at 0,0,0"
+        notes["no_return"] = f"{count} and count as no return"
+    return points[kept], notes
 
 
 def inside(

@@ -1,23 +1,31 @@
 """Cameras as JSON, and 16-bit depth images."""
 
 import io
+import json
 import math
+import re
 import sys
 import warnings
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt
+from jaxtyping import Bool, Float, Num, UInt
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError, StrPath
+from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, read_json, unsound
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
 
 _BLOCK = 4096
 """Points turned at once: a larger product would wake all cores for next to nothing."""
+
+_OTHER_NAMES = {"ppx": "cx", "ppy": "cy"}  # RealSense's
+_OTHER_NAMES |= {"image_width": "width", "image_height": "height"}  # OpenCV's
+_MATRICES = ("intrinsic_matrix", "camera_matrix", "cam_K", "K", "k")
+_DISTORTION = r"(dist\w*_?)?coef\w*|distort\w*|d|[kp][1-6]"
+_POSE = r".*(extrinsic|pose|transform|world|w2c|c2w).*"
 
 _LAYOUT = (
     'write {"width":, "height":, "fx":, "fy":, "cx":, "cy":} in pixels, and for a '
@@ -42,8 +50,10 @@ def camera_from_dict(entries: dict[str, Any]) -> Camera:
 
     `width height fx fy cx cy` are in pixels, with pixel centres at integers; `rotation`
     and `translation` take the points' frame to the camera's, by default the identity.
-    Anything missing or impossible raises a ValueError that says what.
+    The names of RealSense, Open3D, OpenCV, BOP and ROS are taken for ours. Anything
+    missing or impossible raises a ValueError that says what.
     """
+    entries = _by_our_names(entries)
     width, height = (_integer(entries, key) for key in ("width", "height"))
     fx, fy, cx, cy = (_number(entries, key) for key in ("fx", "fy", "cx", "cy"))
     if fx <= 0 or fy <= 0:
@@ -64,18 +74,56 @@ def camera_from_dict(entries: dict[str, Any]) -> Camera:
     )
 
 
-def read_camera(path: StrPath) -> Camera:
-    """The camera of a JSON file, as `camera_from_dict`; InputError if it has none."""
-    return _read_camera_entries(path)[0]
+def _by_our_names(entries: dict[str, Any]) -> dict[str, Any]:
+    """Entries of a camera with those of other tools. A matrix may be nested or flat, by
+    rows or by columns: its last row tells."""
+    inner = entries.get("intrinsic", entries.get("intrinsics"))
+    entries = (inner if isinstance(inner, dict) else {}) | entries
+    theirs = {our: entries[key] for key, our in _OTHER_NAMES.items() if key in entries}
+    entries = theirs | entries
+    for name in (name for name in _MATRICES if name in entries):
+        given = _bare(entries[name])
+        is_nested = isinstance(given, list) and isinstance((given or [0])[0], list)
+        shape = (3, 3) if is_nested else 9
+        matrix = _array({name: given}, name, np.zeros(shape)).reshape(3, 3)
+        matrix = matrix.T if matrix[2, :2].any() else matrix
+        fx, _, cx, _, fy, cy, *_ = matrix.ravel().tolist()
+        entries = {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | entries
+    return entries
+
+
+def _bare(value: Any) -> Any:
+    """A matrix as OpenCV's JSON has it, without its size."""
+    return value.get("data") if isinstance(value, dict) else value
+
+
+def read_camera(path: StrPath, tell: Tell = to_stderr) -> Camera:
+    """The camera of a JSON file, as `camera_from_dict`; InputError if it has none. What
+    the file says beside that and is not used is told."""
+    return _read_camera_entries(path, tell)[0]
 
 
 def read_depth(
     path: StrPath, camera_path: StrPath, max_points: int = MAX_POINTS
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
-    """Depth in metres, the mask of measured pixels (not 0), and the camera. The image
-    is a 16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count.
-    Whatever does not fit raises an InputError before the image is unpacked."""
-    camera, entries = _read_camera_entries(camera_path)
+    """Depth in metres, 0 where nothing was measured, the mask of measured pixels, and
+    the camera; see `read_counts` and `measured_depth`."""
+    given = path, camera_path, max_points
+    counts, scale, camera = read_counts(*given, tell=lambda _: None)
+    depth = measured_depth(counts, scale)[0]
+    return depth, depth > 0, camera
+
+
+def read_counts(
+    path: StrPath,
+    camera_path: StrPath,
+    max_points: int = MAX_POINTS,
+    tell: Tell = to_stderr,
+) -> tuple[UInt[np.ndarray, "H W"], float, Camera]:
+    """The pixels of a depth image, metres a count, and the camera. The image is a
+    16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count. Whatever
+    does not fit raises an InputError before the image is unpacked."""
+    camera, entries = _read_camera_entries(camera_path, tell)
     try:
         scale = _number(entries, "depth_scale")
         if scale <= 0:
@@ -83,8 +131,24 @@ def read_depth(
     except ValueError as error:
         remedy = 'add "depth_scale": metres per count, as 0.001'
         raise InputError(camera_path, str(error), remedy) from None
-    counts = read_grey(path, camera, 16, max_points)
-    return counts * scale, counts > 0, camera
+    return read_grey(path, camera, 16, max_points), scale, camera
+
+
+def measured_depth(
+    pixels: Num[np.ndarray, "H W"], scale: float
+) -> tuple[Float[np.ndarray, "H W"], int, dict[str, str]]:
+    """Depth in units of `scale`, 0 where there was no return. That is a pixel of 0, and
+    an odd one: negative, not finite, or the largest value of an integer type, which
+    many sensors write for a lost return. Also how many are odd, and what to tell of
+    them; NaN is too common for that."""
+    odd, what = ~np.isfinite(pixels) | (pixels < 0), "infinite or negative depth"
+    if pixels.dtype.kind == "u":
+        odd, what = pixels == np.iinfo(pixels.dtype).max, "the largest value"
+    notes, count = {}, int((odd & ~np.isnan(pixels)).sum())
+    if count:
+        notes["no_return"] = f"{count:,} pixels of {what} count as no return"
+    depth = np.where(odd, pixels.dtype.type(0), pixels) * scale
+    return depth, int(odd.sum()), notes
 
 
 def points_from_depth(
@@ -105,12 +169,19 @@ def points_from_depth(
     return points
 
 
-def _read_camera_entries(path: StrPath) -> tuple[Camera, dict[str, Any]]:
+def _read_camera_entries(path: StrPath, tell: Tell) -> tuple[Camera, dict[str, Any]]:
     entries = read_json(path, _LAYOUT)
     try:
-        return camera_from_dict(entries), entries
+        camera = camera_from_dict(entries)
     except ValueError as error:
         raise unsound(path, "a valid camera", error, _LAYOUT) from None
+    for key, value in entries.items():
+        is_some = re.search("[1-9]", json.dumps(_bare(value))) is not None
+        if is_some and re.fullmatch(_DISTORTION, key.lower()):
+            tell(f"{path}: {key} is lens distortion, which is not undone")
+        if re.fullmatch(_POSE, key.lower()):
+            tell(f"{path}: {key} is not used; a pose is rotation and translation")
+    return camera, entries
 
 
 def read_grey(

@@ -2,10 +2,17 @@
 
 import importlib
 import os
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable
 from typing import Any
 
 StrPath = str | os.PathLike
+Tell = Callable[[str], None]  # takes one line for the user
+
+
+def to_stderr(line: str) -> None:
+    """Tells the user one line."""
+    print(line, file=sys.stderr, flush=True)
 
 
 class InputError(ValueError):

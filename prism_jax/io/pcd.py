@@ -5,7 +5,6 @@ reads it too, but not files of versions before 0.7 or without COUNT, and it trus
 header's sizes.
 """
 
-import io
 import struct
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -23,7 +22,7 @@ from prism_jax.io.files import (
     read_bytes,
     unsound,
 )
-from prism_jax.io.text import parse_rows
+from prism_jax.io.text import body_lines, header_lines, parse_rows
 
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 _LZF_MAX_RATIO = 100  # LZF's longest match is 264 bytes in a token of three
@@ -60,11 +59,26 @@ class _Header(NamedTuple):
 def read_pcd(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """Positions as stored: float32 where x, y and z are, else float64.
 
-    Rows that are not finite, as where an organised cloud saw nothing, are kept;
-    VIEWPOINT is not applied. A malformed or cut file and one of more than `max_points`
-    points raise an InputError.
+    Rows that are not finite, as where an organised cloud saw nothing, are kept; for
+    VIEWPOINT see `read_viewpoint`. A malformed or cut file and one of more than
+    `max_points` points raise an InputError.
     """
     return stack_columns(*_read(path, "xyz", max_points))
+
+
+def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
+    """Where VIEWPOINT says that the sensor stood; None where it says nothing, or the
+    origin, as writers do that do not know."""
+    lines, _ = header_lines(read_bytes(path), "DATA", 2**16)
+    try:
+        eye = np.array(
+            [line[1:4] for line in lines if line[:1] == ["VIEWPOINT"]], float
+        )
+    except ValueError:
+        return None
+    return (
+        eye[0] if eye.shape == (1, 3) and np.isfinite(eye).all() and eye.any() else None
+    )
 
 
 def read_pcd_field(
@@ -93,16 +107,8 @@ def _read(
 
 def _parse_header(data: bytes) -> tuple[_Header, int]:
     """The header, and where the points start."""
-    entries: dict[str, list[str]] = {}
-    start = 0
-    while "DATA" not in entries:
-        end = data.find(b"\n", start, 2**16)
-        if end < 0:
-            raise ValueError("no DATA line in the header")
-        words = data[start:end].decode("latin-1").split()
-        start = end + 1
-        if words and not words[0].startswith("#"):
-            entries[words[0].upper()] = words[1:]
+    lines, start = header_lines(data, "DATA", 2**16)
+    entries = {words[0].upper(): words[1:] for words in lines if words}
     mode = " ".join(entries["DATA"]).lower()
     if mode not in _READERS:
         raise ValueError(f"DATA mode {mode!r} is unknown")
@@ -119,11 +125,12 @@ def _fields(entries: dict[str, list[str]]) -> list[_Field]:
         raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
     fields = []
     for name, size, kind, count in zip(names, sizes, types, counts, strict=True):
-        if int(size) not in _SIZES.get(kind, ()):
-            raise ValueError(f"field {name!r} has an unknown type")
         if not 0 <= int(count) <= _MAX_COUNT:
             raise ValueError(f"field {name!r} has an invalid count")
-        dtype = np.dtype(f"<{kind.lower()}{int(size)}")
+        known = int(size) in _SIZES.get(kind.upper(), ())
+        if not known and (name.lower() in "xyz" or int(size) < 0):
+            raise ValueError(f"field {name!r} has an unknown type")
+        dtype = np.dtype(f"<{kind.lower() if known else 'V'}{int(size)}")
         fields.append(_Field(name.lower(), dtype, int(count)))
     return fields
 
@@ -147,9 +154,8 @@ def _read_ascii(
     if header.num_points > len(body):
         raise ValueError(_SHORT)
     firsts = np.cumsum([0, *(field.count for field in header.fields)]).tolist()
-    lines = (line for line in io.BytesIO(body) if not line.isspace())
     columns = [firsts[index] for index in indices]
-    return list(parse_rows(lines, columns, header.num_points).T)
+    return list(parse_rows(body_lines(body), columns, header.num_points).T)
 
 
 def _read_binary(

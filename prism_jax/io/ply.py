@@ -3,7 +3,6 @@
 The format is Greg Turk's, "The PLY Polygon File Format" (1994).
 """
 
-import io
 import itertools
 import struct
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from prism_jax.io import atomic
 from prism_jax.io.arrays import stack_columns
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
-from prism_jax.io.text import parse_rows
+from prism_jax.io.text import body_lines, header_lines, parse_rows
 
 OBSERVED, COMPLETED, KNOWN = 0, 1, 2
 """Values of the `label` property; a known robot's surface is `KNOWN`."""
@@ -31,7 +30,8 @@ _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"}
 _NAMES |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 _TYPES = {name: code for code, name in _NAMES.items()}
-_TYPES |= {np.dtype(code).name: code for code in _NAMES}
+_TYPES |= {np.dtype(code).name: code for code in (*_NAMES, "i8", "u8")}
+_TYPES |= {"bool": "u1", "long": "i8", "ulong": "u8"}
 _AXES = ("x", "y", "z")
 _MAX_HEADER_BYTES = 2**18
 _SHORT = "the file is truncated"
@@ -49,23 +49,20 @@ def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
     try:
         layout, elements, start = _parse_header(data)
         before = list(itertools.takewhile(lambda e: e.name != "vertex", elements))
-        count, row = _vertex_row(elements)
-        check_count(count, max_points)
+        vertex, places = _vertices(elements)
+        check_count(vertex.count, max_points)
         check_count(sum(e.count for e in before), max_points, "rows before vertices")
         if layout == "ascii":
-            lines = (line for line in io.BytesIO(data[start:]) if not line.isspace())
             skipped = sum(element.count for element in before if element.properties)
-            lines = itertools.islice(lines, skipped, None)
-            places = [list(row.names or ()).index(axis) for axis in _AXES]
-            columns = parse_rows(lines, places, count).T
+            lines = itertools.islice(body_lines(data[start:]), skipped, None)
+            if vertex.has_lists:
+                lines = (_without_lists(line, vertex) for line in lines)
+            columns = parse_rows(lines, places, vertex.count).T
         else:
             for element in before:
                 start = _skip(data, start, element)
-            if start + count * row.itemsize > len(data):
-                raise ValueError(_SHORT)
-            rows = np.frombuffer(data, row, count, start)
-            columns = [rows[axis] for axis in _AXES]
-        return stack_columns(columns, [row[axis] for axis in _AXES])
+            columns = _columns(data, start, vertex, places)
+        return stack_columns(columns, [vertex.properties[i].value for i in places])
     except ValueError as error:
         raise unsound(path, "a valid PLY file", error, _REMEDY) from None
 
@@ -146,21 +143,19 @@ class _Element(NamedTuple):
     count: int
     properties: list[_Property]
 
+    @property
+    def has_lists(self) -> bool:
+        return any(prop.length is not None for prop in self.properties)
+
 
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
     """The format, the elements in the file's order, and where the body starts."""
     if not data.startswith(b"ply"):
         raise ValueError("does not start with 'ply'")
-    layout, elements, start = "", [], 0
-    while True:
-        end = data.find(b"\n", start, _MAX_HEADER_BYTES)
-        if end < 0:
-            raise ValueError("header without end")
-        words = data[start:end].decode("latin-1").split()
-        start = end + 1
+    layout, elements = "", []
+    lines, start = header_lines(data, "end_header", _MAX_HEADER_BYTES)
+    for words in lines:
         match words:
-            case ["end_header"]:
-                break
             case ["format", name, *_] if name in _FORMATS:
                 layout = name
             case ["element", name, count] if count.isdecimal():
@@ -178,28 +173,57 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
 
 
 def _dtype(name: str, layout: str) -> np.dtype:
-    if name not in _TYPES:
+    if name not in _TYPES and layout != "ascii":
         raise ValueError(f"unknown type {name!r} in the header")
-    return np.dtype(_FORMATS.get(layout, "=") + _TYPES[name])
+    return np.dtype(_FORMATS.get(layout, "=") + _TYPES.get(name, "f8"))
 
 
-def _vertex_row(elements: list[_Element]) -> tuple[int, np.dtype]:
-    """How many vertices there are, and what is stored for one."""
+def _vertices(elements: list[_Element]) -> tuple[_Element, list[int]]:
+    """The vertices, and which of their properties are x, y and z."""
     vertex = next((e for e in elements if e.name == "vertex"), None)
     if vertex is None or vertex.count == 0:
         raise ValueError("no vertices")
     names = [prop.name for prop in vertex.properties]
     if any(names.count(axis) != 1 for axis in _AXES):
         raise ValueError(f"vertices have {', '.join(names) or 'nothing'}, not x y z")
-    if len(set(names)) < len(names):
-        raise ValueError("duplicate vertex property")
-    if any(prop.length is not None for prop in vertex.properties):
-        raise ValueError("vertices have list properties")
-    return vertex.count, np.dtype([(p.name, p.value) for p in vertex.properties])
+    places = [names.index(axis) for axis in _AXES]
+    if any(vertex.properties[place].length is not None for place in places):
+        raise ValueError("x, y or z is a list")
+    return vertex, places
 
 
-def _skip(data: bytes, start: int, element: _Element) -> int:
-    """Where the rows of a binary element end. Its lists are of any length."""
+def _without_lists(line: bytes, element: _Element) -> bytes:
+    """A row of text with one word for each property, 0 for a list."""
+    words, kept = iter(line.split()), []
+    for prop in element.properties:
+        kept.append(next(words, b""))
+        if prop.length is not None:
+            kept[-1], length = b"0", int(kept[-1])
+            _ = list(itertools.islice(words, length))
+    return b" ".join(kept)
+
+
+def _columns(
+    data: bytes, start: int, element: _Element, places: list[int]
+) -> list[np.ndarray]:
+    """Some properties of a binary element, none of them a list."""
+    if element.has_lists:
+        kept: list[bytes] = []
+        _skip(data, start, element, kept)
+        data, start = b"".join(kept), 0
+    properties = enumerate(element.properties)
+    row = np.dtype([(str(n), p.value) for n, p in properties if p.length is None])
+    if start + element.count * row.itemsize > len(data):
+        raise ValueError(_SHORT)
+    rows = np.frombuffer(data, row, element.count, start)
+    return [rows[str(place)] for place in places]
+
+
+def _skip(
+    data: bytes, start: int, element: _Element, kept: list[bytes] | None = None
+) -> int:
+    """Where the rows of a binary element end. Its lists are of any length; what is
+    stored beside them is `kept`."""
     lists, fixed = [], 0  # for each list: what leads up to its values, and their size
     for prop in element.properties:
         if prop.length is None:
@@ -209,17 +233,21 @@ def _skip(data: bytes, start: int, element: _Element) -> int:
             raise ValueError(f"length of list {prop.name!r} is not an integer")
         order = ">" if prop.length.byteorder == ">" else "<"
         head = struct.Struct(f"{order}{fixed}x{prop.length.char}")
-        lists.append((head, prop.value.itemsize))
+        lists.append((fixed, head, prop.value.itemsize))
         fixed = 0
     if not lists:
         return start + element.count * fixed
     try:
         for _ in range(element.count):
-            for head, size in lists:
+            for before, head, size in lists:
                 (length,) = head.unpack_from(data, start)
                 if length < 0:
                     raise ValueError("negative list length")
+                if kept is not None:
+                    kept.append(data[start : start + before])
                 start += head.size + length * size
+            if kept is not None:
+                kept.append(data[start : start + fixed])
             start += fixed
     except struct.error:
         raise ValueError(_SHORT) from None

@@ -8,10 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_points_counted
-from prism_jax.io.depth import points_from_depth, read_camera, read_depth
-from prism_jax.io.errors import InputError, StrPath
+from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_cloud
+from prism_jax.io.depth import (
+    measured_depth,
+    points_from_depth,
+    read_camera,
+    read_counts,
+)
+from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS
+from prism_jax.io.pcd import read_viewpoint
 
 CAMERA_FRAME_DEGREES = 10.0
 
@@ -30,13 +36,15 @@ class Scan:
 
     points: Float[np.ndarray, "N 3"]
     camera: Camera | None
-    num_not_finite: int
+    num_not_finite: int  # or lost returns: points at 0,0,0, pixels of the largest value
     num_outside: int
     # Whether they are a depth image's, in its camera's own axes (x right, y down, z
     # forward) or in axes turned by less than `CAMERA_FRAME_DEGREES`.
     in_camera_frame: bool = False
     # The finite points outside the bounds; None without bounds.
     around: Float[np.ndarray, "R 3"] | None = None
+    # Where the file of a cloud says that its sensor stood, if there is no camera.
+    eye: Float[np.ndarray, "3"] | None = None
 
 
 def read_scan(
@@ -44,36 +52,53 @@ def read_scan(
     camera_path: StrPath | None = None,
     bounds: Bounds | None = None,
     max_points: int = MAX_POINTS,
+    tell: Tell = to_stderr,
 ) -> Scan:
     """A scan ready to be completed; an InputError says why there is none.
 
     A `.png` is a depth image; its camera is `camera_path`, or the `.json` of the same
     name beside it, and the points are in the frame that the camera's pose refers to.
-    For any other file see `read_points`. Points outside `bounds` are kept apart.
+    For any other file see `read_points`. Points outside `bounds` are kept apart. `tell`
+    gets a line for each kind of oddity.
     """
-    in_camera_frame = False
+    in_camera_frame, eye, subject = False, None, path
     if pathlib.Path(path).suffix.lower() == ".png":
         beside = pathlib.Path(path).with_suffix(".json")
         if not camera_path and not beside.exists():
             remedy = f"set --camera, or add {beside.name} next to the image"
             raise InputError(path, "depth image without a camera", remedy)
         camera_path = camera_path or beside
-        depth, mask, camera = read_depth(path, camera_path, max_points)
-        if not mask.any():
+        counts, scale, camera = read_counts(path, camera_path, max_points, tell)
+        depth, num_odd, notes = measured_depth(counts, scale)
+        if not depth.any():
             raise InputError(path, "no valid depth pixels", "check the sensor")
-        points = points_from_depth(depth, mask, camera)
+        points = points_from_depth(depth, depth > 0, camera)
         in_camera_frame = in_own_axes(camera)
-        num_read = len(points)
+        num_read = len(points) + num_odd
+        if scale >= 1 and depth.max() > 1000:
+            cause = f"depth_scale {scale:g}, where 0.001 means millimetres"
+            subject = f"{camera_path}: {cause}"  # of whatever is wrong
+            notes["scale"] = f"depths are up to {depth.max():,.0f} by {cause}"
     else:
-        camera = read_camera(camera_path) if camera_path else None
-        points, num_read = read_points_counted(path, max_points)
+        camera = read_camera(camera_path, tell) if camera_path else None
+        points, num_read, notes = read_cloud(path, max_points)
+        if camera is None and pathlib.Path(path).suffix.lower() == ".pcd":
+            eye = read_viewpoint(path)
+    for line in notes.values():
+        tell(f"{path}: {line}")
     num_finite = len(points)
     points, around = parted(points, bounds, path)
-    check_cloud(points, path)
+    check_cloud(points, subject)
     if camera is not None:
         check_in_view(points, camera, path)
     not_finite, outside = num_read - num_finite, num_finite - len(points)
-    return Scan(points, camera, not_finite, outside, in_camera_frame, around)
+    return Scan(points, camera, not_finite, outside, in_camera_frame, around, eye)
+
+
+def standing_at(eye: Float[np.ndarray, "3"]) -> Camera:
+    """A camera that says no more than where it stands; its up is z."""
+    rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return Camera(rotation, -rotation @ eye, np.eye(3), 1, 1)
 
 
 def crop(

@@ -1,43 +1,118 @@
-"""Point clouds as lines of numbers: XYZ, TXT and CSV."""
+"""Point clouds as lines of numbers: XYZ, TXT, CSV and their like."""
 
 import io
-import itertools
+import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from prism_jax.io.arrays import check_not_index
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
 
-_REMEDY = "write one point per line as 'x y z' or 'x,y,z'"
+_REMEDY = "write one point per line as 'x y z', or name the columns in the first line"
+_FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#([qs]nan|ind|inf)\w*)", re.IGNORECASE)
+"""NaN and infinity as some C libraries write them: -nan(ind), 1.#QNAN, 1.#INF."""
+
+_DECIMAL_COMMAS = r"\s*([-+]?\d+,\d+\s+){2}[-+]?\d+,\d"  # with blanks between them
+_HEADER = r"\W*(?!(nan|inf)\b)[^\W\d_]"  # begins with a letter
+_NAMES = ("%s%.0s", r"%s\d%.0s", r".*(?:xyz|points?)\W%.0s%d")
+"""How columns are named x, y and z, by the letter or the number, in this order."""
 
 
 def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
-    """Positions, float64, from lines of numbers with commas, semicolons, tabs or blanks
-    between them; blank lines and those that start with '#' or '//' are skipped.
+    """Positions, float64, from lines of numbers with semicolons, tabs, commas or blanks
+    between them; blank lines and those that start with '#', '//' or '%' are skipped, as
+    is a first line with the number of points. Commas within numbers are decimal.
 
     Columns are named by a first line of words, or by a comment before the first point
-    with as many words as there are columns, if x, y and z are among the words;
-    otherwise the first three are taken. Lines of different widths, a header of other
-    columns, and more than `max_points` lines raise an InputError.
+    with as many words as there are columns, if x, y and z are among the words, also as
+    in `X [m]`, `x1` and `Points:0`; otherwise the first three are taken, unless the
+    first counts the lines. Lines of different widths, a header of other columns, and
+    more than `max_points` lines raise an InputError.
     """
-    data = read_bytes(path)
+    data = plain_numbers(read_bytes(path))
     try:
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
-        text = io.StringIO(data.decode("utf-8-sig"), newline=None)
-        lines = [line for line in map(str.rstrip, text) if line]
-        rows = [line for line in lines if not _is_comment(line)]
-        if not rows:
-            raise ValueError("no points")
-        delimiter = next((mark for mark in ",;\t" if mark in rows[0]), None)
-        before = list(itertools.takewhile(_is_comment, lines))
-        columns, has_header = _columns(before, rows, delimiter)
-        points = itertools.islice(rows, int(has_header), None)
-        return parse_rows(points, columns, delimiter=delimiter)
+        text = io.StringIO(_decoded(data), newline=None)
+        return _read(list(map(str.rstrip, text)))
     except ValueError as error:
         raise unsound(path, "a valid table of points", error, _REMEDY) from None
+
+
+def _decoded(data: bytes) -> str:
+    """As UTF-8, with a mark also as UTF-16, or else in Latin letters."""
+    try:
+        is_wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+        return data.decode("utf-16" if is_wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
+    """The points; a ValueError says which line is wrong."""
+    places = [n for n, line in enumerate(lines) if line and not _is_comment(line)]
+    if not places:
+        raise ValueError("no points")
+    comments, rows = lines[: places[0]], [lines[n] for n in places]
+    if rows[0].isdecimal() and len(rows) > 1:
+        if int(rows[0]) != len(rows) - 1:
+            raise ValueError(f"{rows[0]} points announced, {len(rows) - 1} found")
+        del rows[0], places[0]
+    some = rows[len(rows) // 2]
+    delimiter = next((mark for mark in ";\t" if mark in some), None)
+    if delimiter or re.match(_DECIMAL_COMMAS, some):
+        rows = [row.replace(",", ".") for row in rows]
+    elif "," in some:
+        delimiter = ","
+    first = int(re.match(_HEADER, rows[0].lower()) is not None)
+    widths = [len(row.split(delimiter)) for row in rows[first:]] or [3]
+    for place, width in zip(places[first:], widths, strict=False):
+        if width != (needed := max(widths[0], 3)):
+            raise ValueError(f"line {place + 1} has {width} columns, not {needed}")
+    columns = _named([*comments, *rows[:first]], delimiter, widths[0])
+    named = len(rows[0].split(delimiter)) if first and not columns else 0
+    if named > 2 and (named, widths[0]) != (3, 3):
+        raise ValueError(f"{rows[0]!r} names no x, y, z of {widths[0]} columns")
+    try:
+        points = parse_rows(rows[first:], columns or [0, 1, 2], None, delimiter)
+    except ValueError as error:
+        row, fault = re.search(r" at row (\d+)", str(error)), str(error)
+        if row:
+            fault = fault.replace(row[0], f" in line {places[int(row[1]) + first] + 1}")
+        raise ValueError(fault[:200].rstrip(".")) from None
+    if not columns:
+        check_not_index(points[:, 0])
+    return points
+
+
+def plain_numbers(data: bytes) -> bytes:
+    """Lines of numbers in which all that is not finite is "nan" or "inf"."""
+    return _FOREIGN.sub(b"nan", data) if b"#" in data or b"(" in data else data
+
+
+def body_lines(data: bytes) -> Iterator[bytes]:
+    """Lines of numbers that are not blank, also where each ends in a lone CR."""
+    body = io.BytesIO(plain_numbers(data.replace(b"\r", b"\n")))
+    return (line for line in body if not line.isspace())
+
+
+def header_lines(data: bytes, last: str, most: int) -> tuple[list[list[str]], int]:
+    """The words of each line up to the one that `last` begins, and where the body
+    starts; ValueError if that is not within `most` bytes. Lines end as the first one
+    does, in LF, CR LF or a lone CR."""
+    first = re.search(b"\r\n?|\n", data[:most])
+    mark = b"\r" if first and first.group() == b"\r" else b"\n"
+    lines, start = [[""]], 0
+    while not lines[-1] or lines[-1][0].upper() != last.upper():
+        end = data.find(mark, start, most)
+        if end < 0:
+            raise ValueError(f"no {last} line in the header")
+        lines.append(data[start:end].decode("latin-1").split())
+        start = end + 1
+    return lines[1:], start
 
 
 def parse_rows(
@@ -65,37 +140,17 @@ def parse_rows(
 
 
 def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith(("#", "//"))
+    return line.lstrip().startswith(("#", "//", "%"))
 
 
-def _columns(
-    comments: Sequence[str], rows: Sequence[str], delimiter: str | None
-) -> tuple[list[int], bool]:
-    """Which columns are x, y, z, and whether the first line that is no comment is a
-    header."""
-
-    def names(line: str) -> list[str]:
-        return [word.strip(" \"'\t").lower() for word in line.split(delimiter)]
-
-    words = names(rows[0])
-    try:
-        _ = [float(word) for word in words[:3]]
-        has_header = False
-    except ValueError:
-        has_header = True
-    widths = {len(row.split(delimiter)) for row in rows[int(has_header) :]}
-    if len(widths) > 1:
-        raise ValueError(f"lines have {min(widths)} to {max(widths)} columns")
-    headers = [names(line.lstrip().lstrip("#/")) for line in comments]
-    headers = [header for header in headers if {len(header)} == widths]
-    if has_header:
-        headers.append(words)
-    for header in reversed(headers):
-        if all(axis in header for axis in "xyz"):
-            if widths and {len(header)} != widths:
-                fault = f"header names {len(header)} columns, lines have {widths.pop()}"
-                raise ValueError(fault)
-            return [header.index(axis) for axis in "xyz"], has_header
-    if has_header and len(words) > 3:
-        raise ValueError(f"columns {', '.join(words)} are not named x, y and z")
-    return [0, 1, 2], has_header
+def _named(headers: Sequence[str], delimiter: str | None, width: int) -> list[int]:
+    """Which of so many columns the last header that names as many calls x, y and z."""
+    for line in reversed(headers):
+        line = re.sub(r"\[[^][]*\]|\([^()]*\)", "", line).lstrip().lstrip("#/%")
+        names = [word.strip(" \"'\t").lower() for word in line.split(delimiter)]
+        for form in _NAMES if len(names) == width else ():
+            wanted = [form % axis for axis in (("x", 0), ("y", 1), ("z", 2))]
+            found = [[bool(re.fullmatch(w, name)) for name in names] for w in wanted]
+            if all(map(any, found)):
+                return [matches.index(True) for matches in found]
+    return []

@@ -111,6 +111,7 @@ def test_every_flag_reaches_the_completion(monkeypatch):
     expected = {
         "ground_truth": "b.ply",
         "camera": "c.json",
+        "eye": "1,2,3",
         "workspace": "-1,-1,-1,1,1,1",
         "max_points": 1000,
         "up": "-y",

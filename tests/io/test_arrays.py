@@ -33,6 +33,21 @@ def test_archive(tmp_path, save):
     np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS + 1)
 
 
+@pytest.mark.parametrize("name", ["a.npy", "a.npz"])
+def test_shapes_and_fields_that_hold_positions(tmp_path, name):
+    read = {"a.npy": read_npy, "a.npz": read_npz}[name]
+    fields = [("i", "u2"), ("z", "<f4"), ("x", "<f4"), ("y", ">f4")]
+    table = np.zeros((10, 5), fields)
+    for axis, column in zip("xyz", POINTS.T, strict=True):
+        table[axis] = column.reshape(10, 5)
+    image = POINTS.reshape(10, 5, 3)
+    for array in (image, np.asfortranarray(image), table, table.ravel()):
+        (np.save if name == "a.npy" else np.savez)(tmp_path / name, array)
+        points = read(tmp_path / name)
+        np.testing.assert_array_equal(points, POINTS.astype(points.dtype))
+        assert points.dtype == (np.float32 if array.dtype.names else np.float64)
+
+
 def npy(array) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array)
@@ -61,7 +76,7 @@ FAULTS = [
     (claim("(" * 3000), "header"),
     (claim("(-5, 3)"), "shape"),
     (npy(POINTS[:0]), r"shape \(0, 3\)"),
-    (npy(POINTS[None]), r"shape \(1, 50, 3\)"),
+    (npy(POINTS.T), r"shape \(3, 50\)"),
     (npy(POINTS.astype(complex)), "complex128"),
     (npy(POINTS.astype("U5")), "type <U5"),
     (npy(np.array([[Bomb()] * 3], dtype=object)), "object"),

@@ -9,15 +9,38 @@ from prism_jax.io import InputError, check_cloud, check_in_view, clouds, read_po
 POINTS = np.random.default_rng(0).normal(size=(80, 3)).astype(np.float32)
 
 
-def test_points_that_are_not_finite_go(tmp_path):
+def test_points_that_are_not_finite_and_lost_returns_go(tmp_path):
     points = POINTS.copy()
-    points[3, 1], points[10] = np.nan, np.inf
+    points[3, 1], points[10], points[20:60] = np.nan, np.inf, [0.0, -0.0, 0.0]
     np.save(tmp_path / "scan.npy", points)
     (tmp_path / "scan.npy").rename(tmp_path / "scan.NPY")
-    read, num_read = clouds.read_points_counted(tmp_path / "scan.NPY")
-    np.testing.assert_array_equal(read, points[np.isfinite(points).all(axis=1)])
+    read, num_read, notes = clouds.read_cloud(tmp_path / "scan.NPY")
+    wanted = np.delete(POINTS, [3, 10, *range(20, 60)], axis=0)
+    np.testing.assert_array_equal(read, wanted)
     np.testing.assert_array_equal(read_points(str(tmp_path / "scan.NPY")), read)
     assert num_read == 80
+    assert notes == {"no_return": "40 of 80 points are at 0,0,0 and count as no return"}
+    # What nobody measured may lie there.
+    assert len(clouds.read_cloud(tmp_path / "scan.NPY", are_returns=False)[0]) == 78
+
+
+def test_more_columns_are_told_and_a_column_that_counts_is_asked_for(tmp_path):
+    table = np.concatenate([POINTS, np.ones((80, 1), np.float32)], axis=1)
+    table.tofile(tmp_path / "a.bin")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.bin"), POINTS)
+    for array in (table, table.reshape(8, 10, 4)):
+        np.save(tmp_path / "a.npy", array)
+        points, num_read, notes = clouds.read_cloud(tmp_path / "a.npy")
+        np.testing.assert_array_equal(points, POINTS)
+        assert num_read == 80
+        assert notes == {"columns": "the first three of 4 columns are x, y and z"}
+    table[:, 0] = np.arange(80)
+    np.save(tmp_path / "a.npy", table)
+    with pytest.raises(InputError, match="counts the rows: which are x, y and z"):
+        read_points(tmp_path / "a.npy")
+    POINTS.tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match="no reflectance"):
+        read_points(tmp_path / "a.bin")
 
 
 def test_unknown_suffix_names_those_that_are_known_and_some_point_is_finite(tmp_path):
@@ -25,7 +48,10 @@ def test_unknown_suffix_names_those_that_are_known_and_some_point_is_finite(tmp_
         with pytest.raises(InputError, match=r"\.ply \.pcd \.npy \.npz \.xyz"):
             read_points(tmp_path / name)
     np.save(tmp_path / "a.npy", np.full((80, 3), np.nan))
-    with pytest.raises(InputError, match="no finite points"):
+    with pytest.raises(InputError, match="no finite points;"):
+        read_points(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", np.zeros((80, 3)))
+    with pytest.raises(InputError, match="no finite points other than 0,0,0"):
         read_points(tmp_path / "a.npy")
 
 

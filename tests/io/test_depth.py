@@ -48,7 +48,32 @@ def test_pose_is_the_identity_unless_given(tmp_path):
     np.testing.assert_array_equal(camera.intrinsics, expected)
 
 
+PLAIN = {"width": 8, "height": 6}
+ROWS = [[10.0, 0, 3.5], [0, 11.0, 2.5], [0, 0, 1]]
+FLAT, COLUMNS = np.ravel(ROWS).tolist(), np.ravel(ROWS, "F").tolist()
+THEIRS = [
+    PLAIN | {"fx": 10.0, "fy": 11.0, "ppx": 3.5, "ppy": 2.5},
+    PLAIN | {"intrinsic_matrix": COLUMNS},
+    {"intrinsic": PLAIN | {"intrinsic_matrix": COLUMNS}},
+    {"image_width": 8, "image_height": 6, "camera_matrix": {"data": FLAT}},
+    PLAIN | {"camera_matrix": ROWS},
+    PLAIN | {"cam_K": FLAT},
+]
+
+
+def test_names_of_other_tools_and_what_is_not_used_is_told(tmp_path, capsys):
+    wanted = camera_to_dict(camera_from_dict(PINHOLE))
+    odd = {"coeffs": [0, 0.1], "D": {"rows": 1, "data": [0, 0]}, "extrinsic": ROWS}
+    for entries in THEIRS:
+        camera = read_camera(write(tmp_path / "c.json", entries | odd))
+        assert camera_to_dict(camera) == wanted
+        lens, pose = capsys.readouterr().err.splitlines()
+        assert lens.endswith("c.json: coeffs is lens distortion, which is not undone")
+        assert "extrinsic is not used" in pose
+
+
 FAULTS = [
+    ({"cam_K": [1, 2, 3]}, "cam_K must be 9"),
     ({"width": None}, "width is missing"),
     ({"width": 0}, "an integer"),
     ({"height": 2.5}, "an integer"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prism_jax.io import InputError
-from prism_jax.io.pcd import read_pcd, read_pcd_field
+from prism_jax.io.pcd import read_pcd, read_pcd_field, read_viewpoint
 
 POINTS = np.random.default_rng(0).normal(size=(6, 3)).astype(np.float32)
 ROW = np.dtype(
@@ -71,6 +71,32 @@ def test_fields_in_any_order_type_and_count(tmp_path, mode):
     for name in ("colour", "_"):
         with pytest.raises(InputError, match=f"not {name}"):
             read_pcd_field(path, name)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_small_letters_lone_crs_odd_types_and_spellings(tmp_path, mode):
+    points, header = POINTS.copy(), replaced("U U F F F", "u X f f f")
+    points[:3, 0] = np.nan
+    data = body(mode, points)
+    if mode == "ascii":
+        for spelling in (b"-1.#IND", b"1.#QNAN", b"-nan(ind)"):
+            data = data.replace(b" nan", b" " + spelling, 1)
+    header = header.replace("\n", "\r")
+    np.testing.assert_array_equal(read_pcd(pcd(tmp_path, mode, data, header)), points)
+
+
+def test_where_the_sensor_stood(tmp_path):
+    eye = read_viewpoint(pcd(tmp_path, "binary"))
+    assert eye is not None and eye.tolist() == [1, 2, 3]
+    for said in (
+        "0 0 0 1 0 0 0",
+        "-0.0 0 0 0.5 0 0 0.8",
+        "nan 0 0 1 0 0 0",
+        "",
+        "1 a 3",
+    ):
+        header = replaced("VIEWPOINT 1 2 3 1 0 0 0", f"VIEWPOINT {said}")
+        assert read_viewpoint(pcd(tmp_path, "binary", header=header)) is None
 
 
 def test_old_version_without_count_and_double_coordinates(tmp_path):

@@ -61,6 +61,26 @@ def test_keeps_points_that_are_not_finite(tmp_path):
     np.testing.assert_array_equal(read_ply(path), expected)
 
 
+def test_no_other_field_spoils_the_positions(tmp_path):
+    """Lists, odd types, names twice, NaN as C libraries write it, and lone CRs."""
+    odd = "property list uint float64 d\nproperty bool b\nproperty int64 i\n"
+    header = f"element vertex 2\n{odd}property float x\nproperty float y\n"
+    header += "property list uchar short e\nproperty float z\nproperty ulong i\n"
+    expected, body = np.array([[1, 2, 3], [4, np.nan, 6]], np.float32), b""
+    for count, (x, y, z) in enumerate(expected):
+        body += struct.pack(f"<I{count}d?qff", count, *[0.5] * count, True, -1, x, y)
+        body += struct.pack("<BhfQ", 1, 7, z, 2**63)
+    np.testing.assert_array_equal(
+        read_ply(ply(tmp_path, BINARY, header, body)), expected
+    )
+    text = b"0 1 -1 1 2 1 7 3 9\n1 0.5 1 -1 4 -nan(ind) 1 7 6 9\n"
+    header = header.replace("ulong", "quad")
+    path = ply(tmp_path, "ascii", header, text)
+    np.testing.assert_array_equal(read_ply(path), expected)
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r"))
+    np.testing.assert_array_equal(read_ply(path), expected)
+
+
 BINARY = "binary_little_endian"
 VERTEX = f"element vertex 1\n{XYZ}"
 GRID = "element grid 1\nproperty list {} int b\n"
@@ -70,7 +90,8 @@ FAULTS = [
     ("no vertices", BINARY, f"element vertex 0\n{XYZ}", b""),
     ("not x y z", BINARY, "element vertex 1\nproperty float x\n", bytes(4)),
     ("x, y, z, x, not x y z", BINARY, VERTEX + "property float x\n", bytes(16)),
-    ("list properties", BINARY, VERTEX + "property list int int a\n", bytes(99)),
+    ("the file is truncated", BINARY, VERTEX + "property list int int a\n", bytes(13)),
+    ("x, y or z is a list", BINARY, VERTEX.replace("float z", "list int int z"), b"0"),
     ("type 'quad'", BINARY, VERTEX + "property quad a\n", bytes(99)),
     ("line 'format binary 1.0'", "binary", VERTEX, bytes(12)),
     ("the file is truncated", BINARY, VERTEX, bytes(11)),
@@ -90,8 +111,8 @@ FAULTS = [
 
 HEADERS = [
     (b"not a ply", "does not start with 'ply'"),
-    (b"ply\nformat ascii 1.0\nelement vertex 1\n", "header without end"),
-    (b"ply\n" + b"comment\n" * 2**18, "header without end"),
+    (b"ply\nformat ascii 1.0\nelement vertex 1\n", "no end_header line"),
+    (b"ply\n" + b"comment\n" * 2**18, "no end_header line"),
     (f"ply\nelement vertex 1\n{XYZ}end_header\n".encode(), "no format in the header"),
 ]
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from prism_jax.io import InputError, parse_bounds, read_scan
+from prism_jax.io import InputError, parse_bounds, read_depth, read_scan
+from prism_jax.io.scan import standing_at
+from prism_jax.io.streams.frame import Frame
 
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(300, 3)).astype(np.float32)
 CAMERA = {"width": 20, "height": 10, "fx": 9, "fy": 9, "cx": 9.5, "cy": 4.5}
@@ -79,6 +81,12 @@ def test_cloud_with_a_camera(cloud, tmp_path):
         read_scan(cloud, tmp_path / "c.json")
 
 
+def test_a_camera_that_only_stands_somewhere():
+    camera = standing_at(np.array([10.0, 5.0, 1.2]))
+    np.testing.assert_allclose(camera.position, [10, 5, 1.2])
+    np.testing.assert_allclose(-camera.rotation[1], [0, 0, 1])
+
+
 def test_depth_image_with_its_camera_beside_or_named(depth_image, tmp_path):
     scan = read_scan(depth_image)
     assert scan.points.shape == (160, 3)
@@ -93,6 +101,38 @@ def test_depth_image_with_its_camera_beside_or_named(depth_image, tmp_path):
     Image.fromarray(np.zeros((10, 20), np.uint16)).save(depth_image)
     with pytest.raises(InputError, match="no valid depth pixels"):
         read_scan(depth_image, tmp_path / "other.json")
+
+
+def test_a_depth_scale_that_is_its_inverse_is_the_fault(depth_image):
+    camera = json.dumps({**CAMERA, "depth_scale": 5000})
+    depth_image.with_suffix(".json").write_text(camera)
+    lines = []
+    with pytest.raises(InputError, match=r"scan.json: depth_scale 5000, .* extent 2"):
+        read_scan(depth_image, tell=lines.append)
+    assert "depths are up to 10,000,000 by depth_scale 5000" in lines[0]
+
+
+def test_the_largest_value_of_an_image_is_no_return(depth_image):
+    """Of PNGs as of every encoding of streams, like what is not finite or negative."""
+    whole, lines = read_scan(depth_image), []
+    counts = np.full((10, 20), 2000, np.uint16)
+    counts[:2] = 65535
+    Image.fromarray(counts).save(depth_image)
+    scan = read_scan(depth_image, tell=lines.append)
+    np.testing.assert_array_equal(scan.points, whole.points)
+    assert scan.num_not_finite == 40
+    assert lines == [
+        f"{depth_image}: 40 pixels of the largest value count as no return"
+    ]
+    depth, mask, camera = read_depth(depth_image, depth_image.with_suffix(".json"))
+    assert not depth[:2].any() and not mask[:2].any() and mask[2:].all()
+    metres = depth.astype(np.float32)
+    for lost in (np.inf, -np.inf, -1.0, np.nan):
+        metres[:2] = lost
+        frame = Frame.of_depth(metres, camera, 0)
+        np.testing.assert_array_equal(frame.depth, depth.astype(np.float32))
+        assert frame.num_not_finite == 40 and len(frame.points) == 160
+        assert bool(frame.notes) == (not np.isnan(lost))
 
 
 def test_real_scans(real):

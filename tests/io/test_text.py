@@ -20,16 +20,26 @@ TABLES = {
     "comment of as many words": "# by somebody of today\n1 2 3 4\n4.5 -5e-3 6 4\n",
     "tabs, with blanks in names": "Point ID\tX\tY\tZ\n9\t1\t2\t3\n9\t4.5\t-5e-3\t6\n",
     "tabs, with an empty cell": "i\tlabel\tx\ty\tz\n9\t\t1\t2\t3\n9\ta\t4.5\t-5e-3\t6",
+    "units": "t [s];X [m] ; Y (m);Z [m]\n9;1;2;3\n9;4.5;-5e-3;6\n",
+    "numbered names": "t\tx1 (m)\ty1 (m)\tz1 (m)\n9\t1\t2\t3\n9\t4.5\t-5e-3\t6\n",
+    "ParaView": '"Points_m_XYZ:1","t","Points_m_XYZ:0","Points_m_XYZ:2"\n'
+    "2,9,1,3\n-5e-3,9,4.5,6\n",
+    "count": "2\n1 2 3 9 9\n4.5 -5e-3 6 9 9\n",
+    "decimal commas": "x;y;z\n1,0;2,0;3,0\n4,5;-5,0e-3;6,0\n",
+    "decimal commas and blanks": "1,0 2,0 3,0 7\n4,5 -0,005 6,0 7\n",
+    "a comment in Latin letters": "# Ger\xe4t 3\n% m\n1 2 3\n4.5 -5e-3 6\n",
     "Windows": "\ufeffx y z\r\n1 2 3\r\n4.5 -5e-3 6\r\n",
 }
 
 
 def test_reads(tmp_path):
     for name, table in TABLES.items():
-        (tmp_path / "a.xyz").write_bytes(table.encode())
-        read = read_text(tmp_path / "a.xyz")
-        assert read.dtype == np.float64
-        np.testing.assert_array_equal(read, EXPECTED, name)
+        coding = "latin-1" if "Latin" in name else "utf-8"
+        for data in (table.encode(coding), table.encode("utf-16")):
+            (tmp_path / "a.xyz").write_bytes(data)
+            read = read_text(tmp_path / "a.xyz")
+            assert read.dtype == np.float64
+            np.testing.assert_array_equal(read, EXPECTED, name)
 
 
 def test_numbers_come_back_bit_for_bit_and_those_that_are_not_finite_stay(tmp_path):
@@ -44,15 +54,18 @@ def test_numbers_come_back_bit_for_bit_and_those_that_are_not_finite_stay(tmp_pa
 FAULTS = [
     (b"# nothing\n\n", "no points"),
     (b"x y z\n", "ends after 0"),
-    (b"row,col,x1,y1,z1\n0,0,1,2,3\n", "row, col, x1, y1, z1 are not named x, y and"),
-    (b"Scan Pos X Y Z\n1 0.1 0.2 0.3\n", "names 5 columns, lines have 4"),
-    (b"x,y,z\n1,5,2,5,3,5\n", "names 3 columns, lines have 6"),
-    (b"id x y z\n1 2 3 4\n1 2 3 4 5\n", "have 4 to 5 columns"),
+    (b"row,col,a,b,c\n0,0,1,2,3\n", "'row,col,a,b,c' names no x, y, z"),
+    (b"".join(b"%d 1 2 3\n" % n for n in range(10)), "which are x, y and z?"),
+    (b"3\n1 2 3\n4 5 6\n", "3 points announced, 2 found"),
+    (b"Scan Pos X Y Z\n1 0.1 0.2 0.3\n", "X Y Z' names no x, y, z of 4 columns"),
+    (b"x,y,z\n1,5,2,5,3,5\n", "names no x, y, z of 6 columns"),
+    (b"id x y z\n1 2 3 4\n1 2 3 4 5\n", "line 3 has 5 columns, not 4"),
     (b"1 2\n3 4\n", "column"),
-    (b"1,2,3\n1,,3\n", "row 1"),
+    (b"# a\n\nx,y,z\n1,2,3\n1,,3\n", "in line 5"),
     (b"1 2 3\n1 2 0x10\n", "0x10"),
-    ("1 2 3\n".encode("utf-16"), "utf-8"),
-    (b"1,2,3\n1;2;3\n", "have 1 to 3 columns"),
+    (b"1 2 a\n1 2 3\n", "'a' to float64 in line 1"),
+    ("1 2 3\n".encode("utf-16-le"), "line 2 has 1 columns, not 3"),
+    (b"1,2,3\n1;2;3\n", "line 1 has 1 columns, not 3"),
 ]
 
 

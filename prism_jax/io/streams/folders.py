@@ -5,11 +5,9 @@ import pathlib
 import re
 from collections.abc import Iterator
 
-import numpy as np
-
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.clouds import READERS, read_points_counted
-from prism_jax.io.depth import read_camera, read_depth
+from prism_jax.io.clouds import READERS, read_cloud
+from prism_jax.io.depth import read_camera, read_counts
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_json
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
@@ -28,6 +26,8 @@ class CloudFolder(Stream):
     """The clouds of a folder, or its depth images, by the numbers in their names. A
     depth image's camera is the JSON of the same name or `camera.json`. A file that
     cannot be read is left out and remarked. Frames count as 10 a second."""
+
+    camera_file: pathlib.Path | None = None  # in place of those, with its depth_scale
 
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
@@ -64,8 +64,20 @@ class CloudFolder(Stream):
         if path.suffix.lower() == ".png":
             own = path.with_suffix(".json")
             common = path.with_name("camera.json")
-            return _depth_frame(path, own if own.exists() else common, time)
+            beside = own if own.exists() else common
+            return self._depth_frame(path, self.camera_file or beside, time)
         return _cloud_frame(path, None, time)
+
+    def _of_camera(self, line: str) -> None:
+        self.remark("camera_file", line)
+
+    def _depth_frame(
+        self, path: pathlib.Path, camera: pathlib.Path, time: int
+    ) -> Frame:
+        is_told = camera == self.camera_file
+        tell = (lambda _: None) if is_told else self._of_camera
+        counts, scale, view = read_counts(path, camera, tell=tell)
+        return Frame.of_depth(counts, view, time, scale)
 
 
 class RecordedFrames(CloudFolder):
@@ -85,9 +97,9 @@ class RecordedFrames(CloudFolder):
         camera = path.with_name(name + _CAMERA)
         joints = path.with_name(name + _JOINTS)
         if suffix == _DEPTH:
-            frame = _depth_frame(path, camera, time)
+            frame = self._depth_frame(path, camera, time)
         else:
-            frame = _cloud_frame(path, read_camera(camera), time)
+            frame = _cloud_frame(path, read_camera(camera, self._of_camera), time)
         if self.joints is not None and joints.exists():
             frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
         return frame
@@ -114,10 +126,6 @@ def _holds(path: pathlib.Path) -> bool:
 
 
 def _cloud_frame(path: pathlib.Path, camera: Camera | None, time: int) -> Frame:
-    points, count = read_points_counted(path)
-    return Frame(points, time, camera, num_not_finite=count - len(points))
-
-
-def _depth_frame(path: pathlib.Path, camera: pathlib.Path, time: int) -> Frame:
-    depth, mask, view = read_depth(path, camera)
-    return Frame.of_depth(np.where(mask, depth, 0.0), view, time)
+    points, num_read, notes = read_cloud(path)
+    num_lost = num_read - len(points)
+    return Frame(points, time, camera, num_not_finite=num_lost, notes=notes)

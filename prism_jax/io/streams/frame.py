@@ -2,21 +2,17 @@
 
 import abc
 import dataclasses
-import functools
 import os
-import sys
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.depth import points_from_depth
-from prism_jax.io.errors import InputError, StrPath
-
-Tell = Callable[[str], None]  # takes one line for the user
+from prism_jax.io.depth import measured_depth, points_from_depth
+from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 
 LATE = 1_000_000  # nanoseconds: clocks that step back by less are not told
 
@@ -50,7 +46,9 @@ class Frame:
     camera: Camera | None = None
     # A depth image along the camera's z, 0 where there was no return, or None.
     depth: Float[np.ndarray, "H W"] | None = None
-    num_not_finite: int = 0  # points that were left out because they are not finite
+    num_not_finite: int = 0  # points that were left out: not finite, or lost returns
+    # What was odd in it, a line for each kind of remark.
+    notes: Mapping[str, str] = dataclasses.field(default_factory=dict)
     # Of a robot in it, as a `joints.json` of recordings has them, if the stream was
     # asked for them and has some.
     joints: Mapping[str, Any] | None = None
@@ -60,15 +58,17 @@ class Frame:
 
     @classmethod
     def of_depth(
-        cls, depth: Float[np.ndarray, "H W"], camera: Camera, timestamp: int
+        cls,
+        pixels: Num[np.ndarray, "H W"],
+        camera: Camera,
+        timestamp: int,
+        scale: float = 1.0,
     ) -> "Frame":
-        """The frame of a depth image in metres. What is not above 0 is no return."""
-        with np.errstate(invalid="ignore"):
-            mask = np.isfinite(depth) & (depth > 0)
-        points = points_from_depth(depth, mask, camera)
-        odd = int(np.isnan(depth).sum())
-        depth = np.where(mask, depth, 0.0).astype(depth.dtype)
-        return cls(points, timestamp, camera, depth, odd)
+        """The frame of a depth image of `scale` metres a count. Which pixels are no
+        return is up to `measured_depth`."""
+        depth, num_odd, notes = measured_depth(pixels, scale)
+        points = points_from_depth(depth, depth > 0, camera)
+        return cls(points, timestamp, camera, depth, num_odd, notes)
 
     def seen_by(self, camera: Camera) -> "Frame":
         """The same measurement by a camera that is known better. A depth image gives
@@ -80,7 +80,8 @@ class Frame:
             fault = f"{camera.width}x{camera.height} pixels, images {width}x{height}"
             raise InputError("--camera", fault, "give the camera of these images")
         seen = Frame.of_depth(self.depth, camera, self.timestamp)
-        return dataclasses.replace(seen, joints=self.joints, frame_id=self.frame_id)
+        kept = ("num_not_finite", "notes", "joints", "frame_id")
+        return dataclasses.replace(seen, **{name: getattr(self, name) for name in kept})
 
 
 class Stream(abc.ABC):
@@ -105,7 +106,7 @@ class Stream(abc.ABC):
         self.path = os.fspath(path)
         self.remarks: Counter[str] = Counter()
         self.told: dict[str, str] = {}
-        self._tell = tell or functools.partial(print, file=sys.stderr, flush=True)
+        self._tell = tell or to_stderr
 
     @abc.abstractmethod
     def __len__(self) -> int:
@@ -177,10 +178,12 @@ class Stream(abc.ABC):
 
     def _look_at(self, number: int, frame: Frame, before: Frame | None) -> None:
         if len(frame.points) == 0 and frame.num_not_finite:
-            line = f"frame {number}: none of {frame.num_not_finite:,} points are finite"
+            line = f"frame {number}: no return in {frame.num_not_finite:,} points"
             self.remark("not_finite", line)
         elif len(frame.points) == 0:
             self.remark("empty", f"frame {number} is empty")
+        for kind, line in frame.notes.items():
+            self.remark(kind, f"frame {number}: {line}")
         if before is None:
             return
         behind = before.timestamp - frame.timestamp

@@ -5,7 +5,8 @@ import re
 from collections.abc import Callable, Sequence
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError, StrPath, unreadable
+from prism_jax.io.depth import read_camera
+from prism_jax.io.errors import InputError, StrPath, to_stderr, unreadable
 from prism_jax.io.streams.bag import BagFile
 from prism_jax.io.streams.db3 import Db3File
 from prism_jax.io.streams.folders import (
@@ -25,7 +26,7 @@ MESSAGES: dict[str, Callable[[pathlib.Path], MessageFile]] = {
     ".db3": Db3File,
     ".mcap": McapFile,
 }
-Pinhole = Camera | str | None  # a camera, or the topic of its CameraInfo
+Pinhole = Camera | str | None  # a camera, its JSON file, or the topic of its CameraInfo
 OUSTER = (".pcap", ".osf")
 SUFFIXES = (*MESSAGES, *OUSTER)
 
@@ -43,7 +44,7 @@ def open_stream(
 
     If several topics have frames, `topic` chooses; an InputError lists them. A `camera`
     replaces the CameraInfo of depth images, and says where the sensor of clouds stood;
-    the name of a topic takes its CameraInfo for that of depth images.
+    it may be a JSON file's name. A topic's name takes its CameraInfo for depth images.
     `tell` gets a line for each kind of oddity, by default on stderr. Without `joints`
     frames have no joint positions.
     """
@@ -62,7 +63,10 @@ def is_stream(path: StrPath) -> bool:
 def _opened(
     path: pathlib.Path, topic: str | None, camera: Pinhole, tell: Tell | None
 ) -> Stream:
-    suffix = path.suffix.lower()
+    suffix, camera_file = path.suffix.lower(), None
+    if isinstance(camera, str) and pathlib.Path(camera).is_file():
+        camera_file = pathlib.Path(camera)
+        camera = read_camera(camera_file, tell or to_stderr)
     try:
         files = [p for p in path.iterdir() if p.suffix.lower() in MESSAGES]
     except NotADirectoryError:
@@ -85,6 +89,8 @@ def _opened(
         raise InputError("--camera", fault, "give a JSON file")
     stream = kind(path, topic, tell)
     stream.camera = camera
+    if isinstance(stream, CloudFolder):
+        stream.camera_file = camera_file
     return stream
 
 

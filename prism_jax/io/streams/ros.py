@@ -9,10 +9,11 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.arrays import stack_columns
+from prism_jax.io.clouds import measured
 from prism_jax.io.depth import camera_from_dict
 from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS, check_count
@@ -35,9 +36,8 @@ _FLOATS = {7: 4, 8: 8}  # bytes of a number, by PointField's numbers of types
 class RosStream(Stream):
     """The frames of one topic in one recording, which may be split into several files.
 
-    A cloud's points at the very origin are left out: drivers write lost returns so. The
-    CameraInfo beside a depth image gives the pinhole, or that of the topic that stands
-    for the camera; distortion is not undone. Joint positions are interpolated.
+    The CameraInfo beside a depth image gives the pinhole, or that of the topic that
+    stands for the camera; distortion is not undone. Joint positions are interpolated.
     """
 
     def __init__(
@@ -63,6 +63,10 @@ class RosStream(Stream):
         last = "/".join(self.topic.split("/")[-2:])
         self._rectified = re.search("(^|[/_])rect", last) is not None
         self._joints = self._info = None
+        # Metres a count, as RealSense's own bags have it.
+        option = re.sub("/[^/]*/image/data$", "/option/Depth_Units/value", self.topic)
+        known = option != self.topic and option in self._topics
+        self._units = option if known else None
         if self._is_depth and self.camera is None:
             self._info = self._info_topic(info)
         elif info is not None:
@@ -76,18 +80,22 @@ class RosStream(Stream):
         camera = self.camera
         if self._info is not None:
             camera = self._first_camera()
-        wanted = {name for name in (self.topic, self._info, self._joints) if name}
+        unit, topics = None, (self.topic, self._info, self._joints, self._units)
+        wanted = {name for name in topics if name}
         placed = PlacedFrames(self.joints or Joints())
         for message in self._messages(wanted):
             try:
                 content = self._read(message)
+                if message.topic == self._units:
+                    unit = float(content.data)
+                    continue
                 time = _time(content, message)
                 if message.topic == self._joints:
                     yield from placed.add_positions(_positions(content), time)
                 elif message.topic == self._info:
                     camera = self._pinhole(content, camera)
                 else:
-                    frame = _frame(content, camera, time)
+                    frame = _frame(content, camera, time, unit)
                     known = self._joints is not None
                     yield from placed.add_frame(frame) if known else [frame]
             except ValueError as error:
@@ -164,6 +172,8 @@ class RosStream(Stream):
         """The topic of the camera's intrinsics: the one asked for, or beside it."""
         topic, infos = str(self.topic), self._of_kind(INFO)
         beside = posixpath.join(posixpath.dirname(topic), "camera_info")
+        own = re.sub("/image/data$", "/info/camera_info", topic)  # RealSense's bags
+        beside = own if own in infos else beside
         found = beside if asked is None else asked
         if found in infos:
             return found
@@ -233,23 +243,25 @@ def _time(content: Any, message: Message) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
 
 
-def _frame(content: Any, camera: Camera | None, time: int) -> Frame:
-    """The frame of a cloud, or of a depth image by its camera; ValueError if it is not
-    as it says."""
+def _frame(content: Any, camera: Camera | None, time: int, unit: float | None) -> Frame:
+    """The frame of a cloud, or of a depth image by its camera, a count of integers
+    being the unit, if that is known; ValueError if it is not as it says."""
     if hasattr(content, "fields"):
         frame = _cloud(content, time)
     else:
         assert camera is not None
-        depth = _depth(content)
-        if depth.shape != (camera.height, camera.width):
-            sizes = f"{depth.shape[1]}x{depth.shape[0]}, camera is "
+        pixels, scale = _depth(content)
+        if pixels.shape != (camera.height, camera.width):
+            sizes = f"{pixels.shape[1]}x{pixels.shape[0]}, camera is "
             raise ValueError(f"image is {sizes}{camera.width}x{camera.height}")
-        frame = Frame.of_depth(depth, camera, time)
+        scale = unit or scale if pixels.dtype.kind == "u" else scale
+        frame = Frame.of_depth(pixels, camera, time, scale)
     return dataclasses.replace(frame, frame_id=content.header.frame_id)
 
 
-def _depth(content: Any) -> Float[np.ndarray, "H W"]:
-    """Depth in metres of an Image; ValueError if it is not as it says."""
+def _depth(content: Any) -> tuple[Num[np.ndarray, "H W"], float]:
+    """The pixels of a depth Image, and metres a count; ValueError if it is not as it
+    says."""
     if content.encoding not in DEPTH:
         raise ValueError(f"image encoding {content.encoding} is not supported")
     kind, scale = DEPTH[content.encoding]
@@ -260,7 +272,7 @@ def _depth(content: Any) -> Float[np.ndarray, "H W"]:
         raise ValueError("rows are shorter than declared")
     rows = np.asarray(content.data, np.uint8)[: step * height].reshape(height, step)
     counts = np.ascontiguousarray(rows[:, : width * kind.itemsize]).view(kind)
-    return counts * scale if kind.kind == "u" else counts.astype(np.float32)
+    return counts.astype(kind.newbyteorder("=")), scale
 
 
 def _cloud(content: Any, time: int) -> Frame:
@@ -269,7 +281,8 @@ def _cloud(content: Any, time: int) -> Frame:
     if not fields.keys() >= set("xyz"):
         raise ValueError(f"points have {', '.join(fields) or 'nothing'}, not x y z")
     height, width = content.height, content.width
-    step, row = content.point_step, content.row_step
+    step = content.point_step
+    row = content.row_step or step * width  # which some leave at 0
     _check_size(height * width, row * height, len(content.data))
     order = ">" if content.is_bigendian else "<"
     sizes = [_FLOATS.get(fields[axis].datatype, np.inf) for axis in "xyz"]
@@ -282,13 +295,9 @@ def _cloud(content: Any, time: int) -> Frame:
     data = np.asarray(content.data, np.uint8)[: row * height].reshape(height, row)
     rows = np.ascontiguousarray(data[:, : step * width]).view(layout).ravel()
     points = stack_columns((rows[axis] for axis in "xyz"), map(np.dtype, kinds))
-    finite = np.isfinite(points).all(axis=1)
-    kept = finite & (points != 0).any(axis=1)
-    return Frame(
-        points=points[kept],
-        timestamp=time,
-        num_not_finite=int((~finite).sum()),
-    )
+    kept, notes = measured(points)
+    num_lost = len(points) - len(kept)
+    return Frame(kept, time, num_not_finite=num_lost, notes=notes)
 
 
 def _check_size(count: int, claimed: int, held: int) -> None:

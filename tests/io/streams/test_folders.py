@@ -35,16 +35,16 @@ def test_clouds_by_the_numbers_in_their_names(tmp_path):
 
 def test_a_cut_file_is_left_out_with_a_line(tmp_path):
     spoilt = POINTS.copy()
-    spoilt[:5] = np.nan
+    spoilt[:5], spoilt[5:9] = np.nan, 0.0
     for number, points in enumerate((POINTS, POINTS, POINTS, spoilt)):
         write_ply(tmp_path / f"{number}.ply", points)
     path = tmp_path / "1.ply"
     path.write_bytes(path.read_bytes()[:-10])
     lines = []
     stream = open_stream(tmp_path, tell=lines.append)
-    assert [f.num_not_finite for f in stream] == [0, 0, 5]
-    (line,) = lines
-    assert "skipped 1.ply" in line and stream.remarks == {"damaged": 1}
+    assert [f.num_not_finite for f in stream] == [0, 0, 9]
+    assert "skipped 1.ply" in lines[0] and "4 of 100 points are at 0,0,0" in lines[1]
+    assert stream.remarks == {"damaged": 1, "no_return": 1}
 
 
 def test_depth_images_are_those_of_a_scan(tmp_path):
@@ -65,6 +65,9 @@ def test_depth_images_are_those_of_a_scan(tmp_path):
     (tmp_path / "1.json").write_text(json.dumps(other))
     first, second = open_stream(tmp_path)
     np.testing.assert_allclose(second.depth, 4 * first.depth)
+    (tmp_path / "camera.json").rename(tmp_path / "given")
+    for frame in open_stream(tmp_path, camera=str(tmp_path / "given")):
+        np.testing.assert_array_equal(frame.points, scan.points)
 
 
 def test_recordings_have_two_topics():

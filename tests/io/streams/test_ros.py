@@ -127,6 +127,7 @@ def test_layouts_of_clouds(big, tmp_path):
     for scalar in (np.float32, np.float64):
         points = RNG.normal(size=(12, 3)).astype(scalar)
         message = cloud(points, START, height=3, big=big, gap=8, tail=5)
+        message.row_step *= not big  # 0 where nobody filled it in
         path = write_mcap(tmp_path / "r.mcap", [("/p", CLOUD, 1, message)])
         (frame,) = open_stream(path)
         np.testing.assert_array_equal(frame.points, points)
@@ -149,13 +150,14 @@ def test_odd_frames_are_told_and_counted(tmp_path):
     stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
     frames, lines = lines_of(stream)
     assert [len(frame.points) for frame in frames] == [190, 0, 0, 200, 200]
-    assert [frame.num_not_finite for frame in frames] == [7, 200, 0, 0, 0]
+    assert [frame.num_not_finite for frame in frames] == [10, 200, 0, 0, 0]
     kinds = {"not_finite": 1, "empty": 1, "damaged": 2, "backward": 1}
-    assert stream.remarks == kinds | {"sensor": 1, "duplicate": 1}
+    assert stream.remarks == kinds | {"sensor": 1, "duplicate": 1, "no_return": 1}
     for line, words in zip(
         lines,
         (
-            "frame 1: none of 200 points are finite",
+            "frame 0: 3 of 200 points are at 0,0,0 and count as no return",
+            "frame 1: no return in 200 points",
             "frame 2 is empty",
             "skipped a message on /p: ",
             "frame 3 is 3.000 s older than the one before",
@@ -175,9 +177,10 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
     metres = np.round(RNG.uniform(0.5, 2.0, (6, 8)), 3)
     metres[0, :3] = 0.0
     pixels = np.rint(1000 * metres).astype(np.uint16)
+    pixels[0, 0] = 65535
     if encoding == "32FC1":
         pixels = metres.astype(np.float32)
-        pixels[0, 0] = np.nan
+        pixels[0, 0] = np.inf
     messages = [
         ("/cam/depth", IMAGE, 1, image(pixels, START, store, encoding, padding=4)),
         ("/cam/camera_info", INFO, 2, info(8, 6, 10.0, store=store)),
@@ -192,7 +195,9 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
     stream = open_stream(path, "/cam/depth")
     assert stream.topic == "/cam/depth" and len(stream) == 1
     (frame,), lines = lines_of(stream)
-    assert not lines and frame.timestamp == START and frame.depth.shape == (6, 8)
+    (line,) = lines
+    assert "frame 0: 1 pixels of" in line and stream.remarks == {"no_return": 1}
+    assert frame.timestamp == START and frame.depth.shape == (6, 8)
     np.testing.assert_allclose(frame.depth, metres, atol=1e-6)
     mask = metres > 0
     wanted = points_from_depth(frame.depth, mask, frame.camera)
@@ -206,8 +211,34 @@ def test_depth_images_with_their_camera(writer, encoding, tmp_path):
         stream = open_stream(path, f"/d/image_{name}", "/rgb/camera_info")
         (frame,), lines = lines_of(stream)
         assert frame.camera.intrinsics[0, [0, 2]].tolist() == wanted
-        assert [("lens" in line) for line in lines] == [True] * (name == "raw")
+        assert sum("lens" in line for line in lines) == (name == "raw")
         assert frame.frame_id == "lidar"
+
+
+def test_bags_of_a_realsense(tmp_path):
+    """Its CameraInfo lies elsewhere, and counts are of its own unit."""
+    sensor, store = "/device_0/sensor_0", store_of("bag")
+    pixels = np.full((4, 4), 4000, np.uint16)
+    units = store.types["std_msgs/msg/Float32"](data=0.00025)
+    messages = [
+        (f"{sensor}/option/Depth_Units/value", "std_msgs/msg/Float32", 0, units),
+        (
+            "/device_0/sensor_1/Color_0/info/camera_info",
+            INFO,
+            0,
+            info(4, 4, 9.0, store=store),
+        ),
+        (f"{sensor}/Depth_0/info/camera_info", INFO, 0, info(4, 4, 5.0, store=store)),
+        (
+            f"{sensor}/Depth_0/image/data",
+            IMAGE,
+            1,
+            image(pixels, START, store, "mono16"),
+        ),
+    ]
+    (frame,) = open_stream(WRITERS["bag"](tmp_path, messages))
+    np.testing.assert_allclose(frame.depth, 1.0)
+    assert frame.camera.intrinsics[0, 0] == 5.0
 
 
 def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
