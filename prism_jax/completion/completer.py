@@ -297,8 +297,13 @@ class Completer:
         fn = make(make_adapt(config))
         shapes = jax.tree.structure(arguments[1:])
         key = make, options.adapt, config.model.background, shapes
-        # A kept trace is told by what it is about, not by the function itself.
-        return self._compile(key, fn, arguments, (make.__name__, config))
+        if key not in self._compiled and self._trace_dir is None:
+            self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
+        elif key not in self._compiled:
+            # A kept trace is told by what it is about, not by the function itself.
+            about = make.__name__, config
+            self._compiled[key] = compile_cached(fn, arguments, self._trace_dir, about)
+        return self._compiled[key]
 
     def _told(self, background: Background) -> PrismConfig:
         """The configuration for a background; others than a network that reads it need
@@ -307,18 +312,6 @@ class Completer:
         if model.backbone.reads_visibility:
             model = dataclasses.replace(model, background=background)
         return dataclasses.replace(self.config, model=model)
-
-    def _compile(
-        self, key: Any, fn: Callable[..., Any], arguments: tuple[Any, ...], about: Any
-    ) -> Callable[..., Any]:
-        if key not in self._compiled:
-            if self._trace_dir is None:
-                self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
-            else:
-                self._compiled[key] = compile_cached(
-                    fn, arguments, self._trace_dir, about
-                )
-        return self._compiled[key]
 
 
 def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:

@@ -53,7 +53,8 @@ def _decoded(data: bytes) -> str:
 
 def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
     """The points; a ValueError says which line is wrong."""
-    places = [n for n, line in enumerate(lines) if line and not _is_comment(line)]
+    is_row = [re.match(r"\s*(#|//|%|$)", line) is None for line in lines]
+    places = np.flatnonzero(is_row).tolist()
     if not places:
         raise ValueError("no points")
     comments, rows = lines[: places[0]], [lines[n] for n in places]
@@ -137,10 +138,6 @@ def parse_rows(
     if len(table) == 0 or (count is not None and len(table) < count):
         raise ValueError(f"ends after {len(table)} of {count or 'the'} points")
     return table
-
-
-def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith(("#", "//", "%"))
 
 
 def _named(headers: Sequence[str], delimiter: str | None, width: int) -> list[int]:

@@ -9,13 +9,7 @@ from collections.abc import Collection, Iterator
 
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
-from prism_jax.io.streams.messages import (
-    CutError,
-    Message,
-    MessageFile,
-    Topic,
-    full_name,
-)
+from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 
 MAGIC = b"SQLite format 3\0"
 
@@ -38,7 +32,7 @@ class Db3File(MessageFile):
                     for number, count in database.execute(counted):
                         counts[names.get(number, "")] += count
         return {
-            name: Topic(full_name(kind), encoding, counts[name])
+            name: Topic(kind, encoding, counts[name])
             for name, kind, encoding in rows.values()
             if counts[name]
         }

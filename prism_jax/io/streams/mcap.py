@@ -7,13 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 
 from prism_jax.io.errors import require
-from prism_jax.io.streams.messages import (
-    CutError,
-    Message,
-    MessageFile,
-    Topic,
-    full_name,
-)
+from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 from prism_jax.io.streams.packed import EXTRA, unpack
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -103,7 +97,7 @@ class McapFile(MessageFile):
             schema = summary.schemas.get(channel.schema_id)
             if schema is None and channel.schema_id:
                 return None
-            kind = full_name("" if schema is None else schema.name)
+            kind = "" if schema is None else schema.name
             known.channels[number] = channel.topic, kind, channel.message_encoding
         most = _MOST_A_BYTE * self.path.stat().st_size
         if not counts.keys() <= known.channels.keys() or sum(counts.values()) > most:
@@ -126,8 +120,7 @@ class _Channels:
             number, schema = struct.unpack_from("<HH", content)
             topic, end = _text(content, 4)
             encoding, _ = _text(content, end)
-            kind = full_name(self._schemas.get(schema, ""))
-            self.channels[number] = topic, kind, encoding
+            self.channels[number] = topic, self._schemas.get(schema, ""), encoding
 
 
 def _in_buffer(data: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
