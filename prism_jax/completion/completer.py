@@ -49,6 +49,8 @@ from prism_jax.uncertainty.sigma import PointErrors
 
 SLOTS = 8  # objects that one compiled call completes, at most
 
+Make = Callable[[AdaptFn], Callable[..., Any]]
+
 for kind in (Completion, Losses):
     name = f"prism_jax.{kind.__name__}"
     jax.export.register_namedtuple_serialization(kind, serialized_name=name)
@@ -221,7 +223,7 @@ class Completer:
     ) -> tuple[Completion, dict[str, float]]:
         """The network's completion of a task, and the seconds it took to compile and to
         run: the second step of `complete`."""
-        return self._timed(_as_it_is, task, options)
+        return self._timed(_as_it_is, (self.variables, *self.reads(task)), options)
 
     def predict(
         self, task: Task, options: CompletionOptions
@@ -229,17 +231,13 @@ class Completer:
         """The points of `run` without adaptation, and its seconds, for who needs no
         losses: a third of the time goes to them."""
         plain = dataclasses.replace(options, adapt=False)
-        return self._timed(_points_alone, task, plain)
+        return self._timed(_points_alone, (self.variables, *self.reads(task)), plain)
 
     def _timed(
-        self,
-        make: Callable[[AdaptFn], Callable[..., Any]],
-        task: Task,
-        options: CompletionOptions,
+        self, make: Make, arguments: tuple[Any, ...], options: CompletionOptions
     ) -> tuple[Any, dict[str, float]]:
         """What ``make`` makes of the adaptation function, called, and its seconds."""
         start = time.perf_counter()
-        arguments = (self.variables, *self.reads(task))
         call = self._compile_adapt(make, options, arguments)
         compiled = time.perf_counter()
         found = jax.block_until_ready(call(*arguments))
@@ -258,21 +256,17 @@ class Completer:
         self, tasks: Sequence[Task], options: CompletionOptions
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
-        start = time.perf_counter()
         filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
         inputs = [self.reads(task) for task in filled]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
         arguments = (self.variables, stacked, np.arange(SLOTS) < len(tasks))
-        call = self._compile_adapt(_in_slots, options, arguments)
-        compiled = time.perf_counter()
-        together = jax.device_get(call(*arguments))
-        spent = time.perf_counter() - compiled
+        together, seconds = self._timed(_in_slots, arguments, options)
+        together = jax.device_get(together)
         completions = [
             jax.tree.map(lambda leaf, row=row: leaf[row], together)
             for row in range(len(tasks))
         ]
-        seconds = {"compile": compiled - start, "run": spent / len(tasks)}
-        return completions, seconds
+        return completions, {**seconds, "run": seconds["run"] / len(tasks)}
 
     def _assemble(
         self,
@@ -286,10 +280,7 @@ class Completer:
         return assemble(task, completion, options, seconds, *judges)
 
     def _compile_adapt(
-        self,
-        make: Callable[[AdaptFn], Callable[..., Any]],
-        options: CompletionOptions,
-        arguments: tuple[Any, ...],
+        self, make: Make, options: CompletionOptions, arguments: tuple[Any, ...]
     ) -> Callable[..., Any]:
         """What ``make`` makes of the adaptation function, compiled once."""
         steps = self.config.adapt.num_steps if options.adapt else 0
@@ -297,12 +288,13 @@ class Completer:
         fn = make(make_adapt(config))
         shapes = jax.tree.structure(arguments[1:])
         key = make, options.adapt, config.model.background, shapes
-        if key not in self._compiled and self._trace_dir is None:
+        folder = self._trace_dir
+        if key not in self._compiled and folder is None:
             self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
-        elif key not in self._compiled:
+        elif folder is not None and key not in self._compiled:
             # A kept trace is told by what it is about, not by the function itself.
             about = make.__name__, config
-            self._compiled[key] = compile_cached(fn, arguments, self._trace_dir, about)
+            self._compiled[key] = compile_cached(fn, arguments, folder, about)
         return self._compiled[key]
 
     def _told(self, background: Background) -> PrismConfig:

@@ -19,8 +19,8 @@ from prism_jax.io.files import (
     MAX_FILE_BYTES,
     MAX_POINTS,
     check_count,
+    parsing,
     read_bytes,
-    unsound,
 )
 from prism_jax.io.text import body_lines, header_lines, parse_rows
 
@@ -93,15 +93,13 @@ def _read(
 ) -> tuple[list[np.ndarray], list[np.dtype]]:
     """The columns of these fields, and the types that they are declared with."""
     data = read_bytes(path)
-    try:
+    with parsing(path, "a valid PCD file", _REMEDY):
         header, start = _parse_header(data)
         check_count(header.num_points, max_points)
         indices = header.indices(names)
         read = _read_ascii if header.mode == "ascii" else _read_binary
         columns = read(data[start:], header, indices)
         return columns, [header.fields[index].dtype for index in indices]
-    except ValueError as error:
-        raise unsound(path, "a valid PCD file", error, _REMEDY) from None
 
 
 def _parse_header(data: bytes) -> tuple[_Header, int]:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from prism_jax.io.arrays import check_not_index
 from prism_jax.io.errors import StrPath
-from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
+from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 
 _REMEDY = "write one point per line as 'x y z', or name the columns in the first line"
 _FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#([qs]nan|ind|inf)\w*)", re.IGNORECASE)
@@ -34,12 +34,10 @@ def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, 
     more than `max_points` lines raise an InputError.
     """
     data = plain_numbers(read_bytes(path))
-    try:
+    with parsing(path, "a valid table of points", _REMEDY):
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
         text = io.StringIO(_decoded(data), newline=None)
         return _read(list(map(str.rstrip, text)))
-    except ValueError as error:
-        raise unsound(path, "a valid table of points", error, _REMEDY) from None
 
 
 def _decoded(data: bytes) -> str:

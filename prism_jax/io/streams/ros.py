@@ -91,7 +91,9 @@ class RosStream(Stream):
                 if message.topic == self._units:
                     unit = float(content.data)
                     continue
-                time = _time(content, message)
+                stamp = content.header.stamp
+                # Where nobody filled it in, when it was recorded.
+                time = stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
                 if message.topic == self._joints:
                     yield from placed.add_positions(_positions(content), time)
                 elif message.topic == self._info:
@@ -235,12 +237,6 @@ def _positions(content: Any) -> dict[str, float]:
     if len(names) != len(positions):
         raise ValueError(f"{len(names)} joints have {len(positions)} positions")
     return dict(zip(names, positions.tolist(), strict=True))
-
-
-def _time(content: Any, message: Message) -> int:
-    """The header's stamp; where nobody filled it in, when it was recorded."""
-    stamp = content.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
 
 
 def _frame(content: Any, camera: Camera | None, time: int, unit: float | None) -> Frame:
