@@ -36,11 +36,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import (
-    Observation,
-    observe,
-    origin_is_sensor,
-)
+from prism_jax.preprocessing.observation import Observation, observe, origin_is_sensor
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene, split_scene
 from prism_jax.preprocessing.segmentation.support import find_up, given_up
 from prism_jax.preprocessing.visibility_map import seen_among, some_of

@@ -7,12 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.visibility import Background, Visibility
-from prism_jax.preprocessing.visibility import (
-    IN_FRONT,
-    PAST,
-    in_front,
-    looked_through,
-)
+from prism_jax.preprocessing.visibility import IN_FRONT, PAST, in_front, looked_through
 from prism_jax.preprocessing.visibility_map import in_free_space
 
 STRAY = 0.35

@@ -43,10 +43,6 @@ class _Header(NamedTuple):
     num_points: int
     mode: str
 
-    def sizes(self) -> list[int]:
-        """Bytes of each field of a point."""
-        return [field.dtype.itemsize * field.count for field in self.fields]
-
     def indices(self, names: Sequence[str]) -> list[int]:
         """Where the fields of these names are; each must have one value a point."""
         known = [field.name for field in self.fields]
@@ -160,7 +156,8 @@ def _read_binary(
 ) -> list[np.ndarray]:
     """Of points one after the other or, compressed, of fields one after the other."""
     count = header.num_points
-    *starts, size = np.cumsum([0, *header.sizes()]).tolist()
+    sizes = (field.dtype.itemsize * field.count for field in header.fields)
+    *starts, size = np.cumsum([0, *sizes]).tolist()
     strides = (size,)
     if header.mode == "binary_compressed":
         body, strides = _unpacked(body, count * size), None

@@ -74,7 +74,7 @@ class McapFile(MessageFile):
                 content = memoryview(file.read(min(length, size)))
                 try:
                     if code == _CHUNK:
-                        yield from _in_buffer(_unpacked(content), whole)
+                        yield from _in_chunk(content, whole)
                     else:
                         yield code, content
                 except (struct.error, UnicodeDecodeError) as error:
@@ -123,8 +123,13 @@ class _Channels:
             self.channels[number] = topic, self._schemas.get(schema, ""), encoding
 
 
-def _in_buffer(data: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
+def _in_chunk(content: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
     """The records of a chunk; of one that is not whole, those that are."""
+    if len(content) < 40:
+        return
+    (size,) = struct.unpack_from("<Q", content, 16)
+    compression, end = _text(content, 28)
+    data = memoryview(unpack(content[end + 8 :], compression, size))
     start = 0
     while start + _HEAD.size <= len(data):
         code, length = _HEAD.unpack_from(data, start)
@@ -135,15 +140,6 @@ def _in_buffer(data: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]
         start = end
     if whole and start < len(data):
         raise ValueError("a chunk ends within a record")
-
-
-def _unpacked(content: memoryview) -> memoryview:
-    """The records of a chunk, or the first of them where it is cut."""
-    if len(content) < 40:
-        return memoryview(b"")
-    (size,) = struct.unpack_from("<Q", content, 16)
-    compression, end = _text(content, 28)
-    return memoryview(unpack(content[end + 8 :], compression, size))
 
 
 def _text(content: memoryview, start: int) -> tuple[str, int]:
