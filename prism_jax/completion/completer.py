@@ -284,13 +284,14 @@ class Completer:
         fn = make(make_adapt(config))
         shapes = jax.tree.structure(arguments[1:])
         key = make, options.adapt, config.model.background, shapes
-        folder = self._trace_dir
-        if key not in self._compiled and folder is None:
-            self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
-        elif folder is not None and key not in self._compiled:
+        if key not in self._compiled:
             # A kept trace is told by what it is about, not by the function itself.
-            about = make.__name__, config
-            self._compiled[key] = compile_cached(fn, arguments, folder, about)
+            about, folder = (make.__name__, config), self._trace_dir
+            self._compiled[key] = (
+                jax.jit(fn).lower(*arguments).compile()
+                if folder is None
+                else compile_cached(fn, arguments, folder, about)
+            )
         return self._compiled[key]
 
     def _told(self, background: Background) -> PrismConfig:

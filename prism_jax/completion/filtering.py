@@ -15,7 +15,7 @@ STRAY = 0.35
 measured, are no farther off, in the unit workspace. Chosen on validation
 (docs/findings.md), as that number is."""
 
-NEW = 0.5  # in spacings of what the network reads, from what was measured
+NEW = 0.5  # spacings of the input; what is nearer to a measured point is not new
 
 MAX_DENSE = 200_000  # points that `densify` makes at most
 

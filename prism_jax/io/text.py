@@ -51,8 +51,8 @@ def _decoded(data: bytes) -> str:
 
 def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
     """The points; a ValueError says which line is wrong."""
-    is_row = [re.match(r"\s*(#|//|%|$)", line) is None for line in lines]
-    places = np.flatnonzero(is_row).tolist()
+    marks, starts = ("#", "//", "%"), enumerate(map(str.lstrip, lines))
+    places = [n for n, start in starts if start and not start.startswith(marks)]
     if not places:
         raise ValueError("no points")
     comments, rows = lines[: places[0]], [lines[n] for n in places]

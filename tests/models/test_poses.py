@@ -14,11 +14,6 @@ from tests.trees import bitwise
 
 
 @pytest.fixture(scope="module")
-def frame(tiny_frames):
-    return jax.tree.map(lambda leaf: leaf[0], tiny_frames)
-
-
-@pytest.fixture(scope="module")
 def complete(minimal, quick_jit):
     """Completion in all poses, compiled once."""
     config = minimal.config.with_adapt(num_steps=0).with_model(poses=MAX_POSES)

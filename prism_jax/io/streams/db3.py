@@ -71,11 +71,9 @@ class Db3File(MessageFile):
             data = read_bytes(self.path)
             database.deserialize(data[: len(data) // page * page])
         else:
-            place = urllib.parse.quote(str(self.path.absolute()))
+            place = f"file:{urllib.parse.quote(str(self.path.absolute()))}?mode=ro"
             # Iterating goes on in the thread that reads ahead.
-            database = sqlite3.connect(
-                f"file:{place}?mode=ro", uri=True, check_same_thread=False
-            )
+            database = sqlite3.connect(place, uri=True, check_same_thread=False)
         try:
             database.execute("PRAGMA trusted_schema=OFF")
             # Or SQLite would open no file that is shorter than it says.

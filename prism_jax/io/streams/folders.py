@@ -70,7 +70,7 @@ class CloudFolder(Stream):
     def _frame(
         self, path: pathlib.Path, about: pathlib.Path | None, time: int
     ) -> Frame:
-        """Of a cloud or a depth image, and what is said about its camera."""
+        """That of a cloud or a depth image; `about` is its camera's file, if any."""
         tell = functools.partial(self.remark, "camera_file")
         if about is not None and path.suffix.lower() == ".png":
             tell = (lambda _: None) if about == self.camera_file else tell
