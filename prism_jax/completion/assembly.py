@@ -201,9 +201,7 @@ class Joined(NamedTuple):
 
 
 def join(
-    task: Task,
-    predicted: Float[Array | np.ndarray, "P 3"],
-    options: CompletionOptions,
+    task: Task, predicted: Float[Array | np.ndarray, "P 3"], options: CompletionOptions
 ) -> Joined:
     """The measured points as they were, and behind them those of the network's
     ``predicted`` ones, in the unit workspace, that are new."""

@@ -40,7 +40,11 @@ def compile_cached(
     name = _fingerprint(arguments, about)
     path = folder / f"{name}.jaxexport"
     try:
-        exported = jax.export.deserialize(_unsealed(name, path.read_bytes()))
+        content = path.read_bytes()
+        trace = content[_DIGEST_BYTES:]
+        if sealed(name, trace) != content:
+            raise ValueError("damaged, or kept under another name")
+        exported = jax.export.deserialize(bytearray(trace))
         compiled = _compile(exported, arguments)
         os.utime(path)
         return compiled
@@ -57,13 +61,6 @@ def compile_cached(
 def sealed(name: str, trace: bytes) -> bytes:
     """A file's content: the digest of its name and its trace, and the trace."""
     return hashlib.sha256(name.encode() + trace).digest() + trace
-
-
-def _unsealed(name: str, content: bytes) -> bytearray:
-    trace = content[_DIGEST_BYTES:]
-    if sealed(name, trace) != content:
-        raise ValueError("damaged, or kept under another name")
-    return bytearray(trace)
 
 
 def _compile(

@@ -36,11 +36,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import (
-    Observation,
-    observe,
-    origin_is_sensor,
-)
+from prism_jax.preprocessing.observation import Observation, observe, origin_is_sensor
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene, split_scene
 from prism_jax.preprocessing.segmentation.support import find_up, given_up
 from prism_jax.preprocessing.visibility_map import seen_among, some_of
@@ -48,6 +44,8 @@ from prism_jax.uncertainty.confidence import Calibration
 from prism_jax.uncertainty.sigma import PointErrors
 
 SLOTS = 8  # objects that one compiled call completes, at most
+
+Make = Callable[[AdaptFn], Callable[..., Any]]
 
 for kind in (Completion, Losses):
     name = f"prism_jax.{kind.__name__}"
@@ -221,7 +219,7 @@ class Completer:
     ) -> tuple[Completion, dict[str, float]]:
         """The network's completion of a task, and the seconds it took to compile and to
         run: the second step of `complete`."""
-        return self._timed(_as_it_is, task, options)
+        return self._timed(_as_it_is, (self.variables, *self.reads(task)), options)
 
     def predict(
         self, task: Task, options: CompletionOptions
@@ -229,17 +227,13 @@ class Completer:
         """The points of `run` without adaptation, and its seconds, for who needs no
         losses: a third of the time goes to them."""
         plain = dataclasses.replace(options, adapt=False)
-        return self._timed(_points_alone, task, plain)
+        return self._timed(_points_alone, (self.variables, *self.reads(task)), plain)
 
     def _timed(
-        self,
-        make: Callable[[AdaptFn], Callable[..., Any]],
-        task: Task,
-        options: CompletionOptions,
+        self, make: Make, arguments: tuple[Any, ...], options: CompletionOptions
     ) -> tuple[Any, dict[str, float]]:
         """What ``make`` makes of the adaptation function, called, and its seconds."""
         start = time.perf_counter()
-        arguments = (self.variables, *self.reads(task))
         call = self._compile_adapt(make, options, arguments)
         compiled = time.perf_counter()
         found = jax.block_until_ready(call(*arguments))
@@ -258,21 +252,17 @@ class Completer:
         self, tasks: Sequence[Task], options: CompletionOptions
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
-        start = time.perf_counter()
         filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
         inputs = [self.reads(task) for task in filled]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
         arguments = (self.variables, stacked, np.arange(SLOTS) < len(tasks))
-        call = self._compile_adapt(_in_slots, options, arguments)
-        compiled = time.perf_counter()
-        together = jax.device_get(call(*arguments))
-        spent = time.perf_counter() - compiled
+        together, seconds = self._timed(_in_slots, arguments, options)
+        together = jax.device_get(together)
         completions = [
             jax.tree.map(lambda leaf, row=row: leaf[row], together)
             for row in range(len(tasks))
         ]
-        seconds = {"compile": compiled - start, "run": spent / len(tasks)}
-        return completions, seconds
+        return completions, {**seconds, "run": seconds["run"] / len(tasks)}
 
     def _assemble(
         self,
@@ -286,10 +276,7 @@ class Completer:
         return assemble(task, completion, options, seconds, *judges)
 
     def _compile_adapt(
-        self,
-        make: Callable[[AdaptFn], Callable[..., Any]],
-        options: CompletionOptions,
-        arguments: tuple[Any, ...],
+        self, make: Make, options: CompletionOptions, arguments: tuple[Any, ...]
     ) -> Callable[..., Any]:
         """What ``make`` makes of the adaptation function, compiled once."""
         steps = self.config.adapt.num_steps if options.adapt else 0
@@ -297,8 +284,15 @@ class Completer:
         fn = make(make_adapt(config))
         shapes = jax.tree.structure(arguments[1:])
         key = make, options.adapt, config.model.background, shapes
-        # A kept trace is told by what it is about, not by the function itself.
-        return self._compile(key, fn, arguments, (make.__name__, config))
+        if key not in self._compiled:
+            # A kept trace is told by what it is about, not by the function itself.
+            about, folder = (make.__name__, config), self._trace_dir
+            self._compiled[key] = (
+                jax.jit(fn).lower(*arguments).compile()
+                if folder is None
+                else compile_cached(fn, arguments, folder, about)
+            )
+        return self._compiled[key]
 
     def _told(self, background: Background) -> PrismConfig:
         """The configuration for a background; others than a network that reads it need
@@ -307,18 +301,6 @@ class Completer:
         if model.backbone.reads_visibility:
             model = dataclasses.replace(model, background=background)
         return dataclasses.replace(self.config, model=model)
-
-    def _compile(
-        self, key: Any, fn: Callable[..., Any], arguments: tuple[Any, ...], about: Any
-    ) -> Callable[..., Any]:
-        if key not in self._compiled:
-            if self._trace_dir is None:
-                self._compiled[key] = jax.jit(fn).lower(*arguments).compile()
-            else:
-                self._compiled[key] = compile_cached(
-                    fn, arguments, self._trace_dir, about
-                )
-        return self._compiled[key]
 
 
 def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:

@@ -7,18 +7,15 @@ from jaxtyping import Array, Bool, Float
 
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.visibility import Background, Visibility
-from prism_jax.preprocessing.visibility import (
-    IN_FRONT,
-    PAST,
-    in_front,
-    looked_through,
-)
+from prism_jax.preprocessing.visibility import IN_FRONT, PAST, in_front, looked_through
 from prism_jax.preprocessing.visibility_map import in_free_space
 
 STRAY = 0.35
 """Of a predicted point that is no stray so many others (`min_neighbors`), predicted or
 measured, are no farther off, in the unit workspace. Chosen on validation
 (docs/findings.md), as that number is."""
+
+NEW = 0.5  # spacings of the input; what is nearer to a measured point is not new
 
 MAX_DENSE = 200_000  # points that `densify` makes at most
 
@@ -100,26 +97,9 @@ def select(
             past |= in_free_space(points, visibility, IN_FRONT * spacing)
         if past.any():
             through = past & looked_through(points, measured, eye, PAST * spacing)
-    old = ~mask_unobserved(prediction, measured, partial)
+    old = measured.distance(points) <= NEW * spacing
     kept = ~(outside | stray | hides | through | old)
     return Selection(kept, outside, stray, hides, through, old)
-
-
-def mask_unobserved(
-    prediction: Points,
-    measured: Points,
-    partial: Points,
-    spacing: float = 0.5,
-) -> Bool[np.ndarray, " P"]:
-    """Which predicted points lie where nothing was measured.
-
-    All in one frame. A predicted point nearer to a measured one than ``spacing`` times
-    the typical distance between neighbours of the network's input says nothing new.
-    """
-    reach = spacing * IndexedCloud.of(partial).spacing
-    return (
-        IndexedCloud.of(measured).distance(IndexedCloud.of(prediction).points) > reach
-    )
 
 
 def densify(points: Points, times: float) -> Float[np.ndarray, "Q 3"]:
@@ -152,16 +132,12 @@ def min_neighbors(num_points: int) -> int:
 
 
 def outlier_mask(
-    prediction: Points,
-    measured: Points,
-    reach: float = STRAY,
-    count: int | None = None,
+    prediction: Points, measured: Points, reach: float = STRAY
 ) -> Bool[np.ndarray, " P"]:
-    """Points of a prediction that fewer than ``count`` others of either cloud are near,
-    `min_neighbors` of it if that is None."""
+    """Points of a prediction that fewer than `min_neighbors` others of either cloud are
+    near."""
     prediction, measured = IndexedCloud.of(prediction), IndexedCloud.of(measured)
-    if count is None:
-        count = min_neighbors(len(prediction))
+    count = min_neighbors(len(prediction))
     # The first is the point itself.
     nearest: Any = range(1, count + 2)
     clouds = (prediction, measured)

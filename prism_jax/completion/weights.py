@@ -68,7 +68,12 @@ def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables
         raise InputError(path, fault, _remedy()) from None
     if name_or_path in available_weights():
         return config, _tree(arrays)
-    return config, _checked_tree(arrays, config, path)
+    try:
+        wanted = _shapes(config.model)
+    except Exception as error:  # sizes that are in range and do not fit together
+        fault = f"configuration makes no valid network ({str(error)[:200]})"
+        raise InputError(path, fault, _remedy()) from None
+    return config, checked_arrays(arrays, wanted, path)
 
 
 def read_metadata(name_or_path: str) -> dict[str, Any]:
@@ -232,18 +237,6 @@ def _tree(arrays: dict[str, np.ndarray]) -> Variables:
         branch[name] = array
     # All at once: one by one takes most of a second.
     return jax.device_put(variables)
-
-
-def _checked_tree(
-    arrays: dict[str, np.ndarray], config: PrismConfig, path: pathlib.Path
-) -> Variables:
-    """The arrays in the tree that the configuration asks for."""
-    try:
-        wanted = _shapes(config.model)
-    except Exception as error:  # sizes that are in range and do not fit together
-        fault = f"configuration makes no valid network ({str(error)[:200]})"
-        raise InputError(path, fault, _remedy()) from None
-    return checked_arrays(arrays, wanted, path)
 
 
 @functools.cache

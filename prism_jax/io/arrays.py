@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy.lib import format as npy_format
 
 from prism_jax.io.errors import StrPath
-from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
+from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 
 MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
 
@@ -31,24 +31,20 @@ def read_npy(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
     fields x, y and z: float32 stays so, other real numbers become float64. Any other
     array, more than `max_points` rows, and a file that is cut raise an InputError."""
     data = read_bytes(path)
-    try:
+    with parsing(path, "a valid NPY cloud", _REMEDY):
         return _parse(data, max_points)
-    except (ValueError, EOFError) as error:
-        raise unsound(path, "a valid NPY cloud", error, _REMEDY) from None
 
 
 def read_kitti(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
     """The positions of a sweep as KITTI has it: x, y, z and a reflectance of 0 to 255,
     all float32. A file of other numbers raises an InputError."""
     data = read_bytes(path)
-    try:
+    with parsing(path, "a KITTI sweep", _REMEDY):
         check_count(len(data) // 16, max_points)
         rows = np.frombuffer(data, "<f4").reshape(-1, 4)
         if ((rows[:, 3] < 0) | (rows[:, 3] > 255)).any():
             raise ValueError("the fourth number of a point is no reflectance")
-    except ValueError as error:
-        raise unsound(path, "a KITTI sweep", error, _REMEDY) from None
-    return rows[:, :3]
+        return rows[:, :3]
 
 
 def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N C"]:
@@ -57,13 +53,12 @@ def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
     arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
     InputError. Otherwise as `read_npy`."""
     data = read_bytes(path)
-    try:
+    # zipfile and its codecs raise errors of many kinds.
+    with parsing(path, "a valid NPZ cloud", _REMEDY, Exception):
         if data.count(_ENTRY) > MAX_MEMBERS:
             raise ValueError(f"more than {MAX_MEMBERS:,} arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return _read_archive(archive, max_points)
-    except Exception as error:  # zipfile and its codecs raise errors of many kinds
-        raise unsound(path, "a valid NPZ cloud", error, _REMEDY) from None
 
 
 def stack_columns(

@@ -102,8 +102,8 @@ def check_cloud(points: Float[np.ndarray, "N 3"], subject: StrPath) -> None:
     if len(distinct) < MIN_POINTS:
         distinct = np.unique(points, axis=0)
     if len(distinct) < MIN_POINTS:
-        count = len(distinct)
-        fault = f"only {count} distinct points, at least {MIN_POINTS} are needed"
+        few = f"only {len(distinct)} distinct points"
+        fault = f"{few}, at least {MIN_POINTS} are needed"
         remedy = "scan more of the object, or widen the workspace (--workspace)"
         raise InputError(subject, fault, remedy)
 
@@ -112,17 +112,14 @@ def check_in_view(
     points: Float[np.ndarray, "N 3"], camera: Camera, subject: StrPath
 ) -> None:
     """Raise an InputError about `subject` if the camera sees none of the points."""
-    in_camera = camera.to_camera(points)
-    in_front = in_camera[in_camera[:, 2] > MIN_DEPTH]
+    pixel, depth = camera.pixel_of(points)
     remedy = (
         "check that rotation and translation map the cloud's frame to the camera's "
         "(x right, y down, z forward), or omit --camera"
     )
-    if len(in_front) == 0:
+    if not (depth > MIN_DEPTH).any():
         raise InputError(subject, "all points are behind the camera", remedy)
-    image = in_front @ np.asarray(camera.intrinsics).T
-    pixels = np.floor(image[:, :2] / image[:, 2:] + 0.5)
-    if not inside_image(pixels, camera).any():
+    if not (pixel < camera.height * camera.width).any():
         raise InputError(subject, "no points in the camera's image", remedy)
 
 

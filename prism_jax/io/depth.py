@@ -14,7 +14,7 @@ from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
-from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, read_json, unsound
+from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes, read_json
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
 
@@ -108,8 +108,7 @@ def read_depth(
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
     """Depth in metres, 0 where nothing was measured, the mask of measured pixels, and
     the camera; see `read_counts` and `measured_depth`."""
-    given = path, camera_path, max_points
-    counts, scale, camera = read_counts(*given, tell=lambda _: None)
+    counts, scale, camera = read_counts(path, camera_path, max_points, lambda _: None)
     depth = measured_depth(counts, scale)[0]
     return depth, depth > 0, camera
 
@@ -171,10 +170,8 @@ def points_from_depth(
 
 def _read_camera_entries(path: StrPath, tell: Tell) -> tuple[Camera, dict[str, Any]]:
     entries = read_json(path, _LAYOUT)
-    try:
+    with parsing(path, "a valid camera", _LAYOUT):
         camera = camera_from_dict(entries)
-    except ValueError as error:
-        raise unsound(path, "a valid camera", error, _LAYOUT) from None
     for key, value in entries.items():
         is_some = re.search("[1-9]", json.dumps(_bare(value))) is not None
         if is_some and re.fullmatch(_DISTORTION, key.lower()):
@@ -190,10 +187,12 @@ def read_grey(
     """The pixels of a PNG of the camera's size, 8 or 16 bits each; InputError if it has
     others, or more than `max_points`, before it is unpacked."""
     data = read_bytes(path)
-    try:
-        with warnings.catch_warnings():
-            # Pillow warns at its own limit, which is above ours.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+    remedy = f"store {bits}-bit grey of the camera's size, 0 for no return"
+    kind = f"a valid {'depth' if bits == 16 else 'label'} image"
+    with parsing(path, kind, remedy), warnings.catch_warnings():
+        # Pillow warns at its own limit, which is above ours.
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        try:
             with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
                 if not image.mode.startswith({8: "L", 16: "I;16"}[bits]):
                     raise ValueError(f"pixels are {image.mode}, not {bits}-bit grey")
@@ -203,13 +202,10 @@ def read_grey(
                     sizes += f"{camera.width}x{camera.height}"
                     raise ValueError(f"image is {sizes}")
                 return np.asarray(image)
-    except UnidentifiedImageError:
-        fault = ValueError("not a PNG")
-    except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        fault = error
-    remedy = f"store {bits}-bit grey of the camera's size, 0 for no return"
-    kind = "depth" if bits == 16 else "label"
-    raise unsound(path, f"a valid {kind} image", fault, remedy)
+        except UnidentifiedImageError:
+            raise ValueError("not a PNG") from None
+        except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+            raise ValueError(error) from None
 
 
 def _number(entries: dict[str, Any], key: str) -> float:

@@ -1,5 +1,6 @@
 """Bytes of a user's file within limits; the folder of what can be made again."""
 
+import contextlib
 import functools
 import json
 import os
@@ -7,6 +8,7 @@ import pathlib
 import stat
 import sys
 import tempfile
+from collections.abc import Iterator
 from typing import Any
 
 from prism_jax.io.errors import InputError, StrPath, unreadable
@@ -21,7 +23,7 @@ more: such a cloud is a survey, not one scan."""
 
 
 class TooManyError(ValueError):
-    """A file claims more points than are allowed. Readers pass it to `unsound`."""
+    """A file claims more points than are allowed."""
 
 
 def check_count(count: int, max_points: int, what: str = "points") -> None:
@@ -30,12 +32,18 @@ def check_count(count: int, max_points: int, what: str = "points") -> None:
         raise TooManyError(f"{count:,} {what} exceed the limit of {max_points:,}")
 
 
-def unsound(path: StrPath, kind: str, error: Exception, remedy: str) -> InputError:
-    """The InputError for what a parser of one kind of file raised."""
-    if isinstance(error, TooManyError):
+@contextlib.contextmanager
+def parsing(
+    path: StrPath, kind: str, remedy: str, faults: type[Exception] = ValueError
+) -> Iterator[None]:
+    """Makes an InputError of what a parser of one kind of file raises."""
+    try:
+        yield
+    except TooManyError as error:
         remedy = "crop or thin it, or raise --max_points"
-        return InputError(path, str(error), remedy)
-    return InputError(path, f"not {kind}: {error}", remedy)
+        raise InputError(path, str(error), remedy) from None
+    except faults as error:
+        raise InputError(path, f"not {kind}: {error}", remedy) from None
 
 
 def read_bytes(path: StrPath) -> bytes:

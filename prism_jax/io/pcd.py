@@ -19,8 +19,8 @@ from prism_jax.io.files import (
     MAX_FILE_BYTES,
     MAX_POINTS,
     check_count,
+    parsing,
     read_bytes,
-    unsound,
 )
 from prism_jax.io.text import body_lines, header_lines, parse_rows
 
@@ -42,10 +42,6 @@ class _Header(NamedTuple):
     fields: list[_Field]
     num_points: int
     mode: str
-
-    def sizes(self) -> list[int]:
-        """Bytes of each field of a point."""
-        return [field.dtype.itemsize * field.count for field in self.fields]
 
     def indices(self, names: Sequence[str]) -> list[int]:
         """Where the fields of these names are; each must have one value a point."""
@@ -70,15 +66,13 @@ def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
     """Where VIEWPOINT says that the sensor stood; None where it says nothing, or the
     origin, as writers do that do not know."""
     lines, _ = header_lines(read_bytes(path), "DATA", 2**16)
+    given = [line[1:4] for line in lines if line[:1] == ["VIEWPOINT"]]
     try:
-        eye = np.array(
-            [line[1:4] for line in lines if line[:1] == ["VIEWPOINT"]], float
-        )
+        eye = np.array(given, float)
     except ValueError:
         return None
-    return (
-        eye[0] if eye.shape == (1, 3) and np.isfinite(eye).all() and eye.any() else None
-    )
+    is_said = eye.shape == (1, 3) and np.isfinite(eye).all() and eye.any()
+    return eye[0] if is_said else None
 
 
 def read_pcd_field(
@@ -95,14 +89,13 @@ def _read(
 ) -> tuple[list[np.ndarray], list[np.dtype]]:
     """The columns of these fields, and the types that they are declared with."""
     data = read_bytes(path)
-    try:
+    with parsing(path, "a valid PCD file", _REMEDY):
         header, start = _parse_header(data)
         check_count(header.num_points, max_points)
         indices = header.indices(names)
-        columns = _READERS[header.mode](data[start:], header, indices)
+        read = _read_ascii if header.mode == "ascii" else _read_binary
+        columns = read(data[start:], header, indices)
         return columns, [header.fields[index].dtype for index in indices]
-    except ValueError as error:
-        raise unsound(path, "a valid PCD file", error, _REMEDY) from None
 
 
 def _parse_header(data: bytes) -> tuple[_Header, int]:
@@ -110,7 +103,7 @@ def _parse_header(data: bytes) -> tuple[_Header, int]:
     lines, start = header_lines(data, "DATA", 2**16)
     entries = {words[0].upper(): words[1:] for words in lines if words}
     mode = " ".join(entries["DATA"]).lower()
-    if mode not in _READERS:
+    if mode not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"DATA mode {mode!r} is unknown")
     header = _Header(_fields(entries), _num_points(entries), mode)
     header.indices("xyz")
@@ -161,41 +154,31 @@ def _read_ascii(
 def _read_binary(
     body: bytes, header: _Header, indices: Sequence[int]
 ) -> list[np.ndarray]:
-    *offsets, size = np.cumsum([0, *header.sizes()]).tolist()
-    if header.num_points * size > len(body):
+    """Of points one after the other or, compressed, of fields one after the other."""
+    count = header.num_points
+    sizes = (field.dtype.itemsize * field.count for field in header.fields)
+    *starts, size = np.cumsum([0, *sizes]).tolist()
+    strides = (size,)
+    if header.mode == "binary_compressed":
+        body, strides = _unpacked(body, count * size), None
+        starts = [count * start for start in starts]
+    elif count * size > len(body):
         raise ValueError(_SHORT)
-    return [
-        np.ndarray(header.num_points, header.fields[i].dtype, body, offsets[i], (size,))
-        for i in indices
-    ]
+    kinds = [field.dtype for field in header.fields]
+    return [np.ndarray(count, kinds[i], body, starts[i], strides) for i in indices]
 
 
-def _read_compressed(
-    body: bytes, header: _Header, indices: Sequence[int]
-) -> list[np.ndarray]:
-    """The fields one after the other, each for all points, compressed together."""
+def _unpacked(body: bytes, size: int) -> bytes:
     if len(body) < 8:
         raise ValueError(_SHORT)
-    packed_size, size = struct.unpack_from("<II", body)
-    *starts, end = np.cumsum([0, *header.sizes()]).tolist()
+    packed_size, plain_size = struct.unpack_from("<II", body)
     if packed_size > len(body) - 8:
         raise ValueError(_SHORT)
-    if size != end * header.num_points or size > _LZF_MAX_RATIO * packed_size:
+    if plain_size != size or size > _LZF_MAX_RATIO * packed_size:
         raise ValueError("compressed size differs from the header")
     if size > MAX_FILE_BYTES:
         raise ValueError(f"fields unpack to {size / 2**30:.1f} GiB")
     plain = lzf.decompress(body[8 : 8 + packed_size], size)
     if plain is None or len(plain) != size:
         raise ValueError("damaged compressed data")
-    count = header.num_points
-    return [
-        np.frombuffer(plain, header.fields[i].dtype, count, starts[i] * count)
-        for i in indices
-    ]
-
-
-_READERS = {
-    "ascii": _read_ascii,
-    "binary": _read_binary,
-    "binary_compressed": _read_compressed,
-}
+    return plain

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from prism_jax.io import atomic
 from prism_jax.io.arrays import stack_columns
 from prism_jax.io.errors import StrPath
-from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
+from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 from prism_jax.io.text import body_lines, header_lines, parse_rows
 
 OBSERVED, COMPLETED, KNOWN = 0, 1, 2
@@ -32,7 +32,6 @@ _NAMES |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 _TYPES = {name: code for code, name in _NAMES.items()}
 _TYPES |= {np.dtype(code).name: code for code in (*_NAMES, "i8", "u8")}
 _TYPES |= {"bool": "u1", "long": "i8", "ulong": "u8"}
-_AXES = ("x", "y", "z")
 _MAX_HEADER_BYTES = 2**18
 _SHORT = "the file is truncated"
 _REMEDY = "export it again as a PLY point cloud"
@@ -46,7 +45,7 @@ def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
     `max_points` vertices or rows before them, raise an InputError.
     """
     data = read_bytes(path)
-    try:
+    with parsing(path, "a valid PLY file", _REMEDY):
         layout, elements, start = _parse_header(data)
         before = list(itertools.takewhile(lambda e: e.name != "vertex", elements))
         vertex, places = _vertices(elements)
@@ -63,8 +62,6 @@ def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
                 start = _skip(data, start, element)
             columns = _columns(data, start, vertex, places)
         return stack_columns(columns, [vertex.properties[i].value for i in places])
-    except ValueError as error:
-        raise unsound(path, "a valid PLY file", error, _REMEDY) from None
 
 
 def write_ply(
@@ -113,7 +110,7 @@ def vertices_bytes(
     Binary little-endian; x y z in the type of `points` (float32 or float64), columns in
     theirs. Comments are lines of the header."""
     scalar = np.float64 if points.dtype == np.float64 else np.float32
-    table = dict(zip(_AXES, points.astype(scalar).T, strict=True)) | (columns or {})  # pyright: ignore
+    table = dict(zip("xyz", points.astype(scalar).T, strict=True)) | (columns or {})  # pyright: ignore
     kinds = {name: _NAMES[column.dtype.str[1:]] for name, column in table.items()}
     fields = [(name, f"<{_TYPES[kind]}") for name, kind in kinds.items()]
     vertices = np.empty(len(points), fields)
@@ -184,9 +181,9 @@ def _vertices(elements: list[_Element]) -> tuple[_Element, list[int]]:
     if vertex is None or vertex.count == 0:
         raise ValueError("no vertices")
     names = [prop.name for prop in vertex.properties]
-    if any(names.count(axis) != 1 for axis in _AXES):
+    if any(names.count(axis) != 1 for axis in "xyz"):
         raise ValueError(f"vertices have {', '.join(names) or 'nothing'}, not x y z")
-    places = [names.index(axis) for axis in _AXES]
+    places = [names.index(axis) for axis in "xyz"]
     if any(vertex.properties[place].length is not None for place in places):
         raise ValueError("x, y or z is a list")
     return vertex, places

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from prism_jax.io.arrays import check_not_index
 from prism_jax.io.errors import StrPath
-from prism_jax.io.files import MAX_POINTS, check_count, read_bytes, unsound
+from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 
 _REMEDY = "write one point per line as 'x y z', or name the columns in the first line"
 _FOREIGN = re.compile(rb"[-+]?(nan\(\w*\)|1[.,]#([qs]nan|ind|inf)\w*)", re.IGNORECASE)
@@ -34,12 +34,10 @@ def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, 
     more than `max_points` lines raise an InputError.
     """
     data = plain_numbers(read_bytes(path))
-    try:
+    with parsing(path, "a valid table of points", _REMEDY):
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
         text = io.StringIO(_decoded(data), newline=None)
         return _read(list(map(str.rstrip, text)))
-    except ValueError as error:
-        raise unsound(path, "a valid table of points", error, _REMEDY) from None
 
 
 def _decoded(data: bytes) -> str:
@@ -53,7 +51,8 @@ def _decoded(data: bytes) -> str:
 
 def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
     """The points; a ValueError says which line is wrong."""
-    places = [n for n, line in enumerate(lines) if line and not _is_comment(line)]
+    marks, starts = ("#", "//", "%"), enumerate(map(str.lstrip, lines))
+    places = [n for n, start in starts if start and not start.startswith(marks)]
     if not places:
         raise ValueError("no points")
     comments, rows = lines[: places[0]], [lines[n] for n in places]
@@ -137,10 +136,6 @@ def parse_rows(
     if len(table) == 0 or (count is not None and len(table) < count):
         raise ValueError(f"ends after {len(table)} of {count or 'the'} points")
     return table
-
-
-def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith(("#", "//", "%"))
 
 
 def _named(headers: Sequence[str], delimiter: str | None, width: int) -> list[int]:

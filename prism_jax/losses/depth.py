@@ -11,9 +11,7 @@ EPSILON = 1e-8
 
 
 def depth_supervised(
-    predicted: Float[Array, "N 3"],
-    complete: Float[Array, "M 3"],
-    camera: Camera,
+    predicted: Float[Array, "N 3"], complete: Float[Array, "M 3"], camera: Camera
 ) -> Float[Array, ""]:
     """Eq. 3: mean depth error against the rendered ground-truth complete cloud.
 

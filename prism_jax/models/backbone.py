@@ -55,9 +55,8 @@ def encode_points(
     indices: EncoderIndices,
 ) -> PointFeatures:
     """The point stream, with BatchNorm statistics as they are."""
-    return apply(
-        PointEncoder(config), part(variables, "point_encoder"), partial, indices
-    )
+    own = part(variables, "point_encoder")
+    return apply(PointEncoder(config), own, partial, indices)
 
 
 def decode(

@@ -95,9 +95,7 @@ class VisibilityPooling(nn.Module):
         self, partial: Float[Array, "... N 3"], visibility: Visibility
     ) -> Float[Array, "... G"]:
         at = jnp.asarray(_LATTICE, partial.dtype)
-        at_lattice = over_batch(
-            lambda _, visibility: visibility_features(visibility, at)
-        )
+        at_lattice = over_batch(lambda _, known: visibility_features(known, at))
         found = at_lattice(partial, visibility)
         at = jnp.broadcast_to(at, (*found.shape[:-1], 3))
         width = self.config.features
@@ -137,13 +135,11 @@ class UpsamplingBlock(nn.Module):
         width = self.config.features
         x = MLP((width // 2, width), name="point_0")(xyz)
         if self.config.reads_visibility:
-            at_points = over_batch(
-                lambda cloud, visibility: visibility_features(visibility, cloud)
-            )
+            read = over_batch(lambda cloud, known: visibility_features(known, cloud))
             # Zero at first, so that training can go on from weights without it.
             zeros = nn.initializers.zeros
             reading = MLP((width // 2, width), zeros, name="clues")
-            x = x + reading(at_points(xyz, _given(visibility)))
+            x = x + reading(read(xyz, _given(visibility)))
         whole = highest(x)[..., None, :]
         mlp = MLP((4 * width, 2 * width, width), name="point_1")
         return mlp(x, whole, global_feature[..., None, :])

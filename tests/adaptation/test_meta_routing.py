@@ -12,12 +12,7 @@ import numpy as np
 import pytest
 
 from prism_jax.adaptation.config import MetaConfig, PrismConfig
-from prism_jax.adaptation.meta import (
-    Functions,
-    MetaTerms,
-    learned_part,
-    meta_loss,
-)
+from prism_jax.adaptation.meta import Functions, MetaTerms, learned_part, meta_loss
 from prism_jax.adaptation.objective import Losses
 from prism_jax.losses.weighting import weighted_auxiliary
 from prism_jax.models.variables import ENCODERS, pop_encoders, put_encoders

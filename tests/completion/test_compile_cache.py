@@ -13,20 +13,16 @@ from prism_jax.completion.compile_cache import compile_cached, sealed
 ARGUMENTS = ({"a": jnp.arange(3.0)}, jnp.float32(2))
 
 
-class Counted:
-    """A function that counts how often it is traced."""
-
-    def __init__(self):
-        self.count = 0
-
-    def __call__(self, tree, factor):
-        self.count += 1
-        return {"b": factor * tree["a"]}
-
-
 @pytest.fixture
 def fn():
-    return Counted()
+    """A function that counts how often it is traced."""
+
+    def counted(tree, factor):
+        counted.count += 1
+        return {"b": factor * tree["a"]}
+
+    counted.count = 0
+    return counted
 
 
 def run(fn, folder, arguments=ARGUMENTS, about="here"):

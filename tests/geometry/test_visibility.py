@@ -198,16 +198,8 @@ def test_mapped_maps_are_those_of_each():
 
 def test_clues_in_closed_form():
     """At the middles of pixels; the map is as wide as one unit a pixel at depth one."""
-    middle = np.array(
-        [
-            (2.5, 2.5, 1.25),
-            (1.5, 1.5, 0.75),
-            (2.0, 0.0, 1.0),
-            (3.0, -3.0, 1.5),
-            (0.4, -0.4, -0.2),
-            (-1.0, 0.0, 0.0),
-        ]
-    )
+    middle = [(2.5, 2.5, 1.25), (1.5, 1.5, 0.75), (2.0, 0.0, 1.0)]
+    middle += [(3.0, -3.0, 1.5), (0.4, -0.4, -0.2), (-1.0, 0.0, 0.0)]
     found = np.asarray(read(view_along_x(), jnp.asarray(middle, jnp.float32)))
     shares = np.eye(4)[[SURFACE, SURFACE, NEARER, UNKNOWN, BACKGROUND, UNKNOWN]]
     assert found.shape == (6, 6)

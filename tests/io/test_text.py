@@ -1,5 +1,7 @@
 """Lines of numbers."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -69,11 +71,8 @@ FAULTS = [
 ]
 
 
-def test_malformed_table_is_one_line(tmp_path):
+def test_malformed_table(tmp_path):
     for data, fault in FAULTS:
         (tmp_path / "a.txt").write_bytes(data)
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=f"{re.escape(fault)}.*one point per line"):
             read_text(tmp_path / "a.txt")
-        assert fault in str(caught.value)
-        assert "\n" not in str(caught.value)
-        assert "one point per line" in str(caught.value)

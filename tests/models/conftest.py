@@ -11,6 +11,7 @@ import pytest
 
 from experiments.baselines.crapcn import convert_state_dict
 from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
+from tests.trees import row
 
 CONFIGS = {"pcn": PCN, "sn55": SHAPENET55}
 QUARTER = dict(
@@ -44,6 +45,12 @@ class Published(NamedTuple):
                 tree = tree.get(name, {})
             out[kind] = tree
         return out
+
+
+@pytest.fixture(scope="session")
+def frame(tiny_frames):
+    """A cloud and its camera."""
+    return row(tiny_frames, 0)
 
 
 @pytest.fixture(scope="session")

@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 
 from prism_jax.geometry.neighbors import knn
-from prism_jax.models.decoder import (
-    Cloud,
-    SeedGenerator,
-    UpsamplingBlock,
-    sampled_rows,
-)
+from prism_jax.models.decoder import Cloud, SeedGenerator, UpsamplingBlock, sampled_rows
 from prism_jax.models.encoder import PointEncoder, PointFeatures, encoder_indices
 from prism_jax.models.layers import over_batch, take
 from prism_jax.models.pyramid import build_pyramid, farthest_order, resolution_rows

@@ -1,7 +1,5 @@
 """A frame in several poses, completed in each and laid together."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,22 +13,11 @@ from prism_jax.models.variables import pop_encoders
 from tests.trees import bitwise
 
 
-def posed_config(minimal, count, **adapt):
-    """That of `minimal`, in so many poses."""
-    config = minimal.config.with_adapt(**adapt)
-    model = dataclasses.replace(config.model, poses=count)
-    return dataclasses.replace(config, model=model)
-
-
-@pytest.fixture(scope="module")
-def frame(tiny_frames):
-    return jax.tree.map(lambda leaf: leaf[0], tiny_frames)
-
-
 @pytest.fixture(scope="module")
 def complete(minimal, quick_jit):
     """Completion in all poses, compiled once."""
-    return quick_jit(make_adapt(posed_config(minimal, MAX_POSES, num_steps=0)))
+    config = minimal.config.with_adapt(num_steps=0).with_model(poses=MAX_POSES)
+    return quick_jit(make_adapt(config))
 
 
 def test_they_are_rotations_and_a_mirror_image():
@@ -96,10 +83,9 @@ def test_each_is_the_completion_of_that_pose(minimal, minimal_fresh, frame, comp
 def test_adapted_with_all_poses(minimal, minimal_fresh, frame, quick_jit):
     """The first part is that of one pose, and the others move with its encoders."""
     size = minimal.model.backbone.stage_sizes[-1]
+    config = minimal.config.with_adapt(num_steps=1)
     one, two = (
-        quick_jit(make_adapt(posed_config(minimal, count, num_steps=1)))(
-            minimal_fresh, *frame
-        )
+        quick_jit(make_adapt(config.with_model(poses=count)))(minimal_fresh, *frame)
         for count in (1, 2)
     )
     for points, own in zip(two[:2], one[:2], strict=True):

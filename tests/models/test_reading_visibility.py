@@ -16,11 +16,6 @@ from prism_jax.training.inputs import inputs_of, visibility_of
 
 
 @pytest.fixture(scope="module")
-def frame(tiny_frames):
-    return jax.tree.map(lambda leaf: leaf[0], tiny_frames)
-
-
-@pytest.fixture(scope="module")
 def maps(frame):
     """What the cloud itself says, and what a scan knows that has nothing around it."""
     partial, camera = frame

@@ -7,13 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import BinaryIO
 
-from prism_jax.io.streams.messages import (
-    CutError,
-    Message,
-    MessageFile,
-    Topic,
-    full_name,
-)
+from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 from prism_jax.io.streams.packed import unpack
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -47,8 +41,7 @@ class BagFile(MessageFile):
                 if code == _CONNECTION:
                     (number,) = struct.unpack("<I", fields[b"conn"])
                     names[number] = fields[b"topic"].decode()
-                    about = _fields(data)
-                    kinds[names[number]] = full_name(about[b"type"].decode())
+                    kinds[names[number]] = _fields(data)[b"type"].decode()
                 elif code == _MESSAGE:
                     (number,) = struct.unpack("<I", fields[b"conn"])
                     seconds, nanoseconds = struct.unpack("<II", fields[b"time"])

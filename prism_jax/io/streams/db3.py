@@ -9,13 +9,7 @@ from collections.abc import Collection, Iterator
 
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
-from prism_jax.io.streams.messages import (
-    CutError,
-    Message,
-    MessageFile,
-    Topic,
-    full_name,
-)
+from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 
 MAGIC = b"SQLite format 3\0"
 
@@ -38,7 +32,7 @@ class Db3File(MessageFile):
                     for number, count in database.execute(counted):
                         counts[names.get(number, "")] += count
         return {
-            name: Topic(full_name(kind), encoding, counts[name])
+            name: Topic(kind, encoding, counts[name])
             for name, kind, encoding in rows.values()
             if counts[name]
         }
@@ -77,11 +71,9 @@ class Db3File(MessageFile):
             data = read_bytes(self.path)
             database.deserialize(data[: len(data) // page * page])
         else:
-            place = urllib.parse.quote(str(self.path.absolute()))
+            place = f"file:{urllib.parse.quote(str(self.path.absolute()))}?mode=ro"
             # Iterating goes on in the thread that reads ahead.
-            database = sqlite3.connect(
-                f"file:{place}?mode=ro", uri=True, check_same_thread=False
-            )
+            database = sqlite3.connect(place, uri=True, check_same_thread=False)
         try:
             database.execute("PRAGMA trusted_schema=OFF")
             # Or SQLite would open no file that is shorter than it says.

@@ -1,11 +1,11 @@
 """Folders of clouds, of depth images, and of the recordings' layout."""
 
 import dataclasses
+import functools
 import pathlib
 import re
 from collections.abc import Iterator
 
-from prism_jax.geometry.camera import Camera
 from prism_jax.io.clouds import READERS, read_cloud
 from prism_jax.io.depth import read_camera, read_counts
 from prism_jax.io.errors import InputError
@@ -61,23 +61,25 @@ class CloudFolder(Stream):
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:
         """One of the frames."""
-        if path.suffix.lower() == ".png":
-            own = path.with_suffix(".json")
-            common = path.with_name("camera.json")
-            beside = own if own.exists() else common
-            return self._depth_frame(path, self.camera_file or beside, time)
-        return _cloud_frame(path, None, time)
+        if path.suffix.lower() != ".png":
+            return self._frame(path, None, time)
+        own, common = path.with_suffix(".json"), path.with_name("camera.json")
+        beside = own if own.exists() else common
+        return self._frame(path, self.camera_file or beside, time)
 
-    def _of_camera(self, line: str) -> None:
-        self.remark("camera_file", line)
-
-    def _depth_frame(
-        self, path: pathlib.Path, camera: pathlib.Path, time: int
+    def _frame(
+        self, path: pathlib.Path, about: pathlib.Path | None, time: int
     ) -> Frame:
-        is_told = camera == self.camera_file
-        tell = (lambda _: None) if is_told else self._of_camera
-        counts, scale, view = read_counts(path, camera, tell=tell)
-        return Frame.of_depth(counts, view, time, scale)
+        """That of a cloud or a depth image; `about` is its camera's file, if any."""
+        tell = functools.partial(self.remark, "camera_file")
+        if about is not None and path.suffix.lower() == ".png":
+            tell = (lambda _: None) if about == self.camera_file else tell
+            counts, scale, camera = read_counts(path, about, tell=tell)
+            return Frame.of_depth(counts, camera, time, scale)
+        camera = None if about is None else read_camera(about, tell)
+        points, num_read, notes = read_cloud(path)
+        num_lost = num_read - len(points)
+        return Frame(points, time, camera, num_not_finite=num_lost, notes=notes)
 
 
 class RecordedFrames(CloudFolder):
@@ -92,14 +94,9 @@ class RecordedFrames(CloudFolder):
         return sorted(found, key=lambda p: natural(p.relative_to(path)))
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:
-        suffix = TOPICS[str(self.topic)]
-        name = path.name.removesuffix(suffix)
-        camera = path.with_name(name + _CAMERA)
+        name = path.name.removesuffix(TOPICS[str(self.topic)])
         joints = path.with_name(name + _JOINTS)
-        if suffix == _DEPTH:
-            frame = self._depth_frame(path, camera, time)
-        else:
-            frame = _cloud_frame(path, read_camera(camera, self._of_camera), time)
+        frame = self._frame(path, path.with_name(name + _CAMERA), time)
         if self.joints is not None and joints.exists():
             frame = dataclasses.replace(frame, joints=read_json(joints, _LEAVE))
         return frame
@@ -123,9 +120,3 @@ def natural(path: pathlib.Path) -> list[tuple[int, str]]:
 
 def _holds(path: pathlib.Path) -> bool:
     return any(path.glob(f"*{_DEPTH}"))
-
-
-def _cloud_frame(path: pathlib.Path, camera: Camera | None, time: int) -> Frame:
-    points, num_read, notes = read_cloud(path)
-    num_lost = num_read - len(points)
-    return Frame(points, time, camera, num_not_finite=num_lost, notes=notes)

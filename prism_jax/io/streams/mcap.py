@@ -7,13 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 
 from prism_jax.io.errors import require
-from prism_jax.io.streams.messages import (
-    CutError,
-    Message,
-    MessageFile,
-    Topic,
-    full_name,
-)
+from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 from prism_jax.io.streams.packed import EXTRA, unpack
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -80,7 +74,7 @@ class McapFile(MessageFile):
                 content = memoryview(file.read(min(length, size)))
                 try:
                     if code == _CHUNK:
-                        yield from _in_buffer(_unpacked(content), whole)
+                        yield from _in_chunk(content, whole)
                     else:
                         yield code, content
                 except (struct.error, UnicodeDecodeError) as error:
@@ -103,7 +97,7 @@ class McapFile(MessageFile):
             schema = summary.schemas.get(channel.schema_id)
             if schema is None and channel.schema_id:
                 return None
-            kind = full_name("" if schema is None else schema.name)
+            kind = "" if schema is None else schema.name
             known.channels[number] = channel.topic, kind, channel.message_encoding
         most = _MOST_A_BYTE * self.path.stat().st_size
         if not counts.keys() <= known.channels.keys() or sum(counts.values()) > most:
@@ -126,12 +120,16 @@ class _Channels:
             number, schema = struct.unpack_from("<HH", content)
             topic, end = _text(content, 4)
             encoding, _ = _text(content, end)
-            kind = full_name(self._schemas.get(schema, ""))
-            self.channels[number] = topic, kind, encoding
+            self.channels[number] = topic, self._schemas.get(schema, ""), encoding
 
 
-def _in_buffer(data: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
+def _in_chunk(content: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
     """The records of a chunk; of one that is not whole, those that are."""
+    if len(content) < 40:
+        return
+    (size,) = struct.unpack_from("<Q", content, 16)
+    compression, end = _text(content, 28)
+    data = memoryview(unpack(content[end + 8 :], compression, size))
     start = 0
     while start + _HEAD.size <= len(data):
         code, length = _HEAD.unpack_from(data, start)
@@ -142,15 +140,6 @@ def _in_buffer(data: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]
         start = end
     if whole and start < len(data):
         raise ValueError("a chunk ends within a record")
-
-
-def _unpacked(content: memoryview) -> memoryview:
-    """The records of a chunk, or the first of them where it is cut."""
-    if len(content) < 40:
-        return memoryview(b"")
-    (size,) = struct.unpack_from("<Q", content, 16)
-    compression, end = _text(content, 28)
-    return memoryview(unpack(content[end + 8 :], compression, size))
 
 
 def _text(content: memoryview, start: int) -> tuple[str, int]:

@@ -10,8 +10,8 @@ from prism_jax.io.errors import InputError, StrPath, unreadable
 
 
 class Topic(NamedTuple):
-    """What is recorded under a name: the messages' type, as `sensor_msgs/msg/Image`,
-    how they are encoded, "cdr" or "ros1", and how many there are."""
+    """What is recorded under a name: the messages' type, as `sensor_msgs/msg/Image` or
+    without `msg`, how they are encoded, "cdr" or "ros1", and how many there are."""
 
     kind: str
     encoding: str
@@ -58,9 +58,3 @@ class MessageFile(abc.ABC):
                 remedy = "check how it was recorded or copied"
                 raise InputError(self.path, f"not {kind}", remedy)
             yield file
-
-
-def full_name(kind: str) -> str:
-    """A type's name as ROS 2 has it: `sensor_msgs/Image` is `sensor_msgs/msg/Image`."""
-    package, _, name = kind.partition("/")
-    return kind if "/" in name else f"{package}/msg/{name}"

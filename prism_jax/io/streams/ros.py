@@ -55,9 +55,11 @@ class RosStream(Stream):
         self._files = files
         self._topics: dict[str, Topic] = {}
         for file in files:
-            for name, found in file.topics().items():
-                before = self._topics[name].count if name in self._topics else 0
-                self._topics[name] = found._replace(count=before + found.count)
+            for name, (kind, encoding, count) in file.topics().items():
+                package, _, own = kind.partition("/")
+                kind = kind if "/" in own else f"{package}/msg/{own}"  # as ROS 2 has it
+                count += self._topics[name].count if name in self._topics else 0
+                self._topics[name] = Topic(kind, encoding, count)
         self.topic = self._chosen(topic)
         self._is_depth = self._topics[self.topic].kind == IMAGE
         last = "/".join(self.topic.split("/")[-2:])
@@ -89,7 +91,9 @@ class RosStream(Stream):
                 if message.topic == self._units:
                     unit = float(content.data)
                     continue
-                time = _time(content, message)
+                stamp = content.header.stamp
+                # Where nobody filled it in, when it was recorded.
+                time = stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
                 if message.topic == self._joints:
                     yield from placed.add_positions(_positions(content), time)
                 elif message.topic == self._info:
@@ -195,11 +199,9 @@ class RosStream(Stream):
         if np.any(_either(content, "d")) and not self._rectified:
             line = f"{self._info} has lens distortion, which is ignored"
             self.remark("distortion", line)
-        one, other = (
-            [c.width, c.height, *np.ravel(c.intrinsics)]
-            for c in (before or camera, camera)
-        )
-        if not np.allclose(one, other, rtol=1e-6):
+        cameras = before or camera, camera
+        known = [[c.width, c.height, *np.ravel(c.intrinsics)] for c in cameras]
+        if not np.allclose(*known, rtol=1e-6):
             line = f"{self._info} has another size or other intrinsics than before"
             self.remark("camera", f"{line}; used from then on")
         return camera
@@ -235,12 +237,6 @@ def _positions(content: Any) -> dict[str, float]:
     if len(names) != len(positions):
         raise ValueError(f"{len(names)} joints have {len(positions)} positions")
     return dict(zip(names, positions.tolist(), strict=True))
-
-
-def _time(content: Any, message: Message) -> int:
-    """The header's stamp; where nobody filled it in, when it was recorded."""
-    stamp = content.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
 
 
 def _frame(content: Any, camera: Camera | None, time: int, unit: float | None) -> Frame:

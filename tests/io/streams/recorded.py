@@ -12,13 +12,9 @@ typesys = pytest.importorskip("rosbags.typesys")
 
 ROS1 = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
 ROS2 = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-CLOUD, IMAGE, INFO, TEXT, JOINTS = (
-    "sensor_msgs/msg/PointCloud2",
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/CameraInfo",
-    "std_msgs/msg/String",
-    "sensor_msgs/msg/JointState",
-)
+CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
+INFO, JOINTS = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointState"
+TEXT = "std_msgs/msg/String"
 SECOND = 1_000_000_000
 
 
@@ -111,9 +107,8 @@ def pack_messages(path):
     """Packs each message of a .db3 by itself, as rosbag2 does, not all with a size."""
     zstandard = pytest.importorskip("zstandard")
     with contextlib.closing(sqlite3.connect(path)) as database:
-        for number, data in database.execute(
-            "SELECT id, data FROM messages"
-        ).fetchall():
+        rows = database.execute("SELECT id, data FROM messages").fetchall()
+        for number, data in rows:
             packer = zstandard.ZstdCompressor(write_content_size=number % 2 > 0)
             packed = packer.compress(data), number
             database.execute("UPDATE messages SET data = ? WHERE id = ?", packed)

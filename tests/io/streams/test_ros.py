@@ -220,21 +220,13 @@ def test_bags_of_a_realsense(tmp_path):
     sensor, store = "/device_0/sensor_0", store_of("bag")
     pixels = np.full((4, 4), 4000, np.uint16)
     units = store.types["std_msgs/msg/Float32"](data=0.00025)
+    color, depth = (info(4, 4, focal, store=store) for focal in (9.0, 5.0))
+    counts = image(pixels, START, store, "mono16")
     messages = [
         (f"{sensor}/option/Depth_Units/value", "std_msgs/msg/Float32", 0, units),
-        (
-            "/device_0/sensor_1/Color_0/info/camera_info",
-            INFO,
-            0,
-            info(4, 4, 9.0, store=store),
-        ),
-        (f"{sensor}/Depth_0/info/camera_info", INFO, 0, info(4, 4, 5.0, store=store)),
-        (
-            f"{sensor}/Depth_0/image/data",
-            IMAGE,
-            1,
-            image(pixels, START, store, "mono16"),
-        ),
+        ("/device_0/sensor_1/Color_0/info/camera_info", INFO, 0, color),
+        (f"{sensor}/Depth_0/info/camera_info", INFO, 0, depth),
+        (f"{sensor}/Depth_0/image/data", IMAGE, 1, counts),
     ]
     (frame,) = open_stream(WRITERS["bag"](tmp_path, messages))
     np.testing.assert_allclose(frame.depth, 1.0)
@@ -244,9 +236,8 @@ def test_bags_of_a_realsense(tmp_path):
 def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
     message = image(np.full((4, 4), 1000, np.uint16), START)
     path = write_mcap(tmp_path / "r.mcap", [("/cam/depth", IMAGE, 1, message)])
-    with pytest.raises(
-        InputError, match="no CameraInfo on /cam/camera_info; record /c"
-    ):
+    told = "no CameraInfo on /cam/camera_info; record /c"
+    with pytest.raises(InputError, match=told):
         open_stream(path)
     both = [("/cam/depth", IMAGE, 1, message), ("/rgb", INFO, 1, info(4, 4, 615.0))]
     with pytest.raises(InputError, match="set --camera to one of /rgb, or to a JSON"):
