@@ -97,3 +97,10 @@ def test_degenerate_neighborhoods_give_unit_vectors_without_a_gradient(name):
     if name in ("isotropic", "coincident"):
         gradient = jax.grad(lambda p: (normals_of(p) * jnp.arange(3.0)).sum())(points)
         assert np.all(gradient == 0)
+
+
+def test_vmap():
+    clouds = np.stack([sphere(), plane((1, 2, 3)).astype(np.float32)])
+    found = jax.jit(jax.vmap(pca_normals))(clouds)
+    for i in range(2):
+        assert agreement(found[i], normals_of(clouds[i])).min() > 1 - 1e-5

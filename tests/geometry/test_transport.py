@@ -119,3 +119,12 @@ def test_the_unit_of_costs_changes_nothing_and_far_ones_do_not_underflow():
     # A row whose every cost is 1,000 epsilon must still send its mass.
     plan, _ = transport(cost.at[2].add(1000.0), 1.0)
     assert np.allclose(plan.sum(axis=1), 1 / 8, rtol=1e-3)
+
+
+def test_vmap():
+    costs = jnp.stack([squared_costs(), squared_costs()]).astype(jnp.float32)
+    plans, totals = jax.jit(jax.vmap(lambda c: sinkhorn(c, 1.0, 400)))(costs)
+    for i in range(2):
+        plan, total = transport(costs[i], 1.0)
+        assert np.allclose(plans[i], plan, atol=1e-6)
+        assert totals[i] == pytest.approx(float(total), rel=1e-5)

@@ -71,6 +71,12 @@ def test_value_and_gradient_stay_small_in_memory():
     assert 0 < compiled.memory_analysis().temp_size_in_bytes < 300e6
 
 
+def test_vmap_is_a_loop():
+    predictions, targets = cloud(3, 300), cloud(3, 200)
+    looped = [both(p, t) for p, t in zip(predictions, targets, strict=True)]
+    assert np.allclose(jax.vmap(both)(predictions, targets), looped, rtol=1e-6)
+
+
 def test_equal_clouds():
     points = cloud(40)
     expected = [0.0, FLOOR**0.5]

@@ -84,3 +84,10 @@ def test_degenerate_clouds():
         value, (gradient, _) = supervised(predicted, reference, CAMERA)
         assert np.allclose(value, 1.0, atol=1e-6)
         assert np.allclose(np.sum(gradient, axis=0), (0, 0, 1), atol=1e-5)
+
+
+def test_vmap_is_a_loop():
+    predicted, partial = jnp.asarray(cloud(3, 80)), jnp.asarray(cloud(3, 60))
+    batched, _ = jax.vmap(supervised, (0, 0, None))(predicted, partial, CAMERA)
+    looped = [supervised(predicted[i], partial[i], CAMERA)[0] for i in range(3)]
+    assert np.allclose(batched, looped, rtol=1e-6)
