@@ -81,7 +81,7 @@ _UNUSED = {
     CALIBRATE: "calibration camera depth eye query reference topic pace every_frame "
     "carving_margin smallest_body max_points output_dir",
     REFERENCE: "calibration query reference alpha weights adapt density background "
-    "input sensor voxel pace every_frame output_dir",
+    "input sensor voxel up workspace smallest_body pace every_frame output_dir",
     "": "input output",
 }
 """Flags that a use refuses."""

@@ -168,6 +168,8 @@ def test_what_calibrating_does_not_use_is_refused(recordings, capsys):
     for flag in ("--eye=0,0,0", "--camera=c.json", "--smallest_body=0.1"):
         assert launching.run(envelope, "calibrate", str(recordings), flag) == 2
         assert "not used by prism-envelope calibrate" in capsys.readouterr().err
+    assert launching.run(envelope, "reference", str(recordings), BOX) == 2
+    assert "--workspace: not used by prism-envelope ref" in capsys.readouterr().err
 
 
 def test_one_recording_is_one_cell_whatever_it_is_called(tmp_path, capsys):
