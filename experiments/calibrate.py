@@ -22,18 +22,19 @@ from tqdm import tqdm
 
 from experiments import robustness
 from experiments.output import prepare_output
+from experiments.run_folder import commit
 from experiments.scoring import print_and_write, require_looks
 from experiments.simulation.build_dataset import build_if_missing
+from experiments.splits import digest_of
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.assembly import CompletedScan
 from prism_jax.completion.completer import Completer
 from prism_jax.completion.weights import file_sha256, load_pretrained
-from prism_jax.data.datasets import digest_of, open_dataset
+from prism_jax.data.datasets import open_dataset
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.io.errors import require
 from prism_jax.models.backbone import encode_points, partial_indices
-from prism_jax.training.run import commit
 from prism_jax.uncertainty.confidence import EVIDENCE, Calibration, Verdict, logarithms
 from prism_jax.uncertainty.sigma import PointErrors, spread
 

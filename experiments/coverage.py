@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float, Float32
 from tqdm import tqdm
 
 from experiments.output import prepare_output
+from experiments.run_folder import commit
 from experiments.scoring import print_and_write
 from experiments.simulation.roboarm.build import own_rng
 from experiments.simulation.roboarm.models import arms_of
@@ -54,7 +55,6 @@ from prism_jax.geometry.camera import Camera
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
-from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
 ALPHA = 0.1

@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from experiments.assets import CELLS
 from experiments.output import prepare_output
+from experiments.run_folder import commit
 from experiments.scoring import print_and_write
 from prism_jax.cli.launch import launch
 from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells
@@ -28,7 +29,6 @@ from prism_jax.envelope.voxels import Grid
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
-from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
 

@@ -22,6 +22,7 @@ from experiments.published import (
     published_columns,
     published_markdown,
 )
+from experiments.run_folder import commit
 from experiments.scoring import (
     define_scoring_flags,
     describe_data,
@@ -41,7 +42,6 @@ from prism_jax.evaluation.protocol import Protocol
 from prism_jax.evaluation.run import prism_completer
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io.errors import InputError
-from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
 

@@ -14,13 +14,13 @@ import numpy as np
 from absl import flags
 
 from experiments.output import prepare_output
+from experiments.run_folder import commit
 from experiments.training import beginning, known_of, overlaid
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.weights import load_pretrained, save_weights, sha256
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
-from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
 

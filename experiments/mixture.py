@@ -7,14 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from prism_jax.data.datasets import (
-    DATASETS,
-    open_dataset,
-    training_split,
-    validation_rows,
-)
+from experiments.splits import Subset, training_split, validation_rows
+from prism_jax.data.datasets import DATASETS, open_dataset
 from prism_jax.data.shards import Shards
-from prism_jax.data.source import Example, Source, Subset
+from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError, choose
 
 MAX_WEIGHT = 1e6

@@ -10,14 +10,9 @@ from absl import flags
 
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.simulation.packing import PackConfig, pack
+from experiments.splits import digest_of, training_split, validation_split
 from prism_jax.cli.launch import launch
-from prism_jax.data.datasets import (
-    DATASETS,
-    digest_of,
-    open_dataset,
-    training_split,
-    validation_split,
-)
+from prism_jax.data.datasets import DATASETS, open_dataset
 
 FLAGS = flags.FLAGS
 

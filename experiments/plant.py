@@ -31,7 +31,9 @@ from experiments.plants.frames import (
     read_frame,
     student_view,
 )
+from experiments.run_folder import commit
 from experiments.settings import changed
+from experiments.splits import digest_of
 from experiments.training import known_of
 from experiments.weights import located
 from prism_jax.adaptation.objective import test_time_objective
@@ -42,7 +44,7 @@ from prism_jax.completion.weights import (
     load_pretrained,
     save_weights,
 )
-from prism_jax.data.datasets import digest_of, open_dataset
+from prism_jax.data.datasets import open_dataset
 from prism_jax.data.pipeline import Batch, Framing, stack
 from prism_jax.evaluation.bootstrap import change_interval, resampled_means
 from prism_jax.geometry.cloud import IndexedCloud
@@ -57,7 +59,6 @@ from prism_jax.preprocessing.observation import Observation, framed_view
 from prism_jax.preprocessing.visibility import IN_FRONT, in_front
 from prism_jax.training.optimisers import optimiser
 from prism_jax.training.phase import TrainState
-from prism_jax.training.run import commit
 from prism_jax.training.supervised import averaged
 
 FLAGS = flags.FLAGS

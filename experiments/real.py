@@ -20,6 +20,7 @@ from jaxtyping import Float, Float64
 from tqdm import tqdm
 
 from experiments.output import prepare_output
+from experiments.run_folder import commit
 from experiments.scoring import print_and_write
 from experiments.weights import located
 from prism_jax import io
@@ -35,7 +36,6 @@ from prism_jax.io.pcd import read_pcd, read_pcd_field
 from prism_jax.io.streams import open_stream
 from prism_jax.io.text import read_text
 from prism_jax.reporting.summary import score
-from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
 

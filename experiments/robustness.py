@@ -17,21 +17,22 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from experiments.output import prepare_output
+from experiments.run_folder import commit
 from experiments.scoring import print_and_write
 from experiments.simulation.build_dataset import build_if_missing
+from experiments.splits import digest_of, validation_split
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.assembly import CompletedScan
 from prism_jax.completion.completer import Completer
 from prism_jax.completion.filtering import densify
 from prism_jax.completion.weights import sha256
-from prism_jax.data.datasets import digest_of, open_dataset, validation_split
+from prism_jax.data.datasets import open_dataset
 from prism_jax.data.pipeline import with_partial
 from prism_jax.evaluation import metrics
 from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
 from prism_jax.preprocessing.segmentation.support import find_up
-from prism_jax.training.run import commit
 
 FLAGS = flags.FLAGS
 Cloud = Float[np.ndarray, "N 3"]

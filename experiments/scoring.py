@@ -10,22 +10,19 @@ import numpy as np
 from absl import flags
 
 from experiments.comparison import comparison_markdown
+from experiments.run_folder import commit
 from experiments.simulation.build_dataset import build_if_missing
+from experiments.splits import digest_of
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.completion.weights import load_pretrained
-from prism_jax.data.datasets import (
-    DATASETS,
-    digest_of,
-    open_dataset,
-)
+from prism_jax.data.datasets import DATASETS, open_dataset
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
 from prism_jax.evaluation.run import CompleteFn, evaluate
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
-from prism_jax.training.run import commit
 from prism_jax.uncertainty.evidence import LOOKS
 
 FLAGS = flags.FLAGS

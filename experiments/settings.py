@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from experiments.presets import PRESETS, Preset
 from prism_jax.io.errors import InputError
-from prism_jax.training.presets import PRESETS, Preset
 
 
 def resolve(name: str, changes: Sequence[str] = ()) -> Preset:

@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import flax.linen as nn
 import jax
 import numpy as np
 from absl import flags
@@ -29,18 +30,18 @@ from experiments.scoring import (
     require_equal_sizes,
     run_evaluation,
 )
+from experiments.splits import training_split
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.weights import (
     read_metadata,
     samples_seen,
 )
-from prism_jax.data.datasets import training_split
 from prism_jax.evaluation.paired import all_differences, paired_difference
-from prism_jax.evaluation.run import Predictions, network_completer, prism_completer
+from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
 from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
 from prism_jax.io.errors import InputError
-from prism_jax.models.variables import Variables
+from prism_jax.models.variables import Variables, apply
 
 FLAGS = flags.FLAGS
 LABELS = {
@@ -148,6 +149,13 @@ def main():
         results = (rows[OURS].result, rows[TOLD].result)
         table["told"] = all_differences(*results, clouds)
     print_and_write(table, table_markdown(table))
+
+
+def network_completer(module: nn.Module, variables: Variables) -> CompleteFn:
+    """A network that maps partials to its stages, the last of which is scored; jitted,
+    and compiled for each batch size."""
+    batched = jax.jit(lambda variables, partials: apply(module, variables, partials))
+    return lambda partials, eyes: Predictions(batched(variables, partials)[-1])
 
 
 def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:

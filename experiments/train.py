@@ -9,6 +9,8 @@ import dataclasses
 import jax
 from absl import flags
 
+from experiments.pretraining import pretrain
+from experiments.run_folder import open_run, started_from
 from experiments.settings import resolve
 from experiments.training import (
     about_training,
@@ -23,8 +25,6 @@ from prism_jax.completion.weights import save_weights, sha256
 from prism_jax.models.initial import init_variables
 from prism_jax.training.meta import check_meta, meta_phase
 from prism_jax.training.phase import train_phase
-from prism_jax.training.pretraining import pretrain
-from prism_jax.training.run import open_run, started_from
 
 FLAGS = flags.FLAGS
 
@@ -42,12 +42,10 @@ def main():
     elif meta:
         variables = init_variables(jax.random.key(FLAGS.seed), preset.model)
     if meta:
-        num_samples = encoded = preset.meta.num_samples
+        num_samples = preset.meta.num_samples
     else:
         num_samples = sum(phase.num_samples for phase in preset.pretrain.backbone)
-        encoded = num_samples + preset.pretrain.auxiliary_samples
-    sizes = config.num_complete, config.validate_every, encoded
-    data = training_data(preset, *sizes, order)
+    data = training_data(preset, config.validate_every, order)
     run = {
         "phase": FLAGS.phase,
         "preset": dataclasses.asdict(preset),

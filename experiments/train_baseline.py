@@ -11,6 +11,7 @@ from absl import flags
 from experiments.baselines.networks import NETWORKS
 from experiments.baselines.training import network_phase
 from experiments.baselines.weights import save_network
+from experiments.run_folder import open_run, started_from
 from experiments.settings import resolve
 from experiments.training import (
     about_training,
@@ -22,7 +23,6 @@ from prism_jax.cli.launch import launch
 from prism_jax.io.errors import InputError
 from prism_jax.training.config import PhaseConfig
 from prism_jax.training.phase import train_phase
-from prism_jax.training.run import open_run, started_from
 
 FLAGS = flags.FLAGS
 
@@ -41,7 +41,7 @@ def main():
         num_samples = sum(phase.num_samples for phase in config.backbone)
         num_samples += preset.meta.num_samples
     phase = PhaseConfig(FLAGS.network, num_samples, None)
-    data = training_data(preset, config.num_complete, config.validate_every, encoded=0)
+    data = training_data(preset, config.validate_every)
     run = {
         "network": FLAGS.network,
         "sizes": dataclasses.asdict(network.config),  # pyright: ignore

@@ -6,25 +6,19 @@ from typing import Any
 import jax
 from absl import flags
 
-from experiments.indices import index_table
 from experiments.mixture import open_mixture, parse_mixture
+from experiments.presets import Preset
 from experiments.simulation.build_dataset import build_if_missing
+from experiments.splits import digest_of, open_training, opened_splits, parts_of
 from experiments.weights import located
 from prism_jax.completion.weights import load_pretrained, read_metadata
-from prism_jax.data.datasets import (
-    DATASETS,
-    digest_of,
-    open_training,
-    opened_splits,
-    parts_of,
-)
+from prism_jax.data.datasets import DATASETS
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import default_cache_dir
 from prism_jax.models.backbone import init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.variables import Variables
 from prism_jax.training.phase import Data, order_seed
-from prism_jax.training.presets import Preset
 
 FLAGS = flags.FLAGS
 
@@ -105,19 +99,13 @@ def overlaid(fresh: Variables, given: Variables) -> Variables:
 
 
 def training_data(
-    preset: Preset,
-    num_complete: int,
-    validate_every: int,
-    encoded: int,
-    start: str | None = None,
+    preset: Preset, validate_every: int, start: str | None = None
 ) -> Data:
     """The flags' data set as the preset reads it.
 
-    `encoded` is how many examples the run encodes: if more than there are, the
-    encoder's indices are made beforehand. `start` is the digest of the weights that the
-    run goes on from: what they saw first, it does not see first again. Generated sets
-    are built where missing: for a preset with a `num_shapes` of its own, so many shapes
-    in a folder of its own.
+    `start` is the digest of the weights that the run goes on from: what they saw first,
+    it does not see first again. Generated sets are built where missing: for a preset
+    with a `num_shapes` of its own, so many shapes in a folder of its own.
     """
     weights, data_dir, changes = _place(preset)
     for name in weights:
@@ -127,7 +115,7 @@ def training_data(
         train, validation = open_training(next(iter(weights)), data_dir)
     else:
         train, validation = open_mixture(weights, data_dir, whole=FLAGS.whole)
-    data = Data(
+    return Data(
         train,
         validation,
         preset.model.backbone.num_points,
@@ -137,10 +125,6 @@ def training_data(
         FLAGS.num_workers,
         heading=preset.model.heading,
     )
-    if FLAGS.num_workers or encoded <= len(train):
-        return data
-    table = index_table(train, data.framing(num_complete), preset.model.backbone)
-    return data._replace(indices=table)
 
 
 def about_training(preset: Preset, data: Data) -> dict[str, Any]:

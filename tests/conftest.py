@@ -116,7 +116,7 @@ def x64():
 @pytest.fixture(scope="session")
 def tiny():
     """Configuration of the smallest preset."""
-    from prism_jax.training.presets import PRESETS
+    from experiments.presets import PRESETS
 
     return PRESETS["tiny"].config
 

@@ -15,11 +15,11 @@ from prism_jax.training import inputs as training_inputs
 from prism_jax.training import meta
 
 
-def prepare_input(partial, camera, key, config, indices=None, visibility=None):
+def prepare_input(partial, camera, key, config, visibility=None):
     """Its perturbation is the noise alone."""
     frame = NetworkInput(*[partial.mean()] * len(NetworkInput._fields))
     noise = jax.random.normal(key, partial.shape)
-    return frame._replace(partial=partial, perturbed=noise, indices=indices)
+    return frame._replace(partial=partial, perturbed=noise)
 
 
 def slopes(partials, complete):
@@ -29,17 +29,16 @@ def slopes(partials, complete):
 
 
 def meta_gradients(variables, frames, complete, adapt, config):
-    """The losses tell of the frames what else is to be known: `normal`, what indices
-    they have; `denoise`, their noise; `align`, how far it is not the same."""
+    """The losses tell of the frames what else is to be known: `denoise`, their noise;
+    `align`, how far it is not the same."""
     slope = slopes(frames.partial, complete).mean()
     learned = learned_part(variables, config)
     grads = jax.tree.map(lambda leaf: jnp.full_like(leaf, slope), learned)
     noise = frames.perturbed
-    indices = sum((leaf.sum() for leaf in jax.tree.leaves(frames.indices)), start=0)
     losses = Losses(
         3.0 + slope,
         4.0 + slope,
-        jnp.float32(indices),
+        jnp.float32(0.0),
         jnp.abs(noise).mean(),
         jnp.abs(noise - noise[0]).max(),
     )

@@ -16,7 +16,7 @@ from experiments.calibrate import unfitted
 from experiments.coverage import coverage_markdown
 from prism_jax.assets import asset
 from prism_jax.completion.weights import save_weights
-from prism_jax.evaluation.metrics import cd_l2
+from prism_jax.evaluation.metrics import score
 from prism_jax.io.ply import read_ply
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -78,7 +78,8 @@ def test_a_turned_scan_inside_ones_own_jax_code(tmp_path, monkeypatch):
     exec(given + EXAMPLES["python.md"][0] + 'np.save("done.npy", completed)', {})
     # 0.025 of the scan's; 2.2 of it in the heading that it comes in.
     truth = turn.apply(read_ply(asset("sample_complete.ply")))
-    assert cd_l2(np.load("done.npy"), truth) < 0.05 * cd_l2(points, truth)
+    done = score(np.load("done.npy"), truth)
+    assert done.cd_l2 < 0.05 * score(points, truth).cd_l2
 
 
 @pytest.mark.slow

@@ -12,6 +12,9 @@ from prism_jax.io.errors import InputError, require
 from prism_jax.io.files import read_bytes
 from prism_jax.models.config import BackboneConfig
 
+PUBLISHED = {"pcn": BackboneConfig(), "sn55": BackboneConfig(up_factors=(1, 4, 4))}
+"""The published variants, of 16,384 and 8,192 points."""
+
 _WRAPPERS = ("model", "base_model", "state_dict")
 _FAULTS_NAMED = 5
 

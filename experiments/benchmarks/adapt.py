@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
+from experiments.presets import PRESETS
 from experiments.weights import located
 from prism_jax import Camera, Workspace, load_pretrained, make_adapt, observe
 from prism_jax.completion.weights import available_weights
 from prism_jax.geometry.sampling import resample
 from prism_jax.models.initial import init_variables
-from prism_jax.training.presets import PRESETS
 
 FRAMES_PER_SECOND = 10
 STEPS = 3

@@ -6,8 +6,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
 
 from experiments.assets import CELLS
 from experiments.benchmarks.measure import Row, in_turn, row
@@ -35,8 +33,7 @@ def suite(weights: str = "small") -> Iterator[Row]:
     """The recorded frames, completed at once and scored on all cores.
 
     Against each completed alone and each of its clouds scored by the functions of
-    `prism_jax.evaluation.metrics`, and against batches of one in one thread. Then their
-    exact EMD against SciPy's assignment without a start.
+    `prism_jax.evaluation.metrics`, and against batches of one in one thread.
     """
     config, variables = load_pretrained(located(weights))
     source = RecordedCells(CELLS)
@@ -51,15 +48,6 @@ def suite(weights: str = "small") -> Iterator[Row]:
     name = f"{weights}, {len(source)} frames evaluated"
     yield row(name, ours, "frame by frame, cloud by cloud", separate, MOST)
     yield row(name, ours, "batches of one", batches_of_one)
-    frames = [
-        ([farthest_point_order(cloud, EMD_POINTS) for cloud in clouds.values()], few)
-        for clouds, _, few in completed_clouds(completer, source, protocol)
-    ]
-    started, plain = in_turn(
-        lambda: [metrics.emds(clouds, few) for clouds, few in frames],
-        lambda: [[plain_emd(cloud, few) for cloud in c] for c, few in frames],
-    )
-    yield row(f"exact EMD, {len(frames)} frames", started, "SciPy alone", plain, 1.0)
 
 
 def score_separately(
@@ -71,13 +59,8 @@ def score_separately(
         scores = {}
         for name, cloud in clouds.items():
             fewer = farthest_point_order(cloud, EMD_POINTS)
-            scores[name] = {
-                "cd_l2": metrics.cd_l2(cloud, complete),
-                "cd_l1": metrics.cd_l1(cloud, complete),
-                "f_score": metrics.f_score(cloud, complete),
-                "emd": metrics.emd(fewer, few),
-                "hausdorff": metrics.hausdorff(cloud, complete),
-            }
+            emd = metrics.emd(fewer, few)
+            scores[name] = metrics.score(cloud, complete)._replace(emd=emd).named()
         rows.append(scores)
     return rows
 
@@ -96,9 +79,3 @@ def completed_clouds(
         rows: Any = (None if x is None else x[0] for x in done)
         alone = Predictions(*rows)
         yield scored_clouds(example, partials[0], alone, protocol), complete, few
-
-
-def plain_emd(cloud: np.ndarray, target: np.ndarray) -> float:
-    """`metrics.emd` without a start for SciPy's assignment."""
-    cost = cdist(cloud, target)
-    return float(cost[linear_sum_assignment(cost)].mean())

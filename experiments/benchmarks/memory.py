@@ -11,9 +11,9 @@ from experiments.settings import resolve
 from prism_jax.data.pipeline import Batch
 from prism_jax.models.initial import init_variables
 from prism_jax.training.auxiliary import auxiliary_phase
-from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.meta import meta_phase
 from prism_jax.training.phase import Phase
+from prism_jax.training.supervised import backbone_phase
 
 GPU_MIB = 80e9 / MIB
 

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmarks.measure import Compiled, Row, in_turn, row
+from experiments.presets import Preset
 from experiments.settings import resolve
 from prism_jax.data.pipeline import Batch
-from prism_jax.models.backbone import init_backbone, partial_indices
+from prism_jax.models.backbone import init_backbone
 from prism_jax.models.initial import init_variables
-from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.meta import meta_phase
 from prism_jax.training.phase import Phase
-from prism_jax.training.presets import Preset
+from prism_jax.training.supervised import backbone_phase
 
 SAMPLES_PER_SECOND = 100
 MOST = 4.0
@@ -27,9 +27,9 @@ SIDE = 4096
 def suite(preset: str = "small") -> Iterator[Row]:
     """Each phase of the preset's pretraining, and a meta-step beside the last of them.
 
-    On random clouds, the encoder's indices made beforehand as they are for a data set.
-    A supervised step stands also beside the time in which a matrix product has as many
-    operations; of the meta-step, which is a loop, the compiler does not know how many.
+    On random clouds. A supervised step stands also beside the time in which a matrix
+    product has as many operations; of the meta-step, which is a loop, the compiler does
+    not know how many.
     The last step stands beside that of a network which is not told what the sensor
     knows, if its own is.
     """
@@ -86,6 +86,5 @@ def _batch(settings: Preset) -> Batch:
     partial, complete = (
         cloud(size, count, 3) for count in (backbone.num_points, config.num_complete)
     )
-    indices = jax.jit(lambda clouds: partial_indices(clouds, backbone))(partial)
     eye = np.tile(np.array([2.0, -2.0, 1.0], np.float32), (size, 1))
-    return Batch(partial, complete, eye, np.ones(size, np.float32), indices)
+    return Batch(partial, complete, eye, np.ones(size, np.float32))

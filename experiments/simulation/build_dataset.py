@@ -5,7 +5,8 @@ import pathlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from prism_jax.data.datasets import GENERATED, digest_of, folder_of
+from experiments.splits import digest_of
+from prism_jax.data.datasets import DATASETS, folder_of
 from prism_jax.io.errors import InputError, choose, require
 
 _Place = str | os.PathLike | None
@@ -108,5 +109,5 @@ def build_if_missing(
 ) -> None:
     """Builds a generated set's split, or goes on with what was broken off, unless one
     is finished there, of whatever settings. Other sets are left alone."""
-    if name in GENERATED and digest_of(name, split, data_dir) is None:
+    if DATASETS[name].generated and digest_of(name, split, data_dir) is None:
         build_dataset(name, split, data_dir, **settings)

@@ -100,7 +100,7 @@ class Returns(NamedTuple):
 
 
 def l515_camera(axes: Float[np.ndarray, "3 3"], eye: Float[np.ndarray, "3"]) -> Camera:
-    """`Camera.l515` of float64 NumPy arrays: no array touches JAX, so that processes
+    """The nominal depth view of an Intel RealSense L515, of NumPy arrays: processes
     that only make data start no device. Rows of `axes` are right, down and forward."""
     height, width = 480, 640
     return Camera(

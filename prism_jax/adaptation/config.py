@@ -29,8 +29,7 @@ class AdaptConfig(Checked):
     lambda_smooth: Weight = 0.1
     # Neighbourhood of the PCA normals.
     normal_neighbors: Annotated[int, 2, 64] = 16
-    # Eq. 5 is the mean over every so many-th point. The children of a point follow one
-    # another: with 4 and eight children (`small`) it is the same two of every point.
+    # Eq. 5 is the mean over every so many-th point.
     normal_stride: Annotated[int, 1, 2**16] = 1
     # Of the denoiser's offsets in Eq. 6.
     lambda_offset: Weight = 0.1
@@ -74,23 +73,19 @@ class MetaConfig(Checked):
     first_order: bool = False
     # Weight of the zero-step term.
     beta_0: Annotated[float, 0, 1] = 0.1
-    # Of what the inner loop descends, which the encoders also descend. 0 in `small`:
-    # the outer loop then has no auxiliary loss of its own.
+    # Of what the inner loop descends, which the encoders also descend.
     lambda_aux: Weight = 10.0
     # What teaches the logits of the loss weights: the weighted loss itself, as in the
-    # paper, or ("meta", `small`) the primary loss after adaptation: a weight grows if
-    # that makes the adapted completion better.
+    # paper, or ("meta") the primary loss after adaptation.
     weight_rule: WeightRule = "auxiliary"
     # The losses of Eq. 11 that count; others get no weight, in training and ever after.
     branches: tuple[Branch, ...] = BRANCHES
-    # Whether the inner loop also descends the depth consistency, and so exactly what
-    # test time does (Eq. 13 in the place of Eq. 11).
+    # Whether the inner loop descends Eq. 13, as test time does, and not Eq. 11.
     rehearse_depth: bool = False
-    # Whether each module of the encoders learns its step size (Meta-SGD, Li et al.,
-    # 2017).
+    # Whether each encoder module learns its step size (Meta-SGD, Li et al., 2017).
     learn_steps: bool = False
-    # Whether the auxiliary modules learn too, from the primary loss after adaptation
-    # (Bechtle et al., Meta-learning via learned loss, 2019). The paper freezes them.
+    # Whether the auxiliary modules learn too (Bechtle et al., Meta-learning via learned
+    # loss, 2019). The paper freezes them.
     learn_auxiliary: bool = False
     # Whether the refiner learns, from Eq. 3.
     learn_refiner: bool = True

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import hashlib
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -40,8 +40,6 @@ class Batch(NamedTuple):
     # What turns a distance here into one in the unit of the scores, half the longest
     # side of the complete cloud.
     scale: Float32[np.ndarray, "*B"]
-    # What was computed beforehand for the partials, if anything was.
-    indices: Any = None
     visibility: Visibility | None = None  # what each sensor knows, if the source says
 
 
@@ -131,22 +129,20 @@ def training_batches(
     batch_size: int,
     seed: int,
     num_workers: int = 0,
-    indices: Any = None,
     start: int = 0,
 ) -> Iterator[Batch]:
     """Endless batches: each example once per epoch, freshly shuffled and mirrored.
 
     What the n-th batch holds is a function of the source, the framing, the size, the
     seed and n alone; `start` is the n of the first. `num_workers` processes read ahead,
-    0 for threads of this one. `indices`, a tree of arrays with a row for each item,
-    come with the batches; a mirror image must not change them.
+    0 for threads of this one.
     """
     grain = require("grain", "train")
     if len(source) < batch_size:
         fault = f"{len(source)} examples do not fill a batch of {batch_size}"
         raise InputError("data", fault, "use more data, or smaller batches")
     dataset = (
-        grain.MapDataset.source(_WithIndices(source, indices))
+        grain.MapDataset.source(source)
         .seed(seed)
         .shuffle()
         .repeat()
@@ -181,23 +177,8 @@ def _with_map(row: Batch) -> Batch:
     return row._replace(visibility=framed_map(visibility, cube))
 
 
-def _framed(
-    framing: Framing, element: tuple[Example, Any], rng: np.random.Generator
-) -> Batch:
-    example, indices = element
-    return frame_example(example, framing, rng)._replace(indices=indices)
-
-
-class _WithIndices:
-    def __init__(self, source: Source, indices: Any):
-        self._source, self._indices = source, indices
-
-    def __len__(self) -> int:
-        return len(self._source)
-
-    def __getitem__(self, index: int) -> tuple[Example, Any]:
-        indices = jax.tree.map(lambda rows: rows[index], self._indices)
-        return self._source[int(index)], indices
+def _framed(framing: Framing, example: Example, rng: np.random.Generator) -> Batch:
+    return frame_example(example, framing, rng)
 
 
 def _pose(

@@ -45,18 +45,6 @@ class LabelledScene:
     # What stands for the scene in tables: the sensor, the support, "wall".
     traits: tuple[str, ...] = ()
 
-    def in_sensor_axes(self) -> "LabelledScene":
-        """The same in the sensor's own axes, x right, y down, z forward, with the
-        sensor at the origin: as a depth camera's clouds come."""
-        turn = self.rotation.T
-        return dataclasses.replace(
-            self,
-            points=((self.points - self.eye) @ turn).astype(np.float32),
-            complete=((self.complete - self.eye) @ turn).astype(np.float32),
-            eye=np.zeros(3),
-            rotation=np.eye(3),
-        )
-
 
 class Scenes(Shards):
     """A folder of scenes: things one by one as a `Source`, as each was measured among

@@ -55,21 +55,6 @@ class Source(Protocol):
     def __getitem__(self, index: int, /) -> Example: ...
 
 
-class Subset:
-    """Some items of a source, in the order of `rows`."""
-
-    def __init__(self, source: Source, rows: np.ndarray):
-        self._source, self._rows = source, np.asarray(rows)
-        self.categories = source.categories
-        self.objects = np.unique(source.objects[self._rows], return_inverse=True)[1]
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __getitem__(self, index: int) -> Example:
-        return self._source[int(self._rows[index])]
-
-
 def sound_cloud(
     points: Float[np.ndarray, "N 3"], subject: StrPath, num_points: int | None = None
 ) -> Float32[np.ndarray, "N 3"]:

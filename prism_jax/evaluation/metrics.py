@@ -5,7 +5,6 @@ cloud, a wrong shape or a coordinate that is not finite raises `ValueError`. Pub
 tables scale CD-L1 by 1e3 and CD-L2 by 1e3 or 1e4: nothing is scaled here.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,22 +17,20 @@ UNIT = "half the longest side of the complete cloud"
 """The unit of length of scores, unless a data set's published table has its own."""
 F_SCORE_THRESHOLD = 0.01
 MAX_EXACT_POINTS = 4096
-_FEWEST = 16  # fewer points than this are not worth an assignment of their own
-_ROUNDS = 10
-"""Of relaxing the prices of a whole assignment; more cost more than they save."""
 
 Cloud = Float[np.ndarray, "_ 3"]
 
 
 class Scores(NamedTuple):
-    """Every metric of one predicted cloud against one complete cloud, as the functions
-    of these names give them."""
+    """Every metric of one predicted cloud against one complete cloud."""
 
-    cd_l2: float  # the sum of the last two
+    # Sum, not halved, of the last two; as PoinTr and CRA-PCN report it on ShapeNet-55.
+    cd_l2: float
+    # Half the sum of the mean unsquared distances, both ways; as they report it on PCN.
     cd_l1: float
-    f_score: float
-    emd: float | None  # None if it was not computed, which takes the most time
-    hausdorff: float
+    f_score: float  # as the function
+    emd: float | None  # as the function; None if not computed, which takes longest
+    hausdorff: float  # the greatest nearest-neighbour distance of both ways
     prediction_to_truth: float  # mean squared distance; high where points stray
     truth_to_prediction: float  # the reverse; high where something is missing
 
@@ -52,18 +49,6 @@ def score(
     return from_distances(forward, backward, threshold)
 
 
-def cd_l1(prediction: Cloud, target: Cloud) -> float:
-    """Half the sum of the two mean unsquared nearest-neighbour distances. As PoinTr and
-    CRA-PCN report it on PCN."""
-    return score(prediction, target).cd_l1
-
-
-def cd_l2(prediction: Cloud, target: Cloud) -> float:
-    """Sum, not halved, of the two mean squared nearest-neighbour distances. As PoinTr
-    and CRA-PCN report it on ShapeNet-55."""
-    return score(prediction, target).cd_l2
-
-
 def f_score(
     prediction: Cloud, target: Cloud, threshold: float = F_SCORE_THRESHOLD
 ) -> float:
@@ -71,11 +56,6 @@ def f_score(
     zero when both are zero. Source: Tatarchenko et al., "What Do Single-view 3D
     Reconstruction Networks Learn?", CVPR 2019."""
     return score(prediction, target, threshold).f_score
-
-
-def hausdorff(prediction: Cloud, target: Cloud) -> float:
-    """The larger of the two greatest nearest-neighbour distances, symmetric."""
-    return score(prediction, target).hausdorff
 
 
 def from_distances(
@@ -102,66 +82,16 @@ def from_distances(
 def emd(prediction: Cloud, target: Cloud) -> float:
     """Mean unsquared distance of the best one-to-one assignment, exact. The clouds need
     equal counts of at most `MAX_EXACT_POINTS`, or ValueError. Memory is quadratic, time
-    up to cubic; clouds in farthest-point order take less."""
-    return emds([prediction], target)[0]
-
-
-def emds(predictions: Sequence[Cloud], target: Cloud) -> list[float]:
-    """`emd` of several clouds to one target: the same values as one by one. Faster for
-    clouds that are alike: each starts from the assignment of the first."""
-    values, prices = [], None
-    for prediction in predictions:
-        cloud, goal = _checked(prediction, target)
-        if len(cloud) != len(goal):
-            counts = f"{len(cloud)} and {len(goal)}"
-            raise ValueError(f"emd needs equal counts, not {counts}: resample one")
-        if len(cloud) > MAX_EXACT_POINTS:
-            fault = f"emd takes up to {MAX_EXACT_POINTS} points, not {len(cloud)}"
-            raise ValueError(f"{fault}: use fewer")
-        cost = cdist(cloud, goal)
-        start = _coarse_prices(cost) if prices is None else prices
-        columns = linear_sum_assignment(_reduced(cost, start))[1]
-        values.append(float(cost[np.arange(len(cost)), columns].mean()))
-        if prices is None and len(predictions) > 1:
-            prices = _relaxed(start, cost, columns, _ROUNDS)
-    return values
-
-
-def _reduced(cost: np.ndarray, prices: np.ndarray) -> np.ndarray:
-    """The costs minus each column's price, and minus what is then each row's minimum.
-    The best assignment stays the best; if the prices are close to its dual variables,
-    SciPy's augmenting paths are short."""
-    reduced = cost - prices
-    reduced -= reduced.min(axis=1, keepdims=True)
-    return reduced
-
-
-def _coarse_prices(cost: np.ndarray) -> np.ndarray:
-    """Prices from the assignment between the first three eighths of both clouds,
-    extended to all columns."""
-    few = 3 * len(cost) // 8
-    if few < _FEWEST:
-        return np.zeros(len(cost))
-    coarse = cost[:few, :few]
-    columns = linear_sum_assignment(coarse)[1]
-    prices = _relaxed(np.zeros(few), coarse, columns, few)
-    rows = np.min(cost[:, :few] - prices, axis=1, keepdims=True)
-    return np.min(cost - rows, axis=0)
-
-
-def _relaxed(
-    prices: np.ndarray, cost: np.ndarray, columns: np.ndarray, rounds: int
-) -> np.ndarray:
-    """Prices closer to the dual variables of the best assignment, `columns`: shortest
-    path lengths between columns, by Bellman-Ford, where an edge costs what the row
-    assigned to one column would pay extra for the other."""
-    more = cost - np.take_along_axis(cost, columns[:, None], axis=1)
-    for _ in range(rounds):
-        lower = np.minimum(prices, np.min(prices[columns][:, None] + more, axis=0))
-        if (prices - lower).max() <= 1e-9 * cost.max():
-            break
-        prices = lower
-    return prices
+    up to cubic."""
+    cloud, goal = _checked(prediction, target)
+    if len(cloud) != len(goal):
+        counts = f"{len(cloud)} and {len(goal)}"
+        raise ValueError(f"emd needs equal counts, not {counts}: resample one")
+    if len(cloud) > MAX_EXACT_POINTS:
+        fault = f"emd takes up to {MAX_EXACT_POINTS} points, not {len(cloud)}"
+        raise ValueError(f"{fault}: use fewer")
+    cost = cdist(cloud, goal)
+    return float(cost[linear_sum_assignment(cost)].mean())
 
 
 def _checked(

@@ -1,8 +1,4 @@
-"""The frame in which a completer works, and the unit in which it is scored.
-
-They are two matters. What a completer returns is taken back from its workspace before
-it is scored, so that results of several normalisations have the same unit.
-"""
+"""The frame in which a completer works, and the unit in which it is scored."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -34,13 +30,10 @@ class Protocol:
 
     num_partial: int  # points of the partial cloud, in farthest-point order
     margin: float  # side of the workspace over the longest side of the box in it
-    # What places the workspace. ``partial``: the partial's box, which is all that a
-    # deployment has. ``oracle``: the complete cloud's box with the same margin; at a
-    # margin of 1 that is the paper's frame. ``own``: nothing, the data set's
-    # coordinates are the workspace's.
+    # What places the workspace: the box of the ``partial``, or (``oracle``) of the
+    # complete cloud, as in the paper; ``own``: the data set's coordinates are its.
     normalisation: str = "partial"
-    # Of the scores, one of `UNITS`. ``complete``: the complete cloud's longest side
-    # spans [-1, 1], as in the paper. ``own``: as the data set's published tables.
+    # Of the scores, one of `UNITS`; ``own`` is that of the set's published tables.
     unit: str = "complete"
     # Whether the earth mover's distance is taken, which costs the most.
     with_emd: bool = True
@@ -50,8 +43,7 @@ class Protocol:
     heading: Heading = "given"
     # Whether what lies around a partial is empty, and no point is added there.
     background: Background = "unknown"
-    # Whether the completer gets the examples' visibility maps, which also filter what
-    # is added to the measured points.
+    # Whether the examples' visibility maps are given to the completer and the filter.
     uses_visibility: bool = False
 
     def __post_init__(self):

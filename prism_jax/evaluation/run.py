@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-import flax.linen as nn
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -30,7 +29,7 @@ from prism_jax.evaluation.protocol import (
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.models.variables import Variables, apply
+from prism_jax.models.variables import Variables
 from prism_jax.preprocessing.observation import framed_view, observe
 
 
@@ -69,13 +68,6 @@ def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
         return Predictions(*batched(variables, partials, eyes, visibility))
 
     return complete
-
-
-def network_completer(module: nn.Module, variables: Variables) -> CompleteFn:
-    """A network that maps partials to its stages, the last of which is scored; jitted,
-    and compiled for each batch size."""
-    batched = jax.jit(lambda variables, partials: apply(module, variables, partials))
-    return lambda partials, eyes: Predictions(batched(variables, partials)[-1])
 
 
 def evaluate(

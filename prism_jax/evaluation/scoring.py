@@ -37,30 +37,14 @@ def score(
     it; without them there is no earth mover's distance. One array under two names is
     scored once. Runs on one thread, mostly without holding Python's lock.
     """
-    tree = KDTree(complete)
-    apart = {id(cloud): name for name, cloud in reversed(clouds.items())}  # pyright: ignore
-    first = {name: apart[id(cloud)] for name, cloud in clouds.items()}
-    distinct = {name: clouds[name] for name in dict.fromkeys(first.values())}
-    scores = {
-        name: metrics.from_distances(
-            tree.query(cloud)[0], KDTree(cloud).query(complete)[0]
-        )
-        for name, cloud in distinct.items()
-    }
-    if complete_few is not None:
-        for name, value in _emds(distinct, complete_few).items():
-            scores[name] = scores[name]._replace(emd=value)
-    return {name: scores[first[name]] for name in CLOUDS if name in clouds}
-
-
-def _emds(
-    clouds: dict[str, np.ndarray], complete_few: Float[np.ndarray, "E 3"]
-) -> dict[str, float]:
-    """The exact earth mover's distance of each cloud's farthest points."""
-    few = {k: farthest_point_order(c, EMD_POINTS) for k, c in clouds.items()}
-    values = {}
-    # `emds` is fast for clouds that are alike, and the partial is unlike the others.
-    for names in (["partial"] * ("partial" in few), [k for k in few if k != "partial"]):
-        found = metrics.emds([few[name] for name in names], complete_few)
-        values |= dict(zip(names, found, strict=True))
-    return values
+    tree, scores = KDTree(complete), {}
+    for cloud in clouds.values():
+        if id(cloud) in scores:
+            continue
+        apart = tree.query(cloud)[0], KDTree(cloud).query(complete)[0]
+        found = metrics.from_distances(*apart)
+        if complete_few is not None:
+            few = farthest_point_order(cloud, EMD_POINTS)
+            found = found._replace(emd=metrics.emd(few, complete_few))
+        scores[id(cloud)] = found
+    return {name: scores[id(clouds[name])] for name in CLOUDS if name in clouds}

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.precision import exact_products
 
@@ -17,21 +17,6 @@ Vector = Sequence[float | int] | Float[Array | np.ndarray, "3"]
 
 MIN_DEPTH = 1e-6
 """Points whose depth is not greater than this count as behind the camera."""
-
-VIEWS = {
-    "front": (1.0, 0.0, 0.0),
-    "back": (-1.0, 0.0, 0.0),
-    "left": (0.0, 1.0, 0.0),
-    "right": (0.0, -1.0, 0.0),
-    "top": (0.0, 0.0, 1.0),
-    "bottom": (0.0, 0.0, -1.0),
-    "front_left_top": (1.0, 1.0, 1.0),
-    "front_right_top": (1.0, -1.0, 1.0),
-    "back_left_top": (-1.0, 1.0, 1.0),
-    "back_right_top": (-1.0, -1.0, 1.0),
-}
-"""Directions from the origin to the camera of ``Camera.fixed_view``: x front, y left,
-z up, as a robot's base has it. The shapes of `prism_jax.data` face along y."""
 
 
 @functools.partial(
@@ -102,23 +87,6 @@ class Camera:
         return pixel, z
 
     @exact_products
-    def unproject(
-        self,
-        depth: Float[Array | np.ndarray, "H W"],
-        mask: Bool[Array | np.ndarray, "H W"],
-    ) -> Float[Array, "H*W 3"]:
-        """The 3D point at every pixel centre, row by row, in the points' frame.
-
-        Differentiable in the depth. A pixel outside the mask gives the camera centre
-        (depth 0); select the others with ``mask.reshape(-1)``.
-        """
-        rows, columns = jnp.indices(depth.shape)
-        pixels = jnp.stack([columns, rows, jnp.ones_like(rows)], axis=-1)
-        rays = pixels.reshape(-1, 3) @ jnp.linalg.inv(self.intrinsics).T
-        z = jnp.where(mask, depth, 0.0).reshape(-1, 1)
-        return (rays * z - self.translation) @ self.rotation
-
-    @exact_products
     def resized(self, height: int, width: int) -> "Camera":
         """The same view on another pixel grid covering the same field of view."""
         x_scale, y_scale = width / self.width, height / self.height
@@ -167,8 +135,9 @@ class Camera:
         right = _normalized(jnp.cross(forward, jnp.where(parallel, least_aligned, up)))
         rotation = jnp.stack([right, jnp.cross(forward, right), forward])
         focal = 0.5 * min(height, width) / jnp.tan(0.5 * jnp.deg2rad(fov_degrees))
-        pose = rotation, -rotation @ eye
-        return cls(*pose, _intrinsics(focal, focal, height, width), height, width)
+        middle_x, middle_y = 0.5 * (width - 1), 0.5 * (height - 1)
+        rows = [focal, 0.0, middle_x], [0.0, focal, middle_y], [0.0, 0.0, 1.0]
+        return cls(rotation, -rotation @ eye, jnp.array(rows), height, width)
 
     @classmethod
     def framing(
@@ -196,51 +165,6 @@ class Camera:
         half_angle = jnp.arctan(jnp.clip(tangent, 1e-3, widest))
         fov_degrees = jnp.rad2deg(2 * half_angle)
         return cls.look_at(eye, center, (0.0, 0.0, 1.0), fov_degrees, height, width)
-
-    @classmethod
-    def fixed_view(
-        cls, view: str | int = "front", height: int = 128, width: int = 128
-    ) -> "Camera":
-        """One of the preset ``VIEWS``, by name or index, of the workspace [-1, 1]^3.
-
-        The 60 degree view from 2 sqrt(3) away just holds the bounding sphere. A name
-        or index that does not exist raises a ValueError that lists the names.
-        """
-        names = list(VIEWS)
-        if isinstance(view, int) and 0 <= view < len(names):
-            view = names[view]
-        if view not in VIEWS:
-            raise ValueError(f"no fixed view {view!r}; choose one of {names}")
-        direction = np.array(VIEWS[view])
-        eye = 2 * np.sqrt(3) * direction / np.linalg.norm(direction)
-        return cls.look_at(eye, np.zeros(3), height=height, width=width)
-
-    @classmethod
-    def l515(
-        cls,
-        rotation: Float[Array | np.ndarray, "3 3"] | None = None,
-        translation: Vector | None = None,
-    ) -> "Camera":
-        """The nominal depth view of an Intel RealSense L515: 640x480, about 70x55
-        degrees. The pose is the identity unless given. In metres."""
-        height, width = 480, 640
-        focal_x = 0.5 * width / np.tan(np.deg2rad(35.0))
-        focal_y = 0.5 * height / np.tan(np.deg2rad(27.5))
-        rotation = np.eye(3) if rotation is None else rotation
-        translation = np.zeros(3) if translation is None else translation
-        pose = jnp.asarray(rotation, float), jnp.asarray(translation, float)
-        return cls(*pose, _intrinsics(focal_x, focal_y, height, width), height, width)
-
-
-def _intrinsics(focal_x, focal_y, height: int, width: int) -> Float[Array, "3 3"]:
-    """Intrinsics with the principal point in the middle of the image."""
-    return jnp.array(
-        [
-            [focal_x, 0.0, 0.5 * (width - 1)],
-            [0.0, focal_y, 0.5 * (height - 1)],
-            [0.0, 0.0, 1.0],
-        ]
-    )
 
 
 def _normalized(vector: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -76,16 +76,14 @@ def three_point_interpolate(
     query: Float[Array, "N 3"],
     support: Float[Array, "M 3"],
     features: Float[Array, "M C"],
-    neighbors: Int[Array, "N 3"] | None = None,
+    neighbors: Int[Array, "N 3"],
 ) -> Float[Array, "N C"]:
     """Features at the queries, by inverse squared distance from three supports.
 
     Weights are ``1 / (d^2 + 1e-8)``, normalised (PointNet++, section 3.4, as CRA-PCN
-    uses it). Differentiable in all three arrays. ``neighbors`` are the three nearest
-    supports, if known.
+    uses it). ``neighbors`` are the three nearest supports. Differentiable in the other
+    three arrays.
     """
-    if neighbors is None:
-        neighbors = knn(query, support, 3)
     offsets = query[:, None] - support[neighbors]
     weights = 1.0 / ((offsets**2).sum(-1) + 1e-8)
     weights = weights / weights.sum(-1, keepdims=True)

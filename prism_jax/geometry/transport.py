@@ -10,25 +10,20 @@ def sinkhorn(
     cost: Float[Array, "M N"],
     epsilon: float | Float[Array, ""],
     num_iterations: int = 50,
-    a: Float[Array, " M"] | None = None,
-    b: Float[Array, " N"] | None = None,
 ) -> tuple[Float[Array, "M N"], Float[Array, ""]]:
     """The entropic transport plan and its cost ``<plan, cost>`` (PRISM, Eq. 8).
 
     ``epsilon`` is in the cost's units and must be positive; a small one needs more
-    iterations. ``a`` and ``b`` are the marginals, non-negative with equal sums (1
-    and uniform by default); an entry of zero leaves its row or column out. The plan's
-    column sums equal ``b`` after any number of iterations, its row sums ``a`` in the
-    limit. Differentiable to any order in ``cost`` and ``epsilon``, by unrolled
-    iterations. The returned cost has no entropy term.
+    iterations. Both marginals are uniform and sum to 1: the plan's columns after any
+    number of iterations, its rows in the limit. Differentiable to any order in ``cost``
+    and ``epsilon``, by unrolled iterations. The returned cost has no entropy term.
 
     M. Cuturi, "Sinkhorn distances", NeurIPS 2013; log domain: G. Peyre, M. Cuturi,
     "Computational optimal transport", 2019, section 4.4.
     """
     num_rows, num_columns = cost.shape
-    log_a = jnp.full(num_rows, -jnp.log(num_rows)) if a is None else jnp.log(a)
-    log_b = jnp.full(num_columns, -jnp.log(num_columns)) if b is None else jnp.log(b)
-    log_a, log_b = (log.astype(cost.dtype) for log in (log_a, log_b))
+    log_a = jnp.full(num_rows, -jnp.log(num_rows)).astype(cost.dtype)
+    log_b = jnp.full(num_columns, -jnp.log(num_columns)).astype(cost.dtype)
     log_kernel = -cost / epsilon
 
     def iterate(log_v, _):

@@ -25,7 +25,7 @@ class BackboneConfig(Checked):
 
     # Points of the partial cloud.
     num_points: Points = 2048
-    # Points left by the two set abstractions, and their hidden and output widths.
+    # Left by the two set abstractions; and their hidden and output widths.
     patch_points: Annotated[tuple[int, int], 1, 2**16] = (512, 128)
     patch_features: Annotated[tuple[tuple[int, int], tuple[int, int]], 1, 4096] = (
         (64, 128),
@@ -42,8 +42,7 @@ class BackboneConfig(Checked):
     attention_ratio: Neighbors = 4
     # Neighbours per resolution, finest first.
     num_neighbors: Annotated[tuple[int, ...], 1, 64] = (16, 12, 8)
-    # Resolutions of the encoder's transformers, as divisors; and of each up-sampling
-    # block's.
+    # Resolutions as divisors, of the encoder's transformers and of each block's.
     encoder_rates: Annotated[tuple[int, ...], 1, 256] = (1, 2, 4)
     level_rates: Annotated[tuple[tuple[int, ...], ...], 1, 256] = (
         (1, 2, 4),
@@ -52,8 +51,7 @@ class BackboneConfig(Checked):
     )
     # Seeds per patch point.
     seed_times: Rate = 2
-    # Whether seeds are offsets from their patch points, and not absolute coordinates as
-    # published; a short training gets further so.
+    # Whether seeds are offsets from their patch points; as published they are absolute.
     seeds_from_patches: bool = False
     # Points sampled from seeds and partial, from which refinement starts.
     num_initial: Points = 512
@@ -61,18 +59,13 @@ class BackboneConfig(Checked):
     up_factors: Annotated[tuple[int, ...], 1, 256] = (1, 4, 8)
     # Whether attentions and up-sampling heads have BatchNorm.
     use_norm: bool = True
-    # Standard deviation of the kernels that make coordinate offsets; a small one starts
-    # training from the seeds and the partial themselves.
+    # Of the kernels that make offsets; small, so that training starts from the seeds.
     offset_init: Length = 0.01
-    # How far a child can lie from its parent along each axis, in half sides of the
-    # workspace. Where truth goes on beyond what is measured, blocks that can reach far
-    # throw single points after it instead of leaving that to the seeds.
+    # How far a child can lie from its parent along each axis, in half sides.
     offset_reach: Annotated[float, 1e-6, 1e3] = 1.0
-    # Whether every block reads, for each of its points, what the sensor knows there
-    # (`geometry.visibility.visibility_features`). The paper's decoder does not.
+    # Whether blocks read, for each point, what `visibility_features` says of it.
     reads_visibility: bool = False
-    # Whether the global feature, and so the seeds, read it too, at a lattice of points
-    # in and around the workspace. Needs `reads_visibility`.
+    # Whether the global feature, and so the seeds, read it too, at a lattice of points.
     seeds_read_visibility: bool = False
 
     def __post_init__(self):
@@ -100,17 +93,15 @@ class AuxiliaryConfig(Checked):
     depth_features: Annotated[tuple[int, ...], 1, 4096] = (64, 128, 256, 512)
     # Residual blocks per stage.
     depth_blocks: Annotated[int, 1, 16] = 2
-    # Tokens that the token integrator makes of a cloud (m), and the width of the tokens
-    # of both streams (d).
+    # Tokens of a cloud (m), and the width of those of both streams (d).
     num_tokens: Width = 64
     token_features: Width = 256
     # Hidden width of the refiner, the normal head and the denoiser.
     hidden: Width = 128
     # Bound on the refiner's offsets, delta_max of Eq. 2.
     max_offset: Length = 0.1
-    # Bound on refined coordinates. Eq. 2 has 1, which holds everything where the
-    # complete cloud places the workspace; where the partial does, some of the shape
-    # lies outside.
+    # Bound on refined coordinates. Eq. 2 has 1; where the partial alone places the
+    # workspace, some of the shape lies outside.
     max_coordinate: Length = 1.0
     # Neighbours that the denoiser sees of a point.
     denoise_neighbors: Neighbors = 8
@@ -124,30 +115,21 @@ class ModelConfig(Checked):
     auxiliary: AuxiliaryConfig = AuxiliaryConfig()
     # Side of the workspace over the longest side of the partial's box.
     margin: Annotated[float, 0.1, 100] = CUBE_MARGIN
-    # "level" if the workspace is turned about the vertical as
-    # `prism_jax.preprocessing.heading` says, in training and afterwards; "given" if the
-    # weights know objects with their front along y, and get them as they come.
+    # "level": objects are turned as `prism_jax.preprocessing.heading` says. "given":
+    # they come with their front along y.
     heading: Literal["given", "level"] = "given"
     # Side of the depth map that the depth stream reads.
     depth_pixels: Pixels = 128
-    # Side of the maps that Eq. 3 and Eq. 4 compare: few points leave holes in a fine
-    # map, through which the far side of the shape shows.
+    # Side of the maps of Eq. 3 and 4. Few points leave holes in a fine one.
     consistency_pixels: Pixels = 128
     # What lies around a cloud that comes without a map, for a network that reads one.
     background: Background = "unknown"
-    # Whether such a network is given what else the sensor measured in the same scan,
-    # where that is known. Chosen on validation, for each set of weights.
+    # Whether such a network is given what else the sensor measured in the same scan.
     uses_visibility: bool = False
-    # In how many poses of `prism_jax.models.poses` a frame is completed; the results
-    # are joined. Training looks at one.
+    # How many of `prism_jax.models.poses` a frame is completed in; training takes one.
     poses: Annotated[int, 1, MAX_POSES] = 1
 
     @property
     def num_points(self) -> int:
         """That a completion has."""
         return self.poses * self.backbone.stage_sizes[-1]
-
-
-SHAPENET55 = BackboneConfig(up_factors=(1, 4, 4))
-PCN = BackboneConfig()
-"""The published CRA-PCN variants, of 8,192 and 16,384 points."""

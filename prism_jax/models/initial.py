@@ -41,7 +41,8 @@ def init_auxiliary(
         backbone = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
         shape = (config.backbone.num_points, 3)
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
-        inputs = prepare_input(cloud, Camera.fixed_view(), keys[0], config)
+        view = (3.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        inputs = prepare_input(cloud, Camera.look_at(*view), keys[0], config)
         encoded = encode(backbone, inputs, config)
         decoded = decode(
             backbone, config.backbone, cloud, encoded, visibility=inputs.visibility

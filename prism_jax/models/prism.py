@@ -76,13 +76,11 @@ def prepare_input(
     camera: Camera,
     key: PRNGKeyArray,
     config: ModelConfig,
-    indices: EncoderIndices | None = None,
     visibility: Visibility | None = None,
 ) -> NetworkInput:
     """What the network reads of a partial cloud and its camera, in the unit workspace.
 
-    `indices` are the encoder's, if they are known already. A network that reads
-    `visibility` derives it from the cloud if it is None
+    A network that reads `visibility` derives it from the cloud if it is None
     (`prism_jax.geometry.visibility.seen_by`). No gradient reaches cloud or camera.
     """
     partial, camera = jax.lax.stop_gradient((partial, camera))
@@ -95,7 +93,7 @@ def prepare_input(
     perturbed = perturb(key, partial, camera.position)
     return NetworkInput(
         partial,
-        encoder_indices(partial, config.backbone) if indices is None else indices,
+        encoder_indices(partial, config.backbone),
         jnp.where(mask, depth - center_depth, 0.0),
         mask,
         view,

@@ -36,8 +36,7 @@ class PretrainConfig(Checked):
 
     # Phases on Eq. 10, coarse stages first.
     backbone: tuple[PhaseConfig, ...]
-    # Examples for the refiner (Eq. 3), the depth encoder and the auxiliary heads, on
-    # the finished backbone, and Adam's step size for those.
+    # Examples for the refiner, the depth encoder and the branches; Adam's step size.
     auxiliary_samples: Samples
     auxiliary_rate: Rate = 1e-3
     # Examples a step.
@@ -50,8 +49,7 @@ class PretrainConfig(Checked):
     warmup_steps: Samples = 200
     # Bound on the gradient's global norm; 0 for none.
     clip_norm: Norm = 1.0
-    # Of the moving average of the backbone's variables, which is then what is validated
-    # and kept; 0 for none.
+    # Of the moving average of the variables, which is then what is kept; 0 for none.
     average_decay: Share = 0.0
     # Samples between validations.
     validate_every: Samples = 16_000
@@ -67,14 +65,11 @@ class MetaTrainConfig(Checked):
     num_samples: Samples = 8_400_000
     # Frames a step, over all devices.
     batch_size: Batch = 32
-    # Frames that a device takes at once, for memory; the gradients of the rest of its
-    # share are added up one part after the other. 0 for all.
+    # Frames that a device takes at once, for memory; 0 for all of its share.
     at_once: Annotated[int, 0, 2**16] = 0
     # Points of the complete cloud that a loss looks at.
     num_complete: Points = 16_384
-    # Of encoders and decoder: step size after the warm-up, where its cosine ends as a
-    # share of it (1 for no cosine), steps in which it rises, and the bound on the
-    # global norm of their gradient (0 for none).
+    # Of encoders and decoder, as in `PretrainConfig`; a final rate of 1 is constant.
     optimiser: Literal["sgd", "adam"] = "sgd"
     learning_rate: Rate = 5e-5
     final_rate: Share = 1.0
@@ -84,12 +79,10 @@ class MetaTrainConfig(Checked):
     weight_rate: Rate = 5e-4
     # Of the logarithms of learned step sizes, by Adam.
     step_rate: Rate = 1e-2
-    # Of the auxiliary modules, if they learn, and of the refiner, whose optimiser is
-    # its own.
+    # Of the auxiliary modules and of the refiner, if they learn.
     auxiliary_rate: Rate = 1e-3
     refiner_rate: Rate = 5e-5
-    # Of the moving average of all variables but the scales, which is then what is
-    # validated and released; 0 for none.
+    # As in `PretrainConfig`, of all variables but the scales.
     average_decay: Share = 0.0
     # Samples between validations.
     validate_every: Samples = 64_000

@@ -1,7 +1,5 @@
 """A batch as what the whole network reads."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
@@ -19,19 +17,14 @@ def inputs_of(
     """A batch's inputs with a leading axis, perturbed (Eq. 6) as the key says: each by
     a key of its own, or all alike by a single one."""
 
-    def inputs(partial, eye, indices, visibility, key):
+    def inputs(partial, eye, visibility, key):
         camera = framed_view(partial, eye)
-        return prepare_input(partial, camera, key, config, indices, visibility)
+        return prepare_input(partial, camera, key, config, visibility)
 
-    arrays = jnp.asarray(batch.partial), jnp.asarray(batch.eye), indices_of(batch)
+    arrays = jnp.asarray(batch.partial), jnp.asarray(batch.eye)
     visibility = visibility_of(batch, config.backbone)
-    over = jax.vmap(inputs, in_axes=(0, 0, 0, 0, 0 if key.ndim else None))
+    over = jax.vmap(inputs, in_axes=(0, 0, 0, 0 if key.ndim else None))
     return over(*arrays, visibility, key)
-
-
-def indices_of(batch: Batch) -> Any:
-    """The encoder's indices that come with a batch, if any do."""
-    return jax.tree.map(lambda rows: jnp.asarray(rows, jnp.int32), batch.indices)
 
 
 def visibility_of(batch: Batch, config: BackboneConfig) -> Visibility | None:

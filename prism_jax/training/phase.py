@@ -74,7 +74,6 @@ class Data(NamedTuple):
     seed: int
     validate_every: int
     num_workers: int = 0
-    indices: Any = None
     heading: Heading = "given"
 
     def framing(self, num_complete: int) -> Framing:
@@ -117,7 +116,6 @@ def train_phase(
         phase.batch_size,
         order_seed(data.seed, phase.name),
         data.num_workers,
-        data.indices,
         step,
     )
     log = Log(folder, phase.name, phase.num_samples, step, phase.batch_size)
@@ -125,8 +123,7 @@ def train_phase(
     recent, before = [], None
     saved = time.monotonic()
     while step < last:
-        with log.waiting():
-            batch = parallel.share(next(batches), mesh)
+        batch = parallel.share(next(batches), mesh)
         state, losses = phase.step_fn(state, batch)
         recent.append(losses)
         step += 1

@@ -13,6 +13,7 @@ import safetensors.numpy
 
 from experiments import weights
 from experiments.baselines.weights import load_network
+from experiments.presets import PRESETS
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.assets import asset
 from prism_jax.completion.weights import (
@@ -24,7 +25,6 @@ from prism_jax.completion.weights import (
     save_weights,
 )
 from prism_jax.io.errors import InputError
-from prism_jax.training.presets import PRESETS
 from tests.trees import bitwise
 
 METADATA = {"seed": 3, "scores": {"cd_l2": [1.5, 2.0]}, "commit": None}

@@ -15,6 +15,7 @@ from prism_jax.envelope.carving import (
 )
 from prism_jax.envelope.voxels import Grid
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
 
 FAR = np.array([400_000.0, -5_000_000.0, 120.0])
@@ -179,7 +180,7 @@ def test_a_post_that_returns_nothing_is_not_free(width, distance):
     depth[:, np.abs(column - 0.013) <= width / 2] = 0.0
     lower = np.array([-0.2, -0.2, distance - 0.2])
     grid = Grid.over(lower, lower + 0.4)
-    cloud = np.asarray(camera.unproject(depth, depth > 0))[depth.ravel() > 0]
+    cloud = points_from_depth(depth, depth > 0, camera)
     post = np.full((99, 3), [0.013, 0.0, distance])
     post[:, 1] = np.linspace(-0.19, 0.19, 99)
     index = grid.index_of(post)

@@ -78,12 +78,3 @@ def test_the_oracle_places_the_sensor_too(boxes):
     for name in NORMALISATIONS:
         unknown = given(example._replace(eye=None), Protocol(60, 1.4, name))[1]
         np.testing.assert_array_equal(unknown, np.float32(UNKNOWN_EYE))
-
-
-def test_ordered_clouds_are_cut_and_short_ones_repeated(boxes):
-    example = boxes()[0]._replace(ordered=True)
-    protocol = Protocol(10, 1.0, "own")
-    np.testing.assert_array_equal(given(example, protocol)[0], example.partial[:10])
-    few = example._replace(partial=example.partial[:4])
-    rows = given(few, protocol)[0]
-    np.testing.assert_array_equal(rows, example.partial[np.arange(10) % 4])

@@ -1,18 +1,22 @@
 """Completers that are no networks, run over a source and scored."""
 
-import jax
 import numpy as np
 import pytest
 
-from prism_jax.adaptation.config import AdaptConfig, PrismConfig
+from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.assembly import Task, assemble
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.data.source import Example
-from prism_jax.evaluation import metrics
+from prism_jax.evaluation import metrics, run
 from prism_jax.evaluation.paired import paired_difference
-from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol, observed
+from prism_jax.evaluation.protocol import (
+    NORMALISATIONS,
+    Protocol,
+    observed,
+    side_by_side,
+)
 from prism_jax.evaluation.run import (
     Predictions,
     evaluate,
@@ -23,6 +27,7 @@ from prism_jax.evaluation.scoring import CLOUDS
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError
 from prism_jax.preprocessing.observation import observe
+from tests import stand_in_networks
 
 METRES = {"scale": 0.35, "shift": (2.0, -1.0, 4.0)}
 
@@ -52,7 +57,7 @@ def protocol(normalisation="partial", **changes) -> Protocol:
 def test_a_partial_returned_is_a_partial_scored(boxes, normalisation):
     """In every frame, and in metres as in any unit."""
     source = boxes(objects=3, **METRES)
-    expected = np.mean([metrics.cd_l1(s.partial, s.complete) for s in source])
+    expected = np.mean([metrics.score(s.partial, s.complete).cd_l1 for s in source])
     result = evaluate(same, source, protocol(normalisation))
     found = mean_of(result, "partial")["cd_l1"] * METRES["scale"]
     assert np.isclose(found, expected, rtol=1e-4)
@@ -143,11 +148,15 @@ def test_a_fault_of_the_completer_ends_it(boxes):
         evaluate(same, Blind(), protocol())
 
 
-def test_prism_is_a_completer(minimal, minimal_variables):
-    config = PrismConfig(minimal.model, AdaptConfig(1, normal_neighbors=4))
-    given = (2, minimal.model.backbone.num_points, 3), (2, 3)
-    given = [np.zeros(shape, np.float32) for shape in given]
-    shapes = jax.eval_shape(prism_completer(config, minimal_variables), *given)
-    expected = (2, minimal.model.backbone.stage_sizes[-1], 3)
-    assert shapes.network.shape == shapes.network_unadapted.shape == expected
-    assert (shapes.accepted.shape, shapes.accepted.dtype) == ((2,), bool)
+def test_prism_is_a_completer(boxes, monkeypatch):
+    """Frame by frame, by a stand-in that moves them towards sensors above them."""
+    monkeypatch.setattr(run, "make_adapt", stand_in_networks.make_adapt)
+    partials, eyes = side_by_side([observed(boxes()[i], protocol()) for i in (0, 1)])
+    eyes[1] *= -1
+    done = prism_completer(PrismConfig(), {})(partials, eyes)
+    np.testing.assert_array_equal(done.network_unadapted, partials)
+    np.testing.assert_array_equal(done.accepted, [True, False])
+    moved = partials + 0.05 * eyes[:, None] * [[[1]], [[0]]]
+    np.testing.assert_allclose(done.network, moved, atol=1e-5)
+    alone = prism_completer(PrismConfig().with_adapt(num_steps=0), {})
+    assert alone(partials, eyes)[1:] == (None, None)

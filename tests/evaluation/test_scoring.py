@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.evaluation import metrics
-from prism_jax.evaluation.scoring import CLOUDS, EMD_POINTS, score
+from prism_jax.evaluation import metrics, scoring
+from prism_jax.evaluation.scoring import CLOUDS, score
 
 RNG = np.random.default_rng(5)
 COMPLETE = RNG.normal(size=(1500, 3)) * [1.0, 0.5, 0.2]
 MEASURED = COMPLETE[COMPLETE[:, 0] > 0]
+EMD_POINTS = 128
 FEW = farthest_point_order(COMPLETE, EMD_POINTS)
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    monkeypatch.setattr(scoring, "EMD_POINTS", EMD_POINTS)
 
 
 def test_every_score_is_that_of_the_metric():

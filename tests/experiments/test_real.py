@@ -86,7 +86,7 @@ def test_every_scan_has_a_row(folder, tmp_path, monkeypatch, capsys):
     assert row["verdicts"] == [{"trust": "fair", "expected_error": 0.25}]
     partial = row["scores"]["clouds"]["partial"]
     unit = np.ptp(POINTS, axis=0).max() / 2
-    expected = metrics.cd_l2(POINTS[:200] / unit, POINTS / unit)
+    expected = metrics.score(POINTS[:200] / unit, POINTS / unit).cd_l2
     assert partial["cd_l2"] == pytest.approx(expected, rel=1e-4)
     assert partial["prediction_to_truth"] == pytest.approx(0, abs=1e-12)
     assert rows["bunny, raw"]["scores"] is None

@@ -98,7 +98,7 @@ def test_the_command_scores_what_a_user_gets(view, tmp_path, monkeypatch, capsys
     done = FakeCompleter().complete(view.partial)
     row, unit = rows["heading 0"], 0.5 * view.size
     for name, cloud in {"partial": view.partial, "completed": done.points}.items():
-        wanted = metrics.cd_l2(cloud / unit, view.complete / unit)
+        wanted = metrics.score(cloud / unit, view.complete / unit).cd_l2
         assert row[name]["CD-L2 x1e4"] == pytest.approx(1e4 * wanted, rel=1e-4)
         assert row[name]["CD-L2 x1e4"] == pytest.approx(row[name]["median"])
     assert (

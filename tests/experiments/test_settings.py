@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
+from experiments.presets import PRESETS
 from experiments.settings import resolve
 from prism_jax.io.errors import InputError
-from prism_jax.training.presets import PRESETS
 
 
 def test_changes_reach_every_level_and_leave_the_preset_alone():

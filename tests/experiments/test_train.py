@@ -70,7 +70,6 @@ def pretrain(few_shapes, minimal_variables, monkeypatch):
         return launching.run(train, *given, *arguments)
 
     monkeypatch.setattr(train, "pretrain", stand_in)
-    monkeypatch.setattr(training, "index_table", lambda *arguments: "made")
     run.calls = calls
     return run
 
@@ -138,7 +137,6 @@ def meta(few_shapes, minimal_variables):
         with pytest.MonkeyPatch.context() as patch:
             fresh = lambda key, model: minimal_variables  # noqa: E731
             patch.setattr(train, "init_variables", fresh)
-            patch.setattr(training, "index_table", lambda *arguments: None)
             stand_in_networks.replace_networks(patch)
             return launching.run(train, *given, *arguments)
 

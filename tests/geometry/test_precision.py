@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from prism_jax import Camera, Workspace, chamfer, pca_normals, render_depth
-from prism_jax.geometry.neighbors import three_point_interpolate
+from prism_jax.geometry.neighbors import knn, three_point_interpolate
 from prism_jax.losses.alignment import alignment_loss
 
 POINTS = jnp.asarray(np.random.default_rng(0).normal(size=(32, 3)), jnp.float32)
 EYE = jnp.array([4.0, 0.0, 0.0])
-DEPTH = jnp.ones((8, 8))
 
 
 def camera(points):
@@ -24,7 +23,6 @@ WITH_PRODUCTS = {
     "resized": lambda points: camera(points).resized(4, 4),
     "position": lambda points: camera(points).position,
     "project": lambda points: camera(points).project(points),
-    "unproject": lambda points: camera(points).unproject(DEPTH, DEPTH > 0),
     "camera_to_unit": lambda points: (
         Workspace(points[0], points[1, 0] ** 2)
         .camera_to_unit(camera(points))
@@ -32,7 +30,7 @@ WITH_PRODUCTS = {
     ),
     "render_depth": lambda points: render_depth(points, camera(points))[0],
     "three_point_interpolate": lambda points: three_point_interpolate(
-        points, points[::2], points[::2]
+        points, points[::2], points[::2], knn(points, points[::2], 3)
     ),
     "alignment_loss": lambda points: alignment_loss(points, 2 * points),
 }

@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from experiments.baselines.crapcn import convert_state_dict
-from prism_jax.models.config import PCN, SHAPENET55, BackboneConfig
+from experiments.baselines.crapcn import PUBLISHED, convert_state_dict
+from prism_jax.models.config import BackboneConfig
 from tests.trees import row
 
-CONFIGS = {"pcn": PCN, "sn55": SHAPENET55}
 QUARTER = dict(
     num_points=512,
     patch_points=(128, 32),
@@ -62,7 +61,7 @@ def published(reference):
         # The variants differ in their last layers alone.
         names = dict.fromkeys((f"crapcn_{variant}.npz", "crapcn_pcn.npz"))
         arrays = ChainMap(*(dict(reference(name)) for name in names))
-        config = CONFIGS[variant]
+        config = PUBLISHED[variant]
         if len(arrays["input"][0]) != config.num_points:
             config = dataclasses.replace(config, **QUARTER)
         names = [name for name in arrays if name.startswith("sd/")]

@@ -17,9 +17,9 @@ import jax
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
 
+from experiments.run_folder import open_run
 from prism_jax.completion.weights import sha256
 from prism_jax.training.phase import Data, train_phase
-from prism_jax.training.run import open_run
 from tests.training.conftest import Boxes, regression_phase
 
 BATCH, STEPS, EVERY, KILLS = 4, 24, 2, 8

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from experiments.presets import PRESETS
 from prism_jax.adaptation.config import MetaConfig, PrismConfig
 from prism_jax.data.pipeline import Framing
 from prism_jax.geometry.visibility import SURFACE, nothing_known
@@ -17,7 +18,6 @@ from prism_jax.models.variables import ENCODERS
 from prism_jax.training import meta, parallel
 from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.meta import TERMS, check_meta, meta_phase
-from prism_jax.training.presets import PRESETS
 from tests import stand_in_networks
 from tests.trees import assert_close, bitwise
 
@@ -239,13 +239,6 @@ def test_terms_and_scales(whole, variables, batch):
             },
             rel=1e-5,
         )
-
-
-def test_frames_get_the_indices_that_come_with_the_batch(phase_of, batch):
-    """Of 16 bits in the table, of 32 in the frame: their sum is beyond 16."""
-    indices = {"rows": np.full((BATCH, 3), 40_000, np.uint16)}
-    _, terms = steps(phase_of(), batch._replace(indices=indices), 1)
-    assert terms[0]["normal"] == BATCH * 3 * 40_000
 
 
 @pytest.mark.parametrize("measured", [None, 0.25])

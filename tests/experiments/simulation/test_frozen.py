@@ -6,6 +6,7 @@ less, or in another order, changes them.
 `python -m tests.experiments.simulation.test_frozen` writes them anew.
 """
 
+import dataclasses
 import functools
 import json
 import pathlib
@@ -19,14 +20,21 @@ from experiments.simulation.kinds import MIXTURE, make_view
 from experiments.simulation.open_shapes import make_open_shape
 from experiments.simulation.partials import PARTIALS
 from experiments.simulation.raycast import Scene
+from experiments.simulation.roboarm.cell_views import make_cell_view
 from experiments.simulation.roboarm.models import ArmModel
 from experiments.simulation.roboarm.sequences import RoboArmConfig, make_sequence
 from experiments.simulation.roboarm.workcells import make_workcell
 from experiments.simulation.scenes.arrangement import arranged, random_room
 from experiments.simulation.scenes.sensing import random_camera, random_lidar
-from experiments.simulation.sensors import OusterConfig, l515_camera, l515_depth
+from experiments.simulation.sensors import (
+    L515Config,
+    OusterConfig,
+    l515_camera,
+    l515_depth,
+)
 from experiments.simulation.sensors import ouster_scan as scan
 from experiments.simulation.shapes import CATEGORIES, make_shape
+from prism_jax.data.recordings import LABELS
 from tests.experiments.simulation.roboarm.conftest import URDF
 
 EXPECTED = pathlib.Path(__file__).with_name("frozen.json")
@@ -54,20 +62,46 @@ def boxes() -> ArmModel:
     return ArmModel("boxes", "test", str(path))
 
 
+def shares(image: np.ndarray, kinds: int) -> np.ndarray:
+    """How much of an image each kind is, to a few pixels."""
+    return 1 + np.bincount(image.ravel(), minlength=kinds) / image.size
+
+
 def view(kind: str, seed: int) -> list[float]:
-    """Whether there is any, where its sensor stood, and how far points are from it."""
-    points, eye, *_ = make_view(kind, *chair(), np.random.default_rng(seed), 2048)
+    """Whether there is any, where its sensor stood, how far points are from it, and
+    how much of its map has each state."""
+    points, eye, _, known = make_view(kind, *chair(), np.random.default_rng(seed), 2048)
     far = np.linalg.norm(points - eye, axis=1).mean() if len(points) else 0.0
-    return [float(len(points) > 0), *eye, far]
+    states = [1.0] * 4 if known is None else shares(known.state, 4)
+    return [float(len(points) > 0), *eye, far, *states]
+
+
+def noise_of(config, read) -> float:
+    """How far readings with the noise alone are from exact ones."""
+    exact = config.exact()
+    noisy = dataclasses.replace(exact, noise=config.noise)
+    a, b = (
+        read(np.random.default_rng(0), each).astype(float) for each in (exact, noisy)
+    )
+    return np.abs(a - b).mean()
 
 
 def sensors(seed: int) -> list[float]:
     scene, rng = chair()[0], np.random.default_rng(seed)
     eye = np.array([3.0, seed / 10, 0.0])
     axes = np.array([(0, 1.0, 0), (0, 0, -1.0), (-1.0, 0, 0)])
-    counts, _ = l515_depth(scene, l515_camera(axes, eye).resized(60, 80), rng)
-    ranges = scan(scene, eye, rng, OusterConfig(beams=32, columns=256)).ranges
-    return [(counts > 0).mean(), counts[counts > 0].mean(), ranges.mean(), rng.random()]
+    camera = l515_camera(axes, eye).resized(60, 80)
+    lidar = OusterConfig(beams=32, columns=256)
+    counts, _ = l515_depth(scene, camera, rng)
+    ranges = scan(scene, eye, rng, lidar).ranges
+    return [
+        (counts > 0).mean(),
+        counts[counts > 0].mean(),
+        ranges.mean(),
+        rng.random(),
+        noise_of(L515Config(), lambda *how: l515_depth(scene, camera, *how)[0]),
+        noise_of(lidar, lambda *how: scan(scene, eye, *how).ranges),
+    ]
 
 
 def scene_layout(seed: int) -> list[float]:
@@ -101,10 +135,15 @@ def workcell(seed: int) -> list[float]:
     try:
         cell = make_workcell(boxes(), 2, rng, (60, 80))
     except ValueError:
-        return [0.0] * 7 + [rng.random()]
+        return [0.0] * 7 + [rng.random()] + [0.0] * 9
     eye = np.asarray(cell.camera.position)
     parts = trimesh.util.concatenate(list(cell.parts(1).values()))
-    return [*of_mesh(parts), *eye, rng.random()]
+    made = [*of_mesh(parts), *eye, rng.random()]
+    try:
+        seen = make_cell_view(cell, 1, rng, num_partial=64, num_complete=64)
+    except ValueError:
+        return [*made, *[0.0] * 9]
+    return [*made, *shares(seen.labels, len(LABELS)), *shares(seen.visibility.state, 4)]
 
 
 BUILDERS = {

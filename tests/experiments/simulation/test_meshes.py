@@ -6,7 +6,8 @@ import trimesh
 from scipy.spatial import KDTree
 
 from experiments.simulation.packing import Meshes, build_meshes
-from prism_jax.data.datasets import open_dataset, parts_of
+from experiments.splits import parts_of
+from prism_jax.data.datasets import open_dataset
 from prism_jax.io import InputError
 
 

@@ -83,13 +83,3 @@ def test_points_are_labelled_by_what_they_are_on(make):
         assert stray.sum() > 20
         flies = (off_cube > 0.005) & (off_floor > 0.005)
         assert np.mean(flies[stray]) > 0.9
-
-
-def test_in_its_own_axes_the_sensor_is_at_the_origin_and_looks_along_z(source):
-    scene = source.scene(0)
-    own = scene.in_sensor_axes()
-    assert own.points[:, 2].min() > 0
-    np.testing.assert_array_equal(own.eye, np.zeros(3))
-    for name in ("points", "complete"):
-        back = getattr(own, name) @ scene.rotation + scene.eye
-        np.testing.assert_allclose(back, getattr(scene, name), atol=1e-5)

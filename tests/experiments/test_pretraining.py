@@ -5,9 +5,9 @@ import pathlib
 import numpy as np
 import pytest
 
+from experiments import pretraining
 from experiments.settings import resolve
 from prism_jax.io.errors import InputError
-from prism_jax.training import pretraining
 from prism_jax.training.phase import Data, Phase, Trained, TrainState, steps_of
 
 SEEDS, AUXILIARY = "pretrain.backbone.0.num_samples", "pretrain.auxiliary_samples"

@@ -1,7 +1,7 @@
 """Presets."""
 
+from experiments.presets import PRESETS
 from prism_jax.completion.weights import load_pretrained
-from prism_jax.training.presets import PRESETS
 
 
 def test_paper_has_the_papers_values():

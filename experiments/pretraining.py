@@ -9,9 +9,9 @@ from prism_jax.models.backbone import init_backbone
 from prism_jax.models.initial import init_auxiliary
 from prism_jax.models.variables import Variables
 from prism_jax.training.auxiliary import auxiliary_phase
-from prism_jax.training.backbone import backbone_phase
 from prism_jax.training.config import PretrainConfig
 from prism_jax.training.phase import Data, Phase, steps_of, train_phase, validate
+from prism_jax.training.supervised import backbone_phase
 
 
 def pretrain(

@@ -1,0 +1,91 @@
+"""Which split of a data set a training sees, which validates it, and their digests."""
+
+import numpy as np
+
+from prism_jax.data.datasets import DATASETS, folder_of, open_dataset
+from prism_jax.data.manifest import content_digest, read_manifest
+from prism_jax.data.source import Example, Source
+from prism_jax.io.errors import InputError, StrPath
+
+
+class Subset:
+    """Some items of a source, in the order of `rows`."""
+
+    def __init__(self, source: Source, rows: np.ndarray):
+        self._source, self._rows = source, np.asarray(rows)
+        self.categories = source.categories
+        self.objects = np.unique(source.objects[self._rows], return_inverse=True)[1]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, index: int) -> Example:
+        return self._source[int(self._rows[index])]
+
+
+def training_split(name: str) -> str:
+    """The split that a training sees; InputError if a set is for tests alone."""
+    split = DATASETS[name].training
+    if split is None:
+        raise InputError(name, "no training split", "train on another set")
+    return split
+
+
+def validation_split(name: str) -> str:
+    """The split of its own that a training is validated on; InputError if a set has
+    none."""
+    split = DATASETS[name].validation
+    if split is None:
+        having = (other for other, known in DATASETS.items() if known.validation)
+        fault = "no validation split"
+        raise InputError(name, fault, f"use one of {', '.join(having)}")
+    return split
+
+
+def validation_rows(
+    name: str, data_dir: StrPath | None = None, count: int = 200
+) -> Subset:
+    """So many examples of a set's validation split, or all, evenly spaced."""
+    validation = open_dataset(name, validation_split(name), data_dir)
+    rows = np.unique(np.linspace(0, len(validation) - 1, count, dtype=int))
+    return Subset(validation, rows)
+
+
+def opened_splits(name: str) -> tuple[str, ...]:
+    """The splits that a training opens: its own, and that it is validated on."""
+    validation = DATASETS[name].validation
+    return (training_split(name), *([validation] if validation else []))
+
+
+def open_training(
+    name: str, data_dir: StrPath | None = None, num_validation: int = 200
+) -> tuple[Source, Source]:
+    """What to train on, and `num_validation` examples to validate with: of a split of
+    their own where the set has one, else as many objects, evenly spaced and no more
+    than a tenth of all, held out with all their views, of which the first is taken."""
+    train = open_dataset(name, training_split(name), data_dir)
+    if DATASETS[name].validation is not None:
+        return train, validation_rows(name, data_dir, num_validation)
+    objects, first = np.unique(train.objects, return_index=True)
+    if len(objects) < 2:
+        raise InputError("data", "only one object", "add more to train on")
+    count = min(num_validation, max(1, len(objects) // 10))
+    held = np.unique(np.linspace(0, len(objects) - 1, count + 2, dtype=int)[1:-1])
+    rest = np.flatnonzero(~np.isin(train.objects, held))
+    return Subset(train, rest), Subset(train, first[held])
+
+
+def parts_of(name: str, data_dir: StrPath | None = None) -> list[str]:
+    """The sets that a training on this one sees: those packed into it, or itself."""
+    if name == "packed" and data_dir is not None:
+        manifest = read_manifest(folder_of(name, "train", data_dir), "pack it")
+        return sorted(manifest["sources"])
+    return [name]
+
+
+def digest_of(name: str, split: str, data_dir: StrPath | None = None) -> str | None:
+    """Twelve digits of a split's files (`content_digest`); None for a set that has no
+    manifest."""
+    if DATASETS[name].folder is None:
+        return None
+    return content_digest(folder_of(name, split, data_dir))
