@@ -53,8 +53,9 @@ TOGETHER = {
     "cli/test_stream.py": "completer",
     "completion/test_weights.py": "weights",
     "reporting/test_model_card.py": "weights",
+    "experiments/baselines/": "baselines",
 }
-"""Files that share what is compiled."""
+"""Files, and folders of files, that share what is compiled."""
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -65,7 +66,8 @@ def pytest_xdist_make_scheduler(config, log):
     class Together(LoadFileScheduling):
         def _split_scope(self, nodeid):
             file = nodeid.split("::")[0].removeprefix("tests/")
-            return TOGETHER.get(file, file)
+            own = (group for start, group in TOGETHER.items() if file.startswith(start))
+            return next(own, file)
 
     return Together(config, log)
 

@@ -28,8 +28,7 @@ class Completion(NamedTuple):
         encoders. No loss looks at those.
       before: the completion of the network as it was.
       accepted: whether the adapted completion is the one returned: the objective of
-        Eq. 13 did not rise, and everything stayed finite. That does not mean that it is
-        nearer to the truth, nor that every term fell.
+        Eq. 13 did not rise, and everything stayed finite.
       losses: every term before each step, and after the last: K + 1 values.
       weights: of the auxiliary losses, softmax(eta*).
       encoders: the encoders' parameters that made ``points``, with the samples

@@ -66,8 +66,7 @@ def frame_example(
 
     Where the network finds the heading itself, each example has any heading, and every
     other a tilt of up to `MAX_TILT`; without `rng` these are a function of the
-    example's name. For training, one in `ASIDE` then gets a random quarter turn: the
-    rule will take one side for another now and then.
+    example's name. For training, one in `ASIDE` then gets a random quarter turn.
     """
     example = with_partial(example, rng)
     assert example.partial is not None and example.complete is not None

@@ -48,8 +48,7 @@ class LabelledScene:
 
 class Scenes(Shards):
     """A folder of scenes: things one by one as a `Source`, as each was measured among
-    the others, or whole by `scene`. All things of a scene count as one object, since
-    what holds for one of them does for another."""
+    the others, or whole by `scene`. All things of a scene count as one object."""
 
     def __init__(self, root: StrPath, *arguments: Any, **expected: Any):
         super().__init__(root, *arguments, **expected)

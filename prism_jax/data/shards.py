@@ -15,8 +15,7 @@ and, where sensors' maps were kept (`data.maps`),
                 .map.npy      uint16 (V, H, W)  state and depth of each pixel
                 .camera.npy   float32 (V, 18)   whose pixels these are
 
-Objects are counted from 0 in each shard, and none is in two. What is told of each view,
-or of each complete cloud, is a file of its own, so that a later version can add some.
+Objects are counted from 0 in each shard, and none is in two.
 """
 
 import json

@@ -1,7 +1,6 @@
 """95 % percentile bootstrap intervals over groups of examples that belong together.
 
-Views of one object are not independent, and neither are objects of one kind if the
-question is what holds for other kinds. So whole groups are drawn, with all of their
+Views of one object are not independent, so whole groups are drawn, with all of their
 examples. With fewer than some ten groups an interval is rough, and rather too narrow.
 """
 

@@ -1,10 +1,8 @@
 """Searches as GPUs do them, in Pallas kernels (Triton backend) but for the nearest.
 
-What XLA makes is bound by launches (farthest points: some for every sample) or by
-memory (neighbours: distances written and read again). A kernel is launched once, and
-distances never leave registers. The results are those of the forms for a CPU, ties
-included, between which `prism_jax.geometry.neighbors` and `sampling` choose by
-platform. ``interpret=True`` runs a kernel without a GPU, for tests.
+A kernel is launched once, and distances never leave registers. The results are those
+of the forms for a CPU, ties included, between which `prism_jax.geometry.neighbors` and
+`sampling` choose by platform. ``interpret=True`` runs a kernel without a GPU.
 """
 
 import functools

@@ -113,8 +113,7 @@ def hidden_and_values(
     position = Dense(width, name="position_0")
 
     # The first layer of the offset is linear: applied to points, before they are
-    # gathered into k times as many pairs. One gather serves all, since its derivative
-    # is one scatter; the barrier keeps XLA from fusing the concatenation into it.
+    # gathered. The barrier keeps XLA from fusing the concatenation into the gather.
     support = [key, position(support_xyz, bias=False), value]
     support = jax.lax.optimization_barrier(jnp.concatenate(support, axis=-1))
     key, offset, value = jnp.split(gather(support, neighbors), 3, -1)

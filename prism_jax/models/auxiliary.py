@@ -1,8 +1,4 @@
-"""Auxiliary branches: tokens shared by both streams, normals, denoising.
-
-They are trained once, on the finished backbone, and frozen from then on; what they
-measure reaches the encoders through their inputs.
-"""
+"""Auxiliary branches: tokens shared by both streams, normals, denoising."""
 
 from typing import NamedTuple
 

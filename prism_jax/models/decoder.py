@@ -36,8 +36,7 @@ _LATTICE = np.stack(np.meshgrid(_ALONG, _ALONG, _ALONG), -1).reshape(-1, 3)
 
 
 class DecoderIndices(NamedTuple):
-    """The samples and neighbours of one decoding. They jump where its points move by a
-    little, and have no derivative."""
+    """The samples and neighbours of one decoding, without a derivative."""
 
     # Rows of the seeds and the partial, joined, that the blocks start from.
     initial: Int[Array, "... n"]

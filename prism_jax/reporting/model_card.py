@@ -42,7 +42,6 @@ def model_card(name_or_path: str) -> str:
     if not scores:
         lines.append("\nNo scores.")
     lines += [f"\n{line}" for line in _trust(about)]
-    # Notes of weights that ship name the page by what it was called.
     notes = "\n\n".join(about.get("notes", [])).replace("experiments.md", "findings.md")
     lines += [f"\n{notes}"] if notes else []
     return "\n".join(lines) + "\n"

@@ -70,8 +70,7 @@ def supervised_phase(
 ) -> Phase:
     """The terms of Eq. 10, of the stages that ``train_fn`` returns with BatchNorm's
     updated statistics; validated on those of ``stages_fn``, by CD-L2 in the unit of the
-    scores. What decides is the mean logarithm of the last stage's CD-L1, which one bad
-    example cannot carry. ``names`` are the stages', coarse first."""
+    scores. What decides is the mean logarithm of the last stage's CD-L1."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
     limits = training.warmup_steps, training.clip_norm
     adam = optimiser("adam", phase.learning_rate, num_steps, phase.final_rate, *limits)

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from prism_jax.data.pipeline import Framing
+from prism_jax.evaluation.metrics import score
+from prism_jax.models.prism import Prediction
+from prism_jax.training import auxiliary
 from prism_jax.training.auxiliary import TRAINED, auxiliary_phase
 from prism_jax.training.checkpoints import Checkpoints
 from tests.trees import bitwise
@@ -95,16 +98,30 @@ def test_the_alignment_does_not_move_the_tokens_of_the_point_stream(phase, batch
     assert moved == {"latent"}
 
 
-def test_validation_scores_before_and_after_the_refiner(phase, batch, trained):
-    variables = trained[0].variables
-    scores = np.asarray(phase.validate_fn(variables, batch))
-    assert scores.shape == (4, 3) and np.isfinite(scores).all()
-    idle = jax.tree.map(jnp.zeros_like, variables["params"]["refiner"])
-    params = {**variables["params"], "refiner": idle}
-    doubled = batch._replace(scale=2 * batch.scale)
-    other = phase.validate_fn({**variables, "params": params}, doubled)
-    np.testing.assert_allclose(other[:, 0], 4 * scores[:, 0], rtol=1e-6)
-    assert not np.allclose(other[:, 1], 4 * scores[:, 1], rtol=1e-4)
+def test_validation_scores_before_and_after_the_refiner(
+    phase, batch, minimal, minimal_variables, monkeypatch
+):
+    """In the unit of the scores, of points that are known; and the sum of the losses.
+    That of the network is traced alone."""
+    variables = phase.start.variables
+    assert jax.eval_shape(phase.validate_fn, variables, batch).shape == (4, 3)
+
+    def terms(variables, inputs, features, batch, config):
+        partial = jnp.asarray(batch.partial)
+        made = Prediction(1.1 * partial, (partial,), None, None)
+        return jnp.array([1.0, 2, 3, 4]), None, made
+
+    monkeypatch.setattr(auxiliary, "_terms", terms)
+    monkeypatch.setattr(auxiliary, "inputs_of", lambda batch, *given: batch.partial)
+    monkeypatch.setattr(auxiliary, "read_depth", lambda *given, config: given[1])
+    training = dataclasses.replace(minimal.pretrain, auxiliary_samples=32, batch_size=4)
+    own = auxiliary_phase(minimal_variables, minimal.config, training, seed=0)
+    found = np.asarray(own.validate_fn(variables, batch))
+    for row, partial, complete, scale in zip(
+        found, *batch[:2], batch.scale, strict=True
+    ):
+        expected = [score(k * partial, complete).cd_l2 * scale**2 for k in (1, 1.1)]
+        np.testing.assert_allclose(row, [*expected, 10.0], rtol=1e-4)
 
 
 def test_its_state_goes_through_a_checkpoint(phase, batch, tmp_path):

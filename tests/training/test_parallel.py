@@ -1,6 +1,7 @@
 """One training, on however many devices."""
 
 import json
+import multiprocessing
 import os
 import pathlib
 import subprocess
@@ -12,15 +13,73 @@ import numpy as np
 import pytest
 from jax.sharding import PartitionSpec
 
-from prism_jax.completion.weights import save_weights
+from experiments.run_folder import open_run
+from prism_jax.adaptation.config import MetaConfig
+from prism_jax.completion.weights import load_pretrained, save_weights
 from prism_jax.io.errors import InputError
-from prism_jax.training import parallel
+from prism_jax.training import meta, parallel
+from prism_jax.training.config import MetaTrainConfig
 from prism_jax.training.phase import Data, TrainState, train_phase
-from tests.training.conftest import regression_phase
+from tests import stand_in_networks
+from tests.training.conftest import Boxes, regression_phase
 from tests.trees import bitwise, equal
 
-SCRIPT = pathlib.Path(__file__).with_name("meta_runs.py")
 TOLERANCE = 1e-5
+BATCH, STEPS, BROKEN_AT = 8, 3, 1
+METHOD = MetaConfig(
+    lambda_aux=0.1,
+    weight_rule="meta",
+    rehearse_depth=True,
+    learn_steps=True,
+    learn_auxiliary=True,
+)
+# Rates that move every kind of parameter by far more than the comparison allows.
+CONFIG = MetaTrainConfig(
+    METHOD,
+    num_samples=STEPS * BATCH,
+    batch_size=BATCH,
+    num_complete=128,
+    learning_rate=1e-2,
+    clip_norm=1.0,
+    refiner_rate=1e-2,
+    auxiliary_rate=1e-2,
+    weight_rate=0.1,
+    average_decay=0.5,
+)
+
+
+def train(folder, weights, devices):
+    """Trains; on several devices broken off and resumed. Leaves the state each time."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    count = f"--xla_force_host_platform_device_count={devices}"
+    os.environ["XLA_FLAGS"] = f"{flags} {count}"
+    assert jax.device_count() == devices
+    config, variables = load_pretrained(str(weights))
+    config = config.with_adapt(step_size=0.1)
+    # What is validated is no matter here: a stand-in compiles to nothing.
+    meta.make_adapt = stand_in_networks.make_adapt
+    # One phase, whose programs are compiled once.
+    phase = meta.meta_phase(variables, config, CONFIG, seed=0)
+    points = config.model.backbone.num_points
+    data = Data(Boxes(20, 0), Boxes(10, 1), points, 1.4, 7, BATCH)
+    for steps in (BROKEN_AT, STEPS) if devices > 1 else (STEPS,):
+        open_run(str(folder), {}, 0, resume=True)
+        trained = train_phase(phase, data, folder, steps if steps < STEPS else None)
+        leaves = jax.tree_util.tree_leaves_with_path(trained)
+        arrays = {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
+        np.savez(f"{folder}.{steps}.npz", **arrays)
+
+
+def main(root, weights):
+    """Meta-trains the same on one device, and on four. A program, whose trainings are
+    forked from a process that has run nothing."""
+    fork = multiprocessing.get_context("fork").Process
+    for name, devices in (("one", 1), ("four", 4)):
+        process = fork(target=train, args=(root / name, weights, devices))
+        process.start()
+        process.join()
+        if process.exitcode:
+            sys.exit(f"{name}: exit status {process.exitcode}")
 
 
 def test_a_batch_is_split_and_a_state_is_not():
@@ -69,8 +128,9 @@ def test_four_devices_broken_off_and_resumed_train_as_one(
 ):
     weights = tmp_path / "start.safetensors"
     save_weights(weights, minimal.config, minimal_variables, {})
-    command = [sys.executable, SCRIPT, tmp_path, weights]
-    environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, __file__, tmp_path, weights]
+    root = str(pathlib.Path(__file__).parents[2])
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": root}
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     one, four = left(tmp_path, "one"), left(tmp_path, "four")
@@ -98,3 +158,7 @@ def test_four_devices_broken_off_and_resumed_train_as_one(
         for name in ("step", "samples", "losses", "validation"):
             told = pytest.approx(b.get(name, {}), rel=1e-4, abs=TOLERANCE)
             assert a.get(name, {}) == told
+
+
+if __name__ == "__main__":
+    main(*map(pathlib.Path, sys.argv[1:]))

@@ -22,7 +22,12 @@ from experiments.simulation.partials import PARTIALS
 from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm.cell_views import make_cell_view
 from experiments.simulation.roboarm.models import ArmModel
-from experiments.simulation.roboarm.sequences import RoboArmConfig, make_sequence
+from experiments.simulation.roboarm.sequences import (
+    SURVEY,
+    RoboArmConfig,
+    make_sequence,
+    survey,
+)
 from experiments.simulation.roboarm.workcells import make_workcell
 from experiments.simulation.scenes.arrangement import arranged, random_room
 from experiments.simulation.scenes.sensing import random_camera, random_lidar
@@ -130,6 +135,15 @@ def sequence(seed: int) -> list[float]:
     ]
 
 
+def surveyed(seed: int) -> list[float]:
+    """Where the points of the ground truth are, of every other face of a chair."""
+    scene, rng = chair()[0], np.random.default_rng(seed)
+    wanted = np.arange(len(scene.mesh.faces)) % 2 == 0
+    config = dataclasses.replace(SURVEY, beams=48, columns=384)
+    points = survey(scene, wanted, 300, rng, config=config)
+    return [*(2 + points.mean(axis=0)), *points.std(axis=0)]
+
+
 def workcell(seed: int) -> list[float]:
     rng = np.random.default_rng(seed)
     try:
@@ -153,6 +167,7 @@ BUILDERS = {
     "sensors": sensors,
     "scene": scene_layout,
     "sequence": sequence,
+    "surveyed": surveyed,
     "workcell": workcell,
 }
 

@@ -60,26 +60,6 @@ def test_first_hits_are_those_of_plain_numpy(shift):
     np.testing.assert_allclose(hits.points, points[hits.ray], atol=5e-5)
 
 
-def test_a_box_has_a_closed_form():
-    """From within, where rays at edges do not slip through."""
-    unit = np.random.default_rng(2).normal(size=(2000, 3))
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    box = trimesh.creation.box((2, 4, 6))
-    found = Scene(box).cast(np.zeros(3), unit)
-    extent = np.min(np.array([1, 2, 3]) / np.abs(unit), axis=1)
-    np.testing.assert_allclose(found.distances, extent, rtol=1e-6)
-    np.testing.assert_allclose(found.points, unit * extent[:, None], atol=2e-6)
-    wall = np.argmin(np.array([1, 2, 3]) / np.abs(unit), axis=1)
-    cosine = np.abs(np.take_along_axis(unit, wall[:, None], axis=1)[:, 0])
-    np.testing.assert_allclose(found.cosines, cosine, atol=1e-12)
-    corners = np.asarray(box.vertices)
-    targets = np.concatenate([corners, corners[box.edges_unique].mean(axis=1)])
-    start = np.array([0.1, -0.2, 0.15])
-    inside = Scene(box).cast(start, targets - start)
-    np.testing.assert_array_equal(inside.ray, np.arange(len(targets)))
-    np.testing.assert_allclose(inside.points, targets, atol=1e-6)
-
-
 def test_seen_from_outside_agrees_with_plain_numpy():
     """Of a cup: for each point, lines to all viewpoints against every triangle."""
     wall = trimesh.creation.annulus(0.5, 0.6, 1.4)

@@ -1,20 +1,13 @@
 """Frames of a robot in its cell: what the camera saw, and the ground truth."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-import trimesh
 
-from experiments.simulation.raycast import Scene
 from experiments.simulation.roboarm import recording
-from experiments.simulation.roboarm.furnishings import together
 from experiments.simulation.roboarm.sequences import (
     CLOUD_STEP,
-    SURVEY,
     make_frame,
     make_sequence,
-    survey,
 )
 from prism_jax.data.recordings import DEPTH_SCALE, LABELS, RecordedCells
 from prism_jax.envelope.robot import joints_from_dict, of_robot, robot_surface
@@ -61,32 +54,6 @@ def test_the_robot_is_where_its_base_and_joints_say(frame, urdf):
     for place, expected in ((base, 1.0), (np.eye(4), 0.0)):
         surface = robot_surface(Linkage(urdf), joints, place)
         assert of_robot(pixels, surface).mean() == pytest.approx(expected, abs=0.02)
-
-
-def test_the_ground_truth_is_what_is_asked_for_and_seen_from_outside():
-    """A closed box with another inside it, on a table that is not asked for. The noise
-    of the survey is that of 64 turns averaged."""
-    outer, inner = (trimesh.creation.box(s) for s in ((0.6, 0.4, 0.5), (0.2,) * 3))
-    top = trimesh.creation.box((1.0, 1.0, 0.1)).apply_translation((0, 0, -0.3))
-    whole = together([outer, inner, top]).apply_translation((0, 0, 1.0))
-    exact = dataclasses.replace(SURVEY.exact(), beams=48, columns=384)
-    wanted, rng = np.arange(len(whole.faces)) < 24, np.random.default_rng(0)
-    points = survey(Scene(whole), wanted, 3000, rng, config=exact) - (0, 0, 1.0)
-    assert points.shape == (3000, 3)
-    scaled = np.abs(points) / (0.3, 0.2, 0.25)
-    np.testing.assert_allclose(scaled.max(axis=1), 1, atol=0.006)
-    # All sides but the one on the table, each with points up to its edges.
-    for axis, half in enumerate((0.3, 0.2, 0.25)):
-        for side in (-1, 1):
-            face = points[np.abs(points[:, axis] - side * half) < 2e-3]
-            if (axis, side) == (2, -1):
-                assert len(face) < 0.05 * len(points)
-            else:
-                spread = np.ptp(face, axis=0) / (0.6, 0.4, 0.5)
-                assert np.delete(spread, axis).min() > 0.85
-    noisy = dataclasses.replace(exact, noise=SURVEY.noise)
-    points = survey(Scene(whole), wanted, 3000, rng, config=noisy) - (0, 0, 1.0)
-    assert 0.3e-3 < np.std(points[points[:, 2] > 0.24, 2]) < 2.2e-3
 
 
 def test_a_recording_has_what_sensors_measure_and_the_truth_beside(
