@@ -102,8 +102,7 @@ DATASETS: Mapping[str, DataSet] = {
     "shapenet34": DataSet(partial(ShapeNet, "ShapeNet-34")),
     "shapenet_unseen21": DataSet(partial(ShapeNet, "ShapeNet-Unseen21"), training=None),
 }
-"""Public sets are named last. Nothing is downloaded: a set is put in place by whoever
-has the right to it, and one that is not laid out as published is refused."""
+"""Public sets are named last, and never downloaded."""
 
 
 def open_dataset(

@@ -25,7 +25,7 @@ class BackboneConfig(Checked):
 
     # Points of the partial cloud.
     num_points: Points = 2048
-    # Left by the two set abstractions; and their hidden and output widths.
+    # Points left by the two set abstractions, and their hidden and output widths.
     patch_points: Annotated[tuple[int, int], 1, 2**16] = (512, 128)
     patch_features: Annotated[tuple[tuple[int, int], tuple[int, int]], 1, 4096] = (
         (64, 128),
