@@ -1,10 +1,12 @@
 """What every command shares: a quiet log, and the user's mistakes in one line."""
 
+import _thread
 import contextlib
 import functools
 import io
 import math
 import os
+import signal
 import sys
 import threading
 import time
@@ -55,7 +57,8 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:
-        app.run(with_words, flags_parser=FLAGS)
+        with _interruptible():
+            app.run(with_words, flags_parser=FLAGS)
     except InputError as error:
         _end(name, str(error))
     except SomeFailed as error:
@@ -64,6 +67,36 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
     except KeyboardInterrupt:
         _end(name, "interrupted", status=130)
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C interrupts, and does so again every second until the run has ended: the
+    callbacks of some packages swallow an exception."""
+    timers: list[threading.Timer] = []
+
+    def interrupt(*_: Any) -> None:
+        timers.append(threading.Timer(1.0, _thread.interrupt_main))
+        timers[-1].daemon = True
+        timers[-1].start()
+        raise KeyboardInterrupt
+
+    def swallowed(fault: Any) -> None:
+        if fault.exc_type is not KeyboardInterrupt:
+            told(fault)
+
+    before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, interrupt)
+        sys.unraisablehook = swallowed
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for timer in timers:
+            timer.cancel()
+        signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = told
 
 
 def keep_compiled() -> None:
