@@ -50,10 +50,15 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A folder's name may hold what the terminal cannot show.
         sys.stdout.reconfigure(errors="backslashreplace")
-    # --help lists the flags of the program that was started, and that may be a wrapper.
-    for module in (main.__module__, "prism_jax.cli.shared_flags"):
-        for flag in FLAGS.get_flags_for_module(module):
-            FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+    # --help is that of the program that was started, and that may be a wrapper.
+    sys.modules["__main__"].__doc__ = sys.modules[main.__module__].__doc__
+    for module, defined in list(FLAGS.flags_by_module_dict().items()):
+        if module.split(".")[0] in ("prism_jax", "experiments"):
+            for flag in defined:
+                FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+    if "--help" in sys.argv[1:]:  # of which absl makes a failure
+        app.usage(shorthelp=True, writeto_stdout=True)
+        sys.exit(0)
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:

@@ -50,3 +50,10 @@ def test_an_interrupted_import_is_one_line():
     command = [sys.executable, "-c", INTERRUPTED_IMPORT]
     ended = subprocess.run(command, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (130, "prism-stream: interrupted\n")
+
+
+def test_help_lists_the_flags_of_all_modules(capsys):
+    assert run(train, "--help") == 0
+    told = capsys.readouterr().out
+    assert "Trains a preset" in told and "--workdir" in told
+    assert "--phase" in told and "--mixture" in told
