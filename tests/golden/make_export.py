@@ -1,4 +1,4 @@
-"""Writes export.npz: a network that the oldest supported JAX exported, and a completion.
+"""Writes export.npz: what the oldest supported JAX exported, and its completion.
 
 python -m tests.golden.make_export
 """
