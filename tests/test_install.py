@@ -74,7 +74,10 @@ def modules_of(requirements) -> list[str]:
 def test_without_any_extra():
     """Cards are shown, and what is needed is what is declared."""
     extras = {name for names in EXTRAS.values() for name in names}
-    given = modules_of(extras - {"jax[cuda12]", "jax[cuda13]"}), ["--weights=small", "--card"]
+    given = (
+        modules_of(extras - {"jax[cuda12]", "jax[cuda13]"}),
+        ["--weights=small", "--card"],
+    )
     command = [sys.executable, "-c", CORE, json.dumps(given)]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
