@@ -32,7 +32,7 @@ def define_flags() -> None:
     flags.DEFINE_integer("num_frames", None, "roboarm, cells: frames each.")
     flags.DEFINE_multi_string("urdf", None, "roboarm: URDF files of your own robots.")
     flags.DEFINE_string("catalogue_dir", None, "objects, scenes. Default: Debian's.")
-    flags.DEFINE_string("mesh_dir", None, "meshes: their folder.")
+    flags.DEFINE_string("mesh_dir", None, "meshes: folder of meshes, complete clouds.")
 
 
 def main():

@@ -24,7 +24,7 @@ def define_flags() -> None:
     flags.DEFINE_string("arm", "panda", "Name of an arm of the test split.")
     flags.DEFINE_integer("num_frames", 20, "Frames of one movement.", 2)
     flags.DEFINE_float("rate", 10.0, "Frames per second.", 0.1)
-    flags.DEFINE_integer("width", 320, "Image width in pixels (4:3).", 16)
+    flags.DEFINE_integer("width", 640, "Image width in pixels (4:3).", 16)
     flags.DEFINE_integer("complete_points", 4096, "Points of the ground truth.", 64)
     flags.DEFINE_integer("seed", 0, "Random seed.", 0)
 

@@ -33,7 +33,7 @@ def suite() -> Iterator[Row]:
     """
     if not kernels.on_gpu():
         fault = f"JAX sees no NVIDIA GPU, only {jax.default_backend()}"
-        raise InputError("--suite=kernels", fault, "install '.[cuda]' on one that has")
+        raise InputError("--suite=kernels", fault, "install '.[cuda13]' where one is")
     for size in SIZES:
         for name, (ours, theirs, peer) in _searches(size).items():
             for batch in (1, BATCH) if size <= BATCHED else (1,):

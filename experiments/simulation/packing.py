@@ -1,5 +1,6 @@
 """Packs examples of any sources, put in farthest-point order once, into shards; among
-them any folder of meshes: OBJ, OFF, PLY, STL and GLB, however deep they lie.
+them any folder of meshes (OBJ, OFF, PLY, STL, GLB) and of complete clouds (all that
+`prism_jax.io` reads), however deep they lie.
 """
 
 import dataclasses
@@ -8,19 +9,22 @@ import hashlib
 import io
 import os
 import pathlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import trimesh
-from jaxtyping import Int
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull
 
-from experiments.simulation.partials import make_partial
+from experiments.simulation.partials import make_partial, random_viewpoint
 from experiments.simulation.raycast import Scene
 from experiments.simulation.shard_writer import build_shards
 from prism_jax.data.manifest import files_digest, hash_files
 from prism_jax.data.ordering import first_points
 from prism_jax.data.source import Example, Source, sound_cloud
+from prism_jax.io.clouds import READERS, read_points
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
 
@@ -121,11 +125,14 @@ def _examples(
         )
 
 
-SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb")
+MESHES = (".obj", ".off", ".ply", ".stl", ".glb")
+SUFFIXES = (*MESHES, *(suffix for suffix in READERS if suffix not in MESHES))
+FACES = re.compile(rb"\belement face [1-9]")
 
 
 class Meshes:
-    """Meshes as clouds of their surface, each with one simulated partial view.
+    """Meshes as clouds of their surface, and complete clouds, each with one simulated
+    partial view; of a cloud, the points that others do not hide (`unhidden`).
 
     A mesh is `normalised`; its axes stay as they are, so that the simulated camera,
     which takes z for up, sees a mesh with y up from its side. The complete cloud is
@@ -162,14 +169,21 @@ class Meshes:
     def __getitem__(self, index: int) -> Example:
         name, category = self._files[range(len(self))[index]]
         path = self.root / name
-        mesh = parse_mesh(read_bytes(path), path.suffix[1:].lower(), path)
-        mesh, digest = normalised(mesh), hashlib.sha256(name.encode()).digest()
+        kind, content = path.suffix.lower(), read_bytes(path)
+        digest = hashlib.sha256(name.encode()).digest()
         rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
-        surface = trimesh.sample.sample_surface(mesh, self.num_points, seed=rng)[0]
-        complete = np.asarray(surface, np.float64)
-        partial, eye = make_partial(
-            "self_occlusion", Scene(mesh), complete, rng, self.partial_points
-        )
+        faces = kind in MESHES and (kind != ".ply" or FACES.search(content[:4096]))
+        if not faces:
+            points = rng.permutation(read_points(path))[: self.num_points]
+            complete, eye = _in_unit_box(points.astype(float)), random_viewpoint(rng)
+            partial = unhidden(complete, eye)
+        else:
+            mesh = normalised(parse_mesh(content, kind[1:], path))
+            surface = trimesh.sample.sample_surface(mesh, self.num_points, seed=rng)[0]
+            complete = np.asarray(surface, np.float64)
+            partial, eye = make_partial(
+                "self_occlusion", Scene(mesh), complete, rng, self.partial_points
+            )
         return Example(
             sound_cloud(complete, path),
             sound_cloud(partial, path),
@@ -194,9 +208,9 @@ def build_meshes(
 
 
 def _find(base: pathlib.Path) -> list[pathlib.Path]:
-    """All mesh files below a folder, in the order of their paths."""
+    """All files of meshes and clouds below a folder, in the order of their paths."""
     if not base.is_dir():
-        raise InputError(base, "no such folder", "give a folder of meshes")
+        raise InputError(base, "no such folder", "give a folder of meshes or clouds")
     found = [
         pathlib.Path(folder, name)
         for folder, _, names in os.walk(base)
@@ -204,8 +218,8 @@ def _find(base: pathlib.Path) -> list[pathlib.Path]:
         if pathlib.Path(name).suffix.lower() in SUFFIXES
     ]
     if not found:
-        fault = f"no meshes ({' '.join(SUFFIXES)})"
-        raise InputError(base, fault, "give a folder of meshes")
+        fault = f"no meshes or clouds ({' '.join(SUFFIXES)})"
+        raise InputError(base, fault, "give a folder of them")
     return sorted(found)
 
 
@@ -233,6 +247,23 @@ def parse_mesh(
 def normalised(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The given mesh, moved and scaled: its box is centred at the origin, the longest
     side spans [-1, 1]."""
-    lower, upper = mesh.bounds
-    mesh.vertices = (mesh.vertices - (lower + upper) / 2) / ((upper - lower).max() / 2)
+    mesh.vertices = _in_unit_box(np.asarray(mesh.vertices), mesh.bounds)
     return mesh
+
+
+def _in_unit_box(points: np.ndarray, bounds: np.ndarray | None = None) -> np.ndarray:
+    lower, upper = (points.min(0), points.max(0)) if bounds is None else bounds
+    return (points - (lower + upper) / 2) / ((upper - lower).max() / 2)
+
+
+def unhidden(
+    points: Float[np.ndarray, "M 3"], eye: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "N 3"]:
+    """Points of a surface that is seen from `eye`, by the operator of Katz et al.,
+    Direct visibility of point sets (2007): reflected in a large sphere around the eye,
+    these are the corners of the convex hull."""
+    rays = points - eye
+    ranges = np.linalg.norm(rays, axis=1, keepdims=True)
+    reflected = rays * (2 * 100 * ranges.max() / ranges - 1)
+    corners = ConvexHull(np.concatenate([reflected, np.zeros((1, 3))])).vertices
+    return points[np.sort(corners[corners < len(points)])]

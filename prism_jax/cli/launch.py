@@ -1,10 +1,12 @@
 """What every command shares: a quiet log, and the user's mistakes in one line."""
 
+import _thread
 import contextlib
 import functools
 import io
 import math
 import os
+import signal
 import sys
 import threading
 import time
@@ -48,14 +50,20 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A folder's name may hold what the terminal cannot show.
         sys.stdout.reconfigure(errors="backslashreplace")
-    # --help lists the flags of the program that was started, and that may be a wrapper.
-    for module in (main.__module__, "prism_jax.cli.shared_flags"):
-        for flag in FLAGS.get_flags_for_module(module):
-            FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+    # --help is that of the program that was started, and that may be a wrapper.
+    sys.modules["__main__"].__doc__ = sys.modules[main.__module__].__doc__
+    for module, defined in list(FLAGS.flags_by_module_dict().items()):
+        if module.split(".")[0] in ("prism_jax", "experiments"):
+            for flag in defined:
+                FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+    if "--help" in sys.argv[1:]:  # of which absl makes a failure
+        app.usage(shorthelp=True, writeto_stdout=True)
+        sys.exit(0)
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:
-        app.run(with_words, flags_parser=FLAGS)
+        with _interruptible():
+            app.run(with_words, flags_parser=FLAGS)
     except InputError as error:
         _end(name, str(error))
     except SomeFailed as error:
@@ -64,6 +72,36 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
     except KeyboardInterrupt:
         _end(name, "interrupted", status=130)
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C interrupts, and does so again every second until the run has ended: the
+    callbacks of some packages swallow an exception."""
+    timers: list[threading.Timer] = []
+
+    def interrupt(*_: Any) -> None:
+        timers.append(threading.Timer(1.0, _thread.interrupt_main))
+        timers[-1].daemon = True
+        timers[-1].start()
+        raise KeyboardInterrupt
+
+    def swallowed(fault: Any) -> None:
+        if fault.exc_type is not KeyboardInterrupt:
+            told(fault)
+
+    before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, interrupt)
+        sys.unraisablehook = swallowed
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for timer in timers:
+            timer.cancel()
+        signal.signal(signal.SIGINT, before)
+        sys.unraisablehook = told
 
 
 def keep_compiled() -> None:

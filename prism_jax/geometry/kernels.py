@@ -2,7 +2,8 @@
 
 A kernel is launched once, and distances never leave registers. The results are those
 of the forms for a CPU, ties included, between which `prism_jax.geometry.neighbors` and
-`sampling` choose by platform. ``interpret=True`` runs a kernel without a GPU.
+`sampling` choose by platform. ``interpret=True`` runs a kernel without a GPU. Pallas is
+imported where a kernel is made: a JAX without its Triton part still serves CPUs.
 """
 
 import functools
@@ -10,8 +11,6 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jax.experimental import pallas as pl
-from jax.experimental.pallas import triton
 from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.geometry.extrema import inserted
@@ -38,6 +37,9 @@ def knn_indices(
 ) -> Int[Array, "N k"]:
     """Indices of the k nearest support points, nearest first; k is at most M. Ties go
     to the lowest index."""
+    from jax.experimental import pallas as pl
+    from jax.experimental.pallas import triton
+
     queries = _rows(query, _QUERIES)
     supports = support.T
     num_supports = support.shape[0]
@@ -85,6 +87,9 @@ def farthest_indices(
 ) -> Int[Array, " num_samples"]:
     """Farthest-point sampling from ``start``, among the points that may be chosen. One
     program holds the whole cloud, up to `MAX_FARTHEST_POINTS`."""
+    from jax.experimental import pallas as pl
+    from jax.experimental.pallas import triton
+
     size = pl.next_power_of_2(points.shape[0])
     cloud = _rows(points, size)
     allowed = jnp.pad(chosen_from.astype(jnp.int32), (0, size - points.shape[0]))

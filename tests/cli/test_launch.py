@@ -1,6 +1,12 @@
 """What every command shares."""
 
+import signal
+import subprocess
+import sys
+import time
+
 from experiments import evaluate, train
+from prism_jax.cli import complete
 from tests.launching import run
 
 
@@ -18,3 +24,36 @@ def test_what_is_no_flag_is_refused(capsys):
     assert run(train, *words) == 2
     wanted = "train: adapt.seed=1: not a flag; write flags as --name=value"
     assert capsys.readouterr().err.splitlines()[-1] == wanted
+
+
+def test_an_interrupt_that_a_callback_swallows_comes_again(monkeypatch, capsys):
+    def swallow(*_, **__):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            time.sleep(30)
+
+    monkeypatch.setattr(complete, "complete_file", swallow)
+    assert run(complete) == 130
+    assert capsys.readouterr().err == "prism-complete: interrupted\n"
+
+
+INTERRUPTED_IMPORT = """
+import importlib, signal
+from prism_jax.cli import entry
+importlib.import_module = lambda _: signal.raise_signal(signal.SIGINT)
+entry.stream()
+"""
+
+
+def test_an_interrupted_import_is_one_line():
+    command = [sys.executable, "-c", INTERRUPTED_IMPORT]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "prism-stream: interrupted\n")
+
+
+def test_help_lists_the_flags_of_all_modules(capsys):
+    assert run(train, "--help") == 0
+    told = capsys.readouterr().out
+    assert "Trains a preset" in told and "--workdir" in told
+    assert "--phase" in told and "--mixture" in told

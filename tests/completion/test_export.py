@@ -12,6 +12,7 @@ from prism_jax.completion.export import export_adapt
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 
+GOLDEN = pathlib.Path(__file__).parents[1] / "golden" / "export.npz"
 PROGRAM = pathlib.Path(__file__).parents[2] / "experiments" / "run_exported.py"
 BATCH = 2
 
@@ -39,6 +40,14 @@ def test_it_is_portable(exported):
     assert set(results) == {"points", "accepted", "objective", "left_out"}
     assert results["left_out"].shape == (BATCH,)
     assert results["objective"].shape == (BATCH, 2)
+
+
+def test_the_newest_jax_loads_what_the_oldest_wrote():
+    """Once it does not any more, raise the lower bound and write the file anew."""
+    with np.load(GOLDEN, allow_pickle=False) as golden:
+        function = jax.export.deserialize(bytearray(golden["function"]))
+        done = jax.jit(function.call)(golden["scan"], np.zeros((1, 3), np.float32))
+        np.testing.assert_allclose(done["points"], golden["points"], atol=1e-4)
 
 
 @pytest.mark.slow

@@ -38,6 +38,23 @@ def test_every_format_gives_the_normalised_surface(root):
     assert len({example.name for example in source}) == 5
 
 
+@pytest.mark.parametrize("suffix", ["npy", "xyz", "ply"])
+def test_a_complete_cloud_is_seen_from_one_side(tmp_path, suffix):
+    ball = np.random.default_rng(0).normal(size=(20000, 3))
+    ball = 5 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [9, 9, 9]
+    path = tmp_path / f"ball.{suffix}"
+    if suffix == "ply":
+        trimesh.PointCloud(ball).export(path)
+    else:
+        (np.save if suffix == "npy" else np.savetxt)(path, ball)
+    (example,) = [*Meshes(tmp_path)]
+    np.testing.assert_allclose(np.linalg.norm(example.complete, axis=1), 1, atol=0.01)
+    # From outside, the unit ball is seen where p . eye >= 1.
+    seen = example.complete @ example.eye >= 1
+    assert seen.sum() == pytest.approx(len(example.partial), rel=0.03)
+    assert np.mean(example.partial @ example.eye >= 0.95) > 0.99
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
