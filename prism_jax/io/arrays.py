@@ -4,7 +4,7 @@ import io
 import math
 import warnings
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.lib import format as npy_format
 
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
+
+Fields = dict[str, np.ndarray]  # further numbers of each point, by their names
 
 MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
 
@@ -26,28 +28,37 @@ _MAX_COLUMNS = 16  # an array of more is an image
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
 
 
-def read_npy(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N C"]:
+def read_npy(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N C"]:
     """The array of an NPY file, (N, C) or (H, W, C) with three to 16 columns, or its
-    fields x, y and z: float32 stays so, other real numbers become float64. Any other
-    array, more than `max_points` rows, and a file that is cut raise an InputError."""
+    fields x, y and z: float32 stays so, other real numbers become float64. `fields`
+    gets what other names hold. Any other array, more than `max_points` rows, and a file
+    that is cut raise an InputError."""
     data = read_bytes(path)
     with parsing(path, "a valid NPY cloud", _REMEDY):
-        return _parse(data, max_points)
+        return _parse(data, max_points, fields)
 
 
-def read_kitti(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
+def read_kitti(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N 3"]:
     """The positions of a sweep as KITTI has it: x, y, z and a reflectance of 0 to 255,
-    all float32. A file of other numbers raises an InputError."""
+    all float32; `fields` gets the latter. A file of other numbers raises an
+    InputError."""
     data = read_bytes(path)
     with parsing(path, "a KITTI sweep", _REMEDY):
         check_count(len(data) // 16, max_points)
         rows = np.frombuffer(data, "<f4").reshape(-1, 4)
         if ((rows[:, 3] < 0) | (rows[:, 3] > 255)).any():
             raise ValueError("the fourth number of a point is no reflectance")
+        keep_fields(fields, ["reflectance"], [rows[:, 3]], [rows.dtype])
         return rows[:, :3]
 
 
-def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N C"]:
+def read_npz(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N C"]:
     """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array, or its only
     other one that `read_npy` takes and that has more rows than columns. Of other
     arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
@@ -58,7 +69,7 @@ def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
         if data.count(_ENTRY) > MAX_MEMBERS:
             raise ValueError(f"more than {MAX_MEMBERS:,} arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return _read_archive(archive, max_points)
+            return _read_archive(archive, max_points, fields)
 
 
 def stack_columns(
@@ -70,6 +81,19 @@ def stack_columns(
     target = np.float32 if is_single else np.float64
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([column.astype(target) for column in columns], axis=1)
+
+
+def keep_fields(
+    fields: Fields | None,
+    names: Sequence[str],
+    columns: Iterable[np.ndarray],
+    stored: Sequence[np.dtype],
+) -> None:
+    """Puts columns into the fields, if there are any, as the file stores them."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        for name, column, dtype in zip(names, columns, stored, strict=True):
+            if fields is not None:
+                fields[name] = column.astype(dtype.newbyteorder("="))
 
 
 def check_not_index(column: Float[np.ndarray, " N"]) -> None:
@@ -104,7 +128,9 @@ class _Header(NamedTuple):
         return f"an array of shape {self.shape} and type {self.dtype}"
 
 
-def _read_archive(archive: zipfile.ZipFile, max_points: int) -> np.ndarray:
+def _read_archive(
+    archive: zipfile.ZipFile, max_points: int, fields: Fields | None
+) -> np.ndarray:
     found: dict[str, tuple[str, _Header]] = {}
     for member in archive.namelist():
         with archive.open(member) as file:
@@ -122,10 +148,10 @@ def _read_archive(archive: zipfile.ZipFile, max_points: int) -> np.ndarray:
     member, header = found[(named or clouds)[0]]
     check_count(header.count, max_points)
     with archive.open(member) as file:
-        return _parse(file.read(header.end), max_points)
+        return _parse(file.read(header.end), max_points, fields)
 
 
-def _parse(data: bytes, max_points: int) -> np.ndarray:
+def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
     """The cloud in an NPY file's bytes; nothing is allocated before it is known to fit.
     Whatever is wrong with them raises a ValueError."""
     header = _parse_header(data)
@@ -138,6 +164,10 @@ def _parse(data: bytes, max_points: int) -> np.ndarray:
     array = array.reshape(header.shape, order="F" if header.is_fortran else "C")
     if header.dtype.names:
         columns = [array[axis].ravel() for axis in "xyz"]
+        kinds = {n: header.dtype[n] for n in header.dtype.names if n not in "xyz"}
+        names = [name for name, kind in kinds.items() if kind.kind in "biuf"]
+        further = [array[name].ravel() for name in names]
+        keep_fields(fields, names, further, [kinds[name] for name in names])
     else:
         columns = list(array.reshape(-1, header.shape[-1]).T)
     if len(columns) > 3:

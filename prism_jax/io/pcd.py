@@ -13,7 +13,7 @@ import lzf
 import numpy as np
 from jaxtyping import Float, Num
 
-from prism_jax.io.arrays import stack_columns
+from prism_jax.io.arrays import Fields, keep_fields, stack_columns
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import (
     MAX_FILE_BYTES,
@@ -45,21 +45,35 @@ class _Header(NamedTuple):
 
     def indices(self, names: Sequence[str]) -> list[int]:
         """Where the fields of these names are; each must have one value a point."""
-        known = [field.name for field in self.fields]
+        known = [field.name.lower() for field in self.fields]
         for name in names:
-            if [f.count for f in self.fields if f.name == name] != [1]:
+            if [f.count for f in self.fields if f.name.lower() == name] != [1]:
                 raise ValueError(f"fields are {' '.join(known)}, not {' '.join(names)}")
         return [known.index(name) for name in names]
 
+    def others(self, indices: Sequence[int]) -> list[int]:
+        """Where further numbers of a point are; "_" is the name of nothing."""
+        known = enumerate(self.fields)
+        kept = [i for i, f in known if f.count == 1 and f.dtype.kind != "V"]
+        return [i for i in kept if i not in indices and self.fields[i].name != "_"]
 
-def read_pcd(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
-    """Positions as stored: float32 where x, y and z are, else float64.
+
+def read_pcd(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N 3"]:
+    """Positions as stored: float32 where x, y and z are, else float64. `fields` gets
+    what else there is one of a point; a packed rgb as red, green and blue.
 
     Rows that are not finite, as where an organised cloud saw nothing, are kept; for
     VIEWPOINT see `read_viewpoint`. A malformed or cut file and one of more than
     `max_points` points raise an InputError.
     """
-    return stack_columns(*_read(path, "xyz", max_points))
+    columns, stored = _read(path, "xyz", max_points, fields)
+    for name in {"rgb", "rgba"} & {*(fields or {})}:
+        if fields and fields[name].itemsize == 4:
+            shades = fields.pop(name).view(np.uint8).reshape(-1, 4).T
+            fields |= zip(("blue", "green", "red"), shades[:3], strict=True)
+    return stack_columns(columns, stored)
 
 
 def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
@@ -85,7 +99,7 @@ def read_pcd_field(
 
 
 def _read(
-    path: StrPath, names: Sequence[str], max_points: int
+    path: StrPath, names: Sequence[str], max_points: int, fields: Fields | None = None
 ) -> tuple[list[np.ndarray], list[np.dtype]]:
     """The columns of these fields, and the types that they are declared with."""
     data = read_bytes(path)
@@ -93,9 +107,13 @@ def _read(
         header, start = _parse_header(data)
         check_count(header.num_points, max_points)
         indices = header.indices(names)
+        others = [] if fields is None else header.others(indices)
         read = _read_ascii if header.mode == "ascii" else _read_binary
-        columns = read(data[start:], header, indices)
-        return columns, [header.fields[index].dtype for index in indices]
+        columns = read(data[start:], header, [*indices, *others])
+        kinds = [header.fields[index].dtype for index in (*indices, *others)]
+        count, known = len(indices), [header.fields[index].name for index in others]
+        keep_fields(fields, known, columns[count:], kinds[count:])
+        return columns[:count], kinds[:count]
 
 
 def _parse_header(data: bytes) -> tuple[_Header, int]:
@@ -124,7 +142,7 @@ def _fields(entries: dict[str, list[str]]) -> list[_Field]:
         if not known and (name.lower() in "xyz" or int(size) < 0):
             raise ValueError(f"field {name!r} has an unknown type")
         dtype = np.dtype(f"<{kind.lower() if known else 'V'}{int(size)}")
-        fields.append(_Field(name.lower(), dtype, int(count)))
+        fields.append(_Field(name, dtype, int(count)))
     return fields
 
 

@@ -44,7 +44,7 @@ def test_more_columns_are_told_and_a_column_that_counts_is_asked_for(tmp_path):
 
 
 def test_unknown_suffix_names_those_that_are_known_and_some_point_is_finite(tmp_path):
-    for name in ("scan.obj", "scan", ".ply"):
+    for name in ("scan.doc", "scan", ".ply"):
         with pytest.raises(InputError, match=r"\.ply \.pcd \.npy \.npz \.xyz"):
             read_points(tmp_path / name)
     np.save(tmp_path / "a.npy", np.full((80, 3), np.nan))
