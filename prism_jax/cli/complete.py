@@ -13,6 +13,7 @@ import functools
 import inspect
 import json
 import pathlib
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -50,10 +51,10 @@ def define_flags() -> None:
         input=f"Partial scan: {' '.join(READERS)}, or a 16-bit depth .png. Default: a "
         "bundled sample.",
         ground_truth="Complete cloud to score against.",
-        camera="Camera as JSON, or as YAML of ROS or OpenCV. Default for a depth image: "
-        "the .json of the same name. Default for a cloud: a camera at the origin that looks at the points; if the "
-        "origin is too far away, among the points, or on their far side, the position "
-        "is estimated from the points.",
+        camera="Camera as JSON, or YAML of ROS or OpenCV. Default for a depth image: "
+        "the .json of the same name. Default for a cloud: a camera at the origin that "
+        "looks at the points; if the origin is too far away, among the points, or on "
+        "their far side, the position is estimated from the points.",
         eye="Sensor position of a cloud, x,y,z, if it is not --camera's. Default: a "
         "PCD's VIEWPOINT, unless that is the origin.",
         workspace="Box x0,y0,z0,x1,y1,z1 in input units that the scan and the ground "
@@ -127,7 +128,7 @@ def complete_file(
         scan = io.read_scan(source, camera, bounds, max_points, _say)
         if ground_truth is not None:
             truth = io.read_points(ground_truth, max_points)
-            truth = io.crop(truth, bounds, ground_truth)
+            truth = io.parted(truth, bounds, ground_truth)[0]
             if not np.ptp(truth, axis=0).any():
                 fault = "all points coincide"
                 raise io.InputError(ground_truth, fault, "give the complete cloud")
@@ -238,13 +239,10 @@ def _warn(result: Any, scan: io.Scan, background: str) -> None:
 def _check_added(result: Any, source: str) -> None:
     """InputError if nothing was added, unless all that is predicted was measured."""
     objects = getattr(result, "objects", [result])
-    lost: dict[str, int] = {}
-    for one in objects:
-        for reason, count in one.left_away.items():
-            lost[reason] = lost.get(reason, 0) + count
+    left = sum((Counter(one.left_away) for one in objects), Counter())
     predicted = sum(len(one.prediction) for one in objects)
-    if result.observed.all() and lost["known"] < predicted:
-        told = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in lost.items())
+    if result.observed.all() and left["known"] < predicted:
+        told = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in left.items())
         fault = f"nothing was added: of {predicted:,} predicted points {told}"
         raise io.InputError(source, fault, "crop to one object, or set --camera")
 

@@ -12,7 +12,7 @@ from prism_jax.io.depth import (
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import MAX_POINTS, default_cache_dir
 from prism_jax.io.ply import ply_bytes
-from prism_jax.io.scan import Bounds, Scan, crop, parse_bounds, read_scan
+from prism_jax.io.scan import Bounds, Scan, parse_bounds, parted, read_scan
 
 __all__ = [
     "MAX_POINTS",
@@ -23,10 +23,10 @@ __all__ = [
     "camera_to_dict",
     "check_cloud",
     "check_in_view",
-    "crop",
     "default_cache_dir",
     "make_output_dir",
     "parse_bounds",
+    "parted",
     "ply_bytes",
     "points_from_depth",
     "read_camera",

@@ -44,16 +44,14 @@ def read_kitti(
     path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
 ) -> Float[np.ndarray, "N 3"]:
     """The positions of a sweep as KITTI has it: x, y, z and a reflectance of 0 to 255,
-    all float32; `fields` gets the latter. A file of other numbers raises an
-    InputError."""
+    which `fields` gets, all float32. A file of other numbers raises an InputError."""
     data = read_bytes(path)
     with parsing(path, "a KITTI sweep", _REMEDY):
         check_count(len(data) // 16, max_points)
         rows = np.frombuffer(data, "<f4").reshape(-1, 4)
         if ((rows[:, 3] < 0) | (rows[:, 3] > 255)).any():
             raise ValueError("the fourth number of a point is no reflectance")
-        keep_fields(fields, ["reflectance"], [rows[:, 3]], [rows.dtype])
-        return rows[:, :3]
+        return stack_columns(rows.T, [rows.dtype] * 4, ["reflectance"], fields)
 
 
 def read_npz(
@@ -73,27 +71,23 @@ def read_npz(
 
 
 def stack_columns(
-    columns: Iterable[np.ndarray], stored: Iterable[np.dtype]
+    columns: Iterable[np.ndarray],
+    stored: Iterable[np.dtype],
+    names: Sequence[str] = (),
+    fields: Fields | None = None,
 ) -> Float[np.ndarray, "N C"]:
-    """Columns as a cloud: float32 if all were stored so, else float64. What does
-    not fit the type becomes infinite, without a warning."""
-    is_single = all(dtype.kind == "f" and dtype.itemsize == 4 for dtype in stored)
+    """Columns as a cloud: float32 if all were stored so, else float64. What does not
+    fit the type becomes infinite, without a warning. The last columns, those that have
+    `names`, go to the `fields` instead, in the type that they are stored in."""
+    columns, stored = list(columns), [dtype.newbyteorder("=") for dtype in stored]
+    count = len(columns) - len(names)
+    is_single = all(dtype == np.float32 for dtype in stored[:count])
     target = np.float32 if is_single else np.float64
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([column.astype(target) for column in columns], axis=1)
-
-
-def keep_fields(
-    fields: Fields | None,
-    names: Sequence[str],
-    columns: Iterable[np.ndarray],
-    stored: Sequence[np.dtype],
-) -> None:
-    """Puts columns into the fields, if there are any, as the file stores them."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        for name, column, dtype in zip(names, columns, stored, strict=True):
-            if fields is not None:
-                fields[name] = column.astype(dtype.newbyteorder("="))
+        if fields is not None:
+            further = zip(names, columns[count:], stored[count:], strict=True)
+            fields |= {name: column.astype(kind) for name, column, kind in further}
+        return np.stack([column.astype(target) for column in columns[:count]], axis=1)
 
 
 def check_not_index(column: Float[np.ndarray, " N"]) -> None:
@@ -162,17 +156,18 @@ def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
         raise ValueError("the file is truncated")
     array = np.frombuffer(data, header.dtype, math.prod(header.shape), header.start)
     array = array.reshape(header.shape, order="F" if header.is_fortran else "C")
+    names = []
     if header.dtype.names:
         columns = [array[axis].ravel() for axis in "xyz"]
-        kinds = {n: header.dtype[n] for n in header.dtype.names if n not in "xyz"}
-        names = [name for name, kind in kinds.items() if kind.kind in "biuf"]
-        further = [array[name].ravel() for name in names]
-        keep_fields(fields, names, further, [kinds[name] for name in names])
+        others = [name for name in header.dtype.names if name not in {*"xyz"}]
+        names = [name for name in others if header.dtype[name].kind in "biuf"]
+        columns += [array[name].ravel() for name in names]
     else:
         columns = list(array.reshape(-1, header.shape[-1]).T)
-    if len(columns) > 3:
+    if len(columns) > 3 + len(names):
         check_not_index(columns[0])
-    return stack_columns(columns, [column.dtype for column in columns])
+    stored = [column.dtype for column in columns]
+    return stack_columns(columns, stored, names, fields)
 
 
 def _parse_header(data: bytes) -> _Header:

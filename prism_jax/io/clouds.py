@@ -64,8 +64,8 @@ def read_cloud(
     points, columns = table[:, :3], table.shape[1]
     is_kept, notes = _returns(points, are_returns)
     kept = points[is_kept]
-    for name, column in (fields or {}).items():
-        fields[name] = column[is_kept]
+    if fields:
+        fields |= {name: column[is_kept] for name, column in fields.items()}
     if columns > 3:
         notes["columns"] = f"the first three of {columns} columns are x, y and z"
     if len(kept) == 0:
@@ -87,10 +87,10 @@ def measured(
 def _returns(
     points: Float[np.ndarray, "N 3"], are_returns: bool
 ) -> tuple[Bool[np.ndarray, " N"], dict[str, str]]:
-    kept, notes = np.isfinite(points).all(axis=1), {}
-    lost = (points == 0).all(axis=1)
+    kept, notes = np.all(np.isfinite(points), axis=1), {}
+    lost = np.all(points == 0, axis=1)
     if are_returns and lost.any():
-        kept &= ~lost
+        kept = kept & ~lost
         count = f"{lost.sum():,} of {len(points):,} points are at 0,0,0"
         notes["no_return"] = f"{count} and count as no return"
     return kept, notes

@@ -3,7 +3,6 @@
 import io
 import json
 import math
-import pathlib
 import re
 import sys
 import warnings
@@ -16,7 +15,6 @@ from PIL import Image, UnidentifiedImageError
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes, read_json
-from prism_jax.io.yaml_files import read_yaml
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
 
@@ -177,8 +175,7 @@ def points_from_depth(
 
 
 def _read_camera_entries(path: StrPath, tell: Tell) -> tuple[Camera, dict[str, Any]]:
-    is_yaml = pathlib.Path(path).suffix.lower() in (".yaml", ".yml")
-    entries = (read_yaml if is_yaml else read_json)(path, _LAYOUT)
+    entries = read_json(path, _LAYOUT)
     with parsing(path, "a valid camera", _LAYOUT):
         camera = camera_from_dict(entries)
     for key, value in entries.items():

@@ -5,17 +5,21 @@ import functools
 import json
 import os
 import pathlib
+import re
 import stat
 import sys
 import tempfile
 from collections.abc import Iterator
 from typing import Any
 
+import yaml
+
 from prism_jax.io.errors import InputError, StrPath, unreadable
 
 CACHE_VARIABLE = "PRISM_JAX_CACHE"
 
 MAX_FILE_BYTES = 2**30  # larger files are refused
+MAX_YAML_BYTES = 2**16  # of YAML, which takes long to read
 
 MAX_POINTS = 10_000_000
 """Clouds and images with more points or pixels are refused, unless the caller allows
@@ -70,16 +74,29 @@ def read_bytes(path: StrPath) -> bytes:
 
 
 def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
-    """The JSON object that a file holds; InputError, with the remedy, where it holds
+    """The JSON object that a file holds or, by its suffix, the first document of YAML,
+    as ROS and OpenCV write cameras. InputError, with the remedy, where it holds
     anything else, and as for `read_bytes`."""
     data = read_bytes(path)
+    kind = "YAML" if pathlib.Path(path).suffix.lower() in (".yaml", ".yml") else "JSON"
     try:
-        content = json.loads(data)
-    except (ValueError, RecursionError):
-        raise InputError(path, "not JSON", remedy) from None
+        content = _read_yaml(data) if kind == "YAML" else json.loads(data)
+    except (ValueError, RecursionError, yaml.YAMLError):
+        raise InputError(path, f"not {kind}", remedy) from None
     if type(content) is not dict:
-        raise InputError(path, "not a JSON object", remedy)
-    return content
+        raise InputError(path, f"not a {kind} object", remedy)
+    return {str(key): value for key, value in content.items()}
+
+
+def _read_yaml(data: bytes) -> Any:
+    # OpenCV's first line and tags are no YAML, and 1e-05 is no number there.
+    data = re.sub(rb"\A%YAML:.*\n|!!opencv-matrix", b"", data)
+    data = re.sub(rb"(?<![\w.])(\d+)(?=[eE][-+]\d)", rb"\1.0", data)
+    if len(data) > MAX_YAML_BYTES:
+        raise ValueError("too large")
+    if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(data)):
+        raise ValueError("an alias may stand for any amount")
+    return next(yaml.safe_load_all(data), None)
 
 
 def default_cache_dir() -> pathlib.Path:

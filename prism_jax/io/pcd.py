@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import lzf
 import numpy as np
-from jaxtyping import Float, Num
+from jaxtyping import Float
 
-from prism_jax.io.arrays import Fields, keep_fields, stack_columns
+from prism_jax.io.arrays import Fields, stack_columns
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import (
     MAX_FILE_BYTES,
@@ -43,19 +43,21 @@ class _Header(NamedTuple):
     num_points: int
     mode: str
 
-    def indices(self, names: Sequence[str]) -> list[int]:
-        """Where the fields of these names are; each must have one value a point."""
+    @property
+    def xyz(self) -> list[int]:
+        """Where the positions are; each must have one value a point."""
         known = [field.name.lower() for field in self.fields]
-        for name in names:
+        for name in "xyz":
             if [f.count for f in self.fields if f.name.lower() == name] != [1]:
-                raise ValueError(f"fields are {' '.join(known)}, not {' '.join(names)}")
-        return [known.index(name) for name in names]
+                raise ValueError(f"fields are {' '.join(known)}, not x y z")
+        return [known.index(name) for name in "xyz"]
 
-    def others(self, indices: Sequence[int]) -> list[int]:
+    @property
+    def others(self) -> list[int]:
         """Where further numbers of a point are; "_" is the name of nothing."""
         known = enumerate(self.fields)
         kept = [i for i, f in known if f.count == 1 and f.dtype.kind != "V"]
-        return [i for i in kept if i not in indices and self.fields[i].name != "_"]
+        return [i for i in kept if i not in self.xyz and self.fields[i].name != "_"]
 
 
 def read_pcd(
@@ -68,12 +70,21 @@ def read_pcd(
     VIEWPOINT see `read_viewpoint`. A malformed or cut file and one of more than
     `max_points` points raise an InputError.
     """
-    columns, stored = _read(path, "xyz", max_points, fields)
+    data = read_bytes(path)
+    with parsing(path, "a valid PCD file", _REMEDY):
+        header, start = _parse_header(data)
+        check_count(header.num_points, max_points)
+        indices = header.xyz + (header.others if fields is not None else [])
+        read = _read_ascii if header.mode == "ascii" else _read_binary
+        columns = read(data[start:], header, indices)
+        _, stored, _ = zip(*(header.fields[i] for i in indices), strict=True)
+        names = [header.fields[index].name for index in indices[3:]]
+        points = stack_columns(columns, stored, names, fields)
     for name in {"rgb", "rgba"} & {*(fields or {})}:
         if fields and fields[name].itemsize == 4:
             shades = fields.pop(name).view(np.uint8).reshape(-1, 4).T
             fields |= zip(("blue", "green", "red"), shades[:3], strict=True)
-    return stack_columns(columns, stored)
+    return points
 
 
 def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
@@ -89,33 +100,6 @@ def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
     return eye[0] if is_said else None
 
 
-def read_pcd_field(
-    path: StrPath, name: str, max_points: int = MAX_POINTS
-) -> Num[np.ndarray, " N"]:
-    """One more field of every point, such as a label, in the order of `read_pcd`. As
-    stored; ASCII numbers are float64. A file without it, or with several values of it
-    for a point, raises InputError, as does what `read_pcd` refuses."""
-    return _read(path, [name], max_points)[0][0]
-
-
-def _read(
-    path: StrPath, names: Sequence[str], max_points: int, fields: Fields | None = None
-) -> tuple[list[np.ndarray], list[np.dtype]]:
-    """The columns of these fields, and the types that they are declared with."""
-    data = read_bytes(path)
-    with parsing(path, "a valid PCD file", _REMEDY):
-        header, start = _parse_header(data)
-        check_count(header.num_points, max_points)
-        indices = header.indices(names)
-        others = [] if fields is None else header.others(indices)
-        read = _read_ascii if header.mode == "ascii" else _read_binary
-        columns = read(data[start:], header, [*indices, *others])
-        kinds = [header.fields[index].dtype for index in (*indices, *others)]
-        count, known = len(indices), [header.fields[index].name for index in others]
-        keep_fields(fields, known, columns[count:], kinds[count:])
-        return columns[:count], kinds[:count]
-
-
 def _parse_header(data: bytes) -> tuple[_Header, int]:
     """The header, and where the points start."""
     lines, start = header_lines(data, "DATA", 2**16)
@@ -124,7 +108,6 @@ def _parse_header(data: bytes) -> tuple[_Header, int]:
     if mode not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"DATA mode {mode!r} is unknown")
     header = _Header(_fields(entries), _num_points(entries), mode)
-    header.indices("xyz")
     return header, start
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from prism_jax.io import atomic
-from prism_jax.io.arrays import Fields, keep_fields, stack_columns
+from prism_jax.io.arrays import Fields, stack_columns
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 from prism_jax.io.text import body_lines, header_lines, parse_rows
@@ -71,8 +71,7 @@ def read_ply(
                 start = _skip(data, start, element)
             columns = _columns(data, start, vertex, places)
         names, stored, _ = zip(*(vertex.properties[i] for i in places), strict=True)
-        keep_fields(fields, names[3:], columns[3:], stored[3:])
-        return stack_columns(columns[:3], stored[:3])
+        return stack_columns(columns, stored, names[3:], fields)
 
 
 def num_faces(path: StrPath) -> int:
@@ -102,16 +101,16 @@ def ply_bytes(
     each has a `label` and a colour; with `objects` too, the number of an `object`; with
     `sigma`, a float32 of that name.
 
-    `fields` are what the first points have beside that: NaN, or 0 of integers, on the
-    others. If colours are among them, those of labels are `label_red` and so on; of
-    the other names above theirs are `input_label` and so on."""
+    `fields` are what the first points have beside that; on the others they are NaN, or
+    0 if integers. If they have colours, ours are `label_red` and so on; what they have
+    under another of the names above is `input_label` and so on."""
     columns, fields = {}, fields or {}
     comments = []
     if labels is not None:
         palette = np.array(list(COLORS.values()), dtype=np.uint8)
         label = labels.astype(np.uint8)
         columns["label"] = label
-        names = [n if n not in fields else f"label_{n}" for n in _RGB]
+        names = [f"label_{n}" for n in _RGB] if {*_RGB} & {*fields} else _RGB
         columns |= zip(names, palette[label].T, strict=True)
         known = ", 2: known robot" if (label == KNOWN).any() else ""
         comments.append(f"label 0: observed, 1: completed{known}")

@@ -67,7 +67,7 @@ def read_scan(
     For any other file see `read_points`. Points outside `bounds` are kept apart. `tell`
     gets a line for each kind of oddity.
     """
-    in_camera_frame, eye, subject, fields, unit = False, None, path, {}, "input units"
+    in_camera_frame, eye, subject, fields, unit = False, None, path, {}, Scan.unit
     if pathlib.Path(path).suffix.lower() == ".png":
         beside = pathlib.Path(path).with_suffix(".json")
         if not camera_path and not beside.exists():
@@ -116,17 +116,11 @@ def standing_at(eye: Float[np.ndarray, "3"]) -> Camera:
     return Camera(rotation, -rotation @ eye, np.eye(3), 1, 1)
 
 
-def crop(
-    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
-) -> Float[np.ndarray, "K 3"]:
-    """The points inside the bounds; InputError about `subject` if there are none."""
-    return parted(points, bounds, subject)[0]
-
-
 def parted(
     points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "R 3"] | None]:
-    """As `crop`, and the points outside; None of these without bounds."""
+    """The points inside the bounds, and those outside; None of these without bounds.
+    InputError about `subject` if there are none inside."""
     if bounds is None:
         return points, None
     held = inside(points, bounds.lower, bounds.upper)
