@@ -13,7 +13,6 @@ import functools
 import inspect
 import json
 import pathlib
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -176,7 +175,8 @@ def complete_file(
             about["up"] = result.workspace.up
         summary = summarize(result, scan, source, **about)
         fields = {name: held[result.inside] for name, held in scan.fields.items()}
-    _check_added(result, source)
+    if result.observed.all():
+        _say("nothing was added: what is predicted is measured or left away")
     if truth is not None:
         with _timed("scoring against the ground truth", "score", seconds):
             summary["scores"] = score(result, truth)
@@ -234,17 +234,6 @@ def _warn(result: Any, scan: io.Scan, background: str) -> None:
             "the surroundings are unknown; if the sensor saw nothing else and the scan "
             "is not a crop, --background=empty reduces outliers"
         )
-
-
-def _check_added(result: Any, source: str) -> None:
-    """InputError if nothing was added, unless all that is predicted was measured."""
-    objects = getattr(result, "objects", [result])
-    left = sum((Counter(one.left_away) for one in objects), Counter())
-    predicted = sum(len(one.prediction) for one in objects)
-    if result.observed.all() and left["known"] < predicted:
-        told = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in left.items())
-        fault = f"nothing was added: of {predicted:,} predicted points {told}"
-        raise io.InputError(source, fault, "crop to one object, or set --camera")
 
 
 def _warn_of_low_trust(what: str, completed: Any) -> None:

@@ -1,5 +1,6 @@
 """What prism-envelope writes of a scan, and of the frames of a recording."""
 
+import dataclasses
 import json
 import os
 import pathlib
@@ -17,22 +18,20 @@ from prism_jax.streaming.enveloper import MadeEnvelope
 LINES = "envelope.jsonl"  # of a recording, a line a frame
 
 
+@dataclasses.dataclass
 class Output:
     """A sink: a line for each frame as it comes, and all files of the last, or of each.
-    Until it is closed the lines' file ends in `.part.jsonl`. `about` is what the JSON
-    says of all envelopes."""
+    Until it is closed the lines' file ends in `.part.jsonl`."""
 
-    def __init__(
-        self,
-        folder: pathlib.Path,
-        about: dict[str, Any],
-        source: str,
-        every_frame: bool = False,
-    ):
-        self._folder, self._every_frame = folder, every_frame
-        self._about, self._source = about, source
-        self._last: MadeEnvelope | None = None
-        self._part = folder / LINES.replace(".", ".part.")
+    folder: pathlib.Path
+    about: dict[str, Any]  # what the JSON says of all envelopes
+    source: str
+    every_frame: bool
+    last: MadeEnvelope | None = None
+
+    @property
+    def _part(self) -> pathlib.Path:
+        return self.folder / LINES.replace(".", ".part.")
 
     def write(self, frame: MadeEnvelope) -> None:
         summary = self._summary(frame)
@@ -40,21 +39,21 @@ class Output:
         line = {"frame": frame.number, "timestamp": frame.timestamp}
         line |= {name: summary[name] for name in (*named, "seconds")}
         try:
-            with open(self._part, "w" if self._last is None else "a") as file:
+            with open(self._part, "w" if self.last is None else "a") as file:
                 file.write(json.dumps(line, allow_nan=False) + "\n")
         except OSError as error:
             raise unwritable(self._part, error) from None
-        self._last = frame
-        if self._every_frame:
-            own = io.make_output_dir(self._folder / f"{frame.number:06d}")
+        self.last = frame
+        if self.every_frame:
+            own = io.make_output_dir(self.folder / f"{frame.number:06d}")
             self.write_files(own, frame)
 
     def close(self) -> None:
-        if self._last is None:
+        if self.last is None:
             return self._part.unlink(missing_ok=True)
-        if not self._every_frame:
-            self.write_files(self._folder, self._last)
-        os.replace(self._part, self._folder / LINES)
+        if not self.every_frame:
+            self.write_files(self.folder, self.last)
+        os.replace(self._part, self.folder / LINES)
 
     def write_files(self, folder: pathlib.Path, made: MadeEnvelope) -> dict[str, Any]:
         """All files of one envelope; returns what its JSON says."""
@@ -71,9 +70,9 @@ class Output:
         frame = {"frame": made.number, "timestamp": made.timestamp}
         return plain(
             {
-                **self._about,
+                **self.about,
                 "input": {
-                    "file": self._source,
+                    "file": self.source,
                     "points": len(made.scan.points),
                     **({} if made.number is None else frame),
                 },

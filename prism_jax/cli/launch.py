@@ -48,8 +48,7 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A folder's name may hold what the terminal cannot show.
         sys.stdout.reconfigure(errors="backslashreplace")
-    # --help shows what is said of the program that was started, and lists its flags,
-    # and that may be a wrapper.
+    # --help is about the program that was started, and that may be a wrapper.
     sys.modules["__main__"].__doc__ = sys.modules[main.__module__].__doc__
     for module in (main.__module__, "prism_jax.cli.shared_flags"):
         for flag in FLAGS.get_flags_for_module(module):

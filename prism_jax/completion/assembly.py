@@ -9,12 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.completion.filtering import (
-    MAX_DENSE,
-    Selection,
-    added_points,
-    times_as_many,
-)
+from prism_jax.completion.filtering import MAX_DENSE, Selection, added_points
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.cloud import IndexedCloud
@@ -24,7 +19,7 @@ from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import rounding
 from prism_jax.preprocessing.observation import Observation, padded
 from prism_jax.preprocessing.segmentation.planes import Plane
-from prism_jax.uncertainty.confidence import Calibration, Verdict
+from prism_jax.uncertainty.confidence import MAX_REASONS, Calibration, Verdict
 from prism_jax.uncertainty.evidence import evidence_of, pose_predictions
 from prism_jax.uncertainty.sigma import PointErrors, clues_of, spread
 
@@ -162,7 +157,9 @@ def assemble(
         shares = outliers, float(selection.in_front.mean())
         evidence = evidence_of(seen, read, prediction, *shares, looks, novelty)
         verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
-        verdict = verdict.doubted(rounding(task.points))
+        if rounded := rounding(task.points):
+            reasons = (rounded, *verdict.reasons)[:MAX_REASONS]
+            verdict = verdict._replace(trust="low", reasons=reasons)
     sigma = None
     if looks is not None and point_errors is not None:
         kept = joined.kept
@@ -171,7 +168,7 @@ def assemble(
         none = np.zeros(int(joined.observed.sum()))
         sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
     # Assemble, in the user's frame and unit.
-    times = times_as_many(joined.kept, seen.cloud, options.density)
+    wanted = options.density * seen.cloud.density * len(joined.kept)
     return CompletedScan(
         points=joined.points,
         observed=joined.observed,
@@ -195,7 +192,7 @@ def assemble(
         verdict=verdict,
         sigma=sigma,
         inside=np.asarray(seen.inside),
-        capped=len(joined.kept) * times > MAX_DENSE,
+        capped=wanted > MAX_DENSE * joined.kept.density > 0,
         **_depth_maps(seen.cloud.points, joined.new, view, seen.workspace),
     )
 

@@ -62,13 +62,8 @@ def added_points(
     kept = IndexedCloud(prediction.points[selection.kept])
     if density == 0 or kept.density == 0:
         return kept.points, kept, selection
-    dense = densify(kept, times_as_many(kept, measured, density))
+    dense = densify(kept, density * measured.density / kept.density)
     return dense[(np.abs(dense) <= 1.0).all(axis=1)], kept, selection
-
-
-def times_as_many(kept: IndexedCloud, measured: IndexedCloud, density: float) -> float:
-    """How many times as many points are `density` times as dense as the measured."""
-    return density * measured.density / kept.density if kept.density else 0.0
 
 
 def select(

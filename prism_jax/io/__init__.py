@@ -1,7 +1,7 @@
 """Files to arrays and back: point clouds, depth images, cameras."""
 
 from prism_jax.io.atomic import make_output_dir, write_together
-from prism_jax.io.clouds import check_cloud, check_in_view, read_points
+from prism_jax.io.clouds import read_points
 from prism_jax.io.depth import (
     camera_from_dict,
     camera_to_dict,
@@ -10,7 +10,7 @@ from prism_jax.io.depth import (
     read_depth,
 )
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import MAX_POINTS, default_cache_dir
+from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.ply import ply_bytes
 from prism_jax.io.scan import Bounds, Scan, parse_bounds, parted, read_scan
 
@@ -21,9 +21,6 @@ __all__ = [
     "Scan",
     "camera_from_dict",
     "camera_to_dict",
-    "check_cloud",
-    "check_in_view",
-    "default_cache_dir",
     "make_output_dir",
     "parse_bounds",
     "parted",

@@ -159,8 +159,8 @@ def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
     names = []
     if header.dtype.names:
         columns = [array[axis].ravel() for axis in "xyz"]
-        others = [name for name in header.dtype.names if name not in {*"xyz"}]
-        names = [name for name in others if header.dtype[name].kind in "biuf"]
+        kinds = {n: header.dtype[n].kind for n in header.dtype.names}
+        names = [n for n in kinds if n not in {*"xyz"} and kinds[n] in "biuf"]
         columns += [array[name].ravel() for name in names]
     else:
         columns = list(array.reshape(-1, header.shape[-1]).T)

@@ -30,8 +30,7 @@ READERS = {
 }
 MESHES = (".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3ds")
 
-NUM_STEPS = 100
-"""Coordinates that are rounded to fewer steps than these across an object are told."""
+NUM_STEPS = 100  # fewer that coordinates are rounded to across an object are told
 
 
 def read_points(
@@ -55,7 +54,7 @@ def read_cloud(
     gets further numbers of the same points, by their names in the file."""
     suffix = pathlib.Path(path).suffix.lower()
     if suffix in MESHES:
-        remedy = "sample points of what a sensor would see of it, and save them as .ply"
+        remedy = "sample points of what a sensor would see of it"
         raise InputError(path, "a mesh, not a scan", remedy)
     if suffix not in READERS:
         fault = f"suffix {suffix!r} is not a point cloud format"
@@ -97,18 +96,15 @@ def _returns(
 
 
 def rounding(points: Float[np.ndarray, "N 3"]) -> str | None:
-    """What to tell of an object whose points have few steps across it (`NUM_STEPS`), as
-    map coordinates in float32; None if they have enough."""
+    """What to tell of an object with few steps across it (`NUM_STEPS`), as of map
+    coordinates in float32; None if there are enough."""
     single = points.astype(np.float32)
     exact = single if (single == points).all() else points
     step = float(np.spacing(np.abs(exact).max()))
-    extent = np.ptp(points.astype(np.float64), axis=0).max()
-    if extent >= NUM_STEPS * step:
-        return None
-    return (
-        f"coordinates are rounded to steps of up to {step:.2g}, of which the object "
-        f"has {extent / step:.0f}: export float64, or subtract an offset first"
-    )
+    steps = np.ptp(points.astype(np.float64), axis=0).max() / step
+    told = f"coordinates are rounded to steps of {step:.2g}, {steps:.0f} across the "
+    told += "object: export float64, or subtract an offset first"
+    return told if steps < NUM_STEPS else None
 
 
 def inside(

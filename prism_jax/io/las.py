@@ -11,7 +11,7 @@ from prism_jax.io.errors import StrPath, require
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 
 _REMEDY = "export it again, for example with las2las or CloudCompare"
-_BLOCK = 100_000  # points unpacked at once: of a damaged file no more is allocated
+_BLOCK = 100_000  # points unpacked at once: of a cut file no more memory is taken
 _RECORDS = 100  # where the header has the number of its records
 _RECORD_BYTES, _CHUNK_BYTES = 54, 20  # the least that one takes
 
@@ -19,27 +19,24 @@ _RECORD_BYTES, _CHUNK_BYTES = 54, 20  # the least that one takes
 def read_las(
     path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
 ) -> Float[np.ndarray, "N 3"]:
-    """Positions with the header's scale and offset, float64: map coordinates keep their
-    millimetres. `fields` gets the dimensions that are not zero everywhere, by laspy's
-    names. A malformed or cut file and one of more than `max_points` points raise an
-    InputError, and so does a missing laspy."""
+    """Positions with the header's scale and offset, float64. `fields` gets what is not
+    zero everywhere, by laspy's names. A malformed or cut file, more than `max_points`
+    points, and a missing laspy raise an InputError."""
     laspy, _ = require("laspy", "las"), require("lazrs", "las")
     data = read_bytes(path)
     # laspy and its codecs raise errors of many kinds.
     with parsing(path, "a valid LAS or LAZ file", _REMEDY, Exception):
-        (records,) = struct.unpack_from("<I", data, _RECORDS)
-        _check_size(records * _RECORD_BYTES, data)
+        claimed = struct.unpack_from("<I", data, _RECORDS)[0] * _RECORD_BYTES
         how = {"read_evlrs": False, "laz_backend": laspy.LazBackend.Lazrs}
-        with laspy.open(io.BytesIO(data), **how) as reader:
+        source = io.BytesIO(data if claimed <= len(data) else b"")
+        with laspy.open(source, **how) as reader:
             header = reader.header
             check_count(header.point_count, max_points)
-            if not header.point_count:
-                raise ValueError("no points")
+            claimed = header.point_count * header.point_format.size
             if header.are_points_compressed:
-                num_chunks = _num_chunks(data, header.offset_to_point_data)
-                _check_size(num_chunks * _CHUNK_BYTES, data)
-            else:
-                _check_size(header.point_count * header.point_format.size, data)
+                claimed = _num_chunks(data, header.offset_to_point_data) * _CHUNK_BYTES
+            if not 0 < claimed <= len(data):
+                raise ValueError("no points, or the file is truncated")
             blocks = list(reader.chunk_iterator(_BLOCK))
         for name in header.point_format.dimension_names:
             column = np.concatenate([np.asarray(block[name]) for block in blocks])
@@ -56,8 +53,3 @@ def _num_chunks(data: bytes, start: int) -> int:
     if place == -1:
         (place,) = struct.unpack_from("<q", data, len(data) - 8)
     return struct.unpack_from("<I", data, place + 4)[0]
-
-
-def _check_size(claimed: int, data: bytes) -> None:
-    if claimed > len(data):
-        raise ValueError("the file is truncated")

@@ -64,7 +64,7 @@ def read_pcd(
     path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
 ) -> Float[np.ndarray, "N 3"]:
     """Positions as stored: float32 where x, y and z are, else float64. `fields` gets
-    what else there is one of a point; a packed rgb as red, green and blue.
+    what else there is one of a point.
 
     Rows that are not finite, as where an organised cloud saw nothing, are kept; for
     VIEWPOINT see `read_viewpoint`. A malformed or cut file and one of more than
@@ -79,12 +79,7 @@ def read_pcd(
         columns = read(data[start:], header, indices)
         _, stored, _ = zip(*(header.fields[i] for i in indices), strict=True)
         names = [header.fields[index].name for index in indices[3:]]
-        points = stack_columns(columns, stored, names, fields)
-    for name in {"rgb", "rgba"} & {*(fields or {})}:
-        if fields and fields[name].itemsize == 4:
-            shades = fields.pop(name).view(np.uint8).reshape(-1, 4).T
-            fields |= zip(("blue", "green", "red"), shades[:3], strict=True)
-    return points
+        return stack_columns(columns, stored, names, fields)
 
 
 def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:

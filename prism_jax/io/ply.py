@@ -27,7 +27,6 @@ SIGMA = "sigma: expected distance from the true surface, 0 for observed points"
 
 COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34), KNOWN: (120, 94, 160)}
 
-_RGB = "red", "green", "blue"
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"}
 _NAMES |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
@@ -110,8 +109,9 @@ def ply_bytes(
         palette = np.array(list(COLORS.values()), dtype=np.uint8)
         label = labels.astype(np.uint8)
         columns["label"] = label
-        names = [f"label_{n}" for n in _RGB] if {*_RGB} & {*fields} else _RGB
-        columns |= zip(names, palette[label].T, strict=True)
+        names = "red", "green", "blue"
+        own = "label_" if {*names} & {*fields} else ""
+        columns |= zip([own + name for name in names], palette[label].T, strict=True)
         known = ", 2: known robot" if (label == KNOWN).any() else ""
         comments.append(f"label 0: observed, 1: completed{known}")
     if objects is not None:
@@ -121,8 +121,7 @@ def ply_bytes(
         columns["sigma"] = sigma.astype(np.float32)
         comments.append(SIGMA)
     for name, column in fields.items():
-        # A name is one word; what PLY has no type for is a double.
-        name = re.sub("[^!-~]", "_", name) or "_"
+        name = re.sub("[^!-~]", "_", name)  # one word
         name = f"input_{name}" if name in {*columns, *"xyz"} else name
         kind = column.dtype if column.dtype.str[1:] in _NAMES else np.dtype(float)
         columns[name] = np.full(len(points), np.nan if kind.kind == "f" else 0, kind)

@@ -104,8 +104,7 @@ def read_scan(
     check_cloud(points, subject)
     if camera is not None:
         check_in_view(points, camera, path)
-    not_finite, outside = num_read - num_finite, num_finite - len(points)
-    left_out = not_finite, outside
+    left_out = num_read - num_finite, num_finite - len(points)
     seen = in_camera_frame, around, eye, fields, unit
     return Scan(points, camera, *left_out, *seen)
 

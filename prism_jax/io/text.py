@@ -27,13 +27,14 @@ def read_text(
 ) -> Float[np.ndarray, "N 3"]:
     """Positions, float64, from lines of numbers with semicolons, tabs, commas or blanks
     between them; blank lines and those that start with '#', '//' or '%' are skipped, as
-    is a first line with the number of points. Commas within numbers are decimal.
+    is a first line with the number of points. Commas within numbers are decimal. No
+    other column is kept.
 
     Columns are named by a first line of words, or by a comment before the first point
     with as many words as there are columns, if x, y and z are among the words, also as
     in `X [m]`, `x1` and `Points:0`; otherwise the first three are taken, unless the
-    first counts the lines. Other columns are not kept. Lines of different widths, a
-    header of other columns, and more than `max_points` lines raise an InputError.
+    first counts the lines. Lines of different widths, a header of other columns, and
+    more than `max_points` lines raise an InputError.
     """
     data = plain_numbers(read_bytes(path))
     with parsing(path, "a valid table of points", _REMEDY):

@@ -53,14 +53,6 @@ class Verdict(NamedTuple):
     reasons: tuple[str, ...]
     evidence: dict[str, float]  # the numbers that it rests on, by name
 
-    def doubted(self, reason: str | None) -> "Verdict":
-        """The same with low trust, and this reason before the others, if there is
-        one."""
-        if reason is None:
-            return self
-        reasons = (reason, *self.reasons)[:MAX_REASONS]
-        return self._replace(trust="low", reasons=reasons)
-
 
 @dataclasses.dataclass(frozen=True)
 class Calibration(Trees):

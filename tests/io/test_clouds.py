@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io import InputError, check_cloud, check_in_view, clouds, read_points
-from prism_jax.io.clouds import rounding
+from prism_jax.io import InputError, clouds, read_points
+from prism_jax.io.clouds import check_cloud, check_in_view, rounding
 
 POINTS = np.random.default_rng(0).normal(size=(80, 3)).astype(np.float32)
 
@@ -83,7 +83,7 @@ def test_coordinates_of_few_steps_are_told_and_map_coordinates_are_not():
     assert rounding(POINTS) is rounding(POINTS.astype(np.float64) + 5.4e6) is None
     rounded = POINTS + np.float32(5.4e6)
     for points in (rounded, rounded.astype(np.float64)):
-        assert "steps of up to 0.5, of which the object has " in str(rounding(points))
+        assert "rounded to steps of 0.5, " in str(rounding(points))
 
 
 def test_camera_must_see_something():

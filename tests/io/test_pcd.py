@@ -73,15 +73,6 @@ def test_fields_in_any_order_type_and_count(tmp_path, mode):
     np.testing.assert_array_equal(fields["label"], np.full(6, 7, np.uint32))
 
 
-def test_packed_colours_are_unpacked(tmp_path):
-    header = HEADER.format("binary").replace("label", "rgb")
-    data, fields = body("binary").replace(bytes([7, 0, 0, 0]), bytes([3, 2, 1, 0])), {}
-    (tmp_path / "a.pcd").write_bytes(header.encode() + data)
-    read_pcd(tmp_path / "a.pcd", fields=fields)
-    found = {name: column.tolist() for name, column in fields.items()}
-    assert found == {"red": [1] * 6, "green": [2] * 6, "blue": [3] * 6}
-
-
 @pytest.mark.parametrize("mode", MODES)
 def test_small_letters_lone_crs_odd_types_and_spellings(tmp_path, mode):
     points, header = POINTS.copy(), replaced("U U F F F", "u X f f f")
