@@ -61,10 +61,7 @@ def read_cloud(
         raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
     table = READERS[suffix](path, max_points, fields)
     points, columns = table[:, :3], table.shape[1]
-    is_kept, notes = _returns(points, are_returns)
-    kept = points[is_kept]
-    if fields:
-        fields |= {name: column[is_kept] for name, column in fields.items()}
+    kept, notes = measured(points, are_returns, fields)
     if columns > 3:
         notes["columns"] = f"the first three of {columns} columns are x, y and z"
     if len(kept) == 0:
@@ -75,24 +72,21 @@ def read_cloud(
 
 def measured(
     points: Float[np.ndarray, "N 3"],
+    are_returns: bool = True,
+    fields: Fields | None = None,
 ) -> tuple[Float[np.ndarray, "K 3"], dict[str, str]]:
     """Points without those that are not finite and lost returns, which many drivers
-    write as 0,0,0, and what to tell of the latter. Of any cloud the origin is at most
-    one point, which is not missed."""
-    kept, notes = _returns(points, True)
-    return points[kept], notes
-
-
-def _returns(
-    points: Float[np.ndarray, "N 3"], are_returns: bool
-) -> tuple[Bool[np.ndarray, " N"], dict[str, str]]:
-    kept, notes = np.all(np.isfinite(points), axis=1), {}
-    lost = np.all(points == 0, axis=1)
+    write as 0,0,0, and what to tell of the latter; `fields` lose the same. Of any cloud
+    the origin is at most one point, which is not missed."""
+    kept, notes = np.isfinite(points).all(axis=1), {}
+    lost = (points == 0).all(axis=1)
     if are_returns and lost.any():
-        kept = kept & ~lost
+        kept &= ~lost
         count = f"{lost.sum():,} of {len(points):,} points are at 0,0,0"
         notes["no_return"] = f"{count} and count as no return"
-    return kept, notes
+    if fields:
+        fields |= {name: column[kept] for name, column in fields.items()}
+    return points[kept], notes
 
 
 def rounding(points: Float[np.ndarray, "N 3"]) -> str | None:
