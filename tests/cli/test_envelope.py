@@ -170,16 +170,17 @@ def test_what_does_not_match_is_one_line(asked, tmp_path, more, told, capsys):
 
 
 def test_what_is_odd_about_image_and_camera_is_told_once(asked, tmp_path, capsys):
-    with Image.open(FRAME.with_name("000000.depth.png")) as image:
-        counts = np.array(image)
+    counts = np.asarray(Image.open(FRAME.with_name("000000.depth.png"))).copy()
     counts[:10, :10] = 65535
     Image.fromarray(counts).save(tmp_path / "d.png")
     camera = json.loads(FRAME.with_name("000000.camera.json").read_text())
     (tmp_path / "d.json").write_text(json.dumps(camera | {"coeffs": [1], "pose": 1}))
-    rest = *without(asked[3:], "--query"), f"--camera={tmp_path / 'd.json'}"
-    both = asked[0], f"--depth={tmp_path / 'd.png'}"
-    for words in (both, [str(tmp_path / "d.png")]):
-        assert launching.run(envelope, *words, *rest, "--alpha=2") == 2
+    for words in (
+        [asked[0], f"--depth={tmp_path / 'd.png'}"],
+        [str(tmp_path / "d.png")],
+    ):
+        rest = asked[3], f"--camera={tmp_path / 'd.json'}", "--alpha=2"
+        assert launching.run(envelope, *words, *rest) == 2
         told = capsys.readouterr().err
         for line in ("100 pixels of the largest value", "lens distort", "pose is not"):
             assert told.count(line) == 1
