@@ -34,7 +34,12 @@ def read_las(
             check_count(header.point_count, max_points)
             claimed = header.point_count * header.point_format.size
             if header.are_points_compressed:
-                claimed = _num_chunks(data, header.offset_to_point_data) * _CHUNK_BYTES
+                # For as many chunks as a table claims lazrs takes memory, or ends the
+                # process. A streamed file has the place of its table last.
+                (place,) = struct.unpack_from("<q", data, header.offset_to_point_data)
+                if place == -1:
+                    (place,) = struct.unpack_from("<q", data, len(data) - 8)
+                claimed = struct.unpack_from("<I", data, place + 4)[0] * _CHUNK_BYTES
             if not 0 < claimed <= len(data):
                 raise ValueError("no points, or the file is truncated")
             blocks = list(reader.chunk_iterator(_BLOCK))
@@ -44,12 +49,3 @@ def read_las(
                 fields[name] = column
         xyz = [np.stack([block.x, block.y, block.z], axis=1) for block in blocks]
         return np.concatenate(xyz)
-
-
-def _num_chunks(data: bytes, start: int) -> int:
-    """How many chunks a LAZ file's table claims to list: lazrs takes memory for them,
-    and ends the process where there is none. A streamed file has its place last."""
-    (place,) = struct.unpack_from("<q", data, start)
-    if place == -1:
-        (place,) = struct.unpack_from("<q", data, len(data) - 8)
-    return struct.unpack_from("<I", data, place + 4)[0]

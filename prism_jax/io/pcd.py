@@ -43,21 +43,15 @@ class _Header(NamedTuple):
     num_points: int
     mode: str
 
-    @property
-    def xyz(self) -> list[int]:
-        """Where the positions are; each must have one value a point."""
+    def places(self, everything: bool) -> list[int]:
+        """Where x, y and z are and, of everything, the other fields of one number."""
         known = [field.name.lower() for field in self.fields]
-        for name in "xyz":
-            if [f.count for f in self.fields if f.name.lower() == name] != [1]:
-                raise ValueError(f"fields are {' '.join(known)}, not x y z")
-        return [known.index(name) for name in "xyz"]
-
-    @property
-    def others(self) -> list[int]:
-        """Where further numbers of a point are; "_" is the name of nothing."""
-        known = enumerate(self.fields)
-        kept = [i for i, f in known if f.count == 1 and f.dtype.kind != "V"]
-        return [i for i in kept if i not in self.xyz and self.fields[i].name != "_"]
+        single = [i for i, field in enumerate(self.fields) if field.count == 1]
+        xyz = [i for axis in "xyz" for i in single if known[i] == axis]
+        if [known[i] for i in xyz] != [*"xyz"]:
+            raise ValueError(f"fields are {' '.join(known)}, not x y z")
+        others = [i for i in single if everything and i not in xyz and known[i] != "_"]
+        return xyz + [i for i in others if self.fields[i].dtype.kind != "V"]
 
 
 def read_pcd(
@@ -74,7 +68,7 @@ def read_pcd(
     with parsing(path, "a valid PCD file", _REMEDY):
         header, start = _parse_header(data)
         check_count(header.num_points, max_points)
-        indices = header.xyz + (header.others if fields is not None else [])
+        indices = header.places(fields is not None)
         read = _read_ascii if header.mode == "ascii" else _read_binary
         columns = read(data[start:], header, indices)
         _, stored, _ = zip(*(header.fields[i] for i in indices), strict=True)
@@ -102,8 +96,7 @@ def _parse_header(data: bytes) -> tuple[_Header, int]:
     mode = " ".join(entries["DATA"]).lower()
     if mode not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"DATA mode {mode!r} is unknown")
-    header = _Header(_fields(entries), _num_points(entries), mode)
-    return header, start
+    return _Header(_fields(entries), _num_points(entries), mode), start
 
 
 def _fields(entries: dict[str, list[str]]) -> list[_Field]:

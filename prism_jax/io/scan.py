@@ -1,7 +1,6 @@
 """One scan as a user hands it in: a cloud or a depth image, and its camera."""
 
 import dataclasses
-import math
 import pathlib
 
 import numpy as np
@@ -158,5 +157,4 @@ def in_own_axes(camera: Camera) -> bool:
     """Whether points are in the camera's own axes, turned by less than
     `CAMERA_FRAME_DEGREES`."""
     cosine = (np.trace(np.asarray(camera.rotation)) - 1.0) / 2.0
-    degrees = math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
-    return degrees < CAMERA_FRAME_DEGREES
+    return bool(cosine > np.cos(np.radians(CAMERA_FRAME_DEGREES)))
