@@ -32,7 +32,7 @@ from prism_jax.evaluation.tables import table_lines
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Background
 from prism_jax.io.files import read_bytes
-from prism_jax.io.pcd import read_pcd, read_pcd_field
+from prism_jax.io.pcd import read_pcd
 from prism_jax.io.streams import open_stream
 from prism_jax.io.text import read_text
 from prism_jax.reporting.summary import score
@@ -87,11 +87,12 @@ def labelled(path: pathlib.Path) -> Given:
     same name tells apart: what has most points is what they stand on. The check is the
     intersection over union of each thing with the object that is most like it."""
     pcd, given = str(path.with_suffix(".pcd")), scanned(path)
-    finite = np.isfinite(read_pcd(pcd)).all(axis=1)
+    fields: dict[str, np.ndarray] = {}
+    finite = np.isfinite(read_pcd(pcd, fields=fields)).all(axis=1)
     if len(given.points) != finite.sum():
         fault = f"{len(given.points):,} points, but {finite.sum():,} labels"
         raise io.InputError(path, fault, "add the PCD of the same frame")
-    label = read_pcd_field(pcd, "label")[finite]
+    label = fields["label"][finite]
     names, counts = np.unique(label, return_counts=True)
     things = [label == name for name in names[np.argsort(-counts, kind="stable")][1:]]
 

@@ -57,6 +57,7 @@ class FakeCompleter:
             depth_completed=depth,
             mask_completed=~mask,
             seconds={"compile": 12.5, "run": 0.25},
+            inside=np.ones(len(points), bool),
         )
 
     def split_scene(self, points, camera=None, up="auto"):

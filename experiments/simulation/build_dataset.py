@@ -61,7 +61,7 @@ def _scenes(split: str, data_dir: _Place, num_workers: int | None, **settings: A
 def _meshes(
     split: str, data_dir: _Place, num_workers: int | None, mesh_dir: str | None = None
 ):
-    from experiments.simulation.packing import build_meshes
+    from experiments.own_models import build_meshes
 
     if mesh_dir is None or data_dir is None:
         remedy = "set --mesh_dir to the folder of meshes, and --output_dir"

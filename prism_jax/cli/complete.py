@@ -1,11 +1,12 @@
 """prism-complete: completes partial scans and writes clouds and reports.
 
+    prism-complete [SCAN or FOLDER ...] [flags]
     prism-complete --input=scan.ply --output_dir=out
     prism-complete scan.ply others/ --output_dir=out
 
-Without a scan it completes a bundled sample. If the input cannot be used, it exits with
-status 2 and one line on stderr. If only some of several inputs cannot be used, the
-others are completed and the status is 1.
+Without a scan it completes a bundled sample. If the input cannot be used, or nothing
+of it is completed, it exits with status 2 and one line on stderr. If that is so of some
+of several inputs, the others are completed and the status is 1.
 """
 
 import functools
@@ -22,6 +23,7 @@ from prism_jax import io
 from prism_jax.assets import asset
 from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
+from prism_jax.completion.filtering import MAX_DENSE
 from prism_jax.io.atomic import check_targets, claim
 from prism_jax.io.clouds import READERS
 from prism_jax.io.scan import parse_numbers, standing_at
@@ -48,10 +50,10 @@ def define_flags() -> None:
         input=f"Partial scan: {' '.join(READERS)}, or a 16-bit depth .png. Default: a "
         "bundled sample.",
         ground_truth="Complete cloud to score against.",
-        camera="Camera JSON. Default for a depth image: the .json of the same name. "
-        "Default for a cloud: a camera at the origin that looks at the points; if the "
-        "origin is too far away, among the points, or on their far side, the position "
-        "is estimated from the points.",
+        camera="Camera as JSON, or YAML of ROS or OpenCV. Default for a depth image: "
+        "the .json of the same name. Default for a cloud: a camera at the origin that "
+        "looks at the points; if the origin is too far away, among the points, or on "
+        "their far side, the position is estimated from the points.",
         eye="Sensor position of a cloud, x,y,z, if it is not --camera's. Default: a "
         "PCD's VIEWPOINT, unless that is the origin.",
         workspace="Box x0,y0,z0,x1,y1,z1 in input units that the scan and the ground "
@@ -125,7 +127,7 @@ def complete_file(
         scan = io.read_scan(source, camera, bounds, max_points, _say)
         if ground_truth is not None:
             truth = io.read_points(ground_truth, max_points)
-            truth = io.crop(truth, bounds, ground_truth)
+            truth = io.parted(truth, bounds, ground_truth)[0]
             if not np.ptp(truth, axis=0).any():
                 fault = "all points coincide"
                 raise io.InputError(ground_truth, fault, "give the complete cloud")
@@ -141,6 +143,11 @@ def complete_file(
         with _timed("looking for objects", "split", seconds):
             scene = completer.split_scene(scan.points, view, direction)
             taken_apart = bool(scene.planes) or len(scene.num_points) > 1
+        if taken_apart and not scene.num_points:
+            fault = f"no object: {scene.num_support:,} points are on planes, "
+            fault += f"{scene.num_left_over:,} are outliers or too small"
+            remedy = "crop it to the object (--workspace), or set --objects=one"
+            raise io.InputError(source, fault, remedy)
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     doing = "adapting to and completing" if adapt else "completing"
     asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
@@ -158,7 +165,8 @@ def complete_file(
     about = {"weights": weights, "bounds": workspace, **asked}
     if taken_apart:
         for number, one in enumerate(result.objects):
-            _warn_of_low_trust(f"object {number}", one.verdict)
+            _warn_of_low_trust(f"object {number}", one)
+        fields = scan.fields
         summary = summarize_scene(result, scan, source, **about)
     else:
         _warn(result, scan, background)
@@ -166,6 +174,9 @@ def complete_file(
         if up == "auto":
             about["up"] = result.workspace.up
         summary = summarize(result, scan, source, **about)
+        fields = {name: held[result.inside] for name, held in scan.fields.items()}
+    if result.observed.all():
+        _say("nothing was added: what is predicted is measured or left away")
     if truth is not None:
         with _timed("scoring against the ground truth", "score", seconds):
             summary["scores"] = score(result, truth)
@@ -178,7 +189,9 @@ def complete_file(
         else:
             report, numbers = render_report(result, told, truth), None
         contents = (
-            io.ply_bytes(result.points, ~result.observed, numbers, result.sigma),
+            io.ply_bytes(
+                result.points, ~result.observed, numbers, result.sigma, fields
+            ),
             # A file's name may hold bytes that are no UTF-8.
             report.encode(errors="backslashreplace"),
             f"{json.dumps(told, indent=2, allow_nan=False)}\n".encode(),
@@ -214,7 +227,7 @@ def _warn(result: Any, scan: io.Scan, background: str) -> None:
     if result.left_out:
         count = f"{result.left_out:,} of {len(scan.points):,} points"
         _say(f"{count} are far from all others and were removed")
-    _warn_of_low_trust("this completion", result.verdict)
+    _warn_of_low_trust("this completion", result)
     doubted = result.verdict is not None and result.verdict.trust != "high"
     if doubted and background == "unknown" and scan.around is None:
         _say(
@@ -223,7 +236,11 @@ def _warn(result: Any, scan: io.Scan, background: str) -> None:
         )
 
 
-def _warn_of_low_trust(what: str, verdict: Any) -> None:
+def _warn_of_low_trust(what: str, completed: Any) -> None:
+    """Says why a completion is doubted, or less dense than was asked for."""
+    if completed.capped:
+        _say(f"{what}: added points end at {MAX_DENSE:,}; --density asks for more")
+    verdict = completed.verdict
     if verdict is not None and verdict.trust == "low":
         why = "; ".join(verdict.reasons) or "the combined evidence"
         _say(f"low confidence in {what}: {why}")
@@ -321,7 +338,8 @@ def outcome(summary: dict[str, Any], output_dir: str) -> str:
         return f"confidence  {trust}\n{objects}\n{counts}\n{written}"
     verdict = summary["verdict"]
     if verdict is not None:
-        error = f"expected error {verdict['expected_error']:.3g}, in input units"
+        error = f"expected error {verdict['expected_error']:.3g}"
+        error += " m" if summary["unit"] == "m" else f", in {summary['unit']}"
         trust = f"{verdict['trust']}: {error}"
     adapted = "off"
     if summary["adapt"] and len(summary["losses"]["objective"]) == 1:

@@ -1,9 +1,11 @@
 """prism-envelope: which parts of a workspace are occupied, uncertain or free.
 
-    prism-envelope calibrate RECORDINGS --output=cal.json
-    prism-envelope reference SCAN --output=reference.ply
-    prism-envelope SCAN --calibration=cal.json --alpha=0.1 --output_dir=out
-    prism-envelope RECORDING --calibration=cal.json --workspace=-1,-1,0,1,1,2
+    prism-envelope calibrate RECORDINGS [flags]
+    prism-envelope reference SCAN or RECORDING [flags]
+    prism-envelope SCAN or RECORDING [flags]
+    prism-envelope calibrate cells --output=cal.json
+    prism-envelope scan.ply --eye=0,0,0 --calibration=cal.json --output_dir=out
+    prism-envelope recording.mcap --calibration=cal.json --workspace=-1,-1,0,1,1,2
 
 Not safety-rated; no claim to any standard; people are never predicted. If the input or
 the calibration cannot be used, it exits with status 2 and one line on stderr.
@@ -11,10 +13,8 @@ the calibration cannot be used, it exits with status 2 and one line on stderr.
 
 import dataclasses
 import functools
-import json
-import os
 import pathlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 from prism_jax import io
 from prism_jax.cli import shared_flags
+from prism_jax.cli.envelope_output import LINES, Output
 from prism_jax.cli.launch import launch, load_completer, say, timed
 from prism_jax.cli.stream import (
     REPORT,
@@ -33,14 +34,13 @@ from prism_jax.cli.stream import (
 )
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.envelope import NOTICE
-from prism_jax.envelope.calibration import conformal_margin, read_calibration
-from prism_jax.envelope.carving import Carving, View
-from prism_jax.envelope.files import (
-    NAMES,
-    distances_summary,
-    envelope_files,
-    told_kinds,
+from prism_jax.envelope.calibration import (
+    check_setup,
+    conformal_margin,
+    read_calibration,
 )
+from prism_jax.envelope.carving import Carving, View
+from prism_jax.envelope.files import NAMES
 from prism_jax.envelope.page import told
 from prism_jax.envelope.recorded import calibrate_on
 from prism_jax.envelope.reference import reference_of
@@ -53,21 +53,18 @@ from prism_jax.envelope.robot import (
 from prism_jax.envelope.surfaces import Input, Method, sensor_name
 from prism_jax.envelope.voxels import VOXEL
 from prism_jax.io.atomic import PREVIOUS, check_targets, claim, set_aside, write_bytes
-from prism_jax.io.clouds import read_cloud
-from prism_jax.io.errors import unwritable
-from prism_jax.io.files import read_bytes
+from prism_jax.io.clouds import read_cloud, rounding
 from prism_jax.io.ply import vertices_bytes
 from prism_jax.io.scan import parse_numbers, parted
 from prism_jax.io.streams import Joints, Stream, is_stream, open_stream
 from prism_jax.io.streams.frame import Frame
 from prism_jax.preprocessing.segmentation.support import find_up
-from prism_jax.preprocessing.upright import parse_up, upright
-from prism_jax.reporting.summary import plain, software
+from prism_jax.preprocessing.upright import parse_up
+from prism_jax.reporting.summary import software
 from prism_jax.robots.urdf import Linkage
 from prism_jax.streaming.enveloper import (
     FrameEnveloper,
     FrameScanner,
-    MadeEnvelope,
     Scanned,
     standing,
     unplaced,
@@ -87,7 +84,6 @@ _UNUSED = {
 """Flags that a use refuses."""
 _METHOD = Method()
 _CARVING = Carving()
-LINES = "envelope.jsonl"  # of a stream, a line a frame
 
 _timed = functools.partial(timed, NAME)
 _say = functools.partial(say, NAME)
@@ -97,8 +93,8 @@ def define_flags() -> None:
     """The flags of both uses."""
     shared_flags.define_strings(
         calibration="File written by `calibrate`; required.",
-        camera="Camera JSON, or a recording's CameraInfo topic. Default: the .json of "
-        "the same name for a depth image, the CameraInfo for a recording.",
+        camera="Camera as JSON or YAML, or a recording's CameraInfo topic. Default: "
+        "the .json of the same name for a depth image, the CameraInfo for a recording.",
         depth="For a cloud cropped from a depth image: the whole 16-bit image, with "
         "--camera. It shows which space is free.",
         eye="Sensor position of a cloud, x,y,z, if it is not --camera's.",
@@ -266,13 +262,16 @@ def envelope_of(source: str) -> dict[str, Any]:
     if FLAGS.calibration is None:
         remedy = f"make one with {NAME} {CALIBRATE} RECORDINGS"
         raise io.InputError("--calibration", "missing", remedy)
+    calibration = read_calibration(FLAGS.calibration)
+    known = calibration.setup.sensor
     sensor = FLAGS.sensor or sensor_name(camera)
-    if sensor is None:
-        read_bytes(FLAGS.calibration)  # whose absence is the first fault
-        raise io.InputError("--sensor", "missing", "use the calibration's sensor")
+    if sensor is None or FLAGS.sensor not in (None, known):
+        fault = "missing" if sensor is None else f"unknown name {sensor!r}"
+        remedy = f"the calibration was made for --sensor={known!r}"
+        raise io.InputError("--sensor", fault, remedy)
     method = _method(kind, up, given)
     runs = method.setup(_digest(FLAGS.weights), sensor)
-    calibration = read_calibration(FLAGS.calibration, runs)
+    check_setup(calibration, runs, FLAGS.calibration)
     alpha = calibration.alpha if FLAGS.alpha is None else FLAGS.alpha
     margin = calibration.margin(alpha)
     about = {
@@ -282,6 +281,7 @@ def envelope_of(source: str) -> dict[str, Any]:
         "weights_sha256": runs.weights,
         "sensor": sensor,
         "unit": "m",
+        "unit_of_volumes": "m3",
         "settings": dict(runs.settings),
         "calibration": {"file": FLAGS.calibration, "n": len(calibration.cells)},
         "query_not_finite": left_out,
@@ -305,21 +305,19 @@ def envelope_of(source: str) -> dict[str, Any]:
             bounds=given.bounds,
             up=parse_up(up),
         )
+    output = Output(folder, about, source, FLAGS.every_frame)
     if stream is not None:
-        sink = _Folder(folder, functools.partial(_summary, about, source))
         asked_for = {**about, "pace": FLAGS.pace}
-        return follow(stream, maker, [sink], asked_for, folder / REPORT, _say)
+        return follow(stream, maker, [output], asked_for, folder / REPORT, _say)
     assert scan is not None
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     with _timed(f"completing {count}", "make", {}):
         made = maker.make(scan)
     if made.seen.fault:
         _say(f"no prediction: {made.seen.fault}")
-    seconds |= made.seconds
-    summary = _summary(about, source, dataclasses.replace(made, seconds=seconds))
+    made = dataclasses.replace(made, seconds=seconds | made.seconds)
     with _timed(f"writing to {folder}", "write", seconds):
-        _write(folder, made, summary)
-    return summary
+        return output.write_files(folder, made)
 
 
 def _said(source: str, summary: dict[str, Any]) -> str:
@@ -340,73 +338,6 @@ def _said(source: str, summary: dict[str, Any]) -> str:
             lines.append(f"query       {told(summary['query'])} (m)")
     lines.append(f"written     {FLAGS.output_dir}: {', '.join(files)}")
     return "\n".join(lines)
-
-
-def _summary(about: dict[str, Any], source: str, made: MadeEnvelope) -> dict[str, Any]:
-    """What the JSON says of one envelope, `about` being the same for all."""
-    grid, query = made.envelope.grid, made.query
-    frame = {"frame": made.number, "timestamp": made.timestamp}
-    return plain(
-        {
-            **about,
-            "input": {
-                "file": source,
-                "points": len(made.scan.points),
-                **({} if made.number is None else frame),
-            },
-            "frame_id": made.scan.frame_id,
-            "not_completed": made.seen.fault,
-            "grid": {"lower": grid.lower, "voxel": grid.voxel, "shape": grid.shape},
-            "points": told_kinds(made.envelope),
-            "volumes": made.envelope.volumes(),
-            "query": None if query is None else distances_summary(query[1]),
-            "reference": made.shown,
-            "seconds": made.seconds,
-        }
-    )
-
-
-def _write(folder: pathlib.Path, made: MadeEnvelope, summary: dict[str, Any]) -> None:
-    """All files of one envelope."""
-    turn = upright(made.scan.up)
-    vertical = np.array([0.0, 0.0, 1.0]) if turn is None else turn[2]
-    about = summary, made.scan.named, vertical, made.query
-    files = envelope_files(made.envelope, *about)
-    io.write_together({folder / name: data for name, data in files.items()})
-
-
-class _Folder:
-    """A sink: a line for each frame as it comes, and all files of the last, or of each.
-    Until it is closed the lines' file ends in `.part.jsonl`."""
-
-    def __init__(
-        self, folder: pathlib.Path, summary: Callable[[MadeEnvelope], dict[str, Any]]
-    ):
-        self._folder, self._summary = folder, summary
-        self._last: MadeEnvelope | None = None
-        self._part = folder / LINES.replace(".", ".part.")
-        self._part.write_bytes(b"")
-
-    def write(self, frame: MadeEnvelope) -> None:
-        summary, self._last = self._summary(frame), frame
-        named = ("points", "volumes", "q", "query", "reference", "not_completed")
-        line = {"frame": frame.number, "timestamp": frame.timestamp}
-        line |= {name: summary[name] for name in (*named, "seconds")}
-        try:
-            with open(self._part, "a") as file:
-                file.write(json.dumps(line, allow_nan=False) + "\n")
-        except OSError as error:
-            raise unwritable(self._part, error) from None
-        if FLAGS.every_frame:
-            own = io.make_output_dir(self._folder / f"{frame.number:06d}")
-            _write(own, frame, summary)
-
-    def close(self) -> None:
-        if self._last is None:
-            return self._part.unlink()
-        if not FLAGS.every_frame:
-            _write(self._folder, self._last, self._summary(self._last))
-        os.replace(self._part, self._folder / LINES)
 
 
 def _given() -> _Given:
@@ -440,7 +371,10 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
     """One scan and what its sensor saw beside it, what was measured, and up."""
     if FLAGS.topic is not None:
         raise io.InputError("--topic", "only supported for recordings", "omit it")
-    scan = io.read_scan(source, FLAGS.camera, max_points=FLAGS.max_points)
+    tell = functools.cache(_say)  # once, of files that are read twice
+    scan = io.read_scan(source, FLAGS.camera, max_points=FLAGS.max_points, tell=tell)
+    if coarse := rounding(scan.points):
+        tell(f"{source}: {coarse}")
     kind: Input = "cloud" if FLAGS.depth is None else "both"
     depth_path, camera, depth = FLAGS.depth, scan.camera, None
     if source.lower().endswith(".png"):
@@ -449,7 +383,8 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
     others = points[:0] if around is None else around
     if depth_path is not None:
         camera_path = FLAGS.camera or pathlib.Path(depth_path).with_suffix(".json")
-        metres, mask, camera = io.read_depth(depth_path, camera_path, FLAGS.max_points)
+        image = depth_path, camera_path, FLAGS.max_points, tell
+        metres, mask, camera = io.read_depth(*image)
         depth = np.where(mask, metres, 0.0)
         if kind == "both":
             seen = io.points_from_depth(metres, mask, camera)

@@ -9,16 +9,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.completion.filtering import Selection, added_points
+from prism_jax.completion.filtering import MAX_DENSE, Selection, added_points
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.clouds import rounding
 from prism_jax.preprocessing.observation import Observation, padded
 from prism_jax.preprocessing.segmentation.planes import Plane
-from prism_jax.uncertainty.confidence import Calibration, Verdict
+from prism_jax.uncertainty.confidence import MAX_REASONS, Calibration, Verdict
 from prism_jax.uncertainty.evidence import evidence_of, pose_predictions
 from prism_jax.uncertainty.sigma import PointErrors, clues_of, spread
 
@@ -42,6 +43,8 @@ class CompletedScan:
         counted twice.
       left_out: how many measured points lie outside the workspace: strays, far from
         all others, unless the workspace was given. They are not among the points.
+      inside: which of the given points are among them.
+      capped: whether the density would need more than `filtering.MAX_DENSE` points.
       accepted: whether the adapted completion is the one returned
         (`prism_jax.adaptation.test_time.Completion` says what that means).
       losses: the terms of Eq. 13 before each step and after the last.
@@ -78,6 +81,8 @@ class CompletedScan:
     seconds: dict[str, float]
     verdict: Verdict | None = None
     sigma: Float[np.ndarray, " M"] | None = None
+    inside: Bool[np.ndarray, " N"] | None = None
+    capped: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,6 +157,9 @@ def assemble(
         shares = outliers, float(selection.in_front.mean())
         evidence = evidence_of(seen, read, prediction, *shares, looks, novelty)
         verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
+        if rounded := rounding(task.points):
+            reasons = (rounded, *verdict.reasons)[:MAX_REASONS]
+            verdict = verdict._replace(trust="low", reasons=reasons)
     sigma = None
     if looks is not None and point_errors is not None:
         kept = joined.kept
@@ -160,6 +168,7 @@ def assemble(
         none = np.zeros(int(joined.observed.sum()))
         sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
     # Assemble, in the user's frame and unit.
+    wanted = options.density * seen.cloud.density * len(joined.kept)
     return CompletedScan(
         points=joined.points,
         observed=joined.observed,
@@ -182,6 +191,8 @@ def assemble(
         seconds=seconds,
         verdict=verdict,
         sigma=sigma,
+        inside=np.asarray(seen.inside),
+        capped=wanted > MAX_DENSE * joined.kept.density > 0,
         **_depth_maps(seen.cloud.points, joined.new, view, seen.workspace),
     )
 

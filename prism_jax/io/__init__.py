@@ -1,7 +1,7 @@
 """Files to arrays and back: point clouds, depth images, cameras."""
 
 from prism_jax.io.atomic import make_output_dir, write_together
-from prism_jax.io.clouds import check_cloud, check_in_view, read_points
+from prism_jax.io.clouds import read_points
 from prism_jax.io.depth import (
     camera_from_dict,
     camera_to_dict,
@@ -10,9 +10,9 @@ from prism_jax.io.depth import (
     read_depth,
 )
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import MAX_POINTS, default_cache_dir
+from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.ply import ply_bytes
-from prism_jax.io.scan import Bounds, Scan, crop, parse_bounds, read_scan
+from prism_jax.io.scan import Bounds, Scan, parse_bounds, parted, read_scan
 
 __all__ = [
     "MAX_POINTS",
@@ -21,12 +21,9 @@ __all__ = [
     "Scan",
     "camera_from_dict",
     "camera_to_dict",
-    "check_cloud",
-    "check_in_view",
-    "crop",
-    "default_cache_dir",
     "make_output_dir",
     "parse_bounds",
+    "parted",
     "ply_bytes",
     "points_from_depth",
     "read_camera",

@@ -4,7 +4,7 @@ import io
 import math
 import warnings
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.lib import format as npy_format
 
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
+
+Fields = dict[str, np.ndarray]  # further numbers of each point, by their names
 
 MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
 
@@ -26,28 +28,35 @@ _MAX_COLUMNS = 16  # an array of more is an image
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
 
 
-def read_npy(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N C"]:
+def read_npy(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N C"]:
     """The array of an NPY file, (N, C) or (H, W, C) with three to 16 columns, or its
-    fields x, y and z: float32 stays so, other real numbers become float64. Any other
-    array, more than `max_points` rows, and a file that is cut raise an InputError."""
+    fields x, y and z: float32 stays so, other real numbers become float64. `fields`
+    gets what other names hold. Any other array, more than `max_points` rows, and a file
+    that is cut raise an InputError."""
     data = read_bytes(path)
     with parsing(path, "a valid NPY cloud", _REMEDY):
-        return _parse(data, max_points)
+        return _parse(data, max_points, fields)
 
 
-def read_kitti(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
+def read_kitti(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N 3"]:
     """The positions of a sweep as KITTI has it: x, y, z and a reflectance of 0 to 255,
-    all float32. A file of other numbers raises an InputError."""
+    which `fields` gets, all float32. A file of other numbers raises an InputError."""
     data = read_bytes(path)
     with parsing(path, "a KITTI sweep", _REMEDY):
         check_count(len(data) // 16, max_points)
         rows = np.frombuffer(data, "<f4").reshape(-1, 4)
         if ((rows[:, 3] < 0) | (rows[:, 3] > 255)).any():
             raise ValueError("the fourth number of a point is no reflectance")
-        return rows[:, :3]
+        return stack_columns(rows.T, [rows.dtype] * 4, ["reflectance"], fields)
 
 
-def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N C"]:
+def read_npz(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N C"]:
     """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array, or its only
     other one that `read_npy` takes and that has more rows than columns. Of other
     arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
@@ -58,18 +67,27 @@ def read_npz(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
         if data.count(_ENTRY) > MAX_MEMBERS:
             raise ValueError(f"more than {MAX_MEMBERS:,} arrays")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return _read_archive(archive, max_points)
+            return _read_archive(archive, max_points, fields)
 
 
 def stack_columns(
-    columns: Iterable[np.ndarray], stored: Iterable[np.dtype]
+    columns: Iterable[np.ndarray],
+    stored: Iterable[np.dtype],
+    names: Sequence[str] = (),
+    fields: Fields | None = None,
 ) -> Float[np.ndarray, "N C"]:
-    """Columns as a cloud: float32 if all were stored so, else float64. What does
-    not fit the type becomes infinite, without a warning."""
-    is_single = all(dtype.kind == "f" and dtype.itemsize == 4 for dtype in stored)
+    """Columns as a cloud: float32 if all were stored so, else float64. What does not
+    fit the type becomes infinite, without a warning. The last columns, those that have
+    `names`, go to the `fields` instead, in the type that they are stored in."""
+    columns, stored = list(columns), [dtype.newbyteorder("=") for dtype in stored]
+    count = len(columns) - len(names)
+    is_single = all(dtype == np.float32 for dtype in stored[:count])
     target = np.float32 if is_single else np.float64
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([column.astype(target) for column in columns], axis=1)
+        if fields is not None:
+            further = zip(names, columns[count:], stored[count:], strict=True)
+            fields |= {name: column.astype(kind) for name, column, kind in further}
+        return np.stack([column.astype(target) for column in columns[:count]], axis=1)
 
 
 def check_not_index(column: Float[np.ndarray, " N"]) -> None:
@@ -104,7 +122,9 @@ class _Header(NamedTuple):
         return f"an array of shape {self.shape} and type {self.dtype}"
 
 
-def _read_archive(archive: zipfile.ZipFile, max_points: int) -> np.ndarray:
+def _read_archive(
+    archive: zipfile.ZipFile, max_points: int, fields: Fields | None
+) -> np.ndarray:
     found: dict[str, tuple[str, _Header]] = {}
     for member in archive.namelist():
         with archive.open(member) as file:
@@ -122,10 +142,10 @@ def _read_archive(archive: zipfile.ZipFile, max_points: int) -> np.ndarray:
     member, header = found[(named or clouds)[0]]
     check_count(header.count, max_points)
     with archive.open(member) as file:
-        return _parse(file.read(header.end), max_points)
+        return _parse(file.read(header.end), max_points, fields)
 
 
-def _parse(data: bytes, max_points: int) -> np.ndarray:
+def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
     """The cloud in an NPY file's bytes; nothing is allocated before it is known to fit.
     Whatever is wrong with them raises a ValueError."""
     header = _parse_header(data)
@@ -136,13 +156,18 @@ def _parse(data: bytes, max_points: int) -> np.ndarray:
         raise ValueError("the file is truncated")
     array = np.frombuffer(data, header.dtype, math.prod(header.shape), header.start)
     array = array.reshape(header.shape, order="F" if header.is_fortran else "C")
+    names = []
     if header.dtype.names:
         columns = [array[axis].ravel() for axis in "xyz"]
+        kinds = {n: header.dtype[n].kind for n in header.dtype.names}
+        names = [n for n in kinds if n not in {*"xyz"} and kinds[n] in "biuf"]
+        columns += [array[name].ravel() for name in names]
     else:
         columns = list(array.reshape(-1, header.shape[-1]).T)
-    if len(columns) > 3:
+    if len(columns) > 3 + len(names):
         check_not_index(columns[0])
-    return stack_columns(columns, [column.dtype for column in columns])
+    stored = [column.dtype for column in columns]
+    return stack_columns(columns, stored, names, fields)
 
 
 def _parse_header(data: bytes) -> _Header:

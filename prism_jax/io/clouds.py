@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prism_jax.geometry.camera import MIN_DEPTH, Camera
-from prism_jax.io.arrays import read_kitti, read_npy, read_npz
+from prism_jax.io.arrays import Fields, read_kitti, read_npy, read_npz
 from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import MAX_POINTS
+from prism_jax.io.las import read_las
 from prism_jax.io.pcd import read_pcd
 from prism_jax.io.ply import read_ply
 from prism_jax.io.text import read_text
@@ -25,7 +26,11 @@ READERS = {
     ".npz": read_npz,
     **dict.fromkeys((".xyz", ".txt", ".csv", ".pts", ".asc", ".xyzrgb"), read_text),
     ".bin": read_kitti,
+    **dict.fromkeys((".las", ".laz"), read_las),
 }
+MESHES = (".obj", ".stl", ".off", ".glb", ".gltf", ".dae", ".3ds")
+
+NUM_STEPS = 100  # fewer that coordinates are rounded to across an object are told
 
 
 def read_points(
@@ -39,17 +44,24 @@ def read_points(
 
 
 def read_cloud(
-    path: StrPath, max_points: int = MAX_POINTS, are_returns: bool = True
+    path: StrPath,
+    max_points: int = MAX_POINTS,
+    are_returns: bool = True,
+    fields: Fields | None = None,
 ) -> tuple[Float[np.ndarray, "N 3"], int, dict[str, str]]:
     """As `read_points`, with the number of points in the file, and what is to be told,
-    a line for each kind. Points that are nobody's returns may lie at 0,0,0."""
+    a line for each kind. Points that are nobody's returns may lie at 0,0,0. `fields`
+    gets further numbers of the same points, by their names in the file."""
     suffix = pathlib.Path(path).suffix.lower()
+    if suffix in MESHES:
+        remedy = "sample points of what a sensor would see of it"
+        raise InputError(path, "a mesh, not a scan", remedy)
     if suffix not in READERS:
         fault = f"suffix {suffix!r} is not a point cloud format"
         raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
-    table = READERS[suffix](path, max_points)
+    table = READERS[suffix](path, max_points, fields)
     points, columns = table[:, :3], table.shape[1]
-    kept, notes = measured(points, are_returns)
+    kept, notes = measured(points, are_returns, fields)
     if columns > 3:
         notes["columns"] = f"the first three of {columns} columns are x, y and z"
     if len(kept) == 0:
@@ -59,18 +71,34 @@ def read_cloud(
 
 
 def measured(
-    points: Float[np.ndarray, "N 3"], are_returns: bool = True
+    points: Float[np.ndarray, "N 3"],
+    are_returns: bool = True,
+    fields: Fields | None = None,
 ) -> tuple[Float[np.ndarray, "K 3"], dict[str, str]]:
     """Points without those that are not finite and lost returns, which many drivers
-    write as 0,0,0, and what to tell of the latter. Of any cloud the origin is at most
-    one point, which is not missed."""
+    write as 0,0,0, and what to tell of the latter; `fields` lose the same. Of any cloud
+    the origin is at most one point, which is not missed."""
     kept, notes = np.isfinite(points).all(axis=1), {}
     lost = (points == 0).all(axis=1)
     if are_returns and lost.any():
         kept &= ~lost
         count = f"{lost.sum():,} of {len(points):,} points are at 0,0,0"
         notes["no_return"] = f"{count} and count as no return"
+    if fields:
+        fields |= {name: column[kept] for name, column in fields.items()}
     return points[kept], notes
+
+
+def rounding(points: Float[np.ndarray, "N 3"]) -> str | None:
+    """What to tell of an object with few steps across it (`NUM_STEPS`), as of map
+    coordinates in float32; None if there are enough."""
+    single = points.astype(np.float32)
+    exact = single if (single == points).all() else points
+    step = float(np.spacing(np.abs(exact).max()))
+    steps = np.ptp(points.astype(np.float64), axis=0).max() / step
+    told = f"coordinates are rounded to steps of {step:.2g}, {steps:.0f} across the "
+    told += "object: export float64, or subtract an offset first"
+    return told if steps < NUM_STEPS else None
 
 
 def inside(

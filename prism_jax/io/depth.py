@@ -1,4 +1,4 @@
-"""Cameras as JSON, and 16-bit depth images."""
+"""Cameras as JSON or YAML, and 16-bit depth images."""
 
 import io
 import json
@@ -93,23 +93,29 @@ def _by_our_names(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def _bare(value: Any) -> Any:
-    """A matrix as OpenCV's JSON has it, without its size."""
+    """A matrix as OpenCV and ROS have it, without its size."""
     return value.get("data") if isinstance(value, dict) else value
 
 
 def read_camera(path: StrPath, tell: Tell = to_stderr) -> Camera:
-    """The camera of a JSON file, as `camera_from_dict`; InputError if it has none. What
-    the file says beside that and is not used is told."""
+    """The camera of a JSON file, or of a YAML file of ROS or OpenCV, as
+    `camera_from_dict`; InputError if it has none. What the file says beside that and is
+    not used is told."""
     return _read_camera_entries(path, tell)[0]
 
 
 def read_depth(
-    path: StrPath, camera_path: StrPath, max_points: int = MAX_POINTS
+    path: StrPath,
+    camera_path: StrPath,
+    max_points: int = MAX_POINTS,
+    tell: Tell = lambda _: None,
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"], Camera]:
     """Depth in metres, 0 where nothing was measured, the mask of measured pixels, and
     the camera; see `read_counts` and `measured_depth`."""
-    counts, scale, camera = read_counts(path, camera_path, max_points, lambda _: None)
-    depth = measured_depth(counts, scale)[0]
+    counts, scale, camera = read_counts(path, camera_path, max_points, tell)
+    depth, _, notes = measured_depth(counts, scale)
+    for line in notes.values():
+        tell(f"{path}: {line}")
     return depth, depth > 0, camera
 
 
@@ -173,8 +179,8 @@ def _read_camera_entries(path: StrPath, tell: Tell) -> tuple[Camera, dict[str, A
     with parsing(path, "a valid camera", _LAYOUT):
         camera = camera_from_dict(entries)
     for key, value in entries.items():
-        is_some = re.search("[1-9]", json.dumps(_bare(value))) is not None
-        if is_some and re.fullmatch(_DISTORTION, key.lower()):
+        told = "" if isinstance(value, str) else json.dumps(_bare(value), default=str)
+        if re.search("[1-9]", told) and re.fullmatch(_DISTORTION, key.lower()):
             tell(f"{path}: {key} is lens distortion, which is not undone")
         if re.fullmatch(_POSE, key.lower()):
             tell(f"{path}: {key} is not used; a pose is rotation and translation")

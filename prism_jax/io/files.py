@@ -5,11 +5,14 @@ import functools
 import json
 import os
 import pathlib
+import re
 import stat
 import sys
 import tempfile
 from collections.abc import Iterator
 from typing import Any
+
+import yaml
 
 from prism_jax.io.errors import InputError, StrPath, unreadable
 
@@ -70,16 +73,29 @@ def read_bytes(path: StrPath) -> bytes:
 
 
 def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
-    """The JSON object that a file holds; InputError, with the remedy, where it holds
+    """The JSON object that a file holds or, by its suffix, the first document of YAML,
+    as ROS and OpenCV write cameras. InputError, with the remedy, where it holds
     anything else, and as for `read_bytes`."""
     data = read_bytes(path)
+    kind = "YAML" if pathlib.Path(path).suffix.lower() in (".yaml", ".yml") else "JSON"
     try:
-        content = json.loads(data)
-    except (ValueError, RecursionError):
-        raise InputError(path, "not JSON", remedy) from None
+        content = _read_yaml(data) if kind == "YAML" else json.loads(data)
+    except (ValueError, RecursionError, yaml.YAMLError):
+        raise InputError(path, f"not {kind}", remedy) from None
     if type(content) is not dict:
-        raise InputError(path, "not a JSON object", remedy)
-    return content
+        raise InputError(path, f"not a {kind} object", remedy)
+    return {str(key): value for key, value in content.items()}
+
+
+def _read_yaml(data: bytes) -> Any:
+    # OpenCV's first line and tags are no YAML, and 1e-05 is no number there.
+    data = re.sub(rb"\A%YAML:.*\n|!!opencv-matrix", b"", data)
+    data = re.sub(rb"(?<![\w.])(\d+)(?=[eE][-+]\d)", rb"\1.0", data)
+    # What is large takes long, and an alias may stand for any amount.
+    kinds = map(type, yaml.scan(data[: 2**16]))
+    if len(data) > 2**16 or yaml.AliasToken in kinds:
+        raise ValueError
+    return next(yaml.safe_load_all(data), None)
 
 
 def default_cache_dir() -> pathlib.Path:

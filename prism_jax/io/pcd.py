@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import lzf
 import numpy as np
-from jaxtyping import Float, Num
+from jaxtyping import Float
 
-from prism_jax.io.arrays import stack_columns
+from prism_jax.io.arrays import Fields, stack_columns
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import (
     MAX_FILE_BYTES,
@@ -43,23 +43,37 @@ class _Header(NamedTuple):
     num_points: int
     mode: str
 
-    def indices(self, names: Sequence[str]) -> list[int]:
-        """Where the fields of these names are; each must have one value a point."""
-        known = [field.name for field in self.fields]
-        for name in names:
-            if [f.count for f in self.fields if f.name == name] != [1]:
-                raise ValueError(f"fields are {' '.join(known)}, not {' '.join(names)}")
-        return [known.index(name) for name in names]
+    def places(self, everything: bool) -> list[int]:
+        """Where x, y and z are and, of everything, the other fields of one number."""
+        known = [field.name.lower() for field in self.fields]
+        single = [i for i, field in enumerate(self.fields) if field.count == 1]
+        xyz = [i for axis in "xyz" for i in single if known[i] == axis]
+        if [known[i] for i in xyz] != [*"xyz"]:
+            raise ValueError(f"fields are {' '.join(known)}, not x y z")
+        others = [i for i in single if everything and i not in xyz and known[i] != "_"]
+        return xyz + [i for i in others if self.fields[i].dtype.kind != "V"]
 
 
-def read_pcd(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
-    """Positions as stored: float32 where x, y and z are, else float64.
+def read_pcd(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N 3"]:
+    """Positions as stored: float32 where x, y and z are, else float64. `fields` gets
+    what else there is one of a point.
 
     Rows that are not finite, as where an organised cloud saw nothing, are kept; for
     VIEWPOINT see `read_viewpoint`. A malformed or cut file and one of more than
     `max_points` points raise an InputError.
     """
-    return stack_columns(*_read(path, "xyz", max_points))
+    data = read_bytes(path)
+    with parsing(path, "a valid PCD file", _REMEDY):
+        header, start = _parse_header(data)
+        check_count(header.num_points, max_points)
+        indices = header.places(fields is not None)
+        read = _read_ascii if header.mode == "ascii" else _read_binary
+        columns = read(data[start:], header, indices)
+        _, stored, _ = zip(*(header.fields[i] for i in indices), strict=True)
+        names = [header.fields[index].name for index in indices[3:]]
+        return stack_columns(columns, stored, names, fields)
 
 
 def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
@@ -75,29 +89,6 @@ def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
     return eye[0] if is_said else None
 
 
-def read_pcd_field(
-    path: StrPath, name: str, max_points: int = MAX_POINTS
-) -> Num[np.ndarray, " N"]:
-    """One more field of every point, such as a label, in the order of `read_pcd`. As
-    stored; ASCII numbers are float64. A file without it, or with several values of it
-    for a point, raises InputError, as does what `read_pcd` refuses."""
-    return _read(path, [name], max_points)[0][0]
-
-
-def _read(
-    path: StrPath, names: Sequence[str], max_points: int
-) -> tuple[list[np.ndarray], list[np.dtype]]:
-    """The columns of these fields, and the types that they are declared with."""
-    data = read_bytes(path)
-    with parsing(path, "a valid PCD file", _REMEDY):
-        header, start = _parse_header(data)
-        check_count(header.num_points, max_points)
-        indices = header.indices(names)
-        read = _read_ascii if header.mode == "ascii" else _read_binary
-        columns = read(data[start:], header, indices)
-        return columns, [header.fields[index].dtype for index in indices]
-
-
 def _parse_header(data: bytes) -> tuple[_Header, int]:
     """The header, and where the points start."""
     lines, start = header_lines(data, "DATA", 2**16)
@@ -105,9 +96,7 @@ def _parse_header(data: bytes) -> tuple[_Header, int]:
     mode = " ".join(entries["DATA"]).lower()
     if mode not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"DATA mode {mode!r} is unknown")
-    header = _Header(_fields(entries), _num_points(entries), mode)
-    header.indices("xyz")
-    return header, start
+    return _Header(_fields(entries), _num_points(entries), mode), start
 
 
 def _fields(entries: dict[str, list[str]]) -> list[_Field]:
@@ -124,7 +113,7 @@ def _fields(entries: dict[str, list[str]]) -> list[_Field]:
         if not known and (name.lower() in "xyz" or int(size) < 0):
             raise ValueError(f"field {name!r} has an unknown type")
         dtype = np.dtype(f"<{kind.lower() if known else 'V'}{int(size)}")
-        fields.append(_Field(name.lower(), dtype, int(count)))
+        fields.append(_Field(name, dtype, int(count)))
     return fields
 
 

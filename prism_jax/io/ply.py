@@ -4,6 +4,7 @@ The format is Greg Turk's, "The PLY Polygon File Format" (1994).
 """
 
 import itertools
+import re
 import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from prism_jax.io import atomic
-from prism_jax.io.arrays import stack_columns
+from prism_jax.io.arrays import Fields, stack_columns
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 from prism_jax.io.text import body_lines, header_lines, parse_rows
@@ -37,8 +38,11 @@ _SHORT = "the file is truncated"
 _REMEDY = "export it again as a PLY point cloud"
 
 
-def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
+def read_ply(
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N 3"]:
     """Vertex positions as stored: float32 where the file says float, else float64.
+    `fields` gets the vertices' other properties but lists.
 
     Elements before the vertices are skipped; what comes after is not looked at. Rows
     that are not finite are kept. A malformed or cut file, and one of more than
@@ -49,6 +53,10 @@ def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
         layout, elements, start = _parse_header(data)
         before = list(itertools.takewhile(lambda e: e.name != "vertex", elements))
         vertex, places = _vertices(elements)
+        if fields is not None:
+            kinds = enumerate(vertex.properties)
+            kept = [i for i, p in kinds if p.length is None and p.value.kind != "V"]
+            places += [i for i in kept if i not in places]
         check_count(vertex.count, max_points)
         check_count(sum(e.count for e in before), max_points, "rows before vertices")
         if layout == "ascii":
@@ -61,7 +69,14 @@ def read_ply(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "
             for element in before:
                 start = _skip(data, start, element)
             columns = _columns(data, start, vertex, places)
-        return stack_columns(columns, [vertex.properties[i].value for i in places])
+        names, stored, _ = zip(*(vertex.properties[i] for i in places), strict=True)
+        return stack_columns(columns, stored, names[3:], fields)
+
+
+def num_faces(path: StrPath) -> int:
+    """How many faces a PLY file says that it has, after its vertices."""
+    _, elements, _ = _parse_header(read_bytes(path))
+    return sum(element.count for element in elements if element.name == "face")
 
 
 def write_ply(
@@ -78,18 +93,25 @@ def ply_bytes(
     labels: Bool[np.ndarray, " M"] | UInt8[np.ndarray, " M"] | None = None,
     objects: Int[np.ndarray, " M"] | None = None,
     sigma: Float[np.ndarray, " M"] | None = None,
+    fields: Fields | None = None,
 ) -> bytes:
     """A file of points, which `read_ply` reads back bit for bit: binary little-endian,
     x y z in the type of `points`. With `labels` (True for completed points, or 0 to 2),
     each has a `label` and a colour; with `objects` too, the number of an `object`; with
-    `sigma`, a float32 of that name."""
-    columns = {}
+    `sigma`, a float32 of that name.
+
+    `fields` are what the first points have beside that; on the others they are NaN, or
+    0 if integers. If they have colours, ours are `label_red` and so on; what they have
+    under another of the names above is `input_label` and so on."""
+    columns, fields = {}, fields or {}
     comments = []
     if labels is not None:
         palette = np.array(list(COLORS.values()), dtype=np.uint8)
         label = labels.astype(np.uint8)
         columns["label"] = label
-        columns |= zip(("red", "green", "blue"), palette[label].T, strict=True)
+        names = "red", "green", "blue"
+        own = "label_" if {*names} & {*fields} else ""
+        columns |= zip([own + name for name in names], palette[label].T, strict=True)
         known = ", 2: known robot" if (label == KNOWN).any() else ""
         comments.append(f"label 0: observed, 1: completed{known}")
     if objects is not None:
@@ -98,6 +120,14 @@ def ply_bytes(
     if sigma is not None:
         columns["sigma"] = sigma.astype(np.float32)
         comments.append(SIGMA)
+    for name, column in fields.items():
+        name = re.sub("[^!-~]", "_", name)  # one word
+        name = f"input_{name}" if name in {*columns, *"xyz"} else name
+        kind = column.dtype if column.dtype.str[1:] in _NAMES else np.dtype(float)
+        columns[name] = np.full(len(points), np.nan if kind.kind == "f" else 0, kind)
+        columns[name][: len(column)] = column
+    if fields:
+        comments.append(f"of the input, nan or 0 on other points: {', '.join(fields)}")
     return vertices_bytes(points, columns, comments)
 
 
@@ -172,7 +202,7 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
 def _dtype(name: str, layout: str) -> np.dtype:
     if name not in _TYPES and layout != "ascii":
         raise ValueError(f"unknown type {name!r} in the header")
-    return np.dtype(_FORMATS.get(layout, "=") + _TYPES.get(name, "f8"))
+    return np.dtype(_FORMATS.get(layout, "=") + _TYPES.get(name, "V8"))
 
 
 def _vertices(elements: list[_Element]) -> tuple[_Element, list[int]]:

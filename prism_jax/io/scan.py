@@ -1,13 +1,13 @@
 """One scan as a user hands it in: a cloud or a depth image, and its camera."""
 
 import dataclasses
-import math
 import pathlib
 
 import numpy as np
 from jaxtyping import Float
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.arrays import Fields
 from prism_jax.io.clouds import check_cloud, check_in_view, inside, read_cloud
 from prism_jax.io.depth import (
     measured_depth,
@@ -18,6 +18,7 @@ from prism_jax.io.depth import (
 from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS
 from prism_jax.io.pcd import read_viewpoint
+from prism_jax.io.ply import num_faces
 
 CAMERA_FRAME_DEGREES = 10.0
 
@@ -45,6 +46,10 @@ class Scan:
     around: Float[np.ndarray, "R 3"] | None = None
     # Where the file of a cloud says that its sensor stood, if there is no camera.
     eye: Float[np.ndarray, "3"] | None = None
+    # Of each point what else the file of a cloud has: colours, normals, intensity.
+    fields: Fields = dataclasses.field(default_factory=dict)
+    # Of all lengths: a depth image's are metres by its scale, a cloud's are anything.
+    unit: str = "input units"
 
 
 def read_scan(
@@ -61,7 +66,7 @@ def read_scan(
     For any other file see `read_points`. Points outside `bounds` are kept apart. `tell`
     gets a line for each kind of oddity.
     """
-    in_camera_frame, eye, subject = False, None, path
+    in_camera_frame, eye, subject, fields, unit = False, None, path, {}, Scan.unit
     if pathlib.Path(path).suffix.lower() == ".png":
         beside = pathlib.Path(path).with_suffix(".json")
         if not camera_path and not beside.exists():
@@ -73,7 +78,7 @@ def read_scan(
         if not depth.any():
             raise InputError(path, "no valid depth pixels", "check the sensor")
         points = points_from_depth(depth, depth > 0, camera)
-        in_camera_frame = in_own_axes(camera)
+        in_camera_frame, unit = in_own_axes(camera), "m"
         num_read = len(points) + num_odd
         if scale >= 1 and depth.max() > 1000:
             cause = f"depth_scale {scale:g}, where 0.001 means millimetres"
@@ -81,18 +86,26 @@ def read_scan(
             notes["scale"] = f"depths are up to {depth.max():,.0f} by {cause}"
     else:
         camera = read_camera(camera_path, tell) if camera_path else None
-        points, num_read, notes = read_cloud(path, max_points)
-        if camera is None and pathlib.Path(path).suffix.lower() == ".pcd":
+        points, num_read, notes = read_cloud(path, max_points, fields=fields)
+        suffix = pathlib.Path(path).suffix.lower()
+        if camera is None and suffix == ".pcd":
             eye = read_viewpoint(path)
+        if suffix == ".ply" and (faces := num_faces(path)):
+            told = f"a mesh of {faces:,} faces, not a scan: its vertices are taken for "
+            notes["mesh"] = told + "measured points; sample what a sensor would see"
     for line in notes.values():
         tell(f"{path}: {line}")
     num_finite = len(points)
+    if bounds is not None:
+        held = inside(points, bounds.lower, bounds.upper)
+        fields = {name: column[held] for name, column in fields.items()}
     points, around = parted(points, bounds, path)
     check_cloud(points, subject)
     if camera is not None:
         check_in_view(points, camera, path)
-    not_finite, outside = num_read - num_finite, num_finite - len(points)
-    return Scan(points, camera, not_finite, outside, in_camera_frame, around, eye)
+    left_out = num_read - num_finite, num_finite - len(points)
+    seen = in_camera_frame, around, eye, fields, unit
+    return Scan(points, camera, *left_out, *seen)
 
 
 def standing_at(eye: Float[np.ndarray, "3"]) -> Camera:
@@ -101,17 +114,11 @@ def standing_at(eye: Float[np.ndarray, "3"]) -> Camera:
     return Camera(rotation, -rotation @ eye, np.eye(3), 1, 1)
 
 
-def crop(
-    points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
-) -> Float[np.ndarray, "K 3"]:
-    """The points inside the bounds; InputError about `subject` if there are none."""
-    return parted(points, bounds, subject)[0]
-
-
 def parted(
     points: Float[np.ndarray, "N 3"], bounds: Bounds | None, subject: StrPath
 ) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, "R 3"] | None]:
-    """As `crop`, and the points outside; None of these without bounds."""
+    """The points inside the bounds, and those outside; None of these without bounds.
+    InputError about `subject` if there are none inside."""
     if bounds is None:
         return points, None
     held = inside(points, bounds.lower, bounds.upper)
@@ -150,5 +157,4 @@ def in_own_axes(camera: Camera) -> bool:
     """Whether points are in the camera's own axes, turned by less than
     `CAMERA_FRAME_DEGREES`."""
     cosine = (np.trace(np.asarray(camera.rotation)) - 1.0) / 2.0
-    degrees = math.degrees(math.acos(min(max(float(cosine), -1.0), 1.0)))
-    return degrees < CAMERA_FRAME_DEGREES
+    return bool(cosine > np.cos(np.radians(CAMERA_FRAME_DEGREES)))

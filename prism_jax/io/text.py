@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from prism_jax.io.arrays import check_not_index
+from prism_jax.io.arrays import Fields, check_not_index
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
 
@@ -22,10 +22,13 @@ _NAMES = ("%s%.0s", r"%s\d%.0s", r".*(?:xyz|points?)\W%.0s%d")
 """How columns are named x, y and z, by the letter or the number, in this order."""
 
 
-def read_text(path: StrPath, max_points: int = MAX_POINTS) -> Float[np.ndarray, "N 3"]:
+def read_text(
+    path: StrPath, max_points: int = MAX_POINTS, _: Fields | None = None
+) -> Float[np.ndarray, "N 3"]:
     """Positions, float64, from lines of numbers with semicolons, tabs, commas or blanks
     between them; blank lines and those that start with '#', '//' or '%' are skipped, as
-    is a first line with the number of points. Commas within numbers are decimal.
+    is a first line with the number of points. Commas within numbers are decimal. No
+    other column is kept.
 
     Columns are named by a first line of words, or by a comment before the first point
     with as many words as there are columns, if x, y and z are among the words, also as

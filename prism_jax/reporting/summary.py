@@ -16,7 +16,7 @@ from prism_jax.losses.weighting import BRANCHES
 
 
 def summarize(result: Any, scan: io.Scan, source: str, **asked: Any) -> dict[str, Any]:
-    """The content of result.json except times and scores. Lengths in input units.
+    """The content of result.json except times and scores. Lengths are in its `unit`.
     `result` is a `CompletedScan` of `scan`, which was read from `source`; the others
     are what the user asked for, with the `bounds` of the workspace."""
     bounds = asked.pop("bounds")
@@ -60,8 +60,10 @@ def _about(scan: io.Scan, source: str) -> dict[str, Any]:
     """What a result says of the software and its input."""
     return {
         "prism_jax": software(),
+        "unit": scan.unit,
         "input": {
             "file": source,
+            "fields": list(scan.fields),
             "points_read": len(scan.points) + scan.num_outside + scan.num_not_finite,
             "points_not_finite": scan.num_not_finite,
             "points_outside": scan.num_outside,
@@ -78,6 +80,7 @@ def _of_object(result: Any) -> dict[str, Any]:
         "accepted": bool(result.accepted),
         "points": {name: len(cloud) for name, cloud in clouds(result).items()},
         "left_away": dict(result.left_away),
+        "capped": bool(result.capped),
         "workspace": {
             "center": np.asarray(result.workspace.center),
             "half_extent": float(result.workspace.half_extent),
@@ -90,8 +93,8 @@ def _of_object(result: Any) -> dict[str, Any]:
 
 
 def _of_added(result: Any) -> dict[str, float] | None:
-    """What the sigmas of the added points are like, in input units; None if there is
-    no such point, or weights that cannot tell."""
+    """What the sigmas of the added points are like; None if there is no such point, or
+    weights that cannot tell."""
     if result.sigma is None or result.observed.all():
         return None
     sigma = result.sigma[~result.observed]

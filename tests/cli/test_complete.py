@@ -19,7 +19,7 @@ from prism_jax.cli import complete
 from prism_jax.cli.complete import _timed as timed
 from prism_jax.cli.complete import complete_file
 from prism_jax.completion.weights import available_weights
-from prism_jax.io.ply import read_ply
+from prism_jax.io.ply import read_ply, vertices_bytes
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 from prism_jax.reporting.model_card import model_card
 from prism_jax.uncertainty.confidence import Verdict
@@ -246,19 +246,43 @@ def test_says_what_to_do_about_a_doubted_scan(trust, flags, asks, altered, capsy
     assert (warning in told.err) == (trust == "low")
     assert ("the surroundings are unknown" in told.err) == asks
     expected = f"confidence  {trust}: expected error 0.0123, in input units"
-    assert told.out.splitlines()[0] == expected
+    assert told.out.splitlines()[0] == expected and result()["unit"] == "input units"
 
 
 def test_a_sensor_too_far_and_points_left_out_are_told(altered, capsys):
-    altered(lambda done: {"sensor": "unknown", "left_out": 5})
+    altered(lambda done: {"sensor": "unknown", "left_out": 5, "capped": True})
     told = complete_file("scan.npy")
     assert told["sensor"] == "unknown" and told["input"]["points_left_out"] == 5
     said = capsys.readouterr().err
+    assert "this completion: added points end at 200,000; --density asks" in said
     assert "the origin cannot be the sensor position" in said
     assert "5 of 200 points are far from all others and were removed" in said
     report = (OUT / "report.html").read_text()
     assert "the origin is implausible" in report
     assert "5 removed as outliers" in report
+
+
+def test_what_the_input_has_beside_positions_is_in_the_output(altered):
+    """Of the points that are left."""
+    left, cut = {"inside": np.arange(200) > 3}, ("points", "observed")
+    altered(lambda done: left | {name: getattr(done, name)[4:] for name in cut})
+    ring = np.arange(200, dtype=np.uint8)
+    pathlib.Path("a.ply").write_bytes(vertices_bytes(POINTS, {"ring": ring}))
+    assert complete_file("a.ply")["input"]["fields"] == ["ring"]
+    vertex = plyfile.PlyData.read(OUT / "completed.ply")["vertex"]
+    np.testing.assert_array_equal(vertex["ring"], [*ring[4:], *np.zeros(100)])
+
+
+def test_nothing_added_is_told_and_no_object_is_a_fault(monkeypatch, altered, capsys):
+    altered(lambda done: {"points": POINTS, "observed": np.ones(200, bool)})
+    complete_file("scan.npy")
+    assert "nothing was added: what is predicted is" in capsys.readouterr().err
+    planes = FakeCompleter().split_scene(-POINTS).planes
+    nothing = SegmentedScene(np.full(200, -1), planes, (), 200, 0)
+    monkeypatch.setattr(FakeCompleter, "split_scene", lambda *_: nothing)
+    with pytest.raises(io.InputError, match="no object: 200 points are on planes"):
+        complete_file("scan.npy", output_dir="none")
+    assert not os.listdir("none")
 
 
 def test_says_why_nothing_was_adapted(altered, capsys):

@@ -10,6 +10,7 @@ import shutil
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from experiments.simulation.recorder import write_frame
 from prism_jax.assets import asset
@@ -154,6 +155,10 @@ def test_all_files_are_written_and_agree(asked, tmp_path, capsys):
         (["--background=empty"], "background unknown, not empty"),
         (["--input=depth"], "not used by prism-envelope"),
         (["--eye=0,0,0"], "omit it"),
+        (
+            ["--sensor=other"],
+            "unknown name 'other'; the calibration was made for",
+        ),
         (["another.ply"], "expected one scan or recording, got 2"),
     ],
 )
@@ -162,6 +167,23 @@ def test_what_does_not_match_is_one_line(asked, tmp_path, more, told, capsys):
     lines = capsys.readouterr().err.strip().splitlines()
     assert told in lines[-1] and lines[-1].startswith("prism-envelope: ")
     assert not list((tmp_path / "out").glob("*"))
+
+
+def test_what_is_odd_about_image_and_camera_is_told_once(asked, tmp_path, capsys):
+    counts = np.asarray(Image.open(FRAME.with_name("000000.depth.png"))).copy()
+    counts[:10, :10] = 65535
+    Image.fromarray(counts).save(tmp_path / "d.png")
+    camera = json.loads(FRAME.with_name("000000.camera.json").read_text())
+    (tmp_path / "d.json").write_text(json.dumps(camera | {"coeffs": [1], "pose": 1}))
+    for words in (
+        [asked[0], f"--depth={tmp_path / 'd.png'}"],
+        [str(tmp_path / "d.png")],
+    ):
+        rest = asked[3], f"--camera={tmp_path / 'd.json'}", "--alpha=2"
+        assert launching.run(envelope, *words, *rest) == 2
+        told = capsys.readouterr().err
+        for line in ("100 pixels of the largest value", "lens distort", "pose is not"):
+            assert told.count(line) == 1
 
 
 def test_what_calibrating_does_not_use_is_refused(recordings, capsys):

@@ -43,8 +43,10 @@ def test_shapes_and_fields_that_hold_positions(tmp_path, name):
     image = POINTS.reshape(10, 5, 3)
     for array in (image, np.asfortranarray(image), table, table.ravel()):
         (np.save if name == "a.npy" else np.savez)(tmp_path / name, array)
-        points = read(tmp_path / name)
+        found = {}
+        points = read(tmp_path / name, fields=found)
         np.testing.assert_array_equal(points, POINTS.astype(points.dtype))
+        assert [*found] == ["i"] * (array.dtype.names is not None)
         assert points.dtype == (np.float32 if array.dtype.names else np.float64)
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io import InputError, check_cloud, check_in_view, clouds, read_points
+from prism_jax.io import InputError, clouds, read_points
+from prism_jax.io.clouds import check_cloud, check_in_view, rounding
 
 POINTS = np.random.default_rng(0).normal(size=(80, 3)).astype(np.float32)
 
@@ -44,9 +45,11 @@ def test_more_columns_are_told_and_a_column_that_counts_is_asked_for(tmp_path):
 
 
 def test_unknown_suffix_names_those_that_are_known_and_some_point_is_finite(tmp_path):
-    for name in ("scan.obj", "scan", ".ply"):
+    for name in ("scan.doc", "scan", ".ply"):
         with pytest.raises(InputError, match=r"\.ply \.pcd \.npy \.npz \.xyz"):
             read_points(tmp_path / name)
+    with pytest.raises(InputError, match="a mesh, not a scan; sample points"):
+        read_points(tmp_path / "a.STL")
     np.save(tmp_path / "a.npy", np.full((80, 3), np.nan))
     with pytest.raises(InputError, match="no finite points;"):
         read_points(tmp_path / "a.npy")
@@ -73,6 +76,14 @@ def test_clouds_that_can_and_cannot_be_completed():
     check_cloud(double * 1e-12, "scan.ply")
     check_cloud(double + 4e6, "scan.ply")
     check_cloud(np.linspace([0, 0, 0], [1e4, 0, 0], 64), "scan.ply")
+
+
+def test_coordinates_of_few_steps_are_told_and_map_coordinates_are_not():
+    """By what can be told apart at the largest of them, whatever type it is kept in."""
+    assert rounding(POINTS) is rounding(POINTS.astype(np.float64) + 5.4e6) is None
+    rounded = POINTS + np.float32(5.4e6)
+    for points in (rounded, rounded.astype(np.float64)):
+        assert "rounded to steps of 0.5, " in str(rounding(points))
 
 
 def test_camera_must_see_something():

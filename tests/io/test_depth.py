@@ -72,6 +72,32 @@ def test_names_of_other_tools_and_what_is_not_used_is_told(tmp_path, capsys):
         assert "extrinsic is not used" in pose
 
 
+YAML = """image_width: 8
+image_height: 6
+camera_matrix: {}
+  rows: 3
+  data: [1.e+1, 0, 3.5, 0., 1.1e+01, 2.5, 0., 0., 1]
+distortion_model: type_9
+distortion_coefficients: {{data: [0, 1e-05]}}
+"""
+ECHO = f"width: 8\nheight: 6\nd: [1e-05]\nk: {FLAT}\n---\nwidth: 9\n"
+YAMLS = YAML.format(""), "%YAML:1.0\n---\n" + YAML.format("!!opencv-matrix"), ECHO
+BOMB = "a: &a [0]\nb: &b [*a, *a]\nc: [*b, *b]\n"
+
+
+def test_cameras_of_ros_and_opencv_in_yaml(tmp_path):
+    wanted, path = camera_to_dict(camera_from_dict(PINHOLE)), tmp_path / "c.yaml"
+    for text in YAMLS:
+        path.write_text(text)
+        lines = []
+        assert camera_to_dict(read_camera(path, lines.append)) == wanted
+        assert len(lines) == 1 and "lens distortion, which is not undone" in lines[0]
+    for text in (BOMB, "a: [", "- 1", "!!python/object:os.system {}", "#" * 2**17):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"not (a )?YAML.*\"fx\":"):
+            read_camera(path)
+
+
 FAULTS = [
     ({"cam_K": [1, 2, 3]}, "cam_K must be 9"),
     ({"width": None}, "width is missing"),

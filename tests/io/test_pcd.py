@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prism_jax.io import InputError
-from prism_jax.io.pcd import read_pcd, read_pcd_field, read_viewpoint
+from prism_jax.io.pcd import read_pcd, read_viewpoint
 
 POINTS = np.random.default_rng(0).normal(size=(6, 3)).astype(np.float32)
 ROW = np.dtype(
@@ -65,13 +65,12 @@ def test_fields_in_any_order_type_and_count(tmp_path, mode):
     points = POINTS.copy()
     points[2] = np.nan
     path = pcd(tmp_path, mode, body(mode, points))
-    read = read_pcd(path)
+    fields = {}
+    read = read_pcd(path, fields=fields)
     assert read.dtype == np.float32
     np.testing.assert_array_equal(read, points)
-    np.testing.assert_array_equal(read_pcd_field(path, "label"), np.full(6, 7))
-    for name in ("colour", "_"):
-        with pytest.raises(InputError, match=f"not {name}"):
-            read_pcd_field(path, name)
+    assert [*fields] == ["label"]
+    np.testing.assert_array_equal(fields["label"], np.full(6, 7, np.uint32))
 
 
 @pytest.mark.parametrize("mode", MODES)

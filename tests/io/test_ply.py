@@ -149,6 +149,16 @@ def test_written_points_come_back_bit_for_bit(tmp_path, scalar):
     np.testing.assert_array_equal(vertex["object"], np.arange(100) - 2)
     np.testing.assert_array_equal(vertex["label"], labels)
     assert read_ply(path).tobytes() == points.tobytes()
+    # And with what the first 60 had.
+    ones = np.ones(60, np.float32)
+    had = {"red": ones.astype("u1"), "nx": ones, "a b": ones.astype(int), "sigma": ones}
+    path.write_bytes(ply_bytes(points, labels, None, sigma, had))
+    vertex = plyfile.PlyData.read(path)["vertex"]
+    assert vertex["red"].tolist() == [1] * 60 + [0] * 40
+    np.testing.assert_array_equal(vertex["nx"], [1] * 60 + [np.nan] * 40)
+    np.testing.assert_array_equal(vertex["a_b"], vertex["input_sigma"])
+    shades = [vertex[f"label_{name}"] for name in ("red", "green", "blue")]
+    np.testing.assert_array_equal(np.stack(shades, axis=1), colors)
 
 
 def test_raw_scan_of_a_scanner(real):

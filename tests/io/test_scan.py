@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import plyfile
 import pytest
 from PIL import Image
 
@@ -46,6 +47,28 @@ def test_crop_keeps_the_faces_of_the_box(cloud):
     assert len(scan.points) + scan.num_outside == 295
     np.testing.assert_array_equal(scan.around, POINTS[5:][POINTS[5:, 0] > face])
     assert read_scan(cloud).around is None
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_what_a_ply_has_of_each_point_goes_along_and_faces_are_told(tmp_path, text):
+    """Of the points that are kept, under its names and in its types."""
+    points, count, lines = POINTS.copy(), np.arange(300), []
+    points[:5] = np.nan
+    columns = {"red": count.astype("u1"), "nx": POINTS[:, 0] + 1, "time": count / 7}
+    table = dict(zip("xyz", points.T, strict=True)) | columns
+    rows = np.rec.fromarrays(list(table.values()), names=list(table))
+    vertices = plyfile.PlyElement.describe(np.array(rows), "vertex")
+    faces = np.array([([0, 1, 2],)], [("vertex_indices", "i4", (3,))])
+    faces = plyfile.PlyElement.describe(faces, "face")
+    plyfile.PlyData([vertices, faces], text=text).write(tmp_path / "a.ply")
+    bounds = parse_bounds("-1,-1,-1,0,1,1")
+    scan = read_scan(tmp_path / "a.ply", bounds=bounds, tell=lines.append)
+    kept = (POINTS[:, 0] <= 0) & (count >= 5)
+    np.testing.assert_array_equal(scan.points, POINTS[kept])
+    assert [*scan.fields] == [*columns] and "a mesh of 1 faces, not a" in lines[0]
+    for name, column in columns.items():
+        np.testing.assert_array_equal(scan.fields[name], column[kept])
+        assert scan.fields[name].dtype == column.dtype
 
 
 def test_of_a_depth_image_all_that_was_cropped_away_is_around(depth_image):

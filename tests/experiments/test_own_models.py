@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from experiments.simulation.packing import Meshes, build_meshes
+from experiments.own_models import Meshes, build_meshes
 from experiments.splits import parts_of
 from prism_jax.data.datasets import open_dataset
 from prism_jax.io import InputError
