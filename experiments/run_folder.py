@@ -20,26 +20,35 @@ def open_run(
     A folder that holds a run already is refused unless ``resume`` is set, and then only
     the same configuration and seed may go on in it.
     """
+    check_run(workdir, config, seed, resume)
     folder = make_output_dir(pathlib.Path(workdir))
     path = folder / "config.json"
-    resolved = json.loads(json.dumps({"config": config, "seed": seed}))
     if not path.exists():
-        text = json.dumps({**resolved, "commit": commit()}, indent=2)
-        write_bytes(path, text.encode())
-    elif not resume:
-        remedy = "resume it with --resume, or choose another --workdir"
-        raise InputError(str(folder), "this folder already holds a run", remedy)
-    else:
-        before = json.loads(path.read_text())
-        changes = [*_changes({key: before.get(key) for key in resolved}, resolved)]
-        if changes:
-            shown, others = changes[:_SHOWN], len(changes) - _SHOWN
-            shown += [f"and {others} more"] if others > 0 else []
-            fault = f"configuration differs from the run's: {', '.join(shown)}"
-            remedy = "resume with the settings and data of its config.json"
-            raise InputError(str(folder), fault, remedy)
+        about = {"config": config, "seed": seed, "commit": commit()}
+        write_bytes(path, json.dumps(about, indent=2).encode())
     remove_unfinished(folder)
     return folder
+
+
+def check_run(workdir: str, config: dict[str, Any], seed: int, resume: bool) -> None:
+    """InputError if a run in this folder may not go on with this seed and these parts
+    of a configuration; nothing if there is no run."""
+    path = pathlib.Path(workdir) / "config.json"
+    if not path.exists():
+        return
+    if not resume:
+        remedy = "resume it with --resume, or choose another --workdir"
+        raise InputError(workdir, "this folder already holds a run", remedy)
+    before = json.loads(path.read_text())
+    held = {key: before["config"].get(key) for key in config}
+    now = json.loads(json.dumps({"config": config, "seed": seed}))
+    changes = [*_changes({"config": held, "seed": before["seed"]}, now)]
+    if changes:
+        shown, others = changes[:_SHOWN], len(changes) - _SHOWN
+        shown += [f"and {others} more"] if others > 0 else []
+        fault = f"configuration differs from the run's: {', '.join(shown)}"
+        remedy = "resume with the settings and data of its config.json"
+        raise InputError(workdir, fault, remedy)
 
 
 def _changes(before: Any, now: Any, path: str = "") -> Iterator[str]:

@@ -10,7 +10,7 @@ import jax
 from absl import flags
 
 from experiments.pretraining import pretrain
-from experiments.run_folder import open_run, started_from
+from experiments.run_folder import check_run, open_run, started_from
 from experiments.settings import resolve
 from experiments.training import (
     about_training,
@@ -32,6 +32,8 @@ FLAGS = flags.FLAGS
 def main():
     """Trains, or resumes a run; a finished one leaves weights.safetensors."""
     preset, name = resolve(FLAGS.preset, FLAGS.set), FLAGS.preset
+    if name == "tiny":  # which takes longer to compile than to run
+        jax.config.update("jax_disable_most_optimizations", True)
     check_meta(preset.meta)  # before a pretraining too: it follows, days later
     meta = FLAGS.phase == "meta"
     config = preset.meta if meta else preset.pretrain
@@ -45,13 +47,15 @@ def main():
         num_samples = preset.meta.num_samples
     else:
         num_samples = sum(phase.num_samples for phase in preset.pretrain.backbone)
-    data = training_data(preset, config.validate_every, order)
     run = {
         "phase": FLAGS.phase,
         "preset": dataclasses.asdict(preset),
         "start": None if variables is None else sha256(variables),
-        "data": about_training(preset, data),
     }
+    # Before data are built, which may take long.
+    check_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
+    data = training_data(preset, config.validate_every, order)
+    run["data"] = about_training(preset, data)
     folder = open_run(FLAGS.workdir, run, FLAGS.seed, FLAGS.resume)
     about = {
         "preset": name,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from types import ModuleType
 
 import grain  # noqa: F401  (defines flags of its own when it is first imported)
+import jax
 import pytest
 from absl import app, flags
 
@@ -27,6 +28,7 @@ def _as_command(*argv: str) -> Iterator[pytest.MonkeyPatch]:
         try:
             yield patch
         finally:
+            jax.config.update("jax_disable_most_optimizations", False)
             for name in set(flags.FLAGS) - known:
                 delattr(flags.FLAGS, name)
 

@@ -195,11 +195,15 @@ def test_mistakes_are_refused_before_a_run_is_opened(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_is_resumed_only_as_it_was_begun(meta, unbroken, weights, others, capsys):
+def test_a_run_is_resumed_only_as_it_was_begun(
+    meta, unbroken, weights, others, capsys, monkeypatch
+):
+    """Other settings are refused before data are built."""
     given = [f"--workdir={unbroken}", f"--weights={weights}", *CHANGES]
     before = {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")}
     again = refused(capsys, meta(*given))
     assert "this folder already holds a run; resume it with" in again
+    monkeypatch.setattr(train, "training_data", None)
     for flag in (
         f"--weights={others}",
         "--set=meta.learning_rate=0.2",
