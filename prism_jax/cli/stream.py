@@ -7,10 +7,13 @@ If the recording cannot be used, it exits with status 2 and one line on stderr. 
 Ctrl-C the frames completed so far are saved, and the status is 130.
 """
 
+import _thread
 import functools
 import json
 import pathlib
 import signal
+import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -94,6 +97,7 @@ def known_camera() -> str | None:
 
 def main(words: Sequence[str]) -> None:
     """Does what the flags ask for."""
+    end_as_interrupted()
     if len(words) != 1:
         fault = f"expected one recording, got {len(words)}"
         raise io.InputError("input", fault, f"write {NAME} RECORDING --output=PATH")
@@ -163,7 +167,7 @@ def follow(
         every: list[Any] = [*sinks, progress]
         run_stream(stream, completer, every, asked["pace"], report)
         whole = True
-        if came:  # where a callback dropped the exception
+        if came:  # where somebody dropped the exception
             raise KeyboardInterrupt
     finally:
         summary = plain(_summary(asked, stream, report) | {"whole": whole})
@@ -215,6 +219,14 @@ def end_as_interrupted() -> list[int]:
         came.append(number)
         raise KeyboardInterrupt
 
+    def again(dropped: Any) -> None:
+        # Python drops what is raised in callbacks, as JAX has one for collecting
+        # garbage. A moment later something else is running.
+        if dropped.exc_type is not KeyboardInterrupt:
+            return sys.__unraisablehook__(dropped)
+        threading.Timer(0.01, _thread.interrupt_main).start()
+
+    sys.unraisablehook = again
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, end)

@@ -6,10 +6,18 @@ import pathlib
 import re
 from collections.abc import Iterator
 
+import numpy as np
+
 from prism_jax.io.clouds import READERS, read_cloud
-from prism_jax.io.depth import read_camera, read_counts
+from prism_jax.io.depth import (
+    camera_from_dict,
+    camera_to_dict,
+    read_camera,
+    read_counts,
+    read_grey,
+)
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_json
+from prism_jax.io.files import parsing, read_bytes, read_json
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 
 PERIOD = 100_000_000
@@ -28,16 +36,16 @@ class CloudFolder(Stream):
     cannot be read is left out and remarked. Frames count as 10 a second."""
 
     camera_file: pathlib.Path | None = None  # in place of those, with its depth_scale
+    scale: float | None = None  # metres a count, where the layout tells
 
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
+        self._times: dict[pathlib.Path, int] = {}  # of files that say theirs
         self._paths = self._found(path, topic)
 
     def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
         """The frames' files, in order."""
-        if topic is not None:
-            fault = f"no topics in this recording, so no {topic}"
-            raise InputError(path, fault, "omit --topic")
+        self._check_topic(topic)
         files = [p for p in path.iterdir() if not p.name.startswith(".")]
         clouds = [p for p in files if p.suffix.lower() in READERS]
         images = [p for p in files if p.suffix.lower() == ".png"]
@@ -49,13 +57,18 @@ class CloudFolder(Stream):
             raise InputError(path, fault, "put them into separate folders")
         return sorted(clouds or images, key=natural)
 
+    def _check_topic(self, topic: str | None) -> None:
+        if topic is not None:
+            fault = f"no topics in this recording, so no {topic}"
+            raise InputError(self.path, fault, "omit --topic")
+
     def __len__(self) -> int:
         return len(self._paths)
 
     def _frames(self) -> Iterator[Frame]:
         for number, path in enumerate(self._paths):
             try:
-                yield self._read(path, number * PERIOD)
+                yield self._read(path, self._times.get(path, number * PERIOD))
             except InputError as error:
                 self.remark("damaged", f"skipped {path.name}: {error}")
 
@@ -74,7 +87,11 @@ class CloudFolder(Stream):
         tell = functools.partial(self.remark, "camera_file")
         if about is not None and path.suffix.lower() == ".png":
             tell = (lambda _: None) if about == self.camera_file else tell
-            counts, scale, camera = read_counts(path, about, tell=tell)
+            if self.scale and "depth_scale" not in read_json(about, "give a camera"):
+                camera, scale = read_camera(about, tell), self.scale
+                counts = read_grey(path, camera, 16)
+            else:
+                counts, scale, camera = read_counts(path, about, tell=tell)
             return Frame.of_depth(counts, camera, time, scale)
         camera = None if about is None else read_camera(about, tell)
         points, num_read, notes = read_cloud(path)
@@ -107,9 +124,62 @@ class RecordedFrames(CloudFolder):
             raise InputError(self.path, fault, "omit --joints")
 
 
-def is_recordings(path: pathlib.Path) -> bool:
-    """Whether a folder has the recordings' layout, or is one of its sequences."""
-    return _holds(path) or any(path.glob(f"*/*{_CAMERA}"))
+class DatasetFrames(CloudFolder):
+    """Depth images as two data sets have them, in counts that are known: TUM RGB-D,
+    which lists them with their times, and 7-Scenes, which has a pose with each, so that
+    points are in its world. The camera is `camera_file`, or `camera.json` beside."""
+
+    def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
+        self._check_topic(topic)
+        lines = _listing(path)
+        for line in lines:
+            words = line.partition("#")[0].split()
+            times = dict(zip(words[1::2], words[::2], strict=False))
+            name = next((n for n in times if "depth" in n), "")
+            time = re.fullmatch(r"(\d{1,12})\.?(\d*)", times.get(name, ""))
+            if time:
+                nanoseconds = int(time[1] + time[2][:9].ljust(9, "0"))
+                self._times[path / name] = nanoseconds
+            elif words:
+                self.remark("damaged", f"skipped in a list of images: {line:.60}")
+        named = "TUM RGB-D" if lines else "7-Scenes, in its world"
+        self.scale = 1 / 5000 if lines else 0.001
+        counts = f"{1 / self.scale:g} counts a metre"
+        self.remark(
+            "layout", f"read as {named}: {counts} unless its camera has another"
+        )
+        return list(self._times) or sorted(path.glob(f"*{_DEPTH}"), key=natural)
+
+    def _read(self, path: pathlib.Path, time: int) -> Frame:
+        about = self.camera_file or pathlib.Path(self.path) / "camera.json"
+        frame = self._frame(path, about, time)
+        pose = path.with_name(path.name.removesuffix(_DEPTH) + ".pose.txt")
+        if frame.camera is None or not pose.exists():
+            return frame
+        with parsing(pose, "a pose", "give a 4x4 matrix, camera to world"):
+            matrix = np.array(read_bytes(pose).split(), np.float64).reshape(4, 4)
+            turn, away = matrix[:3, :3].T, matrix[:3, 3]
+            placed = {"rotation": turn, "translation": -turn @ away}
+            camera = camera_from_dict(camera_to_dict(frame.camera) | placed)
+        return frame.seen_by(camera)
+
+    def _placed(self, frame: Frame) -> Frame:
+        return frame
+
+
+def folder_kind(path: pathlib.Path) -> type[CloudFolder]:
+    """What reads a folder, or one sequence of recordings."""
+    if any(path.glob(f"*{_CAMERA}")) or any(path.glob(f"*/*{_CAMERA}")):
+        return RecordedFrames
+    return DatasetFrames if _listing(path) or _holds(path) else CloudFolder
+
+
+def _listing(path: pathlib.Path) -> list[str]:
+    """The lines in which TUM RGB-D lists depth images and their times."""
+    found = [*path.glob("depth.txt"), *path.glob("assoc*.txt")]
+    if not found or not (path / "depth").is_dir():
+        return []
+    return read_bytes(found[0]).decode(errors="replace").splitlines()
 
 
 def natural(path: pathlib.Path) -> list[tuple[int, str]]:

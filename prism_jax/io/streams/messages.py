@@ -3,10 +3,12 @@
 import abc
 import contextlib
 import pathlib
+from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import BinaryIO, NamedTuple
 
 from prism_jax.io.errors import InputError, StrPath, unreadable
+from prism_jax.io.streams.packed import unpacked_file
 
 
 class Topic(NamedTuple):
@@ -30,20 +32,38 @@ class CutError(ValueError):
     """A file ends, or turns into something else, before its end; it says how."""
 
 
+Kinds = dict[str, tuple[str, str]]  # type and encoding of each topic's messages
+Found = tuple[str, int, bytes | memoryview]
+
+
 class MessageFile(abc.ABC):
-    """One file of messages. What is no such file at all raises InputError."""
+    """One file of messages, unpacked for as long as it lives if it is a `.zstd`. What
+    is no such file at all raises InputError."""
 
     def __init__(self, path: StrPath):
         self.path = pathlib.Path(path)
+        if self.path.suffix.lower() == ".zstd":
+            self.path = unpacked_file(self.path, self)
 
     @abc.abstractmethod
+    def _all(self, kinds: Kinds, told: bool) -> Iterator[Found]:
+        """Each message's topic, time and data, in the order of the file; no data if
+        these are not `told`. Fills in the kinds of topics. Where the file is cut or
+        damaged, and behind the last message if some are missing, a `CutError`."""
+
     def topics(self) -> dict[str, Topic]:
         """All topics of which there is a message, also those of a file that is cut."""
+        kinds: Kinds = {}
+        counts: Counter[str] = Counter()
+        with contextlib.suppress(CutError):  # which iterating over the messages tells
+            counts.update(topic for topic, _, _ in self._all(kinds, False))
+        return {name: Topic(*kinds[name], count) for name, count in counts.items()}
 
-    @abc.abstractmethod
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of the wanted topics in the order of the file. A file that is cut
-        raises `CutError` after the last whole one."""
+        """Messages of the wanted topics, as `_all`."""
+        for topic, time, data in self._all({}, True):
+            if topic in wanted:
+                yield Message(topic, time, bytes(data))
 
     @contextlib.contextmanager
     def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:

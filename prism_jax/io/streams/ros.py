@@ -20,7 +20,7 @@ from prism_jax.io.files import MAX_POINTS, check_count
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
-from prism_jax.io.streams.packed import EXTRA, unpacked_message
+from prism_jax.io.streams.packed import EXTRA, Unpacker
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMAGE = "sensor_msgs/msg/Image"
@@ -29,6 +29,8 @@ JOINTS = "sensor_msgs/msg/JointState"
 
 DEPTH = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: the type of a pixel, and metres a count (REP 118)."""
+
+_LISTED = 20  # topics in a message
 
 _FLOATS = {7: 4, 8: 8}  # bytes of a number, by PointField's numbers of types
 
@@ -83,7 +85,7 @@ class RosStream(Stream):
         if self._info is not None:
             camera = self._first_camera()
         unit, topics = None, (self.topic, self._info, self._joints, self._units)
-        wanted = {name for name in topics if name}
+        wanted = {name for name in topics if name is not None}
         placed = PlacedFrames(self.joints or Joints())
         for message in self._messages(wanted):
             try:
@@ -113,6 +115,7 @@ class RosStream(Stream):
         """Those of all files. One that is cut ends early, with a remark if `told`."""
         for file in self._files:
             count = 0
+            self._unpacker = Unpacker(file.path)
             try:
                 for message in file.messages(wanted):
                     count += message.topic == self.topic
@@ -127,7 +130,8 @@ class RosStream(Stream):
         """A message's content. Whatever is wrong with it raises ValueError."""
         kind, encoding, _ = self._topics[message.topic]
         try:
-            return _readers()[encoding](unpacked_message(message.data), kind)
+            data = self._unpacker.message(message.data)
+            return _readers()[encoding](data, kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
@@ -148,8 +152,10 @@ class RosStream(Stream):
         if fitting:
             return chosen_topic(self.path, topic, fitting, "clouds or depth images")
         fault = "no PointCloud2 or depth Image messages"
-        held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
-        remedy = f"record one of them; found {held or 'nothing'}"
+        held = [f"{name} ({t.kind})" for name, t in self._topics.items()]
+        more = f" and {len(held) - _LISTED} more" if len(held) > _LISTED else ""
+        remedy = f"found {', '.join(held[:_LISTED]) or 'nothing'}{more}"
+        remedy = f"record one of them, or aggregate others into a PointCloud2; {remedy}"
         raise InputError(self.path, fault, remedy)
 
     def _fitting(self, topic: str | None) -> list[str]:
@@ -232,11 +238,12 @@ def _either(content: Any, name: str) -> Float[np.ndarray, " N"]:
 
 
 def _positions(content: Any) -> dict[str, float]:
-    """Those of a JointState; ValueError if it is not as it says."""
+    """The finite ones of a JointState; ValueError if it is not as it says."""
     names, positions = list(content.name), np.asarray(content.position, np.float64)
     if len(names) != len(positions):
         raise ValueError(f"{len(names)} joints have {len(positions)} positions")
-    return dict(zip(names, positions.tolist(), strict=True))
+    told = zip(names, positions.tolist(), strict=True)
+    return {name: position for name, position in told if np.isfinite(position)}
 
 
 def _frame(content: Any, camera: Camera | None, time: int, unit: float | None) -> Frame:
