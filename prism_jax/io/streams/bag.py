@@ -52,7 +52,7 @@ class BagFile(MessageFile):
         """Every record, those in chunks like the others."""
         with self.opened(MAGIC, "a ROS 1 bag of format 2.0") as file:
             size = os.fstat(file.fileno()).st_size
-            unpacker = Unpacker(self.path)
+            unpacker = Unpacker(self.file)
             while file.tell() < size:
                 fields, length = _head(file, size)
                 whole = file.tell() + length <= size

@@ -45,21 +45,21 @@ class Db3File(MessageFile):
             rest = file.read(16).ljust(16, b"\0")
         page, count = struct.unpack(">H10xI", rest)
         page = 65536 if page == 1 else max(page, 512)
-        return page if page * count > self.path.stat().st_size else 0
+        return page if page * count > self.file.stat().st_size else 0
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
-        size = self.path.stat().st_size
+        size = self.file.stat().st_size
         if page := self._cut_page():
             if size < page:
                 remedy = "check how it was copied"
                 raise InputError(self.path, "ends within its first page", remedy)
             # SQLite would take what is missing of the last page for zeros.
             database = sqlite3.connect(":memory:", check_same_thread=False)
-            whole = memoryview(read_bytes(self.path))[: size // page * page]
+            whole = memoryview(read_bytes(self.file))[: size // page * page]
             database.deserialize(whole)
         else:
-            place = f"file:{urllib.parse.quote(str(self.path.absolute()))}?mode=ro"
+            place = f"file:{urllib.parse.quote(str(self.file.absolute()))}?mode=ro"
             # Iterating goes on in the thread that reads ahead.
             database = sqlite3.connect(place, uri=True, check_same_thread=False)
         try:

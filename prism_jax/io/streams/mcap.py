@@ -48,7 +48,7 @@ class McapFile(MessageFile):
                     kinds[name] = kind[0], kind[1]
                     yield name, time, content[_MESSAGE_HEAD.size :]
                 elif code == _DATA_END:
-                    missing = _at_the_end(content).counts - counts
+                    missing = known.learn_summary(content).counts - counts
                 else:
                     known.learn(code, content)
             except (KeyError, struct.error, ValueError) as error:
@@ -62,7 +62,7 @@ class McapFile(MessageFile):
         checksum = zlib.crc32(MAGIC)
         with self.opened(MAGIC, "an MCAP file") as file:
             size = os.fstat(file.fileno()).st_size
-            unpacker = Unpacker(self.path)
+            unpacker = Unpacker(self.file)
             while True:
                 head = file.read(_HEAD.size)
                 if len(head) < _HEAD.size:
@@ -98,7 +98,7 @@ class McapFile(MessageFile):
                 start = _FOOTER.unpack(file.read())[2]
                 if 0 < size - start < _LONGEST_SUMMARY:
                     file.seek(start)
-                    known = _at_the_end(memoryview(file.read()))
+                    known = _Known().learn_summary(memoryview(file.read()))
                     if known.counts.total() <= _MOST_A_BYTE * size:
                         return known
         return _Known()
@@ -121,20 +121,20 @@ class _Known:
             number, schema = struct.unpack_from("<HH", content)
             topic, end = _text(content, 4)
             encoding, _ = _text(content, end)
-            self.channels[number] = topic, self._schemas.get(schema, ""), encoding
+            found = topic, self._schemas.get(schema, ""), encoding
+            if self.channels.setdefault(number, found) != found:
+                raise ValueError("a channel changes")
         elif code == _STATISTICS:
             self.counts = +Counter(dict(struct.iter_unpack("<HQ", content[46:])))
 
-
-def _at_the_end(summary: memoryview) -> _Known:
-    """What is behind the data says. ValueError or struct.error where it is damaged."""
-    *_, checksum, magic = _FOOTER.unpack(summary[-_FOOTER.size :])
-    if magic != MAGIC or checksum not in (0, zlib.crc32(summary[:-12])):
-        raise ValueError("its summary is damaged")
-    known = _Known()
-    for record in _split(summary[: -_FOOTER.size]):
-        known.learn(*record)
-    return known
+    def learn_summary(self, summary: memoryview) -> "_Known":
+        """All that is behind the data. ValueError or struct.error if it is damaged."""
+        *_, checksum, magic = _FOOTER.unpack(summary[-_FOOTER.size :])
+        if magic != MAGIC or checksum not in (0, zlib.crc32(summary[:-12])):
+            raise ValueError("its summary is damaged")
+        for record in _split(summary[: -_FOOTER.size]):
+            self.learn(*record)
+        return self
 
 
 def _in_chunk(

@@ -41,9 +41,9 @@ class MessageFile(abc.ABC):
     is no such file at all raises InputError."""
 
     def __init__(self, path: StrPath):
-        self.path = pathlib.Path(path)
+        self.path = self.file = pathlib.Path(path)
         if self.path.suffix.lower() == ".zstd":
-            self.path = unpacked_file(self.path, self)
+            self.file = unpacked_file(self.path, self)
 
     @abc.abstractmethod
     def _all(self, kinds: Kinds, told: bool) -> Iterator[Found]:
@@ -70,7 +70,7 @@ class MessageFile(abc.ABC):
         """The file, after its first bytes; InputError if these are not the `magic`."""
         with contextlib.ExitStack() as stack:
             try:
-                file = stack.enter_context(open(self.path, "rb"))
+                file = stack.enter_context(open(self.file, "rb"))
                 start = file.read(len(magic))
             except OSError as error:
                 raise unreadable(self.path, error) from None

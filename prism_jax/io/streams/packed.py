@@ -13,8 +13,7 @@ from prism_jax.io.errors import require, unwritable
 EXTRA = "stream"
 _ZSTD = b"\x28\xb5\x2f\xfd"  # what data packed by zstd begin with
 _LARGEST = 2**28  # bytes of a chunk, or of a message that is packed by itself
-_TIMES = 1000  # the bytes of a file, unpacked; a camera that is covered has 300
-_RECORDS = 10  # for each byte of a file
+_TIMES = 4000  # the bytes of a file, unpacked; images of a covered camera have 3,500
 
 
 class Unpacker:
@@ -24,7 +23,7 @@ class Unpacker:
     def __init__(self, path: pathlib.Path):
         size = path.stat().st_size
         self._bytes = _LARGEST + _TIMES * size
-        self._records = _RECORDS * (size + 1000)
+        self._records = 10_000 + size
 
     def unpack(self, data: bytes | memoryview, compression: str, size: int) -> bytes:
         """At most ``size`` bytes of packed ones; fewer where these end early.
@@ -32,12 +31,10 @@ class Unpacker:
         one, too large a size and damaged data raise ValueError."""
         if compression in ("", "none"):
             return bytes(data[:size])
-        if size > _LARGEST:
-            raise ValueError(f"a chunk of {size:,} bytes is too large")
+        if size > min(self._bytes, _LARGEST):
+            raise ValueError(f"{size:,} bytes from a file of this size")
         unpacked = _unpacked(data, compression, size)
         self._bytes -= len(unpacked)
-        if self._bytes < 0:
-            raise ValueError(f"unpacks to more than {_TIMES:,} times its size")
         return unpacked
 
     def count_record(self) -> None:
@@ -52,7 +49,9 @@ class Unpacker:
         if not data.startswith(_ZSTD):
             return data
         size = require("zstandard", EXTRA).frame_content_size(data)
-        return self.unpack(data, "zstd", _LARGEST if size < 0 else size)
+        return self.unpack(
+            data, "zstd", min(self._bytes, _LARGEST) if size < 0 else size
+        )
 
 
 def unpacked_file(path: pathlib.Path, owner: object) -> pathlib.Path:

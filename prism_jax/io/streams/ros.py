@@ -151,6 +151,8 @@ class RosStream(Stream):
         fitting = self._fitting(topic)
         if fitting:
             return chosen_topic(self.path, topic, fitting, "clouds or depth images")
+        if not self._topics:
+            list(self._messages(()))  # tells what is wrong with the files
         fault = "no PointCloud2 or depth Image messages"
         held = [f"{name} ({t.kind})" for name, t in self._topics.items()]
         more = f" and {len(held) - _LISTED} more" if len(held) > _LISTED else ""
