@@ -7,7 +7,6 @@ If the recording cannot be used, it exits with status 2 and one line on stderr. 
 Ctrl-C the frames completed so far are saved, and the status is 130.
 """
 
-import _thread
 import functools
 import json
 import pathlib
@@ -224,7 +223,8 @@ def end_as_interrupted() -> list[int]:
         # garbage. A moment later something else is running.
         if dropped.exc_type is not KeyboardInterrupt:
             return sys.__unraisablehook__(dropped)
-        threading.Timer(0.01, _thread.interrupt_main).start()
+        main = threading.main_thread().ident
+        threading.Timer(0.01, signal.pthread_kill, (main, signal.SIGINT)).start()
 
     sys.unraisablehook = again
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -40,12 +40,13 @@ class CloudFolder(Stream):
 
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
-        self._times: dict[pathlib.Path, int] = {}  # of files that say theirs
         self._paths = self._found(path, topic)
 
     def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
         """The frames' files, in order."""
-        self._check_topic(topic)
+        if topic is not None:
+            fault = f"no topics in this recording, so no {topic}"
+            raise InputError(path, fault, "omit --topic")
         files = [p for p in path.iterdir() if not p.name.startswith(".")]
         clouds = [p for p in files if p.suffix.lower() in READERS]
         images = [p for p in files if p.suffix.lower() == ".png"]
@@ -57,18 +58,13 @@ class CloudFolder(Stream):
             raise InputError(path, fault, "put them into separate folders")
         return sorted(clouds or images, key=natural)
 
-    def _check_topic(self, topic: str | None) -> None:
-        if topic is not None:
-            fault = f"no topics in this recording, so no {topic}"
-            raise InputError(self.path, fault, "omit --topic")
-
     def __len__(self) -> int:
         return len(self._paths)
 
     def _frames(self) -> Iterator[Frame]:
         for number, path in enumerate(self._paths):
             try:
-                yield self._read(path, self._times.get(path, number * PERIOD))
+                yield self._read(path, number * PERIOD)
             except InputError as error:
                 self.remark("damaged", f"skipped {path.name}: {error}")
 
@@ -130,29 +126,28 @@ class DatasetFrames(CloudFolder):
     points are in its world. The camera is `camera_file`, or `camera.json` beside."""
 
     def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
-        self._check_topic(topic)
-        lines = _listing(path)
+        if topic is not None:
+            return super()._found(path, topic)  # there are none
+        lines, self._times = _listing(path), {}
         for line in lines:
             words = line.partition("#")[0].split()
             times = dict(zip(words[1::2], words[::2], strict=False))
             name = next((n for n in times if "depth" in n), "")
             time = re.fullmatch(r"(\d{1,12})\.?(\d*)", times.get(name, ""))
             if time:
-                nanoseconds = int(time[1] + time[2][:9].ljust(9, "0"))
-                self._times[path / name] = nanoseconds
+                self._times[path / name] = int(time[1] + time[2][:9].ljust(9, "0"))
             elif words:
                 self.remark("damaged", f"skipped in a list of images: {line:.60}")
-        named = "TUM RGB-D" if lines else "7-Scenes, in its world"
         self.scale = 1 / 5000 if lines else 0.001
-        counts = f"{1 / self.scale:g} counts a metre"
+        named = "TUM RGB-D, 5000" if lines else "7-Scenes, in its world, 1000"
         self.remark(
-            "layout", f"read as {named}: {counts} unless its camera has another"
+            "layout", f"read as {named} counts a metre unless the camera differs"
         )
         return list(self._times) or sorted(path.glob(f"*{_DEPTH}"), key=natural)
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:
         about = self.camera_file or pathlib.Path(self.path) / "camera.json"
-        frame = self._frame(path, about, time)
+        frame = self._frame(path, about, self._times.get(path, time))
         pose = path.with_name(path.name.removesuffix(_DEPTH) + ".pose.txt")
         if frame.camera is None or not pose.exists():
             return frame
@@ -169,9 +164,10 @@ class DatasetFrames(CloudFolder):
 
 def folder_kind(path: pathlib.Path) -> type[CloudFolder]:
     """What reads a folder, or one sequence of recordings."""
-    if any(path.glob(f"*{_CAMERA}")) or any(path.glob(f"*/*{_CAMERA}")):
-        return RecordedFrames
-    return DatasetFrames if _listing(path) or _holds(path) else CloudFolder
+    own = any(path.glob(f"*{_CAMERA}")) or any(path.glob(f"*/*{_CAMERA}"))
+    if not own and (_listing(path) or any(path.glob(f"frame-*{_DEPTH}"))):
+        return DatasetFrames
+    return RecordedFrames if own or _holds(path) else CloudFolder
 
 
 def _listing(path: pathlib.Path) -> list[str]:

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import posixpath
 import re
+import textwrap
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
@@ -29,8 +30,6 @@ JOINTS = "sensor_msgs/msg/JointState"
 
 DEPTH = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: the type of a pixel, and metres a count (REP 118)."""
-
-_LISTED = 20  # topics in a message
 
 _FLOATS = {7: 4, 8: 8}  # bytes of a number, by PointField's numbers of types
 
@@ -154,10 +153,9 @@ class RosStream(Stream):
         if not self._topics:
             list(self._messages(()))  # tells what is wrong with the files
         fault = "no PointCloud2 or depth Image messages"
-        held = [f"{name} ({t.kind})" for name, t in self._topics.items()]
-        more = f" and {len(held) - _LISTED} more" if len(held) > _LISTED else ""
-        remedy = f"found {', '.join(held[:_LISTED]) or 'nothing'}{more}"
-        remedy = f"record one of them, or aggregate others into a PointCloud2; {remedy}"
+        held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
+        remedy = "record one of them, or aggregate others into a PointCloud2; found "
+        remedy += textwrap.shorten(held, 2000, placeholder=" ...") or "nothing"
         raise InputError(self.path, fault, remedy)
 
     def _fitting(self, topic: str | None) -> list[str]:
