@@ -130,14 +130,12 @@ class DatasetFrames(CloudFolder):
             return super()._found(path, topic)  # there are none
         lines, self._times = _listing(path), {}
         for line in lines:
-            words = line.partition("#")[0].split()
-            times = dict(zip(words[1::2], words[::2], strict=False))
-            name = next((n for n in times if "depth" in n), "")
-            time = re.fullmatch(r"(\d{1,12})\.?(\d*)", times.get(name, ""))
+            given = line.partition("#")[0].strip()
+            time = re.search(r"\b(\d{1,12})\.?(\d*)\s+(\S*depth\S*)", given[:999])
             if time:
-                self._times[path / name] = int(time[1] + time[2][:9].ljust(9, "0"))
-            elif words:
-                self.remark("damaged", f"skipped in a list of images: {line:.60}")
+                self._times[path / time[3]] = int(time[1] + time[2][:9].ljust(9, "0"))
+            elif given:
+                self.remark("damaged", f"skipped in a list of images: {given:.60}")
         self.scale = 1 / 5000 if lines else 0.001
         named = "TUM RGB-D, 5000" if lines else "7-Scenes, in its world, 1000"
         self.remark(

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import weakref
 
-from prism_jax.io.errors import require, unwritable
+from prism_jax.io.errors import InputError, require, unwritable
 
 EXTRA = "stream"
 _ZSTD = b"\x28\xb5\x2f\xfd"  # what data packed by zstd begin with
@@ -33,7 +33,12 @@ class Unpacker:
             return bytes(data[:size])
         if size > min(self._bytes, _LARGEST):
             raise ValueError(f"{size:,} bytes from a file of this size")
-        unpacked = _unpacked(data, compression, size)
+        try:
+            unpacked = _unpacked(data, compression, size)
+        except InputError:
+            raise
+        except Exception as error:  # every package has its own
+            raise ValueError(str(error)) from None
         self._bytes -= len(unpacked)
         return unpacked
 
@@ -75,18 +80,11 @@ def unpacked_file(path: pathlib.Path, owner: object) -> pathlib.Path:
 
 def _unpacked(data: bytes | memoryview, compression: str, size: int) -> bytes:
     if compression == "zstd":
-        zstandard = require("zstandard", EXTRA)
-        try:
-            reader = zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data))
-            return reader.read(size)
-        except zstandard.ZstdError as error:
-            raise ValueError(str(error)) from None
-    try:
-        if compression == "lz4":
-            unpacker = require("lz4.frame", EXTRA).LZ4FrameDecompressor()
-            return unpacker.decompress(bytes(data), max_length=size)
-        if compression == "bz2":
-            return bz2.BZ2Decompressor().decompress(bytes(data), max_length=size)
-    except (OSError, EOFError, RuntimeError) as error:
-        raise ValueError(str(error)) from None
+        unpacker = require("zstandard", EXTRA).ZstdDecompressor()
+        return unpacker.stream_reader(io.BytesIO(data)).read(size)
+    if compression == "lz4":
+        unpacker = require("lz4.frame", EXTRA).LZ4FrameDecompressor()
+        return unpacker.decompress(bytes(data), max_length=size)
+    if compression == "bz2":
+        return bz2.BZ2Decompressor().decompress(bytes(data), max_length=size)
     raise ValueError(f"compression {compression!r} is not supported")
