@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import BinaryIO
 
-from prism_jax.io.streams.messages import CutError, Found, Kinds, MessageFile
+from prism_jax.io.streams.messages import CutError, MessageFile, Source
 from prism_jax.io.streams.packed import Unpacker
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -20,8 +20,8 @@ class BagFile(MessageFile):
     needed, so a bag that was never closed can be read. If there is one, it tells
     whether messages are missing."""
 
-    def _all(self, kinds: Kinds, told: bool) -> Iterator[Found]:
-        names: dict[int, str] = {}
+    def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
+        sources: dict[int, Source] = {}
         missing: Counter[int] = Counter()  # messages of each connection
         closed = True
         for fields, data in self._records():
@@ -34,14 +34,13 @@ class BagFile(MessageFile):
                         missing[number] += count
                 elif code == _CONNECTION:
                     (number,) = struct.unpack("<I", fields[b"conn"])
-                    topic, about = fields[b"topic"].decode(), _fields(data)
-                    kinds[topic] = about[b"type"].decode(), "ros1"
-                    names[number] = topic
+                    kind = _fields(data)[b"type"].decode()
+                    sources[number] = fields[b"topic"].decode(), kind, "ros1"
                 elif code == _MESSAGE:
                     (number,) = struct.unpack("<I", fields[b"conn"])
                     seconds, nanoseconds = struct.unpack("<II", fields[b"time"])
                     missing[number] -= 1
-                    yield names[number], seconds * 1_000_000_000 + nanoseconds, data
+                    yield sources[number], seconds * 10**9 + nanoseconds, data
             except (KeyError, ValueError, struct.error):
                 raise CutError("damaged record") from None
         if +missing or not closed:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import read_bytes
-from prism_jax.io.streams.messages import CutError, Found, Kinds, MessageFile
+from prism_jax.io.streams.messages import CutError, MessageFile, Source
 
 MAGIC = b"SQLite format 3\0"
 
@@ -18,22 +18,22 @@ class Db3File(MessageFile):
     """Messages of a .db3 file, in the order in which they were written. Only tables are
     read: a view may go on for ever."""
 
-    def _all(self, kinds: Kinds, told: bool) -> Iterator[Found]:
+    def _all(self, told: bool) -> Iterator[tuple[Source, int, bytes]]:
         told = told or self._cut_page() > 0
         columns = "timestamp, data" if told else "0, x''"
         asked = f"SELECT rowid, topic_id, {columns} FROM messages ORDER BY rowid"
         with self._connected() as database:
-            names = self._topics(database, kinds)
+            sources = self._sources(database)
             before = missing = 0
             try:
                 for row, number, time, data in database.execute(asked):
                     missing += row - before - 1 if before else 0
-                    if row <= before or number not in names:
+                    if row <= before or number not in sources:
                         raise CutError("message without a place or a topic")
                     if type(time) is not int or type(data) is not bytes:
                         raise CutError("message without time or data")
                     before = row
-                    yield names[number], time, data
+                    yield sources[number], time, data
             except sqlite3.DatabaseError as error:
                 raise CutError(f"damaged record ({error})") from None
         if missing:
@@ -77,16 +77,13 @@ class Db3File(MessageFile):
         finally:
             database.close()
 
-    def _topics(self, database: sqlite3.Connection, kinds: Kinds) -> dict[int, str]:
-        """Topics by their numbers. Fills in their kinds."""
+    def _sources(self, database: sqlite3.Connection) -> dict[int, Source]:
         asked = "SELECT id, name, type, serialization_format FROM topics"
         try:
-            names = {}
-            for number, *texts in database.execute(asked):
-                if not all(type(text) is str for text in texts):
-                    raise sqlite3.DatabaseError("a topic without a name or a type")
-                names[number], kinds[texts[0]] = texts[0], (texts[1], texts[2])
-            return names
+            rows = {number: tuple(rest) for number, *rest in database.execute(asked)}
+            if not all(type(text) is str for row in rows.values() for text in row):
+                raise sqlite3.DatabaseError("a topic without name, type or encoding")
+            return rows
         except sqlite3.DatabaseError as error:
             fault = f"not a ROS 2 bag ({error})"
             raise InputError(self.path, fault, "check how it was recorded") from None

@@ -7,7 +7,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 
-from prism_jax.io.streams.messages import CutError, Found, Kinds, MessageFile, Topic
+from prism_jax.io.streams.messages import CutError, MessageFile, Source
 from prism_jax.io.streams.packed import Unpacker
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -26,17 +26,14 @@ class McapFile(MessageFile):
     checksums and its statistics tell what is damaged, and whether messages are
     missing."""
 
-    def topics(self) -> dict[str, Topic]:
-        known = self._summary()
-        found: dict[str, Topic] = {}
+    def _counts(self) -> Counter[Source]:
+        known, counts = self._summary(), Counter()
         for number, count in known.counts.items():
-            name, kind, encoding = known.channels.get(number, ("", "", ""))
-            before = found[name].count if name in found else 0
-            found[name] = Topic(kind, encoding, before + count)
-        sound = found and all(topic.kind for topic in found.values())
-        return found if sound else super().topics()
+            counts[known.channels.get(number, ("", "", ""))] += count
+        sound = counts and all(kind for _, kind, _ in counts)
+        return counts if sound else super()._counts()
 
-    def _all(self, kinds: Kinds, told: bool) -> Iterator[Found]:
+    def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
         known, missing = _Known(), Counter()
         counts: Counter[int] = Counter()
         for code, content in self._records():
@@ -44,9 +41,7 @@ class McapFile(MessageFile):
                 if code == _MESSAGE:
                     number, _, time, _ = _MESSAGE_HEAD.unpack_from(content)
                     counts[number] += 1
-                    name, *kind = known.channels[number]
-                    kinds[name] = kind[0], kind[1]
-                    yield name, time, content[_MESSAGE_HEAD.size :]
+                    yield known.channels[number], time, content[_MESSAGE_HEAD.size :]
                 elif code == _DATA_END:
                     missing = known.learn_summary(content).counts - counts
                 else:
@@ -109,7 +104,7 @@ class _Known:
     how many messages each has."""
 
     def __init__(self):
-        self.channels: dict[int, tuple[str, str, str]] = {}
+        self.channels: dict[int, Source] = {}
         self.counts: Counter[int] = Counter()
         self._schemas: dict[int, str] = {}
 

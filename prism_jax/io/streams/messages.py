@@ -32,8 +32,7 @@ class CutError(ValueError):
     """A file ends, or turns into something else, before its end; it says how."""
 
 
-Kinds = dict[str, tuple[str, str]]  # type and encoding of each topic's messages
-Found = tuple[str, int, bytes | memoryview]
+Source = tuple[str, str, str]  # a topic, its messages' type, and how they are encoded
 
 
 class MessageFile(abc.ABC):
@@ -46,22 +45,25 @@ class MessageFile(abc.ABC):
             self.file = unpacked_file(self.path, self)
 
     @abc.abstractmethod
-    def _all(self, kinds: Kinds, told: bool) -> Iterator[Found]:
-        """Each message's topic, time and data, in the order of the file; no data if
-        these are not `told`. Fills in the kinds of topics. Where the file is cut or
-        damaged, and behind the last message if some are missing, a `CutError`."""
+    def _all(self, told: bool) -> Iterator[tuple[Source, int, bytes | memoryview]]:
+        """Each message's source, time and data, in the order of the file; no data if
+        these are not `told`. Where the file is cut or damaged, and behind the last
+        message if some are missing, a `CutError`."""
+
+    def _counts(self) -> Counter[Source]:
+        counts: Counter[Source] = Counter()
+        with contextlib.suppress(CutError):  # which iterating over the messages tells
+            counts.update(source for source, _, _ in self._all(False))
+        return counts
 
     def topics(self) -> dict[str, Topic]:
         """All topics of which there is a message, also those of a file that is cut."""
-        kinds: Kinds = {}
-        counts: Counter[str] = Counter()
-        with contextlib.suppress(CutError):  # which iterating over the messages tells
-            counts.update(topic for topic, _, _ in self._all(kinds, False))
-        return {name: Topic(*kinds[name], count) for name, count in counts.items()}
+        counted = self._counts().items()
+        return {name: Topic(kind, how, n) for (name, kind, how), n in counted}
 
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
         """Messages of the wanted topics, as `_all`."""
-        for topic, time, data in self._all({}, True):
+        for (topic, *_), time, data in self._all(True):
             if topic in wanted:
                 yield Message(topic, time, bytes(data))
 
