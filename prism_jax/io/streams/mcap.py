@@ -27,10 +27,20 @@ class McapFile(MessageFile):
     missing."""
 
     def _counts(self) -> Counter[Source]:
-        known, counts = self._summary(), Counter()
-        for number, count in known.counts.items():
-            counts[known.channels.get(number, ("", "", ""))] += count
-        sound = counts and all(kind for _, kind, _ in counts)
+        """By what the end of the file says, if it is sound; else by all messages."""
+        counts: Counter[Source] = Counter()
+        with self.opened(MAGIC, "an MCAP file") as file:
+            size = os.fstat(file.fileno()).st_size
+            file.seek(max(size - _FOOTER.size, 0))
+            with contextlib.suppress(struct.error, ValueError):
+                start = _FOOTER.unpack(file.read())[2]
+                if 0 < size - start < _LONGEST_SUMMARY:
+                    file.seek(start)
+                    known = _Known().learn_summary(memoryview(file.read()))
+                    for number, count in known.counts.items():
+                        counts[known.channels.get(number, ("", "", ""))] += count
+        sound = all(kind for _, kind, _ in counts)
+        sound = sound and 0 < counts.total() <= _MOST_A_BYTE * size
         return counts if sound else super()._counts()
 
     def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
@@ -83,20 +93,6 @@ class McapFile(MessageFile):
                     raise CutError(f"damaged chunk ({error})") from None
                 if not whole:
                     raise CutError("ends within a chunk")
-
-    def _summary(self) -> "_Known":
-        """What the end of the file says, if it is sound."""
-        with self.opened(MAGIC, "an MCAP file") as file:
-            size = os.fstat(file.fileno()).st_size
-            file.seek(max(size - _FOOTER.size, 0))
-            with contextlib.suppress(struct.error, ValueError):
-                start = _FOOTER.unpack(file.read())[2]
-                if 0 < size - start < _LONGEST_SUMMARY:
-                    file.seek(start)
-                    known = _Known().learn_summary(memoryview(file.read()))
-                    if known.counts.total() <= _MOST_A_BYTE * size:
-                        return known
-        return _Known()
 
 
 class _Known:
