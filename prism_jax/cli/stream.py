@@ -221,10 +221,10 @@ def end_as_interrupted() -> list[int]:
     def again(dropped: Any) -> None:
         # Python drops what is raised in callbacks, as JAX has one for collecting
         # garbage. A moment later something else is running.
-        if dropped.exc_type is not KeyboardInterrupt:
+        if dropped.exc_type is not KeyboardInterrupt or not came:
             return sys.__unraisablehook__(dropped)
         main = threading.main_thread().ident
-        threading.Timer(0.01, signal.pthread_kill, (main, signal.SIGINT)).start()
+        threading.Timer(0.01, signal.pthread_kill, (main, came[-1])).start()
 
     sys.unraisablehook = again
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -207,7 +207,9 @@ class RosStream(Stream):
             self.remark("distortion", line)
         cameras = before or camera, camera
         known = [[c.width, c.height, *np.ravel(c.intrinsics)] for c in cameras]
-        if not np.allclose(*known, rtol=1e-6):
+        with np.errstate(over="ignore"):
+            same = np.allclose(*known, rtol=1e-6)
+        if not same:
             line = f"{self._info} has another size or other intrinsics than before"
             self.remark("camera", f"{line}; used from then on")
         return camera
