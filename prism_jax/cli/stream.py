@@ -11,6 +11,8 @@ import functools
 import json
 import pathlib
 import signal
+import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -94,6 +96,7 @@ def known_camera() -> str | None:
 
 def main(words: Sequence[str]) -> None:
     """Does what the flags ask for."""
+    end_as_interrupted()
     if len(words) != 1:
         fault = f"expected one recording, got {len(words)}"
         raise io.InputError("input", fault, f"write {NAME} RECORDING --output=PATH")
@@ -163,7 +166,7 @@ def follow(
         every: list[Any] = [*sinks, progress]
         run_stream(stream, completer, every, asked["pace"], report)
         whole = True
-        if came:  # where a callback dropped the exception
+        if came:  # where somebody dropped the exception
             raise KeyboardInterrupt
     finally:
         summary = plain(_summary(asked, stream, report) | {"whole": whole})
@@ -215,6 +218,15 @@ def end_as_interrupted() -> list[int]:
         came.append(number)
         raise KeyboardInterrupt
 
+    def again(dropped: Any) -> None:
+        # Python drops what is raised in callbacks, as JAX has one for collecting
+        # garbage. A moment later something else is running.
+        if dropped.exc_type is not KeyboardInterrupt or not came:
+            return sys.__unraisablehook__(dropped)
+        main = threading.main_thread().ident
+        threading.Timer(0.01, signal.pthread_kill, (main, came[-1])).start()
+
+    sys.unraisablehook = again
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, end)

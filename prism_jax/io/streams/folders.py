@@ -6,10 +6,18 @@ import pathlib
 import re
 from collections.abc import Iterator
 
+import numpy as np
+
 from prism_jax.io.clouds import READERS, read_cloud
-from prism_jax.io.depth import read_camera, read_counts
+from prism_jax.io.depth import (
+    camera_from_dict,
+    camera_to_dict,
+    read_camera,
+    read_counts,
+    read_grey,
+)
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_json
+from prism_jax.io.files import parsing, read_bytes, read_json
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 
 PERIOD = 100_000_000
@@ -28,6 +36,7 @@ class CloudFolder(Stream):
     cannot be read is left out and remarked. Frames count as 10 a second."""
 
     camera_file: pathlib.Path | None = None  # in place of those, with its depth_scale
+    scale: float | None = None  # metres a count, where the layout tells
 
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
@@ -74,7 +83,11 @@ class CloudFolder(Stream):
         tell = functools.partial(self.remark, "camera_file")
         if about is not None and path.suffix.lower() == ".png":
             tell = (lambda _: None) if about == self.camera_file else tell
-            counts, scale, camera = read_counts(path, about, tell=tell)
+            if self.scale and "depth_scale" not in read_json(about, "give a camera"):
+                camera, scale = read_camera(about, tell), self.scale
+                counts = read_grey(path, camera, 16)
+            else:
+                counts, scale, camera = read_counts(path, about, tell=tell)
             return Frame.of_depth(counts, camera, time, scale)
         camera = None if about is None else read_camera(about, tell)
         points, num_read, notes = read_cloud(path)
@@ -107,9 +120,60 @@ class RecordedFrames(CloudFolder):
             raise InputError(self.path, fault, "omit --joints")
 
 
-def is_recordings(path: pathlib.Path) -> bool:
-    """Whether a folder has the recordings' layout, or is one of its sequences."""
-    return _holds(path) or any(path.glob(f"*/*{_CAMERA}"))
+class DatasetFrames(CloudFolder):
+    """Depth images as two data sets have them, in counts that are known: TUM RGB-D,
+    which lists them with their times, and 7-Scenes, which has a pose with each, so that
+    points are in its world. The camera is `camera_file`, or `camera.json` beside."""
+
+    def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
+        if topic is not None:
+            return super()._found(path, topic)  # there are none
+        lines, self._times = _listing(path), {}
+        for line in lines:
+            given = line.partition("#")[0].strip()
+            time = re.search(r"\b(\d{1,12})\.?(\d*)\s+(\S*depth\S*)", given[:999])
+            if time:
+                self._times[path / time[3]] = int(time[1] + time[2][:9].ljust(9, "0"))
+            elif given:
+                self.remark("damaged", f"skipped in a list of images: {given:.60}")
+        self.scale = 1 / 5000 if lines else 0.001
+        named = "TUM RGB-D, 5000" if lines else "7-Scenes, in its world, 1000"
+        self.remark(
+            "layout", f"read as {named} counts a metre unless the camera differs"
+        )
+        return list(self._times) or sorted(path.glob(f"*{_DEPTH}"), key=natural)
+
+    def _read(self, path: pathlib.Path, time: int) -> Frame:
+        about = self.camera_file or pathlib.Path(self.path) / "camera.json"
+        frame = self._frame(path, about, self._times.get(path, time))
+        pose = path.with_name(path.name.removesuffix(_DEPTH) + ".pose.txt")
+        if frame.camera is None or not pose.exists():
+            return frame
+        with parsing(pose, "a pose", "give a 4x4 matrix, camera to world"):
+            matrix = np.array(read_bytes(pose).split(), np.float64).reshape(4, 4)
+            turn, away = matrix[:3, :3].T, matrix[:3, 3]
+            placed = {"rotation": turn, "translation": -turn @ away}
+            camera = camera_from_dict(camera_to_dict(frame.camera) | placed)
+        return frame.seen_by(camera)
+
+    def _placed(self, frame: Frame) -> Frame:
+        return frame
+
+
+def folder_kind(path: pathlib.Path) -> type[CloudFolder]:
+    """What reads a folder, or one sequence of recordings."""
+    own = any(path.glob(f"*{_CAMERA}")) or any(path.glob(f"*/*{_CAMERA}"))
+    if not own and (_listing(path) or any(path.glob(f"frame-*{_DEPTH}"))):
+        return DatasetFrames
+    return RecordedFrames if own or _holds(path) else CloudFolder
+
+
+def _listing(path: pathlib.Path) -> list[str]:
+    """The lines in which TUM RGB-D lists depth images and their times."""
+    found = [*path.glob("depth.txt"), *path.glob("assoc*.txt")]
+    if not found or not (path / "depth").is_dir():
+        return []
+    return read_bytes(found[0]).decode(errors="replace").splitlines()
 
 
 def natural(path: pathlib.Path) -> list[tuple[int, str]]:

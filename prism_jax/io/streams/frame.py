@@ -65,9 +65,14 @@ class Frame:
         scale: float = 1.0,
     ) -> "Frame":
         """The frame of a depth image of `scale` metres a count. Which pixels are no
-        return is up to `measured_depth`."""
-        depth, num_odd, notes = measured_depth(pixels, scale)
-        points = points_from_depth(depth, depth > 0, camera)
+        return is up to `measured_depth`. Numbers that make points which are not finite
+        raise InputError."""
+        with np.errstate(all="ignore"):
+            depth, num_odd, notes = measured_depth(pixels, scale)
+            points = points_from_depth(depth, depth > 0, camera)
+        if not (np.isfinite(depth).all() and np.isfinite(points).all()):
+            remedy = "check the camera and the unit of depth"
+            raise InputError("the frame", "its points are not finite", remedy)
         return cls(points, timestamp, camera, depth, num_odd, notes)
 
     def seen_by(self, camera: Camera) -> "Frame":
@@ -174,7 +179,8 @@ class Stream(abc.ABC):
         self.remarks[kind] += 1
         if self.remarks[kind] == 1:
             self.told[kind] = line
-            self._tell(f"{self.path}: {line}")
+            told = f"{self.path}: {line}"
+            self._tell("".join(c if c.isprintable() else " " for c in told))
 
     def _look_at(self, number: int, frame: Frame, before: Frame | None) -> None:
         if len(frame.points) == 0 and frame.num_not_finite:

@@ -3,113 +3,105 @@
 import contextlib
 import os
 import struct
+import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 
-from prism_jax.io.errors import require
-from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
-from prism_jax.io.streams.packed import EXTRA, unpack
+from prism_jax.io.streams.messages import CutError, MessageFile, Source
+from prism_jax.io.streams.packed import Unpacker
 
 MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
+_STATISTICS = 0x0B
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-_MOST_A_BYTE = 100
-"""Messages: packing does not get further, so statistics that say more are wrong."""
+_FOOTER = struct.Struct("<BQQQI8s")  # and the magic behind it
+_LONGEST_SUMMARY = 2**28  # bytes
+_MOST_A_BYTE = 100  # messages: statistics that say more are wrong
+_Record = tuple[int, memoryview]  # its kind and its content
 
 
 class McapFile(MessageFile):
-    """Messages of an MCAP file, chunked or not, packed by zstd, LZ4 or not at all."""
+    """Messages of an MCAP file, chunked or not, packed by zstd, LZ4 or not at all. Its
+    checksums and its statistics tell what is damaged, and whether messages are
+    missing."""
 
-    def topics(self) -> dict[str, Topic]:
-        known = _Channels()
-        counts = self._counts_at_the_end(known)
-        if counts is None:
-            counts = Counter()
-            # Iterating over the messages tells of what is cut.
-            with contextlib.suppress(CutError):
-                counts.update(channel for channel, _, _ in self._messages(known))
-        found: dict[str, Topic] = {}
-        for channel, count in counts.items():
-            name, kind, encoding = known.channels[channel]
-            before = found[name].count if name in found else 0
-            found[name] = Topic(kind, encoding, before + count)
-        return found
-
-    def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        known = _Channels()
-        for channel, time, data in self._messages(known):
-            topic = known.channels[channel][0]
-            if topic in wanted:
-                yield Message(topic, time, bytes(data))
-
-    def _messages(self, known: "_Channels") -> Iterator[tuple[int, int, memoryview]]:
-        """The channel, time and data of each message. Fills in what is known."""
-        for code, content in self._records():
-            try:
-                known.learn(code, content)
-                if code != _MESSAGE:
-                    continue
-                channel, _, time, _ = _MESSAGE_HEAD.unpack_from(content)
-            except (struct.error, ValueError) as error:
-                raise CutError(f"damaged record ({error})") from None
-            if channel not in known.channels:
-                raise CutError("message without channel")
-            yield channel, time, content[_MESSAGE_HEAD.size :]
-
-    def _records(self) -> Iterator[tuple[int, memoryview]]:
-        """Records up to the end of the data, those in chunks like the others."""
+    def _counts(self) -> Counter[Source]:
+        """By what the end of the file says, if it is sound; else by all messages."""
+        counts: Counter[Source] = Counter()
         with self.opened(MAGIC, "an MCAP file") as file:
             size = os.fstat(file.fileno()).st_size
+            file.seek(max(size - _FOOTER.size, 0))
+            with contextlib.suppress(struct.error, ValueError):
+                start = _FOOTER.unpack(file.read())[2]
+                if 0 < size - start < _LONGEST_SUMMARY:
+                    file.seek(start)
+                    known = _Known().learn_summary(memoryview(file.read()))
+                    for number, count in known.counts.items():
+                        counts[known.channels.get(number, ("", "", ""))] += count
+        sound = all(kind for _, kind, _ in counts)
+        sound = sound and 0 < counts.total() <= _MOST_A_BYTE * size
+        return counts if sound else super()._counts()
+
+    def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
+        known, missing = _Known(), Counter()
+        counts: Counter[int] = Counter()
+        for code, content in self._records():
+            try:
+                if code == _MESSAGE:
+                    number, _, time, _ = _MESSAGE_HEAD.unpack_from(content)
+                    counts[number] += 1
+                    yield known.channels[number], time, content[_MESSAGE_HEAD.size :]
+                elif code == _DATA_END:
+                    missing = known.learn_summary(content).counts - counts
+                else:
+                    known.learn(code, content)
+            except (KeyError, struct.error, ValueError) as error:
+                raise CutError(f"damaged record ({error})") from None
+        if missing:
+            raise CutError(f"messages are missing: {missing.total():,}")
+
+    def _records(self) -> Iterator[_Record]:
+        """Records up to the end of the data, those in chunks like the others; of that
+        the content is all behind it."""
+        checksum = zlib.crc32(MAGIC)
+        with self.opened(MAGIC, "an MCAP file") as file:
+            size = os.fstat(file.fileno()).st_size
+            unpacker = Unpacker(self.file)
             while True:
                 head = file.read(_HEAD.size)
                 if len(head) < _HEAD.size:
                     raise CutError("no end mark")
                 code, length = _HEAD.unpack(head)
-                if code == _DATA_END:
-                    return
                 whole = file.tell() + length <= size
                 if not whole and code != _CHUNK:
                     raise CutError("ends within a record")
                 content = memoryview(file.read(min(length, size)))
+                if code == _DATA_END:
+                    if int.from_bytes(content[:4], "little") not in (0, checksum):
+                        raise CutError("a checksum is wrong")
+                    yield code, memoryview(file.read(_LONGEST_SUMMARY))
+                    return
+                checksum = zlib.crc32(content, zlib.crc32(head, checksum))
                 try:
                     if code == _CHUNK:
-                        yield from _in_chunk(content, whole)
+                        yield from _in_chunk(content, whole, unpacker)
                     else:
+                        unpacker.count_record()
                         yield code, content
-                except (struct.error, UnicodeDecodeError) as error:
-                    raise CutError(f"damaged record ({error})") from None
-                except ValueError as error:
-                    raise CutError(str(error)) from None
+                except (struct.error, ValueError) as error:
+                    raise CutError(f"damaged chunk ({error})") from None
                 if not whole:
                     raise CutError("ends within a chunk")
 
-    def _counts_at_the_end(self, known: "_Channels") -> dict[int, int] | None:
-        """Messages of each channel by the file's own statistics, if there are any."""
-        reader = require("mcap.reader", EXTRA)
-        try:
-            with open(self.path, "rb") as file:
-                summary = reader.SeekingReader(file).get_summary()
-            counts = summary.statistics.channel_message_counts
-        except Exception:  # a file that is cut has none, and fails in many ways
-            return None
-        for number, channel in summary.channels.items():
-            schema = summary.schemas.get(channel.schema_id)
-            if schema is None and channel.schema_id:
-                return None
-            kind = "" if schema is None else schema.name
-            known.channels[number] = channel.topic, kind, channel.message_encoding
-        most = _MOST_A_BYTE * self.path.stat().st_size
-        if not counts.keys() <= known.channels.keys() or sum(counts.values()) > most:
-            return None
-        return {channel: count for channel, count in counts.items() if count}
 
-
-class _Channels:
-    """What the records that were read say of the channels: topic, type, encoding."""
+class _Known:
+    """What the records that were read say of the channels: topic, type, encoding; and
+    how many messages each has."""
 
     def __init__(self):
-        self.channels: dict[int, tuple[str, str, str]] = {}
+        self.channels: dict[int, Source] = {}
+        self.counts: Counter[int] = Counter()
         self._schemas: dict[int, str] = {}
 
     def learn(self, code: int, content: memoryview) -> None:
@@ -120,21 +112,49 @@ class _Channels:
             number, schema = struct.unpack_from("<HH", content)
             topic, end = _text(content, 4)
             encoding, _ = _text(content, end)
-            self.channels[number] = topic, self._schemas.get(schema, ""), encoding
+            found = topic, self._schemas.get(schema, ""), encoding
+            if self.channels.setdefault(number, found) != found:
+                raise ValueError("a channel changes")
+        elif code == _STATISTICS:
+            self.counts = +Counter(dict(struct.iter_unpack("<HQ", content[46:])))
+
+    def learn_summary(self, summary: memoryview) -> "_Known":
+        """All that is behind the data. ValueError or struct.error if it is damaged."""
+        *_, checksum, magic = _FOOTER.unpack(summary[-_FOOTER.size :])
+        if magic != MAGIC or checksum not in (0, zlib.crc32(summary[:-12])):
+            raise ValueError("its summary is damaged")
+        for record in _split(summary[: -_FOOTER.size]):
+            self.learn(*record)
+        return self
 
 
-def _in_chunk(content: memoryview, whole: bool) -> Iterator[tuple[int, memoryview]]:
-    """The records of a chunk; of one that is not whole, those that are."""
-    if len(content) < 40:
+def _in_chunk(
+    content: memoryview, whole: bool, unpacker: Unpacker
+) -> Iterator[_Record]:
+    """The records of a chunk; of one that is not whole, those that are. What is damaged
+    raises ValueError."""
+    if not whole and len(content) < 40:
         return
-    (size,) = struct.unpack_from("<Q", content, 16)
+    size, checksum = struct.unpack_from("<QI", content, 16)
     compression, end = _text(content, 28)
-    data = memoryview(unpack(content[end + 8 :], compression, size))
+    data = memoryview(unpacker.unpack(content[end + 8 :], compression, size))
+    if whole and len(data) < size:
+        raise ValueError("a chunk is shorter than it says")
+    if whole and checksum not in (0, zlib.crc32(data)):
+        raise ValueError("a checksum is wrong")
+    for record in _split(data, whole):
+        unpacker.count_record()
+        yield record
+
+
+def _split(data: memoryview, whole: bool = True) -> Iterator[_Record]:
+    """Records one after the other. Behind the last there must be nothing if they are
+    whole."""
     start = 0
     while start + _HEAD.size <= len(data):
         code, length = _HEAD.unpack_from(data, start)
         end = start + _HEAD.size + length
-        if end > len(data):
+        if end > len(data) or code == 0:
             break
         yield code, data[start + _HEAD.size : end]
         start = end

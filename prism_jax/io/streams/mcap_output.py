@@ -49,8 +49,7 @@ class McapOutput:
             channel = self._writer.register_channel(topic, "cdr", schema)
             self._channels[topic] = channel
         data = bytes(self._store.serialize_cdr(make(self._store.types), kind))
-        # The log's clock cannot be before its zero.
-        time = max(time, 0)
+        time = min(max(time, 0), 2**64 - 1)  # as far as the log's clock goes
         try:
             self._writer.add_message(self._channels[topic], time, data, time)
             self._file.flush()
@@ -75,8 +74,11 @@ class McapOutput:
 
 
 def header(types: Any, time: int, frame_id: str) -> Any:
-    """A message's header, of a time in nanoseconds."""
-    seconds, nanoseconds = divmod(max(time, 0), 1_000_000_000)
+    """A message's header, of a time in nanoseconds. One that it cannot hold is only
+    that of the log: readers take it where there is none in the header."""
+    seconds, nanoseconds = divmod(time, 1_000_000_000)
+    if not 0 <= seconds < 2**31:
+        seconds, nanoseconds = 0, 0
     return types[_HEADER](types[_STAMP](seconds, nanoseconds), frame_id)
 
 

@@ -3,10 +3,12 @@
 import abc
 import contextlib
 import pathlib
+from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import BinaryIO, NamedTuple
 
 from prism_jax.io.errors import InputError, StrPath, unreadable
+from prism_jax.io.streams.packed import unpacked_file
 
 
 class Topic(NamedTuple):
@@ -30,27 +32,47 @@ class CutError(ValueError):
     """A file ends, or turns into something else, before its end; it says how."""
 
 
+Source = tuple[str, str, str]  # a topic, its messages' type, and how they are encoded
+
+
 class MessageFile(abc.ABC):
-    """One file of messages. What is no such file at all raises InputError."""
+    """One file of messages, unpacked for as long as it lives if it is a `.zstd`. What
+    is no such file at all raises InputError."""
 
     def __init__(self, path: StrPath):
-        self.path = pathlib.Path(path)
+        self.path = self.file = pathlib.Path(path)
+        if self.path.suffix.lower() == ".zstd":
+            self.file = unpacked_file(self.path, self)
 
     @abc.abstractmethod
+    def _all(self, told: bool) -> Iterator[tuple[Source, int, bytes | memoryview]]:
+        """Each message's source, time and data, in the order of the file; no data if
+        these are not `told`. Where the file is cut or damaged, and behind the last
+        message if some are missing, a `CutError`."""
+
+    def _counts(self) -> Counter[Source]:
+        counts: Counter[Source] = Counter()
+        with contextlib.suppress(CutError):  # which iterating over the messages tells
+            counts.update(source for source, _, _ in self._all(False))
+        return counts
+
     def topics(self) -> dict[str, Topic]:
         """All topics of which there is a message, also those of a file that is cut."""
+        counted = self._counts().items()
+        return {name: Topic(kind, how, n) for (name, kind, how), n in counted}
 
-    @abc.abstractmethod
     def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of the wanted topics in the order of the file. A file that is cut
-        raises `CutError` after the last whole one."""
+        """Messages of the wanted topics, as `_all`."""
+        for (topic, *_), time, data in self._all(True):
+            if topic in wanted:
+                yield Message(topic, time, bytes(data))
 
     @contextlib.contextmanager
     def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:
         """The file, after its first bytes; InputError if these are not the `magic`."""
         with contextlib.ExitStack() as stack:
             try:
-                file = stack.enter_context(open(self.path, "rb"))
+                file = stack.enter_context(open(self.file, "rb"))
                 start = file.read(len(magic))
             except OSError as error:
                 raise unreadable(self.path, error) from None

@@ -9,12 +9,7 @@ from prism_jax.io.depth import read_camera
 from prism_jax.io.errors import InputError, StrPath, to_stderr, unreadable
 from prism_jax.io.streams.bag import BagFile
 from prism_jax.io.streams.db3 import Db3File
-from prism_jax.io.streams.folders import (
-    CloudFolder,
-    RecordedFrames,
-    is_recordings,
-    natural,
-)
+from prism_jax.io.streams.folders import CloudFolder, folder_kind, natural
 from prism_jax.io.streams.frame import Joints, Stream, Tell
 from prism_jax.io.streams.mcap import McapFile
 from prism_jax.io.streams.messages import MessageFile
@@ -40,7 +35,7 @@ def open_stream(
 ) -> Stream:
     """The frames of a recording: a `.bag` of ROS 1, a `.db3` or `.mcap` of ROS 2, a
     folder of them, an Ouster's `.pcap` or `.osf`, a folder of clouds or depth images,
-    or one of recordings (`prism_jax.data.recordings`).
+    or one of recordings (`prism_jax.data.recordings`), of TUM RGB-D or of 7-Scenes.
 
     If several topics have frames, `topic` chooses; an InputError lists them. A `camera`
     replaces the CameraInfo of depth images, and says where the sensor of clouds stood;
@@ -57,33 +52,36 @@ def open_stream(
 def is_stream(path: StrPath) -> bool:
     """Whether a name is a recording's and no scan's: a folder, or by its suffix."""
     place = pathlib.Path(path)
-    return place.is_dir() or place.suffix.lower() in SUFFIXES
+    return place.is_dir() or _named(place).suffix in SUFFIXES
 
 
 def _opened(
     path: pathlib.Path, topic: str | None, camera: Pinhole, tell: Tell | None
 ) -> Stream:
-    suffix, camera_file = path.suffix.lower(), None
+    camera_file = None
     if isinstance(camera, str) and pathlib.Path(camera).is_file():
         camera_file = pathlib.Path(camera)
         camera = read_camera(camera_file, tell or to_stderr)
     try:
-        files = [p for p in path.iterdir() if p.suffix.lower() in MESSAGES]
+        files = [p for p in path.iterdir() if _named(p).suffix in MESSAGES]
     except NotADirectoryError:
-        files = [path] if suffix in MESSAGES else []
+        files = [path] if _named(path).suffix in MESSAGES else []
     except OSError as error:
         raise unreadable(path, error) from None
+    for place in files or [path]:
+        if not place.is_file() and not place.is_dir():  # a pipe would not be opened
+            raise InputError(place, "not a file", "give a file or a folder")
     if files:
         _check_parts(path, files)
-        parts = [MESSAGES[p.suffix.lower()](p) for p in sorted(files, key=natural)]
+        parts = [MESSAGES[_named(p).suffix](p) for p in sorted(files, key=natural)]
         return RosStream(path, parts, topic, camera, tell)
     if path.is_dir():
-        kind = RecordedFrames if is_recordings(path) else CloudFolder
-    elif suffix in OUSTER:
+        kind = folder_kind(path)
+    elif _named(path).suffix in OUSTER:
         kind = OusterStream
     else:
-        remedy = f"use a folder or one of {' '.join(SUFFIXES)}"
-        raise InputError(path, f"suffix {suffix!r} is not a recording format", remedy)
+        fault = f"suffix {path.suffix.lower()!r} is not a recording format"
+        raise InputError(path, fault, f"use a folder or one of {' '.join(SUFFIXES)}")
     if isinstance(camera, str):
         fault = f"no file {camera}, and no CameraInfo in this recording"
         raise InputError("--camera", fault, "give a JSON file")
@@ -94,10 +92,16 @@ def _opened(
     return stream
 
 
+def _named(path: pathlib.Path) -> pathlib.PurePath:
+    """What a recording is called, packed or still open as it may be."""
+    name = re.sub(r"\.zstd$|(?<=\.bag)\.active$", "", path.name.lower())
+    return pathlib.PurePath(name)
+
+
 def _check_parts(path: pathlib.Path, files: Sequence[pathlib.Path]) -> None:
     """Refuses files that are not the parts of one recording: named alike but for their
     number, and in ROS 1 their time, or listed by the folder's metadata."""
-    about, stems = path / "metadata.yaml", [p.stem for p in files]
+    about, stems = path / "metadata.yaml", [_named(p).stem for p in files]
     text = about.read_text(errors="replace") if about.is_file() else ""
     listed = {line.strip("- '\"").rpartition("/")[2] for line in text.splitlines()}
     alike = {re.sub(r"(\d{4}(-\d\d){5})?_\d+$", "", stem) for stem in stems}

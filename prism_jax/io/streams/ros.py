@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import posixpath
 import re
+import textwrap
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
@@ -20,7 +21,7 @@ from prism_jax.io.files import MAX_POINTS, check_count
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
-from prism_jax.io.streams.packed import EXTRA, unpacked_message
+from prism_jax.io.streams.packed import EXTRA, Unpacker
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMAGE = "sensor_msgs/msg/Image"
@@ -83,7 +84,7 @@ class RosStream(Stream):
         if self._info is not None:
             camera = self._first_camera()
         unit, topics = None, (self.topic, self._info, self._joints, self._units)
-        wanted = {name for name in topics if name}
+        wanted = {name for name in topics if name is not None}
         placed = PlacedFrames(self.joints or Joints())
         for message in self._messages(wanted):
             try:
@@ -113,6 +114,7 @@ class RosStream(Stream):
         """Those of all files. One that is cut ends early, with a remark if `told`."""
         for file in self._files:
             count = 0
+            self._unpacker = Unpacker(file.path)
             try:
                 for message in file.messages(wanted):
                     count += message.topic == self.topic
@@ -127,7 +129,8 @@ class RosStream(Stream):
         """A message's content. Whatever is wrong with it raises ValueError."""
         kind, encoding, _ = self._topics[message.topic]
         try:
-            return _readers()[encoding](unpacked_message(message.data), kind)
+            data = self._unpacker.message(message.data)
+            return _readers()[encoding](data, kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
@@ -147,9 +150,12 @@ class RosStream(Stream):
         fitting = self._fitting(topic)
         if fitting:
             return chosen_topic(self.path, topic, fitting, "clouds or depth images")
+        if not self._topics:
+            list(self._messages(()))  # tells what is wrong with the files
         fault = "no PointCloud2 or depth Image messages"
         held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
-        remedy = f"record one of them; found {held or 'nothing'}"
+        remedy = "record one of them, or aggregate others into a PointCloud2; found "
+        remedy += textwrap.shorten(held, 2000, placeholder=" ...") or "nothing"
         raise InputError(self.path, fault, remedy)
 
     def _fitting(self, topic: str | None) -> list[str]:
@@ -201,7 +207,9 @@ class RosStream(Stream):
             self.remark("distortion", line)
         cameras = before or camera, camera
         known = [[c.width, c.height, *np.ravel(c.intrinsics)] for c in cameras]
-        if not np.allclose(*known, rtol=1e-6):
+        with np.errstate(over="ignore"):
+            same = np.allclose(*known, rtol=1e-6)
+        if not same:
             line = f"{self._info} has another size or other intrinsics than before"
             self.remark("camera", f"{line}; used from then on")
         return camera
@@ -232,11 +240,12 @@ def _either(content: Any, name: str) -> Float[np.ndarray, " N"]:
 
 
 def _positions(content: Any) -> dict[str, float]:
-    """Those of a JointState; ValueError if it is not as it says."""
+    """The finite ones of a JointState; ValueError if it is not as it says."""
     names, positions = list(content.name), np.asarray(content.position, np.float64)
     if len(names) != len(positions):
         raise ValueError(f"{len(names)} joints have {len(positions)} positions")
-    return dict(zip(names, positions.tolist(), strict=True))
+    told = zip(names, positions.tolist(), strict=True)
+    return {name: position for name, position in told if np.isfinite(position)}
 
 
 def _frame(content: Any, camera: Camera | None, time: int, unit: float | None) -> Frame:

@@ -116,6 +116,13 @@ def pack_messages(path):
     return path
 
 
+def pack_file(path):
+    """Packs a whole file, as rosbag2 does; gives its folder."""
+    zstandard = pytest.importorskip("zstandard")
+    path.write_bytes(zstandard.ZstdCompressor().compress(path.read_bytes()))
+    return path.rename(f"{path}.zstd").parent
+
+
 def write_mcap(path, messages, packed="ZSTD", chunk=4096, **asked):
     """An MCAP file by the `mcap` package."""
     mcap = pytest.importorskip("mcap.writer")
@@ -139,8 +146,10 @@ WRITERS = {
     "bag": lambda folder, m: write_bag(folder / "r.bag", m),
     "bag-bz2": lambda folder, m: write_bag(folder / "r.bag", m, "bz2"),
     "bag-lz4": lambda folder, m: write_bag(folder / "r.bag", m, "lz4"),
+    "bag-open": lambda folder, m: write_bag(folder / "r.bag.active", m),
     "db3": lambda folder, m: write_bag2(folder / "r", m),
     "db3-packed": lambda folder, m: pack_messages(write_bag2(folder / "r", m)),
+    "db3-packed-whole": lambda folder, m: pack_file(write_bag2(folder / "r", m)),
     "db3-folder": lambda folder, m: write_bag2(folder / "r", m).parent,
     "rosbags-mcap": lambda folder, m: write_bag2(folder / "r", m, "MCAP"),
     "mcap-zstd": lambda folder, m: write_mcap(folder / "r.mcap", m),

@@ -70,6 +70,39 @@ def test_depth_images_are_those_of_a_scan(tmp_path):
         np.testing.assert_array_equal(frame.points, scan.points)
 
 
+def test_depth_images_of_data_sets(tmp_path):
+    """TUM RGB-D lists times, 7-Scenes has poses; both know their counts."""
+    camera = {"width": 4, "height": 2, "fx": 4.0, "fy": 4.0, "cx": 1.5, "cy": 0.5}
+    given, tum, scenes = (tmp_path / name for name in ("c.json", "tum", "scenes"))
+    given.write_text(json.dumps(camera))
+    (tum / "depth").mkdir(parents=True)
+    scenes.mkdir()
+    image = Image.fromarray(np.array([[65535, *3 * [5000]], 4 * [5000]], np.uint16))
+    for path in (
+        tum / "depth" / "1",
+        scenes / "frame-0.depth",
+        scenes / "frame-1.depth",
+    ):
+        image.save(f"{path}.png")
+    listed = (
+        "# times and names\n1.1 rgb/1.png 1305031102.160407 depth/1.png\nnonsense\n"
+    )
+    (tum / "associations.txt").write_text(listed)
+    pose = [[0, 0, 1, 7], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
+    np.savetxt(scenes / "frame-0.pose.txt", pose)
+    np.savetxt(scenes / "frame-1.pose.txt", np.full((4, 4), np.nan))
+    asked = {"camera": str(given), "tell": lambda _: None}
+    (frame,) = stream = open_stream(tum, **asked)
+    assert frame.timestamp == 1305031102_160407000 and frame.depth.max() == 1.0
+    assert stream.remarks == {"damaged": 1, "layout": 1, "no_return": 1}
+    assert "read as TUM RGB-D, 5000 counts a metre" in stream.told["layout"]
+    (frame,) = stream = open_stream(scenes, **asked)
+    np.testing.assert_allclose(frame.points[:, 0], 12.0)  # ahead is the world's x
+    assert "not a pose: rotation must be 3x3 finite" in stream.told["damaged"]
+    given.write_text(json.dumps(camera | {"depth_scale": 0.0001}))
+    assert next(iter(open_stream(tum, **asked))).depth.max() == 0.5
+
+
 def test_recordings_have_two_topics():
     root = asset("roboarm")
     with pytest.raises(InputError, match="set --topic to one of depth, partial"):

@@ -61,9 +61,11 @@ def test_clouds_with_labels(scalar, tmp_path):
     open_sink(path).close()
     assert not left.exists() and len(open_stream(path)) == 3
     sink = open_sink(path)
-    sink.write(Labelled(0, 0, points, LABEL))
+    late = 2**31 * 10**9 + 7  # later than a header can say
+    sink.write(Labelled(0, late, points, LABEL))
     sink.close()
-    assert [frame.frame_id for frame in open_stream(path)] == ["sensor"]
+    ((frame_id, time),) = [(f.frame_id, f.timestamp) for f in open_stream(path)]
+    assert (frame_id, time) == ("sensor", late)
 
 
 def test_a_file_a_frame_and_a_place_that_cannot_be_written(tmp_path):

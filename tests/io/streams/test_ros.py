@@ -1,5 +1,9 @@
 """Bags, .db3 and MCAP files that other packages wrote."""
 
+import contextlib
+import os
+import re
+import sqlite3
 import sys
 
 import numpy as np
@@ -8,7 +12,7 @@ import pytest
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.streams import Joints, open_stream
+from prism_jax.io.streams import Joints, open_stream, packed
 from tests.io.streams.recorded import (
     CLOUD,
     IMAGE,
@@ -100,6 +104,72 @@ def test_what_is_no_recording_is_one_line(tmp_path):
             path.write_bytes(content)
             with pytest.raises(InputError, match=": not a"):
                 open_stream(path)
+        path.unlink()
+        os.mkfifo(path)
+        with pytest.raises(InputError, match=": not a file"):
+            open_stream(path)
+        path.unlink()
+    path = WRITERS["db3"](tmp_path, clouds(ROS2))
+    (tmp_path / "cut.db3").write_bytes(path.read_bytes()[:200])
+    with pytest.raises(InputError, match="ends within its first page"):
+        open_stream(tmp_path / "cut.db3")
+    path = WRITERS["bag"](tmp_path, clouds(store_of("bag")))
+    path.write_bytes(path.read_bytes().replace(b"op=", b"po=", 1))
+    with pytest.raises(InputError, match="found nothing"):
+        open_stream(path)
+
+
+@pytest.mark.parametrize(
+    ("writer", "bytes_of", "instead", "told"),
+    [
+        ("bag", rb"op=\x02", b"op=x", "messages are missing: 1"),
+        ("bag", rb"(?s)index_pos=.{8}", b"index_pos=" + bytes(8), "was never closed"),
+        ("mcap-plain", b"lidar", b"radar", "damaged chunk (a checksum is wrong)"),
+        ("mcap-unchunked", rb"(?s)\x05(?=.{8}\x01\0)", b"x", "messages are missing: 1"),
+    ],
+)
+def test_what_is_missing_is_told(writer, bytes_of, instead, told, tmp_path):
+    path = WRITERS[writer](tmp_path, clouds(store_of(writer)))
+    path.write_bytes(re.sub(bytes_of, instead, path.read_bytes(), count=1))
+    frames, (line,) = lines_of(open_stream(path))
+    assert f"{told}; the {len(frames)} complete messages are used" in line
+
+
+ENDLESS = (
+    "WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM c) SELECT id, "
+)
+
+
+@pytest.mark.parametrize(
+    ("table", "columns"),
+    [
+        ("topics", "'/p' AS name, 't' AS type, 'cdr' AS serialization_format"),
+        ("messages", "1 AS topic_id, 1 AS timestamp, x'' AS data"),
+    ],
+)
+def test_of_a_database_only_tables_are_read_and_gaps_told(table, columns, tmp_path):
+    path = WRITERS["db3"](tmp_path, clouds(ROS2))
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("DELETE FROM messages WHERE id = 3")
+        database.commit()
+        _, (line,) = lines_of(open_stream(path))
+        assert "messages are missing: 1; the 3 complete" in line
+        view = f"CREATE VIEW {table} AS {ENDLESS} {columns} FROM c"
+        database.executescript(f"DROP TABLE {table}; {view}")
+    with pytest.raises(InputError, match=r"not a ROS 2 bag|found nothing"):
+        open_stream(path)
+
+
+def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path, monkeypatch):
+    path = WRITERS["mcap-zstd"](tmp_path, clouds(ROS2))
+    monkeypatch.setattr(packed, "_TIMES", 0)
+    monkeypatch.setattr(packed, "_LARGEST", 8000)
+    stream = open_stream(path, tell=lambda _: None)
+    assert 0 < len(list(stream)) < 4 and stream.remarks == {"cut": 1}
+    unpacker = packed.Unpacker(path)
+    with pytest.raises(ValueError, match="too many records"):
+        while True:
+            unpacker.count_record()
 
 
 @pytest.mark.parametrize("writer", ["bag", "db3", "mcap-zstd", "mcap-plain"])
@@ -110,7 +180,7 @@ def test_any_bytes_may_be_wrong(writer, tmp_path, monkeypatch):
     place = WRITERS[writer](tmp_path, clouds(store_of(writer)))
     place = next(place.glob("*.db3")) if place.is_dir() else place
     data, rng = bytearray(place.read_bytes()), np.random.default_rng(1)
-    for _ in range(100):
+    for _ in range(60):
         spoilt = bytearray(data)
         for _ in range(rng.integers(1, 4)):
             spoilt[rng.integers(len(data))] = rng.integers(256)
@@ -231,6 +301,10 @@ def test_bags_of_a_realsense(tmp_path):
     (frame,) = open_stream(WRITERS["bag"](tmp_path, messages))
     np.testing.assert_allclose(frame.depth, 1.0)
     assert frame.camera.intrinsics[0, 0] == 5.0
+    units.data = np.inf
+    (tmp_path / "r.bag").unlink()
+    frames, (line,) = lines_of(open_stream(WRITERS["bag"](tmp_path, messages)))
+    assert not frames and "its points are not finite" in line
 
 
 def test_a_missing_camera_info_is_one_line_and_a_camera_helps(tmp_path):
