@@ -17,7 +17,7 @@ import jax
 from absl import app, flags, logging
 
 from prism_jax.io.atomic import keep
-from prism_jax.io.errors import InputError
+from prism_jax.io.errors import InputError, unwritable
 from prism_jax.io.files import default_cache_dir
 
 FLAGS = flags.FLAGS
@@ -34,6 +34,8 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     line and status 130. `main` gets the words that are no flags if it takes them."""
 
     def with_words(argv: Sequence[str]) -> None:
+        if sys.stdout is None:
+            raise InputError("stdout", "is closed", "send it to a file or /dev/null")
         for flag in FLAGS:
             value = FLAGS[flag].value
             if isinstance(value, float) and not math.isfinite(value):
@@ -42,10 +44,17 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
             given = (FLAGS[n].value for n in FLAGS if not n.startswith("output"))
             files = (v for v in given if isinstance(v, str) and os.path.isfile(v))
             keep([*argv[1:], *files])
-            return main(argv[1:])
-        if len(argv) > 1:
+        elif len(argv) > 1:
             raise InputError(argv[1], "not a flag", "write flags as --name=value")
-        return main()
+        try:
+            main(argv[1:]) if takes_words else main()
+            sys.stdout.flush()
+        except OSError as error:
+            if error.filename is not None:
+                raise
+            # Of no file: stdout is full, or nobody reads it. Nor is it tried at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            raise unwritable("stdout", error) from None
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A folder's name may hold what the terminal cannot show.
@@ -76,30 +85,21 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """Ctrl-C interrupts, and does so again every second until the run has ended: the
-    callbacks of some packages swallow an exception."""
-    timers: list[threading.Timer] = []
+    """Ctrl-C interrupts. Python drops what is raised in a callback, as JAX has one for
+    collecting garbage: then the interrupt comes again, when something else runs."""
 
-    def interrupt(*_: Any) -> None:
-        timers.append(threading.Timer(1.0, _thread.interrupt_main))
-        timers[-1].daemon = True
-        timers[-1].start()
-        raise KeyboardInterrupt
-
-    def swallowed(fault: Any) -> None:
-        if fault.exc_type is not KeyboardInterrupt:
-            told(fault)
+    def again(dropped: Any) -> None:
+        if dropped.exc_type is not KeyboardInterrupt:
+            return told(dropped)
+        threading.Timer(0.01, _thread.interrupt_main).start()
 
     before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    sys.unraisablehook = again
     if before is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, interrupt)
-        sys.unraisablehook = swallowed
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        for timer in timers:
-            timer.cancel()
         signal.signal(signal.SIGINT, before)
         sys.unraisablehook = told
 

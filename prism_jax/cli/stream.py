@@ -11,8 +11,6 @@ import functools
 import json
 import pathlib
 import signal
-import sys
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -218,15 +216,6 @@ def end_as_interrupted() -> list[int]:
         came.append(number)
         raise KeyboardInterrupt
 
-    def again(dropped: Any) -> None:
-        # Python drops what is raised in callbacks, as JAX has one for collecting
-        # garbage. A moment later something else is running.
-        if dropped.exc_type is not KeyboardInterrupt or not came:
-            return sys.__unraisablehook__(dropped)
-        main = threading.main_thread().ident
-        threading.Timer(0.01, signal.pthread_kill, (main, came[-1])).start()
-
-    sys.unraisablehook = again
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, end)

@@ -27,11 +27,13 @@ def test_what_is_no_flag_is_refused(capsys):
 
 
 def test_an_interrupt_that_a_callback_swallows_comes_again(monkeypatch, capsys):
-    def swallow(*_, **__):
-        try:
+    class Collected:
+        def __del__(self):
             signal.raise_signal(signal.SIGINT)
-        except KeyboardInterrupt:
-            time.sleep(30)
+
+    def swallow(*_, **__):
+        Collected()
+        time.sleep(30)
 
     monkeypatch.setattr(complete, "complete_file", swallow)
     assert run(complete) == 130
