@@ -25,17 +25,20 @@ from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
 from prism_jax.io.atomic import check_targets, claim
 from prism_jax.io.clouds import READERS
 from prism_jax.io.scan import parse_numbers, standing_at
+from prism_jax.preprocessing.segmentation.support import tilt_of
 from prism_jax.preprocessing.upright import AUTO, parse_up
 from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.confidence import trust_of_all
 from prism_jax.reporting.page import render
 from prism_jax.reporting.summary import plain, score, summarize, summarize_scene
+from prism_jax.uncertainty.confidence import SCENE
 
 FLAGS = flags.FLAGS
 NAME = "prism-complete"
 LIST = "list"  # in place of a name of weights
 
 _SCANS = (*READERS, ".png")  # what is taken from a folder
+TILTED = 10.0  # in degrees: a floor or table that leans more contradicts --up
 _FILES = "completed.ply", "report.html", "result.json"
 
 _timed = functools.partial(timed, NAME)
@@ -141,6 +144,10 @@ def complete_file(
         with _timed("looking for objects", "split", seconds):
             scene = completer.split_scene(scan.points, view, direction)
             taken_apart = bool(scene.planes) or len(scene.num_points) > 1
+        tilt = tilt_of(scene.planes, direction)
+        if tilt > TILTED:
+            fault = f"the largest plane is tilted by {tilt:.0f} degrees"
+            _say(f"{fault} against --up={up or direction}; try --up=auto")
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     doing = "adapting to and completing" if adapt else "completing"
     asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
@@ -162,6 +169,8 @@ def complete_file(
         summary = summarize_scene(result, scan, source, **about)
     else:
         _warn(result, scan, background)
+        if objects == "one" and result.verdict and SCENE in result.verdict.reasons:
+            _say("--objects=auto takes a scene apart into its objects")
         seconds.update(result.seconds)
         if up == "auto":
             about["up"] = result.workspace.up

@@ -13,6 +13,9 @@ BEHIND = 0.25  # what lies so many radii of the cloud behind a point is hidden b
 # points would be hidden, is not believed.
 APART, HIDDEN = np.deg2rad(75.0), 0.08
 DISTANCE = 6.0  # of a likely place, in radii of the cloud
+# No sensor sees as much of a cloud that is closed all around: the rest lies so many
+# radii behind, and so many times the thickness of its surface.
+SEEN, LAYER, THICK = 0.65, 0.1, 3.0
 
 
 def likely_eye(
@@ -77,8 +80,25 @@ def hidden_share(
     return float((nearest[cell] - along > BEHIND).mean())
 
 
-def _some(points: np.ndarray) -> Float[np.ndarray, "M 3"]:
-    every = -(-len(points) // MAX_POINTS)
+def is_closed(points: Float[np.ndarray, "N 3"], thickness: float = 0.0) -> bool:
+    """Whether points cover an object all around, so that no side of it is missing: from
+    wherever one looks, much lies behind the rest. `thickness` is that of the surface,
+    its noise. A hole, as where the object stood, may remain; thin objects, and fewer
+    than `MAX_POINTS` points, say nothing."""
+    if len(points) < MAX_POINTS:
+        return False
+    unit, frame = _in_own_axes(_some(points, 2 * MAX_POINTS))
+    behind = LAYER + THICK * thickness / float(frame.half_extent)
+    for direction in _directions()[::2]:
+        across, along = _seen_along(unit, direction)
+        nearest, cell = _nearest(across, along)
+        if (nearest[cell] - along <= behind).mean() >= SEEN:
+            return False
+    return True
+
+
+def _some(points: np.ndarray, most: int = MAX_POINTS) -> Float[np.ndarray, "M 3"]:
+    every = -(-len(points) // most)
     return np.asarray(points[::every], np.float64)
 
 

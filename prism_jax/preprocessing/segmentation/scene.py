@@ -1,11 +1,13 @@
 """A scene taken apart: what things stand on, the objects, and what is left over."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float64, Int
 
 from prism_jax.geometry.camera import Vector
+from prism_jax.preprocessing.segmentation.background import bounding
 from prism_jax.preprocessing.segmentation.clusters import extent
 from prism_jax.preprocessing.segmentation.parts import objects_of
 from prism_jax.preprocessing.segmentation.planes import (
@@ -86,7 +88,7 @@ def split_scene(
         gap = GAP * size if support is None and not walls else 0.0
         rest = points[~aside]
         whole = objects_of(rest, found.vector, eye, support, gap)
-        number[~aside] = _numbered(rest, whole, support, size)
+        number[~aside] = _numbered(rest, whole, [support, *walls], size)
     return SegmentedScene(
         object=number,
         planes=(() if support is None else (support,)) + tuple(walls),
@@ -108,6 +110,7 @@ def _set_aside(
         return None, [], aside
     rim = LINK_SPACINGS * thinned.cells.spacing
     inner = np.zeros(len(cells), bool)
+    ends = [] if eye is None else bounding(thinned, eye)
     longest = WALL * extent(cells)
     border = None if support is None else outline(cells, support)
     if support is not None and border is not None:
@@ -116,16 +119,17 @@ def _set_aside(
         longest = border.width
     elif planes[0].holds(cells).mean() >= SHEET:
         return None, planes[:1], planes[0].holds(points)
-    elif eye is None or not _amid(cells, eye):
+    elif eye is None or not (ends or _amid(cells, eye)):
         return None, [], aside
     for plane, border in zip(planes, thinned.borders, strict=True):
-        flat = plane.tolerance <= COARSE * extent(cells)
-        if border is None or not flat or border.filled < FILLED:
+        if border is None:
             continue
         on = _on(plane, border, points, rim)
+        flat = plane.tolerance <= COARSE * extent(cells) and border.filled >= FILLED
         standing = inner[plane.holds(cells)].mean() > 0.5
+        large = flat and not standing and border.length >= longest
         new = (on & ~aside).sum() > 0.5 * on.sum()
-        if new and not standing and border.length >= longest:
+        if new and (plane in ends or large):
             walls.append(plane)
             aside |= on
     return support, walls, aside
@@ -149,7 +153,7 @@ def _amid(cells: Float64[np.ndarray, "M 3"], eye: Float64[np.ndarray, "3"]) -> b
 def _numbered(
     points: Float64[np.ndarray, "N 3"],
     whole: Int[np.ndarray, " N"],
-    support: Plane | None,
+    planes: Sequence[Plane | None],
     size: float,
 ) -> Int[np.ndarray, " N"]:
     """Objects by falling number of points, and what is too small left over."""
@@ -158,11 +162,13 @@ def _numbered(
     np.minimum.at(lower, whole, points)
     np.maximum.at(upper, whole, points)
     proper = (count >= MIN_POINTS) & ((upper - lower).max(axis=1) >= MIN_SIZE * size)
-    if support is not None:
-        # Noise of the support itself forms flat patches on it.
+    for plane in planes:
+        if plane is None:
+            continue
+        # Noise of a plane itself forms flat patches on it.
         top = np.full(len(count), -np.inf)
-        np.maximum.at(top, whole, support.height(points))
-        proper &= np.abs(top) >= 3.0 * support.tolerance
+        np.maximum.at(top, whole, plane.height(points))
+        proper &= np.abs(top) >= 3.0 * plane.tolerance
     order = np.argsort(-np.where(proper, count, 0), kind="stable")
     number = np.full(len(count), LEFT_OVER)
     number[order[: proper.sum()]] = np.arange(proper.sum())

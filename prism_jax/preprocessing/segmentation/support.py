@@ -1,5 +1,6 @@
 """The plane that objects stand on, and with it the way up."""
 
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -7,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Float64
 
 from prism_jax.geometry.camera import Vector
 from prism_jax.geometry.cloud import IndexedCloud
+from prism_jax.preprocessing.segmentation.background import bounding
 from prism_jax.preprocessing.segmentation.clusters import components
 from prism_jax.preprocessing.segmentation.planes import Outline, Plane, Thinned
 from prism_jax.preprocessing.upright import upright
@@ -23,6 +25,7 @@ PARALLEL = 30.0  # in degrees: planes that cross at less have no line in common
 FILLED = 0.5  # the share of a support's outline that has points
 MIN_CELLS = 10  # what stands on a support has so many cells of the thinned cloud
 MAX_TILT = 60.0  # in degrees from z, of a support whose side no sensor says
+SQUARE = 45.0  # in degrees: a sensor looks at a plane straight on
 LINK_SPACINGS = 4.0  # points no farther apart than so many spacings hang together
 
 
@@ -39,6 +42,14 @@ def given_up(up: str | Vector) -> Up:
     """An up as `upright` has it."""
     turn = upright(up)
     return Up(np.array([0.0, 0.0, 1.0]) if turn is None else turn[2], "given")
+
+
+def tilt_of(planes: Sequence[Plane], up: str | Vector) -> float:
+    """By how many degrees the plane that is nearest to level is tilted against an up;
+    0 if it is a wall, or there is none."""
+    vector = given_up(up).vector
+    tilts = [np.degrees(np.arccos(min(abs(p.normal @ vector), 1.0))) for p in planes]
+    return float(min((tilt for tilt in tilts if tilt < MAX_TILT), default=0.0))
 
 
 def find_up(
@@ -81,6 +92,10 @@ def find_support(
     """
     thinned = points if isinstance(points, Thinned) else Thinned(points)
     cells, planes, borders = thinned.cells.points, thinned.planes, thinned.borders
+    eye = None
+    if sensor is not None and np.isfinite(np.asarray(sensor)).all():
+        eye = np.asarray(sensor, np.float64)
+    ends = [] if eye is None else bounding(thinned, eye)
     best, most = None, 0.0
     for plane, border in zip(planes, borders, strict=True):
         side = _objects_side(plane, sensor)
@@ -90,10 +105,13 @@ def find_support(
         for other, its in zip(planes, borders, strict=True):
             if its is None or its.length < LARGE * border.width:
                 continue
-            if _is_elsewhere(other, plane, border, cells):
+            if (other in ends and plane in ends) or _is_elsewhere(
+                other, plane, border, cells
+            ):
                 aside |= other.holds(cells)
         aside &= ~plane.holds(cells)
-        standing = _standing(thinned.cells, aside, side, border)
+        touching = eye is not None and _straight_on(side, cells, eye)
+        standing = _standing(thinned.cells, aside, side, border, touching)
         if standing > most:
             best, most = side, standing
     return best
@@ -119,6 +137,16 @@ def _is_elsewhere(
     return bool(np.abs(ends[0] - ends[1]).max() >= BEYOND * shorter)
 
 
+def _straight_on(
+    plane: Plane, cells: Float64[np.ndarray, "N 3"], eye: Float64[np.ndarray, "3"]
+) -> bool:
+    """Whether a sensor looks at a plane straight on: a wall, or a table from above,
+    where it would see the feet of what stands on that."""
+    forward = (cells - eye).mean(axis=0)
+    cosine = np.abs(forward @ plane.normal) / max(np.linalg.norm(forward), 1e-300)
+    return bool(cosine > np.cos(np.deg2rad(SQUARE)))
+
+
 def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
     """The plane with its normal to where objects can be, if they can be anywhere."""
     if sensor is not None and np.isfinite(np.asarray(sensor)).all():
@@ -133,10 +161,14 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
 
 
 def _standing(
-    cloud: IndexedCloud, aside: Bool[np.ndarray, " N"], plane: Plane, border: Outline
+    cloud: IndexedCloud,
+    aside: Bool[np.ndarray, " N"],
+    plane: Plane,
+    border: Outline,
+    touching: bool,
 ) -> float:
     """How many cells stand on a plane, those set aside left out; zero if it is none
-    that objects stand on."""
+    that objects stand on. What hovers does not count if all have to be `touching`."""
     reach = LINK_SPACINGS * cloud.spacing
     cells = cloud.points
     height, depth = plane.height(cells), border.depth(cells)
@@ -161,6 +193,8 @@ def _standing(
     np.maximum.at(top, group, height[off])
     np.minimum.at(foot, group, height[off])
     hovering = np.maximum(foot - plane.tolerance - reach, 0.0) / (0.5 * top)
+    if touching:
+        hovering = np.where(hovering > 0.0, 1.0, 0.0)
     enclosed = np.bincount(group, depth[off] > rim) >= 0.7 * size
     proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance)
     proper &= (top <= border.width) & enclosed
