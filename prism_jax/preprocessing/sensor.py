@@ -13,9 +13,10 @@ BEHIND = 0.25  # what lies so many radii of the cloud behind a point is hidden b
 # points would be hidden, is not believed.
 APART, HIDDEN = np.deg2rad(75.0), 0.08
 DISTANCE = 6.0  # of a likely place, in radii of the cloud
-# No sensor sees as much of a cloud that is closed all around: the rest lies so many
-# radii behind, and so many times the thickness of its surface.
-SEEN, LAYER, THICK = 0.65, 0.1, 3.0
+# From the middle of a closed cloud there are points in so many of all directions,
+# within so much, and no sensor sees as much of it: the rest lies so many radii behind,
+# and so many times the thickness of its surface.
+COVERED, ASIDE, SEEN, LAYER, THICK = 0.9, np.deg2rad(10.0), 0.75, 0.1, 3.0
 
 
 def likely_eye(
@@ -81,13 +82,16 @@ def hidden_share(
 
 
 def is_closed(points: Float[np.ndarray, "N 3"], thickness: float = 0.0) -> bool:
-    """Whether points cover an object all around, so that no side of it is missing: from
-    wherever one looks, much lies behind the rest. `thickness` is that of the surface,
-    its noise. A hole, as where the object stood, may remain; thin objects, and fewer
-    than `MAX_POINTS` points, say nothing."""
+    """Whether points cover an object all around, so that no side of it is missing: seen
+    from its middle, and from wherever one looks much lies behind the rest. `thickness`
+    is that of the surface, its noise. A small hole, where the object stood, may remain.
+    Thin and hollow objects, and fewer than `MAX_POINTS` points, are never closed."""
     if len(points) < MAX_POINTS:
         return False
     unit, frame = _in_own_axes(_some(points, 2 * MAX_POINTS))
+    toward = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
+    if ((toward @ _directions().T).max(axis=0) > np.cos(ASIDE)).mean() < COVERED:
+        return False
     behind = LAYER + THICK * thickness / float(frame.half_extent)
     for direction in _directions()[::2]:
         across, along = _seen_along(unit, direction)

@@ -29,7 +29,6 @@ from prism_jax.preprocessing.upright import AUTO
 
 SUPPORT, LEFT_OVER = -1, -2  # in `SegmentedScene.object`; objects count from 0
 SHEET = 0.95  # a plane with this share of a cloud is all there is
-WALL = 0.25  # the length of a wall around the sensor, in the longest side of the cloud
 # So far apart the parts of one object can be, in the longest side of a cloud without
 # any plane, where it hides its own surface.
 GAP = 0.25
@@ -64,8 +63,8 @@ def split_scene(
     `up` is as `upright` has it, or "auto" (`find_up`), `sensor` the place the points
     were seen from, or None. Set aside are the support (`find_support`) and with it
     other planes that are at least as long as it is wide and do not rise from its midst:
-    walls, another floor. Where there is no support, but the sensor stands amid the
-    points, the large planes around it are walls. A cloud that is one plane is all
+    walls, another floor; and all that the view of a known sensor ends at (`bounding`).
+    A cloud that is one plane is all
     support. A cloud with nothing to set aside is one object, unless its parts are over
     `GAP` apart.
 
@@ -111,7 +110,7 @@ def _set_aside(
     rim = LINK_SPACINGS * thinned.cells.spacing
     inner = np.zeros(len(cells), bool)
     ends = [] if eye is None else bounding(thinned, eye)
-    longest = WALL * extent(cells)
+    longest = np.inf
     border = None if support is None else outline(cells, support)
     if support is not None and border is not None:
         aside |= _on(support, border, points, rim)
@@ -119,7 +118,7 @@ def _set_aside(
         longest = border.width
     elif planes[0].holds(cells).mean() >= SHEET:
         return None, planes[:1], planes[0].holds(points)
-    elif eye is None or not (ends or _amid(cells, eye)):
+    elif not ends:
         return None, [], aside
     for plane, border in zip(planes, thinned.borders, strict=True):
         if border is None:
@@ -142,12 +141,6 @@ def _on(
     on = plane.holds(points)
     on[on] = border.depth(points[on]) > -rim
     return on
-
-
-def _amid(cells: Float64[np.ndarray, "M 3"], eye: Float64[np.ndarray, "3"]) -> bool:
-    """Whether the sensor stands within the bulk of what it sees."""
-    lower, upper = np.percentile(cells, [5, 95], axis=0)
-    return bool(((eye > lower) & (eye < upper)).all())
 
 
 def _numbered(

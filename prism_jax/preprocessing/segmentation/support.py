@@ -11,7 +11,7 @@ from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.preprocessing.segmentation.background import bounding
 from prism_jax.preprocessing.segmentation.clusters import components
 from prism_jax.preprocessing.segmentation.planes import Outline, Plane, Thinned
-from prism_jax.preprocessing.upright import upright
+from prism_jax.preprocessing.upright import AUTO, upright
 
 RIM = 0.01  # how far from a plane's border something is inside or outside, in its width
 WITHIN = 0.6  # the share of a cloud over, on or under a support, seen along its normal
@@ -45,8 +45,10 @@ def given_up(up: str | Vector) -> Up:
 
 
 def tilt_of(planes: Sequence[Plane], up: str | Vector) -> float:
-    """By how many degrees the plane that is nearest to level is tilted against an up;
-    0 if it is a wall, or there is none."""
+    """By how many degrees the plane that is nearest to level is tilted against an up
+    that was given; 0 if it is a wall, or there is none."""
+    if isinstance(up, str) and up == AUTO:
+        return 0.0
     vector = given_up(up).vector
     tilts = [np.degrees(np.arccos(min(abs(p.normal @ vector), 1.0))) for p in planes]
     return float(min((tilt for tilt in tilts if tilt < MAX_TILT), default=0.0))
@@ -105,9 +107,8 @@ def find_support(
         for other, its in zip(planes, borders, strict=True):
             if its is None or its.length < LARGE * border.width:
                 continue
-            if (other in ends and plane in ends) or _is_elsewhere(
-                other, plane, border, cells
-            ):
+            both_end_the_view = other in ends and plane in ends
+            if both_end_the_view or _is_elsewhere(other, plane, border, cells):
                 aside |= other.holds(cells)
         aside &= ~plane.holds(cells)
         touching = eye is not None and _straight_on(side, cells, eye)
