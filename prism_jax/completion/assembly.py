@@ -126,12 +126,6 @@ class Task(NamedTuple):
         """Where the sensor stands in the unit workspace, if anybody knows."""
         return None if self.sensor == "unknown" else np.asarray(self.seen.eye)
 
-    @property
-    def place(self) -> Float[np.ndarray, "3"] | None:
-        """The same in the user's frame."""
-        eye = self.eye
-        return None if eye is None else np.asarray(self.seen.workspace.from_unit(eye))
-
 
 def assemble(
     task: Task,
@@ -161,7 +155,8 @@ def assemble(
         evidence = evidence_of(seen, read, prediction, *shares, looks, novelty)
         half_extent = float(seen.workspace.half_extent)
         verdict = calibration.judge(evidence, half_extent)
-        if sees_scene(task.points, task.place):
+        place = np.asarray(seen.workspace.from_unit(np.asarray(seen.eye)))
+        if sees_scene(task.points, None if task.eye is None else place):
             verdict = verdict.of_scene()
         elif joined.closed:
             verdict = verdict.of_closed(0.5 * half_extent * seen.cloud.spacing)

@@ -64,9 +64,8 @@ def split_scene(
     were seen from, or None. Set aside are the support (`find_support`) and with it
     other planes that are at least as long as it is wide and do not rise from its midst:
     walls, another floor; and all that the view of a known sensor ends at (`bounding`).
-    A cloud that is one plane is all
-    support. A cloud with nothing to set aside is one object, unless its parts are over
-    `GAP` apart.
+    A cloud that is one plane is all support. A cloud with nothing to set aside is one
+    object, unless its parts are over `GAP` apart.
 
     The same points give the same scene; unit and origin do not matter. Points must be
     finite. An `up` that is no direction raises InputError.
@@ -87,7 +86,8 @@ def split_scene(
         gap = GAP * size if support is None and not walls else 0.0
         rest = points[~aside]
         whole = objects_of(rest, found.vector, eye, support, gap)
-        number[~aside] = _numbered(rest, whole, [support, *walls], size)
+        planes = walls if support is None else [support, *walls]
+        number[~aside] = _numbered(rest, whole, planes, size)
     return SegmentedScene(
         object=number,
         planes=(() if support is None else (support,)) + tuple(walls),
@@ -146,7 +146,7 @@ def _on(
 def _numbered(
     points: Float64[np.ndarray, "N 3"],
     whole: Int[np.ndarray, " N"],
-    planes: Sequence[Plane | None],
+    planes: Sequence[Plane],
     size: float,
 ) -> Int[np.ndarray, " N"]:
     """Objects by falling number of points, and what is too small left over."""
@@ -156,8 +156,6 @@ def _numbered(
     np.maximum.at(upper, whole, points)
     proper = (count >= MIN_POINTS) & ((upper - lower).max(axis=1) >= MIN_SIZE * size)
     for plane in planes:
-        if plane is None:
-            continue
         # Noise of a plane itself forms flat patches on it.
         top = np.full(len(count), -np.inf)
         np.maximum.at(top, whole, plane.height(points))

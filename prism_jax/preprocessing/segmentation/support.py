@@ -1,7 +1,7 @@
 """The plane that objects stand on, and with it the way up."""
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float64
@@ -25,7 +25,7 @@ PARALLEL = 30.0  # in degrees: planes that cross at less have no line in common
 FILLED = 0.5  # the share of a support's outline that has points
 MIN_CELLS = 10  # what stands on a support has so many cells of the thinned cloud
 MAX_TILT = 60.0  # in degrees from z, of a support whose side no sensor says
-SQUARE = 45.0  # in degrees: a sensor looks at a plane straight on
+SQUARE = np.cos(np.deg2rad(45.0))  # a sensor looks at a plane rather straight on
 LINK_SPACINGS = 4.0  # points no farther apart than so many spacings hang together
 
 
@@ -98,9 +98,10 @@ def find_support(
     if sensor is not None and np.isfinite(np.asarray(sensor)).all():
         eye = np.asarray(sensor, np.float64)
     ends = [] if eye is None else bounding(thinned, eye)
+    forward = np.zeros(3) if eye is None else (cells - eye).mean(axis=0)
     best, most = None, 0.0
     for plane, border in zip(planes, borders, strict=True):
-        side = _objects_side(plane, sensor)
+        side = _objects_side(plane, eye)
         if side is None or border is None:
             continue
         aside = np.zeros(len(cells), bool)
@@ -111,8 +112,9 @@ def find_support(
             if both_end_the_view or _is_elsewhere(other, plane, border, cells):
                 aside |= other.holds(cells)
         aside &= ~plane.holds(cells)
-        touching = eye is not None and _straight_on(side, cells, eye)
-        standing = _standing(thinned.cells, aside, side, border, touching)
+        # A wall, or a table from above: what stands on that is seen to touch it.
+        square = abs(side.normal @ forward) > SQUARE * np.linalg.norm(forward)
+        standing = _standing(thinned.cells, aside, side, border, bool(square))
         if standing > most:
             best, most = side, standing
     return best
@@ -138,20 +140,10 @@ def _is_elsewhere(
     return bool(np.abs(ends[0] - ends[1]).max() >= BEYOND * shorter)
 
 
-def _straight_on(
-    plane: Plane, cells: Float64[np.ndarray, "N 3"], eye: Float64[np.ndarray, "3"]
-) -> bool:
-    """Whether a sensor looks at a plane straight on: a wall, or a table from above,
-    where it would see the feet of what stands on that."""
-    forward = (cells - eye).mean(axis=0)
-    cosine = np.abs(forward @ plane.normal) / max(np.linalg.norm(forward), 1e-300)
-    return bool(cosine > np.cos(np.deg2rad(SQUARE)))
-
-
-def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
+def _objects_side(plane: Plane, eye: Float64[np.ndarray, "3"] | None) -> Plane | None:
     """The plane with its normal to where objects can be, if they can be anywhere."""
-    if sensor is not None and np.isfinite(np.asarray(sensor)).all():
-        positive = plane.height(np.asarray(sensor, np.float64)[None])[0] > 0
+    if eye is not None:
+        positive = plane.height(eye[None])[0] > 0
     elif np.abs(plane.normal[2]) < np.cos(np.deg2rad(MAX_TILT)):
         return None
     else:
@@ -195,7 +187,7 @@ def _standing(
     np.minimum.at(foot, group, height[off])
     hovering = np.maximum(foot - plane.tolerance - reach, 0.0) / (0.5 * top)
     if touching:
-        hovering = np.where(hovering > 0.0, 1.0, 0.0)
+        hovering = np.sign(hovering)
     enclosed = np.bincount(group, depth[off] > rim) >= 0.7 * size
     proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance)
     proper &= (top <= border.width) & enclosed
