@@ -168,9 +168,12 @@ def complete_file(
             _warn_of_low_trust(f"object {number}", one.verdict)
         summary = summarize_scene(result, scan, source, **about)
     else:
-        _warn(result, scan, background)
-        if objects == "one" and result.verdict and SCENE in result.verdict.reasons:
-            _say("--objects=auto takes a scene apart into its objects")
+        if result.verdict and SCENE in result.verdict.reasons:
+            _warn_of_low_trust("this completion", result.verdict)
+            if objects == "one":
+                _say("--objects=auto takes a scene apart into its objects")
+        else:
+            _warn(result, scan, background)
         seconds.update(result.seconds)
         if up == "auto":
             about["up"] = result.workspace.up

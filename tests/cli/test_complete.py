@@ -238,7 +238,7 @@ def test_workspace_crops_scan_and_ground_truth():
     [("fair", [], True), ("low", ["--background=empty", "--objects=one"], False)],
 )
 def test_says_what_to_do_about_a_doubted_scan(trust, flags, asks, altered, capsys):
-    reasons = "it strays: crop it", SCENE
+    reasons = ("it strays: crop it",) + (trust == "low") * (SCENE,)
     verdict = Verdict(trust, 0.01234, reasons, {"strays": 0.2})
     altered(lambda done: {"verdict": verdict})
     assert run("--input=scan.npy", *flags) == 0

@@ -98,7 +98,7 @@ def find_support(
     if sensor is not None and np.isfinite(np.asarray(sensor)).all():
         eye = np.asarray(sensor, np.float64)
     ends = [] if eye is None else bounding(thinned, eye)
-    forward = np.zeros(3) if eye is None else (cells - eye).mean(axis=0)
+    forward = np.zeros(3) if eye is None else (cells - eye).sum(axis=0)
     best, most = None, 0.0
     for plane, border in zip(planes, borders, strict=True):
         side = _objects_side(plane, eye)
