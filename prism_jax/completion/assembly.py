@@ -156,7 +156,8 @@ def assemble(
         half_extent = float(seen.workspace.half_extent)
         verdict = calibration.judge(evidence, half_extent)
         place = np.asarray(seen.workspace.from_unit(np.asarray(seen.eye)))
-        if sees_scene(task.points, None if task.eye is None else place):
+        measured = task.points[seen.inside]
+        if sees_scene(measured, None if task.eye is None else place):
             verdict = verdict.of_scene()
         elif joined.closed:
             verdict = verdict.of_closed(0.5 * half_extent * seen.cloud.spacing)
