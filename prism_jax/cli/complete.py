@@ -27,17 +27,22 @@ from prism_jax.completion.filtering import MAX_DENSE
 from prism_jax.io.atomic import check_targets, claim
 from prism_jax.io.clouds import READERS
 from prism_jax.io.scan import parse_numbers, standing_at
+from prism_jax.preprocessing.segmentation.background import sees_scene
+from prism_jax.preprocessing.segmentation.support import tilt_of
 from prism_jax.preprocessing.upright import AUTO, parse_up
 from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.confidence import trust_of_all
 from prism_jax.reporting.page import render
 from prism_jax.reporting.summary import plain, score, summarize, summarize_scene
+from prism_jax.uncertainty.confidence import SCENE
 
 FLAGS = flags.FLAGS
 NAME = "prism-complete"
 LIST = "list"  # in place of a name of weights
 
 _SCANS = (*READERS, ".png")  # what is taken from a folder
+TILTED = 10.0  # in degrees: a floor or table that leans more contradicts --up
+BARE = 0.01  # a plane with fewer points beside it is a floor or a wall
 _FILES = "completed.ply", "report.html", "result.json"
 
 _timed = functools.partial(timed, NAME)
@@ -143,11 +148,14 @@ def complete_file(
         with _timed("looking for objects", "split", seconds):
             scene = completer.split_scene(scan.points, view, direction)
             taken_apart = bool(scene.planes) or len(scene.num_points) > 1
+        tilt = tilt_of(scene.planes, direction)
+        if tilt > TILTED:
+            fault = f"the largest plane is tilted by {tilt:.0f} degrees"
+            _say(f"{fault} against --up={up or direction}; try --up=auto")
         if taken_apart and not scene.num_points:
-            fault = f"no object: {scene.num_support:,} points are on planes, "
-            fault += f"{scene.num_left_over:,} are outliers or too small"
-            remedy = "crop it to the object (--workspace), or set --objects=one"
-            raise io.InputError(source, fault, remedy)
+            _check_not_empty(scene, scan, view, source)
+            _say("nearly all points are on planes: completed as one object")
+            taken_apart = False
     count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
     doing = "adapting to and completing" if adapt else "completing"
     asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
@@ -169,7 +177,12 @@ def complete_file(
         fields = scan.fields
         summary = summarize_scene(result, scan, source, **about)
     else:
-        _warn(result, scan, background)
+        if result.verdict and SCENE in result.verdict.reasons:
+            _warn_of_low_trust("this completion", result)
+            if objects == "one":
+                _say("--objects=auto takes a scene apart into its objects")
+        else:
+            _warn(result, scan, background)
         seconds.update(result.seconds)
         if up == "auto":
             about["up"] = result.workspace.up
@@ -199,6 +212,18 @@ def complete_file(
         places = (folder / name for name in _FILES)
         io.write_together(dict(zip(places, contents, strict=True)))
     return plain(summary)
+
+
+def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:
+    """InputError if a scan without objects is not of one object with flat faces either:
+    a bare floor or wall, or an empty room."""
+    eye = None if view is None else np.asarray(view.position)
+    bare = len(scene.planes) == 1 and scene.num_left_over < BARE * len(scan.points)
+    if bare or sees_scene(scan.points, eye):
+        fault = f"no object: {scene.num_support:,} points are on planes, "
+        fault += f"{scene.num_left_over:,} are outliers or too small"
+        remedy = "crop it to the object (--workspace), or set --objects=one"
+        raise io.InputError(source, fault, remedy)
 
 
 _SETTINGS = tuple(inspect.signature(complete_file).parameters)[1:]

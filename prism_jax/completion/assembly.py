@@ -18,9 +18,11 @@ from prism_jax.geometry.visibility import Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import rounding
 from prism_jax.preprocessing.observation import Observation, padded
+from prism_jax.preprocessing.segmentation.background import sees_scene
 from prism_jax.preprocessing.segmentation.planes import Plane
-from prism_jax.uncertainty.confidence import MAX_REASONS, Calibration, Verdict
-from prism_jax.uncertainty.evidence import evidence_of, pose_predictions
+from prism_jax.preprocessing.sensor import is_closed
+from prism_jax.uncertainty.confidence import SCENE, Calibration, Verdict
+from prism_jax.uncertainty.evidence import evidence_of, pose_predictions, roughness
 from prism_jax.uncertainty.sigma import PointErrors, clues_of, spread
 
 DEPTH_PIXELS = 128
@@ -156,10 +158,15 @@ def assemble(
         outliers = float((selection.stray | selection.outside).mean())
         shares = outliers, float(selection.in_front.mean())
         evidence = evidence_of(seen, read, prediction, *shares, looks, novelty)
-        verdict = calibration.judge(evidence, float(seen.workspace.half_extent))
+        half_extent = float(seen.workspace.half_extent)
+        verdict = calibration.judge(evidence, half_extent)
+        place = np.asarray(seen.workspace.from_unit(np.asarray(seen.eye)))
+        if joined.closed:
+            verdict = verdict.of_closed(0.5 * half_extent * seen.cloud.spacing)
+        if sees_scene(task.points[seen.inside], None if task.eye is None else place):
+            verdict = verdict.doubted(SCENE)
         if rounded := rounding(task.points):
-            reasons = (rounded, *verdict.reasons)[:MAX_REASONS]
-            verdict = verdict._replace(trust="low", reasons=reasons)
+            verdict = verdict.doubted(rounded)
     sigma = None
     if looks is not None and point_errors is not None:
         kept = joined.kept
@@ -209,6 +216,7 @@ class Joined(NamedTuple):
     new: Float[np.ndarray, "Q 3"]
     kept: IndexedCloud
     selection: Selection  # what became of each point of the prediction
+    closed: bool  # nothing was added, as the measured points lie all around
 
 
 def join(
@@ -227,10 +235,14 @@ def join(
         options.background,
         task.visibility,
     )
+    closed = is_closed(seen.cloud.points)
+    closed = closed and is_closed(seen.cloud.points, roughness(seen.cloud))
+    if closed:
+        new, kept = new[:0], IndexedCloud(kept.points[:0])
     added = seen.workspace.from_unit(new).astype(points.dtype)
     together = np.concatenate([measured, added])
     observed = np.arange(len(together)) < len(measured)
-    return Joined(together, observed, prediction, new, kept, selection)
+    return Joined(together, observed, prediction, new, kept, selection, closed)
 
 
 def in_one_scene(

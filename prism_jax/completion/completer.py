@@ -37,6 +37,7 @@ from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables
 from prism_jax.preprocessing.observation import Observation, observe, origin_is_sensor
+from prism_jax.preprocessing.segmentation.background import sees_scene
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene, split_scene
 from prism_jax.preprocessing.segmentation.support import find_up, given_up
 from prism_jax.preprocessing.visibility_map import seen_among, some_of
@@ -362,7 +363,8 @@ def _seen_from(
     """Where the sensor of a whole cloud stood, if anything says so."""
     if camera is not None:
         return np.asarray(camera.position, np.float64)
-    return np.zeros(3) if origin_is_sensor(points) else None
+    at_origin = origin_is_sensor(points) or sees_scene(points)
+    return np.zeros(3) if at_origin else None
 
 
 def _checked(points: Any, subject: str = "points") -> Float[np.ndarray, "N 3"]:

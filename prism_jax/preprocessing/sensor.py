@@ -13,6 +13,10 @@ BEHIND = 0.25  # what lies so many radii of the cloud behind a point is hidden b
 # points would be hidden, is not believed.
 APART, HIDDEN = np.deg2rad(75.0), 0.08
 DISTANCE = 6.0  # of a likely place, in radii of the cloud
+# From the middle of a closed cloud there are points in so many of all directions,
+# within so much, and no sensor sees as much of it: the rest lies so many radii behind,
+# and so many times the thickness of its surface.
+COVERED, ASIDE, SEEN, LAYER, THICK = 0.9, np.deg2rad(10.0), 0.75, 0.1, 3.0
 
 
 def likely_eye(
@@ -77,8 +81,28 @@ def hidden_share(
     return float((nearest[cell] - along > BEHIND).mean())
 
 
-def _some(points: np.ndarray) -> Float[np.ndarray, "M 3"]:
-    every = -(-len(points) // MAX_POINTS)
+def is_closed(points: Float[np.ndarray, "N 3"], thickness: float = 0.0) -> bool:
+    """Whether points cover an object all around, so that no side of it is missing: seen
+    from its middle, and from wherever one looks much lies behind the rest. `thickness`
+    is that of the surface, its noise. A small hole, where the object stood, may remain.
+    Thin and hollow objects, and fewer than `MAX_POINTS` points, are never closed."""
+    if len(points) < MAX_POINTS:
+        return False
+    unit, frame = _in_own_axes(_some(points, 2 * MAX_POINTS))
+    toward = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
+    if ((toward @ _directions().T).max(axis=0) > np.cos(ASIDE)).mean() < COVERED:
+        return False
+    behind = LAYER + THICK * thickness / float(frame.half_extent)
+    for direction in _directions()[::2]:
+        across, along = _seen_along(unit, direction)
+        nearest, cell = _nearest(across, along)
+        if (nearest[cell] - along <= behind).mean() >= SEEN:
+            return False
+    return True
+
+
+def _some(points: np.ndarray, most: int = MAX_POINTS) -> Float[np.ndarray, "M 3"]:
+    every = -(-len(points) // most)
     return np.asarray(points[::every], np.float64)
 
 

@@ -11,25 +11,29 @@ from prism_jax.uncertainty.trees import Trees
 
 EVIDENCE = {
     "num_points": "few points were measured ({:,.0f}): move closer, or scan longer",
-    "spacing": "the measured points are sparse: crop to one object",
+    "spacing": "the measured points are sparse: move closer, or scan longer",
     "roughness": "the measured surface is rough or noisy: average several scans",
-    "strays": "{:.0%} of the predicted points are outliers: crop to one object",
+    "strays": "{:.0%} of the predicted points are outliers: check that the scan "
+    "is of one object",
     "in_front": "{:.0%} of the predicted points would occlude measured ones: "
-    "set the sensor position (--camera)",
+    "set the sensor position (--eye or --camera)",
     "looked_through": "{:.0%} of the predicted points are on lines of sight without "
-    "measurements: crop to one object, or scan from another side",
-    "unexplained": "the completion misses measured points: crop to one object, and "
-    "check --up",
+    "measurements: scan from another side",
+    "unexplained": "the completion misses measured points: check --up, and that the "
+    "scan is of one object",
     "reach": "most of the object was hidden: scan from another side",
     "disagreement_mirrored": "mirroring the scan changes the completion: check --up, "
     "or scan from another side",
     "disagreement_turned": "a 90 degree rotation changes the completion: check --up, "
     "or scan from another side",
-    "novelty": "the scan is unlike the training data: crop to one object, "
-    "and check --up",
+    "novelty": "the scan is unlike the training data: check --up, and that it is of "
+    "one object",
 }
 """What `prism_jax.uncertainty.evidence.evidence_of` finds, and what to say if it
 speaks against a completion, with the remedy."""
+
+SCENE = "this is a scene, not one object: crop it to one with --workspace"
+CLOSED = "the cloud is closed all around: nothing to add"
 
 SMALLEST = 1e-3
 """What is added to evidence, shares and lengths, before its logarithm is taken."""
@@ -52,6 +56,15 @@ class Verdict(NamedTuple):
     # does.
     reasons: tuple[str, ...]
     evidence: dict[str, float]  # the numbers that it rests on, by name
+
+    def doubted(self, reason: str) -> "Verdict":
+        """The same with low trust for this reason first, whatever the trees say."""
+        reasons = (reason, *self.reasons)[:MAX_REASONS]
+        return self._replace(trust="low", reasons=reasons)
+
+    def of_closed(self, error: float) -> "Verdict":
+        """The same where nothing was added, since no side is missing."""
+        return self._replace(trust="high", expected_error=error, reasons=(CLOSED,))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,6 +141,9 @@ class Calibration(Trees):
             # Few points speak against it, and much of everything else.
             sign = np.array([-1 if name == "num_points" else 1 for name in EVIDENCE])
             blame = np.where(sign * (found - self.usual) > 0, blame, 0.0)
+            # No share that would read as 0 %.
+            none = [s.startswith("{") and evidence[n] < 0.005 for n, s in told]
+            blame[none] = 0.0
             worst = [i for i in np.argsort(-blame, kind="stable") if blame[i] > REASON]
             reasons = [
                 told[i][1].format(evidence[told[i][0]]) for i in worst[:MAX_REASONS]

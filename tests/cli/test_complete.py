@@ -22,7 +22,7 @@ from prism_jax.completion.weights import available_weights
 from prism_jax.io.ply import read_ply, vertices_bytes
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene
 from prism_jax.reporting.model_card import model_card
-from prism_jax.uncertainty.confidence import Verdict
+from prism_jax.uncertainty.confidence import SCENE, Verdict
 from tests import launching
 from tests.fake_completer import FakeCompleter
 
@@ -235,16 +235,20 @@ def test_workspace_crops_scan_and_ground_truth():
 
 @pytest.mark.parametrize(
     ("trust", "flags", "asks"),
-    [("fair", [], True), ("low", ["--background=empty"], False)],
+    [("fair", [], True), ("low", ["--background=empty", "--objects=one"], False)],
 )
 def test_says_what_to_do_about_a_doubted_scan(trust, flags, asks, altered, capsys):
-    verdict = Verdict(trust, 0.01234, ("it strays: crop it",), {"strays": 0.2})
+    reasons = ("it strays: crop it",) + (trust == "low") * (SCENE,)
+    verdict = Verdict(trust, 0.01234, reasons, {"strays": 0.2})
     altered(lambda done: {"verdict": verdict})
     assert run("--input=scan.npy", *flags) == 0
     told = capsys.readouterr()
     warning = "low confidence in this completion: it strays: crop it"
     assert (warning in told.err) == (trust == "low")
     assert ("the surroundings are unknown" in told.err) == asks
+    assert ("--objects=auto takes a scene apart" in told.err) == (
+        "--objects=one" in flags
+    )
     expected = f"confidence  {trust}: expected error 0.0123, in input units"
     assert told.out.splitlines()[0] == expected and result()["unit"] == "input units"
 
@@ -414,6 +418,9 @@ def test_a_scene_comes_back_as_its_objects_unless_one_is_asked_for(capsys):
     assert np.bincount(vertices["object"] + 1).tolist() == [90, 300, 225]
     assert vertices["label"].sum() == 175
     assert (vertices["label"][:440] == 0).all()
+    assert run("--input=scene.npy", "--up=0,0.6,0.8") == 0
+    told = "tilted by 37 degrees against --up=0,0.6,0.8; try --up=auto"
+    assert told in capsys.readouterr().err
     assert run("--input=scene.npy", "--objects=one") == 0
     assert result()["points"]["partial"] == 440 and "objects" not in result()
     assert run("--input=scene.npy", "--ground_truth=scan.npy") == 0

@@ -13,6 +13,7 @@ from prism_jax.completion.options import CompletionOptions
 from prism_jax.completion.weights import load_calibration, load_point_errors
 from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import observe
+from prism_jax.uncertainty.confidence import CLOSED, SCENE
 
 EYE = np.array([0.0, -4.0, 1.0])
 
@@ -48,3 +49,10 @@ def test_a_completion_builds_eight_trees_at_most(trees):
     assert judged.verdict is not None and judged.sigma is not None
     assert not judged.observed.all()
     assert len(trees) <= 8
+    whole = observe(ball, EYE, ModelConfig())
+    task = Task(ball, whole, whole.sampled(512), whole.camera, "given")
+    judged = assemble(task, done, CompletionOptions(), {}, 3, calibration, errors)
+    assert judged.observed.all() and judged.verdict.reasons == (CLOSED,)
+    task = task._replace(points=ball * 100, sensor="given")  # the sensor is amid them
+    judged = assemble(task, done, CompletionOptions(), {}, 3, calibration, errors)
+    assert judged.verdict.trust == "low" and judged.verdict.reasons[0] == SCENE

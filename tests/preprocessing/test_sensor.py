@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prism_jax.preprocessing.sensor import hidden_share, is_believable, likely_eye
+from prism_jax.preprocessing.sensor import (
+    hidden_share,
+    is_believable,
+    is_closed,
+    likely_eye,
+)
 
 FAR = np.array([4e5, 5e6, 100.0])
 
@@ -93,3 +98,10 @@ def test_degenerate_clouds_have_some_place():
         assert np.isfinite(eye).all()
         assert 0 <= hidden_share(points, eye) <= 1
         assert is_believable(points, eye, eye)
+
+
+def test_a_cloud_all_around_is_closed_though_it_stood_on_something():
+    ball = np.concatenate([shell(sign * FAR) for sign in (-1, 1)])
+    assert is_closed(1e3 * ball + FAR) and is_closed(ball[ball[:, 2] > -0.5])
+    assert not is_closed(ball[ball[:, 0] > -0.3]) and not is_closed(ball[:900])
+    assert not is_closed(ball, thickness=0.5) and not is_closed(ball * [1, 1, 0.05])

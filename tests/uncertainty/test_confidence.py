@@ -85,6 +85,8 @@ def test_what_speaks_for_a_completion_is_no_reason_against_it(name, usual_side):
     found = calibration(stump(name, *leaves, at=0.5 * usual_side))
     verdict = found.judge(spreads(**{name: usual_side}), 1.0)
     assert verdict.trust == "low" and verdict.reasons == ()
+    none = found.judge({**USUAL, "strays": 0.004}, 1.0)  # no share that reads as 0 %
+    assert none.reasons == ()
 
 
 def test_novelty_is_the_distance_in_spreads():

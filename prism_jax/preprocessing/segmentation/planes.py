@@ -19,7 +19,7 @@ COARSEST = 0.03  # points that need as large a tolerance are of a curved surface
 MIN_SHARE = 0.08  # of all cells, to be a large plane
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Plane:
     """``points @ normal = offset``, and how far off its points lie."""
 

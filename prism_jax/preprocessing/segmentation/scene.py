@@ -1,11 +1,13 @@
 """A scene taken apart: what things stand on, the objects, and what is left over."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float64, Int
 
 from prism_jax.geometry.camera import Vector
+from prism_jax.preprocessing.segmentation.background import bounding
 from prism_jax.preprocessing.segmentation.clusters import extent
 from prism_jax.preprocessing.segmentation.parts import objects_of
 from prism_jax.preprocessing.segmentation.planes import (
@@ -27,7 +29,6 @@ from prism_jax.preprocessing.upright import AUTO
 
 SUPPORT, LEFT_OVER = -1, -2  # in `SegmentedScene.object`; objects count from 0
 SHEET = 0.95  # a plane with this share of a cloud is all there is
-WALL = 0.25  # the length of a wall around the sensor, in the longest side of the cloud
 # So far apart the parts of one object can be, in the longest side of a cloud without
 # any plane, where it hides its own surface.
 GAP = 0.25
@@ -62,10 +63,9 @@ def split_scene(
     `up` is as `upright` has it, or "auto" (`find_up`), `sensor` the place the points
     were seen from, or None. Set aside are the support (`find_support`) and with it
     other planes that are at least as long as it is wide and do not rise from its midst:
-    walls, another floor. Where there is no support, but the sensor stands amid the
-    points, the large planes around it are walls. A cloud that is one plane is all
-    support. A cloud with nothing to set aside is one object, unless its parts are over
-    `GAP` apart.
+    walls, another floor; and all that the view of a known sensor ends at (`bounding`).
+    A cloud that is one plane is all support. A cloud with nothing to set aside is one
+    object, unless its parts are over `GAP` apart.
 
     The same points give the same scene; unit and origin do not matter. Points must be
     finite. An `up` that is no direction raises InputError.
@@ -86,7 +86,8 @@ def split_scene(
         gap = GAP * size if support is None and not walls else 0.0
         rest = points[~aside]
         whole = objects_of(rest, found.vector, eye, support, gap)
-        number[~aside] = _numbered(rest, whole, support, size)
+        planes = walls if support is None else [support, *walls]
+        number[~aside] = _numbered(rest, whole, planes, size)
     return SegmentedScene(
         object=number,
         planes=(() if support is None else (support,)) + tuple(walls),
@@ -108,7 +109,8 @@ def _set_aside(
         return None, [], aside
     rim = LINK_SPACINGS * thinned.cells.spacing
     inner = np.zeros(len(cells), bool)
-    longest = WALL * extent(cells)
+    ends = [] if eye is None else bounding(thinned, eye)
+    longest = np.inf
     border = None if support is None else outline(cells, support)
     if support is not None and border is not None:
         aside |= _on(support, border, points, rim)
@@ -116,16 +118,17 @@ def _set_aside(
         longest = border.width
     elif planes[0].holds(cells).mean() >= SHEET:
         return None, planes[:1], planes[0].holds(points)
-    elif eye is None or not _amid(cells, eye):
+    elif not ends:
         return None, [], aside
     for plane, border in zip(planes, thinned.borders, strict=True):
-        flat = plane.tolerance <= COARSE * extent(cells)
-        if border is None or not flat or border.filled < FILLED:
+        if border is None:
             continue
         on = _on(plane, border, points, rim)
+        flat = plane.tolerance <= COARSE * extent(cells) and border.filled >= FILLED
         standing = inner[plane.holds(cells)].mean() > 0.5
+        large = flat and not standing and border.length >= longest
         new = (on & ~aside).sum() > 0.5 * on.sum()
-        if new and not standing and border.length >= longest:
+        if new and (plane in ends or large):
             walls.append(plane)
             aside |= on
     return support, walls, aside
@@ -140,16 +143,10 @@ def _on(
     return on
 
 
-def _amid(cells: Float64[np.ndarray, "M 3"], eye: Float64[np.ndarray, "3"]) -> bool:
-    """Whether the sensor stands within the bulk of what it sees."""
-    lower, upper = np.percentile(cells, [5, 95], axis=0)
-    return bool(((eye > lower) & (eye < upper)).all())
-
-
 def _numbered(
     points: Float64[np.ndarray, "N 3"],
     whole: Int[np.ndarray, " N"],
-    support: Plane | None,
+    planes: Sequence[Plane],
     size: float,
 ) -> Int[np.ndarray, " N"]:
     """Objects by falling number of points, and what is too small left over."""
@@ -158,11 +155,11 @@ def _numbered(
     np.minimum.at(lower, whole, points)
     np.maximum.at(upper, whole, points)
     proper = (count >= MIN_POINTS) & ((upper - lower).max(axis=1) >= MIN_SIZE * size)
-    if support is not None:
-        # Noise of the support itself forms flat patches on it.
+    for plane in planes:
+        # Noise of a plane itself forms flat patches on it.
         top = np.full(len(count), -np.inf)
-        np.maximum.at(top, whole, support.height(points))
-        proper &= np.abs(top) >= 3.0 * support.tolerance
+        np.maximum.at(top, whole, plane.height(points))
+        proper &= np.abs(top) >= 3.0 * plane.tolerance
     order = np.argsort(-np.where(proper, count, 0), kind="stable")
     number = np.full(len(count), LEFT_OVER)
     number[order[: proper.sum()]] = np.arange(proper.sum())

@@ -1,15 +1,17 @@
 """The plane that objects stand on, and with it the way up."""
 
-from typing import Any, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float64
 
 from prism_jax.geometry.camera import Vector
 from prism_jax.geometry.cloud import IndexedCloud
+from prism_jax.preprocessing.segmentation.background import bounding
 from prism_jax.preprocessing.segmentation.clusters import components
 from prism_jax.preprocessing.segmentation.planes import Outline, Plane, Thinned
-from prism_jax.preprocessing.upright import upright
+from prism_jax.preprocessing.upright import AUTO, upright
 
 RIM = 0.01  # how far from a plane's border something is inside or outside, in its width
 WITHIN = 0.6  # the share of a cloud over, on or under a support, seen along its normal
@@ -23,6 +25,7 @@ PARALLEL = 30.0  # in degrees: planes that cross at less have no line in common
 FILLED = 0.5  # the share of a support's outline that has points
 MIN_CELLS = 10  # what stands on a support has so many cells of the thinned cloud
 MAX_TILT = 60.0  # in degrees from z, of a support whose side no sensor says
+SQUARE = np.cos(np.deg2rad(45.0))  # a sensor looks at a plane rather straight on
 LINK_SPACINGS = 4.0  # points no farther apart than so many spacings hang together
 
 
@@ -39,6 +42,16 @@ def given_up(up: str | Vector) -> Up:
     """An up as `upright` has it."""
     turn = upright(up)
     return Up(np.array([0.0, 0.0, 1.0]) if turn is None else turn[2], "given")
+
+
+def tilt_of(planes: Sequence[Plane], up: str | Vector) -> float:
+    """By how many degrees the plane that is nearest to level is tilted against an up
+    that was given; 0 if it is a wall, or there is none."""
+    if isinstance(up, str) and up == AUTO:
+        return 0.0
+    vector = given_up(up).vector
+    tilts = [np.degrees(np.arccos(min(abs(p.normal @ vector), 1.0))) for p in planes]
+    return float(min((tilt for tilt in tilts if tilt < MAX_TILT), default=0.0))
 
 
 def find_up(
@@ -81,19 +94,27 @@ def find_support(
     """
     thinned = points if isinstance(points, Thinned) else Thinned(points)
     cells, planes, borders = thinned.cells.points, thinned.planes, thinned.borders
+    eye = None
+    if sensor is not None and np.isfinite(np.asarray(sensor)).all():
+        eye = np.asarray(sensor, np.float64)
+    ends = [] if eye is None else bounding(thinned, eye)
+    forward = np.zeros(3) if eye is None else (cells - eye).sum(axis=0)
     best, most = None, 0.0
     for plane, border in zip(planes, borders, strict=True):
-        side = _objects_side(plane, sensor)
+        side = _objects_side(plane, eye)
         if side is None or border is None:
             continue
         aside = np.zeros(len(cells), bool)
         for other, its in zip(planes, borders, strict=True):
             if its is None or its.length < LARGE * border.width:
                 continue
-            if _is_elsewhere(other, plane, border, cells):
+            both_end_the_view = other in ends and plane in ends
+            if both_end_the_view or _is_elsewhere(other, plane, border, cells):
                 aside |= other.holds(cells)
         aside &= ~plane.holds(cells)
-        standing = _standing(thinned.cells, aside, side, border)
+        # A wall, or a table from above: what stands on that is seen to touch it.
+        square = abs(side.normal @ forward) > SQUARE * np.linalg.norm(forward)
+        standing = _standing(thinned.cells, aside, side, border, bool(square))
         if standing > most:
             best, most = side, standing
     return best
@@ -119,10 +140,10 @@ def _is_elsewhere(
     return bool(np.abs(ends[0] - ends[1]).max() >= BEYOND * shorter)
 
 
-def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
+def _objects_side(plane: Plane, eye: Float64[np.ndarray, "3"] | None) -> Plane | None:
     """The plane with its normal to where objects can be, if they can be anywhere."""
-    if sensor is not None and np.isfinite(np.asarray(sensor)).all():
-        positive = plane.height(np.asarray(sensor, np.float64)[None])[0] > 0
+    if eye is not None:
+        positive = plane.height(eye[None])[0] > 0
     elif np.abs(plane.normal[2]) < np.cos(np.deg2rad(MAX_TILT)):
         return None
     else:
@@ -133,10 +154,14 @@ def _objects_side(plane: Plane, sensor: Any) -> Plane | None:
 
 
 def _standing(
-    cloud: IndexedCloud, aside: Bool[np.ndarray, " N"], plane: Plane, border: Outline
+    cloud: IndexedCloud,
+    aside: Bool[np.ndarray, " N"],
+    plane: Plane,
+    border: Outline,
+    touching: bool,
 ) -> float:
     """How many cells stand on a plane, those set aside left out; zero if it is none
-    that objects stand on."""
+    that objects stand on. What hovers does not count if all have to be `touching`."""
     reach = LINK_SPACINGS * cloud.spacing
     cells = cloud.points
     height, depth = plane.height(cells), border.depth(cells)
@@ -161,6 +186,8 @@ def _standing(
     np.maximum.at(top, group, height[off])
     np.minimum.at(foot, group, height[off])
     hovering = np.maximum(foot - plane.tolerance - reach, 0.0) / (0.5 * top)
+    if touching:
+        hovering = np.sign(hovering)
     enclosed = np.bincount(group, depth[off] > rim) >= 0.7 * size
     proper = (size >= MIN_CELLS) & (top >= 3.0 * plane.tolerance)
     proper &= (top <= border.width) & enclosed

@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prism_jax.io.errors import InputError
-from prism_jax.io.pcd import read_pcd, read_pcd_field
+from prism_jax.io.pcd import read_pcd
 from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT, split_scene
-from prism_jax.preprocessing.segmentation.support import find_up
+from prism_jax.preprocessing.segmentation.support import find_up, tilt_of
+from prism_jax.preprocessing.upright import AUTO
 
 # They share a scene.
 
@@ -109,6 +110,8 @@ def test_the_sensor_need_not_be_known_and_duplicates_change_nothing(tabletop):
     points, labels, _ = tabletop
     once, twice = split_scene(points), split_scene(np.tile(points, (2, 1)))
     assert min(overlaps(labels, once.object)) > 0.85
+    assert tilt_of(once.planes, [0, 0.6, 0.8]) == pytest.approx(36.9, abs=0.5)
+    assert tilt_of(once.planes, "y") == tilt_of(once.planes, AUTO) == 0.0
     assert len(twice.num_points) == 4
     assert np.array_equal(twice.object[: len(points)], twice.object[len(points) :])
     nowhere = split_scene(points, "z", np.full(3, np.nan))
@@ -186,6 +189,16 @@ def test_a_table_is_the_support_though_the_wall_behind_is_larger():
     assert min(overlaps(labels, scene.object, first=2)) > 0.8
 
 
+def test_a_wall_and_a_floor_that_end_with_the_view_are_no_objects():
+    """And no wall behind things alone: these float before it, so up is the camera's."""
+    wall, floor = box([0, 0.7, 0.5], [9, 0.02, 9]), box([0, 0, -0.01], [9, 9, 0.02])
+    for things, first in (([wall, floor, *THINGS[1:]], 2), ([wall, *THINGS[1:4]], 1)):
+        points, labels = seen(things, eye=np.array([0.1, -1.2, 0.6]), shape=(240, 320))
+        scene = split_scene(points, AUTO, EYE - [0, 0, 0.3], np.diag([1.0, -1, -1]))
+        assert scene.up.vector @ [0, 1, 0] > -0.1 and len(scene.planes) == first
+        assert min(overlaps(labels, scene.object, first)) > 0.7
+
+
 @pytest.mark.parametrize("thing", THINGS[1:4])
 def test_one_thing_alone_is_one_object(thing):
     points, _ = seen([thing], shape=(300, 400))
@@ -216,9 +229,10 @@ def test_a_direction_that_is_none():
 def test_a_scanned_tabletop_comes_apart_as_it_is_labelled(real):
     """Without its labels for the table: objects of over 500 points."""
     path = real("kinect/mosd_test24.pcd")
-    points = read_pcd(path)
+    fields = {}
+    points = read_pcd(path, fields=fields)
     finite = np.isfinite(points).all(axis=1)
-    labels = read_pcd_field(path, "label")[finite]
+    labels = fields["label"][finite]
     points = points[finite].astype(float)
     origin = np.zeros(3)
     scene = split_scene(points, find_up(points, origin).vector, origin)
