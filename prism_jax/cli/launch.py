@@ -99,12 +99,12 @@ def timed(
 
 
 @functools.cache
-def load_completer(weights: str) -> Any:
+def load_completer(weights: str, quick: bool = False) -> Any:
     """The completer, imported this late so that bad input is refused in a moment. The
     same one for the same weights, so that several scans compile once."""
     from prism_jax.completion.completer import Completer
 
-    return Completer.from_pretrained(weights, default_cache_dir() / "traced")
+    return Completer.from_pretrained(weights, default_cache_dir() / "compiled", quick)
 
 
 def _end(name: str, fault: str, status: int = 2) -> None:

@@ -85,7 +85,7 @@ def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
 def default_cache_dir() -> pathlib.Path:
     """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache. Where a user
     has no home, a temporary folder of this process, and a line on stderr says so."""
-    if CACHE_VARIABLE in os.environ:
+    if os.environ.get(CACHE_VARIABLE):
         return pathlib.Path(os.environ[CACHE_VARIABLE])
     root = os.environ.get("XDG_CACHE_HOME")
     try:
