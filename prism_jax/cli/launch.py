@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import gc
 import io
 import math
 import os
@@ -52,6 +53,7 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     for module in (main.__module__, "prism_jax.cli.shared_flags"):
         for flag in FLAGS.get_flags_for_module(module):
             FLAGS.register_key_flag_for_module(sys.argv[0], flag)
+    gc.freeze()  # what was imported stays, and is not searched for garbage again
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:

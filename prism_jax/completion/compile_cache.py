@@ -1,10 +1,7 @@
 """Compiled functions kept on disk, so that a later process neither traces nor compiles.
 
-JAX's own cache is asked only after tracing and lowering, which take seconds.
-
-A kept program is machine code, and JAX unpickles what belongs to it, so loading one is
-running it. Only files that the program wrote for this user are loaded: file and folder
-are the user's own, and nobody else may write to them.
+Loading one is running it, and unpickles what belongs to it: only what this program
+wrote is loaded, from a folder and a file of the user's own that nobody else may write.
 """
 
 import contextlib
@@ -14,7 +11,7 @@ import pathlib
 import pickle
 import platform
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -49,30 +46,48 @@ def compile_cached(
 ) -> Callable[..., Any]:
     """Compiles ``fn`` for arguments like these, or loads it from ``folder`` if kept.
 
-    ``quick`` compiles with `QUICK`. ``about`` is whatever else ``fn`` closes over. The
-    file's name is made of it, of the package's source, the versions of JAX, the device,
-    the processor and the arguments' shapes. A kept program that is damaged, is of
-    another function or does not load is removed, and ``fn`` is compiled anew. One that
-    cannot be written is not kept, and a folder that others may write to is not used.
+    ``quick`` compiles with `QUICK`. ``about`` is whatever else ``fn`` closes over; a
+    file is named by it and all else that decides (`_fingerprint`). A kept program that
+    does not load is removed, and ``fn`` compiled anew. One that cannot be written is
+    not kept.
     """
-    path = None
-    if folder is not None and _is_private(folder):
-        path = folder / f"{_fingerprint(arguments, (about, quick))}{SUFFIX}"
-        try:
-            return _load(path)
-        except FileNotFoundError:
-            pass
-        except Exception:  # whatever is wrong with it, another one is made
-            with contextlib.suppress(OSError):
-                path.unlink()
-    options = _known(QUICK) if quick else {}
-    lowered = jax.jit(fn).lower(*arguments)
-    if path is None:
-        return lowered.compile(compiler_options=options)
-    with _without_jax_cache():
-        compiled = lowered.compile(compiler_options=options)
+    if folder is not None and os.path.exists(folder) and _others_write(folder.stat()):
+        fault = "others may write there, so no compiled program is kept"
+        warnings.warn(f"{folder}: {fault}; remove it, or chmod go-w it", stacklevel=2)
+        folder = None
+    if folder is None:
+        return _compile(fn, arguments, quick)
+    path = folder / f"{_fingerprint(arguments, (about, quick))}{SUFFIX}"
+    try:
+        return _load(path)
+    except FileNotFoundError:
+        pass
+    except Exception:  # whatever is wrong with it, another one is made
+        with contextlib.suppress(OSError):
+            path.unlink()
+    # XLA 0.10 writes what it read from JAX's own cache without its machine code.
+    enabled = jax.config.jax_enable_compilation_cache  # pyright: ignore
+    jax.config.update("jax_enable_compilation_cache", False)
+    reset_cache()  # JAX looks at the setting once
+    try:
+        compiled = _compile(fn, arguments, quick)
+    finally:
+        jax.config.update("jax_enable_compilation_cache", enabled)
+        reset_cache()
     _keep(path, compiled)
     return compiled
+
+
+def _compile(
+    fn: Callable[..., Any], arguments: tuple[Any, ...], quick: bool
+) -> jax.stages.Compiled:
+    options: dict[str, Any] = {}
+    for name, value in QUICK.items() if quick else ():
+        # Any that this version of XLA does not know would be an error.
+        with contextlib.suppress(Exception):
+            jax.jit(jnp.negative).lower(0.0).compile(compiler_options={name: value})
+            options[name] = value
+    return jax.jit(fn).lower(*arguments).compile(compiler_options=options)
 
 
 def sealed(name: str, program: bytes) -> bytes:
@@ -88,27 +103,12 @@ def _load(path: pathlib.Path) -> Callable[..., Any]:
     program = content[_DIGEST_BYTES:]
     if sealed(path.stem, program) != content:
         raise ValueError("damaged, or kept under another name")
-    device = _device()
+    device: Any = jnp.zeros(()).device
     compiled = serialize_executable.deserialize_and_load(
         *pickle.loads(program), backend=device.client, execution_devices=[device]
     )
     os.utime(path)
     return compiled
-
-
-@contextlib.contextmanager
-def _without_jax_cache() -> Iterator[None]:
-    """Without JAX's own cache: XLA 0.10 writes a program that was read from there
-    without its machine code, and it fails when it is called."""
-    name = "jax_enable_compilation_cache"
-    enabled = getattr(jax.config, name)
-    jax.config.update(name, False)
-    reset_cache()  # JAX looks at the setting once
-    try:
-        yield
-    finally:
-        jax.config.update(name, enabled)
-        reset_cache()
 
 
 def _keep(path: pathlib.Path, compiled: jax.stages.Compiled) -> None:
@@ -123,18 +123,6 @@ def _keep(path: pathlib.Path, compiled: jax.stages.Compiled) -> None:
             old.unlink(missing_ok=True)
 
 
-def _is_private(folder: pathlib.Path) -> bool:
-    """Whether nobody else may write to the folder, or it is still to be made."""
-    try:
-        if not _others_write(folder.stat()):
-            return True
-    except OSError:
-        return True
-    fault = f"{folder}: others may write to it, so that no compiled program is kept"
-    warnings.warn(f"{fault} there; chmod go-w it, or remove it", stacklevel=2)
-    return False
-
-
 def _others_write(status: os.stat_result) -> bool:
     """Whether a file is another user's, or may be written by the group or all."""
     if os.name != "posix":
@@ -142,30 +130,14 @@ def _others_write(status: os.stat_result) -> bool:
     return status.st_uid != os.geteuid() or bool(status.st_mode & 0o022)
 
 
-def _known(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those that this version of XLA knows: any other would be an error."""
-    trial, known = jax.jit(jnp.negative).lower(0.0), {}
-    for name, value in options.items():
-        with contextlib.suppress(Exception):
-            trial.compile(compiler_options={name: value})
-            known[name] = value
-    return known
-
-
-def _device() -> Any:
-    """The one that functions are compiled for."""
-    (device,) = jnp.zeros(()).devices()
-    return device
-
-
-def _processor() -> str:
+def _processor() -> list[str]:
     """What machine code depends on beside the backend: a home may be shared."""
-    try:
-        first = pathlib.Path("/proc/cpuinfo").read_text().split("\n\n")[0]
-    except OSError:
-        return f"{platform.machine()} {platform.processor()}"
     parts = ("model name", "flags", "CPU part", "Features")
-    return "\n".join(line for line in first.splitlines() if line.startswith(parts))
+    try:
+        told = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return [platform.processor()]
+    return sorted({line for line in told if line.startswith(parts)})
 
 
 def _fingerprint(arguments: tuple[Any, ...], about: Any) -> str:
@@ -174,13 +146,12 @@ def _fingerprint(arguments: tuple[Any, ...], about: Any) -> str:
     for source in sorted(package.rglob("*.py")):
         digest.update(source.read_bytes())
     shapes = jax.tree.map(jax.api_util.shaped_abstractify, arguments)
-    device, config = _device(), jax.config
-    settings = config.jax_default_matmul_precision, config.jax_enable_x64  # pyright: ignore
+    device: Any = jnp.zeros(()).device
+    precision = jax.config.jax_default_matmul_precision  # pyright: ignore
     for part in (
-        (jax.__version__, jaxlib.version.__version__, platform.system(), _processor()),
-        (device, device.device_kind, device.client.platform_version),
-        (settings, os.environ.get("XLA_FLAGS"), QUICK),
-        (about, shapes),
+        (jax.__version__, jaxlib.version.__version__, platform.uname()[::4]),
+        (_processor(), device, device.device_kind, device.client.platform_version),
+        (precision, os.environ.get("XLA_FLAGS"), QUICK, about, shapes),
     ):
         digest.update(repr(part).encode())
     return digest.hexdigest()[:32]

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # scipy.optimize, which takes long to import, at its first use
 from jaxtyping import Float
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -120,7 +120,7 @@ def emds(predictions: Sequence[Cloud], target: Cloud) -> list[float]:
             raise ValueError(f"{fault}: use fewer")
         cost = cdist(cloud, goal)
         start = _coarse_prices(cost) if prices is None else prices
-        columns = linear_sum_assignment(_reduced(cost, start))[1]
+        columns = scipy.optimize.linear_sum_assignment(_reduced(cost, start))[1]
         values.append(float(cost[np.arange(len(cost)), columns].mean()))
         if prices is None and len(predictions) > 1:
             prices = _relaxed(start, cost, columns, _ROUNDS)
@@ -143,7 +143,7 @@ def _coarse_prices(cost: np.ndarray) -> np.ndarray:
     if few < _FEWEST:
         return np.zeros(len(cost))
     coarse = cost[:few, :few]
-    columns = linear_sum_assignment(coarse)[1]
+    columns = scipy.optimize.linear_sum_assignment(coarse)[1]
     prices = _relaxed(np.zeros(few), coarse, columns, few)
     rows = np.min(cost[:, :few] - prices, axis=1, keepdims=True)
     return np.min(cost - rows, axis=0)

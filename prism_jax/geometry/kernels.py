@@ -12,8 +12,6 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jax.experimental import pallas as pl
-from jax.experimental.pallas import triton
 from jaxtyping import Array, Bool, Float, Int
 
 from prism_jax.geometry.extrema import inserted
@@ -40,6 +38,10 @@ def knn_indices(
 ) -> Int[Array, "N k"]:
     """Indices of the k nearest support points, nearest first; k is at most M. Ties go
     to the lowest index."""
+    # Here, not above: what no CPU needs takes a quarter of a second.
+    from jax.experimental import pallas as pl
+    from jax.experimental.pallas import triton
+
     queries = _rows(query, _QUERIES)
     supports = support.T
     num_supports = support.shape[0]
@@ -87,6 +89,9 @@ def farthest_indices(
 ) -> Int[Array, " num_samples"]:
     """Farthest-point sampling from ``start``, among the points that may be chosen. One
     program holds the whole cloud, up to `MAX_FARTHEST_POINTS`."""
+    from jax.experimental import pallas as pl
+    from jax.experimental.pallas import triton
+
     size = pl.next_power_of_2(points.shape[0])
     cloud = _rows(points, size)
     allowed = jnp.pad(chosen_from.astype(jnp.int32), (0, size - points.shape[0]))

@@ -102,12 +102,12 @@ def test_what_others_may_write_is_not_loaded(fn, tmp_path, monkeypatch):
     run(fn, tmp_path)
     assert fn.count == 2 and file.stat().st_mode & 0o777 == 0o600
     tmp_path.chmod(0o770)
-    with pytest.warns(UserWarning, match="others may write to it"):
+    with pytest.warns(UserWarning, match="others may write there"):
         run(fn, tmp_path)
     assert fn.count == 3
     tmp_path.chmod(0o700)
     monkeypatch.setattr("os.geteuid", lambda: file.stat().st_uid + 1)
-    with pytest.warns(UserWarning, match="others may write to it"):
+    with pytest.warns(UserWarning, match="others may write there"):
         run(fn, tmp_path)
     assert fn.count == 4
 
