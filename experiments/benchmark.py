@@ -39,8 +39,8 @@ def define_flags() -> None:
     flags.DEFINE_string(
         "of",
         None,
-        "Preset (training, memory), weights (evaluation, stream) or either (adapt). "
-        "Default: small, or paper for memory.",
+        "Preset (training, memory), weights (evaluation, stream), either (adapt), or a "
+        "scan of a scene (startup). Default: small, paper for memory, no scan.",
     )
     flags.DEFINE_string("output", None, "JSON file to write.")
 

@@ -313,7 +313,7 @@ def main() -> None:
     if FLAGS.num_cells < needed:
         raise InputError("--num_cells", "too few", f"use {needed} or more")
     weights, cache = located(FLAGS.weights), default_cache_dir()
-    once = _Remembered(Completer.from_pretrained(weights, cache / "traced"))
+    once = _Remembered(Completer.from_pretrained(weights, cache / "compiled"))
     folder = pathlib.Path(FLAGS.cell_dir or cache / "envelope-cells")
     result: dict[str, Any] = {
         "commit": commit(),

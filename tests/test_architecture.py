@@ -121,8 +121,9 @@ def test_no_name_is_exported_twice():
     assert len(exports) == len(set(exports)) > 14
 
 
-def test_nothing_unpickles():
-    assert not [name for name, tree in TREES.items() if unpickles(tree)]
+def test_nothing_unpickles_but_what_only_the_program_itself_can_have_written():
+    found = [name for name, tree in TREES.items() if unpickles(tree)]
+    assert found == ["prism_jax.completion.compile_cache"]
 
 
 def unpickles(tree):

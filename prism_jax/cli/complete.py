@@ -39,6 +39,7 @@ from prism_jax.uncertainty.confidence import SCENE
 FLAGS = flags.FLAGS
 NAME = "prism-complete"
 LIST = "list"  # in place of a name of weights
+FEW = 50  # scans, for which a quick compilation saves more time than it costs
 
 _SCANS = (*READERS, ".png")  # what is taken from a folder
 TILTED = 10.0  # in degrees: a floor or table that leans more contradicts --up
@@ -113,12 +114,14 @@ def complete_file(
     density: float = 1.0,
     background: str = "unknown",
     output_dir: str = "prism_output",
+    quick: bool = True,
 ) -> dict[str, Any]:
     """Completes one scan and writes completed.ply, report.html and result.json.
 
-    The arguments are the flags of the command. Returns the content of result.json,
-    which is written last. Everything the user can put right raises an InputError, and
-    all that can be known to be wrong does so before the weights are loaded.
+    The arguments are the flags of the command, and ``quick``, which is `Completer`'s.
+    Returns the content of result.json, which is written last. Everything the user can
+    put right raises an InputError, and all that can be known to be wrong does so before
+    the weights are loaded.
     """
     seconds: dict[str, float] = {}
     bounds = None if workspace is None else io.parse_bounds(workspace)
@@ -140,7 +143,7 @@ def complete_file(
     folder = claim(output_dir)
     check_targets(folder / name for name in _FILES)
     with _timed(f"loading the weights {weights}", "load", seconds):
-        completer = load_completer(weights)
+        completer = load_completer(weights, quick)
     if direction is None:
         direction = "-y" if scan.in_camera_frame else "z"
     scene, taken_apart = None, False
@@ -226,7 +229,7 @@ def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:
         raise io.InputError(source, fault, remedy)
 
 
-_SETTINGS = tuple(inspect.signature(complete_file).parameters)[1:]
+_SETTINGS = tuple(inspect.signature(complete_file).parameters)[1:-1]
 
 
 def _view(scan: io.Scan, eye: str | None, source: str) -> Any:
@@ -289,8 +292,8 @@ def complete_files(
     for number, (name, path) in enumerate(jobs.items(), 1):
         _say(f"{number} of {len(jobs)}: {path}")
         try:
-            own = str(folder / name)
-            done[name] = complete_file(str(path), output_dir=own, **settings)
+            own = {"output_dir": str(folder / name), "quick": len(jobs) <= FEW}
+            done[name] = complete_file(str(path), **own, **settings)
         except io.InputError as error:
             faults.append(error)
     failed = [str(error) for error in faults]

@@ -3,6 +3,7 @@
 import _thread
 import contextlib
 import functools
+import gc
 import io
 import math
 import os
@@ -68,6 +69,7 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     if "--help" in sys.argv[1:]:  # of which absl makes a failure
         app.usage(shorthelp=True, writeto_stdout=True)
         sys.exit(0)
+    gc.freeze()  # what was imported stays, and is not searched for garbage again
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:
@@ -137,12 +139,12 @@ def timed(
 
 
 @functools.cache
-def load_completer(weights: str) -> Any:
+def load_completer(weights: str, quick: bool = False) -> Any:
     """The completer, imported this late so that bad input is refused in a moment. The
     same one for the same weights, so that several scans compile once."""
     from prism_jax.completion.completer import Completer
 
-    return Completer.from_pretrained(weights, default_cache_dir() / "traced")
+    return Completer.from_pretrained(weights, default_cache_dir() / "compiled", quick)
 
 
 def _end(name: str, fault: str, status: int = 2) -> None:

@@ -8,8 +8,8 @@ tables scale CD-L1 by 1e3 and CD-L2 by 1e3 or 1e4: nothing is scaled here.
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # scipy.optimize, which takes long to import, at its first use
 from jaxtyping import Float
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -91,7 +91,7 @@ def emd(prediction: Cloud, target: Cloud) -> float:
         fault = f"emd takes up to {MAX_EXACT_POINTS} points, not {len(cloud)}"
         raise ValueError(f"{fault}: use fewer")
     cost = cdist(cloud, goal)
-    return float(cost[linear_sum_assignment(cost)].mean())
+    return float(cost[scipy.optimize.linear_sum_assignment(cost)].mean())
 
 
 def _checked(

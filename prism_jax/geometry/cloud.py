@@ -9,6 +9,8 @@ from scipy.spatial import KDTree
 
 NUM_NEAR = 8  # neighbours that a density is taken from
 
+ENOUGH = 2**18  # points of a scan: more say no more of an object, and take longer
+
 MAX_SIGHTS = 16_384  # lines of sight to a larger cloud lead to evenly spaced rows
 
 
@@ -22,14 +24,24 @@ class Sights(NamedTuple):
 class IndexedCloud:
     """Points whose tree, spacing and density are computed once, when first needed."""
 
-    def __init__(self, points: Float[Array | np.ndarray, "N 3"]):
+    def __init__(self, points: Float[Array | np.ndarray, "N 3"], share: float = 1.0):
         self.points = np.asarray(points, np.float64)
+        self.share = share  # of the points that there are
         self._sights: dict[bytes, Sights] = {}
 
     @classmethod
     def of(cls, points: Any) -> "IndexedCloud":
         """A cloud as it is, or one of an array of points."""
         return points if isinstance(points, IndexedCloud) else cls(points)
+
+    @classmethod
+    def of_enough(cls, points: Float[np.ndarray, "N 3"]) -> "IndexedCloud":
+        """Of `ENOUGH` points at most, drawn at random, the same ones each time."""
+        count = len(points)
+        if count <= ENOUGH:
+            return cls(points)
+        drawn = np.random.default_rng(0).choice(count, ENOUGH, False, shuffle=False)
+        return cls(points[np.sort(drawn)], ENOUGH / count)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -62,7 +74,7 @@ class IndexedCloud:
 
     @functools.cached_property
     def density(self) -> float:
-        """Points a square unit, where the cloud is as dense as usual.
+        """Points a square unit, where the cloud is as dense as usual, of all there are.
 
         By the eighth neighbour: the nearest ones of a LiDAR's points all lie on one
         line. Zero for a cloud of fewer than nine distinct points.
@@ -71,7 +83,7 @@ class IndexedCloud:
         if len(own) <= NUM_NEAR:
             return 0.0
         apart = own.distance(own.points, NUM_NEAR + 1)
-        return float(NUM_NEAR / (np.pi * np.median(apart) ** 2))
+        return float(NUM_NEAR / (np.pi * np.median(apart) ** 2) / self.share)
 
     def distance(
         self, points: Float[np.ndarray, "Q 3"], k: int = 1

@@ -101,7 +101,7 @@ def _read_yaml(data: bytes) -> Any:
 def default_cache_dir() -> pathlib.Path:
     """$PRISM_JAX_CACHE, else prism_jax in $XDG_CACHE_HOME or in ~/.cache. Where a user
     has no home, a temporary folder of this process, and a line on stderr says so."""
-    if CACHE_VARIABLE in os.environ:
+    if os.environ.get(CACHE_VARIABLE):
         return pathlib.Path(os.environ[CACHE_VARIABLE])
     root = os.environ.get("XDG_CACHE_HOME")
     try:

@@ -86,8 +86,9 @@ class Observation:
 
     @functools.cached_property
     def cloud(self) -> IndexedCloud:
-        """The points inside. Not traced."""
-        return IndexedCloud(np.asarray(self.partial)[np.asarray(self.inside)])
+        """The points inside, or enough of them. Not traced."""
+        inside = np.asarray(self.partial)[np.asarray(self.inside)]
+        return IndexedCloud.of_enough(inside)
 
     def sampled(self, num_points: int) -> "Observation":
         """The same with ``num_points`` of the points inside, in farthest-point order.
@@ -95,7 +96,7 @@ class Observation:
         Fewer are repeated; see `geometry.sampling.resample`. In float32. Not traced:
         how many are inside must be known. Clouds of any size need few compilations.
         """
-        points = np.asarray(self.partial)[np.asarray(self.inside)].astype(np.float32)
+        points = self.cloud.points.astype(np.float32)
         count = len(points)
         points = padded(points, num_points)
         if count >= num_points:

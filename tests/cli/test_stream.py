@@ -44,20 +44,20 @@ def scans(tmp_path_factory):
 def shared(completer, monkeypatch):
     """Whatever the weights are called, they are those of all tests."""
     for program in (command, complete):
-        monkeypatch.setattr(program, "load_completer", lambda weights: completer)
+        monkeypatch.setattr(program, "load_completer", lambda *about: completer)
 
 
 def test_weights_of_a_file_are_compiled_once(
     scans, minimal, minimal_variables, tmp_path, monkeypatch, capsys
 ):
-    """And their trace is kept for the next process."""
+    """And kept for the next process."""
     monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path / "cache"))
     path = tmp_path / "w.safetensors"
     save_weights(path, minimal.config, minimal_variables, {})
     words = f"--weights={path}", f"--output={tmp_path / 'out'}"
     assert run(command, str(scans), *words) == 0
     assert "5 completed, 0 dropped, 0 unusable" in capsys.readouterr().out
-    assert len(list((tmp_path / "cache").rglob("*.jaxexport"))) == 1
+    assert len(list((tmp_path / "cache").rglob("*.jaxcompiled"))) == 1
     assert load_completer(str(path)) is load_completer(str(path))
 
 

@@ -39,6 +39,8 @@ def test_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("PRISM_JAX_CACHE", raising=False)
     assert files.default_cache_dir() == tmp_path / "prism_jax"
+    monkeypatch.setenv("PRISM_JAX_CACHE", "")
+    assert files.default_cache_dir() == tmp_path / "prism_jax"
     monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path / "own"))
     assert files.default_cache_dir() == tmp_path / "own"
     monkeypatch.delenv("PRISM_JAX_CACHE")

@@ -17,6 +17,7 @@ TILES = 20  # along a plane: two of them without a point are a gap between two p
 COARSE = 0.01  # the first tolerance, in longest sides of the cloud
 COARSEST = 0.03  # points that need as large a tolerance are of a curved surface
 MIN_SHARE = 0.08  # of all cells, to be a large plane
+_BLOCK = 16_384  # points at once, which the processor's cache holds
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -103,8 +104,11 @@ class Outline:
         """How far inside the hull points project; negative outside."""
         outside = np.full(len(points), -np.inf)
         flat = points @ self.axes.T
-        for line, offset in zip(self.lines, self.offsets, strict=True):
-            np.maximum(outside, flat @ line - offset, out=outside)
+        for start in range(0, len(points), _BLOCK):
+            some = slice(start, start + _BLOCK)
+            for line, offset in zip(self.lines, self.offsets, strict=True):
+                beyond = flat[some] @ line - offset
+                np.maximum(outside[some], beyond, out=outside[some])
         return -outside
 
 
