@@ -43,7 +43,9 @@ def parsing(
         remedy = "crop or thin it, or raise --max_points"
         raise InputError(path, str(error), remedy) from None
     except faults as error:
-        raise InputError(path, f"not {kind}: {error}", remedy) from None
+        told = error.fault if isinstance(error, InputError) else str(error)
+        told = f"missing {told}" if isinstance(error, KeyError) else told
+        raise InputError(path, f"not {kind}: {told}", remedy) from None
 
 
 def read_bytes(path: StrPath) -> bytes:
@@ -75,8 +77,8 @@ def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
     data = read_bytes(path)
     try:
         content = json.loads(data)
-    except (ValueError, RecursionError):
-        raise InputError(path, "not JSON", remedy) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, f"not JSON: {error}", remedy) from None
     if type(content) is not dict:
         raise InputError(path, "not a JSON object", remedy)
     return content
