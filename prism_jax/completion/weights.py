@@ -101,14 +101,13 @@ def _load_trees(name_or_path: str, key: str, kind: type[Trees]) -> Any:
         return None
     try:
         found = kind.from_dict(metadata[key])
-    except ValueError as error:
+        if isinstance(found, Calibration):
+            width = metadata["config"]["model"]["backbone"]["global_features"][-1]
+            if (own := len(found.feature_mean)) != width:
+                raise ValueError(f"a calibration of {own} features, not {width}")
+        return found
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(name_or_path, str(error), _remedy()) from None
-    if isinstance(found, Calibration):
-        width = metadata["config"]["model"]["backbone"]["global_features"][-1]
-        if found.feature_mean.shape != (width,):
-            fault = f"calibrated for {len(found.feature_mean)} features, not {width}"
-            raise InputError(name_or_path, fault, _remedy())
-    return found
 
 
 def file_sha256(name_or_path: str) -> str:

@@ -145,10 +145,9 @@ def _check(root: ElementTree.Element) -> None:
         if joint.get("type") not in (*_MOVING, "fixed"):
             told = f"{joint.get('name')!r} is {joint.get('type')!r}"
             raise ValueError(f"joint {told}, not {', '.join(_MOVING)} or fixed")
-    for kind in ("link/visual", "link/collision", "joint"):
-        for part in root.findall(kind):
-            for element in part.iter():
-                _check_numbers(element, part.get("type") in _MOVING)
+    for part in (*root.findall("link"), *root.findall("joint")):
+        for element in part.iter():
+            _check_numbers(element, part.get("type") in _MOVING)
 
 
 def _check_numbers(element: ElementTree.Element, moves: bool) -> None:
@@ -250,6 +249,7 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> Any:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
+@np.errstate(all="ignore")
 def _read_mesh(file: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices, in metres, and faces."""
     trimesh, kind = require("trimesh", _EXTRA), file.suffix.lower()
@@ -260,10 +260,7 @@ def _read_mesh(file: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # a fault is told here
     options = {"skip_materials": True, "process": False, "file_type": kind[1:]}
     # One parser for each format, each with its own errors.
-    with (
-        parsing(file, "a readable mesh", "export it again as STL", Exception),
-        np.errstate(all="ignore"),
-    ):
+    with parsing(file, "a readable mesh", "export it again as STL", Exception):
         if any(data.count(name) > most for name, most in _MAX_INSTANCES.items()):
             raise ValueError("too many instances")
         loaded = trimesh.load_mesh(io.BytesIO(data), **options)
