@@ -18,7 +18,7 @@ import jax
 from absl import app, flags, logging
 
 from prism_jax.io.atomic import keep
-from prism_jax.io.errors import InputError, unwritable
+from prism_jax.io.errors import InputError, unreadable, unwritable
 from prism_jax.io.files import default_cache_dir
 
 FLAGS = flags.FLAGS
@@ -81,6 +81,10 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         _end(name, f"\n{name}: ".join(error.args[0]), status=1)
     except flags.Error as error:
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
+    except OSError as error:
+        if error.filename is None:
+            raise
+        _end(name, str(unreadable(error.filename, error)))
     except KeyboardInterrupt:
         _end(name, "interrupted", status=130)
 

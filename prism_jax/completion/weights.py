@@ -61,9 +61,9 @@ def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables
     metadata, arrays = read_file(path)
     try:
         config = config_from_dict(metadata["config"])
-    except (KeyError, TypeError, AttributeError):
+    except (KeyError, TypeError, AttributeError, RecursionError):
         raise InputError(path, NOT_OURS, _remedy()) from None
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         fault = f"invalid configuration: {error}"
         raise InputError(path, fault, _remedy()) from None
     if name_or_path in available_weights():
@@ -84,7 +84,7 @@ def read_metadata(name_or_path: str) -> dict[str, Any]:
 def load_calibration(name_or_path: str) -> Calibration | None:
     """What gives completions by these weights a verdict; None if they come without.
 
-    One that is damaged raises InputError.
+    One that is damaged, or of another network's features, raises InputError.
     """
     return _load_trees(name_or_path, "calibration", Calibration)
 
@@ -96,10 +96,17 @@ def load_point_errors(name_or_path: str) -> PointErrors | None:
 
 
 def _load_trees(name_or_path: str, key: str, kind: type[Trees]) -> Any:
-    fields = read_metadata(name_or_path).get(key)
+    metadata = read_metadata(name_or_path)
+    if metadata.get(key) is None:
+        return None
     try:
-        return None if fields is None else kind.from_dict(fields)
-    except ValueError as error:
+        found = kind.from_dict(metadata[key])
+        if isinstance(found, Calibration):
+            width = metadata["config"]["model"]["backbone"]["global_features"][-1]
+            if (own := len(found.feature_mean)) != width:
+                raise ValueError(f"a calibration of {own} features, not {width}")
+        return found
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(name_or_path, str(error), _remedy()) from None
 
 

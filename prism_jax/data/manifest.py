@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+import os
 import pathlib
 from collections.abc import Mapping
 from typing import Any
 
 from prism_jax.io.errors import InputError, StrPath, unreadable
+from prism_jax.io.files import read_json
 
 MANIFEST = "manifest.json"
 
@@ -17,17 +19,12 @@ def read_manifest(folder: StrPath, remedy: str, **expected: Any) -> dict[str, An
     understands, InputError with the remedy."""
     path = pathlib.Path(folder) / MANIFEST
     anew = f"delete it, then {remedy}"
-    try:
-        manifest = json.loads(path.read_text())
-        files = manifest["files"]
-        fitting = all(manifest.get(name) == value for name, value in expected.items())
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(folder, "not built yet", remedy) from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(path, "not a valid manifest", anew) from None
-    if not fitting:
+    if not os.path.exists(path):
+        raise InputError(folder, "not built yet", remedy)
+    manifest = read_json(path, anew)
+    if any(manifest.get(name) != value for name, value in expected.items()):
         raise InputError(folder, "built by another version of prism_jax", anew)
-    if not isinstance(files, dict):
+    if not isinstance(manifest.get("files"), dict):
         raise InputError(folder, "incomplete: the build was interrupted", remedy)
     return manifest
 

@@ -23,18 +23,30 @@ import pathlib
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt16
+from jaxtyping import Bool, Float32, Int, Int32, UInt16
 
-from prism_jax.data.manifest import check_files, read_manifest
+from prism_jax.data.manifest import MANIFEST, check_files, read_manifest
 from prism_jax.data.maps import decode
 from prism_jax.data.source import Example
-from prism_jax.io.errors import StrPath
+from prism_jax.io.errors import InputError, StrPath
+from prism_jax.io.files import parsing
 
 FORMAT_VERSION = 3
 """Raised with every change of the layout: folders of another one are refused."""
-ARRAYS = ("complete", "box", "partial", "eye", "views")
-MAPS = ("map", "camera")  # a folder has them for all of its views or for none
+ARRAYS: dict[str, Any] = {
+    "complete": UInt16[np.ndarray, "_ _ 3"],
+    "box": Float32[np.ndarray, "_ 4"],
+    "partial": UInt16[np.ndarray, "_ _ 3"],
+    "eye": Float32[np.ndarray, "_ 3"],
+    "views": Int32[np.ndarray, "_ 2"],
+}
+# A folder has them for all of its views or for none.
+MAPS: dict[str, Any] = {
+    "map": UInt16[np.ndarray, "_ _ _"],
+    "camera": Float32[np.ndarray, "_ 18"],
+}
 NAMES = "names.json"  # written last: a shard is there once its names are
+_AGAIN = "delete it and build again"
 WHOLE = {"clear", "rings", "noisy", "stations"}
 """Traits, as names end in, of views that nothing hides or cuts in part."""
 
@@ -69,11 +81,14 @@ class Shards:
         self.root = pathlib.Path(root)
         expected |= {"format_version": FORMAT_VERSION}
         manifest = read_manifest(self.root, remedy, **expected)
-        check_files(self.root, manifest["files"], "delete it and build again")
-        self.categories = tuple(manifest["categories"])
+        check_files(self.root, manifest["files"], _AGAIN)
+        with parsing(self.root / MANIFEST, "a manifest of shards", _AGAIN, Exception):
+            self.categories = tuple(map(str, manifest["categories"]))
         self._mapped: dict[tuple[int, str], Any] = {}
         self._has_maps = any(name.endswith(".map.npy") for name in manifest["files"])
         count = sum(name.endswith(NAMES) for name in manifest["files"])
+        if count == 0:
+            raise InputError(self.root, "no shards", _AGAIN)
         objects = [self._array(number, "views")[:, 1] for number in range(count)]
         self._starts = np.cumsum([0, *map(len, objects)])
         firsts = np.cumsum([0, *(rows.max() + 1 for rows in objects)])
@@ -97,7 +112,7 @@ class Shards:
         return Example(
             restored(self._array(shard, "complete")[cloud], box),
             restored(self._array(shard, "partial")[view], box),
-            None if np.isnan(eye).any() else np.array(eye),
+            np.array(eye) if np.isfinite(eye).all() else None,
             category,
             name,
             ordered=True,
@@ -121,12 +136,34 @@ class Shards:
         return {**self.__dict__, "_mapped": {}}
 
     def _array(self, shard: int, name: str) -> Any:
-        """One of a shard's arrays, or what its JSON file holds."""
+        """One of a shard's arrays, or what its JSON file holds, once it is checked."""
         key = shard, name
         if key not in self._mapped:
             path = shard_file(self.root, shard, name)
-            if path.suffix == ".json":
-                self._mapped[key] = json.loads(path.read_text())
-            else:
-                self._mapped[key] = np.load(path, mmap_mode="r", allow_pickle=False)
+            # NumPy evaluates an array's header, and raises what that leads to.
+            with parsing(path, "a valid shard", _AGAIN, Exception):
+                if path.suffix == ".json":
+                    content = json.loads(path.read_text())
+                else:
+                    content = np.load(path, mmap_mode="r", allow_pickle=False)
+                self._check(shard, name, content)
+            self._mapped[key] = content
         return self._mapped[key]
+
+    def _check(self, shard: int, name: str, content: Any) -> None:
+        """ValueError for another type or length, and for numbers that are no place."""
+        if not isinstance(content, (ARRAYS | MAPS).get(name, object)):
+            raise ValueError(f"of shape {np.shape(content)}")
+        views = content if name == "views" else self._array(shard, "views")
+        rows = views[:, 0].max() + 1 if name in ("complete", "box") else len(views)
+        if name in (*ARRAYS, *MAPS, NAMES) and not 0 < len(content) == rows:
+            raise ValueError(f"{len(content)} rows, not {rows}")
+        if name == "views" and not 0 <= content.min() <= content.max() < 10**6:
+            raise ValueError("a number is out of range")
+        if name in ("box", "camera") and not (np.abs(content) < 1e9).all():
+            raise ValueError("not finite")
+        if name == "camera" and not (content[:, 16:] > 1e-9).all():
+            raise ValueError("a depth is not positive")
+        for entry in content if name == NAMES else ():
+            if list(map(type, entry)) != [str, str, bool]:
+                raise ValueError(f"found {str(entry)[:80]}")

@@ -24,7 +24,7 @@ from prism_jax.envelope import NOTICE
 from prism_jax.envelope.distance import Surfaces
 from prism_jax.io import atomic
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import parsing, read_json
 
 FORMAT = "prism_jax envelope calibration, version 2"
 _AGAIN = "calibrate again, with the flags of this run"
@@ -70,9 +70,9 @@ def conformal_margin(scores: Sequence[float], alpha: float) -> float:
 
 
 def check_alpha(alpha: float) -> float:
-    """`alpha` if it is a share between 0 and 1, without them; else InputError."""
-    if not 0.0 < alpha < 1.0:
-        fault = f"{alpha:g} is not between 0 and 1"
+    """`alpha` if it is a share that cells can tell, and not all; else InputError."""
+    if not 1e-9 < alpha < 1.0:
+        fault = f"{alpha:g} is not between 1e-9 and 1"
         raise InputError("alpha", fault, "give a share of cells, such as 0.1")
     return alpha
 
@@ -182,17 +182,11 @@ def read_calibration(
     A file that is none, one whose numbers contradict each other, and one of another
     setup than what `runs` raise InputError.
     """
-    try:
-        content = json.loads(read_bytes(path))
-        if type(content) is not dict or content.get("format") != FORMAT:
+    content = read_json(path, _AGAIN)
+    with parsing(path, "a valid calibration", _AGAIN, Exception):
+        if content.get("format") != FORMAT:
             raise ValueError(f"format is not {FORMAT!r}")
         calibration = _from_dict(content)
-    except (KeyError, TypeError, ValueError, RecursionError, OverflowError) as error:
-        reason = f"missing {error}" if isinstance(error, KeyError) else str(error)
-        if isinstance(error, InputError):
-            reason = reason.partition(";")[0].removeprefix("calibration: ")
-            reason = reason.removeprefix(f"{path}: ")
-        raise InputError(path, f"not a valid calibration: {reason}", _AGAIN) from None
     if runs is not None:
         check_setup(calibration, runs, path)
     return calibration
@@ -213,7 +207,7 @@ def _from_dict(content: Mapping[str, Any]) -> MarginCalibration:
         setup=Setup(
             str(content["weights_sha256"]),
             str(content["sensor"]),
-            dict(content["settings"]),
+            {**content["settings"]},
         ),
         alpha=float(content["alpha"]),
         cells=tuple(map(str, content["cells"])),

@@ -20,6 +20,8 @@ MAX_POINTS = 2_000_000  # of a link's surface: more are those of a wrong unit
 ROBOT_MARGIN = 0.03
 """Metres: measured points this near to the robot's surface are the robot's."""
 
+_REMEDY = "give metres (scale=... in the URDF), or leave out what is no robot"
+
 LAYOUT = 'write {"positions": {JOINT: radians or metres}} and, if it is not the frame'
 LAYOUT += '\'s own origin, "base": a 4x4 pose of the robot'
 
@@ -45,7 +47,7 @@ def joints_from_dict(
     if "base" in content:
         try:
             base = np.array(content["base"], np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             base = np.zeros(0)
         if base.shape != (4, 4) or not _is_pose(base):
             raise InputError(path, "base is not a 4x4 pose", LAYOUT)
@@ -93,24 +95,36 @@ def robot_digest(robot: Linkage) -> str:
 @functools.lru_cache(maxsize=4)
 def _link_points(robot: Linkage, spacing: float) -> list[Float64[np.ndarray, "_ 3"]]:
     """Points on each link's surface, in its own frame."""
-    return [on_triangles(mesh.vertices, mesh.faces, spacing) for mesh in robot.meshes]
+    links: list[np.ndarray] = []
+    for mesh in robot.meshes:
+        links.append(on_triangles(mesh.vertices, mesh.faces, spacing, robot.path))
+        if sum(map(len, links)) > MAX_POINTS:
+            raise InputError(robot.path, f"over {MAX_POINTS:,} points", _REMEDY)
+    return links
 
 
 def on_triangles(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     spacing: float = SPACING,
+    path: str | os.PathLike = "the robot",
 ) -> Float64[np.ndarray, "N 3"]:
     """Points on triangles: none of these is farther than `spacing` from one of them.
 
     Triangles are halved until no side is longer than half of the spacing; of their
     corners in one cube of 0.4 of it, one is kept. The same triangles give the same
-    points. More than `MAX_POINTS` raise InputError.
+    points. More than `MAX_POINTS` raise InputError about `path`.
     """
     corners = np.asarray(vertices, np.float64)[np.asarray(faces, int)]
     if len(corners) == 0:
         return np.zeros((0, 3))
     found = [corners.reshape(-1, 3)]
+    long = np.ptp(found[0], axis=0).max()
+    start, end, top = corners.swapaxes(0, 1)
+    area = 0.5 * np.linalg.norm(np.cross(end - start, top - start), axis=1).sum()
+    # A part has no more area than a triangle of three such sides, and the number of a
+    # cube has 63 bits.
+    least = max(area / (0.11 * spacing**2), 5 * long / spacing)
     # A point is within side / sqrt(3) of a corner of its part, and that within the
     # cube's diagonal of what is kept: 0.29 and 0.70 of the spacing.
     while len(corners):
@@ -119,11 +133,9 @@ def on_triangles(
         ring = (sides[rows].argmax(axis=1)[:, None] + np.arange(3)) % 3
         start, end, top = corners[rows[:, None], ring].swapaxes(0, 1)
         found.append(middle := 0.5 * (start + end))
-        if sum(map(len, found[1:])) > MAX_POINTS:
-            long = np.ptp(found[0], axis=0).max()
+        if max(least, sum(map(len, found[1:]))) > MAX_POINTS:
             fault = f"a link of {long:,.4g} m takes over {MAX_POINTS:,} points"
-            remedy = "give meshes in metres, or scale them in the URDF (scale=...)"
-            raise InputError("the robot", fault, remedy)
+            raise InputError(path, fault, _REMEDY)
         halves = [start, middle, top], [middle, end, top]
         corners = np.concatenate([np.stack(half, axis=1) for half in halves])
     points = np.concatenate(found)

@@ -2,11 +2,9 @@
 
 import io
 import json
-import math
 import re
-import sys
 import warnings
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from jaxtyping import Bool, Float, Num, UInt
@@ -17,6 +15,8 @@ from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes, read_json
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
+
+_FAR = 1e9  # numbers beyond it, and parts of a pixel below one of it, are none
 
 _BLOCK = 4096
 """Points turned at once: a larger product would wake all cores for next to nothing."""
@@ -56,7 +56,7 @@ def camera_from_dict(entries: dict[str, Any]) -> Camera:
     entries = _by_our_names(entries)
     width, height = (_integer(entries, key) for key in ("width", "height"))
     fx, fy, cx, cy = (_number(entries, key) for key in ("fx", "fy", "cx", "cy"))
-    if fx <= 0 or fy <= 0:
+    if min(fx, fy) * _FAR < 1:
         raise ValueError("fx and fy must be positive")
     rotation = _array(entries, "rotation", np.eye(3))
     if np.abs(rotation).max() > 2 or not np.allclose(
@@ -215,12 +215,10 @@ def read_grey(
 
 
 def _number(entries: dict[str, Any], key: str) -> float:
-    value, number = entries.get(key), math.nan
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        number = float(value) if abs(value) <= sys.float_info.max else math.inf
-    if not math.isfinite(number):
+    value = entries.get(key)
+    if not _is_finite(value):
         raise ValueError(f"{key} is missing or not a finite number")
-    return number
+    return float(value)
 
 
 def _integer(entries: dict[str, Any], key: str) -> int:
@@ -233,12 +231,14 @@ def _integer(entries: dict[str, Any], key: str) -> int:
 def _array(entries: dict[str, Any], key: str, default: np.ndarray) -> np.ndarray:
     if key not in entries:
         return default
-    try:
-        array = np.array(entries[key])
-    except ValueError:
-        array = np.empty(0)
-    is_number = array.dtype.kind in "iuf"  # not so integers beyond 64 bits
-    if array.shape != default.shape or not is_number or not np.isfinite(array).all():
+    # As objects: of strings NumPy would make all as long as the longest.
+    array = np.array(entries[key], object)
+    if array.shape != default.shape or not all(map(_is_finite, array.flat)):
         shape = "x".join(map(str, default.shape))
         raise ValueError(f"{key} must be {shape} finite numbers")
     return array.astype(np.float64)
+
+
+def _is_finite(value: Any) -> TypeGuard[float]:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and abs(value) <= _FAR

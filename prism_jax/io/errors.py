@@ -21,10 +21,11 @@ class InputError(ValueError):
     exit status 2; a library caller catches it as a ``ValueError``."""
 
     def __init__(self, subject: StrPath, fault: str, remedy: str):
+        fault = fault[:1000]  # it may quote megabytes of a file
         line = f"{os.fspath(subject)}: {fault}; {remedy}"
         printable = "".join(c if c.isprintable() else " " for c in line)
         super().__init__(" ".join(printable.split()))
-        self._parts = (os.fspath(subject), fault, remedy)
+        self.fault, self._parts = fault, (os.fspath(subject), fault, remedy)
 
     def __reduce__(self):
         """From a process of a pool to the one that waits for it."""

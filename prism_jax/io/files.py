@@ -46,7 +46,9 @@ def parsing(
         remedy = "crop or thin it, or raise --max_points"
         raise InputError(path, str(error), remedy) from None
     except faults as error:
-        raise InputError(path, f"not {kind}: {error}", remedy) from None
+        told = error.fault if isinstance(error, InputError) else str(error)
+        told = f"missing {told}" if isinstance(error, KeyError) else told
+        raise InputError(path, f"not {kind}: {told}", remedy) from None
 
 
 def read_bytes(path: StrPath) -> bytes:
@@ -80,8 +82,9 @@ def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
     kind = "YAML" if pathlib.Path(path).suffix.lower() in (".yaml", ".yml") else "JSON"
     try:
         content = _read_yaml(data) if kind == "YAML" else json.loads(data)
-    except (ValueError, RecursionError, yaml.YAMLError):
-        raise InputError(path, f"not {kind}", remedy) from None
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        told = " ".join(str(error).split())
+        raise InputError(path, f"not {kind}: {told}", remedy) from None
     if type(content) is not dict:
         raise InputError(path, f"not a {kind} object", remedy)
     return {str(key): value for key, value in content.items()}

@@ -7,7 +7,9 @@ link. The extra `robots` reads the XML and the meshes.
 """
 
 import io
+import logging
 import pathlib
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,12 +18,20 @@ from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
 from prism_jax.io.errors import InputError, StrPath, require
+from prism_jax.io.files import parsing, read_bytes
 from prism_jax.robots.xacro import named_file, plain_urdf, robot_xml
 
 MESH_SUFFIXES = (".dae", ".obj", ".ply", ".stl")
 REMEDY = "fix the URDF, or use another one"
 _EXTRA = "robots"
 _MOVING = ("revolute", "continuous", "prismatic")
+_MAX_ELEMENTS = 10_000  # of a file
+# Of a Collada file: nodes of nodes grow exponentially.
+_MAX_INSTANCES = {b"instance_node": 16, b"instance_geometry": 2000}
+_FAR = 1e9  # numbers beyond it are no metres
+_SIZES = {"size": 3, "radius": 1, "length": 1}
+_NUMBERS = _SIZES | {"xyz": 3, "rpy": 3, "multiplier": 1, "offset": 1, "scale": 3}
+"""How many numbers an attribute has, of those that say where something is."""
 
 
 class Linkage:
@@ -44,7 +54,9 @@ class Linkage:
         default the identity. `tools` are further meshes by the links that carry them,
         in their frames."""
         path = pathlib.Path(path)
-        links, self.chain = _subtree(_parse(path), root, path)
+        self.path = path
+        robot, self._followed = _parse(path)
+        links, self.chain = _subtree(robot, root, path)
         self.moving = [joint for joint in self.chain if moves(joint)]
         self.joints = tuple(joint.name for joint in self.moving)
         self.frames = [link.name for link in links]
@@ -91,7 +103,9 @@ class Linkage:
         own = dict(zip(self.joints, positions.T, strict=True))
         poses = {self.frames[0]: np.broadcast_to(self.mount, (len(positions), 4, 4))}
         for joint in self.chain:
-            motion = _motion(joint, own, len(positions))
+            name, factor, offset = self._followed[joint.name]
+            followed = own.get(name, np.zeros(len(positions)))
+            motion = _motion(joint, followed * factor + offset)
             if joint.child == self.frames[0]:
                 poses[joint.child] = poses[joint.child] @ motion
                 continue
@@ -105,16 +119,63 @@ def moves(joint: Any) -> bool:
     return joint.type in _MOVING and joint.mimic is None
 
 
-def _parse(path: pathlib.Path) -> Any:
-    """The file's robot: yourdfpy's dataclasses."""
+def _parse(path: pathlib.Path) -> tuple[Any, dict[str, tuple[str, float, float]]]:
+    """The file's robot, yourdfpy's dataclasses, and what each joint follows."""
     yourdfpy = require("yourdfpy", _EXTRA)
-    data = plain_urdf(path) if path.suffix == ".xacro" else robot_xml(path)
-    options = {"build_scene_graph": False, "load_meshes": False}
-    try:
-        return yourdfpy.URDF.load(io.BytesIO(data), **options).robot
-    except Exception as error:  # its parser raises whatever a malformed file leads to
-        fault = f"not a valid URDF robot: {type(error).__name__} {error}"
-        raise InputError(path, fault, REMEDY) from None
+    root = plain_urdf(path) if path.suffix == ".xacro" else robot_xml(path)
+    # Its parser raises whatever a malformed file leads to. The public one goes on with
+    # what it can make of a file that is no XML.
+    with parsing(path, "a valid URDF robot", REMEDY, Exception):
+        _check(root)
+        robot = yourdfpy.URDF._parse_robot(root)
+        joints = {joint.name: joint for joint in robot.joints}
+        return robot, {joint.name: _followed(joint, joints) for joint in robot.joints}
+
+
+def _check(root: ElementTree.Element) -> None:
+    """ValueError for what yourdfpy and NumPy would take for something else: names that
+    are there twice, unknown joints, one number for three, and what is not finite."""
+    if sum(1 for _ in root.iter()) > _MAX_ELEMENTS:
+        raise ValueError(f"over {_MAX_ELEMENTS:,} elements")
+    for kind in ("link", "joint"):
+        names = [part.get("name") for part in root.findall(kind)]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two of its {kind}s have the same name")
+    for joint in root.findall("joint"):
+        if joint.get("type") not in (*_MOVING, "fixed"):
+            told = f"{joint.get('name')!r} is {joint.get('type')!r}"
+            raise ValueError(f"joint {told}, not {', '.join(_MOVING)} or fixed")
+    for part in (*root.findall("link"), *root.findall("joint")):
+        for element in part.iter():
+            _check_numbers(element, part.get("type") in _MOVING)
+
+
+def _check_numbers(element: ElementTree.Element, moves: bool) -> None:
+    for name in _NUMBERS.keys() & element.keys():
+        text = element.attrib[name]
+        numbers = np.array(text.replace(",", " ").split(), np.float64)
+        told = f"<{element.tag} {name}={text[:80]!r}>"
+        if len(numbers) != _NUMBERS[name] or not (np.abs(numbers) < _FAR).all():
+            raise ValueError(f"{told} is not {_NUMBERS[name]} finite number(s)")
+        is_flat = name in _SIZES and not (numbers > 0).all()
+        is_still = moves and element.tag == "axis" and np.abs(numbers).max() < 1e-9
+        if is_flat or is_still or (name == "scale" and not numbers.all()):
+            raise ValueError(f"{told} is zero or negative")
+
+
+def _followed(joint: Any, joints: Mapping[str, Any]) -> tuple[str, float, float]:
+    """The joint whose position this one has, times a factor, plus an offset: itself, or
+    at the end of the joints that it mimics."""
+    name, factor, offset = joint.name, 1.0, 0.0
+    for _ in range(50):
+        if joint is None or joint.mimic is None:
+            break
+        offset += factor * joint.mimic.offset
+        factor *= joint.mimic.multiplier
+        joint = joints.get(joint.mimic.joint)
+    if joint is None or joint.mimic is not None:
+        raise ValueError(f"joint {name!r} mimics itself, or no joint")
+    return joint.name, factor, offset
 
 
 def _subtree(robot: Any, root: str | None, path: pathlib.Path) -> tuple[list, list]:
@@ -139,22 +200,16 @@ def _subtree(robot: Any, root: str | None, path: pathlib.Path) -> tuple[list, li
     return [links[name] for name in found], chain
 
 
-def _motion(joint: Any, positions: dict, count: int) -> Float64[np.ndarray, "P 4 4"]:
-    """What the joint adds to its origin; a mimic follows the joint that it names."""
-    motion = np.tile(np.eye(4), (count, 1, 1))
+def _motion(joint: Any, value: Float[np.ndarray, " P"]) -> Float64[np.ndarray, "P 4 4"]:
+    """What the joint adds to its origin."""
+    motion = np.tile(np.eye(4), (len(value), 1, 1))
     if joint.type not in _MOVING:
         return motion
-    if joint.mimic is None:
-        value = positions[joint.name]
-    else:
-        followed = positions.get(joint.mimic.joint, np.zeros(count))
-        value = followed * joint.mimic.multiplier + joint.mimic.offset
-    axis = np.asarray(joint.axis, float)
+    along = value[:, None] * joint.axis / np.linalg.norm(joint.axis)
     if joint.type == "prismatic":
-        motion[:, :3, 3] = value[:, None] * axis
+        motion[:, :3, 3] = along
     else:
-        turn = value[:, None] * axis / np.linalg.norm(axis)
-        motion[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        motion[:, :3, :3] = Rotation.from_rotvec(along).as_matrix()
     return motion
 
 
@@ -185,23 +240,34 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> Any:
         return trimesh.creation.cylinder(cylinder.radius, cylinder.length, sections=24)
     if geometry.sphere is not None:
         return trimesh.creation.uv_sphere(geometry.sphere.radius, count=(16, 16))
-    file = named_file(geometry.mesh.filename, path)
+    file = named_file(geometry.mesh.filename or "", path)
     if file is None:
         raise InputError(path, f"no such mesh {geometry.mesh.filename!r}", REMEDY)
-    if file.suffix.lower() not in MESH_SUFFIXES:
+    vertices, faces = _read_mesh(file)
+    if geometry.mesh.scale is not None:
+        vertices = vertices * geometry.mesh.scale
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@np.errstate(all="ignore")
+def _read_mesh(file: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices, in metres, and faces."""
+    trimesh, kind = require("trimesh", _EXTRA), file.suffix.lower()
+    if kind not in MESH_SUFFIXES:
         fault = f"not a mesh of type {' '.join(MESH_SUFFIXES)}"
         raise InputError(file, fault, "convert it to STL")
-    try:
-        loaded = trimesh.load_mesh(file, skip_materials=True, process=False)
-        mesh = trimesh.Trimesh(loaded.vertices, loaded.faces, process=False)
+    data = read_bytes(file)
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # a fault is told here
+    options = {"skip_materials": True, "process": False, "file_type": kind[1:]}
+    # One parser for each format, each with its own errors.
+    with parsing(file, "a readable mesh", "export it again as STL", Exception):
+        if any(data.count(name) > most for name, most in _MAX_INSTANCES.items()):
+            raise ValueError("too many instances")
+        loaded = trimesh.load_mesh(io.BytesIO(data), **options)
+        vertices, faces = np.array(loaded.vertices), np.array(loaded.faces)
         if loaded.units not in (None, "meters"):
-            metres = trimesh.units.unit_conversion(loaded.units, "meters")
-            mesh.vertices = mesh.vertices * metres
-    except Exception as error:  # one parser for each format, each with its own errors
-        fault = f"not a readable mesh: {type(error).__name__}"
-        raise InputError(file, fault, "export it again as STL") from None
-    if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
-        raise InputError(file, "no triangles", "export it again as STL")
-    if geometry.mesh.scale is not None:
-        mesh.vertices = mesh.vertices * np.broadcast_to(geometry.mesh.scale, 3)
-    return mesh
+            vertices *= trimesh.units.unit_conversion(loaded.units, "meters")
+        is_whole = 0 <= faces.min() <= faces.max() < len(vertices)
+        if not is_whole or not (np.abs(vertices) < _FAR).all() or vertices.shape[1] < 3:
+            raise ValueError("a corner is not finite, or missing")
+    return vertices, faces

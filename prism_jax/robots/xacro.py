@@ -10,6 +10,7 @@ InputError.
 import ast
 import math
 import operator
+import os
 import pathlib
 import re
 import shlex
@@ -17,7 +18,7 @@ import xml.etree.ElementTree as ElementTree
 from typing import Any
 
 from prism_jax.io.errors import InputError
-from prism_jax.io.files import read_bytes
+from prism_jax.io.files import check_count, parsing, read_bytes
 
 _REMEDY = "convert the robot to plain URDF"
 _OPERATORS: dict[type, Any] = {
@@ -32,28 +33,31 @@ _OPERATORS: dict[type, Any] = {
 }
 _FUNCTIONS = {"radians": math.radians, "sin": math.sin, "cos": math.cos}
 _DEPTH = 40  # of macros and includes within each other
+_MAX_LETTERS = 10_000_000  # of a file, and of what a robot is written out to
+_ELEMENT = 1000  # letters that an element counts for
 
 
-def plain_urdf(path: pathlib.Path) -> bytes:
+def plain_urdf(path: pathlib.Path) -> ElementTree.Element:
     """A xacro file's robot as URDF, all arguments at their defaults."""
     expansion = _Expansion(path)
     try:
-        return ElementTree.tostring(expansion.robot())
+        return expansion.robot()
     except InputError:
         raise
-    except ElementTree.ParseError as error:
-        fault = f"not XML ({error})"
-    except ValueError as error:
-        fault = str(error)
-    raise InputError(expansion.path, fault, _REMEDY)
+    except (ValueError, RecursionError) as error:
+        raise InputError(expansion.path, str(error), _REMEDY) from None
 
 
-def robot_xml(path: pathlib.Path) -> bytes:
-    """A file's bytes, which declare no XML entities."""
+def robot_xml(path: pathlib.Path) -> ElementTree.Element:
+    """A file's elements. One that is large or declares XML entities, of which a few
+    lines can stand for gigabytes, raises InputError, as one that is no XML."""
     data = read_bytes(path)
-    if b"<!ENTITY" in data or b"<!DOCTYPE" in data:
-        raise InputError(path, "uses XML entities", "write the URDF without them")
-    return data
+    if b"<!DOCTYPE" in data or b"\0" in data:  # which UTF-16 is full of
+        raise InputError(path, "uses XML entities", "write it without, in UTF-8")
+    with parsing(path, "XML of a robot", "fix it, or use another one", Exception):
+        if len(data) > _MAX_LETTERS:
+            raise ValueError(f"over {_MAX_LETTERS:,} bytes")
+        return ElementTree.fromstring(data)
 
 
 def named_file(name: str, beside: pathlib.Path) -> pathlib.Path | None:
@@ -68,20 +72,21 @@ def named_file(name: str, beside: pathlib.Path) -> pathlib.Path | None:
     if scheme == "package":
         places = [folder / rest for folder in beside.parents]
         places += [folder / rest.partition("/")[2] for folder in beside.parents]
-    return next((place for place in places if place.is_file()), None)
+    # Path.is_file raises OSError for a name that is too long.
+    return next((place for place in places if os.path.isfile(place)), None)
 
 
 class _Expansion:
     """One robot as it is written out; ValueError for a fault in the file at `path`."""
 
     def __init__(self, path: pathlib.Path):
-        self.path, self._depth = path, 0
+        self.path, self._depth, self._letters = path, 0, 0
         self._arguments: dict[str, str] = {}
         self._macros: dict[str, ElementTree.Element] = {}
 
     def robot(self) -> ElementTree.Element:
         """The whole of it."""
-        source = ElementTree.fromstring(robot_xml(self.path))
+        source = robot_xml(self.path)
         robot = ElementTree.Element("robot", source.attrib)
         robot.extend(self._children(source, {"pi": math.pi}))
         return robot
@@ -91,6 +96,7 @@ class _Expansion:
     ) -> list[ElementTree.Element]:
         written = []
         for child in element:
+            self._count(_ELEMENT)
             namespace, _, tag = str(child.tag).rpartition("}")
             if namespace.endswith("/xacro"):
                 written += self._own(tag, child, names)
@@ -136,15 +142,17 @@ class _Expansion:
         if place is None:
             raise ValueError(f"no such included file {name!r}")
         outer, self.path = self.path, place
-        written = self._deeper(ElementTree.fromstring(robot_xml(place)), names)
+        self._count(os.path.getsize(place))
+        written = self._deeper(robot_xml(place), names)
         self.path = outer
         return written
 
     def _called(
         self, macro: ElementTree.Element, given: dict[str, str], names: dict[str, Any]
     ) -> list[ElementTree.Element]:
-        own = dict(names)
-        for parameter in shlex.split(macro.attrib.get("params", "")):
+        own, parameters = dict(names), macro.attrib.get("params", "")
+        self._count(10 * len(own) + len(parameters))
+        for parameter in shlex.split(parameters):
             name, has_default, default = parameter.partition("=")
             name = name.rstrip(":")
             if name.startswith("*"):
@@ -172,7 +180,9 @@ class _Expansion:
     def _text(self, text: str, names: dict[str, Any]) -> str:
         def replaced(match: re.Match) -> str:
             if match["expression"] is not None:
-                return str(self._evaluated(match["expression"], names))
+                value = str(self._evaluated(match["expression"], names))
+                self._count(len(value))
+                return value
             command, _, name = match["command"].strip().partition(" ")
             if command == "find":
                 return f"package://{name.strip()}"
@@ -181,9 +191,17 @@ class _Expansion:
             raise ValueError(f"asks for {match[0]}")
 
         pattern = r"\$\{(?P<expression>[^{}]*)\}|\$\((?P<command>[^()]*)\)"
+        self._count(len(text))
         return re.sub(pattern, replaced, text)
 
+    def _count(self, letters: int) -> None:
+        """ValueError once there are too many: a few macros can stand for gigabytes."""
+        self._letters += letters
+        check_count(self._letters, _MAX_LETTERS, "letters")
+
     def _evaluated(self, text: str, names: dict[str, Any]) -> Any:
+        if len(text) > 500:
+            raise ValueError("an expression is over 500 letters long")
         try:
             return _result(ast.parse(text.strip(), mode="eval").body, names)
         except (SyntaxError, ValueError, TypeError, KeyError, ArithmeticError):

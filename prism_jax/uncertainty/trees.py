@@ -7,6 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
+MAX_TREES = 1000  # every row has a number for each
+
 
 @dataclasses.dataclass(frozen=True)
 class Trees:
@@ -47,7 +49,7 @@ class Trees:
             raise ValueError(f"{cls.WHAT} needs exactly {', '.join(names)}")
         try:
             arrays = {name: np.asarray(fields[name], np.float64) for name in names}
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"{cls.WHAT} must hold numbers: {error}") from None
         trees, nodes = (*arrays["looks_at"].shape, 0, 0)[:2]
         shapes = {
@@ -58,6 +60,8 @@ class Trees:
             "bounds": (2,),
             **cls._other_shapes(arrays),
         }
+        if trees > MAX_TREES:
+            raise ValueError(f"{cls.WHAT} has {trees:,} trees, over {MAX_TREES:,}")
         for name, array in arrays.items():
             if array.shape != shapes.get(name, (array.size,)):
                 raise ValueError(f"{cls.WHAT}'s {name} has the shape {array.shape}")
@@ -65,6 +69,8 @@ class Trees:
                 raise ValueError(f"{cls.WHAT}'s {name} is not finite")
         if not np.isin(arrays["looks_at"], np.arange(len(cls.NAMES))).all():
             raise ValueError(f"{cls.WHAT}'s looks_at is out of range")
+        if not -100 < arrays["bounds"][0] <= arrays["bounds"][1] < 100:  # logarithms
+            raise ValueError(f"{cls.WHAT}'s bounds are out of range")
         plain: dict[str, Any] = {
             name: float(array) if array.ndim == 0 else array
             for name, array in arrays.items()

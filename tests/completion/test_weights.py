@@ -20,6 +20,7 @@ from prism_jax.completion.weights import (
     RETIRED,
     available_weights,
     config_from_dict,
+    load_calibration,
     load_pretrained,
     read_metadata,
     save_weights,
@@ -120,9 +121,13 @@ def test_a_configuration_that_is_none(rewritten):
         '{"model": {"backbone": {}, "auxiliary": {}}, "adapt": {}, "seed": 1}',
         "[" * 100_000,
         '{"model": 1' + "0" * 5000 + "}",
+        f'{{"model": {"[" * 400}{"]" * 400}}}',
     ):
         path = rewritten(lambda arrays, about, text=text: about.update(config=text))
         assert "no prism_jax configuration in this file" in fault(path), text[:80]
+    theirs = {"calibration": json.dumps(read_metadata("small")["calibration"])}
+    with pytest.raises(InputError, match=r"changed.* 256 features, not"):
+        load_calibration(rewritten(lambda arrays, about: about.update(theirs)))
     path = rewritten(lambda arrays, metadata: metadata.clear())
     assert "no prism_jax configuration in this file" in fault(path)
 

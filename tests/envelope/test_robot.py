@@ -59,6 +59,12 @@ def test_a_robot_in_millimetres_is_refused_and_a_long_edge_is_not(monkeypatch):
     assert KDTree(on_triangles(thin, face)).query([1.5, 0.0, 0.0])[0] <= 0.02
     with pytest.raises(InputError, match="3,000 m takes over 20,000 points; give"):
         on_triangles(1000 * thin, face)
+    # Before memory is taken, a floor's too; and what is far from itself has no cubes.
+    monkeypatch.undo()
+    floor = trimesh.creation.box((20, 20, 0.1))
+    for corners, faces in ((floor.vertices, floor.faces), (thin * [1e6, 1, 1], face)):
+        with pytest.raises(InputError, match=r"r.urdf: a link of .* takes over 2,000"):
+            on_triangles(corners, faces, path="r.urdf")
 
 
 def test_points_near_the_surface_are_the_robots():
@@ -84,6 +90,7 @@ def test_joints_are_read_with_the_base():
         ({}, "no joint positions"),
         ({"positions": {"a": "x"}}, "no joint positions"),
         ({"positions": {"a": 1e300}}, "no joint positions"),
+        ({"positions": {}, "base": [[10**400] * 4] * 4}, "not a 4x4 pose"),
         ({"positions": {}, "base": 3}, "not a 4x4 pose"),
         ({"positions": {}, "base": np.diag([2.0, 1, 1, 1]).tolist()}, "not a 4x4 pose"),
         ({"positions": {}, "base": [["a"] * 4] * 4}, "not a 4x4 pose"),

@@ -1,5 +1,3 @@
-import xml.etree.ElementTree as ElementTree
-
 import numpy as np
 import pytest
 
@@ -19,7 +17,7 @@ def written(tmp_path, body, name="r.xacro"):
 
 
 def expanded(tmp_path, body):
-    return ElementTree.fromstring(plain_urdf(written(tmp_path, body)))
+    return plain_urdf(written(tmp_path, body))
 
 
 def test_expressions_are_arithmetic_of_properties(tmp_path):
@@ -72,7 +70,7 @@ def test_files_are_included_from_packages_above(tmp_path):
         '<xacro:include filename="$(find other)/urdf/m.xacro"/>'
         '<xacro:include filename="$(find arm_support)/urdf/l.xacro"/><xacro:link/>',
     )
-    robot = ElementTree.fromstring(plain_urdf(path))
+    robot = plain_urdf(path)
     assert [element.tag for element in robot] == ["material", "l"]
 
 
@@ -93,6 +91,14 @@ def test_a_robot_is_the_same_from_xacro(tmp_path, model):
 
 MACRO = '<xacro:macro name="m" params="{}">{}</xacro:macro><xacro:m/>'
 
+DOUBLING = '<xacro:macro name="m0" params=""/>' + "".join(
+    f'<xacro:macro name="m{i + 1}" params=""><xacro:m{i}/><xacro:m{i}/></xacro:macro>'
+    for i in range(30)
+)
+DOUBLING += "<xacro:m30/>"
+GROWING = '<xacro:property name="p" value="ab"/>'
+GROWING += '<xacro:property name="p" value="${p}${p}"/>' * 40
+
 
 @pytest.mark.parametrize(
     ("body", "message"),
@@ -105,6 +111,12 @@ MACRO = '<xacro:macro name="m" params="{}">{}</xacro:macro><xacro:m/>'
         (MACRO.format("p", ""), "call of m without p"),
         (MACRO.format("*b", ""), "macro with block parameters"),
         (MACRO.format("", "<xacro:m/>"), "nested too deeply"),
+        (DOUBLING, "letters exceed the limit"),
+        (GROWING, "letters exceed the limit"),
+        (f'<a b="${{{"1+" * 300}1}}"/>', "over 500 letters"),
+        (f'<a b="${{{"(" * 240}1{")" * 240}}}"/>', "invalid expression"),
+        (f"<a>{'<b>' * 2000}{'</b>' * 2000}</a>", "recursion"),
+        (f'<xacro:include filename="{"f" * 300}"/>', "no such included file"),
         ("<a>", "not XML"),
     ],
 )

@@ -108,6 +108,7 @@ def test_it_goes_through_json():
     assert again.novelty(np.ones(4)) == pytest.approx(found.novelty(np.ones(4)))
 
 
+TABLES = "looks_at", "thresholds", "leaves"
 DAMAGED = [
     {"low": 0.0},
     {"usual": ["a"] * COUNT},
@@ -116,6 +117,10 @@ DAMAGED = [
     {"looks_at": [[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]},
     {"feature_axes": [[1.0], [1.0, 2.0]]},
     {"bounds": [float("nan"), 1.0]},
+    {"bounds": [1.0, 0.0]},
+    {"bounds": [0.0, 800.0]},
+    {"base": 10**400},
+    {name: [[0.0] * (3 + (name == "leaves"))] * 1001 for name in TABLES},
     {"more": 1},
 ]
 

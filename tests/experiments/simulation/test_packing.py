@@ -1,5 +1,7 @@
 """Packed sources: what comes back, whole shards, and several sources together."""
 
+import io
+import json
 import pickle
 
 import numpy as np
@@ -7,12 +9,14 @@ import pytest
 
 from experiments.assets import CELLS
 from experiments.simulation.packing import PackConfig, pack
+from prism_jax.data.manifest import hash_files
 from prism_jax.data.pipeline import Framing, frame_example
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.shards import Shards
 from prism_jax.data.source import Example, Source
 from prism_jax.geometry.visibility import SURFACE, nothing_known
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.errors import InputError
 
 CONFIG = PackConfig(num_partial=64, num_complete=128)
 
@@ -36,6 +40,12 @@ class Balls:
         category = self.categories[index % 2]
         made = Example(cloud, cloud[:90], eye, category, f"{index}", ordered=True)
         return made._replace(**self.changes)
+
+
+def saved(array):
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
 
 
 def packed(folder, config=CONFIG, **sources):
@@ -96,3 +106,31 @@ def test_maps_are_carried_on_and_where_there_are_none_nothing_is_known(tmp_path)
             found = source[index].visibility
             np.testing.assert_array_equal(found.state, expected.state)
             np.testing.assert_array_equal(found.depth, expected.depth)
+
+
+VIEWS = np.array([[0, 0], [1, 1]], np.int32)
+DAMAGED = {
+    "views.npy": (VIEWS - 1, VIEWS.astype(float), VIEWS[:0]),
+    "box.npy": (np.full((2, 4), np.nan, np.float32),),
+    "eye.npy": (np.zeros((3, 3), np.float32),),
+    "complete.npy": (b"\x93NUMPY\x01\x00",),
+    "camera.npy": (np.zeros((2, 18), np.float32),),
+    "names.json": (b'[["a", "b"], 1]', b"[" * 100_000),
+}
+
+
+def test_a_shard_that_is_damaged_is_named(tmp_path):
+    """Though its manifest has the sha256."""
+    packed(tmp_path, balls=Balls(2, visibility=nothing_known()))
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    for name, contents in DAMAGED.items():
+        path = tmp_path / f"shard-00000.{name}"
+        whole = path.read_bytes()
+        for content in (*contents, whole):
+            path.write_bytes(content if isinstance(content, bytes) else saved(content))
+            manifest["files"] = hash_files(tmp_path)
+            (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+            if content is not whole:
+                with pytest.raises(InputError, match=f"{name}: not a valid shard"):
+                    assert Shards(tmp_path)[1]
+    assert Shards(tmp_path)[1].name == "balls/1"
