@@ -1,6 +1,5 @@
 """What every command shares: a quiet log, and the user's mistakes in one line."""
 
-import _thread
 import contextlib
 import functools
 import gc
@@ -97,7 +96,8 @@ def _interruptible() -> Iterator[None]:
     def again(dropped: Any) -> None:
         if dropped.exc_type is not KeyboardInterrupt:
             return told(dropped)
-        threading.Timer(0.01, _thread.interrupt_main).start()
+        main = threading.main_thread().ident
+        threading.Timer(0.01, signal.pthread_kill, (main, signal.SIGINT)).start()
 
     before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook
     sys.unraisablehook = again

@@ -6,6 +6,7 @@ wrote is loaded, from a folder and a file of the user's own that nobody else may
 
 import contextlib
 import hashlib
+import importlib.metadata
 import os
 import pathlib
 import pickle
@@ -16,7 +17,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jaxlib.version
 from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
@@ -149,7 +149,7 @@ def _fingerprint(arguments: tuple[Any, ...], about: Any) -> str:
     device: Any = jnp.zeros(()).device
     precision = jax.config.jax_default_matmul_precision  # pyright: ignore
     for part in (
-        (jax.__version__, jaxlib.version.__version__, platform.uname()[::4]),
+        (jax.__version__, importlib.metadata.version("jaxlib"), platform.uname()[::4]),
         (_processor(), device, device.device_kind, device.client.platform_version),
         (precision, os.environ.get("XLA_FLAGS"), QUICK, about, shapes),
     ):

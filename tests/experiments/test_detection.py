@@ -4,6 +4,7 @@ import json
 import pathlib
 
 from experiments import detection
+from prism_jax.assets import asset
 from tests import launching
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -13,6 +14,7 @@ def test_the_smallest_body_by_sensor_and_distance(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(detection, "DISTANCES", (1.0, 5.0))
     monkeypatch.setattr(detection, "DIAMETERS", (0.02, 0.08))
     monkeypatch.setattr(detection, "ASIDE", (0.0,))
+    monkeypatch.setattr(detection, "CELLS", asset("roboarm"))  # one frame
     output = tmp_path / "found.json"
     assert launching.run(detection, "--trials=1", f"--output={output}") == 0
     lines = [line.split("|")[3:5] for line in capsys.readouterr().out.splitlines()[2:5]]

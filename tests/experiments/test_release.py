@@ -81,7 +81,7 @@ def test_a_calibration_comes_with_them(path, new, minimal_variables, capsys):
     """Beside what was there, and only with weights that it is of."""
     assert run(path, "--note=a trial", f"--scores={path.parent}/test.json") == 0
     before = read_metadata(str(new))
-    blank = unfitted(np.random.default_rng(0).normal(size=(40, 5)))
+    blank = unfitted(np.random.default_rng(0).normal(size=(40, 16)))
     nodes, bounds = np.zeros((1, 1)), np.array([-9.0, 0.0])
     found = PointErrors(-3.0, nodes, nodes, np.zeros((1, 2)), bounds)
     fitted = {"calibration": blank.to_dict(), "trust": {"all": {"views": 7}}}
