@@ -14,7 +14,11 @@ from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.losses.weighting import loss_weights
-from prism_jax.models.poses import in_other_poses, to_original_frame
+from prism_jax.models.poses import (
+    in_original_frame,
+    in_other_poses,
+    to_original_frame,
+)
 from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
@@ -29,7 +33,8 @@ class Completion(NamedTuple):
       before: the completion of the network as it was.
       accepted: whether the adapted completion is the one returned: the objective of
         Eq. 13 did not rise, and everything stayed finite.
-      losses: every term before each step, and after the last: K + 1 values.
+      losses: every term before each step, and after the last: K + 1 values. None
+        without steps: they would double what is compiled.
       weights: of the auxiliary losses, softmax(eta*).
       encoders: the encoders' parameters that made ``points``, with the samples
         and neighbours of the decoding before (`prism_jax.models.prism.hold_decoding`).
@@ -39,7 +44,7 @@ class Completion(NamedTuple):
     points: Float[Array, "N 3"]
     before: Float[Array, "N 3"]
     accepted: Bool[Array, ""]
-    losses: Losses
+    losses: Losses | None
     weights: Float[Array, "3"]
     encoders: Variables
     features: Float[Array, " G"]
@@ -84,12 +89,16 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         others = None
         if model.poses > 1:
             others = in_other_poses(partial, camera, key, model, visibility)
-        if settings.num_steps:
-            inputs = hold_decoding(variables, inputs, model)
-            if others is not None:
-                hold_each = functools.partial(hold_decoding, config=model)
-                others = jax.vmap(hold_each, (None, 0))(variables, others)
         encoders, rest = pop_encoders(variables)
+        weights = loss_weights(variables["weighting"]["logits"])
+        if settings.num_steps == 0:
+            points, features = in_original_frame(variables, inputs, others, model)
+            nothing = jnp.zeros((), bool), None
+            return Completion(points, points, *nothing, weights, encoders, features)
+        inputs = hold_decoding(variables, inputs, model)
+        if others is not None:
+            hold_each = functools.partial(hold_decoding, config=model)
+            others = jax.vmap(hold_each, (None, 0))(variables, others)
 
         def with_others(points: Array, moving: Variables) -> Array:
             """The points, and those of the frame in other poses."""
@@ -106,13 +115,6 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             features = prediction.encoded.global_feature
             return losses.objective, (losses, prediction.points, features)
 
-        weights = loss_weights(variables["weighting"]["logits"])
-        if settings.num_steps == 0:
-            _, (losses, points, features) = loss_fn(encoders)
-            losses = jax.tree.map(lambda loss: loss[None], losses)
-            points = with_others(points, encoders)
-            made = points, points, jnp.zeros((), bool), losses
-            return Completion(*made, weights, encoders, features)
         adapted, (_, (before, points, features)) = unroll(
             loss_fn,
             encoders,

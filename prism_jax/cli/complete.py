@@ -370,7 +370,7 @@ def outcome(summary: dict[str, Any], output_dir: str) -> str:
         error += " m" if summary["unit"] == "m" else f", in {summary['unit']}"
         trust = f"{verdict['trust']}: {error}"
     adapted = "off"
-    if summary["adapt"] and len(summary["losses"]["objective"]) == 1:
+    if summary["adapt"] and not summary["losses"]:
         adapted = "none, these weights use no adaptation steps"
     elif summary["adapt"]:
         adapted = "accepted" if summary["accepted"] else "rejected, not used"

@@ -49,7 +49,8 @@ class CompletedScan:
       capped: whether the density would need more than `filtering.MAX_DENSE` points.
       accepted: whether the adapted completion is the one returned
         (`prism_jax.adaptation.test_time.Completion` says what that means).
-      losses: the terms of Eq. 13 before each step and after the last.
+      losses: the terms of Eq. 13 before each step and after the last; without steps
+        there are none.
       weights: of normals, denoising and alignment in them.
       workspace: the cube that was completed.
       camera: the view that depths were compared in.
@@ -175,6 +176,7 @@ def assemble(
         none = np.zeros(int(joined.observed.sum()))
         sigma = np.concatenate([none, expected * float(seen.workspace.half_extent)])
     # Assemble, in the user's frame and unit.
+    terms = {} if completion.losses is None else completion.losses._asdict()
     wanted = options.density * seen.cloud.density * len(joined.kept)
     return CompletedScan(
         points=joined.points,
@@ -189,7 +191,7 @@ def assemble(
         accepted=bool(completion.accepted),
         losses={
             name: np.asarray(values, np.float64).tolist()
-            for name, values in completion.losses._asdict().items()
+            for name, values in terms.items()
         },
         weights=np.asarray(completion.weights),
         workspace=seen.workspace,

@@ -223,14 +223,6 @@ class Completer:
         run: the second step of `complete`."""
         return self._timed(_as_it_is, (self.variables, *self.reads(task)), options)
 
-    def predict(
-        self, task: Task, options: CompletionOptions
-    ) -> tuple[Any, dict[str, float]]:
-        """The points of `run` without adaptation, and its seconds, for who needs no
-        losses: a third of the time goes to them."""
-        plain = dataclasses.replace(options, adapt=False)
-        return self._timed(_points_alone, (self.variables, *self.reads(task)), plain)
-
     def _timed(
         self, make: Make, arguments: tuple[Any, ...], options: CompletionOptions
     ) -> tuple[Any, dict[str, float]]:
@@ -305,11 +297,6 @@ class Completer:
 
 def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
     return adapt
-
-
-def _points_alone(adapt: AdaptFn) -> Callable[..., Any]:
-    """Without what nothing but losses needs, which the compiler leaves out."""
-    return lambda *arguments: adapt(*arguments).points
 
 
 def _in_slots(adapt: AdaptFn) -> Callable[..., Completion]:

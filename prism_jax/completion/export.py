@@ -31,7 +31,8 @@ def export_adapt(
 
     - ``points`` ``(B, M, 3)``, the network's completion in that unit and frame;
     - ``accepted`` ``(B,)``, whether the adapted completion is the one returned;
-    - ``objective`` ``(B, K + 1)``, L_TTA of Eq. 13 before each step and after the last;
+    - ``objective`` ``(B, K + 1)``, L_TTA of Eq. 13 before each step and after the last,
+      if there are steps;
     - ``left_out`` ``(B,)``, how many points lay so far from all others that copies of
       another took their places.
 
@@ -43,11 +44,12 @@ def export_adapt(
     def complete(scan: Float[Array, "N 3"], sensor: Float[Array, "3"]):
         seen = observe(scan, sensor, config.model).filled()
         completion = adapt(variables, jnp.asarray(seen.partial), seen.camera)
+        steps = completion.losses
         return {
             "points": seen.workspace.from_unit(completion.points),
             "accepted": completion.accepted,
-            "objective": completion.losses.objective,
             "left_out": jnp.sum(~seen.inside),
+            **({} if steps is None else {"objective": steps.objective}),
         }
 
     num_points = config.model.backbone.num_points

@@ -73,3 +73,20 @@ def to_original_frame(
     points = jax.vmap(lambda each: predict(variables, each, config).points)(inputs)
     back = posed("pni,pij->pnj", points, POSES[1 : config.poses])
     return back.reshape(-1, 3)
+
+
+def in_original_frame(
+    variables: Variables,
+    inputs: NetworkInput,
+    others: NetworkInput | None,
+    config: ModelConfig,
+) -> tuple[Float[Array, "P 3"], Float[Array, " G"]]:
+    """The completions of a frame as it is and in other poses, one behind the other in
+    the frame as it was, in one pass; and the global feature of the first."""
+    every = jax.tree.map(lambda leaf: leaf[None], inputs)
+    if others is not None:
+        every = jax.tree.map(lambda *each: jnp.concatenate(each), every, others)
+    found = jax.vmap(lambda each: predict(variables, each, config))(every)
+    poses = POSES[: config.poses]
+    back = posed("pni,pij->pnj", found.points, poses)
+    return back.reshape(-1, 3), found.encoded.global_feature[0]

@@ -84,7 +84,9 @@ def prepare_input(
     (`prism_jax.geometry.visibility.seen_by`). No gradient reaches cloud or camera.
     """
     partial, camera = jax.lax.stop_gradient((partial, camera))
-    if visibility is None and config.backbone.reads_visibility:
+    if not config.backbone.reads_visibility:
+        visibility = None
+    elif visibility is None:
         visibility = seen_by(partial, camera.position, config.background)
     pixels = config.depth_pixels
     depth, mask = render_depth(partial, camera.resized(pixels, pixels))

@@ -44,8 +44,8 @@ def counts(points: Mapping[str, int]) -> str:
 
 def adaptation(entry: Mapping[str, Any], asked: bool) -> str:
     """What became of the adaptation to one object."""
-    objective = entry["losses"].get("objective") or [None]
-    if len(objective) == 1:
+    objective = entry["losses"].get("objective")
+    if not objective:
         why = ": these weights use no adaptation steps" if asked else ""
         return f"off{why}"
     first, last = number(objective[0]), number(objective[-1])

@@ -80,13 +80,9 @@ class FrameCompleter(FrameObserver):
         options = dataclasses.replace(self.options, up=up)
         task = self._completer.task(points, frame.camera, None, around, options)
         observed = time.perf_counter()
-        if options.adapt:
-            completion, seconds = self._completer.run(task, options)
-            predicted = completion.points
-        else:
-            predicted, seconds = self._completer.predict(task, options)
+        completion, seconds = self._completer.run(task, options)
         ran = time.perf_counter()
-        joined = join(task, predicted, options)
+        joined = join(task, completion.points, options)
         placed, label = self._with_robot(joined, robot)
         return CompletedFrame(
             points=placed,

@@ -293,7 +293,7 @@ def test_nothing_added_is_told_and_no_object_is_a_fault(monkeypatch, altered, ca
 def test_says_why_nothing_was_adapted(altered, capsys):
     for change, told in (
         ({"accepted": False}, "rejected, not used"),
-        ({"losses": {"objective": [1.0]}}, "none, these weights use no adaptation"),
+        ({"losses": {}}, "none, these weights use no adaptation"),
     ):
         altered(lambda done, change=change: change)
         assert run("--input=scan.npy", "--adapt") == 0
