@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from prism_jax.geometry.cloud import IndexedCloud
 
 CELLS = 128  # along the longest side of a cloud's bulk
+MAX_GRID = 2**24  # cells, occupied or not, that are counted
 LINK_NEIGHBORS = 16  # so many nearest points can be linked to one
 
 
@@ -29,8 +30,13 @@ def thin(
     side = extent(around)
     scale = cells / side if side > 0 else 0.0
     index = np.clip(np.floor(around * scale), -(2**20), 2**20 - 1).astype(np.int64)
-    code = ((index[:, 0] << 42) + (index[:, 1] << 21)) + index[:, 2]
-    _, owner = np.unique(code, return_inverse=True)
+    index -= index.min(axis=0)
+    shape = index.max(axis=0) + 1
+    code = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
+    if np.prod(shape, dtype=float) <= MAX_GRID:  # counting is faster than sorting
+        owner = (np.cumsum(np.bincount(code) > 0) - 1)[code]
+    else:
+        _, owner = np.unique(code, return_inverse=True)
     counts = np.bincount(owner)
     sums = [np.bincount(owner, column) for column in around.T]
     return origin + np.stack(sums, axis=1) / counts[:, None], owner
