@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from prism_jax.geometry.cloud import IndexedCloud
+from prism_jax.geometry.cloud import IndexedCloud, cell_codes
 from prism_jax.geometry.visibility import Background, Visibility
 from prism_jax.preprocessing.visibility import IN_FRONT, PAST, in_front, looked_through
 from prism_jax.preprocessing.visibility_map import in_free_space
@@ -153,7 +153,10 @@ def _middles(cloud: IndexedCloud, longest: float) -> Float[np.ndarray, "M 3"]:
     second, length = np.asarray(rows)[:, 1:].ravel(), apart[:, 1:].ravel()
     # A missing neighbour is infinitely far away.
     edges = np.flatnonzero((length > 0) & (length <= longest))
-    pairs = np.unique(np.sort([first[edges], second[edges]], axis=0), axis=1)
-    middles = 0.5 * (points[pairs[0]] + points[pairs[1]])
-    cell = 0.2 * longest
-    return middles[np.unique(np.floor(middles / cell), axis=0, return_index=True)[1]]
+    if len(edges) == 0:
+        return points[:0]
+    pairs = np.sort([first[edges], second[edges]], axis=0).T
+    one, other = pairs[np.unique(cell_codes(pairs), return_index=True)[1]].T
+    middles = 0.5 * (points[one] + points[other])
+    cells = cell_codes(np.floor(middles / (0.2 * longest)).astype(np.int64))
+    return middles[np.unique(cells, return_index=True)[1]]

@@ -4,7 +4,7 @@ import functools
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 NUM_NEAR = 8  # neighbours that a density is taken from
@@ -12,6 +12,15 @@ NUM_NEAR = 8  # neighbours that a density is taken from
 ENOUGH = 2**18  # points of a scan: more say no more of an object, and take longer
 
 MAX_SIGHTS = 16_384  # lines of sight to a larger cloud lead to evenly spaced rows
+
+
+def cell_codes(index: Int[np.ndarray, "N D"]) -> Int[np.ndarray, " N"]:
+    """A number for the cell of each row, in the order of the cells' indices."""
+    index = index - index.min(axis=0)
+    shape = index.max(axis=0) + 1
+    if np.prod(shape, dtype=float) < 2**62:
+        return np.asarray(np.ravel_multi_index(tuple(index.T), tuple(shape)))
+    return np.unique(index, axis=0, return_inverse=True)[1].ravel()
 
 
 class Sights(NamedTuple):

@@ -7,7 +7,7 @@ from jaxtyping import Float, Float64, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from prism_jax.geometry.cloud import IndexedCloud
+from prism_jax.geometry.cloud import IndexedCloud, cell_codes
 
 CELLS = 128  # along the longest side of a cloud's bulk
 MAX_GRID = 2**24  # cells, occupied or not, that are counted
@@ -30,10 +30,8 @@ def thin(
     side = extent(around)
     scale = cells / side if side > 0 else 0.0
     index = np.clip(np.floor(around * scale), -(2**20), 2**20 - 1).astype(np.int64)
-    index -= index.min(axis=0)
-    shape = index.max(axis=0) + 1
-    code = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
-    if np.prod(shape, dtype=float) <= MAX_GRID:  # counting is faster than sorting
+    code = cell_codes(index)
+    if code.max() < MAX_GRID:  # counting is faster than sorting
         owner = (np.cumsum(np.bincount(code) > 0) - 1)[code]
     else:
         _, owner = np.unique(code, return_inverse=True)
