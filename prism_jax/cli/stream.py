@@ -1,8 +1,10 @@
 """prism-stream: completes the frames of a recording, at up to the sensor's rate.
 
-    prism-stream recording.mcap --output=completed.mcap
-    prism-stream scans/ --workspace=-1,-1,0,1,1,2 --pace=sensor --output=completed
+    prism-stream RECORDING [flags]
+    prism-stream recording.mcap --workspace=-1,-1,0,1,1,2 --output=completed.mcap
 
+A recording is a ROS bag (.bag, .db3, .mcap), a folder of clouds or depth images, or an
+Ouster's .pcap or .osf. Each frame is completed as one object: crop it to that.
 If the recording cannot be used, it exits with status 2 and one line on stderr. After
 Ctrl-C the frames completed so far are saved, and the status is 130.
 """
@@ -98,8 +100,14 @@ def main(words: Sequence[str]) -> None:
     if len(words) != 1:
         fault = f"expected one recording, got {len(words)}"
         raise io.InputError("input", fault, f"write {NAME} RECORDING --output=PATH")
-    summary = stream_file(words[0])
-    print(f"{told_frames(summary)}\nwritten     {FLAGS.output} and {REPORT}")
+    print(told_frames(stream_file(words[0])))
+    if FLAGS.workspace is None:
+        print("completed   each whole frame as one object; --workspace crops it to one")
+    print(f"written     {FLAGS.output} and {REPORT}")
+    if FLAGS.output.lower().endswith(".mcap"):
+        print("to view     open it in Foxglove, or in RViz with `ros2 bag play`")
+    else:
+        print("to view     open the PLY files in CloudCompare or MeshLab")
 
 
 def stream_file(source: str) -> dict[str, Any]:
@@ -193,6 +201,7 @@ def _summary(asked: Mapping[str, Any], stream: Stream, report: Any) -> dict[str,
         "frames_a_second": rate,
         "milliseconds": report.latency(),
         "seconds": {"warm_up": report.warm_up, "stream": report.duration},
+        "timestamps": report.timestamps,
     }
 
 

@@ -6,7 +6,7 @@ The format is Greg Turk's, "The PLY Polygon File Format" (1994).
 import itertools
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -120,15 +120,24 @@ def ply_bytes(
     if sigma is not None:
         columns["sigma"] = sigma.astype(np.float32)
         comments.append(SIGMA)
-    for name, column in fields.items():
-        name = re.sub("[^!-~]", "_", name)  # one word
-        name = f"input_{name}" if name in {*columns, *"xyz"} else name
-        kind = column.dtype if column.dtype.str[1:] in _NAMES else np.dtype(float)
-        columns[name] = np.full(len(points), np.nan if kind.kind == "f" else 0, kind)
-        columns[name][: len(column)] = column
+    columns |= of_first(fields, len(points), {*columns, *"xyz"})
     if fields:
         comments.append(f"of the input, nan or 0 on other points: {', '.join(fields)}")
     return vertices_bytes(points, columns, comments)
+
+
+def of_first(fields: Fields, count: int, taken: Collection[str]) -> Fields:
+    """Columns for so many points, of which the first have these fields. On the others
+    they are NaN, or 0 if integers. One of a name that is taken is `input_...`."""
+    found: Fields = {}
+    for name, column in fields.items():
+        name = re.sub("[^!-~]", "_", name)  # one word
+        while name in found or name in taken:
+            name = f"input_{name}"
+        kind = column.dtype if column.dtype.str[1:] in _NAMES else np.dtype(float)
+        found[name] = np.full(count, np.nan if kind.kind == "f" else 0, kind)
+        found[name][: len(column)] = column
+    return found
 
 
 def vertices_bytes(

@@ -13,6 +13,7 @@ from prism_jax.completion.options import CompletionOptions
 from prism_jax.envelope.robot import of_robot
 from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.io.arrays import Fields
 from prism_jax.io.clouds import check_cloud, inside
 from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from prism_jax.io.streams.frame import Frame
@@ -34,6 +35,8 @@ class CompletedFrame:
     timestamp: int  # the measurement's, in nanoseconds
     seconds: dict[str, float]  # spent on "observe", "network" and "assemble"
     frame_id: str = ""  # of the points, as the measured frame has it
+    # Of each measured point what else the frame has, as its intensity.
+    fields: Fields = dataclasses.field(default_factory=dict)
 
     @property
     def observed(self) -> Bool[np.ndarray, " M"]:
@@ -42,8 +45,8 @@ class CompletedFrame:
 
     def numbered(self, number: int) -> Labelled:
         """The frame of that number, as sinks take it."""
-        written = self.timestamp, self.points, self.label, self.frame_id
-        return Labelled(number, *written)
+        about = self.frame_id, self.fields
+        return Labelled(number, self.timestamp, self.points, self.label, *about)
 
 
 class FrameCompleter(FrameObserver):
@@ -74,7 +77,7 @@ class FrameCompleter(FrameObserver):
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
         start = time.perf_counter()
-        points, robot, up, around = self.observe(frame)
+        points, robot, up, around, rows = self.observe(frame)
         if self.robot is not None:
             check_cloud(points, "the frame without its robot")
         options = dataclasses.replace(self.options, up=up)
@@ -84,6 +87,7 @@ class FrameCompleter(FrameObserver):
         ran = time.perf_counter()
         joined = join(task, completion.points, options)
         placed, label = self._with_robot(joined, robot)
+        rows = rows[task.seen.inside]
         return CompletedFrame(
             points=placed,
             label=label,
@@ -95,6 +99,7 @@ class FrameCompleter(FrameObserver):
                 "assemble": time.perf_counter() - ran,
             },
             frame_id=frame.frame_id,
+            fields={name: column[rows] for name, column in frame.fields.items()},
         )
 
     def warm_up(self, frame: Frame) -> CompletedFrame:

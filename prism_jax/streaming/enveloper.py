@@ -118,7 +118,7 @@ class FrameScanner(FrameObserver):
             raise InputError("the frame", fault, "use one sensor a recording")
         if self.robot is not None and frame.joints is not None:
             joints_from_dict(frame.joints, "the frame", based=True)
-        points, robot, up, around = self.observe(frame)
+        points, robot, up, around, _ = self.observe(frame)
         return Scanned(
             points=points,
             others=points[:0] if around is None else around,

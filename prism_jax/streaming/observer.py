@@ -5,7 +5,7 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from prism_jax.envelope.robot import (
     ROBOT_MARGIN,
@@ -14,7 +14,7 @@ from prism_jax.envelope.robot import (
     robot_surface,
 )
 from prism_jax.geometry.camera import Vector
-from prism_jax.io.clouds import check_cloud
+from prism_jax.io.clouds import check_cloud, inside
 from prism_jax.io.errors import InputError
 from prism_jax.io.scan import Bounds, in_own_axes, parted
 from prism_jax.io.streams.frame import Frame
@@ -33,13 +33,15 @@ def default_up(frame: Frame) -> str:
 
 class Observed(NamedTuple):
     """What a frame holds for completing: `points` measured inside the bounds and not
-    the robot's, points on the surface of a `robot` that is known, and what was measured
-    `around`, if bounds or a known robot set anything apart."""
+    the robot's, points on the surface of a `robot` that is known, what was measured
+    `around`, if bounds or a known robot set anything apart, and which `rows` of the
+    frame's points are among `points`."""
 
     points: Float[np.ndarray, "N 3"]
     robot: Float[np.ndarray, "R 3"]
     up: str | Vector
     around: Float[np.ndarray, "S 3"] | None
+    rows: Int[np.ndarray, " N"]
 
 
 @dataclasses.dataclass(kw_only=True, eq=False)
@@ -70,7 +72,9 @@ class FrameObserver(abc.ABC):
         """The frame's points, those of its robot apart; InputError if it has none, or
         if its joints are missing."""
         points, around = frame.points, None
-        if len(points):
+        rows = np.arange(len(points))
+        if self.bounds is not None and len(points):
+            rows = rows[inside(points, self.bounds.lower, self.bounds.upper)]
             points, around = parted(points, self.bounds, "the frame")
         check_cloud(points, "the frame")
         robot = np.zeros((0, 3))
@@ -85,7 +89,8 @@ class FrameObserver(abc.ABC):
             apart = [points[own]] if around is None else [around, points[own]]
             around = np.concatenate(apart)
         points = points[~own]
-        return Observed(points, robot, self._up(frame, points), around)
+        up = self._up(frame, points)
+        return Observed(points, robot, up, around, rows[~own])
 
     def _up(self, frame: Frame, points: np.ndarray) -> str | Vector:
         if self.up is None:

@@ -37,6 +37,8 @@ class StreamReport:
     # Until the first frame was done for the first time, compilation included.
     warm_up: float = 0.0
     duration: float = 0.0  # from then on
+    # When each completed frame was measured, in nanoseconds, by its number.
+    timestamps: dict[int, int] = dataclasses.field(default_factory=dict)
     # By stage, of each completed frame: "read", those of what completes it, "write",
     # and its "age" when it is written, since the sensor gave it or it was taken up.
     times: dict[str, array] = dataclasses.field(
@@ -132,6 +134,7 @@ def _write(
         sink.write(frame)
     end = time.perf_counter()
     report.completed += 1
+    report.timestamps[frame.number] = frame.timestamp
     for stage, seconds in (times | {"write": end - start, "age": end - given}).items():
         report.times[stage].append(seconds)
 

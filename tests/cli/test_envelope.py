@@ -260,7 +260,7 @@ def test_each_frame_of_a_recording_has_a_line_and_the_last_its_files(
     first, last = lines_in(out)
     told = told_of(out)
     assert (first["frame"], last["frame"]) == (0, 2) and told["input"]["frame"] == 2
-    for name in ("volumes", "q", "query", "points"):
+    for name in ("volumes", "q", "query", "points", "frame_id"):
         assert first[name] == last[name] == told[name]
     arrays = (out / "envelope.npz").read_bytes()
     # A scan is taken in the same way, and what was there before is set aside.

@@ -20,7 +20,7 @@ from prism_jax.data.recordings import LABELS
 from prism_jax.envelope.robot import of_robot
 from prism_jax.io.clouds import read_points
 from prism_jax.io.depth import camera_to_dict
-from prism_jax.io.ply import write_ply
+from prism_jax.io.ply import ply_bytes, read_ply
 from prism_jax.streaming.completer import FrameCompleter
 from tests.experiments.simulation.roboarm.conftest import model, small, urdf
 from tests.launching import run
@@ -36,7 +36,8 @@ def scans(tmp_path_factory):
     for number in range(5):
         points = rng.uniform([3, -1, -1], [4, 1, 1], (300, 3)).astype(np.float32)
         points += np.float32(100 * (number == 2))
-        write_ply(folder / f"{number}.ply", points)
+        fields = {"intensity": points[:, 1].astype(np.float64), "label": np.arange(300)}
+        (folder / f"{number}.ply").write_bytes(ply_bytes(points, fields=fields))
     return folder
 
 
@@ -56,7 +57,10 @@ def test_weights_of_a_file_are_compiled_once(
     save_weights(path, minimal.config, minimal_variables, {})
     words = f"--weights={path}", f"--output={tmp_path / 'out'}"
     assert run(command, str(scans), *words) == 0
-    assert "5 completed, 0 dropped, 0 unusable" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "5 completed, 0 dropped, 0 unusable" in said
+    assert "each whole frame as one object; --workspace" in said
+    assert said.endswith("open the PLY files in CloudCompare or MeshLab\n")
     assert len(list((tmp_path / "cache").rglob("*.jaxcompiled"))) == 1
     assert load_completer(str(path)) is load_completer(str(path))
 
@@ -74,11 +78,14 @@ def test_a_folder_of_files(scans, shared, tmp_path, capsys):
     counts = {"in_recording": 5, "completed": 4, "dropped": 0, "unusable": 1}
     assert summary["frames"] == counts
     assert summary["remarks"] == {"unusable": 1} and summary["whole"]
+    assert summary["timestamps"] == {str(n): n * 10**8 for n in (0, 1, 3, 4)}
     # As prism-complete has them.
     asked = {"density": 0.0, "objects": "one", "output_dir": str(done)}
     complete.complete_file(str(scans / "3.ply"), **asked)
     one, other = done / "completed.ply", out / "000003.ply"
     assert one.read_bytes() == other.read_bytes()
+    read_ply(other, fields=(fields := {}))
+    np.testing.assert_array_equal(fields["input_label"][:300], np.arange(300))
     assert len(read_points(other)) > 300
 
 

@@ -21,6 +21,11 @@ __all__ = ["urdf"]
 RNG = np.random.default_rng(0)
 
 
+def counted(points, **about):
+    """A frame of points, each with its row."""
+    return Frame(points, 7, fields={"row": np.arange(len(points))}, **about)
+
+
 def shell(number, scalar=np.float32):
     """What is seen from the origin of a box in front of it."""
     points = RNG.uniform([3, -1, -0.5], [4, 1, 0.5], (300 + 40 * number, 3))
@@ -35,8 +40,10 @@ def test_a_frame_is_what_a_scan_is_bit_for_bit(completer, scalar, adapt):
     asked = {"adapt": adapt, "up": "-y", "density": 2.0 * adapt}
     stream = FrameCompleter(completer, **asked)
     for number, view in enumerate((None, camera)):
-        points = shell(number, scalar)
-        done = stream.complete(Frame(points, 7, view))
+        stray = np.full((1, 3), 300.0, scalar)
+        points = np.concatenate([stray, shell(number, scalar)])
+        done = stream.complete(counted(points, camera=view))
+        np.testing.assert_array_equal(done.fields["row"], np.arange(1, len(points)))
         whole = completer.complete(points, view, **asked)
         np.testing.assert_array_equal(done.points, whole.points)
         np.testing.assert_array_equal(done.observed, whole.observed)
@@ -81,7 +88,9 @@ def test_what_bounds_crop_away_is_around_a_frame_as_around_a_scan(
     scan = read_scan(tmp_path / "scan.npy", bounds=box)
     np.testing.assert_array_equal(scan.around, points[: len(wall)])
     whole = completer.complete(scan.points, density=0.0, around=scan.around)
-    done = FrameCompleter(completer, bounds=box).complete(Frame(points, 0))
+    done = FrameCompleter(completer, bounds=box).complete(counted(points))
+    rows = done.numbered(0).fields["row"]
+    np.testing.assert_array_equal(done.points[done.observed], points[rows])
     np.testing.assert_array_equal(done.points, whole.points)
     alone = completer.complete(scan.points, density=0.0)
     assert len(done.points) < len(alone.points)
@@ -120,8 +129,9 @@ def test_a_known_robot_is_cut_out_and_put_back(completer, urdf):
     box = shell(3)
     stream = FrameCompleter(completer, robot=robot, robot_margin=0.05)
     noisy = surfaces[0] + RNG.normal(0, 0.005, surfaces[0].shape)
-    points = np.concatenate([box, noisy]).astype(np.float32)
-    done = stream.complete(Frame(points, 0, joints=joints[0]))
+    points = np.concatenate([noisy, box]).astype(np.float32)
+    done = stream.complete(counted(points, joints=joints[0]))
+    np.testing.assert_array_equal(points[done.fields["row"]], box)
     np.testing.assert_array_equal(done.points[done.observed], box)
     known = done.points[done.label == KNOWN]
     np.testing.assert_array_equal(known, surfaces[0].astype(np.float32))

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from prism_jax.io.arrays import Fields
 from prism_jax.io.clouds import READERS, read_cloud
 from prism_jax.io.depth import (
     camera_from_dict,
@@ -90,9 +91,10 @@ class CloudFolder(Stream):
                 counts, scale, camera = read_counts(path, about, tell=tell)
             return Frame.of_depth(counts, camera, time, scale)
         camera = None if about is None else read_camera(about, tell)
-        points, num_read, notes = read_cloud(path)
-        num_lost = num_read - len(points)
-        return Frame(points, time, camera, num_not_finite=num_lost, notes=notes)
+        fields: Fields = {}
+        points, num_read, notes = read_cloud(path, fields=fields)
+        left = {"num_not_finite": num_read - len(points), "notes": notes}
+        return Frame(points, time, camera, fields=fields, **left)
 
 
 class RecordedFrames(CloudFolder):

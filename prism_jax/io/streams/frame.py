@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prism_jax.geometry.camera import Camera
+from prism_jax.io.arrays import Fields
 from prism_jax.io.depth import measured_depth, points_from_depth
 from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
 
@@ -55,6 +56,8 @@ class Frame:
     # What the recording calls the points' frame; "" if nothing, or if the camera's pose
     # puts them into another.
     frame_id: str = ""
+    # Of each point of a cloud what else was recorded, such as its intensity.
+    fields: Fields = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of_depth(
@@ -134,7 +137,7 @@ class Stream(abc.ABC):
             frame = self._with_joints(number, self._placed(frame))
             self.frame_id = frame.frame_id
             yield frame
-            before = dataclasses.replace(frame, points=_NONE, depth=None)
+            before = dataclasses.replace(frame, points=_NONE, depth=None, fields={})
             number += 1
 
     def _placed(self, frame: Frame) -> Frame:

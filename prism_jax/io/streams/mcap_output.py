@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from prism_jax.io.arrays import Fields
 from prism_jax.io.atomic import aside, check_targets
 from prism_jax.io.errors import StrPath, require, unwritable
+from prism_jax.io.ply import of_first
 from prism_jax.io.streams.packed import EXTRA
 
 _STAMP, _HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
-_UINT8, _FLOATS = 2, {4: 7, 8: 8}  # PointField's numbers of types
+NUMBERS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+"""PointField's types, which it counts from 1."""
+
 Maker = Callable[..., Any]
 """Of a message: takes the makers of all types, by name, and gives one."""
 
@@ -85,19 +89,19 @@ def header(types: Any, time: int, frame_id: str) -> Any:
 def cloud_message(
     points: Float[np.ndarray, "N 3"],
     time: int,
-    frame_id: str = "sensor",
-    labels: UInt8[np.ndarray, " N"] | None = None,
+    frame_id: str,
+    labels: UInt8[np.ndarray, " N"],
+    fields: Fields | None = None,
 ) -> Maker:
-    """A PointCloud2 in the points' own precision, with a `label` of each if given."""
-    size = 8 if points.dtype == np.float64 else 4
-    fields = [(axis, place * size, _FLOATS[size]) for place, axis in enumerate("xyz")]
-    step = 3 * size if labels is None else 4 * size
-    rows = np.zeros((len(points), step), np.uint8)
-    positions = np.ascontiguousarray(points, f"<f{size}")
-    rows[:, : 3 * size] = positions.view(np.uint8).reshape(len(points), 3 * size)
-    if labels is not None:
-        fields.append(("label", 3 * size, _UINT8))
-        rows[:, 3 * size] = labels
+    """A PointCloud2 in the points' own precision, with a `label` of each, and of the
+    first ones the `fields`, as `of_first` has them."""
+    columns = {**dict(zip("xyz", points.T, strict=True)), "label": labels}
+    columns |= of_first(fields or {}, len(points), columns)
+    kinds = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
+    rows: Any = np.zeros(len(points), np.dtype(kinds, align=True))
+    for name, column in columns.items():
+        rows[name] = column
+    numbers = {name: NUMBERS.index(kind.str[1:]) + 1 for name, kind in kinds}
 
     def make(types: Any) -> Any:
         field = types["sensor_msgs/msg/PointField"]
@@ -105,11 +109,11 @@ def cloud_message(
             header=header(types, time, frame_id),
             height=1,
             width=len(points),
-            fields=[field(name, offset, kind, 1) for name, offset, kind in fields],
+            fields=[field(n, rows.dtype.fields[n][1], numbers[n], 1) for n in numbers],
             is_bigendian=False,
-            point_step=step,
-            row_step=step * len(points),
-            data=rows.ravel(),
+            point_step=rows.itemsize,
+            row_step=rows.nbytes,
+            data=rows.view(np.uint8),
             is_dense=True,
         )
 

@@ -54,9 +54,8 @@ class Unpacker:
         if not data.startswith(_ZSTD):
             return data
         size = require("zstandard", EXTRA).frame_content_size(data)
-        return self.unpack(
-            data, "zstd", min(self._bytes, _LARGEST) if size < 0 else size
-        )
+        size = min(self._bytes, _LARGEST) if size < 0 else size
+        return self.unpack(data, "zstd", size)
 
 
 def unpacked_file(path: pathlib.Path, owner: object) -> pathlib.Path:

@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.arrays import stack_columns
+from prism_jax.io.arrays import Fields, stack_columns
 from prism_jax.io.clouds import measured
 from prism_jax.io.depth import camera_from_dict
 from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS, check_count
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
+from prism_jax.io.streams.mcap_output import NUMBERS
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 from prism_jax.io.streams.packed import EXTRA, Unpacker
 
@@ -30,8 +31,6 @@ JOINTS = "sensor_msgs/msg/JointState"
 
 DEPTH = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 """Encodings of depth images: the type of a pixel, and metres a count (REP 118)."""
-
-_FLOATS = {7: 4, 8: 8}  # bytes of a number, by PointField's numbers of types
 
 
 class RosStream(Stream):
@@ -282,27 +281,41 @@ def _depth(content: Any) -> tuple[Num[np.ndarray, "H W"], float]:
 
 def _cloud(content: Any, time: int) -> Frame:
     """The frame of a PointCloud2; ValueError if it is not as it says."""
-    fields = {field.name: field for field in content.fields}
-    if not fields.keys() >= set("xyz"):
-        raise ValueError(f"points have {', '.join(fields) or 'nothing'}, not x y z")
+    names = [field.name for field in content.fields]
+    if not {*"xyz"} <= {*names}:
+        raise ValueError(f"points have {', '.join(names) or 'nothing'}, not x y z")
     height, width = content.height, content.width
     step = content.point_step
     row = content.row_step or step * width  # which some leave at 0
     _check_size(height * width, row * height, len(content.data))
-    order = ">" if content.is_bigendian else "<"
-    sizes = [_FLOATS.get(fields[axis].datatype, np.inf) for axis in "xyz"]
-    offsets = [fields[axis].offset for axis in "xyz"]
-    if max(map(sum, zip(offsets, sizes, strict=True))) > step or row < step * width:
+    places = _places(content)
+    floats = [axis for axis in "xyz" if axis in places and places[axis][0].kind == "f"]
+    if len(floats) < 3 or row < step * width:
         raise ValueError("point layout differs from the header")
-    kinds = [f"{order}f{size}" for size in sizes]
-    layout: Any = {"names": list("xyz"), "formats": kinds, "offsets": offsets}
+    names = [*floats, *(name for name in places if name not in floats)]
+    kinds, offsets = zip(*(places[name] for name in names), strict=True)
+    layout: Any = {"names": names, "formats": kinds, "offsets": offsets}
     layout = np.dtype(layout | {"itemsize": step})
     data = np.asarray(content.data, np.uint8)[: row * height].reshape(height, row)
     rows = np.ascontiguousarray(data[:, : step * width]).view(layout).ravel()
-    points = stack_columns((rows[axis] for axis in "xyz"), map(np.dtype, kinds))
-    kept, notes = measured(points)
+    fields: Fields = {}
+    points = stack_columns((rows[name] for name in names), kinds, names[3:], fields)
+    kept, notes = measured(points, fields=fields)
     num_lost = len(points) - len(kept)
-    return Frame(kept, time, num_not_finite=num_lost, notes=notes)
+    return Frame(kept, time, num_not_finite=num_lost, notes=notes, fields=fields)
+
+
+def _places(content: Any) -> dict[str, tuple[np.dtype, int]]:
+    """The type of each field of one number in a PointCloud2, and where in a point it
+    starts; without padding, and without what does not fit into a point."""
+    order, found = ">" if content.is_bigendian else "<", {}
+    for field in content.fields:
+        known = field.name not in ("", "_") and 1 <= field.datatype <= len(NUMBERS)
+        if known and field.count < 2:
+            kind = np.dtype(order + NUMBERS[field.datatype - 1])
+            if field.offset + kind.itemsize <= content.point_step:
+                found[field.name] = kind, field.offset
+    return found
 
 
 def _check_size(count: int, claimed: int, held: int) -> None:

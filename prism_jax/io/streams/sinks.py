@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from prism_jax.io.arrays import Fields
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import StrPath
 from prism_jax.io.ply import ply_bytes
@@ -22,6 +23,7 @@ class Labelled(NamedTuple):
     points: Float[np.ndarray, "M 3"]
     label: UInt8[np.ndarray, " M"]
     frame_id: str = ""  # of the points; "" where nothing tells it
+    fields: Fields | None = None  # of the measured points, which come first
 
 
 @runtime_checkable
@@ -42,7 +44,7 @@ class PlyFolder:
         self.path = make_output_dir(path)
 
     def write(self, frame: Labelled) -> None:
-        cloud = ply_bytes(frame.points, frame.label)
+        cloud = ply_bytes(frame.points, frame.label, fields=frame.fields)
         write_bytes(self.path / f"{frame.number:06d}.ply", cloud)
 
     def close(self) -> None:
@@ -51,7 +53,7 @@ class PlyFolder:
 
 class McapSink:
     """PointCloud2 messages on `TOPIC`, with a `label`: 0 observed, 1 completed,
-    2 of a known robot's surface."""
+    2 of a known robot's surface; and with the fields that PLY files have."""
 
     def __init__(self, path: StrPath):
         make_output_dir(pathlib.Path(path).parent)
@@ -59,9 +61,9 @@ class McapSink:
 
     def write(self, frame: Labelled) -> None:
         named = frame.frame_id or "sensor"
-        cloud = cloud_message(frame.points, frame.timestamp, named, frame.label)
+        given = frame.points, frame.timestamp, named, frame.label, frame.fields
         kind = "sensor_msgs/msg/PointCloud2"
-        self._output.write(TOPIC, kind, frame.timestamp, cloud)
+        self._output.write(TOPIC, kind, frame.timestamp, cloud_message(*given))
 
     def close(self) -> None:
         self._output.close()

@@ -27,11 +27,13 @@ def _header(store, time, frame_id="lidar"):
 def cloud(
     points, time, store=ROS2, height=1, big=False, gap=4, tail=0, frame_id="lidar"
 ):
-    """A PointCloud2 with an intensity before x, y, z and padding behind them."""
+    """A PointCloud2 with an intensity, each point's row, before x, y, z and padding."""
     scalar = points.dtype.newbyteorder(">" if big else "<")
     size, width = scalar.itemsize, len(points) // height
     step = gap + 3 * size + tail
     rows = np.full((len(points), step), 7, np.uint8)
+    counted = np.arange(len(points), dtype=">f4" if big else "<f4")
+    rows[:, :4] = counted.view(np.uint8).reshape(-1, 4)
     ordered = np.ascontiguousarray(points.astype(scalar)).view(np.uint8)
     rows[:, gap : gap + 3 * size] = ordered.reshape(len(points), 3 * size)
     kind = 8 if size == 8 else 7

@@ -30,9 +30,10 @@ def test_clouds_with_labels(scalar, tmp_path):
     (left,) = path.parent.glob(".out.*.part.mcap")
     assert McapFile(left).topics() == {}
     points = POINTS.astype(scalar)
+    fields = {"ring": np.arange(1, 21, dtype=np.uint16), "label": np.arange(20.0)}
     for number in range(3):
-        time = 7_000_000_000 + number
-        sink.write(Labelled(number, time, points + number, LABEL, "cam"))
+        time, kept = 7_000_000_000 + number, fields if number else None
+        sink.write(Labelled(number, time, points + number, LABEL, "cam", kept))
     assert not path.exists()
     # What a killed program leaves is read up to the last frame.
     assert len(list(open_stream(left, tell=lambda _: None))) == 3
@@ -46,6 +47,13 @@ def test_clouds_with_labels(scalar, tmp_path):
         assert frame.frame_id == "cam"
         assert frame.points.dtype == scalar
         assert frame.timestamp == 7_000_000_000 + number
+        np.testing.assert_array_equal(frame.fields.pop("label"), LABEL)
+        assert [*frame.fields] == ["ring", "input_label"][: 2 * number]
+        for column, given in zip(frame.fields.values(), fields.values(), strict=False):
+            np.testing.assert_array_equal(column[:20], given)
+            rest = np.zeros(30) if given.dtype == np.uint16 else np.full(30, np.nan)
+            np.testing.assert_array_equal(column[20:], rest)
+            assert column.dtype == given.dtype
     with highlevel.AnyReader([path]) as bag:
         (connection,) = bag.connections
         for _, time, data in bag.messages():

@@ -202,6 +202,8 @@ def test_layouts_of_clouds(big, tmp_path):
         (frame,) = open_stream(path)
         np.testing.assert_array_equal(frame.points, points)
         assert frame.points.dtype == scalar
+        assert [*frame.fields] == ["intensity"]
+        np.testing.assert_array_equal(frame.fields["intensity"], np.arange(12))
 
 
 def test_odd_frames_are_told_and_counted(tmp_path):
@@ -220,6 +222,7 @@ def test_odd_frames_are_told_and_counted(tmp_path):
     stream = open_stream(write_mcap(tmp_path / "r.mcap", messages))
     frames, lines = lines_of(stream)
     assert [len(frame.points) for frame in frames] == [190, 0, 0, 200, 200]
+    np.testing.assert_array_equal(frames[0].fields["intensity"], np.arange(10, 200))
     assert [frame.num_not_finite for frame in frames] == [10, 200, 0, 0, 0]
     kinds = {"not_finite": 1, "empty": 1, "damaged": 2, "backward": 1}
     assert stream.remarks == kinds | {"sensor": 1, "duplicate": 1, "no_return": 1}
