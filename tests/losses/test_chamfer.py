@@ -81,8 +81,8 @@ def test_equal_clouds():
     points = cloud(40)
     expected = [0.0, FLOOR**0.5]
     assert np.allclose(both(points, points[::-1]), expected, rtol=1e-5, atol=0)
-    for points in (points, points.astype(np.float16)):
-        assert all(np.all(np.asarray(g) == 0) for g in gradients(points, points[::-1]))
+    for same in (points, points.astype(np.float16)):
+        assert all(np.all(np.asarray(g) == 0) for g in gradients(same, same[::-1]))
 
 
 def test_degenerate_clouds():
