@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Num, UInt
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
+from prism_jax.io.errors import StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes, read_json
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
@@ -129,13 +129,11 @@ def read_counts(
     16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count. Whatever
     does not fit raises an InputError before the image is unpacked."""
     camera, entries = _read_camera_entries(camera_path, tell)
-    try:
+    remedy = 'add "depth_scale": metres per count, as 0.001'
+    with parsing(camera_path, "the camera of a depth image", remedy):
         scale = _number(entries, "depth_scale")
         if scale <= 0:
             raise ValueError("depth_scale must be positive")
-    except ValueError as error:
-        remedy = 'add "depth_scale": metres per count, as 0.001'
-        raise InputError(camera_path, str(error), remedy) from None
     return read_grey(path, camera, 16, max_points), scale, camera
 
 
