@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from prism_jax import io
-from prism_jax.envelope.files import distances_summary, envelope_files, told_kinds
+from prism_jax.envelope.files import distances_summary, envelope_files
 from prism_jax.io.errors import unwritable
 from prism_jax.preprocessing.upright import upright
 from prism_jax.reporting.summary import plain
@@ -67,6 +67,7 @@ class Output:
 
     def _summary(self, made: MadeEnvelope) -> dict[str, Any]:
         grid, query = made.envelope.grid, made.query
+        surfaces = made.envelope.surfaces.points
         frame = {"frame": made.number, "timestamp": made.timestamp}
         return plain(
             {
@@ -79,7 +80,7 @@ class Output:
                 "frame_id": made.scan.frame_id,
                 "not_completed": made.seen.fault,
                 "grid": {"lower": grid.lower, "voxel": grid.voxel, "shape": grid.shape},
-                "points": told_kinds(made.envelope),
+                "points": {kind: len(cloud) for kind, cloud in surfaces.items()},
                 "volumes": made.envelope.volumes(),
                 "query": None if query is None else distances_summary(query[1]),
                 "reference": made.shown,

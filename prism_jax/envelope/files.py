@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from prism_jax.envelope.distance import KINDS, Distances, Envelope
 from prism_jax.envelope.mesh import envelope_mesh, stl_bytes, stl_origin
 from prism_jax.envelope.page import COLORS, envelope_page
 from prism_jax.envelope.planners import boxes_bytes, octomap_bytes
-from prism_jax.envelope.voxels import FREE, MEASURED, PREDICTED, STATES
+from prism_jax.envelope.voxels import FREE, STATES
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.ply import vertices_bytes
 
@@ -123,9 +122,3 @@ def distances_summary(found: Distances) -> dict[str, Any]:
         "nearest_inflated_surface": least if np.isfinite(least) else None,
         "whose_surface": KINDS[kind] if kind >= 0 else None,
     }
-
-
-def told_kinds(envelope: Envelope) -> Mapping[str, int]:
-    """How many points there are of each kind of surface."""
-    assert STATES[MEASURED : PREDICTED + 1] == KINDS
-    return {kind: len(cloud) for kind, cloud in envelope.surfaces.points.items()}
