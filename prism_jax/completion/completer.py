@@ -14,13 +14,7 @@ from jaxtyping import Float
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
-from prism_jax.completion.assembly import (
-    CompletedScan,
-    CompletedScene,
-    Task,
-    assemble,
-    in_one_scene,
-)
+from prism_jax.completion import assembly
 from prism_jax.completion.compile_cache import compile_cached
 from prism_jax.completion.options import AUTO, CompletionOptions
 from prism_jax.completion.weights import (
@@ -93,7 +87,7 @@ class Completer:
         workspace: Workspace | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         **options: Any,
-    ) -> CompletedScan:
+    ) -> assembly.CompletedScan:
         """Completes one scan of one object; ``options`` are `CompletionOptions`.
 
         All arguments share one frame and unit of length; both are free. ``camera``
@@ -133,7 +127,7 @@ class Completer:
         scene: SegmentedScene | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         **options: Any,
-    ) -> CompletedScene:
+    ) -> assembly.CompletedScene:
         """Completes every object of a scene, each in its own workspace.
 
         Support planes, walls, outliers and very small objects are removed first
@@ -166,7 +160,7 @@ class Completer:
             for task, done in zip(batch, completions, strict=True):
                 objects.append(self._assemble(task, done, asked, seconds))
         # Assemble the scene.
-        return in_one_scene(points, scene.object, objects, scene.planes, *up)
+        return assembly.in_one_scene(points, scene.object, objects, scene.planes, *up)
 
     def split_scene(
         self,
@@ -186,7 +180,7 @@ class Completer:
         workspace: Workspace | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         options: CompletionOptions = CompletionOptions(),
-    ) -> Task:
+    ) -> assembly.Task:
         """What the network reads of one object's finite points, and the way back.
 
         The first step of `complete`, whose arguments these are; up is never "auto".
@@ -205,9 +199,9 @@ class Completer:
         visibility = None
         if around is not None:
             visibility = _visibility(seen, around, options.background)
-        return Task(points, seen, read, read.camera, place, visibility)
+        return assembly.Task(points, seen, read, read.camera, place, visibility)
 
-    def reads(self, task: Task) -> tuple[Any, ...]:
+    def reads(self, task: assembly.Task) -> tuple[Any, ...]:
         """What the network reads of a task: its points, its view and, if it gains by
         it, what is known of that."""
         model = self.config.model
@@ -217,14 +211,14 @@ class Completer:
         return task.read.partial, task.view, task.visibility
 
     def run(
-        self, task: Task, options: CompletionOptions
+        self, task: assembly.Task, options: CompletionOptions
     ) -> tuple[Completion, dict[str, float]]:
         """The network's completion of a task, and the seconds it took to compile and to
         run: the second step of `complete`."""
         return self._timed(_as_it_is, (self.variables, *self.reads(task)), options)
 
     def predict(
-        self, task: Task, options: CompletionOptions
+        self, task: assembly.Task, options: CompletionOptions
     ) -> tuple[Any, dict[str, float]]:
         """The points of `run` without adaptation, and its seconds, for who needs no
         losses: a third of the time goes to them."""
@@ -251,7 +245,7 @@ class Completer:
         return other
 
     def _run_together(
-        self, tasks: Sequence[Task], options: CompletionOptions
+        self, tasks: Sequence[assembly.Task], options: CompletionOptions
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
         filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
@@ -268,14 +262,14 @@ class Completer:
 
     def _assemble(
         self,
-        task: Task,
+        task: assembly.Task,
         completion: Completion,
         options: CompletionOptions,
         seconds: dict[str, float],
-    ) -> CompletedScan:
+    ) -> assembly.CompletedScan:
         """The completed scan, with all that these weights can say of it."""
         judges = self.config.model.poses, self.calibration, self.point_errors
-        return assemble(task, completion, options, seconds, *judges)
+        return assembly.assemble(task, completion, options, seconds, *judges)
 
     def _compile_adapt(
         self, make: Make, options: CompletionOptions, arguments: tuple[Any, ...]
