@@ -29,16 +29,6 @@ def read_manifest(folder: StrPath, remedy: str, **expected: Any) -> dict[str, An
     return manifest
 
 
-def content_digest(folder: StrPath) -> str | None:
-    """Twelve digits that tell a folder's files from all others; None where there is no
-    finished build."""
-    try:
-        files = read_manifest(folder, "")["files"]
-    except InputError:
-        return None
-    return files_digest(files)
-
-
 def files_digest(files: Mapping[str, str]) -> str:
     """Twelve digits that tell files, by name and sha256, from all others."""
     listed = json.dumps(files, sort_keys=True).encode()
