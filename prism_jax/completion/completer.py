@@ -113,7 +113,10 @@ class Completer:
             _check_workspace(workspace)
         # Frame: turn the object upright, find its workspace, the view and what of it
         # is visible.
-        asked = _upright(asked, points, camera)
+        if asked.finds_up:
+            rotation = None if camera is None else camera.rotation
+            found = find_up(points, _seen_from(points, camera), rotation)
+            asked = dataclasses.replace(asked, up=found.vector)
         task = self.task(points, camera, workspace, around, asked)
         # Complete: run the network, with label-free steps first if asked to.
         completion, seconds = self.run(task, asked)
@@ -276,7 +279,10 @@ class Completer:
     ) -> Callable[..., Any]:
         """What ``make`` makes of the adaptation function, compiled once."""
         steps = self.config.adapt.num_steps if options.adapt else 0
-        config = self._told(options.background).with_adapt(num_steps=steps)
+        config = self.config.with_adapt(num_steps=steps)
+        # Others than a network that reads it need not be compiled for each background.
+        if config.model.backbone.reads_visibility:
+            config = config.with_model(background=options.background)
         fn = make(make_adapt(config))
         shapes = jax.tree.structure(arguments[1:])
         key = make, options.adapt, config.model.background, shapes
@@ -287,14 +293,6 @@ class Completer:
                 fn, arguments, self._compiled_dir, about, self.quick
             )
         return self._compiled[key]
-
-    def _told(self, background: Background) -> PrismConfig:
-        """The configuration for a background; others than a network that reads it need
-        not be compiled for each."""
-        model = self.config.model
-        if model.backbone.reads_visibility:
-            model = dataclasses.replace(model, background=background)
-        return dataclasses.replace(self.config, model=model)
 
 
 def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
@@ -337,17 +335,6 @@ def _visibility(
     visibility = seen_among(seen.cloud, beside, eye, Workspace.unit(), background)
     camera = jax.tree.map(lambda array: array.astype(np.float32), visibility.camera)
     return visibility._replace(camera=camera)
-
-
-def _upright(
-    options: CompletionOptions, points: np.ndarray, camera: Camera | None
-) -> CompletionOptions:
-    """The options with an up that was found, if it was to be."""
-    if not options.finds_up:
-        return options
-    rotation = None if camera is None else camera.rotation
-    found = find_up(points, _seen_from(points, camera), rotation)
-    return dataclasses.replace(options, up=found.vector)
 
 
 def _seen_from(

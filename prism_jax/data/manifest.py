@@ -7,7 +7,7 @@ import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-from prism_jax.io.errors import InputError, StrPath, unreadable
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import read_json
 
 MANIFEST = "manifest.json"
@@ -51,10 +51,7 @@ def hash_files(folder: pathlib.Path) -> dict[str, str]:
 
 def check_files(folder: pathlib.Path, files: Mapping[str, str], remedy: str) -> None:
     """Raises InputError unless a folder holds its manifest's files, and no others."""
-    try:
-        found = hash_files(folder)
-    except OSError as error:
-        raise unreadable(error.filename or folder, error) from None
+    found = hash_files(folder)
     for name in sorted(files.keys() | found.keys()):
         if name not in found:
             raise InputError(folder / name, "missing but in the manifest", remedy)

@@ -316,12 +316,9 @@ def _span(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The least and the largest value at the eight corners of each voxel."""
     least = largest = corners
     for axis in range(3):
-        ahead = [slice(None)] * 3
-        ahead[axis] = slice(1, None)
-        behind = [slice(None)] * 3
-        behind[axis] = slice(None, -1)
-        least = np.minimum(least[tuple(ahead)], least[tuple(behind)])
-        largest = np.maximum(largest[tuple(ahead)], largest[tuple(behind)])
+        low, high = np.moveaxis(least, axis, 0), np.moveaxis(largest, axis, 0)
+        least = np.moveaxis(np.minimum(low[1:], low[:-1]), 0, axis)
+        largest = np.moveaxis(np.maximum(high[1:], high[:-1]), 0, axis)
     return least, largest
 
 

@@ -65,18 +65,11 @@ class Trees:
             raise ValueError(f"{cls.WHAT}'s looks_at is out of range")
         if not -100 < arrays["bounds"][0] <= arrays["bounds"][1] < 100:  # logarithms
             raise ValueError(f"{cls.WHAT}'s bounds are out of range")
-        plain: dict[str, Any] = {
-            name: float(array) if array.ndim == 0 else array
-            for name, array in arrays.items()
-        }
-        return cls(**plain)
+        scalars: Any = {name: float(a) for name, a in arrays.items() if a.ndim == 0}
+        return cls(**(arrays | scalars))
 
     def to_dict(self) -> dict[str, Any]:
         """Lists and numbers, six digits of each."""
+        digits = np.vectorize(lambda number: float(f"{number:.6g}"))
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {name: _short(value) for name, value in fields.items()}
-
-
-def _short(value: Any) -> Any:
-    digits = np.vectorize(lambda number: float(f"{number:.6g}"))
-    return digits(np.asarray(value, np.float64)).tolist()
+        return {name: digits(value).tolist() for name, value in fields.items()}
