@@ -185,18 +185,14 @@ def check_setup(
 
 def _from_dict(content: Mapping[str, Any]) -> MarginCalibration:
     least, most = map(float, content["extent"])
+    weights, sensor = str(content["weights_sha256"]), str(content["sensor"])
+    scores = [math.inf if one is None else float(one) for one in content["scores"]]
     calibration = MarginCalibration(
-        setup=Setup(
-            str(content["weights_sha256"]),
-            str(content["sensor"]),
-            {**content["settings"]},
-        ),
+        setup=Setup(weights, sensor, {**content["settings"]}),
         alpha=float(content["alpha"]),
         cells=tuple(map(str, content["cells"])),
         digests=tuple(map(str, content["digests"])),
-        scores=tuple(
-            math.inf if one is None else float(one) for one in content["scores"]
-        ),
+        scores=tuple(scores),
         extent=(least, most),
     )
     if content["n"] != len(calibration.cells):
