@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from absl import flags
 from jaxtyping import Bool, Float, Float32
+from scipy.stats import binomtest
 from tqdm import tqdm
 
 from experiments.output import prepare_output
@@ -42,7 +43,6 @@ from prism_jax.envelope.calibration import (
     cell_score,
     cells_needed,
     conformal_margin,
-    coverage_interval,
 )
 from prism_jax.envelope.carving import carve, view_of_cloud, view_of_depth
 from prism_jax.envelope.distance import Surfaces
@@ -261,7 +261,9 @@ def coverage(found: Mapping[str, Sequence[Scored]]) -> dict[str, Any]:
                 row |= {"q": float(np.mean(finite)), "infinite": len(tested)}
                 row["infinite"] -= len(finite)
                 row |= {"covered": covered, "tested": len(tested)}
-                row["interval"] = coverage_interval(covered, len(tested))
+                # After Clopper & Pearson (1934): exact, and so never too narrow.
+                exact = binomtest(covered, len(tested)).proportion_ci(0.95, "exact")
+                row["interval"] = float(exact.low), float(exact.high)
                 row["volume"] = float(np.mean(taken) * whole)
                 rows.append(row)
     return {

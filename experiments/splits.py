@@ -3,7 +3,7 @@
 import numpy as np
 
 from prism_jax.data.datasets import DATASETS, folder_of, open_dataset
-from prism_jax.data.manifest import content_digest, read_manifest
+from prism_jax.data.manifest import files_digest, read_manifest
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError, StrPath
 
@@ -89,3 +89,13 @@ def digest_of(name: str, split: str, data_dir: StrPath | None = None) -> str | N
     if DATASETS[name].folder is None:
         return None
     return content_digest(folder_of(name, split, data_dir))
+
+
+def content_digest(folder: StrPath) -> str | None:
+    """Twelve digits that tell a folder's files from all others; None where there is no
+    finished build."""
+    try:
+        files = read_manifest(folder, "")["files"]
+    except InputError:
+        return None
+    return files_digest(files)

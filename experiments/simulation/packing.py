@@ -40,7 +40,7 @@ def pack(
 ) -> pathlib.Path:
     """Packs sources, by the names that tell them apart, one after the other.
 
-    `digests` (`manifest.content_digest`) tell that a folder was begun with the same
+    `digests` (`splits.content_digest`) tell that a folder was begun with the same
     sources. What sensors know is kept if the first example of any source has it. An
     example without a partial or a complete cloud raises InputError.
     """

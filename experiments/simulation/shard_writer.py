@@ -8,14 +8,15 @@ import pathlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float, Float32, UInt16
 
 from experiments.simulation.building import build
-from prism_jax.data.maps import encode
+from prism_jax.data import maps as stored
 from prism_jax.data.shards import ARRAYS, FORMAT_VERSION, MAPS, NAMES, shard_file
 from prism_jax.data.source import Example
-from prism_jax.geometry.visibility import nothing_known
+from prism_jax.geometry.visibility import UNKNOWN, Visibility, nothing_known
 from prism_jax.io.atomic import write_bytes
 
 STEPS = 2**16 - 1  # of a box's longest side: what a coordinate is rounded to
@@ -137,3 +138,24 @@ def quantised(points: Float[np.ndarray, "N 3"], box: Box) -> UInt16[np.ndarray, 
     its sides."""
     steps = np.round((points.astype(np.float64) - box[:3]) / box[3])
     return np.clip(steps, 0, STEPS).astype(np.uint16)
+
+
+def encode(visibility: Visibility) -> tuple[stored.Pixels, stored.View]:
+    """One map as it is stored. Its camera has no skew; known depths are positive."""
+    camera = jax.tree.map(np.asarray, visibility.camera)
+    state = np.asarray(visibility.state)
+    depth = np.asarray(visibility.depth, np.float64)
+    known = state != UNKNOWN
+    near, far = (depth[known].min(), depth[known].max()) if known.any() else (1.0, 1.0)
+    # What the reader has, so that the steps are the same.
+    near, far = np.float32(near), np.float32(far)
+    ratio = np.log(max(far / near, 1 + 1e-6))
+    steps = np.log(np.where(known, depth, near) / near) / ratio * stored.STEPS
+    steps = np.clip(np.rint(steps), 0, stored.STEPS).astype(np.uint16)
+    focal_x, focal_y = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
+    middle = camera.intrinsics[:2, 2]
+    pose = camera.rotation.ravel(), camera.translation
+    view = np.concatenate([*pose, [focal_x, focal_y], middle, [near, far]])
+    return (state.astype(np.uint16) << stored.DEPTH_BITS) | steps, view.astype(
+        np.float32
+    )

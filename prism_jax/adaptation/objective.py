@@ -11,14 +11,7 @@ from prism_jax.losses.denoise import denoise_loss
 from prism_jax.losses.depth import depth_error
 from prism_jax.losses.normal import normal_loss
 from prism_jax.losses.weighting import BRANCHES, weighted_auxiliary
-from prism_jax.models.prism import (
-    Branches,
-    NetworkInput,
-    Prediction,
-    branches,
-    predict,
-    read_depth,
-)
+from prism_jax.models import prism
 from prism_jax.models.variables import Variables
 
 
@@ -38,7 +31,10 @@ class Losses(NamedTuple):
 
 
 def auxiliary_losses(
-    inputs: NetworkInput, prediction: Prediction, seen: Branches, config: AdaptConfig
+    inputs: prism.NetworkInput,
+    prediction: prism.Prediction,
+    seen: prism.Branches,
+    config: AdaptConfig,
 ) -> Float[Array, "3"]:
     """Eq. 5, 6 and 9 of one cloud, in the order of `BRANCHES`."""
     normal = normal_loss(
@@ -61,16 +57,16 @@ def auxiliary_losses(
 
 
 def test_time_objective(
-    variables: Variables, inputs: NetworkInput, config: PrismConfig
-) -> tuple[Losses, Prediction]:
+    variables: Variables, inputs: prism.NetworkInput, config: PrismConfig
+) -> tuple[Losses, prism.Prediction]:
     """L_TTA of Eq. 13, its terms, and the prediction that they judge.
 
     Each auxiliary loss is divided by its scale from training (gap 15) and weighted by
     softmax(eta*). Differentiable in the encoders' parameters.
     """
-    prediction = predict(variables, inputs, config.model)
-    depth_features = read_depth(variables, inputs, config.model)
-    seen = branches(variables, inputs, prediction, depth_features, config.model)
+    prediction = prism.predict(variables, inputs, config.model)
+    depth_features = prism.read_depth(variables, inputs, config.model)
+    seen = prism.branches(variables, inputs, prediction, depth_features, config.model)
     auxiliary = auxiliary_losses(inputs, prediction, seen, config.adapt)
     consistency = depth_error(
         prediction.points, inputs.reference, inputs.reference_mask, inputs.view

@@ -124,73 +124,39 @@ def complete_file(
     the weights are loaded.
     """
     seconds: dict[str, float] = {}
-    bounds = None if workspace is None else io.parse_bounds(workspace)
     direction = None if up is None else parse_up(up)
     source = str(asset("sample.ply")) if input is None else input
-    if pathlib.Path(source).is_dir() and input:
-        remedy = "to complete all scans in it, give it without --input"
-        raise io.InputError(source, "a folder, not a scan", remedy)
-    truth = None
+    # Read the scan and, to score against, the truth.
     with _timed(f"reading {source}", "read", seconds):
-        scan = io.read_scan(source, camera, bounds, max_points, _say)
-        if ground_truth is not None:
-            truth = io.read_points(ground_truth, max_points)
-            truth = io.parted(truth, bounds, ground_truth)[0]
-            if not np.ptp(truth, axis=0).any():
-                fault = "all points coincide"
-                raise io.InputError(ground_truth, fault, "give the complete cloud")
+        scan, truth = _read(source, camera, workspace, max_points, ground_truth)
     view = _view(scan, eye, source)
     folder = claim(output_dir)
     check_targets(folder / name for name in _FILES)
     with _timed(f"loading the weights {weights}", "load", seconds):
         completer = load_completer(weights, quick)
+    # Take it apart into objects, unless it is one.
     if direction is None:
         direction = "-y" if scan.in_camera_frame else "z"
-    scene, taken_apart = None, False
+    scene = None
     if objects == "auto" and truth is None:
         with _timed("looking for objects", "split", seconds):
             scene = completer.split_scene(scan.points, view, direction)
-            taken_apart = bool(scene.planes) or len(scene.num_points) > 1
-        tilt = tilt_of(scene.planes, direction)
-        if tilt > TILTED:
-            fault = f"the largest plane is tilted by {tilt:.0f} degrees"
-            _say(f"{fault} against --up={up or direction}; try --up=auto")
-        if taken_apart and not scene.num_points:
-            _check_not_empty(scene, scan, view, source)
-            _say("nearly all points are on planes: completed as one object")
-            taken_apart = False
-    count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
-    doing = "adapting to and completing" if adapt else "completing"
+        _warn_of_tilt(scene, direction, up)
+        scene, direction = _taken_apart(scene, direction, scan, view, source)
+    # Complete each of them, or all of it.
     asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
     asked["background"] = background
-    given = scan.points, view
-    with _timed(f"{doing} {count}", "complete", seconds):
-        if taken_apart:
-            result = completer.complete_scene(
-                *given, scene=scene, around=scan.around, **asked
-            )
-        else:
-            if scene is not None and up == AUTO:
-                asked["up"] = scene.up.vector
-            result = completer.complete(*given, around=scan.around, **asked)
+    result = _completed(completer, scan, view, scene, asked, seconds)
     about = {"weights": weights, "bounds": workspace, **asked}
-    if taken_apart:
+    if scene is None:
+        seconds.update(result.seconds)
+        about["up"] = result.workspace.up if up == AUTO else direction
+        summary = summarize(result, scan, source, **about)
+        _warn(result, scan, objects, background)
+    else:
+        summary = summarize_scene(result, scan, source, **about)
         for number, one in enumerate(result.objects):
             _warn_of_low_trust(f"object {number}", one)
-        fields = scan.fields
-        summary = summarize_scene(result, scan, source, **about)
-    else:
-        if result.verdict and SCENE in result.verdict.reasons:
-            _warn_of_low_trust("this completion", result)
-            if objects == "one":
-                _say("--objects=auto takes a scene apart into its objects")
-        else:
-            _warn(result, scan, background)
-        seconds.update(result.seconds)
-        if up == "auto":
-            about["up"] = result.workspace.up
-        summary = summarize(result, scan, source, **about)
-        fields = {name: held[result.inside] for name, held in scan.fields.items()}
     if result.observed.all():
         _say("nothing was added: what is predicted is measured or left away")
     if truth is not None:
@@ -198,23 +164,89 @@ def complete_file(
             summary["scores"] = score(result, truth)
         summary["ground_truth"] = {"file": ground_truth, "points": len(truth)}
     summary["seconds"] = seconds
+    # Write the cloud, the report and its numbers.
     with _timed(f"writing to {folder}", "write", seconds):
-        told = plain(summary)
-        if taken_apart:
-            report, numbers = render_scene_report(result, told), result.object
-        else:
-            report, numbers = render_report(result, told, truth), None
-        contents = (
-            io.ply_bytes(
-                result.points, ~result.observed, numbers, result.sigma, fields
-            ),
-            # A file's name may hold bytes that are no UTF-8.
-            report.encode(errors="backslashreplace"),
-            f"{json.dumps(told, indent=2, allow_nan=False)}\n".encode(),
-        )
+        contents = _contents(result, plain(summary), scan, truth)
         places = (folder / name for name in _FILES)
         io.write_together(dict(zip(places, contents, strict=True)))
     return plain(summary)
+
+
+_SETTINGS = tuple(inspect.signature(complete_file).parameters)[1:-1]
+
+
+def _read(
+    source: str,
+    camera: str | None,
+    workspace: str | None,
+    max_points: int,
+    ground_truth: str | None,
+) -> tuple[io.Scan, np.ndarray | None]:
+    """The scan, and the truth if there is one, both within the workspace."""
+    bounds = None if workspace is None else io.parse_bounds(workspace)
+    if pathlib.Path(source).is_dir():
+        remedy = "to complete all scans in it, give it without --input"
+        raise io.InputError(source, "a folder, not a scan", remedy)
+    scan = io.read_scan(source, camera, bounds, max_points, _say)
+    if ground_truth is None:
+        return scan, None
+    truth = io.read_points(ground_truth, max_points)
+    truth = io.parted(truth, bounds, ground_truth)[0]
+    if not np.ptp(truth, axis=0).any():
+        fault = "all points coincide"
+        raise io.InputError(ground_truth, fault, "give the complete cloud")
+    return scan, truth
+
+
+def _taken_apart(
+    scene: Any, direction: Any, scan: io.Scan, view: Any, source: str
+) -> tuple[Any, Any]:
+    """The scene if each of its objects is to be completed by itself, else None; and up,
+    which may be found in it. InputError about a scene without an object."""
+    if scene.planes and not scene.num_points:
+        _check_not_empty(scene, scan, view, source)
+        _say("nearly all points are on planes: completed as one object")
+    elif scene.planes or len(scene.num_points) > 1:
+        return scene, direction
+    is_auto = isinstance(direction, str) and direction == AUTO
+    return None, scene.up.vector if is_auto else direction
+
+
+def _completed(
+    completer: Any,
+    scan: io.Scan,
+    view: Any,
+    scene: Any,
+    asked: dict[str, Any],
+    seconds: dict[str, float],
+) -> Any:
+    """The completed scene, or the completed scan if there is no scene."""
+    count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
+    doing = "adapting to and completing" if asked["adapt"] else "completing"
+    given = {"camera": view, "around": scan.around, **asked}
+    with _timed(f"{doing} {count}", "complete", seconds):
+        if scene is None:
+            return completer.complete(scan.points, **given)
+        return completer.complete_scene(scan.points, scene=scene, **given)
+
+
+def _contents(
+    result: Any, told: dict[str, Any], scan: io.Scan, truth: np.ndarray | None
+) -> tuple[bytes, ...]:
+    """What each of `_FILES` holds."""
+    if "objects" in told:
+        report, numbers = render_scene_report(result, told), result.object
+        fields = scan.fields
+    else:
+        report, numbers = render_report(result, told, truth), None
+        fields = {name: held[result.inside] for name, held in scan.fields.items()}
+    cloud = result.points, ~result.observed, numbers, result.sigma, fields
+    return (
+        io.ply_bytes(*cloud),
+        # A file's name may hold bytes that are no UTF-8.
+        report.encode(errors="backslashreplace"),
+        f"{json.dumps(told, indent=2, allow_nan=False)}\n".encode(),
+    )
 
 
 def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:
@@ -229,9 +261,6 @@ def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:
         raise io.InputError(source, fault, remedy)
 
 
-_SETTINGS = tuple(inspect.signature(complete_file).parameters)[1:-1]
-
-
 def _view(scan: io.Scan, eye: str | None, source: str) -> Any:
     """The camera of a scan, or one that stands where the flag or the file says."""
     if eye is not None and source.lower().endswith(".png"):
@@ -244,8 +273,21 @@ def _view(scan: io.Scan, eye: str | None, source: str) -> Any:
     return scan.camera if place is None else standing_at(place)
 
 
-def _warn(result: Any, scan: io.Scan, background: str) -> None:
+def _warn_of_tilt(scene: Any, direction: Any, up: str | None) -> None:
+    """Says if a floor or a table contradicts the direction up."""
+    tilt = tilt_of(scene.planes, direction)
+    if tilt > TILTED:
+        fault = f"the largest plane is tilted by {tilt:.0f} degrees"
+        _say(f"{fault} against --up={up or direction}; try --up=auto")
+
+
+def _warn(result: Any, scan: io.Scan, objects: str, background: str) -> None:
     """Says what may be wrong with one completed object, and what to do."""
+    if result.verdict and SCENE in result.verdict.reasons:
+        _warn_of_low_trust("this completion", result)
+        if objects == "one":
+            _say("--objects=auto takes a scene apart into its objects")
+        return
     if result.sensor == "unknown":
         _say(
             "the origin cannot be the sensor position: it is too far away, among the "

@@ -1,24 +1,10 @@
 """The installed commands, which Ctrl-C ends in one line from the first moment on."""
 
+import functools
 import importlib
 import os
 import signal
 from typing import Any
-
-
-def complete() -> None:
-    """`prism-complete`."""
-    _start("complete")
-
-
-def stream() -> None:
-    """`prism-stream`."""
-    _start("stream")
-
-
-def envelope() -> None:
-    """`prism-envelope`."""
-    _start("envelope")
 
 
 def _start(name: str) -> None:
@@ -35,3 +21,9 @@ def _start(name: str) -> None:
         signal.signal(signal.SIGINT, leave)
     command = importlib.import_module(f"prism_jax.cli.{name}")
     command.run()
+
+
+# `prism-complete`, `prism-stream` and `prism-envelope`.
+complete = functools.partial(_start, "complete")
+stream = functools.partial(_start, "stream")
+envelope = functools.partial(_start, "envelope")

@@ -62,13 +62,7 @@ from prism_jax.preprocessing.segmentation.support import find_up
 from prism_jax.preprocessing.upright import parse_up
 from prism_jax.reporting.summary import software
 from prism_jax.robots.urdf import Linkage
-from prism_jax.streaming.enveloper import (
-    FrameEnveloper,
-    FrameScanner,
-    Scanned,
-    standing,
-    unplaced,
-)
+from prism_jax.streaming import enveloper
 from prism_jax.streaming.observer import default_up
 
 FLAGS = flags.FLAGS
@@ -208,7 +202,7 @@ def make_reference(source: str) -> str:
     check_targets([output])
     if is_stream(source):
         stream, first = _opened(source, given.joints)
-        scanner = FrameScanner(
+        scanner = enveloper.FrameScanner(
             eye=given.eye,
             sensor=sensor_name(first.camera),
             robot=given.robot,
@@ -222,7 +216,7 @@ def make_reference(source: str) -> str:
     return f"reference   {len(points):,} points\nwritten     {output}"
 
 
-def _still(scan: Scanned) -> tuple[View, Float[np.ndarray, "_ 3"]]:
+def _still(scan: enveloper.Scanned) -> tuple[View, Float[np.ndarray, "_ 3"]]:
     """A scan's view, and what was measured of anything but a known robot."""
     robot = np.zeros((0, 3)) if scan.robot is None else scan.robot
     own = of_robot(scan.everything, robot, FLAGS.robot_margin)
@@ -246,7 +240,7 @@ def envelope_of(source: str) -> dict[str, Any]:
             camera, up = first.camera, FLAGS.up or default_up(first)
             kind = "cloud" if first.depth is None else "depth"
             if camera is None and given.eye is None:
-                raise unplaced(source)
+                raise enveloper.unplaced(source)
         else:
             scan, kind, up = _read(source, given)
             camera = scan.named
@@ -291,7 +285,7 @@ def envelope_of(source: str) -> dict[str, Any]:
     }
     folder = claim(FLAGS.output_dir)
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
-        maker = FrameEnveloper(
+        maker = enveloper.FrameEnveloper(
             completer=load_completer(FLAGS.weights),
             method=method,
             calibration=calibration,
@@ -367,7 +361,7 @@ def _opened(source: str, joints: Joints | None) -> tuple[Stream, Frame]:
     return stream, first
 
 
-def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
+def _read(source: str, given: _Given) -> tuple[enveloper.Scanned, Input, str]:
     """One scan and what its sensor saw beside it, what was measured, and up."""
     if FLAGS.topic is not None:
         raise io.InputError("--topic", "only supported for recordings", "omit it")
@@ -390,7 +384,7 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
             seen = io.points_from_depth(metres, mask, camera)
             others = np.concatenate([others, seen])
     eye = scan.eye if given.eye is None and depth is None else given.eye
-    stood = standing(depth, camera, eye)
+    stood = enveloper.standing(depth, camera, eye)
     up = FLAGS.up or ("-y" if scan.in_camera_frame else "z")
     direction = parse_up(up)
     if isinstance(direction, str) and direction == "auto":
@@ -408,7 +402,7 @@ def _read(source: str, given: _Given) -> tuple[Scanned, Input, str]:
         posed = joints_from_dict(held, FLAGS.joints, based=True)
         surface = robot_surface(given.robot, *posed, path=FLAGS.joints)
     known = points, others, depth, stood, camera, direction, surface
-    return Scanned(*known), kind, up
+    return enveloper.Scanned(*known), kind, up
 
 
 def _method(kind: Input, up: str, given: _Given) -> Method:

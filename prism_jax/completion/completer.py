@@ -14,13 +14,7 @@ from jaxtyping import Float
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
-from prism_jax.completion.assembly import (
-    CompletedScan,
-    CompletedScene,
-    Task,
-    assemble,
-    in_one_scene,
-)
+from prism_jax.completion import assembly
 from prism_jax.completion.compile_cache import compile_cached
 from prism_jax.completion.options import AUTO, CompletionOptions
 from prism_jax.completion.weights import (
@@ -93,7 +87,7 @@ class Completer:
         workspace: Workspace | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         **options: Any,
-    ) -> CompletedScan:
+    ) -> assembly.CompletedScan:
         """Completes one scan of one object; ``options`` are `CompletionOptions`.
 
         All arguments share one frame and unit of length; both are free. ``camera``
@@ -119,7 +113,10 @@ class Completer:
             _check_workspace(workspace)
         # Frame: turn the object upright, find its workspace, the view and what of it
         # is visible.
-        asked = _upright(asked, points, camera)
+        if asked.finds_up:
+            rotation = None if camera is None else camera.rotation
+            found = find_up(points, _seen_from(points, camera), rotation)
+            asked = dataclasses.replace(asked, up=found.vector)
         task = self.task(points, camera, workspace, around, asked)
         # Complete: run the network, with label-free steps first if asked to.
         completion, seconds = self.run(task, asked)
@@ -133,7 +130,7 @@ class Completer:
         scene: SegmentedScene | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         **options: Any,
-    ) -> CompletedScene:
+    ) -> assembly.CompletedScene:
         """Completes every object of a scene, each in its own workspace.
 
         Support planes, walls, outliers and very small objects are removed first
@@ -166,7 +163,7 @@ class Completer:
             for task, done in zip(batch, completions, strict=True):
                 objects.append(self._assemble(task, done, asked, seconds))
         # Assemble the scene.
-        return in_one_scene(points, scene.object, objects, scene.planes, *up)
+        return assembly.in_one_scene(points, scene.object, objects, scene.planes, *up)
 
     def split_scene(
         self,
@@ -186,7 +183,7 @@ class Completer:
         workspace: Workspace | None = None,
         around: Float[np.ndarray, "R 3"] | None = None,
         options: CompletionOptions = CompletionOptions(),
-    ) -> Task:
+    ) -> assembly.Task:
         """What the network reads of one object's finite points, and the way back.
 
         The first step of `complete`, whose arguments these are; up is never "auto".
@@ -205,9 +202,9 @@ class Completer:
         visibility = None
         if around is not None:
             visibility = _visibility(seen, around, options.background)
-        return Task(points, seen, read, read.camera, place, visibility)
+        return assembly.Task(points, seen, read, read.camera, place, visibility)
 
-    def reads(self, task: Task) -> tuple[Any, ...]:
+    def reads(self, task: assembly.Task) -> tuple[Any, ...]:
         """What the network reads of a task: its points, its view and, if it gains by
         it, what is known of that."""
         model = self.config.model
@@ -217,7 +214,7 @@ class Completer:
         return task.read.partial, task.view, task.visibility
 
     def run(
-        self, task: Task, options: CompletionOptions
+        self, task: assembly.Task, options: CompletionOptions
     ) -> tuple[Completion, dict[str, float]]:
         """The network's completion of a task, and the seconds it took to compile and to
         run: the second step of `complete`."""
@@ -243,7 +240,7 @@ class Completer:
         return other
 
     def _run_together(
-        self, tasks: Sequence[Task], options: CompletionOptions
+        self, tasks: Sequence[assembly.Task], options: CompletionOptions
     ) -> tuple[list[Completion], dict[str, float]]:
         """Completions of at most `SLOTS` tasks, and the seconds that each took."""
         filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
@@ -260,21 +257,24 @@ class Completer:
 
     def _assemble(
         self,
-        task: Task,
+        task: assembly.Task,
         completion: Completion,
         options: CompletionOptions,
         seconds: dict[str, float],
-    ) -> CompletedScan:
+    ) -> assembly.CompletedScan:
         """The completed scan, with all that these weights can say of it."""
         judges = self.config.model.poses, self.calibration, self.point_errors
-        return assemble(task, completion, options, seconds, *judges)
+        return assembly.assemble(task, completion, options, seconds, *judges)
 
     def _compile_adapt(
         self, make: Make, options: CompletionOptions, arguments: tuple[Any, ...]
     ) -> Callable[..., Any]:
         """What ``make`` makes of the adaptation function, compiled once."""
         steps = self.config.adapt.num_steps if options.adapt else 0
-        config = self._told(options.background).with_adapt(num_steps=steps)
+        config = self.config.with_adapt(num_steps=steps)
+        # Others than a network that reads it need not be compiled for each background.
+        if config.model.backbone.reads_visibility:
+            config = config.with_model(background=options.background)
         fn = make(make_adapt(config))
         shapes = jax.tree.structure(arguments[1:])
         key = make, options.adapt, config.model.background, shapes
@@ -285,14 +285,6 @@ class Completer:
                 fn, arguments, self._compiled_dir, about, self.quick
             )
         return self._compiled[key]
-
-    def _told(self, background: Background) -> PrismConfig:
-        """The configuration for a background; others than a network that reads it need
-        not be compiled for each."""
-        model = self.config.model
-        if model.backbone.reads_visibility:
-            model = dataclasses.replace(model, background=background)
-        return dataclasses.replace(self.config, model=model)
 
 
 def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
@@ -330,17 +322,6 @@ def _visibility(
     visibility = seen_among(seen.cloud, beside, eye, Workspace.unit(), background)
     camera = jax.tree.map(lambda array: array.astype(np.float32), visibility.camera)
     return visibility._replace(camera=camera)
-
-
-def _upright(
-    options: CompletionOptions, points: np.ndarray, camera: Camera | None
-) -> CompletionOptions:
-    """The options with an up that was found, if it was to be."""
-    if not options.finds_up:
-        return options
-    rotation = None if camera is None else camera.rotation
-    found = find_up(points, _seen_from(points, camera), rotation)
-    return dataclasses.replace(options, up=found.vector)
 
 
 def _seen_from(

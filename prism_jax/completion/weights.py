@@ -24,6 +24,7 @@ from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.assets import asset
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import parsing
 from prism_jax.models.config import AuxiliaryConfig, BackboneConfig, ModelConfig
 from prism_jax.models.initial import init_variables
 from prism_jax.models.variables import Variables
@@ -32,7 +33,6 @@ from prism_jax.uncertainty.sigma import PointErrors
 from prism_jax.uncertainty.trees import Trees
 
 SUFFIX = ".safetensors"
-NOT_OURS = "no prism_jax configuration in this file"
 RETIRED = {
     "model.backbone.reads_depth": False,
     "adapt.visibility_weight": 0.0,
@@ -59,20 +59,11 @@ def load_pretrained(name_or_path: str = "small") -> tuple[PrismConfig, Variables
     """
     path = _locate(name_or_path)
     metadata, arrays = read_file(path)
-    try:
+    with parsing(path, "weights of prism_jax", _remedy(), Exception):
         config = config_from_dict(metadata["config"])
-    except (KeyError, TypeError, AttributeError, RecursionError):
-        raise InputError(path, NOT_OURS, _remedy()) from None
-    except (ValueError, OverflowError) as error:
-        fault = f"invalid configuration: {error}"
-        raise InputError(path, fault, _remedy()) from None
-    if name_or_path in available_weights():
-        return config, _tree(arrays)
-    try:
-        wanted = _shapes(config.model)
-    except Exception as error:  # sizes that are in range and do not fit together
-        fault = f"configuration makes no valid network ({str(error)[:200]})"
-        raise InputError(path, fault, _remedy()) from None
+        if name_or_path in available_weights():
+            return config, _tree(arrays)
+        wanted = _shapes(config.model)  # sizes may not fit together
     return config, checked_arrays(arrays, wanted, path)
 
 
@@ -99,15 +90,13 @@ def _load_trees(name_or_path: str, key: str, kind: type[Trees]) -> Any:
     metadata = read_metadata(name_or_path)
     if metadata.get(key) is None:
         return None
-    try:
+    with parsing(name_or_path, "sound weights", _remedy(), Exception):
         found = kind.from_dict(metadata[key])
         if isinstance(found, Calibration):
             width = metadata["config"]["model"]["backbone"]["global_features"][-1]
             if (own := len(found.feature_mean)) != width:
                 raise ValueError(f"a calibration of {own} features, not {width}")
         return found
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(name_or_path, str(error), _remedy()) from None
 
 
 def file_sha256(name_or_path: str) -> str:
@@ -130,17 +119,11 @@ def samples_seen(metadata: Mapping[str, Any]) -> int:
 
 def read_file(path: pathlib.Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Metadata and arrays of a file; one that is no such weights raises InputError."""
-    try:
+    with parsing(path, "readable as weights", _remedy(), Exception):
         with safetensors.safe_open(path, framework="numpy") as file:
             text = file.metadata() or {}
             arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except (OSError, TypeError, AttributeError, safetensors.SafetensorError) as error:
-        fault = f"not readable as weights ({error})"
-        raise InputError(path, fault, _remedy()) from None
-    try:
         return {key: json.loads(value) for key, value in text.items()}, arrays
-    except (ValueError, RecursionError):
-        raise InputError(path, NOT_OURS, _remedy()) from None
 
 
 def save_weights(

@@ -7,7 +7,7 @@ import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-from prism_jax.io.errors import InputError, StrPath, unreadable
+from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import read_json
 
 MANIFEST = "manifest.json"
@@ -27,16 +27,6 @@ def read_manifest(folder: StrPath, remedy: str, **expected: Any) -> dict[str, An
     if not isinstance(manifest.get("files"), dict):
         raise InputError(folder, "incomplete: the build was interrupted", remedy)
     return manifest
-
-
-def content_digest(folder: StrPath) -> str | None:
-    """Twelve digits that tell a folder's files from all others; None where there is no
-    finished build."""
-    try:
-        files = read_manifest(folder, "")["files"]
-    except InputError:
-        return None
-    return files_digest(files)
 
 
 def files_digest(files: Mapping[str, str]) -> str:
@@ -61,10 +51,7 @@ def hash_files(folder: pathlib.Path) -> dict[str, str]:
 
 def check_files(folder: pathlib.Path, files: Mapping[str, str], remedy: str) -> None:
     """Raises InputError unless a folder holds its manifest's files, and no others."""
-    try:
-        found = hash_files(folder)
-    except OSError as error:
-        raise unreadable(error.filename or folder, error) from None
+    found = hash_files(folder)
     for name in sorted(files.keys() | found.keys()):
         if name not in found:
             raise InputError(folder / name, "missing but in the manifest", remedy)

@@ -29,7 +29,7 @@ from prism_jax.data.source import Example
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.framing import framing_camera
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.io.clouds import check_cloud, inside_image
+from prism_jax.io.clouds import check_cloud
 from prism_jax.io.depth import points_from_depth, read_depth, read_grey
 from prism_jax.io.errors import InputError, StrPath
 from prism_jax.io.files import read_bytes, read_json
@@ -223,14 +223,9 @@ def _read_cloud(path: pathlib.Path) -> Float32[np.ndarray, "N 3"]:
 
 def _check_on_image(partial, metres, mask, camera: Camera, path: pathlib.Path) -> None:
     """At least half of the points lie on the depth of the pixel that sees them."""
-    in_camera = np.asarray(camera.to_camera(partial.astype(np.float64)))
-    in_camera = in_camera[in_camera[:, 2] > NEAR]
-    image = in_camera @ np.asarray(camera.intrinsics).T
-    pixels = np.floor(image[:, :2] / image[:, 2:] + 0.5)
-    seen = inside_image(pixels, camera)
-    columns, rows = pixels[seen].astype(int).T
-    gap = np.abs(metres[rows, columns] - in_camera[seen, 2])
-    fitting = np.count_nonzero((gap < NEAR) & mask[rows, columns])
+    pixel, z = map(np.asarray, camera.pixel_of(partial.astype(np.float64)))
+    measured = np.append(np.where(mask, metres, np.inf), np.inf)  # also of no pixel
+    fitting = np.count_nonzero(np.abs(measured[pixel] - z) < NEAR)
     if 2 * fitting < len(partial):
         fault = f"{fitting} of {len(partial)} points match the depth image"
         raise InputError(path, fault, "store metres in the frame of the camera's pose")

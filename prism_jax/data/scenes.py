@@ -24,8 +24,6 @@ from prism_jax.io.errors import StrPath
 from prism_jax.preprocessing.visibility_map import seen_among
 
 TRAITS = "traits.json"
-SCENE_ARRAYS = ("points", "labels", "frames")
-"""What a shard of scenes has beside that of the things alone."""
 
 
 @dataclasses.dataclass(frozen=True)

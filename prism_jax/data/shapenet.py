@@ -18,7 +18,7 @@ from prism_jax.assets import asset
 from prism_jax.data.crops import CROP_SHARES, CROP_VIEWPOINTS, crop
 from prism_jax.data.source import Example, sound_cloud
 from prism_jax.io.arrays import read_npy
-from prism_jax.io.errors import InputError, StrPath, choose, unreadable
+from prism_jax.io.errors import InputError, StrPath, choose
 from prism_jax.io.files import read_bytes
 
 SUBSETS = {
@@ -91,12 +91,7 @@ class ShapeNet:
         """The folder is listed once, since a network drive answers that far sooner than
         questions for single files."""
         folder = self.root / "shapenet_pc"
-        try:
-            present = set(os.listdir(folder))
-        except (FileNotFoundError, NotADirectoryError):
-            present = set()
-        except OSError as error:
-            raise unreadable(folder, error) from None
+        present = set(os.listdir(folder)) if folder.is_dir() else set()
         missing = [f"shapenet_pc/{file}" for file in self.files if file not in present]
         if missing:
             first = ", ".join(missing[:_SHOWN] + ["..."] * (len(missing) > _SHOWN))

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from prism_jax.envelope import NOTICE
 from prism_jax.envelope.distance import Surfaces
@@ -75,15 +74,6 @@ def check_alpha(alpha: float) -> float:
         fault = f"{alpha:g} is not between 1e-9 and 1"
         raise InputError("alpha", fault, "give a share of cells, such as 0.1")
     return alpha
-
-
-def coverage_interval(
-    covered: int, total: int, confidence: float = 0.95
-) -> tuple[float, float]:
-    """The interval of a share of which `covered` of `total` were counted, after Clopper
-    & Pearson (1934): exact, and so never too narrow."""
-    interval = stats.binomtest(covered, total).proportion_ci(confidence, "exact")
-    return float(interval.low), float(interval.high)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,26 +164,18 @@ class MarginCalibration:
         atomic.write_bytes(path, (text + "\n").encode())
 
 
-def read_calibration(
-    path: str | os.PathLike, runs: Setup | None = None
-) -> MarginCalibration:
-    """The calibration of a file.
-
-    A file that is none, one whose numbers contradict each other, and one of another
-    setup than what `runs` raise InputError.
-    """
+def read_calibration(path: str | os.PathLike) -> MarginCalibration:
+    """The calibration of a file. One that is none, and one whose numbers contradict
+    each other, raise InputError."""
     content = read_json(path, _AGAIN)
     with parsing(path, "a valid calibration", _AGAIN, Exception):
         if content.get("format") != FORMAT:
             raise ValueError(f"format is not {FORMAT!r}")
-        calibration = _from_dict(content)
-    if runs is not None:
-        check_setup(calibration, runs, path)
-    return calibration
+        return _from_dict(content)
 
 
 def check_setup(
-    calibration: MarginCalibration, runs: Setup, path: str | os.PathLike = "calibration"
+    calibration: MarginCalibration, runs: Setup, path: str | os.PathLike
 ) -> None:
     """Raises InputError about `path` if it was calibrated for anything else."""
     found = runs.differences(calibration.setup)
@@ -203,18 +185,14 @@ def check_setup(
 
 def _from_dict(content: Mapping[str, Any]) -> MarginCalibration:
     least, most = map(float, content["extent"])
+    weights, sensor = str(content["weights_sha256"]), str(content["sensor"])
+    scores = [math.inf if one is None else float(one) for one in content["scores"]]
     calibration = MarginCalibration(
-        setup=Setup(
-            str(content["weights_sha256"]),
-            str(content["sensor"]),
-            {**content["settings"]},
-        ),
+        setup=Setup(weights, sensor, {**content["settings"]}),
         alpha=float(content["alpha"]),
         cells=tuple(map(str, content["cells"])),
         digests=tuple(map(str, content["digests"])),
-        scores=tuple(
-            math.inf if one is None else float(one) for one in content["scores"]
-        ),
+        scores=tuple(scores),
         extent=(least, most),
     )
     if content["n"] != len(calibration.cells):

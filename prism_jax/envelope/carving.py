@@ -188,9 +188,7 @@ def check_agreement(
     depth image, within the carving margin."""
     agree = compare(view, points, carving.margin)[0].mean() if len(points) else 1.0
     if agree < AGREE:
-        fault = (
-            f"only {agree:.0%} of the scan's points lie on the depth image's surface"
-        )
+        fault = f"only {agree:.0%} of the scan's points lie on the depth image"
         remedy = "check the camera's pose, depth_scale, and the units of both"
         raise InputError("the depth image", fault, remedy)
 
@@ -220,9 +218,7 @@ def check_conflicts(
     held = np.unique(index[index >= 0])
     wrong = int(free.ravel()[held].sum())
     if wrong > CONFLICTS * len(held):
-        fault = (
-            f"{wrong:,} of {len(held):,} voxels with measured points are called free"
-        )
+        fault = f"{wrong:,} of {len(held):,} voxels with points are called free"
         remedy = "check the sensor's position, its pose, and the units"
         raise InputError("the view", fault, remedy)
 
@@ -316,12 +312,9 @@ def _span(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The least and the largest value at the eight corners of each voxel."""
     least = largest = corners
     for axis in range(3):
-        ahead = [slice(None)] * 3
-        ahead[axis] = slice(1, None)
-        behind = [slice(None)] * 3
-        behind[axis] = slice(None, -1)
-        least = np.minimum(least[tuple(ahead)], least[tuple(behind)])
-        largest = np.maximum(largest[tuple(ahead)], largest[tuple(behind)])
+        low, high = np.moveaxis(least, axis, 0), np.moveaxis(largest, axis, 0)
+        least = np.moveaxis(np.minimum(low[1:], low[:-1]), 0, axis)
+        largest = np.moveaxis(np.maximum(high[1:], high[:-1]), 0, axis)
     return least, largest
 
 

@@ -162,9 +162,8 @@ class Envelope:
         in cubic units."""
         cube = self.grid.voxel**3
         counts = np.bincount(self.state.ravel(), minlength=len(STATES))
-        volumes = {
-            name: float(n * cube) for name, n in zip(STATES, counts, strict=True)
-        }
+        pairs = zip(STATES, counts, strict=True)
+        volumes = {name: float(n * cube) for name, n in pairs}
         volumes["not_free"] = float((counts.sum() - counts[FREE]) * cube)
         volumes["envelope"] = float(self.taken.sum() * cube)
         return volumes

@@ -70,10 +70,8 @@ def stl_bytes(mesh: Mesh, origin: Float[np.ndarray, "3"], note: str) -> bytes:
     ahead = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normals = np.cross(*ahead).astype(np.float64)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    rows = np.zeros(
-        len(corners),
-        [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")],
-    )
+    kinds = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
+    rows = np.zeros(len(corners), kinds)
     rows["normal"], rows["corners"] = normals, corners
     header = note.encode("ascii", "replace")[:80].ljust(80)
     return header + struct.pack("<I", len(rows)) + rows.tobytes()

@@ -92,11 +92,9 @@ def _details(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     grid, calibration = summary["grid"], summary["calibration"]
     lower = ", ".join(f"{value:.6g}" for value in grid["lower"])
     frame = summary["input"].get("frame")
+    source = summary["input"]["file"] + ("" if frame is None else f", frame {frame}")
     rows = [
-        (
-            "Input",
-            summary["input"]["file"] + ("" if frame is None else f", frame {frame}"),
-        ),
+        ("Input", source),
         ("Weights", summary["weights"]),
         ("Sensor", summary["sensor"]),
         ("Calibration", f"{calibration['file']}, {calibration['n']} cells"),

@@ -51,11 +51,10 @@ def calibrate_on(
         if robot is not None:
             held = dict(joints.given or frame.joints or {})
             held |= {} if joints.base is None else {"base": joints.base}
-            posed = joints_from_dict(held, place, True)
+            posed = joints_from_dict(held, place, based=True)
             surface = robot_surface(robot, *posed, path=place)
-            view = view_of_depth(
-                frame.depth * DEPTH_SCALE, frame.depth > 0, frame.camera
-            )
+            metres, known = frame.depth * DEPTH_SCALE, frame.depth > 0
+            view = view_of_depth(metres, known, frame.camera)
             check_robot(view, surface, Carving())
         points, seen, truth = seen_in(frame, completer, method, surface, place)
         score = cell_score(truth, seen.surfaces())

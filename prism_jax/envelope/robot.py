@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 from scipy.spatial import KDTree
 
+from prism_jax.io.depth import array_of, check_rotation, is_finite
 from prism_jax.io.errors import InputError
+from prism_jax.io.files import parsing
 from prism_jax.robots.urdf import Linkage
 
 SPACING = 0.02  # metres between points on a robot's surface, about
@@ -38,19 +40,16 @@ def joints_from_dict(
     identity unless given; all else is left alone.
     """
     positions = content.get("positions")
-    if type(positions) is not dict or not all(map(_is_number, positions.values())):
+    if type(positions) is not dict or not all(map(is_finite, positions.values())):
         raise InputError(path, "no joint positions", LAYOUT)
-    base = np.eye(4)
     if based and "base" not in content:
         remedy = 'give --base: a JSON with "base", a 4x4 pose in the frame of the scan'
         raise InputError(path, "the robot's base is not known", remedy)
-    if "base" in content:
-        try:
-            base = np.array(content["base"], np.float64)
-        except (TypeError, ValueError, OverflowError):
-            base = np.zeros(0)
-        if base.shape != (4, 4) or not _is_pose(base):
-            raise InputError(path, "base is not a 4x4 pose", LAYOUT)
+    with parsing(path, "a 4x4 pose", LAYOUT):
+        base = array_of(content, "base", np.eye(4))
+        check_rotation(base[:3, :3], 1e-6)
+        if not np.allclose(base[3], [0, 0, 0, 1]):
+            raise ValueError("the last row is not 0, 0, 0, 1")
     return {name: float(value) for name, value in positions.items()}, base
 
 
@@ -157,19 +156,3 @@ def of_robot(
     if len(surface) == 0 or len(points) == 0:
         return np.zeros(len(points), bool)
     return KDTree(surface).query(points, distance_upper_bound=margin)[0] < margin
-
-
-def _is_number(value: Any) -> bool:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return number and abs(value) < 1e6
-
-
-def _is_pose(base: np.ndarray) -> bool:
-    turn = base[:3, :3]
-    return bool(
-        np.isfinite(base).all()
-        and np.abs(base).max() < 1e9
-        and np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
-        and np.linalg.det(turn) > 0
-        and np.allclose(base[3], [0, 0, 0, 1])
-    )

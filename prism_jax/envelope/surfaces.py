@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from prism_jax.envelope.calibration import Setup
-from prism_jax.envelope.distance import Surfaces
+from prism_jax.envelope.distance import KINDS, Surfaces
 from prism_jax.envelope.robot import ROBOT_MARGIN, of_robot
 from prism_jax.envelope.voxels import VOXEL
 from prism_jax.geometry.camera import Camera, Vector
@@ -59,13 +59,7 @@ class Seen:
 
     def surfaces(self) -> Surfaces:
         """What a margin inflates."""
-        return Surfaces(
-            {
-                "measured": self.measured,
-                "robot": self.robot,
-                "predicted": self.predicted,
-            }
-        )
+        return Surfaces({kind: getattr(self, kind) for kind in KINDS})
 
 
 def see(
@@ -94,14 +88,9 @@ def see(
     predicted, fault = np.zeros((0, 3)), ""
     try:
         check_cloud(points, "the scan")
-        done = completer.complete(
-            points,
-            camera,
-            adapt=method.adapt,
-            up=up,
-            density=method.density,
-            background=method.background,
-        )
+        named = "adapt", "density", "background"
+        asked = {name: getattr(method, name) for name in named}
+        done = completer.complete(points, camera, up=up, **asked)
     except InputError as error:
         fault = str(error)
     else:

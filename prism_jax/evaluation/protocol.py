@@ -11,12 +11,7 @@ from prism_jax.data.source import Example
 from prism_jax.evaluation import metrics
 from prism_jax.geometry.visibility import Background
 from prism_jax.geometry.workspace import Workspace
-from prism_jax.preprocessing.observation import (
-    Heading,
-    Observation,
-    observe,
-    workspace_around,
-)
+from prism_jax.preprocessing import observation
 
 NORMALISATIONS = ("partial", "oracle", "own")
 
@@ -40,7 +35,7 @@ class Protocol:
     # Whether the partial and the predictions with the measured points are scored, too.
     with_measured: bool = True
     # Which one the completer knows objects in; the partial decides on it.
-    heading: Heading = "given"
+    heading: observation.Heading = "given"
     # Whether what lies around a partial is empty, and no point is added there.
     background: Background = "unknown"
     # Whether the examples' visibility maps are given to the completer and the filter.
@@ -59,7 +54,7 @@ def workspace_for(example: Example, protocol: Protocol) -> Workspace:
         return Workspace.unit()
     margin = protocol.margin
     assert example.partial is not None
-    workspace = workspace_around(
+    workspace = observation.workspace_around(
         example.partial, example.eye, margin, heading=protocol.heading
     )
     if protocol.normalisation == "partial":
@@ -87,16 +82,16 @@ def into_scored(
     return from_own, from_workspace
 
 
-def observed(example: Example, protocol: Protocol) -> Observation:
+def observed(example: Example, protocol: Protocol) -> observation.Observation:
     """What the completer gets of an example. The points are sampled first, in the order
     that the example's source decides."""
     assert example.partial is not None
     few = first_points(example.partial, protocol.num_partial, example.ordered)
-    return observe(few, example.eye, workspace_for(example, protocol))
+    return observation.observe(few, example.eye, workspace_for(example, protocol))
 
 
 def side_by_side(
-    observations: Sequence[Observation],
+    observations: Sequence[observation.Observation],
 ) -> tuple[Float32[np.ndarray, "B N 3"], Float32[np.ndarray, "B 3"]]:
     """The partials and the sensors' places of several, as a completer takes them."""
     partials = np.stack([seen.partial for seen in observations])

@@ -123,20 +123,13 @@ class Workspace:
         else:
             lower = along.min(axis=0, where=where[:, None], initial=np.inf)
             upper = along.max(axis=0, where=where[:, None], initial=-np.inf)
-        box = cls.from_bounds(lower, upper, margin)
-        if rotation is None:
-            return box
-        return cls(box.center @ rotation, box.half_extent, rotation)
-
-    @classmethod
-    def from_bounds(cls, lower, upper, margin: float = 1.0) -> "Workspace":
-        """The smallest cube, times a margin, around an axis-aligned box (metres).
-        Bounds without extent give a half side of 1."""
         xp = jnp if isinstance(lower, jax.Array) else np
         lower, upper = xp.asarray(lower, float), xp.asarray(upper, float)
         half_extent = 0.5 * margin * (upper - lower).max(axis=-1)
         half_extent = xp.where(half_extent > 0, half_extent, 1.0)
-        return cls(center=0.5 * (lower + upper), half_extent=half_extent)
+        center = 0.5 * (lower + upper)
+        center = center if rotation is None else center @ rotation
+        return cls(center, half_extent, rotation)
 
 
 def _known(numbers: Any) -> np.ndarray:

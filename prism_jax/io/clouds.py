@@ -151,11 +151,3 @@ def check_in_view(
         raise InputError(subject, "all points are behind the camera", remedy)
     if not (pixel < camera.height * camera.width).any():
         raise InputError(subject, "no points in the camera's image", remedy)
-
-
-def inside_image(
-    pixels: Float[np.ndarray, "N 2"], camera: Camera
-) -> Bool[np.ndarray, " N"]:
-    """Which pixels (u, v) the camera has."""
-    size = (camera.width, camera.height)
-    return np.all((pixels >= 0) & (pixels < size), axis=1)

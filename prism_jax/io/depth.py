@@ -4,6 +4,7 @@ import io
 import json
 import re
 import warnings
+from collections.abc import Mapping
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Bool, Float, Num, UInt
 from PIL import Image, UnidentifiedImageError
 
 from prism_jax.geometry.camera import Camera
-from prism_jax.io.errors import InputError, StrPath, Tell, to_stderr
+from prism_jax.io.errors import StrPath, Tell, to_stderr
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes, read_json
 
 MAX_SIDE = 16_384  # pixels: an image with a longer side is refused
@@ -58,16 +59,11 @@ def camera_from_dict(entries: dict[str, Any]) -> Camera:
     fx, fy, cx, cy = (_number(entries, key) for key in ("fx", "fy", "cx", "cy"))
     if min(fx, fy) * _FAR < 1:
         raise ValueError("fx and fy must be positive")
-    rotation = _array(entries, "rotation", np.eye(3))
-    if np.abs(rotation).max() > 2 or not np.allclose(
-        rotation @ rotation.T, np.eye(3), atol=1e-3
-    ):
-        raise ValueError("rotation is not orthogonal")
-    if np.linalg.det(rotation) < 0:
-        raise ValueError("rotation is a reflection")
+    rotation = array_of(entries, "rotation", np.eye(3))
+    check_rotation(rotation, 1e-3)
     return Camera(
         rotation=rotation,
-        translation=_array(entries, "translation", np.zeros(3)),
+        translation=array_of(entries, "translation", np.zeros(3)),
         intrinsics=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
         height=height,
         width=width,
@@ -85,7 +81,7 @@ def _by_our_names(entries: dict[str, Any]) -> dict[str, Any]:
         given = _bare(entries[name])
         is_nested = isinstance(given, list) and isinstance((given or [0])[0], list)
         shape = (3, 3) if is_nested else 9
-        matrix = _array({name: given}, name, np.zeros(shape)).reshape(3, 3)
+        matrix = array_of({name: given}, name, np.zeros(shape)).reshape(3, 3)
         matrix = matrix.T if matrix[2, :2].any() else matrix
         fx, _, cx, _, fy, cy, *_ = matrix.ravel().tolist()
         entries = {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | entries
@@ -129,13 +125,11 @@ def read_counts(
     16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count. Whatever
     does not fit raises an InputError before the image is unpacked."""
     camera, entries = _read_camera_entries(camera_path, tell)
-    try:
+    remedy = 'add "depth_scale": metres per count, as 0.001'
+    with parsing(camera_path, "the camera of a depth image", remedy):
         scale = _number(entries, "depth_scale")
         if scale <= 0:
             raise ValueError("depth_scale must be positive")
-    except ValueError as error:
-        remedy = 'add "depth_scale": metres per count, as 0.001'
-        raise InputError(camera_path, str(error), remedy) from None
     return read_grey(path, camera, 16, max_points), scale, camera
 
 
@@ -216,7 +210,7 @@ def read_grey(
 
 def _number(entries: dict[str, Any], key: str) -> float:
     value = entries.get(key)
-    if not _is_finite(value):
+    if not is_finite(value):
         raise ValueError(f"{key} is missing or not a finite number")
     return float(value)
 
@@ -228,17 +222,32 @@ def _integer(entries: dict[str, Any], key: str) -> int:
     return int(value)
 
 
-def _array(entries: dict[str, Any], key: str, default: np.ndarray) -> np.ndarray:
+def array_of(
+    entries: Mapping[str, Any], key: str, default: Float[np.ndarray, "..."]
+) -> Float[np.ndarray, "..."]:
+    """An entry as an array of the default's shape; ValueError if it is none. The
+    default without such an entry."""
     if key not in entries:
         return default
     # As objects: of strings NumPy would make all as long as the longest.
     array = np.array(entries[key], object)
-    if array.shape != default.shape or not all(map(_is_finite, array.flat)):
+    if array.shape != default.shape or not all(map(is_finite, array.flat)):
         shape = "x".join(map(str, default.shape))
         raise ValueError(f"{key} must be {shape} finite numbers")
     return array.astype(np.float64)
 
 
-def _is_finite(value: Any) -> TypeGuard[float]:
+def check_rotation(rotation: Float[np.ndarray, "3 3"], tolerance: float) -> None:
+    """ValueError if this is no rotation."""
+    if np.abs(rotation).max() > 2 or not np.allclose(
+        rotation @ rotation.T, np.eye(3), atol=tolerance
+    ):
+        raise ValueError("rotation is not orthogonal")
+    if np.linalg.det(rotation) < 0:
+        raise ValueError("rotation is a reflection")
+
+
+def is_finite(value: Any) -> TypeGuard[float]:
+    """Whether this is a number, and not too large for a length or an angle."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return number and abs(value) <= _FAR

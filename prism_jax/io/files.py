@@ -80,13 +80,10 @@ def read_json(path: StrPath, remedy: str) -> dict[str, Any]:
     anything else, and as for `read_bytes`."""
     data = read_bytes(path)
     kind = "YAML" if pathlib.Path(path).suffix.lower() in (".yaml", ".yml") else "JSON"
-    try:
+    with parsing(path, kind, remedy, Exception):
         content = _read_yaml(data) if kind == "YAML" else json.loads(data)
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
-        told = " ".join(str(error).split())
-        raise InputError(path, f"not {kind}: {told}", remedy) from None
-    if type(content) is not dict:
-        raise InputError(path, f"not a {kind} object", remedy)
+        if type(content) is not dict:
+            raise ValueError(f"a {type(content).__name__}, not an object")
     return {str(key): value for key, value in content.items()}
 
 

@@ -13,15 +13,9 @@ import lzf
 import numpy as np
 from jaxtyping import Float
 
+from prism_jax.io import files
 from prism_jax.io.arrays import Fields, stack_columns
 from prism_jax.io.errors import StrPath
-from prism_jax.io.files import (
-    MAX_FILE_BYTES,
-    MAX_POINTS,
-    check_count,
-    parsing,
-    read_bytes,
-)
 from prism_jax.io.text import body_lines, header_lines, parse_rows
 
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
@@ -55,7 +49,7 @@ class _Header(NamedTuple):
 
 
 def read_pcd(
-    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+    path: StrPath, max_points: int = files.MAX_POINTS, fields: Fields | None = None
 ) -> Float[np.ndarray, "N 3"]:
     """Positions as stored: float32 where x, y and z are, else float64. `fields` gets
     what else there is one of a point.
@@ -64,10 +58,10 @@ def read_pcd(
     VIEWPOINT see `read_viewpoint`. A malformed or cut file and one of more than
     `max_points` points raise an InputError.
     """
-    data = read_bytes(path)
-    with parsing(path, "a valid PCD file", _REMEDY):
+    data = files.read_bytes(path)
+    with files.parsing(path, "a valid PCD file", _REMEDY):
         header, start = _parse_header(data)
-        check_count(header.num_points, max_points)
+        files.check_count(header.num_points, max_points)
         indices = header.places(fields is not None)
         read = _read_ascii if header.mode == "ascii" else _read_binary
         columns = read(data[start:], header, indices)
@@ -79,7 +73,7 @@ def read_pcd(
 def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:
     """Where VIEWPOINT says that the sensor stood; None where it says nothing, or the
     origin, as writers do that do not know."""
-    lines, _ = header_lines(read_bytes(path), "DATA", 2**16)
+    lines, _ = header_lines(files.read_bytes(path), "DATA", 2**16)
     given = [line[1:4] for line in lines if line[:1] == ["VIEWPOINT"]]
     try:
         eye = np.array(given, float)
@@ -165,7 +159,7 @@ def _unpacked(body: bytes, size: int) -> bytes:
         raise ValueError(_SHORT)
     if plain_size != size or size > _LZF_MAX_RATIO * packed_size:
         raise ValueError("compressed size differs from the header")
-    if size > MAX_FILE_BYTES:
+    if size > files.MAX_FILE_BYTES:
         raise ValueError(f"fields unpack to {size / 2**30:.1f} GiB")
     plain = lzf.decompress(body[8 : 8 + packed_size], size)
     if plain is None or len(plain) != size:

@@ -33,8 +33,6 @@ def chamfer(
     Fan et al., "A Point Set Generation Network for 3D Object Reconstruction from a
     Single Image", CVPR 2017.
     """
-    if prediction.shape[0] == 0 or target.shape[0] == 0:
-        raise ValueError("chamfer needs at least one point in each cloud")
     to_target, _ = nearest(prediction, target)
     to_prediction, _ = nearest(target, prediction)
     if norm == "l2":

@@ -13,16 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import three_point_interpolate
+from prism_jax.models import layers
 from prism_jax.models.config import BackboneConfig
-from prism_jax.models.layers import (
-    Dense,
-    ResidualMLP,
-    SplitPoints,
-    batch_norm,
-    gather,
-    repeat_in_place,
-    take,
-)
 from prism_jax.models.pyramid import Pyramid
 
 interpolate = jnp.vectorize(
@@ -49,9 +41,9 @@ class VectorAttention(nn.Module):
         config = self.config
         clouds = (query_xyz, query_features), (support_xyz, support_features)
         logits, values = _logits_and_values(config, *clouds, neighbors, train)
-        logits = Dense(config.attention_features, name="attention_1")(logits)
+        logits = layers.Dense(config.attention_features, name="attention_1")(logits)
         attended = attend(logits, values)
-        return Dense(config.features, name="end")(attended) + query_features
+        return layers.Dense(config.features, name="end")(attended) + query_features
 
 
 class UpsamplingAttention(nn.Module):
@@ -72,13 +64,13 @@ class UpsamplingAttention(nn.Module):
         clouds = (xyz, features), (xyz, features)
         logits, values = _logits_and_values(config, *clouds, neighbors, train)
         # The kernel runs over the points: (..., N, k, C) -> (..., k, N * times, D).
-        split = SplitPoints(config.attention_features, times, name="attention_1")
+        split = layers.SplitPoints(config.attention_features, times, name="attention_1")
         weights = split(jnp.swapaxes(logits, -3, -2))
-        values = repeat_in_place(jnp.swapaxes(values, -3, -2), times)
+        values = layers.repeat_in_place(jnp.swapaxes(values, -3, -2), times)
         attended = (weights * values).sum(-3)
-        residual = Dense(config.features, name="residual")(features)
-        end = Dense(config.features, name="end")(attended)
-        return end + repeat_in_place(residual, times)
+        residual = layers.Dense(config.features, name="residual")(features)
+        end = layers.Dense(config.features, name="end")(attended)
+        return end + layers.repeat_in_place(residual, times)
 
 
 def _logits_and_values(
@@ -90,8 +82,10 @@ def _logits_and_values(
 ) -> tuple[Array, Array]:
     """`hidden_and_values` of points and features; submodules belong to the caller."""
     width = config.attention_features
-    query = queries[0], Dense(width, name="query")(queries[1])
-    key, value = (Dense(width, name=name)(supports[1]) for name in ("key", "value"))
+    query = queries[0], layers.Dense(width, name="query")(queries[1])
+    key, value = (
+        layers.Dense(width, name=name)(supports[1]) for name in ("key", "value")
+    )
     support = supports[0], key, value
     return hidden_and_values(query, support, neighbors, config, train)
 
@@ -110,21 +104,21 @@ def hidden_and_values(
     to the compact module that calls it."""
     (query_xyz, query), (support_xyz, key, value) = queries, supports
     width = query.shape[-1]
-    position = Dense(width, name="position_0")
+    position = layers.Dense(width, name="position_0")
 
     # The first layer of the offset is linear: applied to points, before they are
     # gathered. The barrier keeps XLA from fusing the concatenation into the gather.
     support = [key, position(support_xyz, bias=False), value]
     support = jax.lax.optimization_barrier(jnp.concatenate(support, axis=-1))
-    key, offset, value = jnp.split(gather(support, neighbors), 3, -1)
+    key, offset, value = jnp.split(layers.gather(support, neighbors), 3, -1)
     offset = position(query_xyz)[..., None, :] - offset
     if config.use_norm:
-        offset = batch_norm(train, "position_norm")(offset)
-    embedding = Dense(width, name="position_1")(nn.relu(offset))
-    hidden = Dense(config.attention_ratio * width, name="attention_0")
+        offset = layers.batch_norm(train, "position_norm")(offset)
+    embedding = layers.Dense(width, name="position_1")(nn.relu(offset))
+    hidden = layers.Dense(config.attention_ratio * width, name="attention_0")
     logits = hidden(query[..., None, :] - key + embedding)
     if config.use_norm:
-        logits = batch_norm(train)(logits)
+        logits = layers.batch_norm(train)(logits)
     return nn.relu(logits), value + embedding
 
 
@@ -180,10 +174,10 @@ class CrossResolutionTransformer(nn.Module):
         coarser_xyz = coarser = jnp.zeros(())
         for i in reversed(range(len(pyramid))):
             level = pyramid[i]
-            q_xyz = take(query_xyz, level.query_rows)
-            s_xyz = take(support_xyz, level.support_rows)
-            q = take(query_features, level.query_rows)
-            s = take(support_features, level.support_rows)
+            q_xyz = layers.take(query_xyz, level.query_rows)
+            s_xyz = layers.take(support_xyz, level.support_rows)
+            q = layers.take(query_features, level.query_rows)
+            s = layers.take(support_features, level.support_rows)
             if level.query_coarser is not None:
                 raised = interpolate(q_xyz, coarser_xyz, coarser, level.query_coarser)
                 q = self._join(f"query_{i}")(q, raised)
@@ -194,6 +188,6 @@ class CrossResolutionTransformer(nn.Module):
             coarser_xyz = q_xyz
         return coarser
 
-    def _join(self, name: str) -> ResidualMLP:
+    def _join(self, name: str) -> layers.ResidualMLP:
         width = self.config.features
-        return ResidualMLP(width, width, name=name)
+        return layers.ResidualMLP(width, width, name=name)

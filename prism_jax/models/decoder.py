@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.visibility import Visibility, visibility_features
+from prism_jax.models import pyramid
 from prism_jax.models.attention import CrossResolutionTransformer, UpsamplingAttention
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.encoder import PointFeatures
@@ -23,12 +24,6 @@ from prism_jax.models.layers import (
     repeat_in_place,
     take,
 )
-from prism_jax.models.pyramid import (
-    Pyramid,
-    build_pyramid,
-    farthest_order,
-    resolution_rows,
-)
 
 _ALONG = np.linspace(-1.5, 1.5, 7)
 # Where the seeds read visibility: points in and around the workspace.
@@ -41,7 +36,7 @@ class DecoderIndices(NamedTuple):
     # Rows of the seeds and the partial, joined, that the blocks start from.
     initial: Int[Array, "... n"]
     # Of every block, between the levels and within its own.
-    pyramids: tuple[tuple[Pyramid, Pyramid], ...]
+    pyramids: tuple[tuple[pyramid.Pyramid, pyramid.Pyramid], ...]
 
 
 class Decoded(NamedTuple):
@@ -115,8 +110,8 @@ class UpsamplingBlock(nn.Module):
         xyz: Float[Array, "... N 3"],
         global_feature: Float[Array, "... G"],
         support: Cloud,
-        inter: Pyramid,
-        intra: Pyramid,
+        inter: pyramid.Pyramid,
+        intra: pyramid.Pyramid,
         train: bool = False,
         visibility: Visibility | None = None,
     ) -> tuple[Float[Array, "... M 3"], Float[Array, "... N C"], Array]:
@@ -222,7 +217,7 @@ def sampled_rows(
     clouds: Float[Array, "... N 3"], num_samples: int
 ) -> Int[Array, "... num_samples"]:
     """Each cloud's first rows in farthest-point order."""
-    return over_batch(lambda cloud: farthest_order(cloud, num_samples))(clouds)
+    return over_batch(lambda cloud: pyramid.farthest_order(cloud, num_samples))(clouds)
 
 
 def _pyramids(
@@ -231,12 +226,12 @@ def _pyramids(
     orders: tuple[Array, Array],
     rates: tuple[int, ...],
     num_neighbors: tuple[int, ...],
-) -> tuple[Pyramid, Pyramid]:
+) -> tuple[pyramid.Pyramid, pyramid.Pyramid]:
     def build(xyz: Array, order: Array, other: Array, other_order: Array):
-        rows = resolution_rows(order, xyz.shape[0], rates)
-        other_rows = resolution_rows(other_order, other.shape[0], rates)
-        inter = build_pyramid(xyz, other, rows, other_rows, num_neighbors)
-        intra = build_pyramid(xyz, xyz, rows, rows, num_neighbors, same=True)
+        rows = pyramid.resolution_rows(order, xyz.shape[0], rates)
+        other_rows = pyramid.resolution_rows(other_order, other.shape[0], rates)
+        inter = pyramid.build_pyramid(xyz, other, rows, other_rows, num_neighbors)
+        intra = pyramid.build_pyramid(xyz, xyz, rows, rows, num_neighbors, same=True)
         return inter, intra
 
     xyz, support = jax.lax.stop_gradient((xyz, support))

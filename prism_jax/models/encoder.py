@@ -7,15 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from prism_jax.geometry.neighbors import knn
+from prism_jax.models import pyramid
 from prism_jax.models.attention import CrossResolutionTransformer
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.layers import MLP, Dense, gather, highest, take
-from prism_jax.models.pyramid import (
-    Pyramid,
-    build_pyramid,
-    farthest_order,
-    resolution_rows,
-)
 
 
 class EncoderIndices(NamedTuple):
@@ -24,7 +19,7 @@ class EncoderIndices(NamedTuple):
 
     rows: tuple[Int[Array, "... n"], Int[Array, "... m"]]
     neighbors: tuple[Int[Array, "... n k"], Int[Array, "... m k"]]
-    pyramids: tuple[Pyramid, Pyramid]
+    pyramids: tuple[pyramid.Pyramid, pyramid.Pyramid]
     patch_neighbors: Int[Array, "... m k"]
 
 
@@ -44,15 +39,15 @@ def encoder_indices(
     """Samples and neighbours of one partial cloud, which is sampled once: coarser
     resolutions are prefixes of its farthest-point order."""
     rows, neighbors, pyramids = [], [], []
-    cloud, order = partial, farthest_order(partial, config.patch_points[0])
+    cloud, order = partial, pyramid.farthest_order(partial, config.patch_points[0])
     for num_points in config.patch_points:
         patches = cloud[order[:num_points]]
         rows.append(order[:num_points])
         neighbors.append(knn(patches, cloud, config.patch_neighbors))
         order = jnp.arange(num_points)
-        levels = resolution_rows(order, num_points, config.encoder_rates)
+        levels = pyramid.resolution_rows(order, num_points, config.encoder_rates)
         both = patches, patches, levels, levels
-        pyramids.append(build_pyramid(*both, config.num_neighbors, same=True))
+        pyramids.append(pyramid.build_pyramid(*both, config.num_neighbors, same=True))
         cloud = patches
     around = knn(cloud, cloud, config.patch_neighbors)
     return EncoderIndices(tuple(rows), tuple(neighbors), tuple(pyramids), around)

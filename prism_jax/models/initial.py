@@ -8,16 +8,10 @@ from jaxtyping import PRNGKeyArray
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.losses.weighting import BRANCHES
+from prism_jax.models import prism
 from prism_jax.models.backbone import decode, init_backbone
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.depth_encoder import DepthEncoder
-from prism_jax.models.prism import (
-    AUXILIARY,
-    Prediction,
-    encode,
-    prepare_input,
-    run_auxiliary,
-)
 from prism_jax.models.refiner import Refiner
 from prism_jax.models.variables import Variables, on_cpu, unlearned_steps
 
@@ -42,8 +36,8 @@ def init_auxiliary(
         shape = (config.backbone.num_points, 3)
         cloud = jax.random.uniform(keys[0], shape, minval=-1.0)
         view = (3.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        inputs = prepare_input(cloud, Camera.look_at(*view), keys[0], config)
-        encoded = encode(backbone, inputs, config)
+        inputs = prism.prepare_input(cloud, Camera.look_at(*view), keys[0], config)
+        encoded = prism.encode(backbone, inputs, config)
         decoded = decode(
             backbone, config.backbone, cloud, encoded, visibility=inputs.visibility
         )
@@ -55,12 +49,15 @@ def init_auxiliary(
         )
 
         def made(name: str, *arguments: Any) -> Any:
-            module, key = AUXILIARY[name](sizes), keys[3 + [*AUXILIARY].index(name)]
+            module, key = (
+                prism.AUXILIARY[name](sizes),
+                keys[3 + [*prism.AUXILIARY].index(name)],
+            )
             output, fresh[name] = module.init_with_output(key, *arguments)
             return output
 
-        prediction = Prediction(points, decoded.stages, features, encoded)
-        run_auxiliary(made, inputs, prediction, depth_features)
+        prediction = prism.Prediction(points, decoded.stages, features, encoded)
+        prism.run_auxiliary(made, inputs, prediction, depth_features)
         return fresh
 
     with on_cpu():

@@ -13,13 +13,7 @@ from prism_jax.geometry.neighbors import knn
 from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Visibility, seen_by
 from prism_jax.losses.denoise import perturb, upsample_midpoints
-from prism_jax.models.auxiliary import (
-    Denoiser,
-    DepthProjection,
-    NormalHead,
-    TokenIntegrator,
-    Tokens,
-)
+from prism_jax.models import auxiliary
 from prism_jax.models.backbone import decode, encode_points
 from prism_jax.models.config import ModelConfig
 from prism_jax.models.decoder import Decoded, DecoderIndices
@@ -189,10 +183,10 @@ def branches(
 
 
 AUXILIARY: dict[str, type[nn.Module]] = {
-    "integrator": TokenIntegrator,
-    "projection": DepthProjection,
-    "normal": NormalHead,
-    "denoiser": Denoiser,
+    "integrator": auxiliary.TokenIntegrator,
+    "projection": auxiliary.DepthProjection,
+    "normal": auxiliary.NormalHead,
+    "denoiser": auxiliary.Denoiser,
 }
 """The auxiliary modules, by the names of their variables."""
 
@@ -205,7 +199,7 @@ def run_auxiliary(
 ) -> Branches:
     """Gives each of `AUXILIARY` what it looks at: ``read(name, *arguments)`` is what
     the module makes of the arguments."""
-    integrated: Tokens = read("integrator", prediction.encoded)
+    integrated: auxiliary.Tokens = read("integrator", prediction.encoded)
     perturbed = (inputs.perturbed, inputs.perturbed_neighbors)
     return Branches(
         read("normal", prediction.points, prediction.features),

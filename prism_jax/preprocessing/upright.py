@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from prism_jax.geometry.camera import Vector
 from prism_jax.io.errors import InputError
+from prism_jax.io.scan import parse_numbers
 
 _TURNS = {
     "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
@@ -41,14 +42,10 @@ def upright(up: str | Vector) -> Float64[np.ndarray, "3 3"] | None:
 def parse_up(text: str) -> str | Float64[np.ndarray, "3"]:
     """What the flag `--up` says: an axis, "auto", or a unit vector from `x,y,z`.
     Anything else raises InputError."""
-    if text in UP_AXES or text == "auto":
+    if text in (*UP_AXES, AUTO):
         return text
     remedy = f"{_REMEDY}, or auto"
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        raise InputError("--up", f"cannot read {text!r}", remedy) from None
-    return _unit(numbers, "--up", remedy)
+    return _unit(parse_numbers("--up", text, 3, remedy), "--up", remedy)
 
 
 def _unit(vector: Any, subject: str, remedy: str) -> Float64[np.ndarray, "3"]:

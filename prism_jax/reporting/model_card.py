@@ -5,12 +5,7 @@ from typing import Any
 
 import jax
 
-from prism_jax.completion.weights import (
-    load_pretrained,
-    read_metadata,
-    samples_seen,
-    trainings,
-)
+from prism_jax.completion import weights
 from prism_jax.data.datasets import mesh_licences
 from prism_jax.evaluation.tables import markdown, short
 
@@ -22,8 +17,8 @@ def model_card(name_or_path: str) -> str:
     """Markdown: sizes, data with the licences of their meshes, samples, scores with
     intervals, what the weights are worst at, and notes. All of it from the weights'
     file. What `load_pretrained` refuses raises InputError."""
-    config, variables = load_pretrained(name_or_path)
-    about = read_metadata(name_or_path)
+    config, variables = weights.load_pretrained(name_or_path)
+    about = weights.read_metadata(name_or_path)
     backbone = config.model.backbone
     count = sum(leaf.size for leaf in jax.tree.leaves(variables["params"]))
     sizes = f"{backbone.num_points:,} points in, {config.model.num_points:,} out"
@@ -52,8 +47,8 @@ def weights_table(names: Sequence[str]) -> str:
     from the truth the scan is and what a user gets of it, without adaptation."""
     rows = [("weights", "samples", "scored on", "the scan", "completed", "worst at")]
     for name in names:
-        about = read_metadata(name)
-        told: Any = (name, f"{samples_seen(about):,}")
+        about = weights.read_metadata(name)
+        told: Any = (name, f"{weights.samples_seen(about):,}")
         for split, result in about.get("scores", {}).items():
             clouds = result["clouds"]
             done = clouds.get("completed_unadapted", clouds["completed"])
@@ -74,7 +69,7 @@ def weights_table(names: Sequence[str]) -> str:
 def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
     """One line for each training, the first one first, then the meshes."""
     sets = {}
-    for run in trainings(about):
+    for run in weights.trainings(about):
         samples, data = run.get("samples", 0), run.get("data", "unknown")
         sets |= dict.fromkeys(data.split(", "))
         made = f"preset {run.get('preset')}, seed {run.get('seed')}"
@@ -82,7 +77,7 @@ def _trainings(about: Mapping[str, Any]) -> Iterator[str]:
         between = run.get("interpolated")
         share = f", {between['share']:.0%} of what it changed kept" if between else ""
         yield f"{samples:,} samples of {data}, {made}, {where}{share}"
-    yield f"{samples_seen(about):,} samples in all"
+    yield f"{weights.samples_seen(about):,} samples in all"
     yield from (f"meshes of {name}: {mesh_licences(name)}" for name in sets)
 
 

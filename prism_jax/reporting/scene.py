@@ -9,30 +9,12 @@ from jaxtyping import Float
 from prism_jax.completion.assembly import CompletedScene
 from prism_jax.geometry.camera import Camera
 from prism_jax.preprocessing.segmentation.scene import LEFT_OVER, SUPPORT
-from prism_jax.reporting import details
+from prism_jax.reporting import details, figures
 from prism_jax.reporting.confidence import (
     TRUST,
     TRUST_COLORS,
     trust_of,
     verdict_of_scene,
-)
-from prism_jax.reporting.figures import (
-    COMPLETED_COLOR,
-    LEFT_OVER_COLOR,
-    MAX_SHOWN_POINTS,
-    OBSERVED_COLOR,
-    PAGE_ASPECT,
-    SUPPORT_COLOR,
-    Cloud,
-    Panel,
-    axis_box,
-    axis_shift,
-    by_error,
-    clouds_figure,
-    framing,
-    marker_size,
-    subsample,
-    tell_errors,
 )
 from prism_jax.reporting.page import clouds_html, render
 from prism_jax.reporting.view import BULK, shown_bounds, viewing_direction
@@ -60,7 +42,7 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         camera = Camera.look_at((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     up = np.asarray(scene.up, np.float64)
     toward = viewing_direction(camera, up, turn_degrees=20.0, rise_degrees=35.0)
-    figure: Any = clouds_figure([Panel("", clouds)], toward, up, bounds)
+    figure: Any = figures.clouds_figure([figures.Panel("", clouds)], toward, up, bounds)
     boxes = [
         shown_bounds(one.points[one.observed], one.points[~one.observed], one.workspace)
         for one in scene.objects
@@ -69,9 +51,9 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         number = about["object"]
         around = bounds if number is None else boxes[number]
         shown = np.stack([trace.x, trace.y, trace.z], axis=1)
-        size = marker_size(shown, np.ptp(around, axis=0).max())
+        size = figures.marker_size(shown, np.ptp(around, axis=0).max())
         trace.meta = {**about, "size": [trace.marker.size, size]}
-    shift = axis_shift(bounds)
+    shift = figures.axis_shift(bounds)
     layouts = [_layout(box, shift, toward, up) for box in [bounds, *boxes]]
     figure.update_scenes(camera=layouts[0]["scene.camera"])
     return render(
@@ -79,12 +61,12 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         verdict=verdict_of_scene(entries),
         counts=details.counts(summary["points"]),
         toggles=[
-            ("observed", OBSERVED_COLOR),
-            ("completed", COMPLETED_COLOR),
-            ("support", SUPPORT_COLOR),
-            ("left over", LEFT_OVER_COLOR),
+            ("observed", figures.OBSERVED_COLOR),
+            ("completed", figures.COMPLETED_COLOR),
+            ("support", figures.SUPPORT_COLOR),
+            ("left over", figures.LEFT_OVER_COLOR),
         ],
-        modes=["trust", *tell_errors(figure, scene.sigma)],
+        modes=["trust", *figures.tell_errors(figure, scene.sigma)],
         clouds=clouds_html(figure),
         trusts=[trust for trust in TRUST if trust in map(trust_of, entries)],
         objects=[_row(number, entry, summary) for number, entry in enumerate(entries)],
@@ -96,25 +78,28 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
 
 def _clouds(
     scene: CompletedScene, entries: Sequence[Mapping[str, Any]]
-) -> tuple[list[Cloud], list[dict[str, Any]]]:
+) -> tuple[list[figures.Cloud], list[dict[str, Any]]]:
     """Two clouds for each object and those of none, and what the page's script knows
     of each: what it is called, whose it is, and its colours."""
     clouds, meta = [], []
     names = {SUPPORT: "support", LEFT_OVER: "left over"}
-    for number, color in ((SUPPORT, SUPPORT_COLOR), (LEFT_OVER, LEFT_OVER_COLOR)):
+    for number, color in (
+        (SUPPORT, figures.SUPPORT_COLOR),
+        (LEFT_OVER, figures.LEFT_OVER_COLOR),
+    ):
         points = scene.points[scene.object == number]
-        clouds.append(Cloud(names[number], points, color))
+        clouds.append(figures.Cloud(names[number], points, color))
         colors = {"": color, "trust": color, "error": color}
         meta.append({"cloud": names[number], "object": None, "color": colors})
     for number, (one, entry) in enumerate(zip(scene.objects, entries, strict=True)):
         trust = TRUST_COLORS[trust_of(entry)]
         for name, which, color in (
-            ("observed", one.observed, OBSERVED_COLOR),
-            ("completed", ~one.observed, COMPLETED_COLOR),
+            ("observed", one.observed, figures.OBSERVED_COLOR),
+            ("completed", ~one.observed, figures.COMPLETED_COLOR),
         ):
-            points = subsample(one.points[which], _share(scene))
-            clouds.append(Cloud(f"object {number}, {name}", points, color))
-            by = by_error(one.sigma, which, _share(scene))
+            points = figures.subsample(one.points[which], _share(scene))
+            clouds.append(figures.Cloud(f"object {number}, {name}", points, color))
+            by = figures.by_error(one.sigma, which, _share(scene))
             colors = {"": color, "trust": trust, **by}
             meta.append({"cloud": name, "object": number, "color": colors})
     return clouds, meta
@@ -123,7 +108,7 @@ def _clouds(
 def _share(scene: CompletedScene) -> int:
     """The most points of one cloud that are shown."""
     count = max(len(scene.objects), 1)
-    return min(MAX_SHOWN_POINTS, max(MAX_SHOWN_IN_SCENE // count, 200))
+    return min(figures.MAX_SHOWN_POINTS, max(MAX_SHOWN_IN_SCENE // count, 200))
 
 
 def _bounds(scene: CompletedScene) -> Float[np.ndarray, "2 3"]:
@@ -148,10 +133,12 @@ def _layout(
     bounds: np.ndarray, shift: np.ndarray, toward: np.ndarray, up: np.ndarray
 ) -> dict[str, Any]:
     """What Plotly has to change to show this box alone."""
-    box = axis_box(bounds - shift, shift)
+    box = figures.axis_box(bounds - shift, shift)
     shown = {f"scene.{a}axis.range": box[f"{a}axis"]["range"] for a in "xyz"}
     shown["scene.aspectratio"] = box["aspectratio"]
-    shown["scene.camera"] = framing(box, toward, up, PAGE_ASPECT * BESIDE_LIST)
+    shown["scene.camera"] = figures.framing(
+        box, toward, up, figures.PAGE_ASPECT * BESIDE_LIST
+    )
     return shown
 
 

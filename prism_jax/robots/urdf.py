@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float, Float64
 from scipy.spatial.transform import Rotation
 
 from prism_jax.io.errors import InputError, StrPath, require
@@ -77,27 +77,12 @@ class Linkage:
         self, positions: Float[np.ndarray, "P J"]
     ) -> Float64[np.ndarray, "P L 4 4"]:
         """Where joint positions put each link: its frame in the robot's."""
-        return self._frame_poses(positions)[:, self._link_frames]
+        return self.frame_poses(positions)[:, self._link_frames]
 
-    def frame_pose(
-        self, name: str, positions: Float[np.ndarray, " J"]
-    ) -> Float64[np.ndarray, "4 4"]:
-        """Where joint positions put a link's frame, which may have no mesh."""
-        return self._frame_poses(positions[None])[0, self.frames.index(name)]
-
-    def triangles(
-        self, positions: Float[np.ndarray, " J"]
-    ) -> tuple[Float64[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
-        """Vertices and faces of all links in one pose, link by link."""
-        trimesh, poses = require("trimesh", _EXTRA), self.link_poses(positions[None])[0]
-        placed = [
-            mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
-            for mesh, pose in zip(self.meshes, poses, strict=True)
-        ]
-        return trimesh.util.append_faces(placed, [mesh.faces for mesh in self.meshes])
-
-    def _frame_poses(self, positions: np.ndarray) -> np.ndarray:
-        """Every frame of the chain, meshes or not."""
+    def frame_poses(
+        self, positions: Float[np.ndarray, "P J"]
+    ) -> Float64[np.ndarray, "P F 4 4"]:
+        """The same of all `frames`, those of links without a mesh too."""
         if positions.shape[1:] != (len(self.joints),):
             raise ValueError(f"the robot has {len(self.joints)} joints")
         own = dict(zip(self.joints, positions.T, strict=True))

@@ -19,14 +19,8 @@ from prism_jax.losses.alignment import manifold_matching, transport_alignment
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.depth import depth_supervised
 from prism_jax.losses.weighting import BRANCHES, update_scale
+from prism_jax.models import prism
 from prism_jax.models.depth_encoder import DepthEncoder, DepthFeatures
-from prism_jax.models.prism import (
-    NetworkInput,
-    Prediction,
-    branches,
-    predict,
-    read_depth,
-)
 from prism_jax.models.variables import Variables, apply_training, part
 from prism_jax.training.config import PretrainConfig
 from prism_jax.training.inputs import inputs_of
@@ -106,7 +100,7 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
     def validate(variables: Variables, batch: Batch):
         keys = jax.random.split(key, batch.partial.shape[0])
         inputs = inputs_of(batch, keys, config.model)
-        read = functools.partial(read_depth, config=config.model)
+        read = functools.partial(prism.read_depth, config=config.model)
         depth_features = jax.vmap(read, (None, 0))(variables, inputs)
         terms, _, predictions = _terms(variables, inputs, depth_features, batch, config)
         complete = jnp.asarray(batch.complete)
@@ -120,19 +114,19 @@ def _validation(config: PrismConfig, key: PRNGKeyArray):
 
 def _terms(
     variables: Variables,
-    inputs: NetworkInput,
+    inputs: prism.NetworkInput,
     depth_features: DepthFeatures,
     batch: Batch,
     config: PrismConfig,
-) -> tuple[Float[Array, "4"], Float[Array, "B 3"], Prediction]:
+) -> tuple[Float[Array, "4"], Float[Array, "B 3"], prism.Prediction]:
     """Losses of refiner, normals, denoising and alignment; L_aux example by example. In
     training, Eq. 7 takes its statistics over the tokens of the whole batch (gap 6)."""
 
-    def one(inputs: NetworkInput, features: DepthFeatures, complete: Array):
-        prediction = predict(variables, inputs, config.model)
+    def one(inputs: prism.NetworkInput, features: DepthFeatures, complete: Array):
+        prediction = prism.predict(variables, inputs, config.model)
         refined = depth_supervised(prediction.points, complete, inputs.view)
         fixed = prediction._replace(points=jax.lax.stop_gradient(prediction.points))
-        seen = branches(variables, inputs, fixed, features, config.model)
+        seen = prism.branches(variables, inputs, fixed, features, config.model)
         seen = seen._replace(tokens_3d=jax.lax.stop_gradient(seen.tokens_3d))
         auxiliary = auxiliary_losses(inputs, fixed, seen, config.adapt)
         tokens = seen.tokens_3d, seen.tokens_depth

@@ -11,12 +11,7 @@ from jaxtyping import Array, Float
 from prism_jax.data.pipeline import Batch
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
-from prism_jax.models.backbone import (
-    decode,
-    encode_points,
-    partial_indices,
-    train_backbone,
-)
+from prism_jax.models import backbone
 from prism_jax.models.config import BackboneConfig
 from prism_jax.models.variables import Variables
 from prism_jax.training.config import PhaseConfig, PretrainConfig
@@ -39,8 +34,8 @@ def backbone_phase(
 
     def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
         partial = jnp.asarray(batch.partial)
-        indices = partial_indices(partial, config)
-        decoded, statistics = train_backbone(
+        indices = backbone.partial_indices(partial, config)
+        decoded, statistics = backbone.train_backbone(
             variables,
             config,
             partial,
@@ -52,9 +47,9 @@ def backbone_phase(
 
     def stages(variables: Variables, batch: Batch) -> Stages:
         partial, visibility = jnp.asarray(batch.partial), visibility_of(batch, config)
-        indices = partial_indices(partial, config)
-        encoded = encode_points(variables, config, partial, indices)
-        decoded = decode(variables, config, partial, encoded, None, visibility)
+        indices = backbone.partial_indices(partial, config)
+        encoded = backbone.encode_points(variables, config, partial, indices)
+        decoded = backbone.decode(variables, config, partial, encoded, None, visibility)
         return decoded.stages[: blocks + 1]
 
     return supervised_phase(variables, train, stages, names, phase, training)

@@ -98,18 +98,9 @@ class Calibration(Trees):
         for name in ("fair", "low", "feature_rest"):
             if not getattr(found, name) > 0:
                 raise ValueError(f"a calibration's {name} is not positive")
+        if len(found.usual) != len(EVIDENCE):
+            raise ValueError(f"a calibration of {len(found.usual)} pieces of evidence")
         return found
-
-    @classmethod
-    def _other_shapes(
-        cls, arrays: Mapping[str, np.ndarray]
-    ) -> dict[str, tuple[int, ...]]:
-        width = arrays["feature_mean"].shape
-        return {
-            "usual": (len(EVIDENCE),),
-            "feature_axes": (arrays["feature_axes"].shape[:1] + width),
-            **dict.fromkeys(("fair", "low", "feature_rest"), ()),
-        }
 
     def novelty(self, features: Float[np.ndarray, " G"]) -> float:
         """How far features are from those of the training: 1 is usual there."""

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, jaxtyped
 
 MAX_TREES = 1000  # every row has a number for each
 
@@ -27,7 +27,7 @@ class Trees:
     base: float  # what the trees' sum is added to
     looks_at: Float[np.ndarray, "T N"]  # which number each node of each tree looks at
     thresholds: Float[np.ndarray, "T N"]  # of that number
-    leaves: Float[np.ndarray, "T L"]  # what each leaf adds
+    leaves: Float[np.ndarray, "T N+1"]  # what each leaf adds
     # The least and the largest sum that was met where they were fitted.
     bounds: Float[np.ndarray, "2"]
 
@@ -44,52 +44,32 @@ class Trees:
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> Any:
         """From what `to_dict` gave; anything else raises ValueError."""
-        names = [field.name for field in dataclasses.fields(cls)]
-        if not isinstance(fields, Mapping) or set(fields) != set(names):
-            raise ValueError(f"{cls.WHAT} needs exactly {', '.join(names)}")
+        kinds: Any = {field.name: field.type for field in dataclasses.fields(cls)}
+        if not isinstance(fields, Mapping) or set(fields) != set(kinds):
+            raise ValueError(f"{cls.WHAT} needs exactly {', '.join(kinds)}")
         try:
-            arrays = {name: np.asarray(fields[name], np.float64) for name in names}
+            arrays = {name: np.asarray(fields[name], np.float64) for name in kinds}
         except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"{cls.WHAT} must hold numbers: {error}") from None
-        trees, nodes = (*arrays["looks_at"].shape, 0, 0)[:2]
-        shapes = {
-            "base": (),
-            "looks_at": (trees, 2 ** (nodes + 1).bit_length() // 2 - 1),
-            "thresholds": (trees, nodes),
-            "leaves": (trees, nodes + 1),
-            "bounds": (2,),
-            **cls._other_shapes(arrays),
-        }
-        if trees > MAX_TREES:
-            raise ValueError(f"{cls.WHAT} has {trees:,} trees, over {MAX_TREES:,}")
-        for name, array in arrays.items():
-            if array.shape != shapes.get(name, (array.size,)):
-                raise ValueError(f"{cls.WHAT}'s {name} has the shape {array.shape}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{cls.WHAT}'s {name} is not finite")
+        with jaxtyped("context"):  # in which T and N are the same for all
+            for name, array in arrays.items():
+                scalar = array.ndim == 0 and kinds[name] is float
+                if not (scalar or isinstance(array, kinds[name])):
+                    raise ValueError(f"{cls.WHAT}'s {name} has the shape {array.shape}")
+                if not np.isfinite(array).all():
+                    raise ValueError(f"{cls.WHAT}'s {name} is not finite")
+        trees, nodes = arrays["looks_at"].shape
+        if trees > MAX_TREES or nodes & (nodes + 1):
+            raise ValueError(f"{cls.WHAT} has {trees:,} trees of {nodes:,} nodes")
         if not np.isin(arrays["looks_at"], np.arange(len(cls.NAMES))).all():
             raise ValueError(f"{cls.WHAT}'s looks_at is out of range")
         if not -100 < arrays["bounds"][0] <= arrays["bounds"][1] < 100:  # logarithms
             raise ValueError(f"{cls.WHAT}'s bounds are out of range")
-        plain: dict[str, Any] = {
-            name: float(array) if array.ndim == 0 else array
-            for name, array in arrays.items()
-        }
-        return cls(**plain)
-
-    @classmethod
-    def _other_shapes(
-        cls, arrays: Mapping[str, np.ndarray]
-    ) -> dict[str, tuple[int, ...]]:
-        """Of the fields that a subclass adds; rows of any length need not be named."""
-        return {}
+        scalars: Any = {name: float(a) for name, a in arrays.items() if a.ndim == 0}
+        return cls(**(arrays | scalars))
 
     def to_dict(self) -> dict[str, Any]:
         """Lists and numbers, six digits of each."""
+        digits = np.vectorize(lambda number: float(f"{number:.6g}"))
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {name: _short(value) for name, value in fields.items()}
-
-
-def _short(value: Any) -> Any:
-    digits = np.vectorize(lambda number: float(f"{number:.6g}"))
-    return digits(np.asarray(value, np.float64)).tolist()
+        return {name: digits(value).tolist() for name, value in fields.items()}

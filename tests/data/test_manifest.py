@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from experiments.splits import content_digest
 from prism_jax.data.manifest import (
     MANIFEST,
     check_files,
-    content_digest,
     hash_files,
     read_manifest,
 )

@@ -4,7 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from prism_jax.data.maps import decode, encode
+from experiments.simulation.shard_writer import encode
+from prism_jax.data.maps import decode
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import UNKNOWN, Visibility, nothing_known
 

@@ -175,7 +175,7 @@ def png(pixels):
         ("labels.png", png(WALL), "labels.png: .*I;16"),
         ("labels.png", png(np.uint8(0 * WALL + 9)), "labels.png: invalid label 9"),
         ("labels.png", b"PNG", "not a PNG"),
-        ("joints.json", b"[1]", "not a JSON obj"),
+        ("joints.json", b"[1]", "not JSON: a list, not an"),
         ("complete.ply", b"x", "complete.ply"),
     ],
     ids=range(12),

@@ -10,8 +10,8 @@ from prism_jax.envelope.calibration import (
     Setup,
     cell_score,
     cells_needed,
+    check_setup,
     conformal_margin,
-    coverage_interval,
     read_calibration,
 )
 from prism_jax.envelope.distance import Surfaces
@@ -75,22 +75,12 @@ def test_a_margin_beyond_what_was_measured_is_refused():
             conformal_margin([0.1] * 50, alpha)
 
 
-@pytest.mark.parametrize(("covered", "total"), [(0, 10), (10, 10), (93, 100), (1, 3)])
-def test_intervals_are_the_beta_distributions(covered, total):
-    low, high = coverage_interval(covered, total)
-    tail = 0.025
-    expected_low = stats.beta.ppf(tail, covered, total - covered + 1) if covered else 0
-    expected_high = 1.0
-    if covered < total:
-        expected_high = stats.beta.ppf(1 - tail, covered + 1, total - covered)
-    assert (low, high) == pytest.approx((expected_low, expected_high), abs=1e-9)
-
-
 def test_a_file_is_read_back_and_checked_against_what_runs(tmp_path):
     path = tmp_path / "cal.json"
     one = calibration()
     one.write(path)
-    assert read_calibration(path, SETUP) == one
+    assert read_calibration(path) == one
+    check_setup(one, SETUP, path)
     content = json.loads(path.read_text())
     assert content["n"] == 20 and content["weights_sha256"] == "a" * 64
     assert "People are never predicted" in content["notice"]
@@ -104,7 +94,7 @@ def test_a_file_is_read_back_and_checked_against_what_runs(tmp_path):
         (Setup("a" * 64, SETUP.sensor, {"adapt": False}), "density 1.0, not None"),
     ):
         with pytest.raises(InputError, match=told) as refused:
-            read_calibration(path, changed)
+            check_setup(one, changed, path)
         assert str(path) in str(refused.value) and "\n" not in str(refused.value)
 
 

@@ -205,5 +205,5 @@ def test_a_scan_that_its_depth_image_contradicts_is_refused():
     free, points = np.zeros(grid.shape, bool), points - [0, 0, 2.0]
     check_conflicts(grid, free, points)
     free[:, :, 5] = True
-    with pytest.raises(InputError, match="voxels with measured points are called free"):
+    with pytest.raises(InputError, match="voxels with points are called free"):
         check_conflicts(grid, free, points)

@@ -43,8 +43,8 @@ def test_texts_and_what_is_no_direction():
     for text, fault in [
         ("up", "cannot read 'up'"),
         ("", "cannot read ''"),
-        ("1,2", "is not three numbers"),
-        ("0,nan,1", "has no direction"),
+        ("1,2", "cannot read"),
+        ("0,nan,1", "cannot read"),
     ]:
         with pytest.raises(InputError, match=f"^--up: .*{fault}.*; use one of .*auto$"):
             parse_up(text)

@@ -113,7 +113,7 @@ def test_validation_scores_before_and_after_the_refiner(
 
     monkeypatch.setattr(auxiliary, "_terms", terms)
     monkeypatch.setattr(auxiliary, "inputs_of", lambda batch, *given: batch.partial)
-    monkeypatch.setattr(auxiliary, "read_depth", lambda *given, config: given[1])
+    monkeypatch.setattr(auxiliary.prism, "read_depth", lambda *given, config: given[1])
     training = dataclasses.replace(minimal.pretrain, auxiliary_samples=32, batch_size=4)
     own = auxiliary_phase(minimal_variables, minimal.config, training, seed=0)
     found = np.asarray(own.validate_fn(variables, batch))

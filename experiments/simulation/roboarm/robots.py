@@ -64,8 +64,20 @@ class Robot(Linkage):
 
     def mesh(self, positions: Float[np.ndarray, " J"]) -> trimesh.Trimesh:
         """All links in one pose: `faces_link` names each face's link."""
-        vertices, faces = self.triangles(positions)
-        return trimesh.Trimesh(vertices, faces, process=False)
+        poses = self.link_poses(positions[None])[0]
+        placed = [
+            mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
+            for mesh, pose in zip(self.meshes, poses, strict=True)
+        ]
+        faces = [mesh.faces for mesh in self.meshes]
+        whole = trimesh.util.append_faces(placed, faces)
+        return trimesh.Trimesh(*whole, process=False)
+
+    def frame_pose(
+        self, name: str, positions: Float[np.ndarray, " J"]
+    ) -> Float64[np.ndarray, "4 4"]:
+        """Where joint positions put a link's frame, which may have no mesh."""
+        return self.frame_poses(positions[None])[0, self.frames.index(name)]
 
     def probe_points(
         self, positions: Float[np.ndarray, "P J"]

@@ -52,7 +52,7 @@ from prism_jax.data.datasets import (
     folder_of,
 )
 from prism_jax.data.ordering import farthest_point_order
-from prism_jax.data.scenes import SCENE_ARRAYS, TRAITS, LabelledScene
+from prism_jax.data.scenes import TRAITS, LabelledScene
 from prism_jax.data.shards import FORMAT_VERSION, shard_file
 from prism_jax.data.source import Example
 from prism_jax.io.atomic import make_output_dir, write_bytes
@@ -236,12 +236,12 @@ def _build_shard(
     ]
     boxes = [box_of(scene.points) for scene in scenes]
     points = [quantised(s.points, box) for s, box in zip(scenes, boxes, strict=True)]
-    columns = (
-        np.concatenate(points),
-        np.concatenate([scene.labels.astype(np.int8) for scene in scenes]),
-        np.stack([_frame(*pair) for pair in zip(scenes, boxes, strict=True)]),
-    )
-    for name, column in zip(SCENE_ARRAYS, columns, strict=True):
+    columns = {
+        "points": np.concatenate(points),
+        "labels": np.concatenate([s.labels.astype(np.int8) for s in scenes]),
+        "frames": np.stack([_frame(*p) for p in zip(scenes, boxes, strict=True)]),
+    }
+    for name, column in columns.items():
         write_array(folder, number, name, column)
     traits = json.dumps([[scene.name, scene.traits] for scene in scenes])
     write_bytes(shard_file(folder, number, TRAITS), traits.encode())

@@ -25,7 +25,7 @@ def test_a_network_to_compare_with_comes_back(tmp_path, name="pcn"):
     assert again == module
     assert sha256(loaded) == sha256(variables)
     assert read_metadata(str(path))["seed"] == 3
-    with pytest.raises(InputError, match="no prism_jax configuration"):
+    with pytest.raises(InputError, match="not weights of prism_jax"):
         load_pretrained(str(path))
 
 
