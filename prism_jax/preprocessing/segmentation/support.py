@@ -26,8 +26,7 @@ FILLED = 0.5  # the share of a support's outline that has points
 MIN_CELLS = 10  # what stands on a support has so many cells of the thinned cloud
 MAX_TILT = 60.0  # in degrees from z, of a support whose side no sensor says
 SQUARE = np.cos(np.deg2rad(45.0))  # a sensor looks at a plane rather straight on
-# A plane so far from level for an upright camera is a wall if another is level.
-LEVEL, STEEP = SQUARE, np.cos(np.deg2rad(80.0))
+STEEP = np.cos(np.deg2rad(80.0))  # so far from level for an upright camera is a wall
 LINK_SPACINGS = 4.0  # points no farther apart than so many spacings hang together
 
 
@@ -71,7 +70,8 @@ def find_up(
     if support is not None:
         return Up(support.normal, "support")
     if camera_rotation is not None:
-        return Up(_above(camera_rotation), "camera")
+        up = -np.asarray(camera_rotation, np.float64)[1]
+        return Up(up / np.linalg.norm(up), "camera")
     return Up(np.array([0.0, 0.0, 1.0]), "z")
 
 
@@ -105,10 +105,10 @@ def find_support(
     forward = np.zeros(3) if eye is None else (cells - eye).sum(axis=0)
     best, most = None, 0.0
     sides = [_objects_side(plane, eye) for plane in planes]
+    above = None if camera_rotation is None else -np.asarray(camera_rotation)[1]
     for plane, side, border in zip(planes, sides, borders, strict=True):
         if side is None or border is None:
             continue
-        above = None if camera_rotation is None else _above(camera_rotation)
         if above is not None and _is_wall(side, border, sides, borders, above):
             continue
         aside = np.zeros(len(cells), bool)
@@ -127,31 +127,20 @@ def find_support(
     return best
 
 
-def _above(
-    camera_rotation: Float[Array | np.ndarray, "3 3"],
-) -> Float64[np.ndarray, "3"]:
-    """Up for a camera that is held upright."""
-    up = -np.asarray(camera_rotation, np.float64)[1]
-    return up / np.linalg.norm(up)
-
-
 def _is_wall(
     side: Plane,
     border: Outline,
     sides: Sequence[Plane | None],
     borders: Sequence[Outline | None],
-    above: Float64[np.ndarray, "3"],
+    above: Float[np.ndarray, "3"],
 ) -> bool:
     """Whether a plane is steep for an upright camera, and another about as large is
     level. Without that it can be a table seen from above, or by a turned camera."""
     if side.normal @ above >= STEEP:
         return False
-    for other, its in zip(sides, borders, strict=True):
-        if other is None or its is None or its.length < LARGE * border.width:
-            continue
-        if other.normal @ above >= LEVEL:
-            return True
-    return False
+    level = [s is not None and s.normal @ above >= SQUARE for s in sides]
+    large = [its is not None and its.length >= LARGE * border.width for its in borders]
+    return bool(np.any(np.logical_and(level, large)))
 
 
 def _is_elsewhere(
