@@ -237,8 +237,7 @@ def join(
         options.background,
         task.visibility,
     )
-    closed = is_closed(seen.cloud.points)
-    closed = closed and is_closed(seen.cloud.points, roughness(seen.cloud))
+    closed = is_closed(seen.cloud.points, roughness(seen.cloud))
     if closed:
         new, kept = new[:0], IndexedCloud(kept.points[:0])
     added = seen.workspace.from_unit(new).astype(points.dtype)

@@ -1,22 +1,27 @@
 """Where a sensor may have stood, from what it measured alone."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
+from prism_jax.geometry.cloud import sight
 from prism_jax.geometry.workspace import Workspace
+from prism_jax.preprocessing.segmentation.clusters import thin
 
 NUM_DIRECTIONS = 128
-MAX_POINTS = 1024
+MAX_POINTS, MOST = 1024, 2**14
 CELLS = 32  # along each side of the image in which points hide each other
 BEHIND = 0.25  # what lies so many radii of the cloud behind a point is hidden by it
 # A place that is so far from the likely direction, and from which so much more of the
 # points would be hidden, is not believed.
 APART, HIDDEN = np.deg2rad(75.0), 0.08
 DISTANCE = 6.0  # of a likely place, in radii of the cloud
-# From the middle of a closed cloud there are points in so many of all directions,
-# within so much, and no sensor sees as much of it: the rest lies so many radii behind,
-# and so many times the thickness of its surface.
-COVERED, ASIDE, SEEN, LAYER, THICK = 0.9, np.deg2rad(10.0), 0.75, 0.1, 3.0
+# Of a closed cloud, thinned to so many cells along it and so many points, no sensor at
+# so many radii sees as much, and normals cancel out but for so much; nor is its surface
+# thicker than a share of its radius.
+CELLS_ALONG, SAMPLE, AWAY = 48, 512, 3.0
+SEEN, OPEN, THICKEST = 0.68, 0.14, 0.009
+FLIP = 100.0  # the radius of the sphere that points are reflected in, in distances
 
 
 def likely_eye(
@@ -82,23 +87,40 @@ def hidden_share(
 
 
 def is_closed(points: Float[np.ndarray, "N 3"], thickness: float = 0.0) -> bool:
-    """Whether points cover an object all around, so that no side of it is missing: seen
-    from its middle, and from wherever one looks much lies behind the rest. `thickness`
+    """Whether points cover an object all around, so that no side of it is missing: from
+    wherever one looks much is hidden, and the normals' mean is about zero. `thickness`
     is that of the surface, its noise. A small hole, where the object stood, may remain.
-    Thin and hollow objects, and fewer than `MAX_POINTS` points, are never closed."""
+    Fewer than `MAX_POINTS` points are never closed."""
     if len(points) < MAX_POINTS:
         return False
-    unit, frame = _in_own_axes(_some(points, 2 * MAX_POINTS))
-    toward = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
-    if ((toward @ _directions().T).max(axis=0) > np.cos(ASIDE)).mean() < COVERED:
+    cells = thin(_some(points, MOST), CELLS_ALONG)[0]
+    rows = np.linspace(0, len(cells) - 1, min(len(cells), SAMPLE)).astype(int)
+    unit, frame = _in_own_axes(cells[rows])
+    if len(unit) < SAMPLE // 2 or thickness > THICKEST * float(frame.half_extent):
         return False
-    behind = LAYER + THICK * thickness / float(frame.half_extent)
-    for direction in _directions()[::2]:
-        across, along = _seen_along(unit, direction)
-        nearest, cell = _nearest(across, along)
-        if (nearest[cell] - along <= behind).mean() >= SEEN:
+    toward = np.zeros_like(unit)
+    for direction in _directions()[::3]:
+        seen = _seen(unit, AWAY * direction)
+        if seen.mean() >= SEEN:
             return False
-    return True
+        toward[seen] += direction
+    near = cells[KDTree(cells).query(cells[rows], k=10)[1]]
+    near -= near.mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(near.swapaxes(1, 2) @ near)[1][..., 0]
+    outward = np.sign((normals * (toward @ frame.rotation)).sum(axis=1))
+    return bool(np.linalg.norm(outward @ normals) < OPEN * len(unit))
+
+
+def _seen(unit: np.ndarray, eye: np.ndarray) -> Bool[np.ndarray, " N"]:
+    """Which points in the unit ball an eye outside sees (Katz et al., Direct visibility
+    of point sets, 2007); all of a cloud without volume."""
+    toward, distance = sight(unit, eye)
+    reflected = (2.0 * FLIP * distance.max() - distance)[:, None] * toward
+    try:
+        hull = ConvexHull(np.append(reflected, np.zeros((1, 3)), axis=0))
+    except QhullError:
+        return np.ones(len(unit), bool)
+    return np.isin(np.arange(len(unit)), hull.vertices)
 
 
 def _some(points: np.ndarray, most: int = MAX_POINTS) -> Float[np.ndarray, "M 3"]:

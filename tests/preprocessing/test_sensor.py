@@ -104,4 +104,9 @@ def test_a_cloud_all_around_is_closed_though_it_stood_on_something():
     ball = np.concatenate([shell(sign * FAR) for sign in (-1, 1)])
     assert is_closed(1e3 * ball + FAR) and is_closed(ball[ball[:, 2] > -0.5])
     assert not is_closed(ball[ball[:, 0] > -0.3]) and not is_closed(ball[:900])
-    assert not is_closed(ball, thickness=0.5) and not is_closed(ball * [1, 1, 0.05])
+    assert not is_closed(ball, thickness=0.5)
+    # A hollow thing, and its upper half.
+    turn, slope = np.random.default_rng(0).uniform(0, 2 * np.pi, (2, 4000))
+    far, high = 1 + 0.3 * np.cos(slope), 0.3 * np.sin(slope)
+    ring = np.stack([far * np.cos(turn), far * np.sin(turn), high], axis=1)
+    assert is_closed(ring) and not is_closed(ring[high > 0])

@@ -80,7 +80,7 @@ def split_scene(
     if eye is not None and not np.isfinite(eye).all():
         eye = None
     size = extent(thinned.cells.points)
-    support, walls, aside = _set_aside(thinned, eye)
+    support, walls, aside = _set_aside(thinned, eye, camera_rotation)
     number = np.where(aside, SUPPORT, LEFT_OVER)
     if not aside.all():
         gap = GAP * size if support is None and not walls else 0.0
@@ -99,11 +99,13 @@ def split_scene(
 
 
 def _set_aside(
-    thinned: Thinned, eye: Float64[np.ndarray, "3"] | None
+    thinned: Thinned,
+    eye: Float64[np.ndarray, "3"] | None,
+    camera_rotation: Float[Array | np.ndarray, "3 3"] | None,
 ) -> tuple[Plane | None, list[Plane], Bool[np.ndarray, " N"]]:
     """The support, other planes, and the points on any of them."""
     points, cells = thinned.points, thinned.cells.points
-    support, planes = find_support(thinned, eye), thinned.planes
+    support, planes = find_support(thinned, eye, camera_rotation), thinned.planes
     aside, walls = np.zeros(len(points), bool), []
     if len(cells) < 2 or not planes:
         return None, [], aside

@@ -26,6 +26,7 @@ FILLED = 0.5  # the share of a support's outline that has points
 MIN_CELLS = 10  # what stands on a support has so many cells of the thinned cloud
 MAX_TILT = 60.0  # in degrees from z, of a support whose side no sensor says
 SQUARE = np.cos(np.deg2rad(45.0))  # a sensor looks at a plane rather straight on
+STEEP = np.cos(np.deg2rad(80.0))  # so far from level for an upright camera is a wall
 LINK_SPACINGS = 4.0  # points no farther apart than so many spacings hang together
 
 
@@ -65,7 +66,7 @@ def find_up(
     camera in the points' frame (`Camera.rotation`): up is then against its y axis,
     which points down in the image.
     """
-    support = find_support(points, sensor)
+    support = find_support(points, sensor, camera_rotation)
     if support is not None:
         return Up(support.normal, "support")
     if camera_rotation is not None:
@@ -75,7 +76,9 @@ def find_up(
 
 
 def find_support(
-    points: Thinned | Float[np.ndarray, "N 3"], sensor: Vector | None = None
+    points: Thinned | Float[np.ndarray, "N 3"],
+    sensor: Vector | None = None,
+    camera_rotation: Float[Array | np.ndarray, "3 3"] | None = None,
 ) -> Plane | None:
     """The plane that objects stand on: a table, a floor; None if there is none.
 
@@ -90,7 +93,8 @@ def find_support(
 
     The normal points to the objects. `sensor` is the place the points were seen from.
     If it is None or not finite, the objects' side is that of z, and a plane tilted from
-    it by over `MAX_TILT` is none: inner sides of single objects would pass.
+    it by over `MAX_TILT` is none: inner sides of single objects would pass. A known
+    `camera_rotation` tells walls (`_is_wall`).
     """
     thinned = points if isinstance(points, Thinned) else Thinned(points)
     cells, planes, borders = thinned.cells.points, thinned.planes, thinned.borders
@@ -100,9 +104,12 @@ def find_support(
     ends = [] if eye is None else bounding(thinned, eye)
     forward = np.zeros(3) if eye is None else (cells - eye).sum(axis=0)
     best, most = None, 0.0
-    for plane, border in zip(planes, borders, strict=True):
-        side = _objects_side(plane, eye)
+    sides = [_objects_side(plane, eye) for plane in planes]
+    above = None if camera_rotation is None else -np.asarray(camera_rotation)[1]
+    for plane, side, border in zip(planes, sides, borders, strict=True):
         if side is None or border is None:
+            continue
+        if above is not None and _is_wall(side, border, sides, borders, above):
             continue
         aside = np.zeros(len(cells), bool)
         for other, its in zip(planes, borders, strict=True):
@@ -118,6 +125,22 @@ def find_support(
         if standing > most:
             best, most = side, standing
     return best
+
+
+def _is_wall(
+    side: Plane,
+    border: Outline,
+    sides: Sequence[Plane | None],
+    borders: Sequence[Outline | None],
+    above: Float[np.ndarray, "3"],
+) -> bool:
+    """Whether a plane is steep for an upright camera, and another about as large is
+    level. Without that it can be a table seen from above, or by a turned camera."""
+    if side.normal @ above >= STEEP:
+        return False
+    level = [s is not None and s.normal @ above >= SQUARE for s in sides]
+    large = [its is not None and its.length >= LARGE * border.width for its in borders]
+    return bool(np.any(np.logical_and(level, large)))
 
 
 def _is_elsewhere(

@@ -110,6 +110,16 @@ def test_without_a_support_the_camera_says_it_and_then_z():
     assert up.source == "z" and np.array_equal(up.vector, Z)
 
 
+def test_a_camera_tells_a_wall_where_it_also_sees_a_floor(scene):
+    """What is a table for one camera is a wall for one that is turned."""
+    upright, turned = np.diag([1.0, -1, 1])[[0, 2, 1]], np.diag([1.0, -1, -1])
+    floor = table(2.5)[:, [0, 2, 1]] + [0, -1.25, 1.25]
+    for points, tables in ((scene, 2), (np.concatenate([scene, floor]), 1)):
+        found = [find_support(points, EYE, camera) for camera in (upright, turned)]
+        flat = [plane is not None and plane.normal @ Z > 0.99 for plane in found]
+        assert flat == [True, tables == 2]
+
+
 def test_clouds_without_a_plane():
     line = np.outer(np.arange(300.0), [1, 2, 3])
     triangle = np.repeat(np.eye(3), 100, axis=0)
