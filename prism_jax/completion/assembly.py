@@ -21,7 +21,7 @@ from prism_jax.preprocessing.observation import Observation, padded
 from prism_jax.preprocessing.segmentation.background import sees_scene
 from prism_jax.preprocessing.segmentation.planes import Plane
 from prism_jax.preprocessing.sensor import is_closed
-from prism_jax.uncertainty.confidence import SCENE, Calibration, Verdict
+from prism_jax.uncertainty.confidence import CLOSED, SCENE, Calibration, Verdict
 from prism_jax.uncertainty.evidence import evidence_of, pose_predictions, roughness
 from prism_jax.uncertainty.sigma import PointErrors, clues_of, spread
 
@@ -163,7 +163,11 @@ def assemble(
         verdict = calibration.judge(evidence, half_extent)
         place = np.asarray(seen.workspace.from_unit(np.asarray(seen.eye)))
         if joined.closed:
-            verdict = verdict.of_closed(0.5 * half_extent * seen.cloud.spacing)
+            # Not high: a side can be missing all the same.
+            error = 0.5 * half_extent * seen.cloud.spacing
+            verdict = verdict._replace(
+                trust="fair", expected_error=error, reasons=(CLOSED,)
+            )
         if sees_scene(task.points[seen.inside], None if task.eye is None else place):
             verdict = verdict.doubted(SCENE)
         if rounded := rounding(task.points):

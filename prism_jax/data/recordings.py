@@ -175,15 +175,6 @@ def frame_file(frame: pathlib.Path, suffix: str) -> pathlib.Path:
     return frame.with_name(f"{frame.name}.{suffix}")
 
 
-def check_recordings(root: StrPath) -> int:
-    """Reads every frame below a folder and returns their number. The first fault raises
-    InputError with the file, what is wrong with it, and what to do about it."""
-    cells = RecordedCells(root)
-    for index in range(len(cells)):
-        cells.read(index)
-    return len(cells)
-
-
 def _find_frames(root: pathlib.Path) -> dict[tuple[str, str], list[pathlib.Path]]:
     """The files of every (sequence, frame), without hidden files and folders."""
     if not root.is_dir():

@@ -33,7 +33,8 @@ EVIDENCE = {
 speaks against a completion, with the remedy."""
 
 SCENE = "this is a scene, not one object: crop it to one with --workspace"
-CLOSED = "the cloud is closed all around: nothing to add"
+CLOSED = "the cloud is closed all around, and nothing was added: if a side is missing, "
+CLOSED += "scan it"
 
 SMALLEST = 1e-3
 """What is added to evidence, shares and lengths, before its logarithm is taken."""
@@ -61,10 +62,6 @@ class Verdict(NamedTuple):
         """The same with low trust for this reason first, whatever the trees say."""
         reasons = (reason, *self.reasons)[:MAX_REASONS]
         return self._replace(trust="low", reasons=reasons)
-
-    def of_closed(self, error: float) -> "Verdict":
-        """The same where nothing was added, since no side is missing."""
-        return self._replace(trust="high", expected_error=error, reasons=(CLOSED,))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -93,8 +93,9 @@ def find_support(
 
     The normal points to the objects. `sensor` is the place the points were seen from.
     If it is None or not finite, the objects' side is that of z, and a plane tilted from
-    it by over `MAX_TILT` is none: inner sides of single objects would pass. A known
-    `camera_rotation` tells walls (`_is_wall`).
+    it by over `MAX_TILT` is none: inner sides of single objects would pass. With a
+    `camera_rotation`, a plane that is steep for an upright camera is none beside one
+    about as large that is level. Alone it can be a table seen from above.
     """
     thinned = points if isinstance(points, Thinned) else Thinned(points)
     cells, planes, borders = thinned.cells.points, thinned.planes, thinned.borders
@@ -104,13 +105,18 @@ def find_support(
     ends = [] if eye is None else bounding(thinned, eye)
     forward = np.zeros(3) if eye is None else (cells - eye).sum(axis=0)
     best, most = None, 0.0
+    # By how much each plane faces the way up of an upright camera.
     sides = [_objects_side(plane, eye) for plane in planes]
-    above = None if camera_rotation is None else -np.asarray(camera_rotation)[1]
-    for plane, side, border in zip(planes, sides, borders, strict=True):
+    faces = np.zeros(len(planes))
+    if camera_rotation is not None:
+        above = -np.asarray(camera_rotation)[1]
+        faces = np.array([0.0 if s is None else s.normal @ above for s in sides])
+    flat = [b.length for b, f in zip(borders, faces, strict=True) if b and f >= SQUARE]
+    for plane, side, border, face in zip(planes, sides, borders, faces, strict=True):
         if side is None or border is None:
             continue
-        if above is not None and _is_wall(side, border, sides, borders, above):
-            continue
+        if flat and face < STEEP and max(flat) >= LARGE * border.width:
+            continue  # a wall, beside a plane about as large that is level
         aside = np.zeros(len(cells), bool)
         for other, its in zip(planes, borders, strict=True):
             if its is None or its.length < LARGE * border.width:
@@ -125,22 +131,6 @@ def find_support(
         if standing > most:
             best, most = side, standing
     return best
-
-
-def _is_wall(
-    side: Plane,
-    border: Outline,
-    sides: Sequence[Plane | None],
-    borders: Sequence[Outline | None],
-    above: Float[np.ndarray, "3"],
-) -> bool:
-    """Whether a plane is steep for an upright camera, and another about as large is
-    level. Without that it can be a table seen from above, or by a turned camera."""
-    if side.normal @ above >= STEEP:
-        return False
-    level = [s is not None and s.normal @ above >= SQUARE for s in sides]
-    large = [its is not None and its.length >= LARGE * border.width for its in borders]
-    return bool(np.any(np.logical_and(level, large)))
 
 
 def _is_elsewhere(
