@@ -29,6 +29,7 @@ from experiments.scoring import (
     make_protocol,
     open_split,
     print_and_write,
+    prism_completer,
     run_evaluation,
 )
 from experiments.settings import changed
@@ -39,7 +40,6 @@ from prism_jax.completion.weights import file_sha256, load_pretrained, read_meta
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import Protocol
-from prism_jax.evaluation.run import prism_completer
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io.errors import InputError
 

@@ -16,13 +16,13 @@ from experiments.scoring import (
     define_frame_flags,
     make_protocol,
     open_split,
+    prism_completer,
 )
 from experiments.sheets import contact_sheet
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.weights import load_pretrained
 from prism_jax.evaluation.protocol import UNITS
-from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.atomic import write_bytes
 
 FLAGS = flags.FLAGS

@@ -8,6 +8,7 @@ import flax.linen as nn
 import jax
 import numpy as np
 from absl import flags
+from jaxtyping import Array
 
 from experiments.comparison import comparison_markdown
 from experiments.run_folder import commit
@@ -15,14 +16,16 @@ from experiments.simulation.build_dataset import build_if_missing
 from experiments.splits import digest_of
 from experiments.weights import located
 from prism_jax.adaptation.config import PrismConfig
+from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.completion.weights import load_pretrained
 from prism_jax.data.datasets import DATASETS, open_dataset
 from prism_jax.data.source import Source
 from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
-from prism_jax.evaluation.run import CompleteFn, evaluate
+from prism_jax.evaluation.run import CompleteFn, Predictions, evaluate
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
+from prism_jax.preprocessing.observation import framed_view
 from prism_jax.uncertainty.evidence import LOOKS
 
 FLAGS = flags.FLAGS
@@ -158,3 +161,24 @@ def write_result(result: Mapping[str, Any]) -> None:
     """With --output, writes the result."""
     if FLAGS.output is not None:
         write_bytes(FLAGS.output, json.dumps(result, indent=1).encode())
+
+
+def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
+    """PRISM with its test-time adaptation, jitted; compiled for each batch size. With
+    ``num_steps=0`` it returns ``network`` alone. Without maps it has what the clouds
+    say."""
+    adapt = make_adapt(config)
+
+    def one(variables: Variables, partial: Array, eye: Array, visibility: Any):
+        camera = framed_view(partial, eye)
+        done = adapt(variables, partial, camera, visibility)
+        if config.adapt.num_steps == 0:
+            return done.points, None, None
+        return done.points, done.before, done.accepted
+
+    batched = jax.jit(jax.vmap(one, (None, 0, 0, 0)))
+
+    def complete(partials, eyes, visibility=None) -> Predictions:
+        return Predictions(*batched(variables, partials, eyes, visibility))
+
+    return complete

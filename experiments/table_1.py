@@ -26,6 +26,7 @@ from experiments.scoring import (
     network_size,
     open_split,
     print_and_write,
+    prism_completer,
     prism_size,
     require_equal_sizes,
     run_evaluation,
@@ -38,7 +39,7 @@ from prism_jax.completion.weights import (
     samples_seen,
 )
 from prism_jax.evaluation.paired import all_differences, paired_difference
-from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
+from prism_jax.evaluation.run import CompleteFn, Predictions
 from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply

@@ -19,6 +19,7 @@ from experiments.scoring import (
     make_protocol,
     open_split,
     print_and_write,
+    prism_completer,
     prism_size,
     require_equal_sizes,
     run_evaluation,
@@ -26,7 +27,7 @@ from experiments.scoring import (
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch
-from prism_jax.evaluation.run import CompleteFn, Predictions, prism_completer
+from prism_jax.evaluation.run import CompleteFn, Predictions
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.preprocessing.observation import framed_view
 

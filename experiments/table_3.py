@@ -16,12 +16,12 @@ from experiments.scoring import (
     make_protocol,
     open_split,
     print_and_write,
+    prism_completer,
     prism_size,
     require_equal_sizes,
     run_evaluation,
 )
 from prism_jax.cli.launch import launch
-from prism_jax.evaluation.run import prism_completer
 from prism_jax.io.errors import InputError
 
 FLAGS = flags.FLAGS

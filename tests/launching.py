@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import signal
 import sys
 from collections.abc import Iterator
 from types import ModuleType
@@ -23,11 +24,14 @@ class _Parsed(Exception):
 def _as_command(*argv: str) -> Iterator[pytest.MonkeyPatch]:
     """A process defines its flags once; these tests do so again and again."""
     known = set(flags.FLAGS)
+    # It may be ignored, as in the background of a shell.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", [*argv])
         try:
             yield patch
         finally:
+            signal.signal(signal.SIGINT, before)
             jax.config.update("jax_disable_most_optimizations", False)
             for name in set(flags.FLAGS) - known:
                 delattr(flags.FLAGS, name)

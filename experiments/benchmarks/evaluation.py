@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.assets import CELLS
 from experiments.benchmarks.measure import Row, in_turn, row
+from experiments.scoring import prism_completer
 from experiments.weights import located
 from prism_jax.completion.weights import load_pretrained
 from prism_jax.data.ordering import farthest_point_order, first_points
@@ -21,7 +22,6 @@ from prism_jax.evaluation.run import (
     CompleteFn,
     Predictions,
     evaluate,
-    prism_completer,
     scored_clouds,
 )
 from prism_jax.evaluation.scoring import EMD_POINTS

@@ -25,7 +25,7 @@ from prism_jax.cli import shared_flags
 from prism_jax.cli.launch import SomeFailed, launch, load_completer, say, timed
 from prism_jax.completion.filtering import MAX_DENSE
 from prism_jax.io.atomic import check_targets, claim
-from prism_jax.io.clouds import READERS
+from prism_jax.io.clouds import READERS, rounding
 from prism_jax.io.scan import parse_numbers, standing_at
 from prism_jax.preprocessing.segmentation.background import sees_scene
 from prism_jax.preprocessing.segmentation.support import tilt_of
@@ -34,7 +34,7 @@ from prism_jax.reporting import render_report, render_scene_report
 from prism_jax.reporting.confidence import trust_of_all
 from prism_jax.reporting.page import render
 from prism_jax.reporting.summary import plain, score, summarize, summarize_scene
-from prism_jax.uncertainty.confidence import SCENE
+from prism_jax.uncertainty.confidence import CLOSED, SCENE
 
 FLAGS = flags.FLAGS
 NAME = "prism-complete"
@@ -92,6 +92,8 @@ def main(inputs: Sequence[str] = ()) -> None:
         print(model_card(FLAGS.weights), end="")
         return
     settings = {name: getattr(FLAGS, name) for name in _SETTINGS}
+    if len(inputs) == 1 and not FLAGS.input and not pathlib.Path(inputs[0]).is_dir():
+        FLAGS.input, inputs = inputs[0], ()
     if inputs:
         complete_files([*([FLAGS.input] if FLAGS.input else []), *inputs], **settings)
     else:
@@ -130,6 +132,8 @@ def complete_file(
     with _timed(f"reading {source}", "read", seconds):
         scan, truth = _read(source, camera, workspace, max_points, ground_truth)
     view = _view(scan, eye, source)
+    if rounded := rounding(scan.points):
+        _say(rounded)
     folder = claim(output_dir)
     check_targets(folder / name for name in _FILES)
     with _timed(f"loading the weights {weights}", "load", seconds):
@@ -158,7 +162,8 @@ def complete_file(
         for number, one in enumerate(result.objects):
             _warn_of_low_trust(f"object {number}", one)
     if result.observed.all():
-        _say("nothing was added: what is predicted is measured or left away")
+        closed = scene is None and result.verdict and CLOSED in result.verdict.reasons
+        _say(CLOSED if closed else "nothing was added: what is predicted is measured")
     if truth is not None:
         with _timed("scoring against the ground truth", "score", seconds):
             summary["scores"] = score(result, truth)
@@ -207,6 +212,11 @@ def _taken_apart(
         _check_not_empty(scene, scan, view, source)
         _say("nearly all points are on planes: completed as one object")
     elif scene.planes or len(scene.num_points) > 1:
+        if not scene.planes:
+            parts = (
+                f"{len(scene.num_points)} parts lie apart and are completed as objects"
+            )
+            _say(f"{parts}; --objects=one takes them for one")
         return scene, direction
     is_auto = isinstance(direction, str) and direction == AUTO
     return None, scene.up.vector if is_auto else direction
@@ -286,13 +296,13 @@ def _warn(result: Any, scan: io.Scan, objects: str, background: str) -> None:
     if result.verdict and SCENE in result.verdict.reasons:
         _warn_of_low_trust("this completion", result)
         if objects == "one":
-            _say("--objects=auto takes a scene apart into its objects")
+            _say("--objects=auto may take it apart into objects")
         return
     if result.sensor == "unknown":
         _say(
             "the origin cannot be the sensor position: it is too far away, among the "
             "points, or on their far side; the position was estimated from the points; "
-            "set it with --camera"
+            "set it with --eye"
         )
     if result.left_out:
         count = f"{result.left_out:,} of {len(scan.points):,} points"
@@ -309,7 +319,7 @@ def _warn(result: Any, scan: io.Scan, objects: str, background: str) -> None:
 def _warn_of_low_trust(what: str, completed: Any) -> None:
     """Says why a completion is doubted, or less dense than was asked for."""
     if completed.capped:
-        _say(f"{what}: added points end at {MAX_DENSE:,}; --density asks for more")
+        _say(f"{what}: limited to {MAX_DENSE:,} added points; --density asks for more")
     verdict = completed.verdict
     if verdict is not None and verdict.trust == "low":
         why = "; ".join(verdict.reasons) or "the combined evidence"
@@ -339,13 +349,13 @@ def complete_files(
         except io.InputError as error:
             faults.append(error)
     failed = [str(error) for error in faults]
+    if faults and not done:
+        raise faults[0]
     rows = [(name, result, trust_of_all(result)) for name, result in done.items()]
     page = render("index.html", rows=rows, failed=failed)
     io.write_together({folder / "index.html": page.encode(errors="backslashreplace")})
     folders = f"{len(done)} folder{'s' if len(done) != 1 else ''}"
     print(f"written     {output_dir}: index.html and {folders}")
-    if faults and not done:
-        raise faults[0]
     if faults:
         raise SomeFailed(failed)
     return done

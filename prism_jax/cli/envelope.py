@@ -228,6 +228,7 @@ def envelope_of(source: str) -> dict[str, Any]:
     Returns what the JSON says, of a recording what `stream.json` does. What the user
     can put right raises InputError, if possible before the weights are loaded."""
     seconds: dict[str, float] = {}
+    folder = claim(FLAGS.output_dir)
     if set_aside(FLAGS.output_dir, (*NAMES, LINES, REPORT, "[0-9]" * 6)):
         place = pathlib.Path(FLAGS.output_dir) / PREVIOUS
         _say(f"the results of an earlier run are now in {place}")
@@ -283,7 +284,6 @@ def envelope_of(source: str) -> dict[str, Any]:
         "q": margin,
         "carving": carving._asdict(),
     }
-    folder = claim(FLAGS.output_dir)
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
         maker = enveloper.FrameEnveloper(
             completer=load_completer(FLAGS.weights),

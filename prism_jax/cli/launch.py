@@ -34,8 +34,6 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
     line and status 130. `main` gets the words that are no flags if it takes them."""
 
     def with_words(argv: Sequence[str]) -> None:
-        if sys.stdout is None:
-            raise InputError("stdout", "is closed", "send it to a file or /dev/null")
         for flag in FLAGS:
             value = FLAGS[flag].value
             if isinstance(value, float) and not math.isfinite(value):
@@ -46,16 +44,11 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
             keep([*argv[1:], *files])
         elif len(argv) > 1:
             raise InputError(argv[1], "not a flag", "write flags as --name=value")
-        try:
-            main(argv[1:]) if takes_words else main()
-            sys.stdout.flush()
-        except OSError as error:
-            if error.filename is not None:
-                raise
-            # Of no file: stdout is full, or nobody reads it. Nor is it tried at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-            raise unwritable("stdout", error) from None
+        main(argv[1:]) if takes_words else main()
+        sys.stdout.flush()
 
+    if sys.stderr is None:
+        sys.stderr = io.StringIO()  # progress bars want one
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A folder's name may hold what the terminal cannot show.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -65,13 +58,16 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         if module.split(".")[0] in ("prism_jax", "experiments"):
             for flag in defined:
                 FLAGS.register_key_flag_for_module(sys.argv[0], flag)
-    if "--help" in sys.argv[1:]:  # of which absl makes a failure
-        app.usage(shorthelp=True, writeto_stdout=True)
-        sys.exit(0)
     gc.freeze()  # what was imported stays, and is not searched for garbage again
     keep_compiled()
     logging.set_verbosity(logging.WARNING)
     try:
+        if sys.stdout is None:
+            raise InputError("stdout", "is closed", "send it to a file or /dev/null")
+        if "--help" in sys.argv[1:]:  # of which absl makes a failure
+            app.usage(shorthelp=True, writeto_stdout=True)
+            sys.stdout.flush()
+            sys.exit(0)
         with _interruptible():
             app.run(with_words, flags_parser=FLAGS)
     except InputError as error:
@@ -82,8 +78,11 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
         _end(name, f"{' '.join(str(error).split())}; --help lists the flags")
     except OSError as error:
         if error.filename is None:
-            raise
-        _end(name, str(unreadable(error.filename, error)))
+            # Stdout is full, or nobody reads it. Nor is it tried at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            _end(name, str(unwritable("stdout", error)))
+        else:
+            _end(name, str(unreadable(error.filename, error)))
     except KeyboardInterrupt:
         _end(name, "interrupted", status=130)
 

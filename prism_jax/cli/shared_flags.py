@@ -70,7 +70,7 @@ def define_recording_flags() -> None:
     flags.DEFINE_float(
         "robot_margin",
         ROBOT_MARGIN,
-        "Metres from the robot: its own points.",
+        "Points within so many metres of the robot are its own.",
         0.0,
     )
     flags.DEFINE_float(

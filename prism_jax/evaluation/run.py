@@ -12,8 +12,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
-from prism_jax.adaptation.config import PrismConfig
-from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.completion.filtering import added_points
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import framed_map, with_partial
@@ -29,8 +27,7 @@ from prism_jax.evaluation.protocol import (
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.visibility import Visibility
-from prism_jax.models.variables import Variables
-from prism_jax.preprocessing.observation import framed_view, observe
+from prism_jax.preprocessing.observation import observe
 
 
 class Predictions(NamedTuple):
@@ -47,27 +44,6 @@ CompleteFn = Callable[..., Predictions]
 """What is scored: a function of partial clouds (B, N, 3) and the sensors' positions
 (B, 3), both in the unit workspace, and, if the protocol says so, of their visibility
 maps (None where the source has none). It may be jitted."""
-
-
-def prism_completer(config: PrismConfig, variables: Variables) -> CompleteFn:
-    """PRISM with its test-time adaptation, jitted; compiled for each batch size. With
-    ``num_steps=0`` it returns ``network`` alone. Without maps it has what the clouds
-    say."""
-    adapt = make_adapt(config)
-
-    def one(variables: Variables, partial: Array, eye: Array, visibility: Any):
-        camera = framed_view(partial, eye)
-        done = adapt(variables, partial, camera, visibility)
-        if config.adapt.num_steps == 0:
-            return done.points, None, None
-        return done.points, done.before, done.accepted
-
-    batched = jax.jit(jax.vmap(one, (None, 0, 0, 0)))
-
-    def complete(partials, eyes, visibility=None) -> Predictions:
-        return Predictions(*batched(variables, partials, eyes, visibility))
-
-    return complete
 
 
 def evaluate(

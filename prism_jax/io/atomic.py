@@ -18,10 +18,12 @@ _CLAIMED: dict[str, int] = {}  # folders and their descriptors
 
 
 def keep(paths: Iterable[StrPath]) -> None:
-    """From now on these files, those in folders, and images' cameras are kept."""
+    """From now on these files, those in folders with recorded frames below them, and
+    images' cameras are kept."""
     _KEPT.clear()
     for path in (os.path.abspath(path) for path in paths):
-        inside = glob.glob(os.path.join(glob.escape(path), "*"))
+        root = glob.escape(path)
+        inside = glob.glob(f"{root}/*") + glob.glob(f"{root}/*/[0-9]*.*.*")
         beside = [path[:-4] + ".json"] if path.lower().endswith(".png") else []
         _KEPT.extend([path, *(p for p in inside if not p.endswith(_REPORTS)), *beside])
 
@@ -29,12 +31,16 @@ def keep(paths: Iterable[StrPath]) -> None:
 def check_targets(paths: Iterable[StrPath], folders: bool = False) -> None:
     """InputError if a path is a file to `keep`, however it is spelled, or a folder
     where none is expected. For what takes long, before it starts."""
-    kept = {os.stat(path)[1:3] for path in _KEPT if os.path.exists(path)}  # inodes
     for path in filter(os.path.exists, paths):
-        if os.stat(path)[1:3] in kept:
+        if _is_kept(path):
             raise InputError(path, "this is an input", "choose another output")
         if os.path.isdir(path) and not folders:
             raise unwritable(path, IsADirectoryError("is a folder"))
+
+
+def _is_kept(path: StrPath) -> bool:
+    inodes = {os.stat(kept)[1:3] for kept in _KEPT if os.path.exists(kept)}
+    return os.stat(path)[1:3] in inodes
 
 
 def aside(path: StrPath, suffix: str = ".tmp") -> pathlib.Path:
@@ -83,7 +89,8 @@ def set_aside(folder: StrPath, names: Iterable[str]) -> bool:
     is there, and says whether there was anything. `names` may be patterns."""
     place = pathlib.Path(folder)
     found = [path for name in names for path in place.glob(name)]
-    check_targets([*found, *(place / PREVIOUS).rglob("*")], folders=True)
+    inside = [p for path in (*found, place / PREVIOUS) for p in path.rglob("*")]
+    check_targets([*found, *inside], folders=True)
     try:
         if found:
             shutil.rmtree(place / PREVIOUS, ignore_errors=True)
@@ -101,7 +108,8 @@ def remove_unfinished(folder: StrPath) -> None:
     those of another that is at work."""
     mark = "[0-9a-f]" * len(uuid.uuid4().hex)
     for path in pathlib.Path(folder).glob(f".*.{mark}.*"):
-        path.unlink(missing_ok=True)
+        if not _is_kept(path):
+            path.unlink(missing_ok=True)
 
 
 def claim(path: StrPath) -> pathlib.Path:

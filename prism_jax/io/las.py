@@ -45,7 +45,8 @@ def read_las(
             blocks = list(reader.chunk_iterator(_BLOCK))
         for name in header.point_format.dimension_names:
             column = np.concatenate([np.asarray(block[name]) for block in blocks])
-            if fields is not None and name not in ("X", "Y", "Z") and column.any():
+            wanted = column.ndim == 1 and name not in ("X", "Y", "Z")
+            if fields is not None and wanted and column.any():
                 fields[name] = column
         xyz = [np.stack([block.x, block.y, block.z], axis=1) for block in blocks]
         return np.concatenate(xyz)

@@ -95,6 +95,9 @@ class Calibration(Trees):
         for name in ("fair", "low", "feature_rest"):
             if not getattr(found, name) > 0:
                 raise ValueError(f"a calibration's {name} is not positive")
+        familiar = found.feature_mean, *found.feature_axes
+        if max(np.abs(row).max() for row in familiar) > 1e9:
+            raise ValueError("a calibration's features are beyond 1e9")
         if len(found.usual) != len(EVIDENCE):
             raise ValueError(f"a calibration of {len(found.usual)} pieces of evidence")
         return found

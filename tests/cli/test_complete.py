@@ -247,7 +247,7 @@ def test_says_what_to_do_about_a_doubted_scan(trust, flags, asks, altered, capsy
     warning = "low confidence in this completion: it strays: crop it"
     assert (warning in told.err) == (trust == "low")
     assert ("the surroundings are unknown" in told.err) == asks
-    assert ("--objects=auto takes a scene apart" in told.err) == (
+    assert ("--objects=auto may take it apart" in told.err) == (
         "--objects=one" in flags
     )
     expected = f"confidence  {trust}: expected error 0.0123, in input units"
@@ -259,7 +259,7 @@ def test_a_sensor_too_far_and_points_left_out_are_told(altered, capsys):
     told = complete_file("scan.npy")
     assert told["sensor"] == "unknown" and told["input"]["points_left_out"] == 5
     said = capsys.readouterr().err
-    assert "this completion: added points end at 200,000; --density asks" in said
+    assert "this completion: limited to 200,000 added points; --density asks" in said
     assert "the origin cannot be the sensor position" in said
     assert "5 of 200 points are far from all others and were removed" in said
     report = (OUT / "report.html").read_text()

@@ -43,6 +43,7 @@ def test_an_interrupt_that_a_callback_swallows_comes_again(monkeypatch, capsys):
 INTERRUPTED_IMPORT = """
 import importlib, signal
 from prism_jax.cli import entry
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 importlib.import_module = lambda _: signal.raise_signal(signal.SIGINT)
 entry.stream()
 """

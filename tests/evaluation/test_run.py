@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
+from experiments import scoring
+from experiments.scoring import prism_completer
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.assembly import Task, assemble
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.data.source import Example
-from prism_jax.evaluation import metrics, run
+from prism_jax.evaluation import metrics
 from prism_jax.evaluation.paired import paired_difference
 from prism_jax.evaluation.protocol import (
     NORMALISATIONS,
@@ -20,7 +22,6 @@ from prism_jax.evaluation.protocol import (
 from prism_jax.evaluation.run import (
     Predictions,
     evaluate,
-    prism_completer,
     scored_clouds,
 )
 from prism_jax.evaluation.scoring import CLOUDS
@@ -150,7 +151,7 @@ def test_a_fault_of_the_completer_ends_it(boxes):
 
 def test_prism_is_a_completer(boxes, monkeypatch):
     """Frame by frame, by a stand-in that moves them towards sensors above them."""
-    monkeypatch.setattr(run, "make_adapt", stand_in_networks.make_adapt)
+    monkeypatch.setattr(scoring, "make_adapt", stand_in_networks.make_adapt)
     partials, eyes = side_by_side([observed(boxes()[i], protocol()) for i in (0, 1)])
     eyes[1] *= -1
     done = prism_completer(PrismConfig(), {})(partials, eyes)

@@ -64,8 +64,9 @@ def test_what_is_read_is_not_replaced(given, target, tmp_path, monkeypatch):
     atomic.keep([given])
     with pytest.raises(InputError, match="this is an input; choose another output"):
         atomic.write_together({"new": b"", target: b"other"})
-    with pytest.raises(InputError, match="this is an input"):
-        atomic.set_aside(".", [target])
+    for names in ([target], ["d"]):
+        with pytest.raises(InputError, match="this is an input"):
+            atomic.set_aside(".", names)
     os.makedirs("previous")
     os.link("hard", "previous/hard")
     with pytest.raises(InputError, match="this is an input"):
@@ -76,7 +77,8 @@ def test_what_is_read_is_not_replaced(given, target, tmp_path, monkeypatch):
 
 def test_a_folder_has_one_writer_who_removes_what_killed_ones_left(tmp_path):
     left = [atomic.aside(tmp_path / "name", end) for end in (".tmp", ".part.mcap")]
-    for file in (*left, tmp_path / ".mine.tmp"):
+    atomic.keep([read := atomic.aside(tmp_path / "rescued", ".part.mcap")])
+    for file in (*left, read, tmp_path / ".mine.tmp"):
         file.touch()
     other = os.open(tmp_path, os.O_RDONLY)
     fcntl.flock(other, fcntl.LOCK_EX)
@@ -85,7 +87,7 @@ def test_a_folder_has_one_writer_who_removes_what_killed_ones_left(tmp_path):
     assert all(file.exists() for file in left)
     os.close(other)
     assert atomic.claim(tmp_path) == atomic.claim(tmp_path) == tmp_path
-    assert os.listdir(tmp_path) == [".mine.tmp"]
+    assert sorted(os.listdir(tmp_path)) == [".mine.tmp", read.name]
 
 
 def test_an_output_directory_is_made_where_it_can_be_written_to(tmp_path):
