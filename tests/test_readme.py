@@ -170,7 +170,7 @@ def test_figures_stand_where_they_belong():
     rows = {row["name"]: row for row in stored("speed")["rows"]}
     late = rows["prism-complete, first run"]
     shown = cells("results.md", "## Speed", "startup | prism-complete, first run")
-    assert shown[2] == f"{late['ours']} s"
+    assert shown[2] == f"{late['ours']} s, {late['peak_mib']:.0f} MiB"
     first = PAGES["README.md"].read_text().split("\n## ")[0]
     assert "<!-- gain: python -m experiments.results -->\n**Adaptation" in first
 
