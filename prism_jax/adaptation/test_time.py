@@ -14,11 +14,7 @@ from prism_jax.adaptation.objective import Losses, test_time_objective
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.losses.weighting import loss_weights
-from prism_jax.models.poses import (
-    in_original_frame,
-    in_other_poses,
-    to_original_frame,
-)
+from prism_jax.models.poses import in_other_poses, to_original_frame
 from prism_jax.models.prism import hold_decoding, prepare_input
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 
@@ -92,7 +88,10 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
         encoders, rest = pop_encoders(variables)
         weights = loss_weights(variables["weighting"]["logits"])
         if settings.num_steps == 0:
-            points, features = in_original_frame(variables, inputs, others, model)
+            every = jax.tree.map(lambda leaf: leaf[None], inputs)
+            if others is not None:
+                every = jax.tree.map(lambda *each: jnp.concatenate(each), every, others)
+            points, features = to_original_frame(variables, every, model, first=0)
             nothing = jnp.zeros((), bool), None
             return Completion(points, points, *nothing, weights, encoders, features)
         inputs = hold_decoding(variables, inputs, model)
@@ -104,7 +103,7 @@ def make_adapt(config: PrismConfig = PrismConfig()) -> AdaptFn:
             """The points, and those of the frame in other poses."""
             if others is None:
                 return points
-            beside = to_original_frame(put_encoders(moving, rest), others, model)
+            beside, _ = to_original_frame(put_encoders(moving, rest), others, model)
             return jnp.concatenate([points, beside])
 
         # Compiled, so that it is traced once for the steps and for what follows them.

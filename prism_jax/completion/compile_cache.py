@@ -31,7 +31,7 @@ QUICK = {
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_experimental_ynn_fusion_type": "",
 }
-"""XLA's options that compile in a third of the time for a run three times as slow.
+"""XLA's options that compile fast what then runs slowly: for a few scans.
 Programs without YNN's fusions also load in half the time."""
 
 _DIGEST_BYTES = hashlib.sha256().digest_size

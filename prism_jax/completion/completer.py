@@ -45,8 +45,8 @@ class Completer:
     """Completes scans with one set of weights.
 
     The network is compiled at its first use and kept, for the next process also if
-    ``compiled_dir`` is given. ``quick`` compiles in a third of the time what then runs
-    three times as slowly, and rounds differently: for a few scans. With a
+    ``compiled_dir`` is given. ``quick`` compiles faster what then runs more slowly, and
+    rounds differently: for a few scans. With a
     ``calibration`` every completion has a confidence (``verdict``), with
     ``point_errors`` every point has a sigma.
     """

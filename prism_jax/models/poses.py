@@ -66,27 +66,11 @@ def in_other_poses(
 
 
 def to_original_frame(
-    variables: Variables, inputs: NetworkInput, config: ModelConfig
-) -> Float[Array, "P 3"]:
-    """The completions of `in_other_poses`, in the frame as it was, one behind the
-    other. Differentiable in the variables."""
-    points = jax.vmap(lambda each: predict(variables, each, config).points)(inputs)
-    back = posed("pni,pij->pnj", points, POSES[1 : config.poses])
-    return back.reshape(-1, 3)
-
-
-def in_original_frame(
-    variables: Variables,
-    inputs: NetworkInput,
-    others: NetworkInput | None,
-    config: ModelConfig,
+    variables: Variables, inputs: NetworkInput, config: ModelConfig, first: int = 1
 ) -> tuple[Float[Array, "P 3"], Float[Array, " G"]]:
-    """The completions of a frame as it is and in other poses, one behind the other in
-    the frame as it was, in one pass; and the global feature of the first."""
-    every = jax.tree.map(lambda leaf: leaf[None], inputs)
-    if others is not None:
-        every = jax.tree.map(lambda *each: jnp.concatenate(each), every, others)
-    found = jax.vmap(lambda each: predict(variables, each, config))(every)
-    poses = POSES[: config.poses]
-    back = posed("pni,pij->pnj", found.points, poses)
+    """The completions of a frame in `POSES` from the ``first`` on, as `in_other_poses`
+    has them, one behind the other in the frame as it was; and the global feature of the
+    first of them. One pass, differentiable in the variables."""
+    found = jax.vmap(lambda each: predict(variables, each, config))(inputs)
+    back = posed("pni,pij->pnj", found.points, POSES[first : config.poses])
     return back.reshape(-1, 3), found.encoded.global_feature[0]
