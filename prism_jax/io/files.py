@@ -91,11 +91,13 @@ def _read_yaml(data: bytes) -> Any:
     # OpenCV's first line and tags are no YAML, and 1e-05 is no number there.
     data = re.sub(rb"\A%YAML:.*\n|!!opencv-matrix", b"", data)
     data = re.sub(rb"(?<![\w.])(\d+)(?=[eE][-+]\d)", rb"\1.0", data)
+    # Of deep nesting libyaml makes an error, and PyYAML's own parser takes minutes.
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     # What is large takes long, and an alias may stand for any amount.
-    kinds = map(type, yaml.scan(data[: 2**16]))
+    kinds = map(type, yaml.scan(data[: 2**16], loader))
     if len(data) > 2**16 or yaml.AliasToken in kinds:
-        raise ValueError
-    return next(yaml.safe_load_all(data), None)
+        raise ValueError("larger than 64 kB, or with an alias")
+    return next(yaml.load_all(data, loader), None)
 
 
 def default_cache_dir() -> pathlib.Path:

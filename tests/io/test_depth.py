@@ -92,7 +92,8 @@ def test_cameras_of_ros_and_opencv_in_yaml(tmp_path):
         lines = []
         assert camera_to_dict(read_camera(path, lines.append)) == wanted
         assert len(lines) == 1 and "lens distortion, which is not undone" in lines[0]
-    for text in (BOMB, "a: [", "- 1", "!!python/object:os.system {}", "#" * 2**17):
+    unsafe = "!!python/object:os.system {}"
+    for text in (BOMB, "a: [", "- 1", unsafe, "#" * 2**17, "- " * 30_000):
         path.write_text(text)
         with pytest.raises(InputError, match=r"not (a )?YAML.*\"fx\":"):
             read_camera(path)
