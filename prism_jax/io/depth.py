@@ -173,8 +173,8 @@ def _read_camera_entries(path: StrPath, tell: Tell) -> tuple[Camera, dict[str, A
     with parsing(path, "a valid camera", _LAYOUT):
         camera = camera_from_dict(entries)
     for key, value in entries.items():
-        told = "" if isinstance(value, str) else json.dumps(_bare(value), default=str)
-        if re.search("[1-9]", told) and re.fullmatch(_DISTORTION, key.lower()):
+        of_lens = re.fullmatch(_DISTORTION, key.lower()) and not isinstance(value, str)
+        if of_lens and re.search("[1-9]", json.dumps(_bare(value), default=str)):
             tell(f"{path}: {key} is lens distortion, which is not undone")
         if re.fullmatch(_POSE, key.lower()):
             tell(f"{path}: {key} is not used; a pose is rotation and translation")
