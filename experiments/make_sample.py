@@ -13,7 +13,8 @@ from experiments.simulation.shapes import CATEGORIES
 from experiments.simulation.shapes.build import ShapesConfig, shape_seed
 from experiments.simulation.views import make_views
 from prism_jax.cli.launch import launch
-from prism_jax.io.ply import write_ply
+from prism_jax.io.atomic import write_bytes
+from prism_jax.io.ply import ply_bytes
 
 FLAGS = flags.FLAGS
 
@@ -32,7 +33,8 @@ def main():
     folder = pathlib.Path(FLAGS.output_dir)
     for name, cloud in {"sample": partial, "sample_complete": complete}.items():
         points = (cloud - viewpoint) * np.float32(HALF_EXTENT)
-        write_ply(folder / f"{name}.ply", points, np.zeros(len(points), bool))
+        cloud = ply_bytes(points, np.zeros(len(points), bool))
+        write_bytes(folder / f"{name}.ply", cloud)
 
 
 def run():

@@ -20,7 +20,8 @@ from experiments.simulation.packing import (
 )
 from experiments.simulation.partials import make_partial, random_viewpoint
 from experiments.simulation.raycast import Scene
-from prism_jax.data.manifest import files_digest, hash_files
+from experiments.splits import files_digest
+from prism_jax.data.manifest import hash_files
 from prism_jax.data.source import Example, sound_cloud
 from prism_jax.io.clouds import READERS, read_points
 from prism_jax.io.errors import InputError

@@ -19,7 +19,7 @@ from prism_jax.data.recordings import (
 )
 from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.depth import camera_to_dict
-from prism_jax.io.ply import write_ply
+from prism_jax.io.ply import ply_bytes
 
 
 def write_frame(folder: str | os.PathLike, number: int, frame: RecordedFrame) -> None:
@@ -29,9 +29,9 @@ def write_frame(folder: str | os.PathLike, number: int, frame: RecordedFrame) ->
     for suffix in NEEDED + OPTIONAL:
         frame_file(path, suffix).unlink(missing_ok=True)
     write_bytes(frame_file(path, "depth.png"), _png(frame.depth))
-    write_ply(frame_file(path, "partial.ply"), frame.partial)
+    write_bytes(frame_file(path, "partial.ply"), ply_bytes(frame.partial))
     if frame.complete is not None:
-        write_ply(frame_file(path, "complete.ply"), frame.complete)
+        write_bytes(frame_file(path, "complete.ply"), ply_bytes(frame.complete))
     if frame.labels is not None:
         write_bytes(frame_file(path, "labels.png"), _png(frame.labels))
     if frame.joints is not None:

@@ -1,7 +1,6 @@
 """The manifest of a folder of data: what it is made from, and every file's sha256."""
 
 import hashlib
-import json
 import os
 import pathlib
 from collections.abc import Mapping
@@ -27,12 +26,6 @@ def read_manifest(folder: StrPath, remedy: str, **expected: Any) -> dict[str, An
     if not isinstance(manifest.get("files"), dict):
         raise InputError(folder, "incomplete: the build was interrupted", remedy)
     return manifest
-
-
-def files_digest(files: Mapping[str, str]) -> str:
-    """Twelve digits that tell files, by name and sha256, from all others."""
-    listed = json.dumps(files, sort_keys=True).encode()
-    return hashlib.sha256(listed).hexdigest()[:12]
 
 
 def hash_files(folder: pathlib.Path) -> dict[str, str]:

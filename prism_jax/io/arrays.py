@@ -2,7 +2,6 @@
 
 import io
 import math
-import warnings
 import zipfile
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -176,9 +175,7 @@ def _parse_header(data: bytes) -> _Header:
     if version not in _HEADER_READERS:
         raise ValueError(f"NPY version {version} is not supported")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            shape, is_fortran, dtype = _HEADER_READERS[version](file)
+        shape, is_fortran, dtype = _HEADER_READERS[version](file)
     except Exception:  # NumPy evaluates the header, and lets pass what that raises
         raise ValueError("damaged header") from None
     if any(type(side) is not int for side in shape):

@@ -60,10 +60,11 @@ def read_cloud(
         fault = f"suffix {suffix!r} is not a point cloud format"
         raise InputError(path, fault, f"convert it to one of {' '.join(READERS)}")
     table = READERS[suffix](path, max_points, fields)
-    points, columns = table[:, :3], table.shape[1]
+    points, num_others = table[:, :3], table.shape[1] - 3
     kept, notes = measured(points, are_returns, fields)
-    if columns > 3:
-        notes["columns"] = f"the first three of {columns} columns are x, y and z"
+    if num_others:
+        told = "further columns without a name or with words are left out"
+        notes["columns"] = f"{told}: {num_others}; unnamed, the first are x, y and z"
     if len(kept) == 0:
         fault = "no finite points" + " other than 0,0,0" * ("no_return" in notes)
         raise InputError(path, fault, "check the sensor or the export")

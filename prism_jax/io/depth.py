@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import warnings
 from collections.abc import Mapping
 from typing import Any, TypeGuard
 
@@ -189,9 +188,7 @@ def read_grey(
     data = read_bytes(path)
     remedy = f"store {bits}-bit grey of the camera's size, 0 for no return"
     kind = f"a valid {'depth' if bits == 16 else 'label'} image"
-    with parsing(path, kind, remedy), warnings.catch_warnings():
-        # Pillow warns at its own limit, which is above ours.
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+    with parsing(path, kind, remedy):
         try:
             with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
                 if not image.mode.startswith({8: "L", 16: "I;16"}[bits]):

@@ -9,6 +9,7 @@ import re
 import stat
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -39,9 +40,10 @@ def check_count(count: int, max_points: int, what: str = "points") -> None:
 def parsing(
     path: StrPath, kind: str, remedy: str, faults: type[Exception] = ValueError
 ) -> Iterator[None]:
-    """Makes an InputError of what a parser of one kind of file raises."""
+    """Makes an InputError of what a parser raises, and drops what it warns of."""
     try:
-        yield
+        with warnings.catch_warnings(action="ignore"):
+            yield
     except TooManyError as error:
         remedy = "crop or thin it, or raise --max_points"
         raise InputError(path, str(error), remedy) from None

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from prism_jax.io import atomic
 from prism_jax.io.arrays import Fields, stack_columns
 from prism_jax.io.errors import StrPath
 from prism_jax.io.files import MAX_POINTS, check_count, parsing, read_bytes
@@ -79,15 +78,6 @@ def num_faces(path: StrPath) -> int:
     return sum(element.count for element in elements if element.name == "face")
 
 
-def write_ply(
-    path: StrPath,
-    points: Float[np.ndarray, "M 3"],
-    labels: Bool[np.ndarray, " M"] | None = None,
-) -> None:
-    """Write `ply_bytes`, whole or not at all."""
-    atomic.write_bytes(path, ply_bytes(points, labels))
-
-
 def ply_bytes(
     points: Float[np.ndarray, "M 3"],
     labels: Bool[np.ndarray, " M"] | UInt8[np.ndarray, " M"] | None = None,
@@ -101,9 +91,10 @@ def ply_bytes(
     `sigma`, a float32 of that name.
 
     `fields` are what the first points have beside that; on the others they are NaN, or
-    0 if integers. If they have colours, ours are `label_red` and so on; what they have
+    0 if integers. Colours that PCD and ROS pack into 32 bits are a byte each. If they
+    have colours, ours are `label_red` and so on; what they have
     under another of the names above is `input_label` and so on."""
-    columns, fields = {}, fields or {}
+    columns, fields = {}, _unpacked(fields or {})
     comments = []
     if labels is not None:
         palette = np.array(list(COLORS.values()), dtype=np.uint8)
@@ -120,10 +111,22 @@ def ply_bytes(
     if sigma is not None:
         columns["sigma"] = sigma.astype(np.float32)
         comments.append(SIGMA)
-    columns |= of_first(fields, len(points), {*columns, *"xyz"})
-    if fields:
-        comments.append(f"of the input, nan or 0 on other points: {', '.join(fields)}")
+    columns |= (found := of_first(fields, len(points), {*columns, *"xyz"}))
+    if found:
+        comments.append(f"of the input, nan or 0 on other points: {', '.join(found)}")
     return vertices_bytes(points, columns, comments)
+
+
+def _unpacked(fields: Fields) -> Fields:
+    """Fields with what is packed as 0xAARRGGBB in bytes of their own."""
+    found: Fields = {}
+    for name, column in fields.items():
+        found[name] = column
+        if name in ("rgb", "rgba") and column.dtype.itemsize == 4:
+            parts = np.ascontiguousarray(found.pop(name)).view(np.uint8).reshape(-1, 4)
+            colors = ("red", "green", "blue", "alpha")[: len(name)]
+            found |= zip(colors, parts.T[[2, 1, 0, 3]], strict=False)
+    return found
 
 
 def of_first(fields: Fields, count: int, taken: Collection[str]) -> Fields:

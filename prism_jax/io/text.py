@@ -1,9 +1,11 @@
 """Point clouds as lines of numbers: XYZ, TXT, CSV and their like."""
 
+import contextlib
 import io
+import pathlib
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,15 +22,18 @@ _DECIMAL_COMMAS = r"\s*([-+]?\d+,\d+\s+){2}[-+]?\d+,\d"  # with blanks between t
 _HEADER = r"\W*(?!(nan|inf)\b)[^\W\d_]"  # begins with a letter
 _NAMES = ("%s%.0s", r"%s\d%.0s", r".*(?:xyz|points?)\W%.0s%d")
 """How columns are named x, y and z, by the letter or the number, in this order."""
+_USUAL = {".xyzrgb": "x y z red green blue", ".pts": "x y z intensity red green blue"}
+"""How they are named in files without a header."""
 
 
 def read_text(
-    path: StrPath, max_points: int = MAX_POINTS, _: Fields | None = None
-) -> Float[np.ndarray, "N 3"]:
+    path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
+) -> Float[np.ndarray, "N C"]:
     """Positions, float64, from lines of numbers with semicolons, tabs, commas or blanks
     between them; blank lines and those that start with '#', '//' or '%' are skipped, as
-    is a first line with the number of points. Commas within numbers are decimal. No
-    other column is kept.
+    is a first line with the number of points. Commas within numbers are decimal.
+    `fields` gets other columns of numbers that have names, and the cloud NaN for each
+    column that is left out.
 
     Columns are named by a first line of words, or by a comment before the first point
     with as many words as there are columns, if x, y and z are among the words, also as
@@ -40,7 +45,8 @@ def read_text(
     with parsing(path, "a valid table of points", _REMEDY):
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
         text = io.StringIO(_decoded(data), newline=None)
-        return _read(list(map(str.rstrip, text)))
+        usual = _USUAL.get(pathlib.Path(path).suffix.lower(), "")
+        return _read(list(map(str.rstrip, text)), usual, fields)
 
 
 def _decoded(data: bytes) -> str:
@@ -52,8 +58,8 @@ def _decoded(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
-    """The points; a ValueError says which line is wrong."""
+def _read(lines: Sequence[str], usual: str, fields: Fields | None) -> np.ndarray:
+    """As `read_text`; a ValueError says which line is wrong."""
     marks, starts = ("#", "//", "%"), enumerate(map(str.lstrip, lines))
     places = [n for n, start in starts if start and not start.startswith(marks)]
     if not places:
@@ -74,20 +80,34 @@ def _read(lines: Sequence[str]) -> Float[np.ndarray, "N 3"]:
     for place, width in zip(places[first:], widths, strict=False):
         if width != (needed := max(widths[0], 3)):
             raise ValueError(f"line {place + 1} has {width} columns, not {needed}")
-    columns = _named([*comments, *rows[:first]], delimiter, widths[0])
+    usual = usual.replace(" ", delimiter or " ") * (1 - first)
+    columns = _named([usual, *comments, *rows[:first]], delimiter, widths[0])
     named = len(rows[0].split(delimiter)) if first and not columns else 0
     if named > 2 and (named, widths[0]) != (3, 3):
         raise ValueError(f"{rows[0]!r} names no x, y, z of {widths[0]} columns")
+    is_named = bool(columns)
+    xyz = [columns.pop(axis, n) for n, axis in enumerate("xyz")]
     try:
-        points = parse_rows(rows[first:], columns or [0, 1, 2], None, delimiter)
+        points = parse_rows(rows[first:], xyz, None, delimiter)
     except ValueError as error:
         row, fault = re.search(r" at row (\d+)", str(error)), str(error)
         if row:
             fault = fault.replace(row[0], f" in line {places[int(row[1]) + first] + 1}")
         raise ValueError(fault[:200].rstrip(".")) from None
-    if not columns:
+    if not is_named:
         check_not_index(points[:, 0])
-    return points
+    if fields is None:
+        return points
+    for name in filter(None, columns):
+        with contextlib.suppress(ValueError):  # words
+            column = parse_rows(rows[first:], [columns[name]], None, delimiter)
+            fields[name] = column[:, 0]
+    colors = [name for name in ("red", "green", "blue") if name in fields]
+    values = np.array([fields[name] for name in colors])
+    if values.max(initial=0) > 1 and (values == values.astype(np.uint8)).all():
+        fields |= zip(colors, values.astype(np.uint8), strict=True)
+    left_out = np.full((len(points), widths[0] - 3 - len(fields)), np.nan)
+    return np.hstack([points, left_out])
 
 
 def plain_numbers(data: bytes) -> bytes:
@@ -125,30 +145,24 @@ def parse_rows(
 ) -> Float[np.ndarray, "N C"]:
     """The chosen columns of lines of numbers, at most `count` lines, as float64. A line
     without these numbers, fewer lines than `count`, or none raise a ValueError."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        table = np.loadtxt(
-            lines,
-            usecols=columns,
-            max_rows=count,
-            delimiter=delimiter,
-            comments=None,
-            encoding="ascii",
-            ndmin=2,
-        )
+    how: Any = {"comments": None, "encoding": "ascii", "ndmin": 2}
+    how |= {"usecols": columns, "max_rows": count, "delimiter": delimiter}
+    table = np.loadtxt(lines, **how)
     if len(table) == 0 or (count is not None and len(table) < count):
         raise ValueError(f"ends after {len(table)} of {count or 'the'} points")
     return table
 
 
-def _named(headers: Sequence[str], delimiter: str | None, width: int) -> list[int]:
-    """Which of so many columns the last header that names as many calls x, y and z."""
+def _named(headers: Sequence[str], delimiter: str | None, width: int) -> dict[str, int]:
+    """Where the last header of so many names has x, y and z, and all others."""
     for line in reversed(headers):
         line = re.sub(r"\[[^][]*\]|\([^()]*\)", "", line).lstrip().lstrip("#/%")
-        names = [word.strip(" \"'\t").lower() for word in line.split(delimiter)]
+        names = [word.strip(" \"'\t") for word in line.split(delimiter)]
         for form in _NAMES if len(names) == width else ():
-            wanted = [form % axis for axis in (("x", 0), ("y", 1), ("z", 2))]
+            wanted = [f"(?i:{form % axis})" for axis in (("x", 0), ("y", 1), ("z", 2))]
             found = [[bool(re.fullmatch(w, name)) for name in names] for w in wanted]
             if all(map(any, found)):
-                return [matches.index(True) for matches in found]
-    return []
+                xyz = [matches.index(True) for matches in found]
+                others = {name: n for n, name in enumerate(names) if n not in xyz}
+                return others | dict(zip("xyz", xyz, strict=True))
+    return {}

@@ -19,7 +19,7 @@ from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells
 from prism_jax.envelope.files import NAMES
 from prism_jax.envelope.robot import of_robot, robot_surface
 from prism_jax.io.depth import read_camera
-from prism_jax.io.ply import read_ply, write_ply
+from prism_jax.io.ply import ply_bytes, read_ply
 from prism_jax.robots.urdf import Linkage
 from tests import launching
 from tests.experiments.simulation.roboarm.conftest import urdf
@@ -48,7 +48,7 @@ def nine_cells(root, frames):
         folder = root / f"{number:03d}-panda"
         shutil.copytree(frame.parent, folder)
         points = read_ply(frame.with_name("000000.partial.ply"))
-        write_ply(folder / "000000.partial.ply", points[number:])
+        (folder / "000000.partial.ply").write_bytes(ply_bytes(points[number:]))
     return root
 
 
@@ -205,7 +205,7 @@ def test_one_recording_is_one_cell_whatever_it_is_called(tmp_path, capsys):
 def test_other_units_and_another_kind_of_input_are_refused(
     asked, calibrated, tmp_path, capsys
 ):
-    write_ply(tmp_path / "mm.ply", 1000 * read_ply(asked[0]))
+    (tmp_path / "mm.ply").write_bytes(ply_bytes(1000 * read_ply(asked[0])))
     kept = [*without(asked[4:], "--query"), SENSOR, "--eye=1400,0,1600"]
     words = str(tmp_path / "mm.ply"), *kept
     assert launching.run(envelope, *words, asked[3]) == 2
@@ -316,8 +316,8 @@ def test_a_scan_that_disagrees_with_what_stands_still_is_refused(
     camera["translation"][2] += 0.1
     (tmp_path / "moved.json").write_text(json.dumps(camera))
     seen = read_ply(asked[0])
-    moved = np.asarray(camera["rotation"]).T @ [0, 0, 0.1]
-    write_ply(tmp_path / "moved.ply", (seen - moved).astype(np.float32))
+    moved = np.float32(np.asarray(camera["rotation"]).T @ [0, 0, 0.1])
+    (tmp_path / "moved.ply").write_bytes(ply_bytes(seen - moved))
     given[0], given[2] = str(tmp_path / "moved.ply"), f"--camera={tmp_path}/moved.json"
     assert launching.run(envelope, *given) == 2
     assert "of it has moved or is gone" in capsys.readouterr().err

@@ -17,7 +17,7 @@ from PIL import Image
 
 from prism_jax.io import InputError, read_points, read_scan
 from prism_jax.io.arrays import MAX_MEMBERS
-from prism_jax.io.ply import write_ply
+from prism_jax.io.ply import ply_bytes
 
 HUGE = 40_000_000
 POINTS = np.random.default_rng(0).uniform(-1, 1, size=(100, 3)).astype(np.float32)
@@ -100,16 +100,13 @@ def test_max_points_is_a_limit_of_every_kind_of_cloud(tmp_path):
             read_points(path, max_points=99)
 
 
-def test_an_archive_of_many_arrays_is_refused_at_once(tmp_path):
-    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+def test_archives_of_many_arrays_and_of_more_than_a_cloud(tmp_path):
+    """Refused at once; what follows the cloud inside its own member is not unpacked."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
         for i in range(MAX_MEMBERS + 1):
-            archive.writestr(f"{i}.npy", b"")
+            file.writestr(f"{i}.npy", b"")
     with pytest.raises(InputError, match="more than 1,000 arrays"):
         read_points(tmp_path / "a.npz")
-
-
-def test_an_archive_that_unpacks_to_more_than_its_cloud(tmp_path):
-    """What follows the cloud inside its own member is not unpacked."""
     cloud = POINTS.astype(np.float64).tobytes()
     path = tmp_path / "a.npz"
     path.write_bytes(archive(npy_header((100, 3)) + cloud + bytes(10**7)))
@@ -127,7 +124,7 @@ def whole_files(folder):
     np.savez_compressed(folder / "c.npz", POINTS)
     np.savetxt(folder / "d.xyz", POINTS)
     np.savetxt(folder / "e.csv", POINTS, delimiter=",", header="x,y,z", comments="")
-    write_ply(folder / "f.ply", POINTS, np.arange(100) > 50)
+    (folder / "f.ply").write_bytes(ply_bytes(POINTS, np.arange(100) > 50))
     rows = "".join(f"{x} {y} {z}\n" for x, y, z in POINTS)
     lists = LISTS.replace(str(HUGE), "3")
     big, text = (PLY.format(k, lists, 100) for k in ("binary_big_endian", "ascii"))

@@ -148,9 +148,3 @@ def test_malformed_file(tmp_path):
     for fault, mode, header, data in FAULTS:
         with pytest.raises(InputError, match=f"{re.escape(fault)}.*export it again"):
             read_pcd(pcd(tmp_path, mode, data, header))
-
-
-def test_organised_frame_of_a_depth_camera(real):
-    points = read_pcd(real("kinect/mosd_test24.pcd"))
-    assert points.shape == (640 * 480, 3)
-    assert np.isfinite(points).all(axis=1).sum() == 185_257

@@ -162,6 +162,8 @@ def test_real_scans(real):
     for name, count in (
         ("ouster/single_frame_zm_scan0.npz", 47_311),
         ("kitti/frame_0_car_0.pcd", 1_524),
+        ("kinect/mosd_test24.pcd", 185_257),
+        ("bunny/raw_scan_000.ply", 40_256),
         ("shapenet/airplane_partial_2048.ply", 2_048),
     ):
         scan = read_scan(real(name))

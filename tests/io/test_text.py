@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from prism_jax.io import InputError
+from prism_jax.io.clouds import read_cloud
 from prism_jax.io.text import read_text
 
 EXPECTED = [[1.0, 2.0, 3.0], [4.5, -5e-3, 6.0]]
@@ -21,8 +22,6 @@ TABLES = {
     "CloudCompare": "//Z Y X I\n3 2 1 0\n6 -5e-3 4.5 0\n",
     "comment of as many words": "# by somebody of today\n1 2 3 4\n4.5 -5e-3 6 4\n",
     "tabs, with blanks in names": "Point ID\tX\tY\tZ\n9\t1\t2\t3\n9\t4.5\t-5e-3\t6\n",
-    "tabs, with an empty cell": "i\tlabel\tx\ty\tz\n9\t\t1\t2\t3\n9\ta\t4.5\t-5e-3\t6",
-    "units": "t [s];X [m] ; Y (m);Z [m]\n9;1;2;3\n9;4.5;-5e-3;6\n",
     "numbered names": "t\tx1 (m)\ty1 (m)\tz1 (m)\n9\t1\t2\t3\n9\t4.5\t-5e-3\t6\n",
     "ParaView": '"Points_m_XYZ:1","t","Points_m_XYZ:0","Points_m_XYZ:2"\n'
     "2,9,1,3\n-5e-3,9,4.5,6\n",
@@ -42,6 +41,23 @@ def test_reads(tmp_path):
             read = read_text(tmp_path / "a.xyz")
             assert read.dtype == np.float64
             np.testing.assert_array_equal(read, EXPECTED, name)
+
+
+def test_other_columns_keep_names_and_values_and_what_is_left_out_is_told(tmp_path):
+    table = 'Ring,"X [m]",y,z,class,red,,I (dB)\n7,1,2,3,car,9,1,.5\n8,4,5,6,,255,1,nan'
+    colors = {"intensity": -9, "red": 255, "green": 0, "blue": 7}
+    for name, text, expected, left_out in (
+        ("a.csv", table, {"Ring": 7, "red": 9, "I": 0.5}, 2),
+        ("a.xyzrgb", "1 2 3 .5 1 0\n", {"red": 0.5, "green": 1, "blue": 0}, 0),
+        ("a.pts", "1\n1 2 3 -9 255 0 7\n", colors, 0),
+        ("a.xyz", "1 2 3 .5 0 1\n", {}, 3),
+    ):
+        (tmp_path / name).write_text(text)
+        points, _, notes = read_cloud(tmp_path / name, fields=(fields := {}))
+        assert points[0].tolist() == [1, 2, 3]
+        assert {key: column[0] for key, column in fields.items()} == expected
+        assert f"left out: {left_out};" in notes.get("columns", "left out: 0;")
+        assert name != "a.pts" or fields["red"].dtype == np.uint8
 
 
 def test_numbers_come_back_bit_for_bit_and_those_that_are_not_finite_stay(tmp_path):

@@ -104,7 +104,7 @@ class RecordedFrames(CloudFolder):
 
     def _found(self, path: pathlib.Path, topic: str | None) -> list[pathlib.Path]:
         self.topic = chosen_topic(path, topic, TOPICS, "clouds or depth images")
-        above = "" if _holds(path) else "*/"
+        above = "" if any(path.glob(f"*{_DEPTH}")) else "*/"
         found = path.glob(f"{above}*{TOPICS[self.topic]}")
         return sorted(found, key=lambda p: natural(p.relative_to(path)))
 
@@ -167,7 +167,8 @@ def folder_kind(path: pathlib.Path) -> type[CloudFolder]:
     own = any(path.glob(f"*{_CAMERA}")) or any(path.glob(f"*/*{_CAMERA}"))
     if not own and (_listing(path) or any(path.glob(f"frame-*{_DEPTH}"))):
         return DatasetFrames
-    return RecordedFrames if own or _holds(path) else CloudFolder
+    is_recorded = own or any(path.glob(f"*{_DEPTH}"))
+    return RecordedFrames if is_recorded else CloudFolder
 
 
 def _listing(path: pathlib.Path) -> list[str]:
@@ -182,7 +183,3 @@ def natural(path: pathlib.Path) -> list[tuple[int, str]]:
     """Sorts 9.ply before 10.ply."""
     parts = re.findall(r"\d+|\D+", str(path))
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
-
-
-def _holds(path: pathlib.Path) -> bool:
-    return any(path.glob(f"*{_DEPTH}"))

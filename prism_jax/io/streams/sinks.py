@@ -53,7 +53,7 @@ class PlyFolder:
 
 class McapSink:
     """PointCloud2 messages on `TOPIC`, with a `label`: 0 observed, 1 completed,
-    2 of a known robot's surface; and with the fields that PLY files have."""
+    2 of a known robot's surface; and with the fields of the input."""
 
     def __init__(self, path: StrPath):
         make_output_dir(pathlib.Path(path).parent)

@@ -12,7 +12,7 @@ from prism_jax.assets import asset
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.io.depth import camera_to_dict, read_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.ply import write_ply
+from prism_jax.io.ply import ply_bytes
 from prism_jax.io.scan import read_scan
 from prism_jax.io.streams import Joints, open_stream
 
@@ -21,7 +21,7 @@ POINTS = np.random.default_rng(0).normal(size=(100, 3)).astype(np.float32)
 
 def test_clouds_by_the_numbers_in_their_names(tmp_path):
     for number in (10, 9, 100):
-        write_ply(tmp_path / f"scan{number}.ply", POINTS + number)
+        (tmp_path / f"scan{number}.ply").write_bytes(ply_bytes(POINTS + number))
     np.save(tmp_path / "scan11.npy", POINTS + 11)
     (tmp_path / "notes.md").write_text("is not a cloud")
     stream = open_stream(tmp_path)
@@ -37,7 +37,7 @@ def test_a_cut_file_is_left_out_with_a_line(tmp_path):
     spoilt = POINTS.copy()
     spoilt[:5], spoilt[5:9] = np.nan, 0.0
     for number, points in enumerate((POINTS, POINTS, POINTS, spoilt)):
-        write_ply(tmp_path / f"{number}.ply", points)
+        (tmp_path / f"{number}.ply").write_bytes(ply_bytes(points))
     path = tmp_path / "1.ply"
     path.write_bytes(path.read_bytes()[:-10])
     lines = []
@@ -126,7 +126,7 @@ def test_what_cannot_be_a_stream_is_one_line(tmp_path):
         open_stream(tmp_path)
     with pytest.raises(InputError, match="No such file"):
         open_stream(tmp_path / "no.bag")
-    write_ply(tmp_path / "scan.ply", POINTS)
+    (tmp_path / "scan.ply").write_bytes(ply_bytes(POINTS))
     with pytest.raises(InputError, match=r"suffix '.ply' is not a recording"):
         open_stream(tmp_path / "scan.ply")
     with pytest.raises(InputError, match="omit --topic"):
@@ -153,6 +153,6 @@ def test_recordings_tell_their_joints_if_asked(tmp_path):
     assert stream.remarks == {"joints": 1}
     with pytest.raises(InputError, match="omit --joints"):
         open_stream(root, "depth", joints=Joints("/joint_states"))
-    write_ply(tmp_path / "scan.ply", POINTS)
+    (tmp_path / "scan.ply").write_bytes(ply_bytes(POINTS))
     with pytest.raises(InputError, match=r"set --joints to a \.json"):
         open_stream(tmp_path, joints=Joints())
