@@ -63,8 +63,8 @@ def read_cloud(
     points, num_others = table[:, :3], table.shape[1] - 3
     kept, notes = measured(points, are_returns, fields)
     if num_others:
-        told = "further columns without a name or with words are left out"
-        notes["columns"] = f"{told}: {num_others}; unnamed, the first are x, y and z"
+        told = f"the first three unnamed columns are x, y and z; {num_others} more"
+        notes["columns"] = f"{told} left out: unnamed, or with words"
     if len(kept) == 0:
         fault = "no finite points" + " other than 0,0,0" * ("no_return" in notes)
         raise InputError(path, fault, "check the sensor or the export")

@@ -14,6 +14,8 @@ _REMEDY = "export it again, for example with las2las or CloudCompare"
 _BLOCK = 100_000  # points unpacked at once: of a cut file no more memory is taken
 _RECORDS = 100  # where the header has the number of its records
 _RECORD_BYTES, _CHUNK_BYTES = 54, 20  # the least that one takes
+_PARTS = 34  # where LAZ has the type, size and version of each part of a point
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of each type; extra bytes have one a byte
 
 
 def read_las(
@@ -22,7 +24,7 @@ def read_las(
     """Positions with the header's scale and offset, float64. `fields` gets what is not
     zero everywhere, by laspy's names. A malformed or cut file, more than `max_points`
     points, and a missing laspy raise an InputError."""
-    laspy, _ = require("laspy", "las"), require("lazrs", "las")
+    laspy, lazrs = require("laspy", "las"), require("lazrs", "las")
     data = read_bytes(path)
     # laspy and its codecs raise errors of many kinds.
     with parsing(path, "a valid LAS or LAZ file", _REMEDY, Exception):
@@ -40,6 +42,8 @@ def read_las(
                 if place == -1:
                     (place,) = struct.unpack_from("<q", data, len(data) - 8)
                 claimed = struct.unpack_from("<I", data, place + 4)[0] * _CHUNK_BYTES
+                vlr = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
+                _check_layers(data, header, place, vlr)
             if not 0 < claimed <= len(data):
                 raise ValueError("no points, or the file is truncated")
             blocks = list(reader.chunk_iterator(_BLOCK))
@@ -50,3 +54,20 @@ def read_las(
                 fields[name] = column
         xyz = [np.stack([block.x, block.y, block.z], axis=1) for block in blocks]
         return np.concatenate(xyz)
+
+
+def _check_layers(data: bytes, header, end: int, vlr) -> None:
+    """ValueError unless the chunks' layers go on up to the table of chunks: lazrs takes
+    as much memory as they claim."""
+    parts = np.frombuffer(vlr.record_data(), "<u2", offset=_PARTS).reshape(-1, 3)
+    if parts[0, 2] < 3:
+        return  # older versions have none
+    layers = sum(_LAYERS.get(int(kind), int(size)) for kind, size, _ in parts)
+    start, count = header.offset_to_point_data + 8, 0
+    while start < end:
+        start += vlr.item_size() + 4  # the first point, and the number of all
+        sizes = np.frombuffer(data, "<u4", layers, start)
+        start, count = start + sizes.nbytes + int(sizes.sum()), count + 1
+    is_whole = start == end and count * vlr.chunk_size() >= header.point_count
+    if not is_whole or count != struct.unpack_from("<I", data, end + 4)[0]:
+        raise ValueError("its layers are damaged")

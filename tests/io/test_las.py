@@ -43,11 +43,13 @@ def test_what_a_file_claims_takes_no_memory_and_what_reads_it_may_be_missing(
 ):
     path = written(tmp_path / "a.laz")
     sound = path.read_bytes()
-    (table,) = struct.unpack_from("<q", sound, struct.unpack_from("<I", sound, 96)[0])
+    (start,) = struct.unpack_from("<I", sound, 96)
+    (table,) = struct.unpack_from("<q", sound, start)
     for place, kind, fault in (
         (COUNT, "<Q", "40,000,000 points exceed the limit"),
         (RECORDS, "<I", "not a valid LAS"),
-        (table + 4, "<I", "truncated"),
+        (start + 8 + 37 + 4, "<I", "its layers are damaged"),  # the first one's size
+        (table + 4, "<I", "its layers are damaged"),
     ):
         damaged = bytearray(sound)
         struct.pack_into(kind, damaged, place, 40_000_000)

@@ -56,7 +56,7 @@ def test_other_columns_keep_names_and_values_and_what_is_left_out_is_told(tmp_pa
         points, _, notes = read_cloud(tmp_path / name, fields=(fields := {}))
         assert points[0].tolist() == [1, 2, 3]
         assert {key: column[0] for key, column in fields.items()} == expected
-        assert f"left out: {left_out};" in notes.get("columns", "left out: 0;")
+        assert f"; {left_out} more" in notes.get("columns", "; 0 more")
         assert name != "a.pts" or fields["red"].dtype == np.uint8
 
 
