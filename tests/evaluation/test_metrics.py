@@ -45,13 +45,36 @@ def test_agrees_with_all_pairs():
             directed_hausdorff(prediction, target)[0],
             directed_hausdorff(target, prediction)[0],
         ),
-        "prediction_to_truth": np.mean(forward**2),
-        "truth_to_prediction": np.mean(backward**2),
     }
     scores = metrics.score(prediction, target, 0.5)
     assert scores.emd is None and scores.named() == pytest.approx(expected)
     known = metrics.from_distances(forward, backward, 0.5)
     assert known.named() == pytest.approx(expected)
+
+
+def test_the_unseen_of_two_planes_and_of_single_points():
+    """Half of the points that are added on the unseen plane are in its place, the
+    others above it by a part of the longest side; a third of it has none near."""
+    side, places = 4.0, np.indices((12, 3)).reshape(2, -1).T / 3.0
+    truth = np.column_stack([places, np.zeros(36)])
+    for above, near in ((0.005, (1, 1)), (0.015, (0.5, 1)), (0.03, (0.5, 0.5))):
+        added = truth[:24].copy()
+        added[::2, 2] = above * side
+        to_truth, to_added = (cdist(added, truth).min(k) for k in (1, 0))
+        found = metrics.unseen_scores(to_truth, to_added, side)
+        for end, precision in zip(metrics.REACHES, near, strict=True):
+            recall = precision * 2 / 3
+            f = 2 * precision * recall / (precision + recall)
+            expected = [precision, recall, f]
+            names = ("precision", "recall", "f")
+            assert [found[f"{n}_{end}"] for n in names] == pytest.approx(expected)
+    none, one = np.zeros(0), np.zeros(1)
+    assert set(metrics.unseen_scores(none, none, 1.0).values()) == {None}
+    assert metrics.unseen_scores(none, one, 1.0)["recall_1"] == 1
+    assert metrics.unseen_scores(none, one, 1.0)["f_1"] is None
+    # A truth that is one point, and added points that hit or miss it.
+    assert metrics.unseen_scores(one, one, 0.0)["f_1"] == 1
+    assert metrics.unseen_scores(one + 1, one + 1, 0.0)["f_2"] == 0
 
 
 def test_f_score_threshold_is_strict_and_unsquared():
