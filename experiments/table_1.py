@@ -34,10 +34,7 @@ from experiments.scoring import (
 from experiments.splits import training_split
 from experiments.weights import located
 from prism_jax.cli.launch import launch
-from prism_jax.completion.weights import (
-    read_metadata,
-    samples_seen,
-)
+from prism_jax.completion.weights import read_metadata, samples_seen
 from prism_jax.evaluation.paired import all_differences, paired_difference
 from prism_jax.evaluation.run import CompleteFn, Predictions
 from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
@@ -45,12 +42,7 @@ from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
 
 FLAGS = flags.FLAGS
-LABELS = {
-    "pcn": "PCN",
-    "pointr": "PoinTr",
-    "seedformer": "SeedFormer",
-    "fsc": "FSC",
-}
+LABELS = {"pcn": "PCN", "pointr": "PoinTr", "seedformer": "SeedFormer", "fsc": "FSC"}
 BACKBONE = "CRA-PCN"
 OURS = "PRISM, not adapted"
 TOLD = "PRISM, told, not adapted"
@@ -70,9 +62,7 @@ def define_flags() -> None:
         "Weights of the backbone without visibility, name or file.",
     )
     flags.DEFINE_multi_string(
-        "network",
-        None,
-        "Other networks, name or file. Default: all with weights here.",
+        "network", None, "Other networks, name or file. Default: all with weights here."
     )
     flags.DEFINE_multi_string(
         "longer", [], "PRISM weights trained for longer, in extra rows."

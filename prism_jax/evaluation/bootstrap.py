@@ -15,8 +15,7 @@ def mean_intervals(
     values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
 ) -> tuple[list[float], list[float]]:
     """Lower and upper bounds of each column's mean, with `groups` numbered from 0."""
-    resampled = resampled_means(values, groups)
-    low, high = np.nanquantile(resampled, _QUANTILES, axis=0)
+    low, high = np.nanquantile(resampled_means(values, groups), _QUANTILES, axis=0)
     return low.tolist(), high.tolist()
 
 

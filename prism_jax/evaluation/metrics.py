@@ -16,11 +16,9 @@ from scipy.spatial.distance import cdist
 UNIT = "half the longest side of the complete cloud"
 """The unit of length of scores, unless a data set's published table has its own."""
 F_SCORE_THRESHOLD = 0.01
-UNSEEN = 0.02
-"""Truth farther than this from every measured point is unseen. As the next ones, it is
-a share of the longest side of the complete cloud, whatever the unit."""
-REACHES = {"1": 0.01, "2": 0.02}
-"""How near counts in `unseen_scores`, by the ends of the metrics' names."""
+UNSEEN, REACHES = 0.02, {"1": 0.01, "2": 0.02}
+"""Of the longest side of the complete cloud: how far from every measured point truth is
+unseen, and how near counts in `unseen_scores`, by the ends of the metrics' names."""
 MAX_EXACT_POINTS = 4096
 
 Cloud = Float[np.ndarray, "_ 3"]
@@ -87,28 +85,28 @@ def from_distances(
 
 def unseen_scores(
     added: Float[np.ndarray, " A"], unseen: Float[np.ndarray, " U"], side: float
-) -> dict[str, float | None]:
+) -> dict[str, float]:
     """Precision of the added points, recall of the unseen truth, and the F-score of
     both, at each of `REACHES`. `added` are distances of the added points to the truth,
     `unseen` of the unseen truth to the output, `side` is the truth's longest side.
 
-    Nothing added has no precision, nothing unseen no recall, either no F-score: None.
+    Nothing added has no precision, nothing unseen no recall, and either no F-score.
     Sources: Knapitsch et al., "Tanks and Temples", SIGGRAPH 2017, and as `f_score`; but
     here a distance equal to the reach counts.
     """
-    found: dict[str, float | None] = {}
+    found = {}
     for end, share in REACHES.items():
-        precision, recall = (
-            float(np.mean(distances <= share * side)) if len(distances) else None
-            for distances in (added, unseen)
-        )
-        both = precision is not None and recall is not None
-        found[f"precision_{end}"], found[f"recall_{end}"] = precision, recall
-        found[f"f_{end}"] = _harmonic(precision, recall) if both else None
+        near = {"precision": added <= share * side, "recall": unseen <= share * side}
+        known = {
+            name: float(which.mean()) for name, which in near.items() if len(which)
+        }
+        if len(known) == 2:
+            known["f"] = _harmonic(*known.values())
+        found |= {f"{name}_{end}": value for name, value in known.items()}
     return found
 
 
-def _harmonic(precision: float, recall: float) -> float:
+def _harmonic(precision: float | np.floating, recall: float | np.floating) -> float:
     both = precision + recall
     return float(2 * precision * recall / both) if both > 0 else 0.0
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from prism_jax.evaluation.bootstrap import change_interval, resampled_means
 
@@ -52,50 +52,55 @@ def paired_difference(
     Only examples count that have the metric in both. Other examples raise ValueError,
     no such example and a zero in `a` NoChangeError.
     """
-    values, known = _columns(a, b, metric, clouds)
-    objects, kinds = (
-        np.array(a["per_example"][key])[known] for key in ("object", "category")
-    )
-    objects = np.unique(objects, return_inverse=True)[1]
+    values, objects, kinds = _columns(a, b, metric, clouds)
     names, categories = np.unique(kinds, return_inverse=True)
-    into, back = STATISTICS[statistic]
-    with np.errstate(divide="ignore"):
-        inside = into(values)
-    before, after = back(inside.mean(0))
-    if before == 0:
-        raise NoChangeError(f"{metric} of a is zero: no relative change")
+    change, interval = _change(values, objects, statistic)
     found = {
-        "change": float(after / before - 1),
-        "interval": change_interval(back(resampled_means(inside, objects))),
+        "change": change,
+        "interval": interval,
         "num_examples": len(values),
         "num_objects": len(np.unique(objects)),
         "num_categories": len(names),
     }
     if len(names) > 1:
-        drawn = resampled_means(inside, categories)
-        found["category_interval"] = change_interval(back(drawn))
-    if len(names) > 1 and statistic == "mean" and after != before:
+        found["category_interval"] = _change(values, categories, statistic)[1]
+    if len(names) > 1 and statistic == "mean" and change != 0:
         found["carried_by"] = _carrier(values, objects, categories, names)
     return found
 
 
 def _columns(
     a: Mapping[str, Any], b: Mapping[str, Any], metric: str, clouds: tuple[str, str]
-) -> tuple[Float[np.ndarray, "K 2"], Bool[np.ndarray, " E"]]:
-    """A metric of the same examples in two results, and which of them have it."""
-    same = ("name", "object", "category")
-    if any(a["per_example"][key] != b["per_example"][key] for key in same):
+) -> tuple[Float[np.ndarray, "E 2"], np.ndarray, np.ndarray]:
+    """A metric of the same examples in two results, their objects and categories."""
+    each, same = a["per_example"], ("name", "object", "category")
+    if any(each[key] != b["per_example"][key] for key in same):
         raise ValueError("the two results are not of the same examples in one order")
     columns = []
     for result, cloud in zip((a, b), clouds, strict=True):
-        columns.append(result["per_example"]["clouds"][cloud].get(metric))
-    if None in columns:
-        raise NoChangeError(f"a result has no {metric} of one of {clouds}")
+        scores = result["per_example"]["clouds"][cloud]
+        columns.append(scores.get(metric, [None] * len(each["name"])))
     values = np.array(columns, np.float64).T
     known = ~np.isnan(values).any(axis=1)
     if not known.any():
-        raise NoChangeError(f"no example has a {metric} in both results")
-    return values[known], known
+        raise NoChangeError(f"no example has {metric} of {' and '.join(clouds)}")
+    objects, kinds = (np.array(each[key])[known] for key in same[1:])
+    return values[known], objects, kinds
+
+
+def _change(
+    values: Float[np.ndarray, "E 2"], groups: np.ndarray, statistic: str = "mean"
+) -> tuple[float, list[float]]:
+    """How much the second column is above the first, and the interval over groups."""
+    into, back = STATISTICS[statistic]
+    with np.errstate(divide="ignore"):
+        inside = into(values)
+    before, after = back(inside.mean(0))
+    if before == 0:
+        raise NoChangeError(f"the {statistic} is zero in a: no relative change")
+    numbers = np.unique(groups, return_inverse=True)[1]
+    interval = change_interval(back(resampled_means(inside, numbers)))
+    return float(after / before - 1), interval
 
 
 def _carrier(
@@ -114,12 +119,9 @@ def _carrier(
         "contribution": float(parts[most]),
         "num_examples": int((~rest).sum()),
     }
-    before, after = values[rest].mean(0)
-    if before != 0:
-        groups = np.unique(objects[rest], return_inverse=True)[1]
-        interval = change_interval(resampled_means(values[rest], groups))
-        found["change_without"] = float(after / before - 1)
-        found["interval_without"] = interval
+    with contextlib.suppress(NoChangeError):
+        without = _change(values[rest], objects[rest])
+        found["change_without"], found["interval_without"] = without
     return found
 
 

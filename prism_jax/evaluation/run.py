@@ -57,8 +57,8 @@ def evaluate(
     """Scores of all `CLOUDS` over a data set, as JSON.
 
     `clouds` holds for each cloud the `mean`, its `intervals` and the means
-    `per_category` of every metric, and how many examples it is `of` where some
-    lack it (`metrics.unseen_scores`). Distances are in `unit`, squared where the
+    `per_category` of every metric, and how many examples it is `of` where some lack
+    it (`metrics.unseen_scores`). Distances are in `unit`, squared where the
     metric is. If the completer adapts, `accepted` is the share of examples whose
     adaptation was accepted, and `adaptation` says what it changes. `per_example` holds
     what `paired_difference` needs.

@@ -46,10 +46,9 @@ def score(
         if id(cloud) in scores:
             continue
         forward = tree.query(cloud)[0]
-        is_partial = name == "partial"
-        backward = apart if is_partial else KDTree(cloud).query(complete)[0]
+        backward = apart if name == "partial" else KDTree(cloud).query(complete)[0]
         found = metrics.from_distances(forward, backward)
-        if not is_partial:
+        if name != "partial":
             added = forward[len(measured) :] if "completed" in name else forward
             unseen = backward[apart > metrics.UNSEEN * side]
             found = found._replace(**metrics.unseen_scores(added, unseen, side))

@@ -25,9 +25,7 @@ COLUMNS = (
     Column("hausdorff", "HD x1e2", 1e2),
     Column("f_score", "F@0.01", 1.0),
 )
-"""What says most comes first. Tables have room for some, and results that were made
-before F at 2 % show the last one."""
-MOST_COLUMNS = 7
+"""What says most comes first. Older results, without F at 2 %, show the last one."""
 
 
 def markdown(result: Mapping[str, Any]) -> str:
@@ -61,9 +59,7 @@ def markdown(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def columns_of(
-    rows: Collection[Mapping[str, Any]], most: int = MOST_COLUMNS
-) -> list[Column]:
+def columns_of(rows: Collection[Mapping[str, Any]], most: int = 7) -> list[Column]:
     """The first ones whose means are there, in any row."""
     there = [c for c in COLUMNS if any(c.metric in row["mean"] for row in rows)]
     return there[:most]

@@ -53,25 +53,21 @@ def test_agrees_with_all_pairs():
 
 
 def test_the_unseen_of_two_planes_and_of_single_points():
-    """Half of the points that are added on the unseen plane are in its place, the
-    others above it by a part of the longest side; a third of it has none near."""
-    side, places = 4.0, np.indices((12, 3)).reshape(2, -1).T / 3.0
-    truth = np.column_stack([places, np.zeros(36)])
+    """A third of a plane lacks points; half of those there lie above it."""
+    places = np.indices((12, 3)).reshape(2, -1).T / 3.0
+    truth, side = np.column_stack([places, np.zeros(36)]), 4.0
     for above, near in ((0.005, (1, 1)), (0.015, (0.5, 1)), (0.03, (0.5, 0.5))):
-        added = truth[:24].copy()
-        added[::2, 2] = above * side
-        to_truth, to_added = (cdist(added, truth).min(k) for k in (1, 0))
-        found = metrics.unseen_scores(to_truth, to_added, side)
-        for end, precision in zip(metrics.REACHES, near, strict=True):
-            recall = precision * 2 / 3
-            f = 2 * precision * recall / (precision + recall)
-            expected = [precision, recall, f]
-            names = ("precision", "recall", "f")
-            assert [found[f"{n}_{end}"] for n in names] == pytest.approx(expected)
+        added = truth[:24] + above * side * np.outer(np.arange(24) % 2, [0, 0, 1])
+        apart = cdist(added, truth)
+        found = metrics.unseen_scores(apart.min(1), apart.min(0), side)
+        for end, share in zip(metrics.REACHES, near, strict=True):
+            f = 0.8 * share  # of a precision `share` and two thirds of it
+            expected = {"precision": share, "recall": 2 / 3 * share, "f": f}
+            for name, value in expected.items():
+                assert found[f"{name}_{end}"] == pytest.approx(value)
     none, one = np.zeros(0), np.zeros(1)
-    assert set(metrics.unseen_scores(none, none, 1.0).values()) == {None}
-    assert metrics.unseen_scores(none, one, 1.0)["recall_1"] == 1
-    assert metrics.unseen_scores(none, one, 1.0)["f_1"] is None
+    assert metrics.unseen_scores(none, none, 1.0) == {}
+    assert metrics.unseen_scores(none, one, 1.0) == {"recall_1": 1, "recall_2": 1}
     # A truth that is one point, and added points that hit or miss it.
     assert metrics.unseen_scores(one, one, 0.0)["f_1"] == 1
     assert metrics.unseen_scores(one + 1, one + 1, 0.0)["f_2"] == 0

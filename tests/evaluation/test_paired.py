@@ -120,7 +120,7 @@ def test_what_cannot_be_compared_is_refused():
     other = result([1.0, 2.0], categories=["bag", "car"])
     with pytest.raises(ValueError, match="not of the same examples"):
         paired_difference(a, other)
-    with pytest.raises(ValueError, match="has no emd of network"):
+    with pytest.raises(ValueError, match="no example has emd of network"):
         paired_difference(a, a, "emd")
     with pytest.raises(ValueError, match="is zero"):
         paired_difference(zero, a)

@@ -45,21 +45,19 @@ def test_means_by_category_and_all_together():
 
 def test_what_examples_lack_is_left_out_and_accepted_is_a_share():
     """Of the odd ones none has the metric, nor any of another."""
-    scores = Scores(*np.arange(1.0, 6.0), f_2=0.25)
+    kinds = ["even", "odd"] * 2 + ["even"]
+    scores, values = Scores(*np.arange(1.0, 6.0)), [0.25, None, 0.5, None, 0.25]
     rows = [
-        ExampleScores(f"{i}", ("even", "odd")[i % 2], i < 3, {"network": scores})
-        for i in range(5)
+        ExampleScores("", kind, i < 3, {"network": scores._replace(f_2=f)})
+        for i, (kind, f) in enumerate(zip(kinds, values, strict=True))
     ]
-    for i in (1, 3):
-        rows[i] = rows[i]._replace(clouds={"network": scores._replace(f_2=None)})
-    rows[2] = rows[2]._replace(clouds={"network": scores._replace(f_2=0.5)})
     found = summarise(rows, ("even", "odd"), np.arange(5))
     network, each = found["clouds"]["network"], found["per_example"]["clouds"]
     assert found["accepted"] == 0.6 and network["of"] == {"f_2": 3}
     assert network["mean"]["f_2"] == pytest.approx(1 / 3)
     assert network["intervals"]["f_2"] == [0.25, 0.5]
     assert "f_2" not in network["per_category"]["odd"]
-    assert each["network"]["f_2"] == [0.25, None, 0.5, None, 0.25]
+    assert each["network"]["f_2"] == values
     assert "recall_2" not in network["mean"]
 
 

@@ -43,9 +43,8 @@ def test_rows_have_their_own_cloud_and_the_change_against_one():
     assert lines[2].endswith("| recall at 2 % | parameters | samples |")
     assert lines[4].startswith("| partial | 4000 [2000, 6000] | ")
     assert lines[4].endswith("] |  |  |") and lines[2].count("|") == 9
-    assert lines[5].endswith("| 1.50 M | 9,000 |") and lines[6].endswith(
-        "| 2.00 M |  |"
-    )
+    assert lines[5].endswith("| 1.50 M | 9,000 |")
+    assert lines[6].endswith("| 2.00 M |  |")
     assert lines[8] == "| against net | log CD-L1 | F at 2 % | CD-L2 |"
     twice, change = "+100.0 % [+100.0, +100.0]", "-25.0 % [-33.3, +0.0]"
     assert lines[10] == f"| partial | {twice} | {twice} | {twice} |"
