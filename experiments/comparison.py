@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from prism_jax.evaluation.paired import all_differences
+from prism_jax.evaluation.paired import MEASURES, all_differences
 from prism_jax.evaluation.tables import (
     change_cells,
     columns_of,
+    percent,
     score_cells,
     table_lines,
     title,
@@ -30,14 +31,16 @@ class Row(NamedTuple):
 
 
 ABOVE = "the row above"
+DECISIVE = ("log_cd_l1", "f_2")
+"""What one of two weights is chosen by, of `MEASURES`."""
 
 
 def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str, Any]:
-    """Means, medians and intervals of every row, and its ``change`` against the row
-    `against`, or against `ABOVE` (`paired_difference`), as JSON.
+    """What was found for every row, and its ``change`` against the row `against`, or
+    against `ABOVE` (`all_differences`), as JSON.
 
-    What is zero in that row has no change. `about` is what else names the comparison.
-    Rows of other examples than those of that row raise ValueError.
+    `about` is what else names the comparison. Rows of other examples than those of that
+    row raise ValueError.
     """
     labels = list(rows)
     above = dict(zip(labels[1:], labels, strict=False))
@@ -48,7 +51,7 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
         scores = row.result["clouds"][row.cloud]
         clouds = (before.cloud, row.cloud)
         return {
-            **{name: scores[name] for name in ("mean", "median", "intervals")},
+            **{name: scores[name] for name in ("mean", "intervals", "of")},
             "change": all_differences(before.result, row.result, clouds),
             "parameters": row.parameters,
             "samples": row.samples,
@@ -64,24 +67,27 @@ def comparison(rows: Mapping[str, Row], against: str, **about: Any) -> dict[str,
 
 
 def comparison_markdown(table: Mapping[str, Any]) -> str:
-    """What names a `comparison`, and its rows."""
+    """What names a `comparison`, its rows, and their changes."""
     rows, against = table["rows"], table["against"]
     unchanged = next(iter(rows)) if against == ABOVE else against
-    columns = columns_of(next(iter(rows.values())))
+    columns = columns_of(rows.values(), 5)
     counted = any(row["parameters"] for row in rows.values())
-    changes = {
-        label: None if label == unchanged else row["change"].get("cd_l2")
-        for label, row in rows.items()
-    }
-    heads, cells = change_cells(changes, f"CD-L2 against {against}")
     lines = []
-    for (label, row), change in zip(rows.items(), cells, strict=True):
-        line = [label, *score_cells(row, columns), *change]
+    for label, row in rows.items():
+        lines.append([label, *score_cells(row, columns)])
         if counted:
-            number = row["parameters"]
-            line.append(f"{number / 1e6:.2f} M" if number else "")
-            line.append(f"{row['samples']:,}" if row["samples"] else "")
-        lines.append(line)
-    head = ["", *(column.head for column in columns), *heads]
+            number, samples = row["parameters"], row["samples"]
+            lines[-1].append(f"{number / 1e6:.2f} M" if number else "")
+            lines[-1].append(f"{samples:,}" if samples else "")
+    head = ["", *(column.head for column in columns)]
     head += ["parameters", "samples"] if counted else []
-    return "\n".join([f"{title(table)}\n", *table_lines(head, lines), ""])
+    found = {label: row["change"] for label, row in rows.items() if label != unchanged}
+    heads, cells = change_cells({k: c.get("cd_l2") for k, c in found.items()}, "CD-L2")
+    changes = []
+    for (label, change), cell in zip(found.items(), cells, strict=True):
+        decisive = (change.get(name) for name in DECISIVE)
+        told = [percent(c["change"], c["interval"]) if c else "" for c in decisive]
+        changes.append([label, *told, *cell])
+    heads = [f"against {against}", *(MEASURES[name][2] for name in DECISIVE), *heads]
+    tables = [*table_lines(head, lines), "", *table_lines(heads, changes)]
+    return "\n".join([f"{title(table)}\n", *tables, ""])

@@ -70,10 +70,9 @@ def pages() -> dict[pathlib.Path, str]:
 def scores(row: Mapping[str, Any], metrics: Sequence[str] = SHORT) -> str:
     """Cells of a table: means in the units of `COLUMNS`, with their intervals."""
     cells = []
-    for column in COLUMNS:
-        metric, factor = column.metric, column.factor
-        if column.statistic != "mean" or metric not in metrics:
-            continue
+    factors = {column.metric: column.factor for column in COLUMNS}
+    for metric in metrics:
+        factor = factors[metric]
         digits = ".3f" if metric == "f_score" else ".4g"
         values = row["mean"][metric], *row["intervals"][metric]
         mean, low, high = (format(factor * value, digits) for value in values)

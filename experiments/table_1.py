@@ -34,10 +34,7 @@ from experiments.scoring import (
 from experiments.splits import training_split
 from experiments.weights import located
 from prism_jax.cli.launch import launch
-from prism_jax.completion.weights import (
-    read_metadata,
-    samples_seen,
-)
+from prism_jax.completion.weights import read_metadata, samples_seen
 from prism_jax.evaluation.paired import all_differences, paired_difference
 from prism_jax.evaluation.run import CompleteFn, Predictions
 from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
@@ -45,18 +42,14 @@ from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
 
 FLAGS = flags.FLAGS
-LABELS = {
-    "pcn": "PCN",
-    "pointr": "PoinTr",
-    "seedformer": "SeedFormer",
-    "fsc": "FSC",
-}
+LABELS = {"pcn": "PCN", "pointr": "PoinTr", "seedformer": "SeedFormer", "fsc": "FSC"}
 BACKBONE = "CRA-PCN"
 OURS = "PRISM, not adapted"
 TOLD = "PRISM, told, not adapted"
 """No other row is told the map of the whole scan. Only where the source has maps."""
-COMPARED = [column for column in COLUMNS if column.statistic == "mean"]
+COMPARED = {column.metric: column for column in COLUMNS}
 """By what ours is set beside the best of the others."""
+HIGHER = ("f_score", "f_2", "precision_2", "recall_2")  # is better
 
 
 def define_flags() -> None:
@@ -69,9 +62,7 @@ def define_flags() -> None:
         "Weights of the backbone without visibility, name or file.",
     )
     flags.DEFINE_multi_string(
-        "network",
-        None,
-        "Other networks, name or file. Default: all with weights here.",
+        "network", None, "Other networks, name or file. Default: all with weights here."
     )
     flags.DEFINE_multi_string(
         "longer", [], "PRISM weights trained for longer, in extra rows."
@@ -163,16 +154,18 @@ def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:
     """Of each metric's means the ``row`` that is the best of others, and the ``change``
     from it to ours (`paired_difference`); as JSON."""
     found = {}
-    for column in COMPARED:
+    for metric in COMPARED:
         means = {
-            label: row.result["clouds"][row.cloud]["mean"][column.metric]
+            label: row.result["clouds"][row.cloud]["mean"].get(metric)
             for label, row in others.items()
         }
-        best = (max if column.metric == "f_score" else min)(means, key=means.get)  # pyright: ignore
+        if None in means.values():
+            continue
+        best = (max if metric in HIGHER else min)(means, key=means.get)  # pyright: ignore
         results = others[best].result, ours.result
         clouds = others[best].cloud, ours.cloud
-        change = paired_difference(*results, column.metric, clouds)
-        found[column.metric] = {"row": best, "change": change}
+        change = paired_difference(*results, metric, clouds)
+        found[metric] = {"row": best, "change": change}
     return found
 
 
@@ -182,8 +175,8 @@ def table_markdown(table: Mapping[str, Any]) -> str:
     changes = {metric: best["change"] for metric, best in found.items()}
     heads, cells = change_cells(changes, "change")
     lines = []
-    for column, change in zip(COMPARED, cells, strict=True):
-        best = found[column.metric]["row"]
+    for (metric, told), change in zip(found.items(), cells, strict=True):
+        column, best = COMPARED[metric], told["row"]
         shown = [score_cells(table["rows"][name], [column])[0] for name in (best, OURS)]
         lines.append([column.head, best, *shown, *change])
     head = ["", "best of the others", "its score", OURS, *heads]

@@ -18,12 +18,7 @@ from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Source
 from prism_jax.evaluation import metrics
 from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
-from prism_jax.evaluation.run import (
-    CompleteFn,
-    Predictions,
-    evaluate,
-    scored_clouds,
-)
+from prism_jax.evaluation.run import CompleteFn, Predictions, evaluate, scored_clouds
 from prism_jax.evaluation.scoring import EMD_POINTS
 
 MOST = 1 / 5

@@ -15,8 +15,7 @@ def mean_intervals(
     values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
 ) -> tuple[list[float], list[float]]:
     """Lower and upper bounds of each column's mean, with `groups` numbered from 0."""
-    resampled = resampled_means(values, groups)
-    low, high = np.quantile(resampled, _QUANTILES, axis=0)
+    low, high = np.nanquantile(resampled_means(values, groups), _QUANTILES, axis=0)
     return low.tolist(), high.tolist()
 
 
@@ -30,34 +29,16 @@ def change_interval(resampled: Float[np.ndarray, "R 2"]) -> list[float]:
 def resampled_means(
     values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
 ) -> Float[np.ndarray, "R K"]:
-    """Means over examples of every resample."""
-    rows = np.column_stack([values, np.ones(len(values))])
-    sums = np.zeros((int(groups.max()) + 1, rows.shape[1]))
-    np.add.at(sums, groups, rows)
+    """Means over examples of every resample, without what is NaN; NaN if all is."""
+    known = ~np.isnan(values)
+    sums, counts = np.zeros((2, int(groups.max()) + 1, values.shape[1]))
+    np.add.at(sums, groups, np.where(known, values, 0.0))
+    np.add.at(counts, groups, known)
     means = []
     for drawn in _draws(len(sums)):
-        total = sums[drawn].sum(0)
-        means.append(total[:-1] / total[-1])
+        count = counts[drawn].sum(0)
+        means.append(sums[drawn].sum(0) / np.where(count == 0, np.nan, count))
     return np.array(means)
-
-
-def resampled_medians(
-    values: Float[np.ndarray, "E K"], groups: Int[np.ndarray, " E"]
-) -> Float[np.ndarray, "R K"]:
-    """Medians over examples of every resample."""
-    order = np.argsort(values, axis=0)
-    ordered = np.take_along_axis(values, order, axis=0)
-    count = int(groups.max()) + 1
-    medians = np.empty((_RESAMPLES, values.shape[1]))
-    for row, drawn in zip(medians, _draws(count), strict=True):
-        times = np.bincount(drawn, minlength=count)[groups]
-        for column in range(len(row)):
-            below = np.cumsum(times[order[:, column]])
-            # The two middle ones; they are one if the number of examples is odd.
-            middle = np.array([(below[-1] - 1) // 2, below[-1] // 2])
-            places = np.searchsorted(below, middle, side="right")
-            row[column] = ordered[places, column].mean()
-    return medians
 
 
 def _draws(count: int):

@@ -16,6 +16,9 @@ from scipy.spatial.distance import cdist
 UNIT = "half the longest side of the complete cloud"
 """The unit of length of scores, unless a data set's published table has its own."""
 F_SCORE_THRESHOLD = 0.01
+UNSEEN, REACHES = 0.02, {"1": 0.01, "2": 0.02}
+"""Of the longest side of the complete cloud: how far from every measured point truth is
+unseen, and how near counts in `unseen_scores`, by the ends of the metrics' names."""
 MAX_EXACT_POINTS = 4096
 
 Cloud = Float[np.ndarray, "_ 3"]
@@ -31,8 +34,13 @@ class Scores(NamedTuple):
     f_score: float  # as the function
     emd: float | None  # as the function; None if not computed, which takes longest
     hausdorff: float  # the greatest nearest-neighbour distance of both ways
-    prediction_to_truth: float  # mean squared distance; high where points stray
-    truth_to_prediction: float  # the reverse; high where something is missing
+    # As `unseen_scores`, which needs the measured points; else None.
+    precision_1: float | None = None
+    recall_1: float | None = None
+    f_1: float | None = None
+    precision_2: float | None = None
+    recall_2: float | None = None
+    f_2: float | None = None
 
     def named(self) -> dict[str, float]:
         """The metrics that were computed, by name, as results hold them."""
@@ -42,8 +50,8 @@ class Scores(NamedTuple):
 def score(
     prediction: Cloud, target: Cloud, threshold: float = F_SCORE_THRESHOLD
 ) -> Scores:
-    """All metrics but `emd` of one pair of clouds, with one search each way."""
-    prediction, target = _checked(prediction, target)
+    """What one pair of clouds tells, all but `emd`, with one search each way."""
+    prediction, target = _checked("prediction", prediction), _checked("target", target)
     forward, _ = KDTree(target).query(prediction)
     backward, _ = KDTree(prediction).query(target)
     return from_distances(forward, backward, threshold)
@@ -66,24 +74,48 @@ def from_distances(
     """`score` of known distances: of the prediction's points to their nearest target
     points (`forward`), and the reverse."""
     precision, recall = np.mean(forward < threshold), np.mean(backward < threshold)
-    both = precision + recall
-    to_truth, from_truth = np.mean(forward**2), np.mean(backward**2)
     return Scores(
-        cd_l2=float(to_truth + from_truth),
+        cd_l2=float(np.mean(forward**2) + np.mean(backward**2)),
         cd_l1=float(0.5 * (forward.mean() + backward.mean())),
-        f_score=float(2 * precision * recall / both) if both > 0 else 0.0,
+        f_score=_harmonic(precision, recall),
         emd=None,
         hausdorff=float(max(forward.max(), backward.max())),
-        prediction_to_truth=float(to_truth),
-        truth_to_prediction=float(from_truth),
     )
+
+
+def unseen_scores(
+    added: Float[np.ndarray, " A"], unseen: Float[np.ndarray, " U"], side: float
+) -> dict[str, float]:
+    """Precision of the added points, recall of the unseen truth, and the F-score of
+    both, at each of `REACHES`. `added` are distances of the added points to the truth,
+    `unseen` of the unseen truth to the output, `side` is the truth's longest side.
+
+    Nothing added has no precision, nothing unseen no recall, and either no F-score.
+    Sources: Knapitsch et al., "Tanks and Temples", SIGGRAPH 2017, and as `f_score`; but
+    here a distance equal to the reach counts.
+    """
+    found = {}
+    for end, share in REACHES.items():
+        near = {"precision": added <= share * side, "recall": unseen <= share * side}
+        known = {
+            name: float(which.mean()) for name, which in near.items() if len(which)
+        }
+        if len(known) == 2:
+            known["f"] = _harmonic(*known.values())
+        found |= {f"{name}_{end}": value for name, value in known.items()}
+    return found
+
+
+def _harmonic(precision: float | np.floating, recall: float | np.floating) -> float:
+    both = precision + recall
+    return float(2 * precision * recall / both) if both > 0 else 0.0
 
 
 def emd(prediction: Cloud, target: Cloud) -> float:
     """Mean unsquared distance of the best one-to-one assignment, exact. The clouds need
     equal counts of at most `MAX_EXACT_POINTS`, or ValueError. Memory is quadratic, time
     up to cubic."""
-    cloud, goal = _checked(prediction, target)
+    cloud, goal = _checked("prediction", prediction), _checked("target", target)
     if len(cloud) != len(goal):
         counts = f"{len(cloud)} and {len(goal)}"
         raise ValueError(f"emd needs equal counts, not {counts}: resample one")
@@ -94,18 +126,13 @@ def emd(prediction: Cloud, target: Cloud) -> float:
     return float(cost[scipy.optimize.linear_sum_assignment(cost)].mean())
 
 
-def _checked(
-    prediction: np.ndarray, target: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Both clouds in float64; faults are named."""
-    clouds = []
-    for name, cloud in (("prediction", prediction), ("target", target)):
-        cloud = np.asarray(cloud, np.float64)
-        if cloud.ndim != 2 or cloud.shape[1] != 3:
-            raise ValueError(f"{name} must have shape (N, 3), not {cloud.shape}")
-        if len(cloud) == 0:
-            raise ValueError(f"{name} is empty")
-        if not np.isfinite(cloud).all():
-            raise ValueError(f"{name} has coordinates that are NaN or infinite")
-        clouds.append(cloud)
-    return clouds[0], clouds[1]
+def _checked(name: str, cloud: np.ndarray) -> np.ndarray:
+    """In float64; faults are named."""
+    cloud = np.asarray(cloud, np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise ValueError(f"{name} must have shape (N, 3), not {cloud.shape}")
+    if len(cloud) == 0:
+        raise ValueError(f"{name} is empty")
+    if not np.isfinite(cloud).all():
+        raise ValueError(f"{name} has coordinates that are NaN or infinite")
+    return cloud

@@ -1,30 +1,33 @@
 """How much a metric differs between two clouds of the same examples, and where."""
 
+import contextlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from prism_jax.evaluation.bootstrap import (
-    change_interval,
-    resampled_means,
-    resampled_medians,
-)
+from prism_jax.evaluation.bootstrap import change_interval, resampled_means
 
 ADAPTED = ("network", "completed")  # clouds that there are unadapted, too
 
 MEASURES = {
     "cd_l2": ("cd_l2", "mean", "CD-L2"),
-    "cd_l2_median": ("cd_l2", "median", "median CD-L2"),
-    "prediction_to_truth": ("prediction_to_truth", "mean", "prediction to truth"),
-    "truth_to_prediction": ("truth_to_prediction", "mean", "truth to prediction"),
     "cd_l1": ("cd_l1", "mean", "CD-L1"),
-    "f_score": ("f_score", "mean", "F@0.01"),
+    "log_cd_l1": ("cd_l1", "log mean", "log CD-L1"),
+    "precision_2": ("precision_2", "mean", "precision at 2 %"),
+    "recall_2": ("recall_2", "mean", "recall at 2 %"),
+    "f_2": ("f_2", "mean", "F at 2 %"),
 }
 """What comparisons tell: a metric, what is taken of it over examples, and what tables
-call that. The mean of CD-L2 hangs on a few bad examples: the median and CD-L1 do so
-less."""
+call that. The mean of CD-L2 hangs on a few bad examples: the others do so less."""
+
+STATISTICS = {"mean": (np.asarray, np.asarray), "log mean": (np.log, np.exp)}
+"""Into what the mean is taken of, and back: a change of a mean log is a factor."""
+
+
+class NoChangeError(ValueError):
+    """There is no relative change: no example has the metric, or it is zero before."""
 
 
 def paired_difference(
@@ -46,46 +49,58 @@ def paired_difference(
     the largest part in a mean's change: its `contribution`, its number of examples, and
     what is left without it.
 
-    Other examples, a metric or a cloud that is not there, and a zero in `a` raise
-    ValueError.
+    Only examples count that have the metric in both. Other examples raise ValueError,
+    no such example and a zero in `a` NoChangeError.
     """
-    values, objects = _columns(a, b, metric, clouds)
-    names, categories = np.unique(a["per_example"]["category"], return_inverse=True)
-    take, resample = {
-        "mean": (np.mean, resampled_means),
-        "median": (np.median, resampled_medians),
-    }[statistic]
-    before, after = take(values, axis=0)
-    if before == 0:
-        raise ValueError(f"the {statistic} {metric} of a is zero: no relative change")
+    values, objects, kinds = _columns(a, b, metric, clouds)
+    names, categories = np.unique(kinds, return_inverse=True)
+    change, interval = _change(values, objects, statistic)
     found = {
-        "change": float(after / before - 1),
-        "interval": change_interval(resample(values, objects)),
+        "change": change,
+        "interval": interval,
         "num_examples": len(values),
         "num_objects": len(np.unique(objects)),
         "num_categories": len(names),
     }
     if len(names) > 1:
-        found["category_interval"] = change_interval(resample(values, categories))
-    if len(names) > 1 and statistic == "mean" and after != before:
+        found["category_interval"] = _change(values, categories, statistic)[1]
+    if len(names) > 1 and statistic == "mean" and change != 0:
         found["carried_by"] = _carrier(values, objects, categories, names)
     return found
 
 
 def _columns(
     a: Mapping[str, Any], b: Mapping[str, Any], metric: str, clouds: tuple[str, str]
-) -> tuple[Float[np.ndarray, "E 2"], Int[np.ndarray, " E"]]:
-    """A metric of the same examples in two results, and the objects they show."""
-    same = ("name", "object", "category")
-    if any(a["per_example"][key] != b["per_example"][key] for key in same):
+) -> tuple[Float[np.ndarray, "E 2"], np.ndarray, np.ndarray]:
+    """A metric of the same examples in two results, their objects and categories."""
+    each, same = a["per_example"], ("name", "object", "category")
+    if any(each[key] != b["per_example"][key] for key in same):
         raise ValueError("the two results are not of the same examples in one order")
     columns = []
     for result, cloud in zip((a, b), clouds, strict=True):
-        try:
-            columns.append(result["per_example"]["clouds"][cloud][metric])
-        except KeyError:
-            raise ValueError(f"a result has no {metric} of {cloud}") from None
-    return np.array(columns, np.float64).T, np.array(a["per_example"]["object"])
+        scores = result["per_example"]["clouds"][cloud]
+        columns.append(scores.get(metric, [None] * len(each["name"])))
+    values = np.array(columns, np.float64).T
+    known = ~np.isnan(values).any(axis=1)
+    if not known.any():
+        raise NoChangeError(f"no example has {metric} of {' and '.join(clouds)}")
+    objects, kinds = (np.array(each[key])[known] for key in same[1:])
+    return values[known], objects, kinds
+
+
+def _change(
+    values: Float[np.ndarray, "E 2"], groups: np.ndarray, statistic: str = "mean"
+) -> tuple[float, list[float]]:
+    """How much the second column is above the first, and the interval over groups."""
+    into, back = STATISTICS[statistic]
+    with np.errstate(divide="ignore"):
+        inside = into(values)
+    before, after = back(inside.mean(0))
+    if before == 0:
+        raise NoChangeError(f"the {statistic} is zero in a: no relative change")
+    numbers = np.unique(groups, return_inverse=True)[1]
+    interval = change_interval(back(resampled_means(inside, numbers)))
+    return float(after / before - 1), interval
 
 
 def _carrier(
@@ -104,22 +119,19 @@ def _carrier(
         "contribution": float(parts[most]),
         "num_examples": int((~rest).sum()),
     }
-    before, after = values[rest].mean(0)
-    if before != 0:
-        groups = np.unique(objects[rest], return_inverse=True)[1]
-        interval = change_interval(resampled_means(values[rest], groups))
-        found["change_without"] = float(after / before - 1)
-        found["interval_without"] = interval
+    with contextlib.suppress(NoChangeError):
+        without = _change(values[rest], objects[rest])
+        found["change_without"], found["interval_without"] = without
     return found
 
 
 def all_differences(
     a: Mapping[str, Any], b: Mapping[str, Any], clouds: tuple[str, str]
 ) -> dict[str, Any]:
-    """`paired_difference` of all `MEASURES` but those that are zero in `a`."""
+    """`paired_difference` of all `MEASURES` that have one."""
     found = {}
     for name, (metric, statistic, _) in MEASURES.items():
-        if np.any(a["per_example"]["clouds"][clouds[0]][metric]):
+        with contextlib.suppress(NoChangeError):
             found[name] = paired_difference(a, b, metric, clouds, statistic)
     return found
 

@@ -56,8 +56,9 @@ def evaluate(
 ) -> dict[str, Any]:
     """Scores of all `CLOUDS` over a data set, as JSON.
 
-    `clouds` holds for each cloud the `mean`, its `intervals`, the `median` and the
-    means `per_category` of every metric. Distances are in `unit`, squared where the
+    `clouds` holds for each cloud the `mean`, its `intervals` and the means
+    `per_category` of every metric, and how many examples it is `of` where some lack
+    it (`metrics.unseen_scores`). Distances are in `unit`, squared where the
     metric is. If the completer adapts, `accepted` is the share of examples whose
     adaptation was accepted, and `adaptation` says what it changes. `per_example` holds
     what `paired_difference` needs.
@@ -155,7 +156,7 @@ def _score(
     protocol: Protocol, example: Example, partial: np.ndarray, predictions: Predictions
 ) -> ExampleScores:
     """The scores of one example, in their frame."""
-    assert example.complete is not None
+    assert example.complete is not None and example.partial is not None
     from_own, _ = into_scored(example, protocol)
     few = None
     if protocol.with_emd:
@@ -166,5 +167,5 @@ def _score(
         example.name,
         example.category,
         None if accepted is None else bool(accepted),
-        score(clouds, from_own(example.complete), few),
+        score(clouds, from_own(example.partial), from_own(example.complete), few),
     )

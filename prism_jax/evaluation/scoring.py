@@ -18,7 +18,7 @@ CLOUDS = ("partial", "network_unadapted", "network", "completed_unadapted", "com
 
 partial: the measured points.
 network: all that the network predicts.
-completed: what a user gets, the measured points and what is added to them
+completed: what a user gets, the measured points and then what is added to them
   (`prism_jax.completion.filtering.added_points`).
 network_unadapted, completed_unadapted: the same without test-time adaptation. Only
   where the prediction was adapted and the one before is known too.
@@ -27,22 +27,31 @@ network_unadapted, completed_unadapted: the same without test-time adaptation. O
 
 def score(
     clouds: Mapping[str, Float[np.ndarray, "_ 3"]],
+    measured: Float[np.ndarray, "N 3"],
     complete: Float[np.ndarray, "M 3"],
     complete_few: Float[np.ndarray, "E 3"] | None = None,
 ) -> dict[str, Scores]:
     """The scores of those of `CLOUDS` that there are of an example, in the frame and
     unit of the scores.
 
-    `complete` is the ground truth, and `complete_few` `EMD_POINTS` farthest points of
-    it; without them there is no earth mover's distance. One array under two names is
-    scored once. Runs on one thread, mostly without holding Python's lock.
+    `measured` are the points of the partial, to which all of a ``network`` cloud counts
+    as added. `complete` is the ground truth, and `complete_few` `EMD_POINTS` farthest
+    points of it; without them there is no earth mover's distance. One array under two
+    names is scored once. Runs on one thread, mostly without holding Python's lock.
     """
     tree, scores = KDTree(complete), {}
-    for cloud in clouds.values():
+    apart = KDTree(measured).query(complete)[0]
+    side = float(np.ptp(complete, axis=0).max())
+    for name, cloud in clouds.items():
         if id(cloud) in scores:
             continue
-        apart = tree.query(cloud)[0], KDTree(cloud).query(complete)[0]
-        found = metrics.from_distances(*apart)
+        forward = tree.query(cloud)[0]
+        backward = apart if name == "partial" else KDTree(cloud).query(complete)[0]
+        found = metrics.from_distances(forward, backward)
+        if name != "partial":
+            added = forward[len(measured) :] if "completed" in name else forward
+            unseen = backward[apart > metrics.UNSEEN * side]
+            found = found._replace(**metrics.unseen_scores(added, unseen, side))
         if complete_few is not None:
             few = farthest_point_order(cloud, EMD_POINTS)
             found = found._replace(emd=metrics.emd(few, complete_few))

@@ -1,10 +1,10 @@
-"""Scores of many examples as one result: means, medians and intervals."""
+"""Scores of many examples as one result: means and intervals."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from prism_jax.evaluation.bootstrap import mean_intervals
 from prism_jax.evaluation.metrics import Scores
@@ -30,24 +30,17 @@ def summarise(
     object that each example shows. Intervals of means are over objects. Categories
     without an example are left out."""
     present = np.array([row.category for row in rows])
-    clouds = {
-        cloud: [row.clouds[cloud].named() for row in rows] for cloud in rows[0].clouds
-    }
+    clouds = {cloud: _columns(rows, cloud) for cloud in rows[0].clouds}
 
-    def summary(named: Sequence[dict[str, float]]) -> dict[str, Any]:
-        metrics = list(named[0])
-        values = np.array([list(one.values()) for one in named])
-        low, high = mean_intervals(values, objects)
-
-        def by_metric(numbers: np.ndarray) -> dict[str, float]:
-            return dict(zip(metrics, numbers.tolist(), strict=True))
-
+    def summary(columns: dict[str, np.ndarray]) -> dict[str, Any]:
+        low, high = mean_intervals(np.stack([*columns.values()], axis=1), objects)
+        known = {metric: int((~np.isnan(c)).sum()) for metric, c in columns.items()}
         return {
-            "mean": by_metric(values.mean(0)),
-            "median": by_metric(np.median(values, axis=0)),
-            "intervals": {m: [low[i], high[i]] for i, m in enumerate(metrics)},
+            "mean": _means(columns),
+            "intervals": {m: [low[i], high[i]] for i, m in enumerate(columns)},
+            "of": {m: count for m, count in known.items() if count < len(rows)},
             "per_category": {
-                name: by_metric(values[present == name].mean(0))
+                name: _means(columns, present == name)
                 for name in categories
                 if (present == name).any()
             },
@@ -58,14 +51,14 @@ def summarise(
         "num_examples": len(rows),
         "num_objects": int(objects[-1]) + 1,
         **({"accepted": float(np.mean(accepted))} if accepted else {}),
-        "clouds": {cloud: summary(named) for cloud, named in clouds.items()},
+        "clouds": {cloud: summary(columns) for cloud, columns in clouds.items()},
         "per_example": {
             "name": [row.name for row in rows],
             "category": present.tolist(),
             "object": objects.tolist(),
             "clouds": {
-                cloud: {m: [_short(one[m]) for one in named] for m in named[0]}
-                for cloud, named in clouds.items()
+                cloud: {metric: [*map(_short, c)] for metric, c in columns.items()}
+                for cloud, columns in clouds.items()
             },
         },
     }
@@ -73,6 +66,22 @@ def summarise(
     return {**result, **({"adaptation": effect} if effect else {})}
 
 
-def _short(value: float) -> float:
+def _columns(
+    rows: Sequence[ExampleScores], cloud: str
+) -> dict[str, Float[np.ndarray, " E"]]:
+    """A cloud's scores by metric, NaN where an example has none; what all lack is left
+    out."""
+    values = np.array([row.clouds[cloud] for row in rows], np.float64)
+    columns = zip(Scores._fields, values.T, strict=True)
+    return {metric: column for metric, column in columns if not np.isnan(column).all()}
+
+
+def _means(columns: dict[str, np.ndarray], chosen: Any = ...) -> dict[str, float]:
+    """Over those of the chosen examples that have the metric, if any has."""
+    known = {metric: c[chosen][~np.isnan(c[chosen])] for metric, c in columns.items()}
+    return {metric: float(c.mean()) for metric, c in known.items() if len(c)}
+
+
+def _short(value: float) -> float | None:
     """The number with the digits of single precision, which JSON then shows."""
-    return float(str(np.float32(value)))
+    return None if np.isnan(value) else float(str(np.float32(value)))

@@ -1,6 +1,6 @@
 """Results as Markdown."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from prism_jax.evaluation.paired import MEASURES
@@ -10,29 +10,29 @@ from prism_jax.evaluation.scoring import CLOUDS
 class Column(NamedTuple):
     """How a table shows a metric."""
 
-    statistic: str
     metric: str
     head: str
     factor: float
 
 
 COLUMNS = (
-    Column("mean", "cd_l2", "CD-L2 x1e4", 1e4),
-    Column("mean", "cd_l1", "CD-L1 x1e3", 1e3),
-    Column("mean", "f_score", "F@0.01", 1.0),
-    Column("mean", "emd", "EMD x1e2", 1e2),
-    Column("mean", "hausdorff", "HD x1e2", 1e2),
-    Column("median", "cd_l2", "median CD-L2 x1e4", 1e4),
-    Column("mean", "prediction_to_truth", "prediction to truth x1e4", 1e4),
-    Column("mean", "truth_to_prediction", "truth to prediction x1e4", 1e4),
+    Column("cd_l2", "CD-L2 x1e4", 1e4),
+    Column("cd_l1", "CD-L1 x1e3", 1e3),
+    Column("f_2", "F at 2 %", 1.0),
+    Column("precision_2", "precision at 2 %", 1.0),
+    Column("recall_2", "recall at 2 %", 1.0),
+    Column("emd", "EMD x1e2", 1e2),
+    Column("hausdorff", "HD x1e2", 1e2),
+    Column("f_score", "F@0.01", 1.0),
 )
+"""What says most comes first. Older results, without F at 2 %, show the last one."""
 
 
 def markdown(result: Mapping[str, Any]) -> str:
     """What the result is of, the means with their intervals, CD-L2 by category, and
     what adaptation changes."""
     clouds = {name: result["clouds"][name] for name in clouds_of(result)}
-    columns = columns_of(clouds["network"])
+    columns = columns_of(clouds.values())
     categories = list(clouds["network"]["per_category"])
     means, by_category = [], []
     for name, scores in clouds.items():
@@ -59,19 +59,23 @@ def markdown(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def columns_of(scores: Mapping[str, Any]) -> list[Column]:
-    """Those whose numbers are there."""
-    return [c for c in COLUMNS if c.metric in scores.get(c.statistic, {})]
+def columns_of(rows: Collection[Mapping[str, Any]], most: int = 7) -> list[Column]:
+    """The first ones whose means are there, in any row."""
+    there = [c for c in COLUMNS if any(c.metric in row["mean"] for row in rows)]
+    return there[:most]
 
 
 def score_cells(scores: Mapping[str, Any], columns: Sequence[Column]) -> list[str]:
-    """The cells of one cloud; means have intervals."""
+    """The means of one cloud with their intervals, and the number of examples if some
+    lack the metric."""
     cells = []
-    for statistic, metric, _, factor in columns:
-        cell = f"{factor * scores[statistic][metric]:.4g}"
-        if statistic == "mean":
-            low, high = (factor * bound for bound in scores["intervals"][metric])
-            cell += f" [{low:.4g}, {high:.4g}]"
+    for metric, _, factor in columns:
+        cell = ""
+        if metric in scores["mean"]:
+            bounds = scores["mean"][metric], *scores["intervals"][metric]
+            mean, low, high = (f"{factor * bound:.4g}" for bound in bounds)
+            of = scores.get("of", {}).get(metric)
+            cell = f"{mean} [{low}, {high}]{f' of {of}' if of else ''}"
         cells.append(cell)
     return cells
 

@@ -32,17 +32,14 @@ def render_report(
     ]
     if ground_truth is not None:
         truth = figures.Cloud("ground truth", ground_truth, figures.GROUND_TRUTH_COLOR)
-        panels.append(
-            figures.Panel(f"Ground truth: {len(ground_truth):,} points", [truth])
-        )
+        title = f"Ground truth: {len(ground_truth):,} points"
+        panels.append(figures.Panel(title, [truth]))
     toward = viewing_direction(result.camera, up)
     bounds = shown_bounds(measured, added, result.workspace)
     clouds: Any = figures.clouds_figure(panels, toward, up, bounds)
     modes = figures.tell_errors(clouds, result.sigma)
-    seen_by, predicted_by = (
-        figures.by_error(result.sigma, which)
-        for which in (result.observed, ~result.observed)
-    )
+    seen_by = figures.by_error(result.sigma, result.observed)
+    predicted_by = figures.by_error(result.sigma, ~result.observed)
     about = (
         ("", figures.OBSERVED_COLOR, seen_by),
         ("observed", figures.OBSERVED_COLOR, seen_by),

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import KDTree
 
 from prism_jax import io
-from prism_jax.evaluation import metrics
+from prism_jax.evaluation import metrics, scoring
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.losses.weighting import BRANCHES
 
@@ -105,7 +104,7 @@ def _of_added(result: Any) -> dict[str, float] | None:
 def clouds(result: Any) -> dict[str, Float[np.ndarray, "_ 3"]]:
     """The three clouds of a result by name, in the user's frame and units: `partial`,
     the measured points; `network`, all that the network predicts; `completed`, the
-    measured points and those that are added to them."""
+    measured points and then those that are added to them."""
     return {
         "partial": result.points[result.observed],
         "network": result.prediction,
@@ -113,36 +112,22 @@ def clouds(result: Any) -> dict[str, Float[np.ndarray, "_ 3"]]:
     }
 
 
-STRAY = 0.1
-"""A predicted point farther than this from the truth, in the unit of scores, strays."""
-
-
 def score(result: Any, ground_truth: Float[np.ndarray, "G 3"]) -> dict[str, Any]:
     """The metrics of all `clouds` against the truth, without the EMD, as in
     `prism_jax.evaluation`. No cloud is thinned: that would change how much measured and
-    predicted points weigh against each other. `strays` are the shares of the network's
-    and of the added points farther than `STRAY` from the truth."""
+    predicted points weigh against each other."""
     unit = Workspace.from_points(np.asarray(ground_truth, np.float64), margin=1.0)
 
     def in_unit(cloud: np.ndarray) -> np.ndarray:
         return np.asarray(unit.to_unit(cloud.astype(np.float64)))
 
-    target, strays = in_unit(ground_truth), {"threshold": STRAY}
-    tree = KDTree(target)
-    added = result.points[~result.observed]
-    for name, cloud in {"network": result.prediction, "added": added}.items():
-        far = tree.query(in_unit(cloud))[0] > STRAY
-        strays[name] = float(far.mean()) if len(far) else 0.0
-    scores = {
-        name: metrics.score(in_unit(cloud), target).named()
-        for name, cloud in clouds(result).items()
-    }
+    given = {name: in_unit(cloud) for name, cloud in clouds(result).items()}
+    scores = scoring.score(given, given["partial"], in_unit(ground_truth))
     return {
         "unit": metrics.UNIT,
         "unit_length": float(unit.half_extent),
         "f_score_threshold": metrics.F_SCORE_THRESHOLD,
-        "strays": strays,
-        "clouds": scores,
+        "clouds": {name: found.named() for name, found in scores.items()},
     }
 
 

@@ -45,13 +45,32 @@ def test_agrees_with_all_pairs():
             directed_hausdorff(prediction, target)[0],
             directed_hausdorff(target, prediction)[0],
         ),
-        "prediction_to_truth": np.mean(forward**2),
-        "truth_to_prediction": np.mean(backward**2),
     }
     scores = metrics.score(prediction, target, 0.5)
     assert scores.emd is None and scores.named() == pytest.approx(expected)
     known = metrics.from_distances(forward, backward, 0.5)
     assert known.named() == pytest.approx(expected)
+
+
+def test_the_unseen_of_two_planes_and_of_single_points():
+    """A third of a plane lacks points; half of those there lie above it."""
+    places = np.indices((12, 3)).reshape(2, -1).T / 3.0
+    truth, side = np.column_stack([places, np.zeros(36)]), 4.0
+    for above, near in ((0.005, (1, 1)), (0.015, (0.5, 1)), (0.03, (0.5, 0.5))):
+        added = truth[:24] + above * side * np.outer(np.arange(24) % 2, [0, 0, 1])
+        apart = cdist(added, truth)
+        found = metrics.unseen_scores(apart.min(1), apart.min(0), side)
+        for end, share in zip(metrics.REACHES, near, strict=True):
+            f = 0.8 * share  # of a precision `share` and two thirds of it
+            expected = {"precision": share, "recall": 2 / 3 * share, "f": f}
+            for name, value in expected.items():
+                assert found[f"{name}_{end}"] == pytest.approx(value)
+    none, one = np.zeros(0), np.zeros(1)
+    assert metrics.unseen_scores(none, none, 1.0) == {}
+    assert metrics.unseen_scores(none, one, 1.0) == {"recall_1": 1, "recall_2": 1}
+    # A truth that is one point, and added points that hit or miss it.
+    assert metrics.unseen_scores(one, one, 0.0)["f_1"] == 1
+    assert metrics.unseen_scores(one + 1, one + 1, 0.0)["f_2"] == 0
 
 
 def test_f_score_threshold_is_strict_and_unsquared():

@@ -4,8 +4,12 @@ them."""
 import numpy as np
 import pytest
 
-from prism_jax.evaluation.bootstrap import resampled_medians
-from prism_jax.evaluation.paired import MEASURES, adaptation_effect, paired_difference
+from prism_jax.evaluation.paired import (
+    MEASURES,
+    adaptation_effect,
+    all_differences,
+    paired_difference,
+)
 
 RNG = np.random.default_rng(1)
 
@@ -32,13 +36,13 @@ def result(values, views=1, categories=None, **clouds):
 def test_a_tenth_lower_everywhere_is_a_tenth_lower():
     values = RNG.uniform(0.1, 9, 50)
     a, b = result(values), result(0.9 * values, partial=values)
-    for statistic in ("mean", "median"):
+    for statistic in ("mean", "log mean"):
         found = paired_difference(a, b, statistic=statistic)
         assert np.isclose(found["change"], -0.1)
         np.testing.assert_allclose(found["interval"], [-0.1, -0.1])
         assert (found["num_examples"], found["num_objects"]) == (50, 50)
         assert not {"category_interval", "carried_by"} & found.keys()
-    inside = paired_difference(b, b, "f_score", ("partial", "network"))
+    inside = paired_difference(b, b, "f_2", ("partial", "network"))
     assert np.isclose(inside["change"], -0.1)
 
 
@@ -49,6 +53,8 @@ def test_the_change_is_of_the_means_and_its_interval_of_pairs():
     assert np.isclose(found["change"], after.mean() / values.mean() - 1)
     low, high = found["interval"]
     assert low < found["change"] < high
+    logs = paired_difference(result(values), result(values**2), statistic="log mean")
+    assert np.isclose(logs["change"], np.exp(np.log(values).mean()) - 1)
     # Another view of the same object narrows nothing.
     twice = (result(np.repeat(cloud, 2), views=2) for cloud in (values, after))
     assert paired_difference(*twice)["interval"] == pytest.approx(found["interval"])
@@ -87,18 +93,18 @@ def test_a_single_category_carries_the_whole_effect():
     assert found["carried_by"]["category"] == "down"
 
 
-def test_resampled_medians_are_those_of_the_drawn_examples():
-    """By drawing the examples one by one, of objects with unequal numbers of views."""
-    values = RNG.normal(5, 1, (20, 2)).round(1)
-    groups = np.sort(RNG.integers(0, 7, 20))
-    groups = np.unique(groups, return_inverse=True)[1]
-    count = groups.max() + 1
-    rng, expected = np.random.default_rng(0), []
-    for _ in range(50):
-        drawn = rng.integers(0, count, count)
-        rows = np.concatenate([np.flatnonzero(groups == one) for one in drawn])
-        expected.append(np.median(values[rows], axis=0))
-    np.testing.assert_allclose(resampled_medians(values, groups)[:50], expected)
+def test_examples_that_lack_the_metric_in_one_result_are_left_out():
+    before, after = RNG.uniform(1, 2, (2, 6))
+    kinds = ["bag", "bag", "car", "car", "car", "bus"]
+    some_before, some_after = [None, *before[1:]], [*after[:5], None]
+    a = result(some_before, categories=kinds)
+    b = result(some_after, categories=kinds)
+    found = paired_difference(a, b, "f_2")
+    known = result(before[1:5], categories=kinds[1:5])
+    wanted = paired_difference(known, result(after[1:5], categories=kinds[1:5]), "f_2")
+    assert found == wanted and found["num_examples"] == 4
+    nothing = result([None] * 6, categories=kinds)
+    assert all_differences(a, nothing, ("network", "network")) == {}
 
 
 def test_adaptation_is_told_of_every_cloud_that_was_adapted():
@@ -114,7 +120,7 @@ def test_what_cannot_be_compared_is_refused():
     other = result([1.0, 2.0], categories=["bag", "car"])
     with pytest.raises(ValueError, match="not of the same examples"):
         paired_difference(a, other)
-    with pytest.raises(ValueError, match="has no emd of network"):
+    with pytest.raises(ValueError, match="no example has emd of network"):
         paired_difference(a, a, "emd")
     with pytest.raises(ValueError, match="is zero"):
         paired_difference(zero, a)

@@ -19,11 +19,7 @@ from prism_jax.evaluation.protocol import (
     observed,
     side_by_side,
 )
-from prism_jax.evaluation.run import (
-    Predictions,
-    evaluate,
-    scored_clouds,
-)
+from prism_jax.evaluation.run import Predictions, evaluate, scored_clouds
 from prism_jax.evaluation.scoring import CLOUDS
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError

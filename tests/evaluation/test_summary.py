@@ -1,4 +1,4 @@
-"""Means, medians, and intervals over objects."""
+"""Means, and intervals over objects."""
 
 import json
 
@@ -43,11 +43,22 @@ def test_means_by_category_and_all_together():
     assert "accepted" not in found
 
 
-def test_a_median_hangs_on_no_single_example_and_accepted_is_a_share():
-    found = result([1.0, 2.0, 9.0, 700.0, 1.0], accepted=np.arange(5) < 3)
-    assert found["accepted"] == 0.6
-    median = found["clouds"]["partial"]["median"]
-    assert (median["cd_l2"], median["cd_l1"]) == (2.0, 4.0)
+def test_what_examples_lack_is_left_out_and_accepted_is_a_share():
+    """Of the odd ones none has the metric, nor any of another."""
+    kinds = ["even", "odd"] * 2 + ["even"]
+    scores, values = Scores(*np.arange(1.0, 6.0)), [0.25, None, 0.5, None, 0.25]
+    rows = [
+        ExampleScores("", kind, i < 3, {"network": scores._replace(f_2=f)})
+        for i, (kind, f) in enumerate(zip(kinds, values, strict=True))
+    ]
+    found = summarise(rows, ("even", "odd"), np.arange(5))
+    network, each = found["clouds"]["network"], found["per_example"]["clouds"]
+    assert found["accepted"] == 0.6 and network["of"] == {"f_2": 3}
+    assert network["mean"]["f_2"] == pytest.approx(1 / 3)
+    assert network["intervals"]["f_2"] == [0.25, 0.5]
+    assert "f_2" not in network["per_category"]["odd"]
+    assert each["network"]["f_2"] == values
+    assert "recall_2" not in network["mean"]
 
 
 def test_intervals_agree_with_the_normal_approximation():

@@ -106,20 +106,20 @@ def test_ours_is_compared_with_the_best_of_the_others_metric_by_metric():
         examples = [ExampleScores(name, "bag", None, clouds) for name in "ab"]
         return Row({"unit": "metres", **summarise(examples, ("bag",), np.arange(2))})
 
-    near = scored(prediction_to_truth=0.1, cd_l2=0.3, f_score=0.2)
-    full = scored(truth_to_prediction=0.1, cd_l2=0.2, f_score=0.8)
+    near = scored(precision_2=0.9, cd_l2=0.3, f_2=0.2)
+    full = scored(recall_2=0.9, cd_l2=0.2, f_2=0.8)
     ours = scored()
     found = table_1.best_others({"near": near, "full": full}, ours)
-    best = {"prediction_to_truth": 0.1, "truth_to_prediction": 0.1, "cd_l2": 0.2}
-    for metric, value in (best | {"f_score": 0.8}).items():
+    best = {"precision_2": 0.9, "recall_2": 0.9, "cd_l2": 0.2, "f_2": 0.8}
+    for metric, value in best.items():
         change = found[metric]["change"]["change"]
         assert change == pytest.approx(0.4 / value - 1, rel=1e-5)
-        nearest = metric == "prediction_to_truth"
+        nearest = metric == "precision_2"
         assert found[metric]["row"] == ("near" if nearest else "full")
     rows = {"near": near, "full": full, table_1.OURS: ours}
     table = comparison(rows, "full") | {"best_others": found}
     lines = table_1.table_markdown(table).rpartition("\n\n")[2].splitlines()
-    assert len(lines) == 2 + len(found) == 9
+    assert len(lines) == 2 + len(found) == 10
     assert lines[2].startswith("| CD-L2 x1e4 | full | 2000 ")
 
 

@@ -1,13 +1,12 @@
 """What result.json says: scores in one unit, and strict JSON."""
 
-import dataclasses
 import json
 
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from prism_jax.evaluation import metrics
+from prism_jax.evaluation import scoring
 from prism_jax.reporting.summary import plain, score
 from tests.fake_completer import FakeCompleter
 
@@ -29,10 +28,13 @@ def test_scores_are_in_half_the_longest_side_of_the_truth():
         "completed": completed.points,
     }
     assert list(measured["clouds"]) == list(clouds)
-    for name, cloud in clouds.items():
-        pair = cloud.astype(np.float64) / half, truth.astype(np.float64) / half
-        expected = metrics.score(*pair).named()
-        assert measured["clouds"][name] == pytest.approx(expected)
+    near, target = clouds["completed"][300:] / half, truth.astype(np.float64) / half
+    scaled = {name: cloud.astype(np.float64) / half for name, cloud in clouds.items()}
+    for name, scores in scoring.score(scaled, scaled["partial"], target).items():
+        assert measured["clouds"][name] == pytest.approx(scores.named())
+    precision = np.mean(cdist(near, target).min(1) <= 0.04)
+    assert measured["clouds"]["completed"]["precision_2"] == precision
+    assert "precision_2" not in measured["clouds"]["partial"]
 
 
 def test_every_point_counts_however_large_the_clouds():
@@ -50,22 +52,3 @@ def test_plain_is_strict_json():
     wanted = {"a": 0.5, "b": [[1, 2]], "c": [None, True, "x"]}
     wanted["d"] = {"e": False, "f": [None, 1.0]}
     assert json.loads(json.dumps(plain(given), allow_nan=False)) == wanted
-
-
-@pytest.mark.parametrize("scale", [1.0, 1e3])
-def test_strays_are_counted_apart(scale):
-    """In the unit of scores, whatever the scan's."""
-    completed = FakeCompleter().complete(scale * POINTS.astype(np.float64))
-    prediction = completed.prediction.copy()
-    half = np.ptp(prediction, axis=0).max() / 2
-    prediction[:30] += [2.2 * half, 0, 0]
-    truth = completed.prediction
-    added = completed.points[~completed.observed]
-    moved = dataclasses.replace(completed, prediction=prediction)
-    told = score(moved, truth)["strays"]
-    away = cdist(prediction, truth).min(1) > 0.1 * half
-    assert told["network"] == away.mean() and away[:30].all()
-    assert told["added"] == (cdist(added, truth).min(1) > 0.1 * half).mean()
-    none = {name: getattr(completed, name)[:300] for name in ("points", "observed")}
-    none = dataclasses.replace(completed, **none)
-    assert score(none, truth)["strays"]["added"] == 0
