@@ -90,7 +90,8 @@ def unseen_scores(
     both, at each of `REACHES`. `added` are distances of the added points to the truth,
     `unseen` of the unseen truth to the output, `side` is the truth's longest side.
 
-    Nothing added has no precision, nothing unseen no recall, and either no F-score.
+    Nothing added has no precision and an F-score of 0, nothing unseen neither recall
+    nor F-score.
     Sources: Knapitsch et al., "Tanks and Temples", SIGGRAPH 2017, and as `f_score`; but
     here a distance equal to the reach counts.
     """
@@ -100,8 +101,8 @@ def unseen_scores(
         known = {
             name: float(which.mean()) for name, which in near.items() if len(which)
         }
-        if len(known) == 2:
-            known["f"] = _harmonic(*known.values())
+        if "recall" in known:
+            known["f"] = _harmonic(known.get("precision", 0.0), known["recall"])
         found |= {f"{name}_{end}": value for name, value in known.items()}
     return found
 

@@ -67,7 +67,8 @@ def test_the_unseen_of_two_planes_and_of_single_points():
                 assert found[f"{name}_{end}"] == pytest.approx(value)
     none, one = np.zeros(0), np.zeros(1)
     assert metrics.unseen_scores(none, none, 1.0) == {}
-    assert metrics.unseen_scores(none, one, 1.0) == {"recall_1": 1, "recall_2": 1}
+    kept = {"recall_1": 1, "f_1": 0, "recall_2": 1, "f_2": 0}
+    assert metrics.unseen_scores(none, one, 1.0) == kept
     # A truth that is one point, and added points that hit or miss it.
     assert metrics.unseen_scores(one, one, 0.0)["f_1"] == 1
     assert metrics.unseen_scores(one + 1, one + 1, 0.0)["f_2"] == 0
