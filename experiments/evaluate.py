@@ -16,6 +16,7 @@ from typing import Any
 from absl import flags
 
 from experiments.output import prepare_output
+from experiments.protocol import Protocol
 from experiments.published import (
     OPTIONS,
     PUBLISHED,
@@ -39,7 +40,6 @@ from prism_jax.cli.launch import launch
 from prism_jax.completion.weights import file_sha256, load_pretrained, read_metadata
 from prism_jax.data.datasets import open_dataset
 from prism_jax.data.source import Source
-from prism_jax.evaluation.protocol import Protocol
 from prism_jax.evaluation.tables import markdown
 from prism_jax.io.errors import InputError
 

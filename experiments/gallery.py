@@ -12,6 +12,7 @@ from absl import flags
 
 from experiments.gallery_page import complete_items, gallery_page, picture_row
 from experiments.output import prepare_output
+from experiments.protocol import UNITS
 from experiments.scoring import (
     define_frame_flags,
     make_protocol,
@@ -22,7 +23,6 @@ from experiments.sheets import contact_sheet
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.weights import load_pretrained
-from prism_jax.evaluation.protocol import UNITS
 from prism_jax.io.atomic import write_bytes
 
 FLAGS = flags.FLAGS

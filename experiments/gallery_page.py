@@ -11,12 +11,12 @@ from jaxtyping import Float
 from PIL import ImageColor
 from scipy.spatial import KDTree
 
+from experiments.protocol import Protocol, into_scored, observed, side_by_side
+from experiments.scored_run import CompleteFn, Predictions, scored_clouds
 from experiments.sheets import Color, Row, draw_clouds
 from prism_jax.data.pipeline import with_partial
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation import metrics
-from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
-from prism_jax.evaluation.run import CompleteFn, Predictions, scored_clouds
 from prism_jax.geometry.camera import Camera
 from prism_jax.preprocessing.observation import Observation
 from prism_jax.reporting.figures import (

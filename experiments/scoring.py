@@ -11,7 +11,9 @@ from absl import flags
 from jaxtyping import Array
 
 from experiments.comparison import comparison_markdown
+from experiments.protocol import NORMALISATIONS, Protocol
 from experiments.run_folder import commit
+from experiments.scored_run import CompleteFn, Predictions, evaluate
 from experiments.simulation.build_dataset import build_if_missing
 from experiments.splits import digest_of
 from experiments.weights import located
@@ -20,8 +22,6 @@ from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.completion.weights import load_pretrained
 from prism_jax.data.datasets import DATASETS, open_dataset
 from prism_jax.data.source import Source
-from prism_jax.evaluation.protocol import NORMALISATIONS, Protocol
-from prism_jax.evaluation.run import CompleteFn, Predictions, evaluate
 from prism_jax.io.atomic import write_bytes
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply

@@ -12,6 +12,7 @@ from absl import flags
 
 from experiments.comparison import Row, comparison
 from experiments.output import prepare_output
+from experiments.scored_run import CompleteFn, Predictions
 from experiments.scoring import (
     define_scoring_flags,
     describe_run,
@@ -27,7 +28,6 @@ from experiments.scoring import (
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.test_time import make_adapt
 from prism_jax.cli.launch import launch
-from prism_jax.evaluation.run import CompleteFn, Predictions
 from prism_jax.models.variables import Variables, pop_encoders, put_encoders
 from prism_jax.preprocessing.observation import framed_view
 

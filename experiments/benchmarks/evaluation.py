@@ -9,6 +9,8 @@ import numpy as np
 
 from experiments.assets import CELLS
 from experiments.benchmarks.measure import Row, in_turn, row
+from experiments.protocol import Protocol, into_scored, observed, side_by_side
+from experiments.scored_run import CompleteFn, Predictions, evaluate, scored_clouds
 from experiments.scoring import prism_completer
 from experiments.weights import located
 from prism_jax.completion.weights import load_pretrained
@@ -17,8 +19,6 @@ from prism_jax.data.pipeline import with_partial
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.data.source import Source
 from prism_jax.evaluation import metrics
-from prism_jax.evaluation.protocol import Protocol, into_scored, observed, side_by_side
-from prism_jax.evaluation.run import CompleteFn, Predictions, evaluate, scored_clouds
 from prism_jax.evaluation.scoring import EMD_POINTS
 
 MOST = 1 / 5

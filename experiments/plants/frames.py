@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from experiments.protocol import Protocol, observed
 from experiments.simulation.raycast import Scene
 from experiments.simulation.surroundings import random_occluder
 from experiments.simulation.truncation import random_cut
@@ -17,7 +18,6 @@ from prism_jax.data.crops import random_crop
 from prism_jax.data.ordering import farthest_point_order
 from prism_jax.data.pipeline import Batch, Framing, frame_example
 from prism_jax.data.source import Example, Source
-from prism_jax.evaluation.protocol import Protocol, observed
 from prism_jax.geometry.cloud import IndexedCloud, sight
 from prism_jax.io.errors import InputError
 from prism_jax.models.config import ModelConfig

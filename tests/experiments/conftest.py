@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
+from experiments import scored_run as evaluation
 from experiments.simulation.shapes.build import ShapesConfig, build_shapes
 from prism_jax.evaluation import bootstrap, scoring
-from prism_jax.evaluation import run as evaluation
+from tests.experiments.boxes import boxes as boxes
 
 
 @pytest.fixture(scope="module", autouse=True)

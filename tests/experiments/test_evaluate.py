@@ -10,9 +10,9 @@ import pytest
 from experiments import evaluate
 from experiments.assets import CELLS
 from experiments.published import PUBLISHED
+from experiments.scored_run import Predictions
 from experiments.weights import located
 from prism_jax.completion.weights import file_sha256
-from prism_jax.evaluation.run import Predictions
 from tests import launching
 from tests.public_sets import write_shapenet
 

@@ -9,9 +9,9 @@ from PIL import Image
 from experiments import gallery
 from experiments.assets import CELLS
 from experiments.gallery_page import COLUMNS, complete_items, gallery_page
+from experiments.protocol import Protocol
+from experiments.scored_run import Predictions, evaluate
 from prism_jax.data.recordings import RecordedCells
-from prism_jax.evaluation.protocol import Protocol
-from prism_jax.evaluation.run import Predictions, evaluate
 from tests import launching
 
 PROTOCOL = Protocol(64, 1.4, with_emd=False)

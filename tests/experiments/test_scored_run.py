@@ -4,6 +4,13 @@ import numpy as np
 import pytest
 
 from experiments import scoring
+from experiments.protocol import (
+    NORMALISATIONS,
+    Protocol,
+    observed,
+    side_by_side,
+)
+from experiments.scored_run import Predictions, evaluate, scored_clouds
 from experiments.scoring import prism_completer
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.adaptation.objective import Losses
@@ -13,13 +20,6 @@ from prism_jax.completion.options import CompletionOptions
 from prism_jax.data.source import Example
 from prism_jax.evaluation import metrics
 from prism_jax.evaluation.paired import paired_difference
-from prism_jax.evaluation.protocol import (
-    NORMALISATIONS,
-    Protocol,
-    observed,
-    side_by_side,
-)
-from prism_jax.evaluation.run import Predictions, evaluate, scored_clouds
 from prism_jax.evaluation.scoring import CLOUDS
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io import InputError

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from prism_jax.data.source import Example
-from prism_jax.evaluation.protocol import (
+from experiments.protocol import (
     NORMALISATIONS,
     Protocol,
     into_scored,
@@ -12,6 +11,7 @@ from prism_jax.evaluation.protocol import (
     side_by_side,
     workspace_for,
 )
+from prism_jax.data.source import Example
 from prism_jax.preprocessing.observation import UNKNOWN_EYE
 
 

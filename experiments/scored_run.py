@@ -12,11 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from tqdm import tqdm
 
-from prism_jax.completion.filtering import added_points
-from prism_jax.data.ordering import first_points
-from prism_jax.data.pipeline import framed_map, with_partial
-from prism_jax.data.source import Example, Source
-from prism_jax.evaluation.protocol import (
+from experiments.protocol import (
     UNITS,
     Protocol,
     into_scored,
@@ -24,6 +20,10 @@ from prism_jax.evaluation.protocol import (
     side_by_side,
     workspace_for,
 )
+from prism_jax.completion.filtering import added_points
+from prism_jax.data.ordering import first_points
+from prism_jax.data.pipeline import framed_map, with_partial
+from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.scoring import EMD_POINTS, score
 from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.visibility import Visibility
