@@ -30,6 +30,7 @@ from prism_jax.cli.stream import (
     follow,
     known_camera,
     known_robot,
+    progress_bar,
     told_frames,
 )
 from prism_jax.data.recordings import RecordedCells
@@ -173,7 +174,8 @@ def main(words: Sequence[str] = ()) -> None:
 
 def calibrate(folder: str) -> str:
     """Scores every cell of recordings, writes the calibration, and says what it is."""
-    cells, given = RecordedCells(folder), _given()
+    with _timed(f"reading {folder}", "read", {}):
+        cells, given = RecordedCells(folder), _given()
     if given.joints is not None and given.joints.topic is not None:
         raise io.InputError("--joints", "not a file", "give a .json file, or omit it")
     method = _method(FLAGS.input or "both", FLAGS.up or "z", given)
@@ -183,6 +185,7 @@ def calibrate(folder: str) -> str:
     output = FLAGS.output or "calibration.json"
     io.make_output_dir(pathlib.Path(output).parent)
     check_targets([output])
+    _say(f"{len(cells)} frames; the first run on a machine also compiles")
     completer, weights = load_completer(FLAGS.weights), _digest(FLAGS.weights)
     known = FLAGS.sensor, given.robot, given.joints or Joints()
     calibration = calibrate_on(cells, completer, method, weights, alpha, *known)
@@ -200,18 +203,19 @@ def make_reference(source: str) -> str:
     given, output = _given(), FLAGS.output or "reference.ply"
     io.make_output_dir(pathlib.Path(output).parent)
     check_targets([output])
-    if is_stream(source):
-        stream, first = _opened(source, given.joints)
-        scanner = enveloper.FrameScanner(
-            eye=given.eye,
-            sensor=sensor_name(first.camera),
-            robot=given.robot,
-            robot_margin=FLAGS.robot_margin,
-        )
-        scans = map(scanner.complete, stream)
-    else:
-        scans = [_read(source, given)[0]]
-    points = reference_of(map(_still, scans), _carving())
+    with _timed(f"reading {source}", "read", {}):
+        if is_stream(source):
+            stream, first = _opened(source, given.joints)
+            scanner = enveloper.FrameScanner(
+                eye=given.eye,
+                sensor=sensor_name(first.camera),
+                robot=given.robot,
+                robot_margin=FLAGS.robot_margin,
+            )
+            scans = map(scanner.complete, progress_bar(stream, total=len(stream)))
+        else:
+            scans = [_read(source, given)[0]]
+        points = reference_of(map(_still, scans), _carving())
     write_bytes(output, vertices_bytes(points))
     return f"reference   {len(points):,} points\nwritten     {output}"
 

@@ -113,14 +113,14 @@ def keep_compiled() -> None:
     """Has JAX keep what it compiles in the cache folder, for the next run.
     $JAX_COMPILATION_CACHE_DIR says where else; set to nothing, that nothing is kept."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        folder = str(default_cache_dir() / "jax")
-        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_compilation_cache_dir", str(default_cache_dir() / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def say(command: str, text: str) -> None:
-    """One line to the user, on stderr."""
-    print(f"{command}: {text}", file=sys.stderr, flush=True)
+    """One line to the user, on stderr. Where that is full, the work goes on."""
+    with contextlib.suppress(OSError):
+        print(f"{command}: {text}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
@@ -151,5 +151,5 @@ def load_completer(weights: str, quick: bool = False) -> Any:
 
 
 def _end(name: str, fault: str, status: int = 2) -> None:
-    print(f"{name}: {fault}", file=sys.stderr)
+    say(name, fault)
     sys.exit(status)

@@ -18,10 +18,11 @@ from types import SimpleNamespace
 from typing import Any
 
 from absl import flags
+from tqdm import tqdm
 
 from prism_jax import io
 from prism_jax.cli import shared_flags
-from prism_jax.cli.launch import launch, load_completer, say
+from prism_jax.cli.launch import PATIENCE, launch, load_completer, say
 from prism_jax.envelope.robot import LAYOUT, joints_from_dict
 from prism_jax.io.atomic import check_targets, claim, write_bytes
 from prism_jax.io.errors import require
@@ -41,6 +42,7 @@ _TOLD = "camera workspace weights adapt up density background poses urdf joints 
 _TOLD += "robot_margin robot_speed pace"  # flags that the report repeats
 _REASONS = "unusable", "damaged", "cut"  # remarks that tell why there is no frame
 _say = functools.partial(say, NAME)
+progress_bar = functools.partial(tqdm, unit="frame", delay=PATIENCE, disable=None)
 
 
 def define_flags() -> None:
@@ -158,8 +160,6 @@ def follow(
 ) -> dict[str, Any]:
     """Runs a stream with a bar of progress, and writes and returns what the report
     says of it, also when it is broken off. No completed frame is an InputError."""
-    from tqdm import tqdm
-
     from prism_jax.streaming.run import StreamReport, run_stream
 
     report = StreamReport()
@@ -167,7 +167,7 @@ def follow(
     came = end_as_interrupted()
     tell(f"{len(stream)} frames; the first run on a machine also compiles")
     try:
-        bar = tqdm(total=len(stream), unit="frame", delay=2.0, disable=None)
+        bar = progress_bar(total=len(stream))
         progress = SimpleNamespace(write=lambda _: bar.update(), close=bar.close)
         every: list[Any] = [*sinks, progress]
         run_stream(stream, completer, every, asked["pace"], report)

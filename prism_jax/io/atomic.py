@@ -29,9 +29,15 @@ def keep(paths: Iterable[StrPath]) -> None:
 
 
 def check_targets(paths: Iterable[StrPath], folders: bool = False) -> None:
-    """InputError if a path is a file to `keep`, however it is spelled, or a folder
-    where none is expected. For what takes long, before it starts."""
-    for path in filter(os.path.exists, paths):
+    """InputError if a path is a file to `keep`, however it is spelled, a folder where
+    none is expected, or too long a name. For what takes long, before it starts."""
+    for path in paths:
+        try:
+            os.stat(path)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise unwritable(path, error) from None
         if _is_kept(path):
             raise InputError(path, "this is an input", "choose another output")
         if os.path.isdir(path) and not folders:
