@@ -6,10 +6,13 @@ import gc
 import io
 import math
 import os
+import pathlib
+import re
 import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -60,6 +63,7 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
                 FLAGS.register_key_flag_for_module(sys.argv[0], flag)
     gc.freeze()  # what was imported stays, and is not searched for garbage again
     keep_compiled()
+    warnings.showwarning = functools.partial(_warned, name, set())
     logging.set_verbosity(logging.WARNING)
     try:
         if sys.stdout is None:
@@ -115,6 +119,24 @@ def keep_compiled() -> None:
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update("jax_compilation_cache_dir", str(default_cache_dir() / "jax"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _warned(command: str, told: set[str], message: Any, *_: Any) -> None:
+    """Tells a warning in one line, once. JAX never writes an entry of its cache anew
+    that it cannot read: that is removed."""
+    text = " ".join(str(message).split())
+    form = "Error (reading|writing) persistent compilation cache entry for '(.*?)': "
+    found = re.match(form, text)
+    if found and found[1] == "writing":
+        text = f"compiled programs cannot be kept: {text[found.end() :]}"
+    elif found:
+        text = "damaged programs in the cache are compiled again"
+        kept = pathlib.Path(jax.config.jax_compilation_cache_dir)  # pyright: ignore
+        for entry in kept.glob(f"{found[2]}-*"):
+            entry.unlink(missing_ok=True)
+    if text not in told:
+        told.add(text)
+        say(command, text)
 
 
 def say(command: str, text: str) -> None:

@@ -1,5 +1,6 @@
 """What every command shares."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -53,6 +54,32 @@ def test_an_interrupted_import_is_one_line():
     command = [sys.executable, "-c", INTERRUPTED_IMPORT]
     ended = subprocess.run(command, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (130, "prism-stream: interrupted\n")
+
+
+DAMAGED = """
+import functools, pathlib, sys, warnings
+import jax
+from prism_jax.cli import launch
+
+def compiled():
+    jax.clear_caches()
+    jax.jit(lambda x: x + 1)(1.0)
+    (entry,) = pathlib.Path(sys.argv[1]).glob("*_lambda*-cache")
+    return entry
+
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+warnings.showwarning = functools.partial(launch._warned, "x", set())
+compiled().write_bytes(b"damaged")
+assert compiled().stat().st_size > 100
+"""
+
+
+def test_a_damaged_entry_of_the_cache_is_told_and_made_anew(tmp_path):
+    command = [sys.executable, "-c", DAMAGED, str(tmp_path)]
+    place = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
+    ended = subprocess.run(command, capture_output=True, text=True, env=place)
+    wanted = "x: damaged programs in the cache are compiled again\n"
+    assert (ended.returncode, ended.stderr) == (0, wanted)
 
 
 def test_help_lists_the_flags_of_all_modules(capsys):
