@@ -1,9 +1,11 @@
 """The installed commands, which Ctrl-C ends in one line from the first moment on."""
 
+import contextlib
 import functools
 import importlib
 import os
 import signal
+import sys
 from typing import Any
 
 
@@ -19,8 +21,24 @@ def _start(name: str) -> None:
     before = signal.getsignal(signal.SIGINT)
     if before is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, leave)
-    command = importlib.import_module(f"prism_jax.cli.{name}")
-    command.run()
+    status = 0
+    try:
+        importlib.import_module(f"prism_jax.cli.{name}").run()
+    except SystemExit as ended:
+        status = ended.code
+    _leave(int(status or 0))
+
+
+def _leave(status: int) -> None:
+    """Ends the process. All is written by now: taking Python and XLA down by the usual
+    way takes a quarter of a second, waits for threads, and can crash."""
+    from prism_jax.io.files import remove_temporary_cache
+
+    remove_temporary_cache()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, OSError, ValueError):
+            stream.flush()
+    os._exit(status)
 
 
 # `prism-complete`, `prism-stream` and `prism-envelope`.

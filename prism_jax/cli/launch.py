@@ -41,6 +41,8 @@ def launch(name: str, main: Callable[..., None], takes_words: bool = False) -> N
             value = FLAGS[flag].value
             if isinstance(value, float) and not math.isfinite(value):
                 raise InputError(f"--{flag}", f"not finite: {value}", "give a number")
+            if flag.startswith("output") and value == "":
+                raise InputError(f"--{flag}", "empty", "name a file or folder")
         if takes_words:
             given = (FLAGS[n].value for n in FLAGS if not n.startswith("output"))
             files = (v for v in given if isinstance(v, str) and os.path.isfile(v))

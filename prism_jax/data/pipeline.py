@@ -139,7 +139,7 @@ def training_batches(
     grain = require("grain", "train")
     if len(source) < batch_size:
         fault = f"{len(source)} examples do not fill a batch of {batch_size}"
-        raise InputError("data", fault, "use more data, or smaller batches")
+        raise InputError("data", fault, "add data, or set a smaller batch_size (--set)")
     dataset = (
         grain.MapDataset.source(source)
         .seed(seed)

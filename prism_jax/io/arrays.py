@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 import zipfile
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -57,9 +58,9 @@ def read_npz(
     path: StrPath, max_points: int = MAX_POINTS, fields: Fields | None = None
 ) -> Float[np.ndarray, "N C"]:
     """The array `xyz` or `points` of an NPZ file, or its only (N, 3) array, or its only
-    other one that `read_npy` takes and that has more rows than columns. Of other
-    arrays the headers alone are read; more than `MAX_MEMBERS` arrays raise an
-    InputError. Otherwise as `read_npy`."""
+    other one that `read_npy` takes and that has more rows than columns. `fields` gets
+    arrays of as many rows and up to four columns; of others the headers alone are read.
+    More than `MAX_MEMBERS` arrays raise an InputError. Otherwise as `read_npy`."""
     data = read_bytes(path)
     # zipfile and its codecs raise errors of many kinds.
     with parsing(path, "a valid NPZ cloud", _REMEDY, Exception):
@@ -140,8 +141,36 @@ def _read_archive(
         raise ValueError(f"several arrays could be the cloud: {', '.join(clouds)}")
     member, header = found[(named or clouds)[0]]
     check_count(header.count, max_points)
+    for name, (other, its) in found.items():
+        columns = math.prod(its.shape[1:])
+        beside = its.shape[:1] == header.shape[:1] and columns <= 4
+        if (
+            fields is None
+            or other == member
+            or not beside
+            or its.dtype.kind not in "biuf"
+        ):
+            continue
+        with archive.open(other) as file:
+            data = file.read(its.end)
+        if len(data) == its.end:  # what is cut does not spoil the cloud
+            rows = np.frombuffer(data, its.dtype, offset=its.start)
+            order = "F" if its.is_fortran else "C"
+            table = rows.reshape((-1, columns), order=order)
+            fields |= zip(_names_of(name, columns), table.T, strict=True)
     with archive.open(member) as file:
         return _parse(file.read(header.end), max_points, fields)
+
+
+def _names_of(name: str, columns: int) -> Sequence[str]:
+    """Of an array's columns, as PLY has them."""
+    if columns == 1:
+        return [name]
+    if re.search("colou?r|rgb", name.lower()):
+        return ("red", "green", "blue", "alpha")[:columns]
+    if columns == 3 and "normal" in name.lower():
+        return "nx", "ny", "nz"
+    return [f"{name}_{axis}" for axis in range(columns)]
 
 
 def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:

@@ -23,7 +23,7 @@ _BLOCK = 4096
 
 _OTHER_NAMES = {"ppx": "cx", "ppy": "cy"}  # RealSense's
 _OTHER_NAMES |= {"image_width": "width", "image_height": "height"}  # OpenCV's
-_MATRICES = ("intrinsic_matrix", "camera_matrix", "cam_K", "K", "k")
+_MATRICES = "intrinsic_matrix", "camera_matrix", "cameraMatrix", "cam_K", "K", "k"
 _DISTORTION = r"(dist\w*_?)?coef\w*|distort\w*|d|[kp][1-6]"
 _POSE = r".*(extrinsic|pose|transform|world|w2c|c2w).*"
 

@@ -125,3 +125,9 @@ def _temporary_cache() -> tempfile.TemporaryDirectory:
         file=sys.stderr,
     )
     return folder
+
+
+def remove_temporary_cache() -> None:
+    """For a process that ends without Python's help."""
+    if _temporary_cache.cache_info().currsize:
+        _temporary_cache().cleanup()

@@ -22,6 +22,7 @@ _DECIMAL_COMMAS = r"\s*([-+]?\d+,\d+\s+){2}[-+]?\d+,\d"  # with blanks between t
 _HEADER = r"\W*(?!(nan|inf)\b)[^\W\d_]"  # begins with a letter
 _NAMES = ("%s%.0s", r"%s\d%.0s", r".*(?:xyz|points?)\W%.0s%d")
 """How columns are named x, y and z, by the letter or the number, in this order."""
+_COLORS = {"r": "red", "g": "green", "b": "blue"}
 _USUAL = {".xyzrgb": "x y z red green blue", ".pts": "x y z intensity red green blue"}
 """How they are named in files without a header."""
 
@@ -163,6 +164,8 @@ def _named(headers: Sequence[str], delimiter: str | None, width: int) -> dict[st
             found = [[bool(re.fullmatch(w, name)) for name in names] for w in wanted]
             if all(map(any, found)):
                 xyz = [matches.index(True) for matches in found]
+                if {*"rgb"} <= {name.lower() for name in names}:
+                    names = [_COLORS.get(name.lower(), name) for name in names]
                 others = {name: n for n, name in enumerate(names) if n not in xyz}
                 return others | dict(zip("xyz", xyz, strict=True))
     return {}

@@ -173,7 +173,7 @@ def steps_of(name: str, num_samples: int, batch_size: int) -> int:
     """Of a phase; InputError if its samples do not fill one batch."""
     if num_samples < batch_size or batch_size < 1:
         fault = f"{num_samples} samples do not fill a batch of {batch_size}"
-        raise InputError(name, fault, "use more samples, or smaller batches")
+        raise InputError(name, fault, "set more num_samples, or a smaller batch_size")
     return num_samples // batch_size
 
 

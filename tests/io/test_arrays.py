@@ -31,7 +31,16 @@ def test_archive(tmp_path, save):
         save(tmp_path / "a.npz", **others, **{key: POINTS})
         np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS)
     save(tmp_path / "a.npz", normals=POINTS, xyz=POINTS + 1, points=POINTS + 2)
-    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz"), POINTS + 1)
+    fields = {}
+    read = read_npz(tmp_path / "a.npz", fields=fields)
+    np.testing.assert_array_equal(read, POINTS + 1)
+    assert [*fields] == ["nx", "ny", "nz", "points_0", "points_1", "points_2"]
+    many = {"xyz": POINTS, "rgb": np.asfortranarray(POINTS), "ring": POINTS[:, :1]}
+    save(tmp_path / "a.npz", **many, time=POINTS[:, 1], names=POINTS.astype("U3"))
+    read_npz(tmp_path / "a.npz", fields=(fields := {}))
+    assert [*fields] == ["red", "green", "blue", "ring", "time"]
+    wanted = np.hstack([POINTS, POINTS[:, :2]])
+    np.testing.assert_array_equal(np.stack([*fields.values()], axis=1), wanted)
 
 
 @pytest.mark.parametrize("name", ["a.npy", "a.npz"])

@@ -50,6 +50,7 @@ def test_other_columns_keep_names_and_values_and_what_is_left_out_is_told(tmp_pa
         ("a.csv", table, {"Ring": 7, "red": 9, "I": 0.5}, 2),
         ("a.xyzrgb", "1 2 3 .5 1 0\n", {"red": 0.5, "green": 1, "blue": 0}, 0),
         ("a.pts", "1\n1 2 3 -9 255 0 7\n", colors, 0),
+        ("a.asc", "//X Y Z R G B\n1 2 3 255 0 7\n", dict([*colors.items()][1:]), 0),
         ("a.xyz", "1 2 3 .5 0 1\n", {}, 3),
     ):
         (tmp_path / name).write_text(text)
