@@ -144,12 +144,8 @@ def _read_archive(
     for name, (other, its) in found.items():
         columns = math.prod(its.shape[1:])
         beside = its.shape[:1] == header.shape[:1] and columns <= 4
-        if (
-            fields is None
-            or other == member
-            or not beside
-            or its.dtype.kind not in "biuf"
-        ):
+        is_number = its.dtype.kind in "biuf"
+        if fields is None or other == member or not (beside and is_number):
             continue
         with archive.open(other) as file:
             data = file.read(its.end)
