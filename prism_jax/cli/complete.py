@@ -300,9 +300,8 @@ def _warn(result: Any, scan: io.Scan, objects: str, background: str) -> None:
         return
     if result.sensor == "unknown":
         _say(
-            "the origin cannot be the sensor position: it is too far away, among the "
-            "points, or on their far side; the position was estimated from the points; "
-            "set it with --eye"
+            "the sensor hardly stood at the origin, so its position was estimated from "
+            "the points; set it with --eye"
         )
     if result.left_out:
         count = f"{result.left_out:,} of {len(scan.points):,} points"

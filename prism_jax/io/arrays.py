@@ -48,6 +48,8 @@ def read_kitti(
     data = read_bytes(path)
     with parsing(path, "a KITTI sweep", _REMEDY):
         check_count(len(data) // 16, max_points)
+        if len(data) % 16:
+            raise ValueError("its points do not take 16 bytes each")
         rows = np.frombuffer(data, "<f4").reshape(-1, 4)
         if ((rows[:, 3] < 0) | (rows[:, 3] > 255)).any():
             raise ValueError("the fourth number of a point is no reflectance")

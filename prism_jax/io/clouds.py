@@ -64,7 +64,7 @@ def read_cloud(
     kept, notes = measured(points, are_returns, fields)
     if num_others:
         told = f"the first three unnamed columns are x, y and z; {num_others} more"
-        notes["columns"] = f"{told} left out: unnamed, or with words"
+        notes["columns"] = f"{told} are left out (unnamed or not numbers)"
     if len(kept) == 0:
         fault = "no finite points" + " other than 0,0,0" * ("no_return" in notes)
         raise InputError(path, fault, "check the sensor or the export")

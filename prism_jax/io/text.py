@@ -85,7 +85,7 @@ def _read(lines: Sequence[str], usual: str, fields: Fields | None) -> np.ndarray
     columns = _named([usual, *comments, *rows[:first]], delimiter, widths[0])
     named = len(rows[0].split(delimiter)) if first and not columns else 0
     if named > 2 and (named, widths[0]) != (3, 3):
-        raise ValueError(f"{rows[0]!r} names no x, y, z of {widths[0]} columns")
+        raise ValueError(f"the header {rows[0]!r} does not name x, y and z")
     is_named = bool(columns)
     xyz = [columns.pop(axis, n) for n, axis in enumerate("xyz")]
     try:

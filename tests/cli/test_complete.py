@@ -260,7 +260,7 @@ def test_a_sensor_too_far_and_points_left_out_are_told(altered, capsys):
     assert told["sensor"] == "unknown" and told["input"]["points_left_out"] == 5
     said = capsys.readouterr().err
     assert "this completion: limited to 200,000 added points; --density asks" in said
-    assert "the origin cannot be the sensor position" in said
+    assert "the sensor hardly stood at the origin" in said
     assert "5 of 200 points are far from all others and were removed" in said
     report = (OUT / "report.html").read_text()
     assert "the origin is implausible" in report
@@ -309,7 +309,7 @@ def test_tells_of_the_weights_that_ship(capsys):
     assert not OUT.exists()
 
 
-HERE = "--output_dir="
+HERE = "--output_dir=."
 FAULTS = [
     (["--input=completed.ply", HERE], "completed.ply: this is an input; choose"),
     (["--input=missing.ply"], "missing.ply: no such file; check the path"),

@@ -34,7 +34,7 @@ def test_more_columns_are_told_and_a_column_that_counts_is_asked_for(tmp_path):
         points, num_read, notes = clouds.read_cloud(tmp_path / "a.npy")
         np.testing.assert_array_equal(points, POINTS)
         assert num_read == 80
-        assert "x, y and z; 1 more left out" in notes["columns"]
+        assert "x, y and z; 1 more are left out" in notes["columns"]
     table[:, 0] = np.arange(80)
     np.save(tmp_path / "a.npy", table)
     with pytest.raises(InputError, match="counts the rows: which are x, y and z"):
