@@ -14,7 +14,7 @@ from prism_jax.assets import asset
 from prism_jax.io.clouds import read_points
 
 MANY = 5_000_000  # points
-COMMAND = ["-c", "from prism_jax.cli.complete import run; run()"]
+COMMAND = ["-c", "from prism_jax.cli.entry import complete; complete()"]
 EMBED = """
 import jax, numpy as np
 from prism_jax import load_pretrained, make_adapt, observe
