@@ -168,7 +168,8 @@ def assemble(
             verdict = verdict._replace(
                 trust="fair", expected_error=error, reasons=(CLOSED,)
             )
-        if sees_scene(task.points[seen.inside], None if task.eye is None else place):
+        stood, up = None if task.eye is None else place, seen.workspace.up
+        if sees_scene(task.points[seen.inside], stood, up):
             verdict = verdict.doubted(SCENE)
         if rounded := rounding(task.points):
             verdict = verdict.doubted(rounded)

@@ -13,22 +13,30 @@ MOST = 20_000  # points that are asked, of a larger cloud
 WIDE, AROUND = 0.955, 0.8
 BEHIND = 0.03  # of all points, no more lie behind a plane that ends the view
 BOUNDED, RIM = 0.45, 0.6  # shares of the points, and of the view's rim, on such planes
+# Of all points, so many lie on a level plane and the others above it: a floor. Chosen
+# on validation, where no view of one object is so.
+FLOOR, LEVEL = 0.8, 0.95
 # Of a sweep, spacing grows with range, nearly every neighbour in direction is about as
 # far away, and no point is close to the sensor, in the median range.
 GROWTH, SMOOTH, CLEAR = 0.5, 0.85, 0.15
 
 
 def sees_scene(
-    points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"] | None = None
+    points: Float[np.ndarray, "N 3"],
+    eye: Float[np.ndarray, "3"] | None = None,
+    up: Float[np.ndarray, "3"] | None = None,
 ) -> bool:
     """Whether a sensor at `eye` looks at a scene, not at one object: planes end a wide
-    view, or the points lie all around it. Without an eye the sensor may stand at the
-    origin; an object about the origin is then no scene."""
+    view, or the points lie all around it, or nearly all on a floor, if `up` is known.
+    Without an eye the sensor may stand at the origin; an object about the origin is
+    then no scene."""
     if len(points) > MOST:
         rng = np.random.default_rng(0)
         points = points[rng.choice(len(points), MOST, replace=False, shuffle=False)]
     at = np.zeros(3) if eye is None else eye
     thinned = Thinned(points)
+    if up is not None and _on_floor(thinned, up):
+        return True
     length = np.linalg.norm(sight(thinned.cells.points, at)[0].mean(axis=0))
     if length >= WIDE or (length >= AROUND and not bounding(thinned, at)):
         return False
@@ -55,6 +63,19 @@ def bounding(thinned: Thinned, eye: Float[np.ndarray, "3"]) -> list[Plane]:
             on |= height <= 2.0 * plane.tolerance
     rim = on if length < AROUND else on[_rim(toward, forward / length)]
     return found if on.mean() >= BOUNDED and rim.mean() >= RIM else []
+
+
+def _on_floor(thinned: Thinned, up: Float[np.ndarray, "3"]) -> bool:
+    """Whether most points lie on a level plane, and all others above it."""
+    cells = thinned.cells.points
+    for plane in thinned.planes:
+        facing = float(plane.normal @ up)
+        height = np.sign(facing) * plane.height(cells)
+        above, below = height > 2 * plane.tolerance, height < -2 * plane.tolerance
+        is_lowest = abs(facing) >= LEVEL and below.mean() <= BEHIND
+        if is_lowest and 0 < above.mean() <= 1.0 - FLOOR:
+            return True
+    return False
 
 
 def is_sweep(points: Float64[np.ndarray, "N 3"]) -> bool:

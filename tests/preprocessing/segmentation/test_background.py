@@ -52,3 +52,14 @@ def test_one_object_is_no_scene():
     for points in (whole, side, seen):
         assert not sees_scene(points, eye)
         assert not sees_scene(points - points.mean(axis=0))
+
+
+def test_a_floor_and_what_is_above_it_are_a_scene_where_up_is_known():
+    rng, up = np.random.default_rng(0), np.array([0.0, 0.0, 1.0])
+    floor = rng.uniform(-2, 2, (20_000, 3)) * [1, 1, 1e-4] + [9, 0, 0]
+    top = rng.uniform(-0.4, 0.4, (400, 3)) * [1, 1, 0.05] + [9, 0, 0.7]
+    for height, found in ((1.0, True), (-1.0, False)):  # a table on it, or legs below
+        points = np.concatenate([floor, top * [1, 1, height]])
+        assert sees_scene(points, up=up) == found
+        assert not sees_scene(points) and not sees_scene(points, up=up[::-1])
+    assert not sees_scene(floor, up=up)
