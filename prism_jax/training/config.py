@@ -1,11 +1,12 @@
 """What a training does, in frozen dataclasses."""
 
 import dataclasses
-from typing import Annotated, Literal
+from typing import Annotated
 
 from prism_jax.adaptation.config import MetaConfig
 from prism_jax.losses.chamfer import ChamferNorm
 from prism_jax.models.ranges import Checked
+from prism_jax.training.optimisers import Kind
 
 Samples = Annotated[int, 0, 10**12]
 Rate = Annotated[float, 0, 1e3]
@@ -39,6 +40,8 @@ class PretrainConfig(Checked):
     # Examples for the refiner, the depth encoder and the branches; Adam's step size.
     auxiliary_samples: Samples
     auxiliary_rate: Rate = 1e-3
+    # Of the backbone (`prism_jax.training.optimisers`).
+    optimiser: Kind = "adam"
     # Examples a step.
     batch_size: Batch = 32
     # Points of the complete cloud that a loss looks at.
@@ -70,7 +73,7 @@ class MetaTrainConfig(Checked):
     # Points of the complete cloud that a loss looks at.
     num_complete: Points = 16_384
     # Of encoders and decoder, as in `PretrainConfig`; a final rate of 1 is constant.
-    optimiser: Literal["sgd", "adam"] = "sgd"
+    optimiser: Kind = "sgd"
     learning_rate: Rate = 5e-5
     final_rate: Share = 1.0
     warmup_steps: Samples = 0

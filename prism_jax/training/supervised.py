@@ -68,7 +68,8 @@ def supervised_phase(
     scores. What decides is the mean logarithm of the last stage's CD-L1."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
     limits = training.warmup_steps, training.clip_norm
-    adam = optimiser("adam", phase.learning_rate, num_steps, phase.final_rate, *limits)
+    kind = training.optimiser
+    descent = optimiser(kind, phase.learning_rate, num_steps, phase.final_rate, *limits)
 
     def loss_fn(params: Variables, batch_stats: Variables, batch: Batch):
         variables = {"params": params, "batch_stats": batch_stats}
@@ -83,8 +84,9 @@ def supervised_phase(
         grads, (losses, statistics) = jax.grad(loss_fn, has_aux=True)(
             variables["params"], variables["batch_stats"], batch
         )
-        updates, opt_state = adam.update(grads, state.opt_state)
-        params = optax.apply_updates(variables["params"], updates)
+        params = variables["params"]
+        updates, opt_state = descent.update(grads, state.opt_state, params)
+        params = optax.apply_updates(params, updates)
         variables = {"params": params, "batch_stats": statistics}
         average = averaged(state, variables, training.average_decay)
         return TrainState(state.step + 1, variables, opt_state, average), losses
@@ -99,7 +101,7 @@ def supervised_phase(
         return jnp.stack([*scores[:-1], jnp.log(scores[-1])], -1)
 
     average = variables if training.average_decay else None
-    opt_state = adam.init(variables["params"])
+    opt_state = descent.init(variables["params"])
     return Phase(
         phase.name,
         phase.num_samples,

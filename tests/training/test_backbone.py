@@ -5,11 +5,12 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 from prism_jax.data.pipeline import Framing
 from prism_jax.evaluation.metrics import score
-from prism_jax.training.optimisers import optimiser
+from prism_jax.training.optimisers import MUON_RMS, optimiser
 from prism_jax.training.supervised import backbone_phase, supervised_phase
 from tests.trees import assert_close, bitwise
 
@@ -121,3 +122,20 @@ def test_step_sizes_rise_and_then_follow_a_cosine():
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-7)
     found = moves(optimiser("adam", 0.1, 8, 1.0, warmup_steps=200, clip_norm=1.0), 5)
     np.testing.assert_allclose(found, [0, 0.025, 0.05, 0.075, 0.1], rtol=1e-3)
+
+
+def test_muon_turns_a_matrix_alone_and_leaves_the_rest_to_adam():
+    """Its singular vectors stay, and all its singular values become about one."""
+    gradient = np.random.default_rng(0).normal(size=(6, 4)).astype(np.float32)
+    params = {"kernel": jnp.zeros((6, 4)), "bias": jnp.zeros(4)}
+    muon = optimiser("muon", 0.1, 8, 1.0, warmup_steps=0, clip_norm=0.0)
+    grads = {"kernel": jnp.asarray(gradient), "bias": jnp.asarray([1.0, -2, 3, 0])}
+    updates, _ = jax.jit(muon.update)(grads, muon.init(params), params)
+    adam = optax.nadam(0.1)
+    expected, _ = adam.update(grads["bias"], adam.init(params["bias"]))
+    np.testing.assert_allclose(updates["bias"], expected, rtol=1e-5)
+    left, _, right = np.linalg.svd(gradient, full_matrices=False)
+    found = left.T @ -np.asarray(updates["kernel"]) @ right.T
+    found /= 0.1 * MUON_RMS * np.sqrt(6)
+    assert np.abs(np.diag(found) - 1).max() < 0.35
+    np.testing.assert_allclose(found - np.diag(np.diag(found)), 0, atol=1e-3)
