@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from experiments.splits import Subset, training_split, validation_rows
+from experiments.splits import training_split
 from prism_jax.data.datasets import DATASETS, open_dataset
-from prism_jax.data.shards import Shards
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError, choose
 
@@ -86,40 +85,10 @@ def parse_mixture(text: str) -> dict[str, float]:
 
 
 def open_mixture(
-    weights: Mapping[str, float | int],
-    data_dir: str | os.PathLike | None = None,
-    num_validation: int = 200,
-    whole: float | None = None,
-) -> tuple[Mixture, Mixture]:
-    """What to train on, and `num_validation` examples of each set to validate with.
-
-    `whole` is the share of views that show the whole object (`Shards.whole`) in each
-    set that has both such and others; None draws views as they come. Sets without a
-    validation split of their own are trained on alone; that none has one raises
-    InputError, as `open_dataset` does.
-    """
-    train, shares, validation = [], [], []
-    for name, weight in weights.items():
+    weights: Mapping[str, float | int], data_dir: str | os.PathLike | None = None
+) -> Mixture:
+    """What to train on; InputError if a set cannot be, or as `open_dataset` raises."""
+    for name in weights:
         choose("data set", name, DATASETS)
-        source = open_dataset(name, training_split(name), data_dir)
-        for part, share in parts_of(source, whole):
-            train.append(part)
-            shares.append(weight * share)
-        if DATASETS[name].validation is not None:
-            validation.append(validation_rows(name, data_dir, num_validation))
-    if not validation:
-        fault = "has no set with a validation split of its own"
-        raise InputError("--mixture", fault, "add shapes")
-    sizes = [len(source) for source in validation]
-    return Mixture(train, shares), Mixture(validation, sizes)
-
-
-def parts_of(source: Source, whole: float | None) -> list[tuple[Source, float]]:
-    """A source with its share of one, or its whole views and its others with theirs."""
-    if whole is None or not isinstance(source, Shards):
-        return [(source, 1.0)]
-    shows = source.whole
-    if shows.all() or not shows.any():
-        return [(source, 1.0)]
-    rows = (np.flatnonzero(shows), whole), (np.flatnonzero(~shows), 1.0 - whole)
-    return [(Subset(source, part), share) for part, share in rows if share > 0]
+    sources = [open_dataset(name, training_split(name), data_dir) for name in weights]
+    return Mixture(sources, [*weights.values()])

@@ -94,6 +94,18 @@ def _phases(seeds: int, stages: int) -> tuple[PhaseConfig, ...]:
 
 _SMALL_ADAPT = AdaptConfig(num_steps=1, step_size=3e-2, clip_norm=1.0, normal_stride=4)
 
+# At a constant step size for as long as that helps, then to its end.
+_SMALL_PRETRAIN = PretrainConfig(
+    (
+        PhaseConfig("stages", 2_400_000, None, final_rate=1.0, patience=320_000),
+        PhaseConfig("anneal", 400_000, None),
+    ),
+    auxiliary_samples=20_000,
+    optimiser="muon",
+    average_decay=0.999,
+    validate_every=64_000,
+)
+
 # It differs from the paper's method. The encoders have no auxiliary loss in the outer
 # loop (lambda_aux=0). The loss weights learn from the adapted completion and not from
 # the weighted loss itself ("meta"). The inner loop descends exactly what test time
@@ -154,9 +166,7 @@ PRESETS = {
             poses=3,
         ),
         _SMALL_ADAPT,
-        PretrainConfig(
-            _phases(200_000, 768_000), auxiliary_samples=20_000, average_decay=0.999
-        ),
+        _SMALL_PRETRAIN,
         _SMALL_META,
     ),
     "paper": Preset(ModelConfig(_PAPER), AdaptConfig(), _PAPER_PRETRAIN, _PAPER_META),

@@ -3,6 +3,7 @@
 import pathlib
 
 import jax
+import numpy as np
 
 from prism_jax.adaptation.config import PrismConfig
 from prism_jax.models.backbone import init_backbone
@@ -67,7 +68,8 @@ def _better_refiner(
     """The trained refiner, or the fresh one if that completes better on validation. Eq.
     3 compares sparse depth maps, through whose holes the far side shows: nothing in it
     says that points must not leave the surface, so it is checked."""
-    before, after, _ = validate(phase, data, variables)
+    scores = validate(phase, data, variables).values()
+    before, after, _ = np.mean([*scores], axis=0)
     print(f"CD-L2 x1e4: {1e4 * before:.4g} unrefined, {1e4 * after:.4g} refined")
     if after <= before:
         return variables

@@ -9,7 +9,7 @@ import numpy as np
 from prism_jax.data.datasets import DATASETS, folder_of, open_dataset
 from prism_jax.data.manifest import read_manifest
 from prism_jax.data.source import Example, Source
-from prism_jax.io.errors import InputError, StrPath
+from prism_jax.io.errors import InputError, StrPath, choose
 
 
 class Subset:
@@ -46,30 +46,31 @@ def validation_split(name: str) -> str:
     return split
 
 
+def validation_place(text: str) -> tuple[str, str]:
+    """A set and the split of it that validates, from SET or SET/SPLIT; InputError where
+    the set has none, or where it is for tests."""
+    name, _, split = text.partition("/")
+    choose("data set", name, DATASETS)
+    known = "validation", "novel"
+    return name, choose("split", split, known) if split else validation_split(name)
+
+
 def validation_rows(
-    name: str, data_dir: StrPath | None = None, count: int = 200
+    text: str, data_dir: StrPath | None = None, count: int = 200
 ) -> Subset:
-    """So many examples of a set's validation split, or all, evenly spaced."""
-    validation = open_dataset(name, validation_split(name), data_dir)
+    """So many examples of a `validation_place`, or all, evenly spaced."""
+    validation = open_dataset(*validation_place(text), data_dir)
     rows = np.unique(np.linspace(0, len(validation) - 1, count, dtype=int))
     return Subset(validation, rows)
 
 
-def opened_splits(name: str) -> tuple[str, ...]:
-    """The splits that a training opens: its own, and that it is validated on."""
-    validation = DATASETS[name].validation
-    return (training_split(name), *([validation] if validation else []))
-
-
-def open_training(
+def held_out(
     name: str, data_dir: StrPath | None = None, num_validation: int = 200
-) -> tuple[Source, Source]:
-    """What to train on, and `num_validation` examples to validate with: of a split of
-    their own where the set has one, else as many objects, evenly spaced and no more
-    than a tenth of all, held out with all their views, of which the first is taken."""
+) -> tuple[Subset, Subset]:
+    """What to train on, of a set without a validation split, and what to validate with:
+    so many objects, evenly spaced and no more than a tenth of all, held out with all
+    their views, of which the first is taken."""
     train = open_dataset(name, training_split(name), data_dir)
-    if DATASETS[name].validation is not None:
-        return train, validation_rows(name, data_dir, num_validation)
     objects, first = np.unique(train.objects, return_index=True)
     if len(objects) < 2:
         raise InputError("data", "only one object", "add more to train on")

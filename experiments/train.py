@@ -39,7 +39,7 @@ def main():
     config = preset.meta if meta else preset.pretrain
     variables = before = order = None
     if FLAGS.weights is not None:
-        variables = beginning(FLAGS.weights, preset.model, name, FLAGS.seed)
+        variables = beginning(FLAGS.weights, preset.model, name)
         before, order = known_of(FLAGS.weights), sha256(variables)
     elif meta:
         variables = init_variables(jax.random.key(FLAGS.seed), preset.model)

@@ -55,10 +55,10 @@ train() {
     fi
 }
 
-# A fifth of the samples for the seeds, as the preset has it.
+# One phase, as the other networks have.
 phases=(
-    --set=pretrain.backbone.0.num_samples=$((samples / 5))
-    --set=pretrain.backbone.1.num_samples=$((samples - samples / 5))
+    --set=pretrain.backbone.0.num_samples=0
+    --set=pretrain.backbone.1.num_samples=$samples
 )
 alone=(--set=model.backbone.seeds_read_visibility=False
     --set=model.backbone.reads_visibility=False

@@ -23,7 +23,7 @@ import pathlib
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, Int32, UInt16
+from jaxtyping import Float32, Int, Int32, UInt16
 
 from prism_jax.data.manifest import MANIFEST, check_files, read_manifest
 from prism_jax.data.maps import decode
@@ -119,18 +119,6 @@ class Shards:
             any_heading=any_heading,
             visibility=visibility,
         )
-
-    @property
-    def whole(self) -> Bool[np.ndarray, " N"]:
-        """Which views show an object from one side with nothing in the way, by the
-        kinds that their names end in; none where names tell no kind."""
-        names = [
-            name
-            for shard in range(len(self._starts) - 1)
-            for _, name, _ in self._array(shard, NAMES)
-        ]
-        kinds = [set(name.rsplit("/", 1)[-1].split("+")) for name in names]
-        return np.array([kind <= WHOLE for kind in kinds], bool)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_mapped": {}}

@@ -34,9 +34,13 @@ class Checkpoints:
 
     def best_score(self) -> float | None:
         """Score of the best checkpoint, or None before the first."""
-        step = self._best.latest_step()
+        step = self.best_step()
         metrics = None if step is None else self._best.metrics(step)
         return None if metrics is None else float(metrics["score"])
+
+    def best_step(self) -> int | None:
+        """Step of the best checkpoint, or None before the first."""
+        return self._best.latest_step()
 
     def restore(self, like: Any, best: bool = False) -> Any | None:
         """The latest state or the best, in the structure of ``like``; None if there is

@@ -29,6 +29,8 @@ class PhaseConfig(Checked):
     # Adam's step size after the warm-up. It falls along a cosine, to this share of it.
     learning_rate: Rate = 1e-3
     final_rate: Share = 0.01
+    # It ends early after so many samples without a better validation; 0 for never.
+    patience: Samples = 0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import hashlib
 import pathlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -62,13 +62,15 @@ class Phase(NamedTuple):
     # What the two return, by name, for the log.
     terms: tuple[str, ...]
     scores: tuple[str, ...]
+    # Samples without a better validation after which it ends; 0 for never.
+    patience: int = 0
 
 
 class Data(NamedTuple):
     """Where batches come from, and how they are framed."""
 
     train: Source
-    validation: Source
+    validation: Mapping[str, Source]  # sets that count alike, however large they are
     num_partial: int
     margin: float
     seed: int
@@ -82,8 +84,8 @@ class Data(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """What a training leaves: the variables that did best on the validation examples,
-    the last state, and whether the phase is done."""
+    """What a training leaves: the variables that did best on the validation sets, the
+    last state, and whether the phase is done."""
 
     best: Variables
     last: TrainState
@@ -93,7 +95,8 @@ class Trained(NamedTuple):
 def train_phase(
     phase: Phase, data: Data, folder: pathlib.Path, max_steps: int | None = None
 ) -> Trained:
-    """Trains a phase to its end, or to step ``max_steps``.
+    """Trains a phase to its end, to step ``max_steps``, or until it gains nothing more
+    (``phase.patience``).
 
     Goes on from the latest checkpoint in ``folder`` if there is one, with the batches
     that would have come next (`order_seed`). One step is always queued behind the one
@@ -109,6 +112,7 @@ def train_phase(
     state = parallel.replicate(checkpoints.restore(start) or start, mesh)
     num_steps = steps_of(phase.name, phase.num_samples, phase.batch_size)
     step = int(state.step)
+    stale = _is_stale(phase, checkpoints, step)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
     batches = training_batches(
         data.train,
@@ -122,7 +126,7 @@ def train_phase(
     validate_steps = max(1, data.validate_every // phase.batch_size)
     recent, before = [], None
     saved = time.monotonic()
-    while step < last:
+    while step < last and not stale:
         batch = parallel.share(next(batches), mesh)
         state, losses = phase.step_fn(state, batch)
         recent.append(losses)
@@ -151,14 +155,22 @@ def train_phase(
         score = None
         if at_validation:
             scores = validate(phase, data, state.kept)
-            log.write(step, validation=_named(phase.scores, scores))
-            score = float(scores[-1])
+            log.write(step, validation=_by_set(phase.scores, scores))
+            score = float(np.mean([each[-1] for each in scores.values()]))
         checkpoints.save(step, state, score)
+        stale = at_validation and _is_stale(phase, checkpoints, step)
         saved = time.monotonic()
     log.close()
     best = checkpoints.restore(state, best=True)
     checkpoints.close()
-    return Trained((best or state).kept, state, step >= num_steps)
+    return Trained((best or state).kept, state, stale or step >= num_steps)
+
+
+def _is_stale(phase: Phase, checkpoints: Checkpoints, step: int) -> bool:
+    best = checkpoints.best_step()
+    if not phase.patience or best is None:
+        return False
+    return (step - best) * phase.batch_size >= phase.patience
 
 
 def order_seed(seed: int, name: str) -> int:
@@ -181,15 +193,27 @@ def _named(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def validate(phase: Phase, data: Data, variables: Variables) -> np.ndarray:
-    """Mean scores over the validation examples, in batches of the training's size. The
-    last is filled up from the first example; what is scored twice counts once."""
-    count, size = len(data.validation), phase.batch_size
-    mesh, framing = parallel.data_mesh(), data.framing(VALIDATION_COMPLETE)
-    scores = []
-    for start in range(0, count, size):
-        rows = (np.arange(start, start + size) % count).tolist()
-        batch = stack([frame_example(data.validation[row], framing) for row in rows])
-        scored = phase.validate_fn(variables, parallel.share(batch, mesh))
-        scores.append(np.asarray(scored)[: count - start])
-    return np.concatenate(scores).mean(0)
+def _by_set(
+    names: tuple[str, ...], scores: Mapping[str, np.ndarray]
+) -> dict[str, float]:
+    found = {part: _named(names, values) for part, values in scores.items()}
+    return {f"{part}/{k}": v for part, each in found.items() for k, v in each.items()}
+
+
+def validate(
+    phase: Phase, data: Data, variables: Variables
+) -> dict[str, Float[np.ndarray, " S"]]:
+    """Mean scores over each validation set, in batches of the training's size. The last
+    is filled up from the first example; what is scored twice counts once."""
+    size, mesh = phase.batch_size, parallel.data_mesh()
+    framing = data.framing(VALIDATION_COMPLETE)
+    means = {}
+    for name, source in data.validation.items():
+        count, scores = len(source), []
+        for start in range(0, count, size):
+            rows = (np.arange(start, start + size) % count).tolist()
+            batch = stack([frame_example(source[row], framing) for row in rows])
+            scored = phase.validate_fn(variables, parallel.share(batch, mesh))
+            scores.append(np.asarray(scored)[: count - start])
+        means[name] = np.concatenate(scores).mean(0)
+    return means

@@ -9,6 +9,7 @@ import optax
 from jaxtyping import Array, Float
 
 from prism_jax.data.pipeline import Batch
+from prism_jax.geometry.neighbors import nearest
 from prism_jax.losses.chamfer import chamfer
 from prism_jax.losses.primary import stage_chamfers
 from prism_jax.models import backbone
@@ -65,7 +66,8 @@ def supervised_phase(
 ) -> Phase:
     """The terms of Eq. 10, of the stages that ``train_fn`` returns with BatchNorm's
     updated statistics; validated on those of ``stages_fn``, by CD-L2 in the unit of the
-    scores. What decides is the mean logarithm of the last stage's CD-L1."""
+    scores, and the last stage by F at 2 % of the unseen part too. What decides is the
+    mean logarithm of its CD-L1."""
     num_steps = steps_of(phase.name, phase.num_samples, training.batch_size)
     limits = training.warmup_steps, training.clip_norm
     kind = training.optimiser
@@ -97,8 +99,9 @@ def supervised_phase(
         stages, scale = stages_fn(variables, batch), jnp.asarray(batch.scale)
         squared = [jax.vmap(chamfer)(stage, complete) for stage in stages]
         plain = jax.vmap(lambda s, c: chamfer(s, c, "l1"))(stages[-1], complete)
-        scores = [*(distance * scale**2 for distance in squared), plain * scale]
-        return jnp.stack([*scores[:-1], jnp.log(scores[-1])], -1)
+        unseen = jax.vmap(_unseen_f)(stages[-1], jnp.asarray(batch.partial), complete)
+        scores = [distance * scale**2 for distance in squared]
+        return jnp.stack([*scores, unseen, jnp.log(plain * scale)], -1)
 
     average = variables if training.average_decay else None
     opt_state = descent.init(variables["params"])
@@ -111,8 +114,28 @@ def supervised_phase(
         step,
         validate,
         names,
-        (*names, "log_cd_l1"),
+        (*names, "f_2", "log_cd_l1"),
+        phase.patience,
     )
+
+
+def _unseen_f(
+    points: Float[Array, "N 3"],
+    partial: Float[Array, "P 3"],
+    complete: Float[Array, "M 3"],
+) -> Float[Array, ""]:
+    """F at 2 % of the longest side of what lies farther than that from all points that
+    the network reads: of the truth, and of its own points (`unseen_scores` of the
+    metrics has all measured ones). Where there is nothing such, all of it is right."""
+    reach = 0.02 * (complete.max(0) - complete.min(0)).max()
+
+    def share(cloud: Array, other: Array) -> Array:
+        added = nearest(cloud, partial)[0] > reach**2
+        right = added & (nearest(cloud, other)[0] <= reach**2)
+        return jnp.where(added.any(), right.sum() / jnp.maximum(added.sum(), 1), 1.0)
+
+    precision, recall = share(points, complete), share(complete, points)
+    return 2 * precision * recall / jnp.maximum(precision + recall, 1e-12)
 
 
 def averaged(state: TrainState, variables: Variables, decay: float) -> Variables | None:

@@ -64,7 +64,7 @@ def test_what_the_flag_says():
             parse_mixture(text)
 
 
-def test_every_set_is_trained_on_and_validated_where_it_can_be(monkeypatch):
+def test_every_set_is_trained_on(monkeypatch):
     opened = []
 
     def open_named(name, split, data_dir):
@@ -72,14 +72,8 @@ def test_every_set_is_trained_on_and_validated_where_it_can_be(monkeypatch):
         return Named(name, 6)
 
     monkeypatch.setattr(mixture, "open_dataset", open_named)
-    monkeypatch.setattr(
-        mixture, "validation_rows", lambda name, data_dir, count: Named(name, count)
-    )
-    train, validation = open_mixture({"shapes": 1, "shapenet55": 3}, "here", 4)
+    train = open_mixture({"shapes": 1, "shapenet55": 3}, "here")
     assert opened == [("shapes", "train", "here"), ("shapenet55", "train", "here")]
     assert len(train) == 48 and train.shares.tolist() == [0.25, 0.75]
-    assert names(validation) == [f"shapes/{row}" for row in range(8)]
-    with pytest.raises(InputError, match="validation split"):
-        open_mixture({"shapenet55": 1})
     with pytest.raises(InputError, match="shells"):
         open_mixture({"shells": 1})

@@ -54,7 +54,7 @@ def pretrain(monkeypatch):
             "refiner", variables, training.auxiliary_samples, training
         ),
         "train_phase": train_phase,
-        "validate": lambda *arguments: np.array([3.0, pretrain.refined, 0.0]),
+        "validate": lambda *_: {"a": np.array([3.0, pretrain.refined, 0.0])},
     }
     for name, stand_in in stand_ins.items():
         monkeypatch.setattr(pretraining, name, stand_in)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments import splits
-from experiments.splits import open_training
+from experiments.splits import held_out, validation_rows
 from prism_jax.data.source import Example, Source
 from prism_jax.io.errors import InputError
 
@@ -47,7 +47,7 @@ def test_without_a_validation_split_objects_are_held_out_with_all_their_views(
         return source
 
     monkeypatch.setattr(splits, "open_dataset", open_any)
-    train, validation = open_training(name, "folder", count)
+    train, validation = held_out(name, "folder", count)
     assert opened == [(name, split, "folder")]
     out = [name.split("/")[0] for name in names(validation)]
     assert len(set(out)) == len(out) == held
@@ -63,6 +63,22 @@ def test_without_a_validation_split_objects_are_held_out_with_all_their_views(
     assert spread.min() > 0.5 * objects / (held + 1)
     source = Views(1, 8)
     with pytest.raises(InputError, match="only one object"):
-        open_training(name, "folder")
+        held_out(name, "folder")
     with pytest.raises(InputError, match="no training split"):
-        open_training("shapenet_unseen21", "folder")
+        held_out("shapenet_unseen21", "folder")
+
+
+def test_what_validates_is_never_for_tests(monkeypatch):
+    opened = []
+
+    def open_any(*arguments):
+        opened.append(arguments)
+        return Views(9, 1)
+
+    monkeypatch.setattr(splits, "open_dataset", open_any)
+    rows = [names(validation_rows(text, "f", 3)) for text in ("shapes", "shapes/novel")]
+    assert opened == [("shapes", "validation", "f"), ("shapes", "novel", "f")]
+    assert rows == 2 * [["0/0", "4/0", "8/0"]]
+    for text in ("shapes/test", "shapes/unseen", "shapenet55", "none"):
+        with pytest.raises(InputError):
+            validation_rows(text)

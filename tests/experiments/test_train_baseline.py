@@ -37,17 +37,17 @@ def test_what_is_trained_and_on_how_much(run, tmp_path, monkeypatch, capsys, don
         return Trained(phase.start.variables, phase.start, done)
 
     monkeypatch.setattr(train_baseline, "train_phase", train_phase)
-    flags = ["--mixture=shapes:2", "--whole=0.25", "--samples=16"] if done else []
+    flags = ["--mixture=shapes:2", "--samples=16"] if done else []
     assert run(f"--workdir={tmp_path}", "--network=pcn", *flags) == 0
     data, path = begun(tmp_path)["data"], tmp_path / "weights.safetensors"
     assert begun(tmp_path)["samples"] == (16 if done else 64 + 64 + 128)
     if done:
-        assert data["mixture"] == {"shapes": 2.0} and data["whole"] == 0.25
+        assert data["mixture"] == {"shapes": 2.0}
         metadata = read_metadata(str(path))
         assert metadata["network"] == "pcn" and metadata["samples"] == 16
         assert load_network(str(path))[0].config == TINY
     else:
-        assert data["dataset"] == "shapes" and not path.exists()
+        assert data["mixture"] == {"shapes": 1.0} and not path.exists()
         assert "stopped; resume with" in capsys.readouterr().out
 
 

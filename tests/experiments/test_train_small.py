@@ -1,4 +1,4 @@
-"""The script that says how `small` was trained: every command can be given."""
+"""The script that trains `small`: every command can be given, and is given once."""
 
 from experiments.settings import resolve
 from tests import launching
@@ -12,19 +12,17 @@ def test_every_command_in_order(scripted, tmp_path):
     for name, *arguments in commands:
         launching.parse(name, *arguments)
         resolve("small", [x[6:] for x in arguments if x.startswith("--set=")])
-    trained = [set(command) for command in commands if command[0] == "train"]
-    assert len(trained) == 11 and all("--seed=3" in command for command in trained)
-    mixed = [[c for c in command if c.startswith("--mixture")] for command in trained]
-    assert [len(found) for found in mixed] == 8 * [0] + 3 * [1]
-    # Each goes on from what came before it.
-    starts = [c[10:] for command in trained for c in command if c[:10] == "--weights="]
-    ends = [f"{n:02}/weights.safetensors" for n in range(1, 9)]
-    ends += ["small-occluded.safetensors", "small-longer.safetensors"]
-    assert starts == [f"{tmp_path}/run/{end}" for end in ends]
-    assert commands[-1][0] == "interpolate" and "--share=0.75" in commands[-1]
+    names = [command[0] for command in commands]
+    assert names == 12 * ["make_data"] + 2 * ["pack"] + 2 * ["train"]
+    pretrain, meta = map(set, commands[-2:])
+    start = f"--weights={tmp_path}/run/pretrain/weights.safetensors"
+    assert start in meta - pretrain and "--seed=3" in pretrain & meta
+    # What is trained on or validated on has been made.
+    made = {(c[1][13:], c[2][10:], *c[3:]) for c in commands if c[0] == "make_data"}
+    assert (f"{tmp_path}/run/data", "cells", "--split=validation") in made
     again = scripted("train_small.sh", place)[2]
     assert {command[0] for command in again} == {"make_data", "pack"}
     place = f"--workdir={tmp_path}/other"
-    status, told, commands = scripted("train_small.sh", place, stops="/04 ")
+    status, told, commands = scripted("train_small.sh", place, stops="/pretrain ")
     assert status == 0 and "goes on, with more --max_steps or none" in told
-    assert f"{place}/04" in commands[-1]
+    assert f"{place}/pretrain" in commands[-1]

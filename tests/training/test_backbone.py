@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from scipy.spatial import cKDTree
 
 from prism_jax.data.pipeline import Framing
-from prism_jax.evaluation.metrics import score
+from prism_jax.evaluation.metrics import score, unseen_scores
 from prism_jax.training.optimisers import MUON_RMS, optimiser
 from prism_jax.training.supervised import backbone_phase, supervised_phase
 from tests.trees import assert_close, bitwise
@@ -84,11 +85,11 @@ def test_validation_is_in_the_unit_of_the_scores(stages, batch, minimal):
     """CD-L2 of each stage, and the logarithm of CD-L1, of points that are known; those
     of the network are traced alone."""
     variables = stages.start.variables
-    assert jax.eval_shape(stages.validate_fn, variables, batch).shape == (BATCH, 3)
+    assert jax.eval_shape(stages.validate_fn, variables, batch).shape == (BATCH, 4)
 
     def made(variables, batch):
         partial = jnp.asarray(batch.partial)
-        return partial[:, :9], 1.1 * partial
+        return partial[:, :9], 1.02 * jnp.asarray(batch.complete)[:, ::3]
 
     sizes = minimal.pretrain.backbone[0], minimal.pretrain
     phase = supervised_phase({"params": {}}, made, made, ("a", "b"), *sizes)
@@ -96,9 +97,17 @@ def test_validation_is_in_the_unit_of_the_scores(stages, batch, minimal):
     for row, partial, complete, scale in zip(
         found, *batch[:2], batch.scale, strict=True
     ):
-        first, last = score(partial[:9], complete), score(1.1 * partial, complete)
+        made = 1.02 * np.asarray(complete)[::3]
+        first, last = score(partial[:9], complete), score(made, complete)
         squared = first.cd_l2 * scale**2, last.cd_l2 * scale**2
-        expected = *squared, np.log(last.cd_l1 * scale)
+        side = float(np.ptp(complete, axis=0).max())
+        read, truth = cKDTree(partial), cKDTree(complete)
+        new = made[read.query(made)[0] > 0.02 * side]
+        hidden = complete[read.query(complete)[0] > 0.02 * side]
+        apart = truth.query(new)[0], cKDTree(made).query(hidden)[0]
+        f_2 = unseen_scores(*apart, side)["f_2"]
+        assert 0.1 < f_2 < 0.9
+        expected = *squared, f_2, np.log(last.cd_l1 * scale)
         np.testing.assert_allclose(row, expected, rtol=1e-4, atol=1e-5)
 
 

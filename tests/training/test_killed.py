@@ -39,7 +39,7 @@ def train(folder, dies_at):
 
     sys.addaudithook(die)
     open_run(str(folder), {}, 0, resume=True)
-    data = Data(Boxes(20, 0), Boxes(10, 1), 64, 1.4, 7, EVERY * BATCH)
+    data = Data(Boxes(20, 0), {"boxes": Boxes(10, 1)}, 64, 1.4, 7, EVERY * BATCH)
     trained = train_phase(regression_phase(BATCH, STEPS, 0.5), data, folder)
     leaves = {str(i): leaf for i, leaf in enumerate(jax.tree.leaves(trained.last))}
     ended = {"state": sha256(leaves), "best": sha256(trained.best)}

@@ -61,7 +61,7 @@ def train(folder, weights, devices):
     # One phase, whose programs are compiled once.
     phase = meta.meta_phase(variables, config, CONFIG, seed=0)
     points = config.model.backbone.num_points
-    data = Data(Boxes(20, 0), Boxes(10, 1), points, 1.4, 7, BATCH)
+    data = Data(Boxes(20, 0), {"boxes": Boxes(10, 1)}, points, 1.4, 7, BATCH)
     for steps in (BROKEN_AT, STEPS) if devices > 1 else (STEPS,):
         open_run(str(folder), {}, 0, resume=True)
         trained = train_phase(phase, data, folder, steps if steps < STEPS else None)
@@ -105,7 +105,7 @@ def test_a_batch_that_is_not_shared_evenly_is_refused_before_anything_is_written
     monkeypatch.setattr(jax, "device_count", lambda: 8)
     parallel.check_batch(64)
     phase = regression_phase(12, 4, 0.05)
-    data = Data(examples, validation_examples, 64, 1.4, 7, 48)
+    data = Data(examples, {"boxes": validation_examples}, 64, 1.4, 7, 48)
     with pytest.raises(InputError, match="12 examples cannot be split evenly across 8"):
         train_phase(phase, data, tmp_path)
     assert not list(tmp_path.iterdir())

@@ -14,7 +14,7 @@ from prism_jax.training.checkpoints import Checkpoints
 from prism_jax.training.phase import VALIDATION_COMPLETE, Data, order_seed
 from prism_jax.training.phase import train_phase as train
 from prism_jax.training.run import Log
-from tests.training.conftest import regression_phase
+from tests.training.conftest import Boxes, regression_phase
 from tests.trees import bitwise
 
 BATCH, STEPS, MARGIN = 4, 12, 1.4
@@ -24,7 +24,8 @@ BATCH, STEPS, MARGIN = 4, 12, 1.4
 def data(examples, validation_examples):
     """Validation comes every fourth step."""
     every = 4 * BATCH
-    return Data(examples, validation_examples, 64, MARGIN, 7, validate_every=every)
+    parts = {"boxes": validation_examples}
+    return Data(examples, parts, 64, MARGIN, 7, validate_every=every)
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +90,9 @@ def test_it_learns_and_logs(regression, data, framed, unbroken):
     assert bitwise(variables, last.variables)
     # Ten examples, in batches of four, each of them once.
     scores = next(line["validation"] for line in found if "validation" in line)
-    batch = framed(data.validation, range(10), data.framing(VALIDATION_COMPLETE))
-    assert scores["scale"] == pytest.approx(batch.scale.mean(), rel=1e-6)
+    framing = data.framing(VALIDATION_COMPLETE)
+    batch = framed(data.validation["boxes"], range(10), framing)
+    assert scores["boxes/scale"] == pytest.approx(batch.scale.mean(), rel=1e-6)
 
 
 def test_the_batches_are_those_of_the_pipeline(data, unbroken):
@@ -174,6 +176,29 @@ def test_what_did_best_on_validation_is_kept(data, tmp_path):
     variables, last, _ = train(phase, data, tmp_path)
     assert np.array_equal(variables["params"]["w"], [8, 8, 8])
     assert int(last.step) == STEPS
+
+
+def test_it_ends_when_it_gains_nothing_more(data, tmp_path):
+    """At step 8, which is no better than step 4, whether it was broken off or not."""
+    phase = counting({4: 0.1, 8: 0.2})._replace(patience=4 * BATCH)
+    assert not train(phase, data, tmp_path, max_steps=6).done
+    for _ in range(2):
+        variables, last, done = train(phase, data, tmp_path)
+        assert done and int(last.step) == 8
+        assert np.array_equal(variables["params"]["w"], [4, 4, 4])
+
+
+def test_sets_count_alike_however_large(data, tmp_path):
+    """Better on the small set by more than worse on the large one."""
+    few = {"few": Boxes(1, 0), "many": data.validation["boxes"]}
+
+    def validate(variables, batch):
+        at, few = variables["params"]["w"][0], batch.scale[0] == batch.scale[1]
+        return np.full((BATCH, 1), (9 - at if few else at / 2))
+
+    phase = counting({})._replace(validate_fn=validate)
+    variables, _, _ = train(phase, data._replace(validation=few), tmp_path)
+    assert np.array_equal(variables["params"]["w"], [12, 12, 12])
 
 
 @pytest.mark.parametrize(
