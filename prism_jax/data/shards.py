@@ -47,8 +47,6 @@ MAPS: dict[str, Any] = {
 }
 NAMES = "names.json"  # written last: a shard is there once its names are
 _AGAIN = "delete it and build again"
-WHOLE = {"clear", "rings", "noisy", "stations"}
-"""Traits, as names end in, of views that nothing hides or cuts in part."""
 
 
 def shard_file(folder: pathlib.Path, number: int, content: str) -> pathlib.Path:
