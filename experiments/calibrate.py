@@ -150,7 +150,11 @@ def completed_views(
             for draw in range(draws) if draws else [len(name)]:
                 rng = np.random.default_rng([number, draw])
                 shift, moved = robustness.any_shift(view, rng)
-                done = robustness.completed(completer, moved)
+                # Half of those that may be said to show all that the sensor saw.
+                may = shift not in ("crop", "tilt") and moved.eye is not None
+                empty = may and rng.random() < 0.5
+                background = "empty" if empty else "unknown"
+                done = robustness.completed(completer, moved, background=background)
                 half_extent = float(done.workspace.half_extent) / (0.5 * view.size)
                 assert done.verdict is not None
                 error = robustness.scored(moved, done.points).cd_l1

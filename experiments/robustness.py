@@ -147,13 +147,13 @@ def views_of(dataset: str, split: str, limit: int | None = None) -> list[View]:
     return views
 
 
-def completed(completer: Completer, view: View) -> CompletedScan:
+def completed(completer: Completer, view: View, **options: Any) -> CompletedScan:
     """As a user's scan is. A view with a table, with the way up that the table says."""
     eye, middle, up = view.eye, view.partial.mean(axis=0), "z"
     if view.table is not None:
         up = find_up(np.concatenate([view.partial, view.table]), eye).vector
     camera = None if eye is None else Camera.look_at(eye, middle)
-    return completer.complete(view.partial, camera, up=up)
+    return completer.complete(view.partial, camera, up=up, **options)
 
 
 def scored(view: View, points: Cloud) -> metrics.Scores:

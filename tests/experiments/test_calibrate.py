@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -138,11 +139,13 @@ class Completer(FakeCompleter):
     """Is told to estimate errors of the points that it adds, by clues of its own."""
 
     point_errors = calibration = None
+    backgrounds: ClassVar[set[str]] = set()
 
     def __init__(self, config, variables):
         self.config, self.variables = config, variables
 
-    def complete(self, points, camera, up):
+    def complete(self, points, camera, up, background):
+        self.backgrounds.add(background)
         done = super().complete(points, camera)
         assert self.calibration is not None
         if self.point_errors is not None:
@@ -196,6 +199,7 @@ def test_the_command_fits_and_measures(
     result = json.loads(output.read_text())
     assert result["weights_sha256"] == file_sha256(str(weights))
     assert result["trust"]["all"]["views"] == 12
+    assert Completer.backgrounds == {"unknown", "empty"}
     Calibration.from_dict(result["calibration"])
     PointErrors.from_dict(result["point_errors"])
     first, view = noted[0], views("", "validation", None)[0]
