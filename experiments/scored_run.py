@@ -20,12 +20,12 @@ from experiments.protocol import (
     side_by_side,
     workspace_for,
 )
+from experiments.summary import ExampleScores, summarise
 from prism_jax.completion.filtering import added_points
 from prism_jax.data.ordering import first_points
 from prism_jax.data.pipeline import framed_map, with_partial
 from prism_jax.data.source import Example, Source
 from prism_jax.evaluation.scoring import EMD_POINTS, score
-from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.preprocessing.observation import observe
 

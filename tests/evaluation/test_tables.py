@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from experiments.summary import ExampleScores, summarise
 from prism_jax.evaluation.metrics import Scores
 from prism_jax.evaluation.paired import MEASURES
-from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.evaluation.tables import markdown
 
 NAMED = {

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.comparison import ABOVE, Row, comparison, comparison_markdown
+from experiments.summary import ExampleScores, summarise
 from prism_jax.evaluation.metrics import Scores
-from prism_jax.evaluation.summary import ExampleScores, summarise
 
 
 def result(first, second, objects="ab", kinds=("bag", "bag")):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from experiments.published import published_columns
+from experiments.summary import ExampleScores, summarise
 from prism_jax.evaluation.metrics import Scores
-from prism_jax.evaluation.summary import ExampleScores, summarise
 
 
 def row(name, category, value) -> ExampleScores:

@@ -13,12 +13,12 @@ from experiments.assets import CELLS
 from experiments.baselines.networks import NETWORKS
 from experiments.comparison import Row, comparison
 from experiments.scored_run import Predictions
+from experiments.summary import ExampleScores, summarise
 from experiments.weights import located
 from prism_jax.adaptation.test_time import Completion
 from prism_jax.completion.weights import load_pretrained, read_metadata, samples_seen
 from prism_jax.data.recordings import RecordedCells
 from prism_jax.evaluation.metrics import Scores
-from prism_jax.evaluation.summary import ExampleScores, summarise
 from prism_jax.models.variables import pop_encoders
 from tests import launching
 

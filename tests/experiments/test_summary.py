@@ -5,11 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from experiments.summary import ExampleScores, summarise
+from prism_jax.evaluation import bootstrap
 from prism_jax.evaluation.metrics import Scores
-from prism_jax.evaluation.summary import ExampleScores, summarise
-
-RNG = np.random.default_rng(1)
-
 
 METRICS = Scores._fields
 
@@ -61,8 +59,9 @@ def test_what_examples_lack_is_left_out_and_accepted_is_a_share():
     assert "recall_2" not in network["mean"]
 
 
-def test_intervals_agree_with_the_normal_approximation():
-    values = RNG.normal(10.0, 2.0, 400)
+def test_intervals_agree_with_the_normal_approximation(monkeypatch):
+    monkeypatch.setattr(bootstrap, "_RESAMPLES", 2000)
+    values = np.random.default_rng(1).normal(10.0, 2.0, 400)
     found = result(values)
     kept = found["per_example"]["clouds"]["network"]["cd_l2"]
     np.testing.assert_array_equal(np.float32(kept), np.float32(values))
@@ -74,7 +73,7 @@ def test_intervals_agree_with_the_normal_approximation():
 
 def test_views_of_one_object_are_one_draw():
     """The same view many times narrows no interval."""
-    values = RNG.uniform(1, 2, 30)
+    values = np.random.default_rng(1).uniform(1, 2, 30)
     once, often = result(values), result(np.repeat(values, 4), views=4)
     assert (often["num_examples"], often["num_objects"]) == (120, 30)
     often, once = (found["clouds"]["network"] for found in (often, once))
