@@ -8,8 +8,8 @@ import pathlib
 import jax
 import numpy as np
 
+from experiments.export import export_adapt
 from experiments.settings import resolve
-from prism_jax.completion.export import export_adapt
 from prism_jax.models.initial import init_variables
 
 PATH = pathlib.Path(__file__).parent / "export.npz"

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from prism_jax.completion.export import export_adapt
+from experiments.export import export_adapt
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.workspace import Workspace
 
