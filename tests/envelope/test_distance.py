@@ -68,6 +68,9 @@ def test_outside_of_the_grid_nothing_is_known_to_be_free():
     found = one.query(np.array([[-0.1, 0.2, 0.2], [9, 9, 9.0], [0.2, 0.2, 0.2]]))
     assert found.not_free[:2].tolist() == [0, 0]
     assert found.not_free[2] == pytest.approx(0.2)
+    assert one.query(np.zeros((0, 3))).not_free.shape == (0,)
+    with pytest.raises(InputError, match="not finite"):
+        one.query(np.array([[0, 0, np.nan]]))
 
 
 def test_where_everything_is_unseen_the_distance_is_zero():
@@ -78,14 +81,6 @@ def test_where_everything_is_unseen_the_distance_is_zero():
     volumes = one.volumes()
     assert volumes["not_free"] == pytest.approx(0.4**3)
     assert volumes["envelope"] == volumes["free"] == 0
-
-
-def test_no_points_are_asked_and_one_is():
-    one = envelope(scattered())
-    assert one.query(np.zeros((0, 3))).not_free.shape == (0,)
-    assert one.query(np.full((1, 3), 0.3)).surface.shape == (1,)
-    with pytest.raises(InputError, match="not finite"):
-        one.query(np.array([[0, 0, np.nan]]))
 
 
 def test_surfaces_of_each_kind_are_told_apart():

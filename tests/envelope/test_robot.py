@@ -99,8 +99,3 @@ def test_joints_are_read_with_the_base():
 def test_joints_that_are_none_are_refused(content, told):
     with pytest.raises(InputError, match=told):
         joints_from_dict(content)
-
-
-def test_a_joint_without_a_position_is_named(urdf):
-    with pytest.raises(InputError, match="give all of yaw, shoulder, elbow"):
-        robot_surface(Linkage(urdf), {"yaw": 0.0, "shoulder": 0.0}, np.eye(4))

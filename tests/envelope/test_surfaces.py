@@ -29,29 +29,28 @@ def test_a_known_robot_is_cut_out_and_put_back():
     assert 0 < len(seen.predicted) <= -(-(~own).sum() // 2)
 
 
-def test_where_the_robot_is_all_there_is_nothing_is_predicted_and_it_is_said():
-    method = Method(robot="box")
-    seen = see(FakeCompleter(), POINTS, None, method, robot=POINTS)
-    assert len(seen.measured) == len(seen.predicted) == 0
-    assert "no points" in seen.fault
-    assert len(seen.surfaces()) == 300
+class Refusing(FakeCompleter):
+    def complete(self, *given, **asked):
+        raise InputError("the scan", "only strays", "scan more of it")
 
 
-@pytest.mark.parametrize("count", [0, 63])
-def test_too_few_points_are_measured_and_not_completed(count):
-    seen = see(FakeCompleter(), POINTS[:count], None, Method())
-    assert len(seen.measured) == count and len(seen.predicted) == 0
-    assert seen.fault
-
-
-def test_a_scan_that_the_completer_refuses_is_measured_and_not_completed():
-    class Refusing(FakeCompleter):
-        def complete(self, *given, **asked):
-            raise InputError("the scan", "only strays", "scan more of it")
-
-    seen = see(Refusing(), POINTS, None, Method())
-    np.testing.assert_array_equal(seen.measured, POINTS)
-    assert len(seen.predicted) == 0 and "only strays" in seen.fault
+@pytest.mark.parametrize(
+    ("completer", "count", "robot", "told"),
+    [
+        (FakeCompleter(), 0, None, "no points"),
+        (FakeCompleter(), 63, None, "63 distinct points"),
+        (FakeCompleter(), 300, "box", "no points"),  # the robot is all there is
+        (Refusing(), 300, None, "only strays"),
+    ],
+)
+def test_what_cannot_be_completed_is_measured_and_it_is_said(
+    completer, count, robot, told
+):
+    known = None if robot is None else POINTS
+    seen = see(completer, POINTS[:count], None, Method(robot=robot), robot=known)
+    assert len(seen.predicted) == 0 and told in seen.fault
+    assert len(seen.measured) == (0 if robot else count)
+    assert len(seen.surfaces()) == count
 
 
 def test_a_robot_that_the_method_does_not_know_is_refused():
