@@ -72,13 +72,12 @@ def _entropy(coordinates: Any, xp: Any) -> Any:
     bins = NUM_BINS + 3
     ends = coordinates.min(axis=1), coordinates.max(axis=1)
     above = coordinates - 0.5 * sum(ends)[:, None] + (NUM_BINS // 2 + 1)  # pyright: ignore
-    lower = xp.floor(above)
-    share = above - lower
-    first = lower.astype(int) + bins * xp.arange(rows)[:, None]
-    index = xp.concatenate([first, first + 1], axis=1).ravel()
-    weights = xp.concatenate([1.0 - share, share], axis=1).ravel()
+    lower = above.astype(xp.int32)
+    index = (lower + bins * xp.arange(rows, dtype=xp.int32)[:, None]).ravel()
     size = {"minlength" if xp is np else "length": rows * bins}
-    counted = xp.bincount(index, weights, **size)
+    # What each point leaves of itself to the bin after its own, summed by its own.
+    passed = xp.bincount(index, (above - lower).ravel(), **size)
+    counted = xp.bincount(index, **size) - passed + xp.roll(passed, 1)
     density = counted.reshape(rows, bins) / count
     return -(density * xp.log(xp.where(density > 0, density, 1.0))).sum(axis=1)
 
