@@ -112,7 +112,8 @@ def train_phase(
     state = parallel.replicate(checkpoints.restore(start) or start, mesh)
     num_steps = steps_of(phase.name, phase.num_samples, phase.batch_size)
     step = int(state.step)
-    stale = _is_stale(phase, checkpoints, step)
+    validate_steps = max(1, data.validate_every // phase.batch_size)
+    stale = _is_stale(phase, checkpoints, step - step % validate_steps)
     last = num_steps if max_steps is None else min(num_steps, max_steps)
     batches = training_batches(
         data.train,
@@ -123,7 +124,6 @@ def train_phase(
         step,
     )
     log = Log(folder, phase.name, phase.num_samples, step, phase.batch_size)
-    validate_steps = max(1, data.validate_every // phase.batch_size)
     recent, before = [], None
     saved = time.monotonic()
     while step < last and not stale:
@@ -167,6 +167,7 @@ def train_phase(
 
 
 def _is_stale(phase: Phase, checkpoints: Checkpoints, step: int) -> bool:
+    """Whether a validation at this step was the last that it takes."""
     best = checkpoints.best_step()
     if not phase.patience or best is None:
         return False

@@ -179,9 +179,9 @@ def test_what_did_best_on_validation_is_kept(data, tmp_path):
 
 
 def test_it_ends_when_it_gains_nothing_more(data, tmp_path):
-    """At step 8, which is no better than step 4, whether it was broken off or not."""
-    phase = counting({4: 0.1, 8: 0.2})._replace(patience=4 * BATCH)
-    assert not train(phase, data, tmp_path, max_steps=6).done
+    """At step 8, which is no better than step 4; being broken off is no validation."""
+    phase = counting({4: 0.1, 8: 0.2})._replace(patience=3 * BATCH)
+    assert not train(phase, data, tmp_path, max_steps=7).done
     for _ in range(2):
         variables, last, done = train(phase, data, tmp_path)
         assert done and int(last.step) == 8
