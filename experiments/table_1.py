@@ -5,6 +5,7 @@ python -m experiments.table_1 --split=test --output=tables/table_1.json
 `experiments/train_table_1.sh` trains all of them on equally many samples.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 from typing import Any
@@ -36,7 +37,11 @@ from experiments.splits import training_split
 from experiments.weights import located
 from prism_jax.cli.launch import launch
 from prism_jax.completion.weights import read_metadata, samples_seen
-from prism_jax.evaluation.paired import all_differences, paired_difference
+from prism_jax.evaluation.paired import (
+    NoChangeError,
+    all_differences,
+    paired_difference,
+)
 from prism_jax.evaluation.tables import COLUMNS, change_cells, score_cells, table_lines
 from prism_jax.io.errors import InputError
 from prism_jax.models.variables import Variables, apply
@@ -164,8 +169,9 @@ def best_others(others: Mapping[str, Row], ours: Row) -> dict[str, Any]:
         best = (max if metric in HIGHER else min)(means, key=means.get)  # pyright: ignore
         results = others[best].result, ours.result
         clouds = others[best].cloud, ours.cloud
-        change = paired_difference(*results, metric, clouds)
-        found[metric] = {"row": best, "change": change}
+        with contextlib.suppress(NoChangeError):  # from an F of 0
+            change = paired_difference(*results, metric, clouds)
+            found[metric] = {"row": best, "change": change}
     return found
 
 

@@ -108,7 +108,8 @@ def test_ours_is_compared_with_the_best_of_the_others_metric_by_metric():
 
     near = scored(precision_2=0.9, cd_l2=0.3, f_2=0.2)
     full = scored(recall_2=0.9, cd_l2=0.2, f_2=0.8)
-    ours = scored()
+    ours, none = scored(), {"nobody": scored(f_2=0.0)}
+    assert "f_2" not in table_1.best_others(none, ours)
     found = table_1.best_others({"near": near, "full": full}, ours)
     best = {"precision_2": 0.9, "recall_2": 0.9, "cd_l2": 0.2, "f_2": 0.8}
     for metric, value in best.items():
