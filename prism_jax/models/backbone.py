@@ -80,14 +80,13 @@ def train_backbone(
     indices: EncoderIndices,
     num_blocks: int | None = None,
     visibility: Visibility | None = None,
-    start=None,
 ) -> tuple[Decoded, Variables]:
     """All stages with statistics of the batch, and the updated running statistics. A
     decoder that reads visibility needs the map."""
     statistics, own = variables["batch_stats"], part(variables, "point_encoder")
     encoded, encoder = apply_training(PointEncoder(config), own, partial, indices)
     own = part(variables, "decoder")
-    settings = {"num_blocks": num_blocks, "visibility": visibility, "start": start}
+    settings = {"num_blocks": num_blocks, "visibility": visibility}
     decoded, decoder = apply_training(
         Decoder(config), own, partial, encoded, **settings
     )

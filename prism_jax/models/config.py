@@ -53,8 +53,6 @@ class BackboneConfig(Checked):
     seed_times: Rate = 2
     # Whether seeds are offsets from their patch points; as published they are absolute.
     seeds_from_patches: bool = False
-    # "affine": a seed is its patch point under a transformation of its own.
-    symmetric: bool = False
     # Points sampled from seeds and partial, from which refinement starts.
     num_initial: Points = 512
     # Children per point of each up-sampling block.

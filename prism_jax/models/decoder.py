@@ -72,11 +72,7 @@ class SeedGenerator(nn.Module):
         x = ResidualMLP(width, width, name="mlp_1")(x, context)
         x = ResidualMLP(width // 2, width, name="mlp_2")(x)
         x = ResidualMLP(width, width, name="mlp_3")(x, context)
-        seeds = MLP((width // 2, 12 if config.symmetric else 3), name="coordinates")(x)
-        if config.symmetric:
-            at = repeat_in_place(encoded.patch_xyz, config.seed_times)
-            turn = seeds[..., 3:].reshape(*seeds.shape[:-1], 3, 3)
-            seeds = seeds[..., :3] + (turn * at[..., None, :]).sum(-1)
+        seeds = MLP((width // 2, 3), name="coordinates")(x)
         if config.seeds_from_patches:
             seeds = seeds + repeat_in_place(encoded.patch_xyz, config.seed_times)
         return seeds, x
@@ -175,7 +171,6 @@ class Decoder(nn.Module):
         num_blocks: int | None = None,
         indices: DecoderIndices | None = None,
         visibility: Visibility | None = None,
-        start=None,
     ) -> Decoded:
         config = self.config
         if config.seeds_read_visibility:
@@ -183,11 +178,7 @@ class Decoder(nn.Module):
             whole = encoded.global_feature + pooled(partial, _given(visibility))
             encoded = encoded._replace(global_feature=whole)
         seeds, features = SeedGenerator(config, name="seed_generator")(encoded, train)
-        begin = seeds
-        if start is not None:
-            use = (jnp.arange(seeds.shape[0]) % 2 == 0)[:, None, None]
-            begin = jnp.where(use, start, seeds)
-        joined = jnp.concatenate([begin, partial], axis=-2)
+        joined = jnp.concatenate([seeds, partial], axis=-2)
         if indices is None:
             initial = sampled_rows(joined, config.num_initial)
             order = jnp.broadcast_to(jnp.arange(config.num_initial), initial.shape)

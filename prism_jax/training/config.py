@@ -44,7 +44,6 @@ class PretrainConfig(Checked):
     auxiliary_rate: Rate = 1e-3
     # Of the backbone (`prism_jax.training.optimisers`).
     optimiser: Kind = "adam"
-    denoised: Annotated[float, 0, 1] = 0.0
     # Examples a step.
     batch_size: Batch = 32
     # Points of the complete cloud that a loss looks at.

@@ -36,18 +36,6 @@ def backbone_phase(
     def train(variables: Variables, batch: Batch) -> tuple[Stages, Variables]:
         partial = jnp.asarray(batch.partial)
         indices = backbone.partial_indices(partial, config)
-        start = None
-        if training.denoised:
-            number = config.patch_points[1] * config.seed_times
-            complete = jnp.asarray(batch.complete)
-            at = complete[:, :number]
-            # Noise from the batch's own digits: another one for every batch.
-            key = jax.random.key(0)
-            seed = jax.lax.bitcast_convert_type(partial.sum(), jnp.int32)
-            key = jax.random.fold_in(key, seed)
-            one, two = jax.random.split(key)
-            scale = jax.random.uniform(one, (len(partial), 1, 1)) * training.denoised
-            start = at + scale * jax.random.normal(two, at.shape)
         decoded, statistics = backbone.train_backbone(
             variables,
             config,
@@ -55,7 +43,6 @@ def backbone_phase(
             indices,
             phase.num_blocks,
             visibility_of(batch, config),
-            start,
         )
         return decoded.stages, statistics
 
