@@ -5,7 +5,8 @@
 #
 # Give the same command again after an interruption: what is done is not done again. All
 # flags but --workdir go to both trainings. Sizes, optimiser, schedule and the rule that
-# ends it are the preset `small` (experiments/presets.py).
+# ends it are the preset `small` (experiments/presets.py), but for the width: the weights
+# that ship are narrower.
 set -eo pipefail
 
 if [[ $1 != --workdir=?* ]]; then
@@ -35,6 +36,10 @@ pack() { python -m experiments.pack --data_dir="$whole" --output_dir="$data" "$@
 pack --dataset=shapes --dataset=open --dataset=objects --limit=40000
 pack --dataset=shapes --split=validation
 
+width=(--set=model.backbone.features=96 --set=model.backbone.attention_features=48
+    '--set=model.backbone.patch_features=((48,96),(96,192))'
+    '--set=model.backbone.global_features=(384,384)')
+
 # train PHASE FLAG...
 train() {
     local run=$work/$1
@@ -43,7 +48,8 @@ train() {
     "$(dirname "$0")/with_allocator.sh" python -m experiments.train --preset=small \
         --phase="$1" --workdir="$run" --resume --data_dir="$data" \
         --mixture=packed:6,shapes:1,open:1,objects:1,cells:1.5 \
-        --validation=packed,shapes/novel,objects,cells "${@:2}" "${flags[@]}"
+        --validation=packed,shapes/novel,objects,cells "${width[@]}" "${@:2}" \
+        "${flags[@]}"
     [[ -e $run/weights.safetensors ]] && return
     echo "stopped; the same command goes on, with more --max_steps or none"
     exit
