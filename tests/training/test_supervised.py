@@ -35,7 +35,7 @@ def test_it_learns_from_eq_10_stage_by_stage(examples, framed):
     complete = jnp.asarray(batch.complete)
     each = jax.jit(jax.vmap(lambda s, c: stage_chamfers(s, c, "l1")))(stages, complete)
     np.testing.assert_allclose(first, each.mean(0), rtol=1e-5)
-    assert phase.scores == ("stage_0", "stage_1", "log_cd_l1")
+    assert phase.scores == ("stage_0", "stage_1", "f_2", "log_cd_l1")
     for _ in range(8):
         state, last = phase.step_fn(state, batch)
     assert last.sum() < first.sum()
