@@ -24,8 +24,9 @@ def render_report(
     frame. Large clouds are thinned for display alone."""
     measured, added = result.points[result.observed], result.points[~result.observed]
     up = result.workspace.up
+    added_color = figures.added_color(result)
     seen = figures.Cloud("observed", measured, figures.OBSERVED_COLOR)
-    predicted = figures.Cloud("completed", added, figures.COMPLETED_COLOR)
+    predicted = figures.Cloud("completed", added, added_color)
     panels = [
         figures.Panel(f"Partial scan: {len(measured):,} points", [seen]),
         figures.Panel(f"Completion: {len(result.points):,} points", [seen, predicted]),
@@ -43,7 +44,7 @@ def render_report(
     about = (
         ("", figures.OBSERVED_COLOR, seen_by),
         ("observed", figures.OBSERVED_COLOR, seen_by),
-        ("completed", figures.COMPLETED_COLOR, predicted_by),
+        ("completed", added_color, predicted_by),
         ("", figures.GROUND_TRUTH_COLOR, {"error": figures.GROUND_TRUTH_COLOR}),
     )
     for trace, (cloud, color, by) in zip(clouds.data, about, strict=False):
@@ -63,7 +64,7 @@ def render_report(
         counts=counts(summary["points"]),
         toggles=[
             ("observed", figures.OBSERVED_COLOR),
-            ("completed", figures.COMPLETED_COLOR),
+            ("completed", added_color),
         ],
         modes=modes,
         clouds=clouds_html(clouds),

@@ -95,7 +95,7 @@ def _clouds(
         trust = TRUST_COLORS[trust_of(entry)]
         for name, which, color in (
             ("observed", one.observed, figures.OBSERVED_COLOR),
-            ("completed", ~one.observed, figures.COMPLETED_COLOR),
+            ("completed", ~one.observed, figures.added_color(one)),
         ):
             points = figures.subsample(one.points[which], _share(scene))
             clouds.append(figures.Cloud(f"object {number}, {name}", points, color))
@@ -148,12 +148,15 @@ def _row(
     """One object in the list, and what the details say of it."""
     points, verdict = entry["points"], entry["verdict"]
     error = None if verdict is None else verdict["expected_error"]
+    reasons = [] if verdict is None else verdict["reasons"]
+    if known := entry.get("known", {}).get("model"):
+        reasons = [f"known: {known}"]
     return {
         "number": number,
         "trust": trust_of(entry),
         "observed": f"{points['partial']:,}",
         "added": f"{points['completed'] - points['partial']:,}",
         "error": "-" if error is None else f"{error:#.3g}",
-        "reasons": [] if verdict is None else verdict["reasons"],
+        "reasons": reasons,
         "details": details.of_object(entry, summary["adapt"]),
     }
