@@ -37,7 +37,7 @@ from prism_jax.uncertainty.confidence import Calibration
 from prism_jax.uncertainty.sigma import PointErrors
 
 if TYPE_CHECKING:
-    from prism_jax.registration.library import Library
+    from prism_jax.registration.library import Found, Library
 
 SLOTS = 8  # objects that one compiled call completes, at most
 
@@ -280,20 +280,30 @@ class Completer:
         done = assembly.assemble(task, completion, options, seconds, *judges)
         if self.known is None:
             return done
-        start, seen = time.perf_counter(), task.seen
-        visibility = task.visibility
+        start = time.perf_counter()
+        found = self.recognise(task, done, options)
+        done = assembly.with_model(done, task, options, found)
+        seconds = {**seconds, "known": time.perf_counter() - start}
+        return dataclasses.replace(done, seconds=seconds)
+
+    def recognise(
+        self,
+        task: assembly.Task,
+        done: assembly.CompletedScan,
+        options: CompletionOptions,
+    ) -> "Found":
+        """Which of the known models an object is that the network completed so."""
+        assert self.known is not None
+        seen, visibility = task.seen, task.visibility
         if visibility is None:
             visibility = _visibility(seen, np.zeros((0, 3)), options.background)
-        found = self.known.find(
+        return self.known.find(
             task.points[seen.inside],
             np.asarray(seen.workspace.from_unit(np.asarray(seen.eye))),
             _to_user(visibility, seen) if seen.sensor_known else None,
             seen.workspace.up,
             done.prediction,
         )
-        done = assembly.with_model(done, task, options, found)
-        seconds = {**seconds, "known": time.perf_counter() - start}
-        return dataclasses.replace(done, seconds=seconds)
 
     def _compile_adapt(
         self, make: Make, options: CompletionOptions, arguments: tuple[Any, ...]

@@ -18,11 +18,12 @@ FEWER = 3  # one point in so many refines all steps but the last
 NEIGHBORS = 4  # points of the surface, of which one explains a measured point
 FLAT = 2.5  # in spacings of the surface: so far its points stand for their planes
 EVERY = 2  # one of its points in so many tells what is seen of it
+EXACT = 0.0015  # in longest sides: so far points and poses are exact
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_CLOSE, LEAST_SEEN, LEAST_COVERED = 0.9, 0.6, 0.3, 0.05
-MOST_DENIED = 0.05
+LEAST_FIT, LEAST_CLOSE, LEAST_SEEN, LEAST_COVERED = 0.935, 0.62, 0.25, 0.04
+MOST_DENIED, MOST_STRAIN, MOST_BIAS, AMPLE = 0.03, 1.45, 2.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -35,6 +36,7 @@ class Evidence(NamedTuple):
     denied: float  # and what the sensor looked through
     covered: float  # share of all of the model's surface, what was measured
     strain: float  # of the points, as `strain` has it
+    bias: float  # of the means of neighbours, in what noise alone would make of them
 
 
 class Match(NamedTuple):
@@ -80,16 +82,17 @@ def match(
     squares = np.zeros((6, 6))
     for number, near in enumerate(NEAR):
         some = points if number + 1 == len(NEAR) else points[::FEWER]
-        apart, laid, rows = _apart(some, eye, surface, tree, poses)
+        gap, laid, rows = _gaps(some, eye, surface, tree, poses)
         reach = max(near * surface.size, FITS * scan.noise)
-        weights = np.maximum(1 - (apart / reach) ** 2, 0)
+        weights = np.maximum(1 - (gap / reach) ** 2, 0)
         on = (surface.points[rows] - poses.shifts)[None]
         normals = surface.normals[None, rows].astype(np.float64)
         own = (laid - poses.shifts)[None], on, normals, weights[None]
         motion, (squares,) = solve_planes(*own)
         turned = poses._replace(shifts=np.zeros((1, 3))).moved(motion)
         poses = turned._replace(shifts=poses.shifts + turned.shifts)
-    apart, _, _ = _apart(points, eye, surface, tree, poses)
+    gap, _, _ = _gaps(points, eye, surface, tree, poses)
+    apart = np.abs(gap)
     pose, back = np.eye(4), poses.rotations[0].T
     pose[:3, :3], pose[:3, 3] = back, middle - back @ poses.shifts[0]
     axes = np.kron(np.eye(2), back)
@@ -97,30 +100,44 @@ def match(
     covariance = scan.noise**2 * axes @ inverse @ axes.T
     fits = apart <= FITS * scan.noise
     close = float((apart[fits] <= scan.noise).mean()) if fits.any() else 0.0
-    badly = strain(apart, scan.noise)
-    told = Evidence(float(fits.mean()), close, *_looked_for(scan, surface, pose), badly)
+    badly = strain(apart, scan.noise), _bias(scan, gap, fits, surface.size)
+    told = Evidence(
+        float(fits.mean()), close, *_looked_for(scan, surface, pose), *badly
+    )
     return Match(pose, covariance, middle, scan.noise, told)
 
 
-def _apart(
+def _gaps(
     points: np.ndarray, eye: np.ndarray, surface: Surface, tree: KDTree, poses: Poses
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How far points lie from the surface that faces the sensor, in one pose; where
-    they lie, and the rows of the surface that are nearest."""
+    """How far points lie before the surface that faces the sensor, negative behind it,
+    in one pose; where they lie, and the rows of the surface that are nearest."""
     laid, seen_from = (
         p @ poses.rotations[0].T + poses.shifts[0] for p in (points, eye)
     )
     away, near = tree.query(laid, k=NEIGHBORS)
-    gap = np.einsum(
-        "ski,ski->sk", laid[:, None] - surface.points[near], surface.normals[near]
-    )
+    offset, normals = laid[:, None] - surface.points[near], surface.normals[near]
+    gap = np.einsum("ski,ski->sk", offset, normals)
+    toward = np.einsum("si,ski->sk", seen_from - laid, normals) > 0
     beside = away**2 - gap**2 > (FLAT * surface.spacing) ** 2
-    apart = np.where(beside, away, np.abs(gap))
-    facing = np.einsum("si,ski->sk", seen_from - laid, surface.normals[near]) > 0
-    apart[~(facing | surface.two_sided[near])] = np.inf
-    best = apart.argmin(axis=1)[:, None]
-    apart, rows = (np.take_along_axis(of, best, 1)[:, 0] for of in (apart, near))
-    return apart, laid, rows
+    gap = np.where(toward, 1, -1) * np.where(beside, np.copysign(away, gap), gap)
+    gap[~(toward | surface.two_sided[near])] = np.inf
+    best = np.abs(gap).argmin(axis=1)[:, None]
+    gap, rows = (np.take_along_axis(of, best, 1)[:, 0] for of in (gap, near))
+    return gap, laid, rows
+
+
+def _bias(scan: Scan, gap: np.ndarray, fits: np.ndarray, size: float) -> float:
+    """The square of how far neighbours lie from the model on average, in what noise
+    alone makes of it: about 1 for the right model, more where the shape is another."""
+    if not fits.any():
+        return FITS**2
+    owner, gap = scan.cells[fits], gap[fits]
+    count = np.bincount(owner)
+    total = np.bincount(owner, gap)[count > 0]
+    count = count[count > 0]
+    usual = count * scan.noise**2 + (count * EXACT * size) ** 2
+    return float(np.minimum(total**2 / usual, FITS**2).mean())
 
 
 def _looked_for(
@@ -174,6 +191,10 @@ def doubt(told: Evidence, other: float = np.inf) -> str | None:
         return f"the sensor saw through {told.denied:.0%} of its front"
     if told.seen < LEAST_SEEN or told.covered < LEAST_COVERED:
         return f"{told.seen:.0%} of its front was measured"
+    # The less of it was seen, the better must it fit.
+    most = MOST_STRAIN * min(1.0, told.seen / AMPLE)
+    if told.strain > most or told.bias > MOST_BIAS:
+        return "its shape differs by more than the noise"
     if told.strain >= other:
         return "the network explains the points as well"
     return None

@@ -24,10 +24,10 @@ from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 
-VERSION = 2  # of what is kept in the cache
+VERSION = 3  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
-VERIFIED, POSES = 10, 3  # models that are looked at closely, and poses of each
+VERIFIED, POSES = 15, 2  # models that are looked at closely, and poses of each
 EQUAL = 0.03  # of the score: two models nearer than this explain an object equally
 ALIKE = 0.02  # in longest sides: two surfaces nearer than this are the same
 FAR = 100.0  # times as large or as small as an object: of another unit
@@ -88,14 +88,14 @@ class Library:
                 robot = Linkage(file)
                 for link, mesh in zip(robot.link_names, robot.meshes, strict=True):
                     own = mesh.vertices, mesh.faces
-                    models.append(_kept(f"{name}:{link}", *map(np.asarray, own)))
+                    models.append(prepared(f"{name}:{link}", *map(np.asarray, own)))
                 continue
             if unit is None and kind not in METRIC:
                 remedy = f"set --known_unit to one of {', '.join(UNITS)}"
                 raise InputError(file, "the unit of its lengths is not known", remedy)
             vertices, faces = read_mesh(file)
             scale = 1.0 if kind in METRIC or unit is None else UNITS[unit]
-            models.append(_kept(name, vertices * scale, faces))
+            models.append(prepared(name, vertices * scale, faces))
         return cls(models)
 
     def find(
@@ -103,7 +103,7 @@ class Library:
         points: Float[np.ndarray, "N 3"],
         eye: Float[np.ndarray, "3"],
         visibility: Visibility | None = None,
-        up: Float[np.ndarray, "3"] | None = None,
+        up: Float[np.ndarray, "3"] = np.array([0.0, 0.0, 1.0]),
         other: Float[np.ndarray, "P 3"] | None = None,
     ) -> Found:
         """The model that one object is, if it is one: of those that could be as large,
@@ -166,14 +166,13 @@ def _decided(sound: list[tuple[Model, Match]], refused: dict[str, str]) -> Found
 
 def _alike(one: Model, match: Match, other: Model, its: Match) -> bool:
     """Whether two models are the same surface where they were found."""
-    back = np.linalg.inv(match.pose) @ its.pose
-    points = other.surface.points @ back[:3, :3].T + back[:3, 3]
-    there = one.tree.query(points)[0]
-    inverse = np.linalg.inv(back)
-    points = one.surface.points @ inverse[:3, :3].T + inverse[:3, 3]
-    here = other.tree.query(points)[0]
-    apart = max(np.quantile(there, 0.99), np.quantile(here, 0.99))
-    return bool(apart < ALIKE * one.surface.size + one.surface.spacing)
+    there = np.linalg.inv(match.pose) @ its.pose
+    longest = ALIKE * one.surface.size + one.surface.spacing
+    for own, from_it, pose in (one, other, there), (other, one, np.linalg.inv(there)):
+        points = from_it.surface.points @ pose[:3, :3].T + pose[:3, 3]
+        if np.quantile(own.tree.query(points)[0], 0.99) > longest:
+            return False
+    return True
 
 
 def _misfit(scan: Scan, surface: Surface) -> str | None:
@@ -210,10 +209,10 @@ def _each(work, items: Sequence) -> list:
         return list(pool.map(work, items))
 
 
-def _kept(
+def prepared(
     name: str, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Model:
-    """A model by its mesh, from the cache if it is there and whole."""
+    """A model by its mesh, in metres; from the cache if it is there and whole."""
     parts = np.asarray(vertices, "<f8"), np.asarray(faces, "<i8")
     digest = hashlib.sha256(b"%d" % VERSION)
     for part in parts:
@@ -225,7 +224,11 @@ def _kept(
             return Model(name, Surface(*(kept[field] for field in Surface._fields)))
     except Exception:  # not there, or damaged in any way
         pass
-    surface = _made(name, *parts)
+    try:
+        surface = surface_of(*parts)
+    except ValueError as error:
+        remedy = "export it again, or take it out of the folder"
+        raise InputError(name, str(error), remedy) from None
     content = io.BytesIO()
     np.savez(content, **surface._asdict())
     try:
@@ -234,11 +237,3 @@ def _kept(
     except InputError:
         pass  # a cache that cannot be written is no fault of the model
     return Model(name, surface)
-
-
-def _made(name: str, vertices: np.ndarray, faces: np.ndarray) -> Surface:
-    try:
-        return surface_of(vertices, faces)
-    except ValueError as error:
-        remedy = "export it again, or take it out of the folder"
-        raise InputError(name, str(error), remedy) from None

@@ -44,18 +44,16 @@ class Poses(NamedTuple):
 
 
 def search(
-    scan: Scan, surface: Surface, up: Float[np.ndarray, "3"] | None = None
+    scan: Scan, surface: Surface, up: Float[np.ndarray, "3"]
 ) -> tuple[Poses, Float[np.ndarray, " H"]]:
     """The likeliest poses of a model in a scan, good to about its noise, best first,
-    and how well the points lie on the model in each: 1 if all do. With `up` in the
-    scan's frame the model may stand upright, its z up."""
+    and how well the points lie on the model in each: 1 if all do. The model may stand
+    upright, its z along `up` in the scan's frame, or lie anyhow."""
     middle = scan.means.mean(axis=0)  # poses turn about it
     points = (scan.means - middle)[scan.some].astype(np.float32)
     normals = scan.normals[scan.some].astype(np.float32)
-    poses = by_pairs(scan, surface, middle)
-    if up is not None:
-        swept = by_headings(scan, surface, middle, up)
-        poses = Poses(*map(np.concatenate, zip(poses, swept, strict=True)))
+    found = by_pairs(scan, surface, middle), by_headings(scan, surface, middle, up)
+    poses = Poses(*map(np.concatenate, zip(*found, strict=True)))
     reach, scores = REACH * surface.size, np.zeros(0)
     for number, (kept, asked, steps) in enumerate(ROUNDS):
         own = points[:asked], normals[:asked], surface

@@ -13,8 +13,9 @@ from prism_jax.preprocessing.segmentation.clusters import thin
 from prism_jax.registration.surface import spread, widths_of
 
 CELLS = 40  # of a scan along its longest side, whose means make its normals
+COARSE_CELLS = 14  # likewise, for neighbours that a model misses alike
 NEIGHBORS = 12
-RAW = 1500  # measured points that are compared with a model
+RAW = 2500  # measured points that are compared with a model
 SEARCHED = 200  # of the means, that poses are looked for with
 NUM_PAIRS = 4000
 FLYING = 0.01  # share of points that may fly off at each end
@@ -46,6 +47,11 @@ class Scan:
         return self.points[np.sort(rng.choice(len(self.points), RAW, False))]
 
     @functools.cached_property
+    def cells(self) -> Int[np.ndarray, " M"]:
+        """Which of the `raw` points are neighbours: those of one number."""
+        return thin(self.raw, COARSE_CELLS)[1]
+
+    @functools.cached_property
     def means(self) -> Float64[np.ndarray, "M 3"]:
         """The means of the points in cells."""
         return thin(self.points, CELLS)[0]
@@ -71,9 +77,8 @@ class Scan:
         """Pairs of rows of the means, some way apart."""
         rng = np.random.default_rng(0)
         pairs = rng.choice(self.some, (NUM_PAIRS, 2))
-        apart = np.linalg.norm(
-            self.means[pairs[:, 0]] - self.means[pairs[:, 1]], axis=1
-        )
+        one, other = self.means[pairs].swapaxes(0, 1)
+        apart = np.linalg.norm(one - other, axis=1)
         return pairs[apart > 0.3 * self.size]
 
     @functools.cached_property

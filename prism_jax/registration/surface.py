@@ -7,13 +7,12 @@ from jaxtyping import Bool, Float, Float32, Float64, Int, UInt16
 from scipy.spatial import KDTree
 
 DRAWN, KEPT = 60_000, 10_000  # points of all surface, and of what is seen from outside
-CELLS, BESIDE = (
-    48,
-    0.15,
-)  # of the grid along the longest side, and how far it reaches on
+CELLS = 48  # of a grid along the longest side
+BESIDE = 0.15  # in longest sides: so much farther does the grid reach
 NUM_PAIRED = 300  # points that make pairs
 STEPS, ANGLES = 20, 9  # of a pair's length in longest sides, and of its angles in 180
 FACING = 0.35  # cosine under which a direction does not say what is seen of a surface
+BACK = 0.1  # of the directions that see a point: so many from behind make a sheet
 DIRECTIONS = 64
 NO_CODE = 2**16 - 1  # of pairs longer than any of the model's
 
@@ -64,6 +63,8 @@ def surface_of(
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     doubled = np.linalg.norm(normals, axis=1)
     total = np.cumsum(doubled)
+    if not total[-1] > 0:
+        raise ValueError("it has no surface")
     drawn = rng.random(DRAWN) * total[-1]
     chosen = np.minimum(np.searchsorted(total, drawn, "right"), len(total) - 1)
     u, v = rng.random((2, DRAWN, 1))
@@ -79,8 +80,8 @@ def surface_of(
     seen = seen[:KEPT]
     front, back, points = front[seen], back[seen], points[seen]
     normals = np.where((front >= back)[:, None], normals[seen], -normals[seen])
-    two_sided = 2 * np.minimum(front, back) > np.maximum(front, back)
-    codes, pairs = _pairs(points, normals, two_sided)
+    two_sided = np.minimum(front, back) > BACK * np.maximum(front, back)
+    codes, pairs = _pairs(points, normals)
     size = np.ptp(points, axis=0).max()
     cell = size * (1 + 2 * BESIDE) / CELLS
     corner = points.min(axis=0) - BESIDE * size
@@ -119,20 +120,15 @@ def pair_codes(
     length = np.maximum(np.linalg.norm(line, axis=1), 1e-12)
     line = line / length[:, None]
     code = (length * (STEPS / size)).astype(np.int64)
-    for one, other in (
-        (normals[:, 0], line),
-        (normals[:, 1], line),
-        normals.swapaxes(0, 1),
-    ):
+    first, second = normals.swapaxes(0, 1)
+    for one, other in (first, line), (second, line), (first, second):
         cosine = np.clip(np.einsum("ij,ij->i", one, other), -1, 1)
         step = (np.arccos(cosine) * (ANGLES / np.pi)).astype(np.int64)
         code = code * ANGLES + np.minimum(step, ANGLES - 1)
     return np.minimum(code, NO_CODE).astype(np.uint16)
 
 
-def _pairs(
-    points: np.ndarray, normals: np.ndarray, two_sided: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _pairs(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All pairs of some points by their codes."""
     some = spread(points, NUM_PAIRED)
     one, other = np.meshgrid(some, some, indexing="ij")
@@ -142,7 +138,7 @@ def _pairs(
     pairs = pairs[apart > 0.15 * size]
     codes = pair_codes(points[pairs], normals[pairs], size)
     order = np.argsort(codes, kind="stable")
-    return codes[order].astype(np.uint16), pairs[order].astype(np.uint16)
+    return codes[order], pairs[order].astype(np.uint16)
 
 
 def spread(points: Float[np.ndarray, "N 3"], count: int) -> Int[np.ndarray, " count"]:
@@ -180,4 +176,4 @@ def foremost(
     pixel = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
     first = np.full(pixel.max() + 1, np.inf)
     np.minimum.at(first, pixel, away)
-    return away <= first[pixel] + 5.0 * spacing
+    return away <= first[pixel] + 4.0 * spacing

@@ -110,9 +110,12 @@ def by_error(
     return {"error": [float(f"{value:.3g}") for value in shown]}
 
 
-def added_color(completed: Any) -> str:
-    """Of what was added to an object: a known model's surface, or the network's."""
-    return KNOWN_COLOR if completed.label.max() == KNOWN else COMPLETED_COLOR
+def added(completed: Any) -> tuple[str, str]:
+    """What was added to an object is called, and its colour: a known model's surface,
+    or what the network predicted."""
+    if completed.label.max() == KNOWN:
+        return "known", KNOWN_COLOR
+    return "completed", COMPLETED_COLOR
 
 
 def tell_errors(figure: go.Figure, sigma: Float[np.ndarray, " M"] | None) -> list[str]:
