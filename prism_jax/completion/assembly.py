@@ -244,7 +244,7 @@ def with_model(
 ) -> CompletedScan:
     """The same with what a library says of it: if it is a model, its surface, where
     nothing was measured, stands in place of what the network predicted."""
-    if found.model is None:
+    if found.match is None:
         return dataclasses.replace(completed, known=found)
     seen, observed = task.seen, completed.observed
     points, sigma = found.placed()

@@ -1,2 +1,1 @@
-"""Objects that are models of a library: which, and in which pose; a leaf that only
-`Completer` and the commands use, where a library is given."""
+"""Objects that are known: which model of a library one is, and in which pose."""

@@ -22,8 +22,8 @@ EXACT = 0.0015  # in longest sides: so far points and poses are exact
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_CLOSE, LEAST_SEEN, LEAST_COVERED = 0.935, 0.62, 0.25, 0.04
-MOST_DENIED, MOST_STRAIN, MOST_BIAS, AMPLE = 0.03, 1.45, 2.5, 0.5
+LEAST_FIT, LEAST_CLOSE, LEAST_SEEN, LEAST_COVERED = 0.925, 0.62, 0.25, 0.04
+MOST_DENIED, MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 0.03, 1.45, 2.5, 0.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -192,9 +192,10 @@ def doubt(told: Evidence, other: float = np.inf) -> str | None:
     if told.seen < LEAST_SEEN or told.covered < LEAST_COVERED:
         return f"{told.seen:.0%} of its front was measured"
     # The less of it was seen, the better must it fit.
-    most = MOST_STRAIN * min(1.0, told.seen / AMPLE)
-    if told.strain > most or told.bias > MOST_BIAS:
+    share = min(1.0, told.seen / AMPLE)
+    if told.strain > share * MOST_STRAIN or told.bias > share * MOST_BIAS:
         return "its shape differs by more than the noise"
-    if told.strain >= other:
-        return "the network explains the points as well"
+    # A network's points keep to those that it was given, whatever these are of.
+    if told.strain > other + MARGIN:
+        return "the network explains the points better"
     return None

@@ -103,14 +103,11 @@ def _frames(
 
 
 def by_headings(
-    scan: Scan,
-    surface: Surface,
-    middle: Float[np.ndarray, "3"],
-    up: Float[np.ndarray, "3"],
+    scan: Scan, surface: Surface, middle: np.ndarray, up: Float[np.ndarray, "3"]
 ) -> Poses:
-    """Upright poses at evenly spaced headings. Along each of the model's axes the box
-    of the scan lies against the side of the model's that the sensor sees; along one of
-    which it sees neither, against either or in the middle."""
+    """Upright poses at evenly spaced headings, the box of the scan in the middle of the
+    model's or against either side; above or below against that which the sensor sees.
+    """
     lying = Rotation.align_vectors([(0.0, 0.0, 1.0)], [up])[0].as_matrix()
     angles = 2 * np.pi * np.arange(HEADINGS)[:, None] / HEADINGS
     view = (scan.eye - middle) / np.linalg.norm(scan.eye - middle)
@@ -122,8 +119,8 @@ def by_headings(
         sides = []
         for lower, upper, toward in zip(low, high, turn @ view, strict=True):
             both = [lower, 0.5 * (lower + upper), upper]
-            unseen = abs(toward) < TOWARD
-            sides.append(both if unseen else [upper if toward > 0 else lower])
+            seen = len(sides) == 2 and abs(toward) > TOWARD
+            sides.append([upper if toward > 0 else lower] if seen else both)
         found = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
         shifts.append(found)
         rotations.append(np.broadcast_to(turn, (len(found), 3, 3)))

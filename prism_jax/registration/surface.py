@@ -89,9 +89,9 @@ def surface_of(
     middles = corner + cell * (np.indices(shape).reshape(3, -1).T + 0.5)
     nearest = KDTree(points).query(middles)[1].astype(np.uint16).reshape(shape)
     single = points.astype(np.float32), normals.astype(np.float32)
-    grid = nearest, corner, np.float64(cell)
+    grid = nearest, corner, np.array(cell)
     widths = widths_of(points)
-    return Surface(*single, two_sided, *grid, codes, pairs, widths, np.float64(area))
+    return Surface(*single, two_sided, *grid, codes, pairs, widths, np.array(area))
 
 
 def widths_of(points: Float[np.ndarray, "N 3"], share: float = 0.0) -> np.ndarray:
