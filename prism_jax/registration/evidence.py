@@ -23,7 +23,7 @@ GRAZING = 0.2  # cosine under which nothing is expected of a surface
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
 LEAST_FIT, LEAST_CLOSE, LEAST_SEEN, LEAST_COVERED = 0.925, 0.62, 0.25, 0.015
-MOST_DENIED, MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 0.03, 1.45, 2.5, 0.5, 0.5
+MOST_DENIED, MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 0.05, 1.45, 2.5, 0.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
