@@ -126,15 +126,18 @@ def _unseen_f(
 ) -> Float[Array, ""]:
     """F at 2 % of the longest side of what lies farther than that from all points that
     the network reads: of the truth, and of its own points (`unseen_scores` of the
-    metrics has all measured ones). Where there is nothing such, all of it is right."""
+    metrics has all measured ones). Nothing added has a precision of 0, nothing unseen
+    a recall of 1."""
     reach = 0.02 * (complete.max(0) - complete.min(0)).max()
 
-    def share(cloud: Array, other: Array) -> Array:
+    def share(cloud: Array, other: Array, of_none: float) -> Array:
         added = nearest(cloud, partial)[0] > reach**2
         right = added & (nearest(cloud, other)[0] <= reach**2)
-        return jnp.where(added.any(), right.sum() / jnp.maximum(added.sum(), 1), 1.0)
+        return jnp.where(
+            added.any(), right.sum() / jnp.maximum(added.sum(), 1), of_none
+        )
 
-    precision, recall = share(points, complete), share(complete, points)
+    precision, recall = share(points, complete, 0.0), share(complete, points, 1.0)
     return 2 * precision * recall / jnp.maximum(precision + recall, 1e-12)
 
 
