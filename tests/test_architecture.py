@@ -9,9 +9,9 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 # From the top down: a room imports from itself and from those below it. Above all are
 # `experiments`, and then the package itself.
 ROOMS = (
-    *("cli", "streaming", "envelope", "robots", "reporting", "evaluation"),
-    *("completion", "uncertainty", "training", "data", "adaptation", "models"),
-    *("losses", "preprocessing", "io", "geometry", "assets"),
+    *("cli", "streaming", "envelope", "reporting", "evaluation", "completion"),
+    *("registration", "robots", "uncertainty", "training", "data", "adaptation"),
+    *("models", "losses", "preprocessing", "io", "geometry", "assets"),
 )
 
 # Where less is allowed than the order allows.
@@ -21,10 +21,11 @@ ONLY = {
     "preprocessing": {"preprocessing", "io", "geometry"},
     "data": {"data", "preprocessing", "io", "geometry", "assets"},
     "robots": {"robots", "io", "geometry"},
+    "registration": {"registration", "robots", "preprocessing", "io", "geometry"},
     "losses": {"losses", "geometry"},
     "adaptation": {"adaptation", "models", "losses", "geometry"},
 }
-NO_FLAX = {"geometry", "io", "preprocessing", "losses", "data"}
+NO_FLAX = {"geometry", "io", "preprocessing", "losses", "data", "registration"}
 LEARNING = {"flax", "optax", "orbax"}
 # What reads with one of these asks for it when it does (`io.errors.require`).
 MAKERS = {"trimesh", "manifold3d", "embreex", "fpsample", "grain"}

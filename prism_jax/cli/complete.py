@@ -66,6 +66,10 @@ def define_flags() -> None:
         "truth are cropped to. Points outside it still show which space is free. "
         "Added points may lie outside the box, but inside the completed cube: its "
         "side is 1.4 times the longest side of the cropped points.",
+        known="Folder of models (OBJ, STL, PLY, DAE, GLB, links of URDF). An object "
+        "that is one of them is completed with it, in its pose. The scan is in metres.",
+        known_unit="Unit of the models of --known, unless it is the format's: m, cm, "
+        "mm or in.",
     )
     shared_flags.define_max_points(io.MAX_POINTS)
     shared_flags.define_completion_flags(density=1.0)
@@ -115,6 +119,8 @@ def complete_file(
     adapt: bool = False,
     density: float = 1.0,
     background: str = "unknown",
+    known: str | None = None,
+    known_unit: str | None = None,
     output_dir: str = "prism_output",
     quick: bool = True,
 ) -> dict[str, Any]:
@@ -136,8 +142,13 @@ def complete_file(
         _say(rounded)
     folder = claim(output_dir)
     check_targets(folder / name for name in _FILES)
+    library = None
+    if known is not None:
+        with _timed(f"preparing the models of {known}", "models", seconds):
+            library = _library(known, known_unit)
     with _timed(f"loading the weights {weights}", "load", seconds):
         completer = load_completer(weights, quick)
+        completer = completer if library is None else completer.knowing(library)
     # Take it apart into objects, unless it is one.
     if direction is None:
         direction = "-y" if scan.in_camera_frame else "z"
@@ -161,6 +172,8 @@ def complete_file(
         summary = summarize_scene(result, scan, source, **about)
         for number, one in enumerate(result.objects):
             _warn_of_low_trust(f"object {number}", one)
+    if library is not None:
+        _tell_of_known([result] if scene is None else result.objects)
     if result.observed.all():
         closed = scene is None and result.verdict and CLOSED in result.verdict.reasons
         _say(CLOSED if closed else "nothing was added: what is predicted is measured")
@@ -250,13 +263,33 @@ def _contents(
     else:
         report, numbers = render_report(result, told, truth), None
         fields = {name: held[result.inside] for name, held in scan.fields.items()}
-    cloud = result.points, ~result.observed, numbers, result.sigma, fields
+    cloud = result.points, result.label, numbers, result.sigma, fields
     return (
         io.ply_bytes(*cloud),
         # A file's name may hold bytes that are no UTF-8.
         report.encode(errors="backslashreplace"),
         f"{json.dumps(told, indent=2, allow_nan=False)}\n".encode(),
     )
+
+
+@functools.lru_cache(maxsize=1)
+def _library(folder: str, unit: str | None) -> Any:
+    """The models of a folder; the same ones for several scans."""
+    from prism_jax.registration.library import Library
+
+    return Library.from_folder(folder, unit)
+
+
+def _tell_of_known(objects: Sequence[Any]) -> None:
+    """Says which objects are models, and which models cannot be any."""
+    for number, found in enumerate(one.known for one in objects):
+        if found.model is not None:
+            names = " or ".join([found.model.name, *found.equal])
+            _say(f"object {number} is {names}")
+        odd = {name: why for name, why in found.refused.items() if "check" in why}
+        for name, why in list(odd.items())[:1]:
+            more = f", and {len(odd) - 1} others" if len(odd) > 1 else ""
+            _say(f"object {number} is not {name}{more}: {why} (--known_unit)")
 
 
 def _check_not_empty(scene: Any, scan: io.Scan, view: Any, source: str) -> None:

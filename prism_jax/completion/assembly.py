@@ -2,14 +2,20 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from prism_jax.adaptation.test_time import Completion
-from prism_jax.completion.filtering import MAX_DENSE, Selection, added_points
+from prism_jax.completion.filtering import (
+    MAX_DENSE,
+    NEW,
+    Selection,
+    added_points,
+    densify,
+)
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.geometry.camera import Camera
 from prism_jax.geometry.cloud import IndexedCloud
@@ -17,6 +23,7 @@ from prism_jax.geometry.render import render_depth
 from prism_jax.geometry.visibility import Visibility
 from prism_jax.geometry.workspace import Workspace
 from prism_jax.io.clouds import rounding
+from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from prism_jax.preprocessing.observation import Observation, padded
 from prism_jax.preprocessing.segmentation.background import sees_scene
 from prism_jax.preprocessing.segmentation.planes import Plane
@@ -24,6 +31,9 @@ from prism_jax.preprocessing.sensor import is_closed
 from prism_jax.uncertainty.confidence import CLOSED, SCENE, Calibration, Verdict
 from prism_jax.uncertainty.evidence import evidence_of, pose_predictions, roughness
 from prism_jax.uncertainty.sigma import PointErrors, clues_of, spread
+
+if TYPE_CHECKING:
+    from prism_jax.registration.library import Found
 
 DEPTH_PIXELS = 128
 
@@ -64,6 +74,8 @@ class CompletedScan:
         (`prism_jax.uncertainty.sigma`): 0 for measured points, which are as the sensor
         gave them, its noise included. None for weights that cannot tell, or in fewer
         than three poses.
+      known: what a library says of it (`prism_jax.registration`); None without one. If
+        it is a model, that is what the measured points are completed with.
     """
 
     points: Float[np.ndarray, "M 3"]
@@ -86,6 +98,15 @@ class CompletedScan:
     sigma: Float[np.ndarray, " M"] | None = None
     inside: Bool[np.ndarray, " N"] | None = None
     capped: bool = False
+    known: "Found | None" = None
+
+    @property
+    def label(self) -> UInt8[np.ndarray, " M"]:
+        """Of each point as files have it: measured, predicted, or a known model's."""
+        is_model = self.known is not None and self.known.model is not None
+        return np.where(
+            self.observed, OBSERVED, KNOWN if is_model else COMPLETED
+        ).astype(np.uint8)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,6 +135,13 @@ class CompletedScene:
     up: Float[np.ndarray, "3"]
     up_source: str
     sigma: Float[np.ndarray, " M"] | None = None
+
+    @property
+    def label(self) -> UInt8[np.ndarray, " M"]:
+        """As `CompletedScan` has it."""
+        added = [one.label[~one.observed] for one in self.objects]
+        measured = np.full(int(self.observed.sum()), OBSERVED, np.uint8)
+        return np.concatenate([measured, *added])
 
 
 class Task(NamedTuple):
@@ -208,6 +236,36 @@ def assemble(
         inside=np.asarray(seen.inside),
         capped=wanted > MAX_DENSE * joined.kept.density > 0,
         **_depth_maps(seen.cloud.points, joined.new, view, seen.workspace),
+    )
+
+
+def with_model(
+    completed: CompletedScan, task: Task, options: CompletionOptions, found: "Found"
+) -> CompletedScan:
+    """The same with what a library says of it: if it is a model, its surface, where
+    nothing was measured, stands in place of what the network predicted."""
+    if found.match is None:
+        return dataclasses.replace(completed, known=found)
+    seen, observed = task.seen, completed.observed
+    points, sigma = found.placed()
+    surface = IndexedCloud(seen.workspace.to_unit(points))
+    dense = densify(surface, options.density * seen.cloud.density / surface.density)
+    dense = dense[seen.cloud.distance(dense) > NEW * task.read.cloud.spacing]
+    sigma = sigma[surface.tree.query(dense)[1]]
+    measured = completed.points[observed]
+    added = seen.workspace.from_unit(dense).astype(measured.dtype)
+    sigma = np.concatenate([np.zeros(len(measured)), sigma])
+    error, told = float(sigma.mean()), found.match.evidence._asdict()
+    return dataclasses.replace(
+        completed,
+        points=np.concatenate([measured, added]),
+        observed=np.arange(len(sigma)) < len(measured),
+        left_away=dict.fromkeys(completed.left_away, 0),
+        verdict=Verdict("high", error, (), told),
+        sigma=sigma,
+        capped=False,
+        known=found,
+        **_depth_maps(seen.cloud.points, dense, task.view, seen.workspace),
     )
 
 

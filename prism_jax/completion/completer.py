@@ -5,7 +5,7 @@ import dataclasses
 import pathlib
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,9 @@ from prism_jax.preprocessing.visibility_map import seen_among, some_of
 from prism_jax.uncertainty.confidence import Calibration
 from prism_jax.uncertainty.sigma import PointErrors
 
+if TYPE_CHECKING:
+    from prism_jax.registration.library import Found, Library
+
 SLOTS = 8  # objects that one compiled call completes, at most
 
 Make = Callable[[AdaptFn], Callable[..., Any]]
@@ -48,7 +51,8 @@ class Completer:
     ``compiled_dir`` is given. ``quick`` compiles faster what then runs more slowly, and
     rounds differently: for a few scans. With a
     ``calibration`` every completion has a confidence (``verdict``), with
-    ``point_errors`` every point has a sigma.
+    ``point_errors`` every point has a sigma. What is one of the ``known`` models of a
+    library is completed with that, in its pose; scans are then in metres.
     """
 
     def __init__(
@@ -59,12 +63,14 @@ class Completer:
         calibration: Calibration | None = None,
         point_errors: PointErrors | None = None,
         quick: bool = False,
+        known: "Library | None" = None,
     ):
         self.config = config
         self.variables = variables
         self.calibration = calibration
         self.point_errors = point_errors
         self.quick = quick
+        self.known = known
         self._compiled_dir = compiled_dir
         self._compiled = {}
 
@@ -74,11 +80,12 @@ class Completer:
         name_or_path: str = "small",
         compiled_dir: pathlib.Path | None = None,
         quick: bool = False,
+        known: "Library | None" = None,
     ) -> "Completer":
         """A completer with released weights, given by name or file."""
         config, variables = load_pretrained(name_or_path)
         judges = load_calibration(name_or_path), load_point_errors(name_or_path)
-        return cls(config, variables, compiled_dir, *judges, quick)
+        return cls(config, variables, compiled_dir, *judges, quick, known)
 
     def complete(
         self,
@@ -239,6 +246,12 @@ class Completer:
         other._compiled = {}
         return other
 
+    def knowing(self, known: "Library | None") -> "Completer":
+        """The same with another library; what is compiled is shared."""
+        other = copy.copy(self)
+        other.known = known
+        return other
+
     def _run_together(
         self, tasks: Sequence[assembly.Task], options: CompletionOptions
     ) -> tuple[list[Completion], dict[str, float]]:
@@ -264,7 +277,33 @@ class Completer:
     ) -> assembly.CompletedScan:
         """The completed scan, with all that these weights can say of it."""
         judges = self.config.model.poses, self.calibration, self.point_errors
-        return assembly.assemble(task, completion, options, seconds, *judges)
+        done = assembly.assemble(task, completion, options, seconds, *judges)
+        if self.known is None:
+            return done
+        start = time.perf_counter()
+        found = self.recognise(task, done, options)
+        done = assembly.with_model(done, task, options, found)
+        seconds = {**seconds, "known": time.perf_counter() - start}
+        return dataclasses.replace(done, seconds=seconds)
+
+    def recognise(
+        self,
+        task: assembly.Task,
+        done: assembly.CompletedScan,
+        options: CompletionOptions,
+    ) -> "Found":
+        """Which of the known models an object is that the network completed so."""
+        assert self.known is not None
+        seen, visibility = task.seen, task.visibility
+        if visibility is None:
+            visibility = _visibility(seen, np.zeros((0, 3)), options.background)
+        return self.known.find(
+            task.points[seen.inside],
+            np.asarray(seen.workspace.from_unit(np.asarray(seen.eye))),
+            _to_user(visibility, seen) if seen.sensor_known else None,
+            seen.workspace.up,
+            done.prediction,
+        )
 
     def _compile_adapt(
         self, make: Make, options: CompletionOptions, arguments: tuple[Any, ...]
@@ -322,6 +361,13 @@ def _visibility(
     visibility = seen_among(seen.cloud, beside, eye, Workspace.unit(), background)
     camera = jax.tree.map(lambda array: array.astype(np.float32), visibility.camera)
     return visibility._replace(camera=camera)
+
+
+def _to_user(visibility: Visibility, seen: Observation) -> Visibility:
+    """A map in the unit workspace, for points in the user's frame."""
+    camera = seen.camera_to_user(visibility.camera)
+    depth = visibility.depth * np.float32(seen.workspace.half_extent)
+    return Visibility(camera, np.asarray(visibility.state), depth)
 
 
 def _seen_from(

@@ -103,7 +103,7 @@ def ply_bytes(
         names = "red", "green", "blue"
         own = "label_" if {*names} & {*fields} else ""
         columns |= zip([own + name for name in names], palette[label].T, strict=True)
-        known = ", 2: known robot" if (label == KNOWN).any() else ""
+        known = ", 2: known" if (label == KNOWN).any() else ""
         comments.append(f"label 0: observed, 1: completed{known}")
     if objects is not None:
         columns["object"] = objects.astype(np.int32)

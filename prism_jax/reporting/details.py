@@ -83,6 +83,18 @@ def sigma(entry: Mapping[str, Any]) -> str:
     return f"{spread}, of the added points, in input units"
 
 
+def known(entry: Mapping[str, Any]) -> str:
+    """Which model an object is, and why it is no other."""
+    refused = [f"{name}: {why}" for name, why in entry["refused"].items()]
+    rest = f"; not {', '.join(refused[:20])}" if refused else ""
+    if len(refused) > 20:
+        rest += f" and {len(refused) - 20} more (result.json)"
+    if entry["model"] is None:
+        return f"none{rest}"
+    names = " or ".join([entry["model"], *entry["equal"]])
+    return f"{names}, which explains {entry['fit']:.0%} of its points{rest}"
+
+
 def evidence(entry: Mapping[str, Any]) -> str:
     """The numbers that the verdict rests on."""
     if entry["verdict"] is None:
@@ -93,12 +105,14 @@ def evidence(entry: Mapping[str, Any]) -> str:
 
 def of_object(entry: Mapping[str, Any], adapt: bool) -> list[tuple[str, str]]:
     """Rows of a name and a text for an object in a scene."""
+    rows = [("Known model", known(entry["known"]))] if "known" in entry else []
     return [
         ("Workspace", workspace(entry)),
         ("Adaptation", adaptation(entry, adapt)),
         ("Not added", left_away(entry)),
         ("Expected error of a point", sigma(entry)),
         ("Evidence", evidence(entry)),
+        *rows,
     ]
 
 

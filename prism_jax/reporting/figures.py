@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from plotly.subplots import make_subplots
 from scipy.spatial import KDTree
 
-from prism_jax.io.ply import COLORS, COMPLETED, OBSERVED
+from prism_jax.io.ply import COLORS, COMPLETED, KNOWN, OBSERVED
 
 MAX_SHOWN_POINTS = 10_000
 """Of each cloud in a figure; a larger one is thinned, the same points every time."""
@@ -26,8 +26,8 @@ SHOWN_PIXELS = 400
 
 MARKER_SIZES = (1.4, 4.0)  # the smallest and the largest diameter of a point, in pixels
 
-OBSERVED_COLOR, COMPLETED_COLOR = (
-    "rgb({}, {}, {})".format(*COLORS[label]) for label in (OBSERVED, COMPLETED)
+OBSERVED_COLOR, COMPLETED_COLOR, KNOWN_COLOR = (
+    "rgb({}, {}, {})".format(*COLORS[label]) for label in (OBSERVED, COMPLETED, KNOWN)
 )
 GROUND_TRUTH_COLOR = "rgb(96, 108, 118)"
 SUPPORT_COLOR, LEFT_OVER_COLOR = "rgb(178, 186, 196)", "rgb(75, 85, 99)"
@@ -108,6 +108,14 @@ def by_error(
     if not shown.any():
         return {"error": SUPPORT_COLOR}
     return {"error": [float(f"{value:.3g}") for value in shown]}
+
+
+def added(completed: Any) -> tuple[str, str]:
+    """What was added to an object is called, and its colour: a known model's surface,
+    or what the network predicted."""
+    if completed.label.max() == KNOWN:
+        return "known", KNOWN_COLOR
+    return "completed", COMPLETED_COLOR
 
 
 def tell_errors(figure: go.Figure, sigma: Float[np.ndarray, " M"] | None) -> list[str]:

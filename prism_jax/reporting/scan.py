@@ -24,8 +24,9 @@ def render_report(
     frame. Large clouds are thinned for display alone."""
     measured, added = result.points[result.observed], result.points[~result.observed]
     up = result.workspace.up
+    name, color = figures.added(result)
     seen = figures.Cloud("observed", measured, figures.OBSERVED_COLOR)
-    predicted = figures.Cloud("completed", added, figures.COMPLETED_COLOR)
+    predicted = figures.Cloud(name, added, color)
     panels = [
         figures.Panel(f"Partial scan: {len(measured):,} points", [seen]),
         figures.Panel(f"Completion: {len(result.points):,} points", [seen, predicted]),
@@ -43,11 +44,11 @@ def render_report(
     about = (
         ("", figures.OBSERVED_COLOR, seen_by),
         ("observed", figures.OBSERVED_COLOR, seen_by),
-        ("completed", figures.COMPLETED_COLOR, predicted_by),
+        (name, color, predicted_by),
         ("", figures.GROUND_TRUTH_COLOR, {"error": figures.GROUND_TRUTH_COLOR}),
     )
-    for trace, (cloud, color, by) in zip(clouds.data, about, strict=False):
-        trace.meta = {"cloud": cloud, "color": {"": color, **by}}
+    for trace, (cloud, own, by) in zip(clouds.data, about, strict=False):
+        trace.meta = {"cloud": cloud, "color": {"": own, **by}}
     depth = figures.depth_figure(
         ("Partial scan", "Completion"),
         [np.asarray(result.depth_observed), np.asarray(result.depth_completed)],
@@ -63,7 +64,7 @@ def render_report(
         counts=counts(summary["points"]),
         toggles=[
             ("observed", figures.OBSERVED_COLOR),
-            ("completed", figures.COMPLETED_COLOR),
+            (name, color),
         ],
         modes=modes,
         clouds=clouds_html(clouds),

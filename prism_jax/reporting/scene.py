@@ -53,6 +53,7 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         shown = np.stack([trace.x, trace.y, trace.z], axis=1)
         size = figures.marker_size(shown, np.ptp(around, axis=0).max())
         trace.meta = {**about, "size": [trace.marker.size, size]}
+    added = map(figures.added, scene.objects)
     shift = figures.axis_shift(bounds)
     layouts = [_layout(box, shift, toward, up) for box in [bounds, *boxes]]
     figure.update_scenes(camera=layouts[0]["scene.camera"])
@@ -62,7 +63,7 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         counts=details.counts(summary["points"]),
         toggles=[
             ("observed", figures.OBSERVED_COLOR),
-            ("completed", figures.COMPLETED_COLOR),
+            *sorted({("completed", figures.COMPLETED_COLOR), *added}),
             ("support", figures.SUPPORT_COLOR),
             ("left over", figures.LEFT_OVER_COLOR),
         ],
@@ -93,9 +94,10 @@ def _clouds(
         meta.append({"cloud": names[number], "object": None, "color": colors})
     for number, (one, entry) in enumerate(zip(scene.objects, entries, strict=True)):
         trust = TRUST_COLORS[trust_of(entry)]
+        added, added_color = figures.added(one)
         for name, which, color in (
             ("observed", one.observed, figures.OBSERVED_COLOR),
-            ("completed", ~one.observed, figures.COMPLETED_COLOR),
+            (added, ~one.observed, added_color),
         ):
             points = figures.subsample(one.points[which], _share(scene))
             clouds.append(figures.Cloud(f"object {number}, {name}", points, color))
@@ -148,12 +150,15 @@ def _row(
     """One object in the list, and what the details say of it."""
     points, verdict = entry["points"], entry["verdict"]
     error = None if verdict is None else verdict["expected_error"]
+    reasons = [] if verdict is None else verdict["reasons"]
+    if known := entry.get("known", {}).get("model"):
+        reasons = [f"known: {known}"]
     return {
         "number": number,
         "trust": trust_of(entry),
         "observed": f"{points['partial']:,}",
         "added": f"{points['completed'] - points['partial']:,}",
         "error": "-" if error is None else f"{error:#.3g}",
-        "reasons": [] if verdict is None else verdict["reasons"],
+        "reasons": reasons,
         "details": details.of_object(entry, summary["adapt"]),
     }

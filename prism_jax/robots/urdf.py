@@ -21,7 +21,7 @@ from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import parsing, read_bytes
 from prism_jax.robots.xacro import named_file, plain_urdf, robot_xml
 
-MESH_SUFFIXES = (".dae", ".obj", ".ply", ".stl")
+MESH_SUFFIXES = (".dae", ".glb", ".obj", ".ply", ".stl")
 REMEDY = "fix the URDF, or use another one"
 _EXTRA = "robots"
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -228,15 +228,16 @@ def _shape_mesh(geometry: Any, path: pathlib.Path) -> Any:
     file = named_file(geometry.mesh.filename or "", path)
     if file is None:
         raise InputError(path, f"no such mesh {geometry.mesh.filename!r}", REMEDY)
-    vertices, faces = _read_mesh(file)
+    vertices, faces = read_mesh(file)
     if geometry.mesh.scale is not None:
         vertices = vertices * geometry.mesh.scale
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
 @np.errstate(all="ignore")
-def _read_mesh(file: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices, in metres, and faces."""
+def read_mesh(file: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices, in metres if the file says its unit, and faces, of one of
+    `MESH_SUFFIXES`. InputError for what is no such mesh."""
     trimesh, kind = require("trimesh", _EXTRA), file.suffix.lower()
     if kind not in MESH_SUFFIXES:
         fault = f"not a mesh of type {' '.join(MESH_SUFFIXES)}"

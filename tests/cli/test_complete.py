@@ -21,6 +21,9 @@ from prism_jax.cli.complete import complete_file
 from prism_jax.completion.weights import available_weights
 from prism_jax.io.ply import read_ply, vertices_bytes
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene
+from prism_jax.registration import library
+from prism_jax.registration.evidence import Evidence, Match
+from prism_jax.registration.surface import surface_of
 from prism_jax.reporting.model_card import model_card
 from prism_jax.uncertainty.confidence import SCENE, Verdict
 from tests import launching
@@ -121,6 +124,8 @@ def test_every_flag_reaches_the_completion(monkeypatch):
         "density": 0.5,
         "background": "empty",
         "objects": "one",
+        "known": "parts",
+        "known_unit": "mm",
         "output_dir": "d",
     }
     assert run("--input=a.ply", *(f"--{k}={v}" for k, v in expected.items())) == 0
@@ -426,6 +431,38 @@ def test_a_scene_comes_back_as_its_objects_unless_one_is_asked_for(capsys):
     assert result()["points"]["partial"] == 440 and "objects" not in result()
     assert run("--input=scene.npy", "--ground_truth=scan.npy") == 0
     assert result()["scores"]
+
+
+def test_an_object_that_is_a_model_is_told(altered, monkeypatch, capsys):
+    """In all that is written, with the others and why it is none of them."""
+    evidence = Evidence(0.97, 0.8, 0.9, 0.01, 0.3, 0.7, 1.0)
+    match = Match(2 * np.eye(4), np.eye(6), np.zeros(3), 0.1, evidence)
+    refused = {
+        "b.stl": "too small",
+        "c.stl": "about 1,000 times too large: check units",
+    }
+    surface = surface_of(np.eye(3), np.arange(3)[None])
+    found = library.Found(library.Model("a.stl", surface), match, ("d.stl",), refused)
+    read = []
+    monkeypatch.setattr(
+        library.Library, "from_folder", lambda *given: read.append(given) or given
+    )
+    altered(lambda done: {"known": found})
+    assert run("--input=scan.npy", "--known=parts", "--known_unit=mm") == 0
+    assert read == [("parts", "mm")]
+    told = capsys.readouterr().err
+    assert "object 0 is a.stl or d.stl" in told and "object 0 is not c.stl" in told
+    known = result()["known"]
+    assert known["model"] == "a.stl" and known["equal"] == ["d.stl"]
+    assert known["pose"] == (2 * np.eye(4)).tolist() and known["refused"] == refused
+    assert known["fit"] == 0.97
+    label = plyfile.PlyData.read(OUT / "completed.ply")["vertex"]["label"]
+    assert np.bincount(label).tolist() == [200, 0, 100]
+    report = (OUT / "report.html").read_text()
+    assert "a.stl or d.stl" in report and "b.stl: too small" in report
+    altered(lambda done: {"known": found._replace(model=None, match=None, equal=())})
+    assert run("--input=scan.npy", "--known=parts") == 0
+    assert result()["known"] == {"model": None, "refused": refused}
 
 
 def test_only_a_long_step_that_ends_is_told(capsys, monkeypatch):

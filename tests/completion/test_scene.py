@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 
 from prism_jax.completion import filtering
 from prism_jax.completion.assembly import in_one_scene
@@ -11,6 +12,8 @@ from prism_jax.completion.completer import SLOTS
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
 from prism_jax.preprocessing.segmentation.scene import SegmentedScene
+from prism_jax.registration.library import Library, Model
+from prism_jax.registration.surface import surface_of
 
 EYE = np.array([0.0, -8.0, 6.0])
 FAR = np.array([4e5, 5e6, 100.0])
@@ -109,3 +112,35 @@ def test_it_takes_the_scene_apart_itself(completer, scene):
     assert table.points.tobytes() == points[:6000].tobytes()
     with pytest.raises(InputError, match="at least 64"):
         completer.complete_scene(points[:50], CAMERA)
+
+
+def test_two_known_boxes_and_a_strange_thing(completer, scene):
+    """The boxes come back as the model, the thing as the network completes it."""
+    points, number = (rows[scene[1] < 3].copy() for rows in scene)
+    for i in range(3):
+        # Its top and its front, which are all that is seen.
+        sides = np.random.default_rng(i).uniform(-0.5, 0.5, (300, 3))
+        sides[:150, 1], sides[150:, 2] = -0.5, 0.5
+        points[number == i] = sides + [2 * i - 2, -2, 0.51]
+    half = (number == 2) & (points[:, 2] > 0.7)
+    points[half] = points[half] * [0.6, 0.6, 2.0] + [0.9, -0.8, 0.0]
+    taken_apart = SegmentedScene(number, (), 3 * (300,), 6000, 0)
+    box = trimesh.creation.box((1.0, 1.0, 1.0))
+    own = surface_of(np.asarray(box.vertices), np.asarray(box.faces))
+    knowing = completer.knowing(Library([Model("box", own)]))
+    given = {"up": "z", "scene": taken_apart}
+    found = knowing.complete_scene(points, CAMERA, **given)
+    plain = completer.complete_scene(points, CAMERA, **given)
+    assert found.points[found.observed].tobytes() == points.tobytes()
+    for i, (one, other) in enumerate(zip(found.objects, plain.objects, strict=True)):
+        assert other.known is None and one.known is not None
+        added = found.points[(found.object == i) & ~found.observed]
+        labels = found.label[(found.object == i) & ~found.observed]
+        if i == 2:
+            assert one.known.model is None and list(one.known.refused) == ["box"]
+            assert set(labels) == {1} and np.array_equal(one.points, other.points)
+            continue
+        assert one.known.model.name == "box" and set(labels) == {2}
+        center = [2 * i - 2, -2, 0.51]
+        np.testing.assert_allclose(np.abs(added - center).max(axis=1), 0.5, atol=0.02)
+        assert one.verdict.trust == "high" and one.sigma[~one.observed].min() > 0

@@ -1,0 +1,239 @@
+"""A folder of models, and which of them an object is."""
+
+import concurrent.futures
+import dataclasses
+import functools
+import hashlib
+import io
+import pathlib
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from prism_jax.geometry.visibility import Visibility
+from prism_jax.io.atomic import make_output_dir, write_bytes
+from prism_jax.io.errors import InputError, StrPath, choose, require
+from prism_jax.io.files import default_cache_dir
+from prism_jax.registration import evidence
+from prism_jax.registration.evidence import Match
+from prism_jax.registration.pose import Poses, search
+from prism_jax.registration.scan import Scan
+from prism_jax.registration.surface import Surface, surface_of
+from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
+
+VERSION = 4  # of what is kept in the cache
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
+VERIFIED, POSES = 15, 2  # models that are looked at closely, and poses of each
+EQUAL = 0.03  # of the score: two models nearer than this explain an object equally
+ALIKE = 0.02  # in longest sides: two surfaces nearer than this are the same
+FAR = 100.0  # times as large or as small as an object: of another unit
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """A model and its name, which is its file's below the folder."""
+
+    name: str
+    surface: Surface
+
+    @functools.cached_property
+    def tree(self) -> KDTree:
+        """Of the surface's points."""
+        return KDTree(self.surface.points)
+
+
+class Found(NamedTuple):
+    """What became of the models of a library, for one object."""
+
+    model: Model | None  # the one that it is
+    match: Match | None  # its pose, and what speaks for it
+    equal: tuple[str, ...]  # others that look the same and explain it as well
+    refused: dict[str, str]  # why it is none of the others, by their names
+
+    def placed(self) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, " M"]]:
+        """Points of the model's surface in its pose, and the sigma of each."""
+        assert self.model is not None and self.match is not None
+        return self.match.placed(self.model.surface)
+
+
+class Library:
+    """Models that objects may be, in metres."""
+
+    def __init__(self, models: Sequence[Model]):
+        self.models = tuple(models)
+
+    @classmethod
+    def from_folder(cls, folder: StrPath, unit: str | None = None) -> "Library":
+        """All OBJ, STL, PLY, DAE and GLB files in a folder and below it, and the links
+        of all URDF and xacro files. Lengths of the others than URDF, xacro and GLB are
+        of this `unit`, one of `UNITS`; without it such a file raises InputError, as
+        does one that cannot be read. What is made of a model is kept in the cache."""
+        require("trimesh", "cad")
+        root = pathlib.Path(folder)
+        suffixes = *MESH_SUFFIXES, *ROBOTS
+        files = sorted(p for p in root.rglob("*") if p.suffix.lower() in suffixes)
+        if not files:
+            remedy = f"give a folder of {' '.join(suffixes)} files"
+            raise InputError(folder, "no models in this folder", remedy)
+        if unit is not None:
+            choose("--known_unit", unit, UNITS)
+        models = []
+        for file in files:
+            name, kind = file.relative_to(root).as_posix(), file.suffix.lower()
+            if kind in ROBOTS:
+                robot = Linkage(file)
+                for link, mesh in zip(robot.link_names, robot.meshes, strict=True):
+                    own = mesh.vertices, mesh.faces
+                    models.append(prepared(f"{name}:{link}", *map(np.asarray, own)))
+                continue
+            if unit is None and kind not in METRIC:
+                remedy = f"set --known_unit to one of {', '.join(UNITS)}"
+                raise InputError(file, "the unit of its lengths is not known", remedy)
+            vertices, faces = read_mesh(file)
+            scale = 1.0 if kind in METRIC or unit is None else UNITS[unit]
+            models.append(prepared(name, vertices * scale, faces))
+        return cls(models)
+
+    def find(
+        self,
+        points: Float[np.ndarray, "N 3"],
+        eye: Float[np.ndarray, "3"],
+        visibility: Visibility | None = None,
+        up: Float[np.ndarray, "3"] = np.array([0.0, 0.0, 1.0]),
+        other: Float[np.ndarray, "P 3"] | None = None,
+    ) -> Found:
+        """The model that one object is, if it is one: of those that could be as large,
+        the one whose pose explains the points and what the sensor saw past them.
+
+        All in one frame, in metres. `eye` is where the sensor stood, perhaps by a
+        guess; what it saw is the `visibility`, if its place is known. An object may
+        stand upright with regard to `up`, or lie anyhow. A model must explain the
+        points better than the `other` ones do, a network's. The same input gives the
+        same result.
+        """
+        scan = Scan(np.asarray(points, np.float64), np.asarray(eye), visibility)
+        strain = np.inf
+        if other is not None:
+            strain = evidence.strain(KDTree(other).query(scan.raw)[0], scan.noise)
+        refused, fitting = {}, []
+        for model in self.models:
+            if reason := _misfit(scan, model.surface):
+                refused[model.name] = reason
+            else:
+                fitting.append(model)
+        placed = _each(lambda model: search(scan, model.surface, up), fitting)
+        order = sorted(range(len(fitting)), key=lambda i: -placed[i][1][0])
+        for i in order[VERIFIED:]:
+            refused[fitting[i].name] = "other models come nearer to the points"
+        close = [(fitting[i], placed[i][0]) for i in order[:VERIFIED]]
+        matches = _each(lambda pair: _best(scan, *pair), close)
+        sound = []
+        for (model, _), match in zip(close, matches, strict=True):
+            if reason := evidence.doubt(match.evidence, strain):
+                refused[model.name] = reason
+            else:
+                sound.append((model, match))
+        sound.sort(key=lambda pair: -pair[1].score)
+        return _decided(sound, refused)
+
+
+def _decided(sound: list[tuple[Model, Match]], refused: dict[str, str]) -> Found:
+    """The best of those that explain an object, unless another that looks different
+    does so as well."""
+    if not sound:
+        return Found(None, None, (), refused)
+    (best, match), *others = sound
+    equal, rivals = [], []
+    for model, other in others:
+        if other.score < match.score - EQUAL:
+            refused[model.name] = f"{best.name} explains it better"
+        elif _alike(best, match, model, other):
+            equal.append(model.name)
+        else:
+            rivals.append(model.name)
+    if not rivals:
+        return Found(best, match, tuple(equal), refused)
+    undecided = [best.name, *equal, *rivals]
+    for name in undecided:
+        rest = ", ".join(other for other in undecided if other != name)
+        refused[name] = f"explains it as well as {rest}"
+    return Found(None, None, (), refused)
+
+
+def _alike(one: Model, match: Match, other: Model, its: Match) -> bool:
+    """Whether two models are the same surface where they were found."""
+    there = np.linalg.inv(match.pose) @ its.pose
+    longest = ALIKE * one.surface.size + one.surface.spacing
+    for own, from_it, pose in (one, other, there), (other, one, np.linalg.inv(there)):
+        points = from_it.surface.points @ pose[:3, :3].T + pose[:3, 3]
+        if np.quantile(own.tree.query(points)[0], 0.99) > longest:
+            return False
+    return True
+
+
+def _misfit(scan: Scan, surface: Surface) -> str | None:
+    """Why an object of these widths is none of this model, if it can be told."""
+    times = surface.widths[-1] / scan.size
+    if not 1 / FAR < times < FAR:
+        word = "large" if times > 1 else "small"
+        times = float(f"{max(times, 1 / times):.0e}")
+        return f"about {times:,.0f} times too {word}: check the units"
+    slack = 0.05 * surface.size + 6.0 * scan.noise
+    middle = len(scan.widths) // 2
+    own, its = scan.widths[[middle, -1]], surface.widths[[middle, -1]]
+    if (own > its + slack).any():
+        return "too small"
+    if own[0] < 0.4 * its[0] - slack:
+        return "too large"
+    return None
+
+
+def _best(scan: Scan, model: Model, poses: Poses) -> Match:
+    """The best of a model's poses."""
+    matches = [
+        evidence.match(scan, model.surface, model.tree, rotation, shift)
+        for rotation, shift in zip(*poses.of(slice(POSES)), strict=True)
+    ]
+    return max(matches, key=lambda match: match.score)
+
+
+def _each(work, items: Sequence) -> list:
+    """What each of some things comes to, in order; NumPy lets threads work at once."""
+    if len(items) < 2:
+        return [work(item) for item in items]
+    with concurrent.futures.ThreadPoolExecutor() as pool:
+        return list(pool.map(work, items))
+
+
+def prepared(
+    name: str, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Model:
+    """A model by its mesh, in metres; from the cache if it is there and whole."""
+    parts = np.asarray(vertices, "<f8"), np.asarray(faces, "<i8")
+    digest = hashlib.sha256(b"%d" % VERSION)
+    for part in parts:
+        digest.update(part.tobytes())
+    folder = default_cache_dir() / "models"
+    path = folder / f"{digest.hexdigest()[:32]}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return Model(name, Surface(*(kept[field] for field in Surface._fields)))
+    except Exception:  # not there, or damaged in any way
+        pass
+    try:
+        surface = surface_of(*parts)
+    except ValueError as error:
+        remedy = "export it again, or take it out of the folder"
+        raise InputError(name, str(error), remedy) from None
+    content = io.BytesIO()
+    np.savez(content, **surface._asdict())
+    try:
+        make_output_dir(folder)
+        write_bytes(path, content.getvalue())
+    except InputError:
+        pass  # a cache that cannot be written is no fault of the model
+    return Model(name, surface)

@@ -1,0 +1,179 @@
+"""A model's surface as sensors see it from outside, and what finds points on it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int, UInt16
+from scipy.spatial import KDTree
+
+DRAWN, KEPT = 60_000, 10_000  # points of all surface, and of what is seen from outside
+CELLS = 48  # of a grid along the longest side
+BESIDE = 0.15  # in longest sides: so much farther does the grid reach
+NUM_PAIRED = 300  # points that make pairs
+STEPS, ANGLES = 20, 9  # of a pair's length in longest sides, and of its angles in 180
+FACING = 0.1  # cosine under which a direction does not say what is seen of a surface
+BACK = 0.1  # of the directions that see a point: so many from behind make a sheet
+DIRECTIONS = 64
+NO_CODE = 2**16 - 1  # of pairs longer than any of the model's
+
+
+class Surface(NamedTuple):
+    """Points of a model's outer surface, in its own frame and the library's unit."""
+
+    points: Float32[np.ndarray, "M 3"]
+    normals: Float32[np.ndarray, "M 3"]  # outward
+    two_sided: Bool[np.ndarray, " M"]  # seen from both sides, as a sheet is
+    # The point nearest to each cell of a grid, whose corner and side these are.
+    nearest: UInt16[np.ndarray, "A B C"]
+    corner: Float64[np.ndarray, "3"]
+    cell: Float64[np.ndarray, ""]
+    # Pairs of points in the order of their `pair_codes`.
+    codes: UInt16[np.ndarray, " P"]
+    pairs: UInt16[np.ndarray, "P 2"]
+    widths: Float64[np.ndarray, " D"]  # in many directions, in rising order
+    area: Float64[np.ndarray, ""]
+
+    @property
+    def size(self) -> float:
+        """The longest side of its box."""
+        return float(np.ptp(self.points, axis=0).max())
+
+    @property
+    def spacing(self) -> float:
+        """Usual distance of its points."""
+        return float(np.sqrt(self.area / len(self.points)))
+
+    def index(self, points: Float[np.ndarray, "*shape 3"]) -> Int[np.ndarray, "*shape"]:
+        """About the nearest of its points; far outside some point of the edge."""
+        cells = (points - self.corner.astype(np.float32)) / np.float32(self.cell)
+        top = np.array(self.nearest.shape, np.float32) - 1
+        cells = np.clip(cells, 0, top).astype(np.int32)
+        _, rows, columns = self.nearest.shape
+        flat = (cells[..., 0] * rows + cells[..., 1]) * columns + cells[..., 2]
+        return self.nearest.ravel()[flat].astype(np.int32)
+
+
+def surface_of(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Surface:
+    """Of a mesh, whichever way its normals point; the same each time. ValueError where
+    nothing of it is seen from outside."""
+    rng = np.random.default_rng(0)
+    corners = np.asarray(vertices, np.float64)[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(normals, axis=1)
+    total = np.cumsum(doubled)
+    if not total[-1] > 0:
+        raise ValueError("it has no surface")
+    drawn = rng.random(DRAWN) * total[-1]
+    chosen = np.minimum(np.searchsorted(total, drawn, "right"), len(total) - 1)
+    u, v = rng.random((2, DRAWN, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    first, second, third = corners[chosen].swapaxes(0, 1)
+    points = first + u * (second - first) + v * (third - first)
+    normals = normals[chosen] / doubled[chosen][:, None]
+    front, back = _seen(points, normals, np.sqrt(total[-1] / 2 / DRAWN))
+    seen = np.flatnonzero((front > 0) | (back > 0))
+    if len(seen) < 100:
+        raise ValueError("nothing of it is seen from outside")
+    area = total[-1] / 2 * len(seen) / DRAWN
+    seen = seen[:KEPT]
+    front, back, points = front[seen], back[seen], points[seen]
+    normals = np.where((front >= back)[:, None], normals[seen], -normals[seen])
+    two_sided = np.minimum(front, back) > BACK * np.maximum(front, back)
+    codes, pairs = _pairs(points, normals)
+    size = np.ptp(points, axis=0).max()
+    cell = size * (1 + 2 * BESIDE) / CELLS
+    corner = points.min(axis=0) - BESIDE * size
+    shape = np.ceil((np.ptp(points, axis=0) + 2 * BESIDE * size) / cell).astype(int)
+    middles = corner + cell * (np.indices(shape).reshape(3, -1).T + 0.5)
+    nearest = KDTree(points).query(middles)[1].astype(np.uint16).reshape(shape)
+    single = points.astype(np.float32), normals.astype(np.float32)
+    grid = nearest, corner, np.array(cell)
+    widths = widths_of(points)
+    return Surface(*single, two_sided, *grid, codes, pairs, widths, np.array(area))
+
+
+def widths_of(points: Float[np.ndarray, "N 3"], share: float = 0.0) -> np.ndarray:
+    """Widths in `DIRECTIONS`, in rising order, without this share at each end. Those of
+    a part of something are no larger than those of all of it, rank by rank."""
+    along = np.sort(points @ sphere(DIRECTIONS).T, axis=0)
+    rank = int(share * len(points))
+    return np.sort(along[len(points) - 1 - rank] - along[rank])
+
+
+def sphere(count: int) -> Float64[np.ndarray, "count 3"]:
+    """Unit vectors spread over the sphere: a Fibonacci lattice."""
+    index = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
+    ring = np.sqrt(1 - z**2)
+    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)
+
+
+def pair_codes(
+    points: Float[np.ndarray, "P 2 3"], normals: Float[np.ndarray, "P 2 3"], size: float
+) -> UInt16[np.ndarray, " P"]:
+    """What of pairs of oriented points no motion changes, in steps: their distance, the
+    angles between each normal and the line, and between the normals. After B. Drost et
+    al., Model globally, match locally, 2010."""
+    line = points[:, 1] - points[:, 0]
+    length = np.maximum(np.linalg.norm(line, axis=1), 1e-12)
+    line = line / length[:, None]
+    code = (length * (STEPS / size)).astype(np.int64)
+    first, second = normals.swapaxes(0, 1)
+    for one, other in (first, line), (second, line), (first, second):
+        cosine = np.clip(np.einsum("ij,ij->i", one, other), -1, 1)
+        step = (np.arccos(cosine) * (ANGLES / np.pi)).astype(np.int64)
+        code = code * ANGLES + np.minimum(step, ANGLES - 1)
+    return np.minimum(code, NO_CODE).astype(np.uint16)
+
+
+def _pairs(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of some points by their codes."""
+    some = spread(points, NUM_PAIRED)
+    one, other = np.meshgrid(some, some, indexing="ij")
+    pairs = np.stack([one.ravel(), other.ravel()], axis=1)
+    size = np.ptp(points, axis=0).max()
+    apart = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    pairs = pairs[apart > 0.15 * size]
+    codes = pair_codes(points[pairs], normals[pairs], size)
+    order = np.argsort(codes, kind="stable")
+    return codes[order], pairs[order].astype(np.uint16)
+
+
+def spread(points: Float[np.ndarray, "N 3"], count: int) -> Int[np.ndarray, " count"]:
+    """Rows of so many points, or all, each the farthest from those before it."""
+    chosen = np.zeros(min(count, len(points)), int)
+    away = np.full(len(points), np.inf)
+    for number in range(1, len(chosen)):
+        offset = points - points[chosen[number - 1]]
+        away = np.minimum(away, np.einsum("ij,ij->i", offset, offset))
+        chosen[number] = away.argmax()
+    return chosen
+
+
+def _seen(
+    points: np.ndarray, normals: np.ndarray, spacing: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """From how many directions points are seen on the side of their normal, and on the
+    other."""
+    front, back = np.zeros((2, len(points)), int)
+    for direction in sphere(DIRECTIONS):
+        axes = np.linalg.svd(direction[None])[2][1:]
+        seen = foremost(points @ axes.T, -points @ direction, spacing)
+        facing = normals @ direction
+        front += seen & (facing > FACING)
+        back += seen & (facing < -FACING)
+    return front, back
+
+
+def foremost(
+    image: Float[np.ndarray, "N 2"], away: Float[np.ndarray, " N"], spacing: float
+) -> Bool[np.ndarray, " N"]:
+    """Which points of a surface no other ones hide: by how far they are away from a
+    viewer, and their places and usual spacing in an image."""
+    cells = np.floor((image - image.min(axis=0)) / (2.0 * spacing)).astype(np.int64)
+    pixel = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    first = np.full(pixel.max() + 1, np.inf)
+    np.minimum.at(first, pixel, away)
+    return away <= first[pixel] + 4.0 * spacing

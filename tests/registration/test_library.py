@@ -1,0 +1,168 @@
+"""Parts that are found again in what a sensor saw of them."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from experiments.simulation.raycast import Scene
+from experiments.simulation.readings import camera_rays
+from prism_jax.io.errors import InputError
+from prism_jax.preprocessing.visibility_map import seen_among
+from prism_jax.registration import library, surface
+from prism_jax.registration.library import Library, Model
+from prism_jax.registration.surface import surface_of
+
+EYE = np.array([1.2, 0.9, 0.8])
+NOISE = 0.001
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def box(extents, at=(0, 0, 0)):
+    return trimesh.creation.box(extents).apply_translation(at)
+
+
+def joined(*meshes):
+    return trimesh.util.concatenate(meshes)
+
+
+BRACKET = joined(
+    box([0.4, 0.2, 0.05], [0, 0, 0.025]),
+    box([0.05, 0.2, 0.25], [-0.175, 0, 0.175]),
+    box([0.1, 0.05, 0.1], [0.1, 0.05, 0.1]),
+)
+MIRRORED = BRACKET.copy().apply_transform(np.diag([1.0, -1, 1, 1]))
+CRATE = box([0.3, 0.2, 0.25])
+DRUM = trimesh.creation.cylinder(0.12, 0.3)
+
+
+def model(name, mesh):
+    return Model(name, surface_of(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer():
+    """Points of a surface, which are made in less time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surface, "DRAWN", 16_000)
+        patch.setattr(surface, "KEPT", 4_000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def parts():
+    meshes = {"bracket": BRACKET, "mirrored": MIRRORED, "crate": CRATE, "drum": DRUM}
+    return {name: model(name, mesh) for name, mesh in meshes.items()}
+
+
+@pytest.fixture(scope="module")
+def known(parts):
+    return Library(list(parts.values()))
+
+
+def scan(mesh, seed=0, rotation=None):
+    """What a noisy depth camera at `EYE` measures of a part, and the part's pose."""
+    rng = np.random.default_rng(seed)
+    pose = np.eye(4)
+    turn = Rotation.random(random_state=rng) if rotation is None else rotation
+    pose[:3, :3], pose[:3, 3] = turn.as_matrix(), rng.uniform(-0.1, 0.1, 3)
+    scene = Scene(mesh.copy().apply_transform(pose))
+    hits = scene.cast(EYE, camera_rays(scene, EYE).directions.reshape(-1, 3))
+    some = rng.choice(len(hits.points), 3000)
+    rays = hits.points[some] - EYE
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return hits.points[some] + NOISE * rng.normal(size=(3000, 1)) * rays, pose
+
+
+def away(mesh, found, pose):
+    """The farthest that the part's surface lies from where it is, in metres."""
+    points = trimesh.sample.sample_surface(mesh, 2000, seed=1)[0]
+    moved = trimesh.transform_points(points, np.linalg.inv(pose) @ found)
+    return np.abs(trimesh.proximity.signed_distance(mesh, moved)).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "mesh"), [("bracket", BRACKET), ("crate", CRATE), ("drum", DRUM)]
+)
+def test_a_part_is_found_in_its_pose(known, name, mesh):
+    """Of a symmetric one, in any that looks the same."""
+    points, pose = scan(mesh)
+    found = known.find(points, EYE)
+    assert found.model is not None and found.match is not None
+    assert found.model.name == name
+    assert away(mesh, found.match.pose, pose) < 0.004
+    assert set(found.refused) == {"bracket", "mirrored", "crate", "drum"} - {name}
+    _, sigma = found.placed()
+    assert NOISE / 2 < np.median(sigma) < 3 * NOISE
+    again = known.find(points, EYE)
+    assert again.match.pose.tobytes() == found.match.pose.tobytes()
+    assert again.refused == found.refused
+
+
+def test_what_is_no_part_is_none(parts):
+    points, _ = scan(BRACKET, rotation=Rotation.identity())
+    others = Library([parts[name] for name in ("mirrored", "crate", "drum")])
+    visibility = seen_among(points, np.zeros((0, 3)), EYE)
+    found = others.find(points, EYE, visibility)
+    assert found.model is None and len(found.refused) == 3
+
+
+def test_two_that_explain_it_equally_are_both_named(parts):
+    points, _ = scan(CRATE)
+    twin = Model("twin", parts["crate"].surface)
+    found = Library([parts["crate"], twin]).find(points, EYE)
+    assert found.model.name == "crate" and found.equal == ("twin",)
+    # Where they differ behind, where nobody has looked, it is neither.
+    upright = Rotation.identity()
+    points, _ = scan(CRATE, rotation=upright)
+    hollow = box([0.3, 0.2, 0.25])
+    hollow.update_faces(hollow.triangles_center[:, 0] > -0.1)
+    found = Library([parts["crate"], model("open", hollow)]).find(points, EYE, up=UP)
+    assert found.model is None
+    assert found.refused["crate"] == "explains it as well as open"
+
+
+def test_another_unit_is_named(parts):
+    points, _ = scan(CRATE)
+    found = Library([parts["crate"]]).find(points * 1000, EYE * 1000)
+    assert "about 900 times too small: check the units" in found.refused["crate"]
+
+
+def test_a_folder_is_read_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "parts"
+    (folder / "below").mkdir(parents=True)
+    for name in ("below/crate.stl", "crate.ply", "crate.obj"):
+        CRATE.copy().apply_scale(1000).export(folder / name)
+    CRATE.export(folder / "crate.glb")
+    with pytest.raises(InputError, match=r"crate\.stl: the unit .*--known_unit"):
+        Library.from_folder(folder)
+    first = Library.from_folder(folder, "mm")
+    names = [model.name for model in first.models]
+    assert names == ["below/crate.stl", "crate.glb", "crate.obj", "crate.ply"]
+    for one in first.models:
+        np.testing.assert_allclose(one.surface.size, 0.3, rtol=0.02)
+    kept = sorted((tmp_path / "cache" / "models").iterdir())
+    kept[0].write_bytes(b"damaged")
+    kept[1].write_bytes(kept[1].read_bytes()[:1000])
+    made, make = [], library.surface_of
+    monkeypatch.setattr(library, "surface_of", lambda *m: made.append(1) or make(*m))
+    second = Library.from_folder(folder, "mm")
+    assert len(made) == 2
+    for one, other in zip(first.models, second.models, strict=True):
+        for ours, theirs in zip(one.surface, other.surface, strict=True):
+            assert np.array_equal(ours, theirs)
+
+
+def test_links_of_a_robot_are_models(tmp_path, monkeypatch, urdf):
+    monkeypatch.setenv("PRISM_JAX_CACHE", str(tmp_path / "cache"))
+    links = Library.from_folder(urdf.parent).models
+    assert links and all(f"{urdf.name}:" in link.name for link in links)
+
+
+@pytest.mark.parametrize("content", [None, b"solid nothing\nendsolid\n"])
+def test_a_faulty_folder_is_told(tmp_path, content):
+    if content is not None:
+        (tmp_path / "part.stl").write_bytes(content)
+    with pytest.raises(InputError, match=r"no models|not a readable mesh"):
+        Library.from_folder(tmp_path, "m")
