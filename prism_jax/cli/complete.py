@@ -66,10 +66,6 @@ def define_flags() -> None:
         "truth are cropped to. Points outside it still show which space is free. "
         "Added points may lie outside the box, but inside the completed cube: its "
         "side is 1.4 times the longest side of the cropped points.",
-        known="Folder of models (OBJ, STL, PLY, DAE, GLB, links of URDF). An object "
-        "that is one of them is completed with it, in its pose. The scan is in metres.",
-        known_unit="Unit of the models of --known, unless it is the format's: m, cm, "
-        "mm or in.",
     )
     shared_flags.define_max_points(io.MAX_POINTS)
     shared_flags.define_completion_flags(density=1.0)
@@ -145,7 +141,7 @@ def complete_file(
     library = None
     if known is not None:
         with _timed(f"preparing the models of {known}", "models", seconds):
-            library = _library(known, known_unit)
+            library = load_library(known, known_unit)
     with _timed(f"loading the weights {weights}", "load", seconds):
         completer = load_completer(weights, quick)
         completer = completer if library is None else completer.knowing(library)
@@ -270,14 +266,6 @@ def _contents(
         report.encode(errors="backslashreplace"),
         f"{json.dumps(told, indent=2, allow_nan=False)}\n".encode(),
     )
-
-
-@functools.lru_cache(maxsize=1)
-def _library(folder: str, unit: str | None) -> Any:
-    """The models of a folder; the same ones for several scans."""
-    from prism_jax.registration.library import Library
-
-    return Library.from_folder(folder, unit)
 
 
 def _tell_of_known(objects: Sequence[Any]) -> None:

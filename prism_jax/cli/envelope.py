@@ -24,7 +24,7 @@ from jaxtyping import Float
 from prism_jax import io
 from prism_jax.cli import shared_flags
 from prism_jax.cli.envelope_output import LINES, Output
-from prism_jax.cli.launch import launch, load_completer, say, timed
+from prism_jax.cli.launch import launch, load_completer, load_library, say, timed
 from prism_jax.cli.stream import (
     REPORT,
     follow,
@@ -73,7 +73,7 @@ _UNUSED = {
     CALIBRATE: "calibration camera depth eye query reference topic pace every_frame "
     "carving_margin smallest_body max_points output_dir",
     REFERENCE: "calibration query reference alpha weights adapt density background "
-    "input sensor voxel up workspace smallest_body pace every_frame output_dir",
+    "known input sensor voxel up workspace smallest_body pace every_frame output_dir",
     "": "input output",
 }
 """Flags that a use refuses."""
@@ -150,6 +150,7 @@ class _Given(NamedTuple):
     bounds: io.Bounds | None
     robot: Linkage | None
     joints: Joints | None
+    library: Any  # models that are known; None without them
 
 
 def main(words: Sequence[str] = ()) -> None:
@@ -186,7 +187,8 @@ def calibrate(folder: str) -> str:
     io.make_output_dir(pathlib.Path(output).parent)
     check_targets([output])
     _say(f"{len(cells)} frames; the first run on a machine also compiles")
-    completer, weights = load_completer(FLAGS.weights), _digest(FLAGS.weights)
+    completer = load_completer(FLAGS.weights).knowing(given.library)
+    weights = _digest(FLAGS.weights)
     known = FLAGS.sensor, given.robot, given.joints or Joints()
     calibration = calibrate_on(cells, completer, method, weights, alpha, *known)
     calibration.write(output)
@@ -290,7 +292,7 @@ def envelope_of(source: str) -> dict[str, Any]:
     }
     with _timed(f"loading the weights {FLAGS.weights}", "load", seconds):
         maker = enveloper.FrameEnveloper(
-            completer=load_completer(FLAGS.weights),
+            completer=load_completer(FLAGS.weights).knowing(given.library),
             method=method,
             calibration=calibration,
             margin=margin,
@@ -343,7 +345,8 @@ def _given() -> _Given:
     eye = None
     if FLAGS.eye is not None:
         eye = parse_numbers("--eye", FLAGS.eye, 3, "give x,y,z")
-    return _Given(eye, bounds, *known_robot())
+    library = load_library(FLAGS.known, FLAGS.known_unit)
+    return _Given(eye, bounds, *known_robot(), library)
 
 
 def _carving() -> Carving:
@@ -418,6 +421,7 @@ def _method(kind: Input, up: str, given: _Given) -> Method:
         workspace=None if box is None else (*box.lower.tolist(), *box.upper.tolist()),
         robot=None if robot is None else robot_digest(robot),
         robot_margin=FLAGS.robot_margin,
+        known=None if given.library is None else given.library.digest,
         **{name: getattr(FLAGS, name) for name in same},
     )
 

@@ -35,7 +35,7 @@ class Output:
 
     def write(self, frame: MadeEnvelope) -> None:
         summary = self._summary(frame)
-        named = "frame_id points volumes q query reference not_completed seconds"
+        named = "frame_id points volumes q query reference known not_completed seconds"
         line = {"frame": frame.number, "timestamp": frame.timestamp}
         line |= {name: summary[name] for name in named.split()}
         try:
@@ -84,6 +84,7 @@ class Output:
                 "volumes": made.envelope.volumes(),
                 "query": None if query is None else distances_summary(query[1]),
                 "reference": made.shown,
+                "known": made.known,
                 "seconds": made.seconds,
             }
         )

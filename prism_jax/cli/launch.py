@@ -174,6 +174,16 @@ def load_completer(weights: str, quick: bool = False) -> Any:
     return Completer.from_pretrained(weights, default_cache_dir() / "compiled", quick)
 
 
+@functools.cache
+def load_library(folder: str | None, unit: str | None) -> Any:
+    """The models of a folder, the same ones for several scans; None without one."""
+    if folder is None:
+        return None
+    from prism_jax.registration.library import Library
+
+    return Library.from_folder(folder, unit)
+
+
 def _end(name: str, fault: str, status: int = 2) -> None:
     say(name, fault)
     sys.exit(status)

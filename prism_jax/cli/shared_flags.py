@@ -29,6 +29,12 @@ def define_completion_flags(density: float) -> None:
         "depth image in its camera's own axes and a cloud of a recording in an optical "
         "frame; else z.",
     )
+    define_strings(
+        known="Folder of models (OBJ, STL, PLY, DAE, GLB, links of URDF). An object "
+        "that is one of them is completed with it, in its pose. The scan is in metres.",
+        known_unit="Unit of the models of --known, unless it is the format's: m, cm, "
+        "mm or in.",
+    )
     flags.DEFINE_bool(
         "adapt",
         False,

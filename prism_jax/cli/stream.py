@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from prism_jax import io
 from prism_jax.cli import shared_flags
-from prism_jax.cli.launch import PATIENCE, launch, load_completer, say
+from prism_jax.cli.launch import PATIENCE, launch, load_completer, load_library, say
 from prism_jax.envelope.robot import LAYOUT, joints_from_dict
 from prism_jax.io.atomic import check_targets, claim, write_bytes
 from prism_jax.io.errors import require
@@ -39,7 +39,8 @@ FLAGS = flags.FLAGS
 NAME = "prism-stream"
 REPORT = "stream.json"
 _TOLD = "camera workspace weights adapt up density background poses urdf joints base "
-_TOLD += "robot_margin robot_speed pace"  # flags that the report repeats
+_TOLD += "robot_margin robot_speed pace known known_unit"
+"""Flags that the report repeats."""
 _REASONS = "unusable", "damaged", "cut"  # remarks that tell why there is no frame
 _say = functools.partial(say, NAME)
 progress_bar = functools.partial(tqdm, unit="frame", delay=PATIENCE, disable=None)
@@ -128,6 +129,7 @@ def stream_file(source: str) -> dict[str, Any]:
         raise io.InputError(FLAGS.output, fault, "choose another output")
     check_targets([place, report_path] if beside else [report_path])
     robot, positions = known_robot()
+    library = load_library(FLAGS.known, FLAGS.known_unit)
     stream = open_stream(source, FLAGS.topic, camera, _say, positions)
     claim(report_path.parent)
     if beside:
@@ -136,7 +138,7 @@ def stream_file(source: str) -> dict[str, Any]:
     from prism_jax.streaming.completer import FrameCompleter
 
     completer = FrameCompleter(
-        load_completer(FLAGS.weights),
+        load_completer(FLAGS.weights).knowing(library),
         bounds=bounds,
         adapt=FLAGS.adapt,
         up=direction,
@@ -178,6 +180,9 @@ def follow(
         summary = plain(_summary(asked, stream, report) | {"whole": whole})
         text = json.dumps(summary, indent=2, allow_nan=False)
         write_bytes(report_path, f"{text}\n".encode())
+    for number, one in report.known.items():
+        if one["moved"]:
+            tell(f"frame {number}: {one['model']} moved by {one['moved']:.3g} m")
     if not report.completed:
         told = [stream.told[kind] for kind in _REASONS if kind in stream.told]
         reason = told[0] if told else "the recording has none"
@@ -202,6 +207,7 @@ def _summary(asked: Mapping[str, Any], stream: Stream, report: Any) -> dict[str,
         "milliseconds": report.latency(),
         "seconds": {"warm_up": report.warm_up, "stream": report.duration},
         "timestamps": report.timestamps,
+        "known": report.known,
     }
 
 

@@ -246,13 +246,8 @@ def with_model(
     nothing was measured, stands in place of what the network predicted."""
     if found.match is None:
         return dataclasses.replace(completed, known=found)
-    seen, observed = task.seen, completed.observed
-    points, sigma = found.placed()
-    surface = IndexedCloud(seen.workspace.to_unit(points))
-    dense = densify(surface, options.density * seen.cloud.density / surface.density)
-    dense = dense[seen.cloud.distance(dense) > NEW * task.read.cloud.spacing]
-    sigma = sigma[surface.tree.query(dense)[1]]
-    measured = completed.points[observed]
+    seen, measured = task.seen, completed.points[completed.observed]
+    dense, sigma = of_model(task, options, found)
     added = seen.workspace.from_unit(dense).astype(measured.dtype)
     sigma = np.concatenate([np.zeros(len(measured)), sigma])
     error, told = float(sigma.mean()), found.match.evidence._asdict()
@@ -267,6 +262,19 @@ def with_model(
         known=found,
         **_depth_maps(seen.cloud.points, dense, task.view, seen.workspace),
     )
+
+
+def of_model(
+    task: Task, options: CompletionOptions, found: "Found"
+) -> tuple[Float[np.ndarray, "A 3"], Float[np.ndarray, " A"]]:
+    """Of the surface of the model that was found what lies where nothing was measured,
+    in the unit workspace, and the sigma of each point, in the user's unit."""
+    seen = task.seen
+    points, sigma = found.placed()
+    surface = IndexedCloud(seen.workspace.to_unit(points))
+    dense = densify(surface, options.density * seen.cloud.density / surface.density)
+    dense = dense[seen.cloud.distance(dense) > NEW * task.read.cloud.spacing]
+    return dense, sigma[surface.tree.query(dense)[1]]
 
 
 class Joined(NamedTuple):

@@ -281,7 +281,7 @@ class Completer:
         if self.known is None:
             return done
         start = time.perf_counter()
-        found = self.recognise(task, done, options)
+        found = self.recognise(task, done.prediction, options)
         done = assembly.with_model(done, task, options, found)
         seconds = {**seconds, "known": time.perf_counter() - start}
         return dataclasses.replace(done, seconds=seconds)
@@ -289,10 +289,12 @@ class Completer:
     def recognise(
         self,
         task: assembly.Task,
-        done: assembly.CompletedScan,
+        prediction: Float[np.ndarray, "P 3"],
         options: CompletionOptions,
+        before: "Found | None" = None,
     ) -> "Found":
-        """Which of the known models an object is that the network completed so."""
+        """Which of the known models an object is, of which the network makes this
+        prediction, in the user's frame, and which was found so `before`."""
         assert self.known is not None
         seen, visibility = task.seen, task.visibility
         if visibility is None:
@@ -302,7 +304,8 @@ class Completer:
             np.asarray(seen.workspace.from_unit(np.asarray(seen.eye))),
             _to_user(visibility, seen) if seen.sensor_known else None,
             seen.workspace.up,
-            done.prediction,
+            prediction,
+            before,
         )
 
     def _compile_adapt(

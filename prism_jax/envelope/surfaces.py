@@ -16,6 +16,7 @@ from prism_jax.envelope.voxels import VOXEL
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.clouds import check_cloud
 from prism_jax.io.errors import InputError
+from prism_jax.io.ply import COMPLETED, KNOWN
 
 Input = Literal["both", "cloud", "depth"]
 """What is measured: a cloud and its depth image, a cloud alone, an image alone."""
@@ -39,6 +40,8 @@ class Method:
     robot: str | None = None
     # How near to the robot's surface measured points are its own.
     robot_margin: float = ROBOT_MARGIN
+    # The models that are known, by `registration.library.Library.digest`.
+    known: str | None = None
 
     def setup(self, weights: str, sensor: str) -> Setup:
         """What a calibration of this method is for."""
@@ -53,9 +56,10 @@ class Seen:
     measured: Float64[np.ndarray, "N 3"]
     # Points that are added to them; none within a known robot's margin.
     predicted: Float64[np.ndarray, "P 3"]
-    # Points on its surface; none where it is not known.
+    # Points on its surface, where it is known, and on hidden ones of known models.
     robot: Float64[np.ndarray, "R 3"]
     fault: str = ""  # why nothing could be completed; empty if something was
+    known: Any = None  # as `prism_jax.completion.assembly.CompletedScan` has it
 
     def surfaces(self) -> Surfaces:
         """What a margin inflates."""
@@ -85,7 +89,7 @@ def see(
     robot = np.zeros((0, 3)) if robot is None else np.asarray(robot, np.float64)
     others = np.zeros((0, 3)) if others is None else np.asarray(others, np.float64)
     points = points[~of_robot(points, robot, method.robot_margin)]
-    predicted, fault = np.zeros((0, 3)), ""
+    predicted, surface, known, fault = np.zeros((0, 3)), robot, None, ""
     try:
         check_cloud(points, "the scan")
         named = "adapt", "density", "background"
@@ -94,10 +98,16 @@ def see(
     except InputError as error:
         fault = str(error)
     else:
-        predicted = np.asarray(done.points[~done.observed], np.float64)
+        known, label = done.known, done.label
+        model, predicted = (
+            np.asarray(done.points[label == kind], np.float64)
+            for kind in (KNOWN, COMPLETED)
+        )
+        surface = np.concatenate([robot, model])
         predicted = predicted[~of_robot(predicted, robot, method.robot_margin)]
     others = others[~of_robot(others, robot, method.robot_margin)]
-    return Seen(np.concatenate([points, others]), predicted, robot, fault)
+    measured = np.concatenate([points, others])
+    return Seen(measured, predicted, surface, fault, known)
 
 
 def sensor_name(camera: Camera | None) -> str | None:

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from prism_jax.geometry.camera import MIN_DEPTH
 from prism_jax.geometry.visibility import SURFACE, UNKNOWN, look_up
-from prism_jax.registration.pose import Poses, solve_planes
+from prism_jax.registration.pose import Poses, slopes_of, solve_planes
 from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, foremost
 
@@ -22,8 +22,8 @@ EXACT = 0.0015  # in longest sides: so far points and poses are exact
 GRAZING = 0.2  # cosine under which nothing is expected of a surface
 TOLERANCE = 0.03  # in longest sides: so much nearer to the sensor is in front
 
-LEAST_FIT, LEAST_CLOSE, LEAST_SEEN, LEAST_COVERED = 0.925, 0.62, 0.25, 0.015
-MOST_DENIED, MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 0.05, 1.45, 2.5, 0.5, 0.5
+LEAST_FIT, LEAST_SEEN, MOST_DENIED = 0.925, 0.25, 0.05
+MOST_STRAIN, MOST_BIAS, AMPLE, MARGIN = 1.45, 2.5, 0.5, 0.5
 """What a model needs to be taken for an object, chosen on validation parts."""
 
 
@@ -31,10 +31,8 @@ class Evidence(NamedTuple):
     """What speaks for a model, without knowing the truth."""
 
     fit: float  # share of the measured points within `FITS` deviations of the model
-    close: float  # share of these within one
     seen: float  # share of the front that should have been seen, what was
     denied: float  # and what the sensor looked through
-    covered: float  # share of all of the model's surface, what was measured
     strain: float  # of the points, as `strain` has it
     bias: float  # of the means of neighbours, in what noise alone would make of them
 
@@ -43,9 +41,8 @@ class Match(NamedTuple):
     """A model in its pose."""
 
     pose: Float64[np.ndarray, "4 4"]  # from the model's frame to the scan's
-    # Of turns about the middle of the scan and of shifts, along the scan's axes.
+    # Of a turn about the middle of the model and a shift, along the model's axes.
     covariance: Float64[np.ndarray, "6 6"]
-    middle: Float64[np.ndarray, "3"]
     noise: float  # the sensor's
     evidence: Evidence
 
@@ -54,57 +51,44 @@ class Match(NamedTuple):
         """1 for a model that explains everything."""
         return self.evidence.fit * self.evidence.seen
 
+    def poses(self, surface: Surface) -> Poses:
+        """The pose as the search has it: of the scan in the surface's frame."""
+        back = self.pose[:3, :3].T
+        return Poses(back[None], (-back @ self.pose[:3, 3] - surface.middle)[None])
+
     def placed(
         self, surface: Surface
     ) -> tuple[Float64[np.ndarray, "M 3"], Float64[np.ndarray, " M"]]:
         """The surface's points where they lie in the scan, and the distance by which
         each is expected to miss what the sensor measures there."""
-        rotation, shift = self.pose[:3, :3], self.pose[:3, 3]
-        points = surface.points @ rotation.T + shift
-        normals = surface.normals @ rotation.T
-        slopes = np.concatenate([np.cross(points - self.middle, normals), normals], 1)
+        slopes = slopes_of(surface.points, surface.normals)
         variance = np.einsum("ni,ij,nj->n", slopes, self.covariance, slopes)
-        return points, np.sqrt(2 / np.pi * (variance + self.noise**2))
+        points = (surface.points + surface.middle) @ self.pose[:3, :3].T
+        sigma = np.sqrt(2 / np.pi * (variance + self.noise**2))
+        return points + self.pose[:3, 3], sigma
 
 
-def match(
-    scan: Scan,
-    surface: Surface,
-    tree: KDTree,
-    rotation: Float[np.ndarray, "3 3"],
-    shift: Float[np.ndarray, "3"],
-) -> Match:
-    """A pose of the search refined by the points as they were measured, and what speaks
-    for it. `tree` is that of the surface's points."""
-    middle = scan.raw.mean(axis=0)
-    points, eye = scan.raw - middle, scan.eye - middle
-    poses = Poses(rotation[None], (shift + rotation @ middle)[None])
+def match(scan: Scan, surface: Surface, tree: KDTree, poses: Poses) -> Match:
+    """One pose of the search refined by the points as they were measured, and what
+    speaks for it. `tree` is that of the surface's points."""
     squares = np.zeros((6, 6))
     for number, near in enumerate(NEAR):
-        some = points if number + 1 == len(NEAR) else points[::FEWER]
-        gap, laid, rows = _gaps(some, eye, surface, tree, poses)
+        some = scan.raw if number + 1 == len(NEAR) else scan.raw[::FEWER]
+        gap, laid, rows = _gaps(some, scan.eye, surface, tree, poses)
         reach = max(near * surface.size, FITS * scan.noise)
         weights = np.maximum(1 - (gap / reach) ** 2, 0)
-        on = (surface.points[rows] - poses.shifts)[None]
-        normals = surface.normals[None, rows].astype(np.float64)
-        own = (laid - poses.shifts)[None], on, normals, weights[None]
-        motion, (squares,) = solve_planes(*own)
-        turned = poses._replace(shifts=np.zeros((1, 3))).moved(motion)
-        poses = turned._replace(shifts=poses.shifts + turned.shifts)
-    gap, _, _ = _gaps(points, eye, surface, tree, poses)
-    apart = np.abs(gap)
+        on = surface.points[None, rows], surface.normals[None, rows].astype(np.float64)
+        motion, (squares,) = solve_planes(laid[None], *on, weights[None])
+        poses = poses.moved(motion)
+    gap, _, _ = _gaps(scan.raw, scan.eye, surface, tree, poses)
     pose, back = np.eye(4), poses.rotations[0].T
-    pose[:3, :3], pose[:3, 3] = back, middle - back @ poses.shifts[0]
-    axes = np.kron(np.eye(2), back)
-    inverse = np.linalg.pinv(squares, hermitian=True)
-    covariance = scan.noise**2 * axes @ inverse @ axes.T
-    fits = apart <= FITS * scan.noise
-    close = float((apart[fits] <= scan.noise).mean()) if fits.any() else 0.0
-    badly = strain(apart, scan.noise), _bias(scan, gap, fits, surface.size)
-    told = Evidence(
-        float(fits.mean()), close, *_looked_for(scan, surface, pose), *badly
-    )
-    return Match(pose, covariance, middle, scan.noise, told)
+    pose[:3, :3] = back
+    pose[:3, 3] = -back @ (poses.shifts[0] + surface.middle)
+    covariance = scan.noise**2 * np.linalg.pinv(squares, hermitian=True)
+    fits = np.abs(gap) <= FITS * scan.noise
+    badly = strain(np.abs(gap), scan.noise), _bias(scan, gap, fits, surface.size)
+    told = Evidence(float(fits.mean()), *_looked_for(scan, surface, pose), *badly)
+    return Match(pose, covariance, scan.noise, told)
 
 
 def _gaps(
@@ -140,16 +124,14 @@ def _bias(scan: Scan, gap: np.ndarray, fits: np.ndarray, size: float) -> float:
     return float(np.minimum(total**2 / usual, FITS**2).mean())
 
 
-def _looked_for(
-    scan: Scan, surface: Surface, pose: np.ndarray
-) -> tuple[float, float, float]:
+def _looked_for(scan: Scan, surface: Surface, pose: np.ndarray) -> tuple[float, float]:
     """Of the model's front the shares that the sensor measured and that it looked
-    through, and the measured share of all of it. What hides it counts for nothing, and
-    what is not known for half. All was seen where nobody knows where a sensor stood."""
+    through. What hides it counts for nothing, and what is not known for half. All was
+    seen where nobody knows where a sensor stood."""
     if scan.visibility is None:
-        return 1.0, 0.0, 1.0
+        return 1.0, 0.0
     rotation, shift = pose[:3, :3], pose[:3, 3]
-    points = surface.points[::EVERY] @ rotation.T + shift
+    points = (surface.points[::EVERY] + surface.middle) @ rotation.T + shift
     normals = surface.normals[::EVERY] @ rotation.T
     rays = scan.eye - points
     away = np.linalg.norm(rays, axis=1)
@@ -169,9 +151,7 @@ def _looked_for(
     denied = (np.asarray(look_up(free, points)[1]) < -reach) & ~measured
     unknown = 0.5 * (state == UNKNOWN).sum()
     counted = max(measured.sum() + denied.sum() + unknown, 1)
-    covered = EVERY * measured.sum() / len(surface.points)
-    shares = measured.sum() / counted, denied.sum() / counted
-    return float(shares[0]), float(shares[1]), float(covered)
+    return float(measured.sum() / counted), float(denied.sum() / counted)
 
 
 def strain(apart: Float[np.ndarray, " N"], noise: float) -> float:
@@ -185,11 +165,9 @@ def doubt(told: Evidence, other: float = np.inf) -> str | None:
     another explanation."""
     if told.fit < LEAST_FIT:
         return f"it explains {told.fit:.0%} of the points"
-    if told.close < LEAST_CLOSE:
-        return f"only {told.close:.0%} of these points are as near as the noise"
     if told.denied > MOST_DENIED:
         return f"the sensor saw through {told.denied:.0%} of its front"
-    if told.seen < LEAST_SEEN or told.covered < LEAST_COVERED:
+    if told.seen < LEAST_SEEN:
         return f"{told.seen:.0%} of its front was measured"
     # The less of it was seen, the better must it fit.
     share = min(1.0, told.seen / AMPLE)

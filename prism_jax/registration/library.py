@@ -7,7 +7,7 @@ import hashlib
 import io
 import pathlib
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,16 +18,16 @@ from prism_jax.io.atomic import make_output_dir, write_bytes
 from prism_jax.io.errors import InputError, StrPath, choose, require
 from prism_jax.io.files import default_cache_dir
 from prism_jax.registration import evidence
-from prism_jax.registration.evidence import Match
+from prism_jax.registration.evidence import EXACT, Match
 from prism_jax.registration.pose import Poses, search
 from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, surface_of
 from prism_jax.robots.urdf import MESH_SUFFIXES, Linkage, read_mesh
 
-VERSION = 4  # of what is kept in the cache
+VERSION = 5  # of what is kept in the cache
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 ROBOTS, METRIC = (".urdf", ".xacro"), (".urdf", ".xacro", ".glb")
-VERIFIED, POSES = 15, 2  # models that are looked at closely, and poses of each
+VERIFIED, POSES = 25, 2  # models that are looked at closely, and poses of each
 EQUAL = 0.03  # of the score: two models nearer than this explain an object equally
 ALIKE = 0.02  # in longest sides: two surfaces nearer than this are the same
 FAR = 100.0  # times as large or as small as an object: of another unit
@@ -38,6 +38,8 @@ class Model:
     """A model and its name, which is its file's below the folder."""
 
     name: str
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
     surface: Surface
 
     @functools.cached_property
@@ -54,6 +56,27 @@ class Found(NamedTuple):
     equal: tuple[str, ...]  # others that look the same and explain it as well
     refused: dict[str, str]  # why it is none of the others, by their names
 
+    def told(self) -> dict[str, Any]:
+        """What `result.json` says: which model it is and in which pose, what speaks for
+        it, and why it is no other."""
+        if self.model is None or self.match is None:
+            return {"model": None, "refused": self.refused}
+        told = {"model": self.model.name, "equal": self.equal, "pose": self.match.pose}
+        return {**told, **self.match.evidence._asdict(), "refused": self.refused}
+
+    def moved(self, before: "Found | None") -> float:
+        """How far the middle of the model has moved since it was found `before`, in
+        metres: 0 within what the two poses are good to, and for another model."""
+        if before is None or self.model is None or self.model is not before.model:
+            return 0.0
+        surface, matches = self.model.surface, (self.match, before.match)
+        assert self.match is not None and before.match is not None
+        shifts = [one.covariance[3:, 3:].trace() for one in (self.match, before.match)]
+        one, other = (m.pose[:3] @ [*surface.middle, 1.0] for m in matches)
+        away = float(np.linalg.norm(one - other))
+        good = 3.0 * np.sqrt(sum(shifts)) + 2.0 * EXACT * surface.size
+        return away if away > good else 0.0
+
     def placed(self) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, " M"]]:
         """Points of the model's surface in its pose, and the sigma of each."""
         assert self.model is not None and self.match is not None
@@ -65,6 +88,14 @@ class Library:
 
     def __init__(self, models: Sequence[Model]):
         self.models = tuple(models)
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Tells libraries apart: by the names and the surfaces of their models."""
+        digest = hashlib.sha256()
+        for model in self.models:
+            digest.update(model.name.encode() + model.surface.points.tobytes())
+        return digest.hexdigest()[:16]
 
     @classmethod
     def from_folder(cls, folder: StrPath, unit: str | None = None) -> "Library":
@@ -105,6 +136,7 @@ class Library:
         visibility: Visibility | None = None,
         up: Float[np.ndarray, "3"] = np.array([0.0, 0.0, 1.0]),
         other: Float[np.ndarray, "P 3"] | None = None,
+        before: Found | None = None,
     ) -> Found:
         """The model that one object is, if it is one: of those that could be as large,
         the one whose pose explains the points and what the sensor saw past them.
@@ -112,13 +144,19 @@ class Library:
         All in one frame, in metres. `eye` is where the sensor stood, perhaps by a
         guess; what it saw is the `visibility`, if its place is known. An object may
         stand upright with regard to `up`, or lie anyhow. A model must explain the
-        points better than the `other` ones do, a network's. The same input gives the
-        same result.
+        points better than the `other` ones do, a network's. If it was found `before`,
+        it is looked for there first, and elsewhere only if it has gone. The same input
+        gives the same result.
         """
         scan = Scan(np.asarray(points, np.float64), np.asarray(eye), visibility)
         strain = np.inf
         if other is not None:
             strain = evidence.strain(KDTree(other).query(scan.raw)[0], scan.noise)
+        if before is not None and before.model is not None and before.match is not None:
+            start = before.match.poses(before.model.surface)
+            here = _best(scan, before.model, start)
+            if not evidence.doubt(here.evidence, strain):
+                return before._replace(match=here)
         refused, fitting = {}, []
         for model in self.models:
             if reason := _misfit(scan, model.surface):
@@ -166,13 +204,11 @@ def _decided(sound: list[tuple[Model, Match]], refused: dict[str, str]) -> Found
 
 def _alike(one: Model, match: Match, other: Model, its: Match) -> bool:
     """Whether two models are the same surface where they were found."""
-    there = np.linalg.inv(match.pose) @ its.pose
-    longest = ALIKE * one.surface.size + one.surface.spacing
-    for own, from_it, pose in (one, other, there), (other, one, np.linalg.inv(there)):
-        points = from_it.surface.points @ pose[:3, :3].T + pose[:3, 3]
-        if np.quantile(own.tree.query(points)[0], 0.99) > longest:
-            return False
-    return True
+    near = ALIKE * one.surface.size + one.surface.spacing
+    placed = match.placed(one.surface)[0], its.placed(other.surface)[0]
+    pairs = placed, placed[::-1]
+    away = [np.quantile(KDTree(own).query(points)[0], 0.99) for own, points in pairs]
+    return bool(max(away) <= near)
 
 
 def _misfit(scan: Scan, surface: Surface) -> str | None:
@@ -195,8 +231,8 @@ def _misfit(scan: Scan, surface: Surface) -> str | None:
 def _best(scan: Scan, model: Model, poses: Poses) -> Match:
     """The best of a model's poses."""
     matches = [
-        evidence.match(scan, model.surface, model.tree, rotation, shift)
-        for rotation, shift in zip(*poses.of(slice(POSES)), strict=True)
+        evidence.match(scan, model.surface, model.tree, poses.of([row]))
+        for row in range(min(POSES, len(poses.shifts)))
     ]
     return max(matches, key=lambda match: match.score)
 
@@ -221,7 +257,8 @@ def prepared(
     path = folder / f"{digest.hexdigest()[:32]}.npz"
     try:
         with np.load(path, allow_pickle=False) as kept:
-            return Model(name, Surface(*(kept[field] for field in Surface._fields)))
+            fields = (kept[field] for field in Surface._fields)
+            return Model(name, *parts, Surface(*fields))
     except Exception:  # not there, or damaged in any way
         pass
     try:
@@ -236,4 +273,4 @@ def prepared(
         write_bytes(path, content.getvalue())
     except InputError:
         pass  # a cache that cannot be written is no fault of the model
-    return Model(name, surface)
+    return Model(name, *parts, surface)

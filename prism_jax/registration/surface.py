@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int, UInt16
 from scipy.spatial import KDTree
 
+from prism_jax.io.errors import require
+
 DRAWN, KEPT = 60_000, 10_000  # points of all surface, and of what is seen from outside
 CELLS = 48  # of a grid along the longest side
 BESIDE = 0.15  # in longest sides: so much farther does the grid reach
@@ -18,8 +20,9 @@ NO_CODE = 2**16 - 1  # of pairs longer than any of the model's
 
 
 class Surface(NamedTuple):
-    """Points of a model's outer surface, in its own frame and the library's unit."""
+    """Points of a model's outer surface, from the middle of its box."""
 
+    middle: Float64[np.ndarray, "3"]  # in the model's frame
     points: Float32[np.ndarray, "M 3"]
     normals: Float32[np.ndarray, "M 3"]  # outward
     two_sided: Bool[np.ndarray, " M"]  # seen from both sides, as a sheet is
@@ -58,40 +61,36 @@ def surface_of(
 ) -> Surface:
     """Of a mesh, whichever way its normals point; the same each time. ValueError where
     nothing of it is seen from outside."""
-    rng = np.random.default_rng(0)
-    corners = np.asarray(vertices, np.float64)[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled = np.linalg.norm(normals, axis=1)
-    total = np.cumsum(doubled)
-    if not total[-1] > 0:
+    trimesh = require("trimesh", "cad")
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if not mesh.area > 0:
         raise ValueError("it has no surface")
-    drawn = rng.random(DRAWN) * total[-1]
-    chosen = np.minimum(np.searchsorted(total, drawn, "right"), len(total) - 1)
-    u, v = rng.random((2, DRAWN, 1))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    first, second, third = corners[chosen].swapaxes(0, 1)
-    points = first + u * (second - first) + v * (third - first)
-    normals = normals[chosen] / doubled[chosen][:, None]
-    front, back = _seen(points, normals, np.sqrt(total[-1] / 2 / DRAWN))
+    points, chosen = trimesh.sample.sample_surface(mesh, DRAWN, seed=0)
+    middle, normals = mesh.bounds.mean(axis=0), mesh.face_normals[chosen]
+    points = np.asarray(points) - middle
+    front, back = _seen(points, normals, np.sqrt(mesh.area / DRAWN))
     seen = np.flatnonzero((front > 0) | (back > 0))
     if len(seen) < 100:
         raise ValueError("nothing of it is seen from outside")
-    area = total[-1] / 2 * len(seen) / DRAWN
+    area = mesh.area * len(seen) / DRAWN
     seen = seen[:KEPT]
     front, back, points = front[seen], back[seen], points[seen]
     normals = np.where((front >= back)[:, None], normals[seen], -normals[seen])
     two_sided = np.minimum(front, back) > BACK * np.maximum(front, back)
     codes, pairs = _pairs(points, normals)
-    size = np.ptp(points, axis=0).max()
-    cell = size * (1 + 2 * BESIDE) / CELLS
-    corner = points.min(axis=0) - BESIDE * size
-    shape = np.ceil((np.ptp(points, axis=0) + 2 * BESIDE * size) / cell).astype(int)
+    extents = np.ptp(points, axis=0)
+    beside = BESIDE * extents.max()
+    cell = (extents.max() + 2 * beside) / CELLS
+    corner = points.min(axis=0) - beside
+    shape = np.ceil((extents + 2 * beside) / cell).astype(int)
     middles = corner + cell * (np.indices(shape).reshape(3, -1).T + 0.5)
     nearest = KDTree(points).query(middles)[1].astype(np.uint16).reshape(shape)
     single = points.astype(np.float32), normals.astype(np.float32)
     grid = nearest, corner, np.array(cell)
     widths = widths_of(points)
-    return Surface(*single, two_sided, *grid, codes, pairs, widths, np.array(area))
+    return Surface(
+        middle, *single, two_sided, *grid, codes, pairs, widths, np.array(area)
+    )
 
 
 def widths_of(points: Float[np.ndarray, "N 3"], share: float = 0.0) -> np.ndarray:

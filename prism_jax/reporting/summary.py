@@ -74,7 +74,7 @@ def _of_object(result: Any) -> dict[str, Any]:
     """What it says of one completed object."""
     verdict = result.verdict
     return {
-        **({} if result.known is None else {"known": _of_known(result)}),
+        **({} if result.known is None else {"known": result.known.told()}),
         "verdict": None if verdict is None else verdict._asdict(),
         "sigma": _of_added(result),
         "accepted": bool(result.accepted),
@@ -90,16 +90,6 @@ def _of_object(result: Any) -> dict[str, Any]:
         "losses": dict(result.losses),
         "loss_weights": dict(zip(BRANCHES, result.weights, strict=True)),
     }
-
-
-def _of_known(result: Any) -> dict[str, Any]:
-    """What a library says of an object: the model that it is, if it is one, its pose in
-    the frame of the scan, what speaks for it, and why it is no other."""
-    model, match, equal, refused = result.known
-    if model is None:
-        return {"model": None, "refused": refused}
-    told = {"model": model.name, "equal": equal, "pose": match.pose}
-    return {**told, **match.evidence._asdict(), "refused": refused}
 
 
 def _of_added(result: Any) -> dict[str, float] | None:

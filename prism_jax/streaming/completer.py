@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from prism_jax.completion.assembly import join
+from prism_jax.completion.assembly import join, of_model
 from prism_jax.completion.completer import Completer
 from prism_jax.completion.options import CompletionOptions
 from prism_jax.envelope.robot import of_robot
@@ -19,7 +19,7 @@ from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from prism_jax.io.streams.frame import Frame
 from prism_jax.io.streams.sinks import Labelled
 from prism_jax.preprocessing.observation import compile_sampling
-from prism_jax.streaming.observer import FrameObserver
+from prism_jax.streaming.observer import FrameObserver, LastFound
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +37,7 @@ class CompletedFrame:
     frame_id: str = ""  # of the points, as the measured frame has it
     # Of each measured point what else the frame has, as its intensity.
     fields: Fields = dataclasses.field(default_factory=dict)
+    known: dict[str, Any] | None = None  # as `StreamReport` has it
 
     @property
     def observed(self) -> Bool[np.ndarray, " M"]:
@@ -73,6 +74,7 @@ class FrameCompleter(FrameObserver):
         self._completer = completer
         if completer.config.model.poses != poses:
             self._completer = completer.in_poses(poses)
+        self._last = LastFound()
 
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
@@ -86,7 +88,20 @@ class FrameCompleter(FrameObserver):
         completion, seconds = self._completer.run(task, options)
         ran = time.perf_counter()
         joined = join(task, completion.points, options)
-        placed, label = self._with_robot(joined, robot)
+        label = np.where(joined.observed, OBSERVED, COMPLETED).astype(np.uint8)
+        points, known = joined.points, None
+        if self._completer.known is not None:
+            workspace = task.seen.workspace
+            given = workspace.from_unit(np.asarray(completion.points)), options
+            found = self._completer.recognise(task, *given, self._last.found)
+            known = self._last.follow(found)
+            if found.model is not None:
+                added = workspace.from_unit(of_model(task, options, found)[0])
+                measured = points[joined.observed]
+                points = np.concatenate([measured, added.astype(points.dtype)])
+                label = np.full(len(points), KNOWN, np.uint8)
+                label[: len(measured)] = OBSERVED
+        placed, label = self._with_robot(points, label, robot)
         rows = rows[task.seen.inside]
         return CompletedFrame(
             points=placed,
@@ -100,6 +115,7 @@ class FrameCompleter(FrameObserver):
             },
             frame_id=frame.frame_id,
             fields={name: column[rows] for name, column in frame.fields.items()},
+            known=known,
         )
 
     def warm_up(self, frame: Frame) -> CompletedFrame:
@@ -110,17 +126,18 @@ class FrameCompleter(FrameObserver):
         return super().warm_up(frame)
 
     def _with_robot(
-        self, joined: Any, robot: Float[np.ndarray, "R 3"]
+        self,
+        points: Float[np.ndarray, "P 3"],
+        label: UInt8[np.ndarray, " P"],
+        robot: Float[np.ndarray, "R 3"],
     ) -> tuple[Float[np.ndarray, "M 3"], UInt8[np.ndarray, " M"]]:
         """Points and their labels, the robot's surface inside the bounds behind them
         and no prediction within its margin."""
-        points = joined.points
-        label = np.where(joined.observed, OBSERVED, COMPLETED).astype(np.uint8)
         if len(robot) == 0:
             return points, label
         if self.bounds is not None:
             robot = robot[inside(robot, self.bounds.lower, self.bounds.upper)]
-        kept = joined.observed | ~of_robot(points, robot, self.robot_margin)
+        kept = (label == OBSERVED) | ~of_robot(points, robot, self.robot_margin)
         known = np.full(len(robot), KNOWN, np.uint8)
         placed = np.concatenate([points[kept], robot.astype(points.dtype)])
         return placed, np.concatenate([label[kept], known])

@@ -21,13 +21,13 @@ from prism_jax.envelope.carving import (
 )
 from prism_jax.envelope.distance import Distances, Envelope
 from prism_jax.envelope.reference import check_reference
-from prism_jax.envelope.robot import joints_from_dict, of_robot
+from prism_jax.envelope.robot import joints_from_dict
 from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
 from prism_jax.envelope.voxels import Grid, label
 from prism_jax.geometry.camera import Camera, Vector
 from prism_jax.io.errors import InputError
 from prism_jax.io.streams.frame import Frame
-from prism_jax.streaming.observer import FrameObserver
+from prism_jax.streaming.observer import FrameObserver, LastFound
 
 AROUND = 10
 """Voxels beyond the inflated surfaces that a grid reaches to, unless it is given."""
@@ -72,6 +72,7 @@ class MadeEnvelope:
     # The points that were asked for with their distances, if any were.
     query: tuple[Float[np.ndarray, "Q 3"], Distances] | None
     shown: dict[str, float] | None  # shares of a reference, as it was checked
+    known: dict[str, Any] | None  # as `StreamReport` has it
     seconds: dict[str, float]  # spent on "observe", "complete" and "envelope"
     # Of the frame, in its recording and in nanoseconds; of a scan no number is told.
     number: int | None = None
@@ -151,6 +152,7 @@ class FrameEnveloper(FrameScanner):
 
     def __post_init__(self):
         self.robot_margin = self.method.robot_margin
+        self._last = LastFound()
 
     def complete(self, frame: Frame) -> MadeEnvelope:
         """The envelope of a frame. One that has too little raises InputError."""
@@ -173,8 +175,8 @@ class FrameEnveloper(FrameScanner):
         shown = None
         if self.reference is not None:
             shown = check_reference(view, self.reference, self.carving)
-        known = scan.camera, self.method, scan.up, scan.robot, scan.others
-        seen = see(self.completer, scan.points, *known)
+        about = scan.camera, self.method, scan.up, scan.robot, scan.others
+        seen = see(self.completer, scan.points, *about)
         completed = time.perf_counter()
         if self.bounds is not None:
             box = self.bounds.lower, self.bounds.upper
@@ -185,13 +187,12 @@ class FrameEnveloper(FrameScanner):
         grid = Grid.over(*box, self.method.voxel)
         free = carve(grid, view, self.carving)
         check_conflicts(grid, free, scan.everything)
-        own = of_robot(scan.everything, seen.robot, self.method.robot_margin)
-        measured = scan.everything[~own]
-        state = label(grid, free, measured, seen.predicted, seen.robot)
+        state = label(grid, free, seen.measured, seen.predicted, seen.robot)
         envelope = Envelope(grid, state, seen.surfaces(), self.margin)
         asked = self.asked
         query = None if asked is None else (asked, envelope.query(asked))
         envelope.taken  # noqa: B018  (kept, and part of the time that this takes)
         done = time.perf_counter()
         seconds = {"complete": completed - start, "envelope": done - completed}
-        return MadeEnvelope(scan, seen, envelope, query, shown, seconds)
+        known = self._last.follow(seen.known)
+        return MadeEnvelope(scan, seen, envelope, query, shown, known, seconds)

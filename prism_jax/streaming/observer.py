@@ -44,6 +44,20 @@ class Observed(NamedTuple):
     rows: Int[np.ndarray, " N"]
 
 
+@dataclasses.dataclass
+class LastFound:
+    """The known model in the last frame that held one."""
+
+    found: Any = None  # a `prism_jax.registration.library.Found`
+
+    def follow(self, found: Any) -> dict[str, Any] | None:
+        """What `StreamReport` says of the model in the next frame, if it is one."""
+        if found is None or found.model is None:
+            return None
+        moved, self.found = found.moved(self.found), found
+        return {**found.told(), "refused": {}, "moved": moved}
+
+
 @dataclasses.dataclass(kw_only=True, eq=False)
 class FrameObserver(abc.ABC):
     """Frames of one sensor as scans, whatever is made of each.

@@ -39,6 +39,9 @@ class StreamReport:
     duration: float = 0.0  # from then on
     # When each completed frame was measured, in nanoseconds, by its number.
     timestamps: dict[int, int] = dataclasses.field(default_factory=dict)
+    # Which known model a frame holds, its pose, and how far it moved since the last
+    # one that held it, by the frame's number.
+    known: dict[int, dict[str, Any]] = dataclasses.field(default_factory=dict)
     # By stage, of each completed frame: "read", those of what completes it, "write",
     # and its "age" when it is written, since the sensor gave it or it was taken up.
     times: dict[str, array] = dataclasses.field(
@@ -90,6 +93,8 @@ def run_stream(
             done = _completed(number, frame, stream, completer.complete, report)
             if done is None:
                 continue
+            if done.known is not None:
+                report.known[number] = done.known
             times = {"read": read, **done.seconds}
             while len(waiting) >= WRITE_BEHIND or (waiting and waiting[0].done()):
                 waiting.popleft().result()

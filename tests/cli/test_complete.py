@@ -435,14 +435,15 @@ def test_a_scene_comes_back_as_its_objects_unless_one_is_asked_for(capsys):
 
 def test_an_object_that_is_a_model_is_told(altered, monkeypatch, capsys):
     """In all that is written, with the others and why it is none of them."""
-    evidence = Evidence(0.97, 0.8, 0.9, 0.01, 0.3, 0.7, 1.0)
-    match = Match(2 * np.eye(4), np.eye(6), np.zeros(3), 0.1, evidence)
+    evidence = Evidence(0.97, 0.9, 0.01, 0.7, 1.0)
+    match = Match(2 * np.eye(4), np.eye(6), 0.1, evidence)
     refused = {
         "b.stl": "too small",
         "c.stl": "about 1,000 times too large: check units",
     }
-    surface = surface_of(np.eye(3), np.arange(3)[None])
-    found = library.Found(library.Model("a.stl", surface), match, ("d.stl",), refused)
+    mesh = np.eye(3), np.arange(3)[None]
+    model = library.Model("a.stl", *mesh, surface_of(*mesh))
+    found = library.Found(model, match, ("d.stl",), refused)
     read = []
     monkeypatch.setattr(
         library.Library, "from_folder", lambda *given: read.append(given) or given

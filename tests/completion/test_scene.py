@@ -126,8 +126,8 @@ def test_two_known_boxes_and_a_strange_thing(completer, scene):
     points[half] = points[half] * [0.6, 0.6, 2.0] + [0.9, -0.8, 0.0]
     taken_apart = SegmentedScene(number, (), 3 * (300,), 6000, 0)
     box = trimesh.creation.box((1.0, 1.0, 1.0))
-    own = surface_of(np.asarray(box.vertices), np.asarray(box.faces))
-    knowing = completer.knowing(Library([Model("box", own)]))
+    own = np.asarray(box.vertices), np.asarray(box.faces)
+    knowing = completer.knowing(Library([Model("box", *own, surface_of(*own))]))
     given = {"up": "z", "scene": taken_apart}
     found = knowing.complete_scene(points, CAMERA, **given)
     plain = completer.complete_scene(points, CAMERA, **given)
