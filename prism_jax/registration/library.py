@@ -1,6 +1,5 @@
 """A folder of models, and which of them an object is."""
 
-import concurrent.futures
 import dataclasses
 import functools
 import hashlib
@@ -69,13 +68,12 @@ class Found(NamedTuple):
         metres: 0 within what the two poses are good to, and for another model."""
         if before is None or self.model is None or self.model is not before.model:
             return 0.0
-        surface, matches = self.model.surface, (self.match, before.match)
         assert self.match is not None and before.match is not None
-        shifts = [one.covariance[3:, 3:].trace() for one in (self.match, before.match)]
+        surface, matches = self.model.surface, (self.match, before.match)
         one, other = (m.pose[:3] @ [*surface.middle, 1.0] for m in matches)
         away = float(np.linalg.norm(one - other))
-        good = 3.0 * np.sqrt(sum(shifts)) + 2.0 * EXACT * surface.size
-        return away if away > good else 0.0
+        variance = sum(m.covariance[3:, 3:].trace() for m in matches)
+        return away if away > 3 * variance**0.5 + 2 * EXACT * surface.size else 0.0
 
     def placed(self) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, " M"]]:
         """Points of the model's surface in its pose, and the sigma of each."""
@@ -163,14 +161,13 @@ class Library:
                 refused[model.name] = reason
             else:
                 fitting.append(model)
-        placed = _each(lambda model: search(scan, model.surface, up), fitting)
+        placed = [search(scan, model.surface, up) for model in fitting]
         order = sorted(range(len(fitting)), key=lambda i: -placed[i][1][0])
         for i in order[VERIFIED:]:
             refused[fitting[i].name] = "other models come nearer to the points"
-        close = [(fitting[i], placed[i][0]) for i in order[:VERIFIED]]
-        matches = _each(lambda pair: _best(scan, *pair), close)
         sound = []
-        for (model, _), match in zip(close, matches, strict=True):
+        for i in order[:VERIFIED]:
+            model, match = fitting[i], _best(scan, fitting[i], placed[i][0])
             if reason := evidence.doubt(match.evidence, strain):
                 refused[model.name] = reason
             else:
@@ -235,14 +232,6 @@ def _best(scan: Scan, model: Model, poses: Poses) -> Match:
         for row in range(min(POSES, len(poses.shifts)))
     ]
     return max(matches, key=lambda match: match.score)
-
-
-def _each(work, items: Sequence) -> list:
-    """What each of some things comes to, in order; NumPy lets threads work at once."""
-    if len(items) < 2:
-        return [work(item) for item in items]
-    with concurrent.futures.ThreadPoolExecutor() as pool:
-        return list(pool.map(work, items))
 
 
 def prepared(

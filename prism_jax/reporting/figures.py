@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from plotly.subplots import make_subplots
 from scipy.spatial import KDTree
 
@@ -23,6 +23,8 @@ PAGE_ASPECT = 2.1  # width to height of all panels together, about
 
 SHOWN_PIXELS = 400
 """About the length, on a screen, of the longest side of what a panel shows."""
+
+MAX_FACES = 20_000  # of a mesh that is drawn
 
 MARKER_SIZES = (1.4, 4.0)  # the smallest and the largest diameter of a point, in pixels
 
@@ -46,6 +48,8 @@ class Cloud(NamedTuple):
     name: str  # what the legend calls them
     points: Float[np.ndarray, "N 3"]  # in the figure's frame
     color: str  # CSS
+    # Of a surface: the rows of three points each, which are its corners then.
+    faces: Int[np.ndarray, "F 3"] | None = None
 
 
 class Panel(NamedTuple):
@@ -82,7 +86,7 @@ def clouds_figure(
     shift, extent = axis_shift(bounds), float(np.ptp(bounds, axis=0).max())
     listed = set()
     for column, cloud in clouds:
-        trace = _markers(cloud, shift, extent, cloud.name not in listed)
+        trace = _trace(cloud, shift, extent, cloud.name not in listed)
         figure.add_trace(trace, 1, column)
         listed.add(cloud.name)
     box = axis_box(bounds - shift, shift)
@@ -116,6 +120,17 @@ def added(completed: Any) -> tuple[str, str]:
     if completed.label.max() == KNOWN:
         return "known", KNOWN_COLOR
     return "completed", COMPLETED_COLOR
+
+
+def meshes(completed: Any) -> list[Cloud]:
+    """The mesh of the model that an object is, where it lies; none of another object
+    or of a very fine mesh, whose points must do."""
+    found = completed.known
+    if found is None or found.model is None or len(found.model.faces) > MAX_FACES:
+        return []
+    rotation, shift = found.match.pose[:3, :3], found.match.pose[:3, 3]
+    corners = found.model.vertices @ rotation.T + shift
+    return [Cloud("known", corners, KNOWN_COLOR, found.model.faces)]
 
 
 def tell_errors(figure: go.Figure, sigma: Float[np.ndarray, " M"] | None) -> list[str]:
@@ -244,13 +259,18 @@ def framing(
     return {"eye": eye, "center": _vector(center), "up": _vector(up)}
 
 
-def _markers(
+def _trace(
     cloud: Cloud, shift: np.ndarray, extent: float, in_legend: bool
-) -> go.Scatter3d:
-    points = subsample(cloud.points, MAX_SHOWN_POINTS) - shift
-    points = points.astype(np.float32)
+) -> go.Scatter3d | go.Mesh3d:
+    count = MAX_SHOWN_POINTS if cloud.faces is None else len(cloud.points)
+    points = (subsample(cloud.points, count) - shift).astype(np.float32)
+    places = dict(zip("xyz", points.T, strict=True))
+    if cloud.faces is not None:
+        faces = dict(zip("ijk", cloud.faces.astype(np.int32).T, strict=True))
+        look = {"color": cloud.color, "opacity": 0.3, "hoverinfo": "skip"}
+        return go.Mesh3d(**places, **faces, **look, name=cloud.name)
     return go.Scatter3d(
-        **dict(zip("xyz", points.T, strict=True)),
+        **places,
         mode="markers",
         name=cloud.name,
         legendgroup=cloud.name,

@@ -26,10 +26,10 @@ def render_report(
     up = result.workspace.up
     name, color = figures.added(result)
     seen = figures.Cloud("observed", measured, figures.OBSERVED_COLOR)
-    predicted = figures.Cloud(name, added, color)
+    predicted = [figures.Cloud(name, added, color), *figures.meshes(result)]
     panels = [
         figures.Panel(f"Partial scan: {len(measured):,} points", [seen]),
-        figures.Panel(f"Completion: {len(result.points):,} points", [seen, predicted]),
+        figures.Panel(f"Completion: {len(result.points):,} points", [seen, *predicted]),
     ]
     if ground_truth is not None:
         truth = figures.Cloud("ground truth", ground_truth, figures.GROUND_TRUTH_COLOR)
@@ -45,6 +45,7 @@ def render_report(
         ("", figures.OBSERVED_COLOR, seen_by),
         ("observed", figures.OBSERVED_COLOR, seen_by),
         (name, color, predicted_by),
+        *[(name, color, {})] * (len(predicted) - 1),
         ("", figures.GROUND_TRUTH_COLOR, {"error": figures.GROUND_TRUTH_COLOR}),
     )
     for trace, (cloud, own, by) in zip(clouds.data, about, strict=False):

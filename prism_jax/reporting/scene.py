@@ -52,7 +52,8 @@ def render_scene_report(scene: CompletedScene, summary: Mapping[str, Any]) -> st
         around = bounds if number is None else boxes[number]
         shown = np.stack([trace.x, trace.y, trace.z], axis=1)
         size = figures.marker_size(shown, np.ptp(around, axis=0).max())
-        trace.meta = {**about, "size": [trace.marker.size, size]}
+        sizes = [trace.marker.size, size] if "marker" in trace else [0, 0]
+        trace.meta = {**about, "size": sizes}
     added = map(figures.added, scene.objects)
     shift = figures.axis_shift(bounds)
     layouts = [_layout(box, shift, toward, up) for box in [bounds, *boxes]]
@@ -104,6 +105,10 @@ def _clouds(
             by = figures.by_error(one.sigma, which, _share(scene))
             colors = {"": color, "trust": trust, **by}
             meta.append({"cloud": name, "object": number, "color": colors})
+        for mesh in figures.meshes(one):
+            clouds.append(mesh)
+            colors = {"": added_color, "trust": added_color}
+            meta.append({"cloud": added, "object": number, "color": colors})
     return clouds, meta
 
 
