@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from experiments.simulation.sensors import l515_camera
+from prism_jax.completion.assembly import CompletedScan
 from prism_jax.envelope.surfaces import Method, see, sensor_name
 from prism_jax.io.errors import InputError
+from prism_jax.io.ply import COMPLETED, KNOWN, OBSERVED
 from tests.fake_completer import FakeCompleter
 
 POINTS = np.random.default_rng(0).uniform(1, 2, (300, 3))
@@ -27,6 +29,14 @@ def test_a_known_robot_is_cut_out_and_put_back():
     apart = np.linalg.norm(seen.predicted[:, None] - robot, axis=2).min(axis=1)
     assert (apart >= 0.01).all()
     assert 0 < len(seen.predicted) <= -(-(~own).sum() // 2)
+
+
+def test_hidden_surfaces_of_a_known_model_count_as_a_robots_do(monkeypatch):
+    label = np.repeat([OBSERVED, COMPLETED, KNOWN], [300, 50, 100])
+    monkeypatch.setattr(CompletedScan, "label", label)
+    seen = see(FakeCompleter(), POINTS, None, Method(known="parts"))
+    assert (len(seen.measured), len(seen.predicted), len(seen.robot)) == (300, 50, 100)
+    assert len(seen.surfaces()) == 450
 
 
 class Refusing(FakeCompleter):

@@ -125,6 +125,21 @@ def test_two_that_explain_it_equally_are_both_named(parts):
     assert found.refused["crate"] == "explains it as well as open"
 
 
+def test_a_part_is_followed_without_a_search_until_it_jumps(parts, monkeypatch):
+    library_, searched, search = Library([parts["bracket"]]), [], library.search
+    monkeypatch.setattr(library, "search", lambda *a: searched.append(1) or search(*a))
+    points, _ = scan(BRACKET)
+    found, moves = library_.find(points, EYE), []
+    for shift, turn in ((0.0, 0), (0.005, 0), (0.02, 120)):
+        turned = Rotation.from_euler("z", turn, degrees=True).as_matrix()
+        moved, eye = (p @ turned.T + [shift, 0, 0] for p in (points, EYE))
+        before, found = found, library_.find(moved, eye, before=found)
+        assert found.model is parts["bracket"]
+        moves.append((found.moved(before), len(searched)))
+    assert moves[0] == (0.0, 1) and moves[1] == (pytest.approx(0.005, abs=2e-3), 1)
+    assert moves[2][0] > 0.01 and moves[2][1] == 2
+
+
 def test_another_unit_is_named(parts):
     points, _ = scan(CRATE)
     found = Library([parts["crate"]]).find(points * 1000, EYE * 1000)

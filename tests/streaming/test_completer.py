@@ -2,16 +2,19 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from prism_jax.completion import filtering
 from prism_jax.completion.completer import Completer
 from prism_jax.envelope.robot import of_robot, robot_surface
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.errors import InputError
-from prism_jax.io.ply import KNOWN
+from prism_jax.io.ply import KNOWN, OBSERVED
 from prism_jax.io.scan import parse_bounds, read_scan
 from prism_jax.io.streams import Frame
 from prism_jax.preprocessing import observation
+from prism_jax.registration.library import Library, Model
+from prism_jax.registration.surface import surface_of
 from prism_jax.robots.urdf import Linkage
 from prism_jax.streaming.completer import FrameCompleter
 from tests.experiments.simulation.roboarm.conftest import urdf
@@ -147,3 +150,23 @@ def test_a_known_robot_is_cut_out_and_put_back(completer, urdf):
         stream.complete(Frame(box, 0))
     with pytest.raises(InputError, match="without its robot: no points"):
         stream.complete(Frame(noisy, 0, joints=joints[0]))
+
+
+def test_a_known_part_is_followed_and_its_hidden_sides_are_put_back(completer):
+    box = trimesh.creation.box((1.0, 1.2, 0.8))
+    own = np.asarray(box.vertices), np.asarray(box.faces)
+    library = Library([Model("box", *own, surface_of(*own))])
+    stream = FrameCompleter(completer.knowing(library))
+    sides = RNG.uniform(-0.5, 0.5, (900, 3))
+    sides[:300, 0], sides[300:600, 1], sides[600:, 2] = -0.5, 0.5, 0.5
+    camera = Camera.look_at((0, 3.0, 2.0), (3.5, 0, 0))
+    for shift, moved in ((0.0, 0.0), (0.0, 0.0), (0.3, 0.3)):
+        middle = np.array([3.5 + shift, 0, 0])
+        points = (sides * [1.0, 1.2, 0.8] + middle).astype(np.float32)
+        done = stream.complete(Frame(points, 7, camera))
+        assert done.known["model"] == "box" and done.known["refused"] == {}
+        assert done.known["moved"] == pytest.approx(moved, abs=0.02)
+        assert np.array_equal(done.points[done.label == OBSERVED], points)
+        added = (done.points[done.label == KNOWN] - middle) / [1.0, 1.2, 0.8]
+        np.testing.assert_allclose(np.abs(added).max(axis=1), 0.5, atol=0.02)
+        assert (added[:, 0] > 0.49).any() and (added[:, 2] < -0.49).any()
