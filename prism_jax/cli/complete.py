@@ -152,12 +152,18 @@ def complete_file(
     if objects == "auto" and truth is None:
         with _timed("looking for objects", "split", seconds):
             scene = completer.split_scene(scan.points, view, direction)
-        _warn_of_tilt(scene, direction, up)
-        scene, direction = _taken_apart(scene, direction, scan, view, source)
+        scene, direction = _taken_apart(scene, direction, up, scan, view, source)
     # Complete each of them, or all of it.
     asked: dict[str, Any] = {"adapt": adapt, "up": direction, "density": density}
     asked["background"] = background
-    result = _completed(completer, scan, view, scene, asked, seconds)
+    count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
+    doing = "adapting to and completing" if adapt else "completing"
+    given = {"camera": view, "around": scan.around, **asked}
+    with _timed(f"{doing} {count}", "complete", seconds):
+        if scene is None:
+            result = completer.complete(scan.points, **given)
+        else:
+            result = completer.complete_scene(scan.points, scene=scene, **given)
     about = {"weights": weights, "bounds": workspace, **asked}
     if scene is None:
         seconds.update(result.seconds)
@@ -213,40 +219,24 @@ def _read(
 
 
 def _taken_apart(
-    scene: Any, direction: Any, scan: io.Scan, view: Any, source: str
+    scene: Any, direction: Any, up: str | None, scan: io.Scan, view: Any, source: str
 ) -> tuple[Any, Any]:
     """The scene if each of its objects is to be completed by itself, else None; and up,
     which may be found in it. InputError about a scene without an object."""
+    tilt = tilt_of(scene.planes, direction)
+    if tilt > TILTED:
+        fault = f"the largest plane is tilted by {tilt:.0f} degrees"
+        _say(f"{fault} against --up={up or direction}; try --up=auto")
     if scene.planes and not scene.num_points:
         _check_not_empty(scene, scan, view, source)
         _say("nearly all points are on planes: completed as one object")
     elif scene.planes or len(scene.num_points) > 1:
         if not scene.planes:
-            parts = (
-                f"{len(scene.num_points)} parts lie apart and are completed as objects"
-            )
-            _say(f"{parts}; --objects=one takes them for one")
+            parts = f"{len(scene.num_points)} parts lie apart and are completed as"
+            _say(f"{parts} objects; --objects=one takes them for one")
         return scene, direction
     is_auto = isinstance(direction, str) and direction == AUTO
     return None, scene.up.vector if is_auto else direction
-
-
-def _completed(
-    completer: Any,
-    scan: io.Scan,
-    view: Any,
-    scene: Any,
-    asked: dict[str, Any],
-    seconds: dict[str, float],
-) -> Any:
-    """The completed scene, or the completed scan if there is no scene."""
-    count = f"{len(scan.points):,} points (the first run on a machine also compiles)"
-    doing = "adapting to and completing" if asked["adapt"] else "completing"
-    given = {"camera": view, "around": scan.around, **asked}
-    with _timed(f"{doing} {count}", "complete", seconds):
-        if scene is None:
-            return completer.complete(scan.points, **given)
-        return completer.complete_scene(scan.points, scene=scene, **given)
 
 
 def _contents(
@@ -302,14 +292,6 @@ def _view(scan: io.Scan, eye: str | None, source: str) -> Any:
     elif place is not None:
         _say(f"the sensor is at {','.join(f'{v:g}' for v in place)}, the VIEWPOINT")
     return scan.camera if place is None else standing_at(place)
-
-
-def _warn_of_tilt(scene: Any, direction: Any, up: str | None) -> None:
-    """Says if a floor or a table contradicts the direction up."""
-    tilt = tilt_of(scene.planes, direction)
-    if tilt > TILTED:
-        fault = f"the largest plane is tilted by {tilt:.0f} degrees"
-        _say(f"{fault} against --up={up or direction}; try --up=auto")
 
 
 def _warn(result: Any, scan: io.Scan, objects: str, background: str) -> None:

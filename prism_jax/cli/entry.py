@@ -26,19 +26,15 @@ def _start(name: str) -> None:
         importlib.import_module(f"prism_jax.cli.{name}").run()
     except SystemExit as ended:
         status = ended.code
-    _leave(int(status or 0))
-
-
-def _leave(status: int) -> None:
-    """Ends the process. All is written by now: taking Python and XLA down by the usual
-    way takes a quarter of a second, waits for threads, and can crash."""
+    # All is written by now: taking Python and XLA down by the usual way takes a quarter
+    # of a second, waits for threads, and can crash.
     from prism_jax.io.files import remove_temporary_cache
 
     remove_temporary_cache()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, OSError, ValueError):
             stream.flush()
-    os._exit(status)
+    os._exit(int(status or 0))
 
 
 # `prism-complete`, `prism-stream` and `prism-envelope`.

@@ -4,16 +4,15 @@ import copy
 import dataclasses
 import pathlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from prism_jax.adaptation.config import PrismConfig
-from prism_jax.adaptation.test_time import AdaptFn, Completion, make_adapt
+from prism_jax.adaptation.test_time import Completion, make_adapt
 from prism_jax.completion import assembly
 from prism_jax.completion.compile_cache import compile_cached
 from prism_jax.completion.options import AUTO, CompletionOptions
@@ -38,10 +37,6 @@ from prism_jax.uncertainty.sigma import PointErrors
 
 if TYPE_CHECKING:
     from prism_jax.registration.library import Found, Library
-
-SLOTS = 8  # objects that one compiled call completes, at most
-
-Make = Callable[[AdaptFn], Callable[..., Any]]
 
 
 class Completer:
@@ -143,8 +138,8 @@ class Completer:
         Support planes, walls, outliers and very small objects are removed first
         (`split_scene`, whose result for the same points can be passed in). For each
         object, ``around`` also holds all points of the scene that are not its own.
-        One compiled function completes all objects, `SLOTS` per call. Arguments and
-        errors are those of `complete`, except that ``up`` defaults to "auto".
+        Arguments and errors are those of `complete`, except that ``up`` defaults to
+        "auto".
         """
         asked = CompletionOptions(**{"up": AUTO, **options})
         points = _checked(points)
@@ -156,19 +151,14 @@ class Completer:
         up = scene.up if asked.finds_up else given_up(asked.up)
         if asked.finds_up:
             asked = dataclasses.replace(asked, up=up.vector)
-        # Frame each object as `complete` does, the rest of the scene around it.
-        tasks = []
+        # Complete each object as `complete` does, the rest of the scene around it.
+        objects = []
         for number in range(len(scene.num_points)):
             own = scene.object == number
             others = np.concatenate([points[~own], beyond])
-            tasks.append(self.task(points[own], camera, None, others, asked))
-        # Complete `SLOTS` objects at a time; filter, densify and judge each.
-        objects = []
-        for start in range(0, len(tasks), SLOTS):
-            batch = tasks[start : start + SLOTS]
-            completions, seconds = self._run_together(batch, asked)
-            for task, done in zip(batch, completions, strict=True):
-                objects.append(self._assemble(task, done, asked, seconds))
+            task = self.task(points[own], camera, None, others, asked)
+            completion, seconds = self.run(task, asked)
+            objects.append(self._assemble(task, completion, asked, seconds))
         # Assemble the scene.
         return assembly.in_one_scene(points, scene.object, objects, scene.planes, *up)
 
@@ -225,14 +215,9 @@ class Completer:
     ) -> tuple[Completion, dict[str, float]]:
         """The network's completion of a task, and the seconds it took to compile and to
         run: the second step of `complete`."""
-        return self._timed(_as_it_is, (self.variables, *self.reads(task)), options)
-
-    def _timed(
-        self, make: Make, arguments: tuple[Any, ...], options: CompletionOptions
-    ) -> tuple[Any, dict[str, float]]:
-        """What ``make`` makes of the adaptation function, called, and its seconds."""
+        arguments = (self.variables, *self.reads(task))
         start = time.perf_counter()
-        call = self._compile_adapt(make, options, arguments)
+        call = self._compile_adapt(options, arguments)
         compiled = time.perf_counter()
         found = jax.block_until_ready(call(*arguments))
         done = time.perf_counter()
@@ -251,22 +236,6 @@ class Completer:
         other = copy.copy(self)
         other.known = known
         return other
-
-    def _run_together(
-        self, tasks: Sequence[assembly.Task], options: CompletionOptions
-    ) -> tuple[list[Completion], dict[str, float]]:
-        """Completions of at most `SLOTS` tasks, and the seconds that each took."""
-        filled = [*tasks, *[tasks[0]] * (SLOTS - len(tasks))]
-        inputs = [self.reads(task) for task in filled]
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *inputs)
-        arguments = (self.variables, stacked, np.arange(SLOTS) < len(tasks))
-        together, seconds = self._timed(_in_slots, arguments, options)
-        together = jax.device_get(together)
-        completions = [
-            jax.tree.map(lambda leaf, row=row: leaf[row], together)
-            for row in range(len(tasks))
-        ]
-        return completions, {**seconds, "run": seconds["run"] / len(tasks)}
 
     def _assemble(
         self,
@@ -309,46 +278,21 @@ class Completer:
         )
 
     def _compile_adapt(
-        self, make: Make, options: CompletionOptions, arguments: tuple[Any, ...]
+        self, options: CompletionOptions, arguments: tuple[Any, ...]
     ) -> Callable[..., Any]:
-        """What ``make`` makes of the adaptation function, compiled once."""
+        """The adaptation function, compiled once."""
         steps = self.config.adapt.num_steps if options.adapt else 0
         config = self.config.with_adapt(num_steps=steps)
         # Others than a network that reads it need not be compiled for each background.
         if config.model.backbone.reads_visibility:
             config = config.with_model(background=options.background)
-        fn = make(make_adapt(config))
-        shapes = jax.tree.structure(arguments[1:])
-        key = make, options.adapt, config.model.background, shapes
+        key = options.adapt, config.model.background, jax.tree.structure(arguments[1:])
         if key not in self._compiled:
             # A kept program is told by what it is about, not by the function itself.
-            about = make.__name__, config
             self._compiled[key] = compile_cached(
-                fn, arguments, self._compiled_dir, about, self.quick
+                make_adapt(config), arguments, self._compiled_dir, config, self.quick
             )
         return self._compiled[key]
-
-
-def _as_it_is(adapt: AdaptFn) -> Callable[..., Completion]:
-    return adapt
-
-
-def _in_slots(adapt: AdaptFn) -> Callable[..., Completion]:
-    """The adaptation of several frames one after another; empty slots cost nothing."""
-
-    def in_slots(variables: Variables, reads: tuple[Any, ...], used: Any) -> Completion:
-        def one(*reads: Any) -> Completion:
-            # Each frame's encoders would be as large as the network.
-            return adapt(variables, *reads)._replace(encoders={})
-
-        shapes = jax.eval_shape(one, *jax.tree.map(lambda leaf: leaf[0], reads))
-        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-        return jax.lax.map(
-            lambda slot: jax.lax.cond(slot[1], one, lambda *_: nothing, *slot[0]),
-            (reads, used),
-        )
-
-    return in_slots
 
 
 def _visibility(

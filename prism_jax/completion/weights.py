@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import safetensors
 import safetensors.numpy
+from flax.traverse_util import unflatten_dict
 
 from prism_jax.adaptation.config import AdaptConfig, PrismConfig
 from prism_jax.assets import asset
@@ -44,6 +45,9 @@ RETIRED = {
 files that name them load if they have that value."""
 
 RENAMED = {"told": "uses_visibility"}  # fields of the model that had another name
+
+# What an array is called in a file, by its place in the tree.
+_key = functools.partial(jax.tree_util.keystr, simple=True, separator="/")
 
 
 def available_weights() -> list[str]:
@@ -209,24 +213,13 @@ def _remedy() -> str:
     return f"give a {SUFFIX} file of prism_jax, or one of: {names}"
 
 
-def _key(path: tuple[Any, ...]) -> str:
-    return "/".join(step.key for step in path)
-
-
 def _tree(arrays: dict[str, np.ndarray]) -> Variables:
     """The arrays as a tree. What ships is not compared with its configuration: the
     tests have done so, and it takes seconds."""
-    variables: Variables = {
-        "batch_stats": {"point_encoder": {}, "decoder": {}, "depth_encoder": {}}
-    }
-    for key, array in arrays.items():
-        *path, name = key.split("/")
-        branch = variables
-        for step in path:
-            branch = branch.setdefault(step, {})
-        branch[name] = array
+    parts = "point_encoder", "decoder", "depth_encoder"
+    nothing = {f"batch_stats/{part}": {} for part in parts}
     # All at once: one by one takes most of a second.
-    return jax.device_put(variables)
+    return jax.device_put(unflatten_dict({**nothing, **arrays}, sep="/"))
 
 
 @functools.cache

@@ -1,11 +1,7 @@
 """What speaks for or against a completion without the truth being known."""
 
-import functools
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial import KDTree
 
 from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.preprocessing.observation import Observation
@@ -19,32 +15,8 @@ LOOKS = 3
 """A verdict compares what a frame is completed to in so many poses, the first of
 `prism_jax.models.poses`: as it is, mirrored, and by a quarter turn."""
 
-APART = 1e6  # half sides of the workspace between the looks in their tree
-
-
-class Looks:
-    """What a frame is completed to in each of several poses, in one tree."""
-
-    def __init__(self, clouds: Sequence[Float[Array | np.ndarray, "L 3"]]):
-        self.clouds = [np.asarray(cloud, np.float64) for cloud in clouds]
-
-    @functools.cached_property
-    def _tree(self) -> KDTree:
-        """A fourth coordinate keeps the looks apart."""
-        rows = [_labelled(cloud, look) for look, cloud in enumerate(self.clouds)]
-        return KDTree(np.concatenate(rows))
-
-    def distance(
-        self, points: Float[np.ndarray, "Q 3"], look: int
-    ) -> Float[np.ndarray, " Q"]:
-        """From each point to the nearest of one look."""
-        return self._tree.query(_labelled(points, look))[0]
-
-    def disagreement(self, look: int) -> float:
-        """CD-L1 of the first look and another."""
-        first, other = self.clouds[0], self.clouds[look]
-        there, back = self.distance(first, look), self.distance(other, 0)
-        return float(0.5 * (there.mean() + back.mean()))
+Looks = list[IndexedCloud]
+"""What a frame is completed to in each of several poses."""
 
 
 def pose_predictions(
@@ -52,9 +24,8 @@ def pose_predictions(
 ) -> Looks | None:
     """What the network as it was makes of each of the first `LOOKS` poses, from all of
     them, one behind the other; None if they are fewer."""
-    return (
-        Looks(np.split(np.asarray(before), poses)[:LOOKS]) if poses >= LOOKS else None
-    )
+    clouds = np.split(np.asarray(before), poses)[:LOOKS]
+    return [IndexedCloud(cloud) for cloud in clouds] if poses >= LOOKS else None
 
 
 def evidence_of(
@@ -89,8 +60,8 @@ def evidence_of(
         "looked_through": float(through.mean()),
         "unexplained": float(prediction.distance(asked(measured)).mean()),
         "reach": float(measured.distance(prediction.points).mean()),
-        "disagreement_mirrored": looks.disagreement(1),
-        "disagreement_turned": looks.disagreement(2),
+        "disagreement_mirrored": _disagreement(looks[0], looks[1]),
+        "disagreement_turned": _disagreement(looks[0], looks[2]),
         "novelty": novelty,
     }
 
@@ -113,5 +84,7 @@ def roughness(cloud: IndexedCloud) -> float:
     return float(np.sqrt(np.median(np.maximum(thickness, 0.0))))
 
 
-def _labelled(points: Float[np.ndarray, "N 3"], look: int) -> Float[np.ndarray, "N 4"]:
-    return np.column_stack([points, np.full(len(points), APART * look)])
+def _disagreement(first: IndexedCloud, other: IndexedCloud) -> float:
+    """CD-L1 of two looks."""
+    there, back = other.distance(first.points), first.distance(other.points)
+    return float(0.5 * (there.mean() + back.mean()))

@@ -89,7 +89,7 @@ def clues_of(
     ray = points - eye
     length = np.maximum(np.linalg.norm(ray, axis=1), np.finfo(np.float64).tiny)
     beside, behind = beside_and_behind(points, measured.distinct, eye)
-    mirrored, turned = looks.distance(points, 1), looks.distance(points, 2)
+    mirrored, turned = (look.distance(points) for look in looks[1:])
     known = measured.distance(points)
     found = {
         "measured": known,

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from prism_jax.completion.filtering import select
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import observe
 from prism_jax.uncertainty.confidence import EVIDENCE
-from prism_jax.uncertainty.evidence import Looks, evidence_of
+from prism_jax.uncertainty.evidence import evidence_of
 
 EYE = np.array([0.0, 0.0, 6.0])
 
@@ -29,7 +30,7 @@ def evidence(points, prediction=None, num_read=128, looks=None, sensor=EYE):
     predicted = unit if prediction is None else seen.workspace.to_unit(prediction)
     eye = np.asarray(seen.eye) if seen.sensor_known else None
     selection = select(predicted, unit, read.partial, eye)
-    looks = Looks(looks or (predicted, predicted, predicted))
+    looks = [IndexedCloud(look) for look in looks or 3 * [predicted]]
     shares = (selection.stray | selection.outside).mean(), selection.in_front.mean()
     return evidence_of(seen, read, predicted, *map(float, shares), looks, novelty=0.5)
 

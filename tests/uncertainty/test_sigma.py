@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from prism_jax.geometry.cloud import IndexedCloud
 from prism_jax.models.config import ModelConfig
 from prism_jax.preprocessing.observation import observe
-from prism_jax.uncertainty.evidence import Looks
 from prism_jax.uncertainty.sigma import CLUES, PointErrors, clues_of, spread
 
 EYE = np.array([0.0, 0.0, 6.0])
@@ -25,7 +25,7 @@ def clues(points, prediction, asked=None, off=0.0, sensor=EYE, num_read=128):
     seen = observe(points, sensor, ModelConfig(margin=1.0))
     unit = np.asarray(seen.workspace.to_unit(prediction), np.float64)
     some = unit if asked is None else unit[asked]
-    looks = Looks([unit, unit + [0, 0, off], unit - [0, 0, 2 * off]])
+    looks = [IndexedCloud(unit + [0, 0, z]) for z in (0.0, off, -2 * off)]
     found = clues_of(some, seen, seen.sampled(num_read), unit, looks)
     assert found.shape == (len(some), len(CLUES)) and np.isfinite(found).all()
     return dict(zip(CLUES, found.T, strict=True))
