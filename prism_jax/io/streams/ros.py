@@ -18,9 +18,9 @@ from prism_jax.io.clouds import measured
 from prism_jax.io.depth import camera_from_dict
 from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS, check_count
+from prism_jax.io.ply import NUMBERS
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
-from prism_jax.io.streams.mcap_output import NUMBERS
 from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
 from prism_jax.io.streams.packed import EXTRA, Unpacker
 
@@ -312,7 +312,7 @@ def _places(content: Any) -> dict[str, tuple[np.dtype, int]]:
     for field in content.fields:
         known = field.name not in ("", "_") and 1 <= field.datatype <= len(NUMBERS)
         if known and field.count < 2:
-            kind = np.dtype(order + NUMBERS[field.datatype - 1])
+            kind = np.dtype(order + [*NUMBERS][field.datatype - 1])
             if field.offset + kind.itemsize <= content.point_step:
                 found[field.name] = kind, field.offset
     return found
