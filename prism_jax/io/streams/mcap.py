@@ -26,7 +26,7 @@ class McapFile(MessageFile):
     checksums and its statistics tell what is damaged, and whether messages are
     missing."""
 
-    def _counts(self) -> Counter[Source]:
+    def counts(self) -> Counter[Source]:
         """By what the end of the file says, if it is sound; else by all messages."""
         counts: Counter[Source] = Counter()
         with self.opened(MAGIC, "an MCAP file") as file:
@@ -41,7 +41,7 @@ class McapFile(MessageFile):
                         counts[known.channels.get(number, ("", "", ""))] += count
         sound = all(kind for _, kind, _ in counts)
         sound = sound and 0 < counts.total() <= _MOST_A_BYTE * size
-        return counts if sound else super()._counts()
+        return counts if sound else super().counts()
 
     def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
         known, missing = _Known(), Counter()

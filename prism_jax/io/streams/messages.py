@@ -20,14 +20,6 @@ class Topic(NamedTuple):
     count: int
 
 
-class Message(NamedTuple):
-    """One message as it was recorded, `time` nanoseconds after the clock's zero."""
-
-    topic: str
-    time: int
-    data: bytes
-
-
 class CutError(ValueError):
     """A file ends, or turns into something else, before its end; it says how."""
 
@@ -50,22 +42,19 @@ class MessageFile(abc.ABC):
         these are not `told`. Where the file is cut or damaged, and behind the last
         message if some are missing, a `CutError`."""
 
-    def _counts(self) -> Counter[Source]:
+    def counts(self) -> Counter[Source]:
+        """Messages of each source, as far as they are whole."""
         counts: Counter[Source] = Counter()
         with contextlib.suppress(CutError):  # which iterating over the messages tells
             counts.update(source for source, _, _ in self._all(False))
         return counts
 
-    def topics(self) -> dict[str, Topic]:
-        """All topics of which there is a message, also those of a file that is cut."""
-        counted = self._counts().items()
-        return {name: Topic(kind, how, n) for (name, kind, how), n in counted}
-
-    def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of the wanted topics, as `_all`."""
+    def messages(self, wanted: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Messages of the wanted topics as they were recorded: topic, nanoseconds after
+        the clock's zero, and data. It ends as `_all`."""
         for (topic, *_), time, data in self._all(True):
             if topic in wanted:
-                yield Message(topic, time, bytes(data))
+                yield topic, time, bytes(data)
 
     @contextlib.contextmanager
     def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:

@@ -21,7 +21,7 @@ from prism_jax.io.files import MAX_POINTS, check_count
 from prism_jax.io.ply import NUMBERS
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
-from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
+from prism_jax.io.streams.messages import CutError, MessageFile, Topic
 from prism_jax.io.streams.packed import EXTRA, Unpacker
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -55,13 +55,12 @@ class RosStream(Stream):
         self._files = files
         self._topics: dict[str, Topic] = {}
         for file in files:
-            for name, (kind, encoding, count) in file.topics().items():
+            for (name, kind, encoding), count in file.counts().items():
                 package, _, own = kind.partition("/")
                 kind = kind if "/" in own else f"{package}/msg/{own}"  # as ROS 2 has it
                 count += self._topics[name].count if name in self._topics else 0
                 self._topics[name] = Topic(kind, encoding, count)
         self.topic = self._chosen(topic)
-        self._is_depth = self._topics[self.topic].kind == IMAGE
         last = "/".join(self.topic.split("/")[-2:])
         self._rectified = re.search("(^|[/_])rect", last) is not None
         self._joints = self._info = None
@@ -69,7 +68,7 @@ class RosStream(Stream):
         option = re.sub("/[^/]*/image/data$", "/option/Depth_Units/value", self.topic)
         known = option != self.topic and option in self._topics
         self._units = option if known else None
-        if self._is_depth and self.camera is None:
+        if self._topics[self.topic].kind == IMAGE and self.camera is None:
             self._info = self._info_topic(info)
         elif info is not None:
             fault = f"no file {info}, and a CameraInfo does not say where clouds are"
@@ -79,44 +78,41 @@ class RosStream(Stream):
         return self._topics[str(self.topic)].count
 
     def _frames(self) -> Iterator[Frame]:
-        camera = self.camera
-        if self._info is not None:
-            camera = self._first_camera()
+        camera = self._first_camera() if self._info else self.camera
         unit, topics = None, (self.topic, self._info, self._joints, self._units)
         wanted = {name for name in topics if name is not None}
         placed = PlacedFrames(self.joints or Joints())
-        for message in self._messages(wanted):
+        for topic, logged, data in self._messages(wanted):
             try:
-                content = self._read(message)
-                if message.topic == self._units:
+                content = self._read(topic, data)
+                if topic == self._units:
                     unit = float(content.data)
                     continue
                 stamp = content.header.stamp
                 # Where nobody filled it in, when it was recorded.
-                time = stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
-                if message.topic == self._joints:
+                time = stamp.sec * 1_000_000_000 + stamp.nanosec or logged
+                if topic == self._joints:
                     yield from placed.add_positions(_positions(content), time)
-                elif message.topic == self._info:
+                elif topic == self._info:
                     camera = self._pinhole(content, camera)
                 else:
                     frame = _frame(content, camera, time, unit)
                     known = self._joints is not None
                     yield from placed.add_frame(frame) if known else [frame]
             except ValueError as error:
-                line = f"skipped a message on {message.topic}: {error}"
-                self.remark("damaged", line)
+                self.remark("damaged", f"skipped a message on {topic}: {error}")
         yield from placed.done(0)
 
     def _messages(
         self, wanted: Collection[str], told: bool = True
-    ) -> Iterator[Message]:
+    ) -> Iterator[tuple[str, int, bytes]]:
         """Those of all files. One that is cut ends early, with a remark if `told`."""
         for file in self._files:
             count = 0
             self._unpacker = Unpacker(file.path)
             try:
                 for message in file.messages(wanted):
-                    count += message.topic == self.topic
+                    count += message[0] == self.topic
                     yield message
             except CutError as error:
                 line = f"{file.path.name} is truncated or damaged: {error}"
@@ -124,12 +120,11 @@ class RosStream(Stream):
                 if told:
                     self.remark("cut", line)
 
-    def _read(self, message: Message) -> Any:
+    def _read(self, topic: str, data: bytes) -> Any:
         """A message's content. Whatever is wrong with it raises ValueError."""
-        kind, encoding, _ = self._topics[message.topic]
+        kind, encoding, _ = self._topics[topic]
         try:
-            data = self._unpacker.message(message.data)
-            return _readers()[encoding](data, kind)
+            return _readers()[encoding](self._unpacker.message(data), kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
@@ -164,15 +159,15 @@ class RosStream(Stream):
         if topic is not None:
             images &= {topic}
         depths: set[str] = set()
-        for message in self._messages(frozenset(images), False) if images else ():
-            if message.topic in images:
-                images.remove(message.topic)
+        for name, _, data in self._messages(frozenset(images), False) if images else ():
+            if name in images:
+                images.remove(name)
                 with contextlib.suppress(ValueError):
-                    encoding = self._read(message).encoding
+                    encoding = self._read(name, data).encoding
                     # Infrared is mono16, too.
-                    told = topic is not None or "depth" in message.topic.lower()
+                    told = topic is not None or "depth" in name.lower()
                     if encoding in DEPTH and (told or encoding != "mono16"):
-                        depths.add(message.topic)
+                        depths.add(name)
             if not images:
                 break
         return [n for n, kind in kinds.items() if kind == CLOUD or n in depths]
@@ -214,9 +209,9 @@ class RosStream(Stream):
         return camera
 
     def _first_camera(self) -> Camera:
-        for message in self._messages({str(self._info)}, False):
+        for topic, _, data in self._messages({str(self._info)}, False):
             with contextlib.suppress(ValueError):
-                return self._pinhole(self._read(message))
+                return self._pinhole(self._read(topic, data))
         fault = f"no readable CameraInfo on {self._info}"
         raise InputError(self.path, fault, "record it again")
 
