@@ -18,10 +18,6 @@ Fields = dict[str, np.ndarray]  # further numbers of each point, by their names
 
 MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
 
-_HEADER_READERS = {
-    (1, 0): npy_format.read_array_header_1_0,
-    (2, 0): npy_format.read_array_header_2_0,
-}
 _HEAD_BYTES = 2**16
 _ENTRY = b"PK\1\2"  # every entry of an archive's directory starts with it
 _MAX_COLUMNS = 16  # an array of more is an image
@@ -199,10 +195,11 @@ def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
 def _parse_header(data: bytes) -> _Header:
     file = io.BytesIO(data)
     version = npy_format.read_magic(file)
-    if version not in _HEADER_READERS:
+    reader = getattr(npy_format, "read_array_header_{}_{}".format(*version), None)
+    if reader is None:
         raise ValueError(f"NPY version {version} is not supported")
     try:
-        shape, is_fortran, dtype = _HEADER_READERS[version](file)
+        shape, is_fortran, dtype = reader(file)
     except Exception:  # NumPy evaluates the header, and lets pass what that raises
         raise ValueError("damaged header") from None
     if any(type(side) is not int for side in shape):
