@@ -69,10 +69,8 @@ def _head(file: BinaryIO, size: int) -> tuple[_Fields, int]:
     length = _number(file.read(4))
     if length > min(_HEADER_LIMIT, size):
         raise CutError("damaged record")
-    header = file.read(length)
-    if len(header) < length:
-        raise CutError("ends within a record")
-    return _fields(memoryview(header)), _number(file.read(4))
+    header, length = file.read(length), _number(file.read(4))
+    return _fields(memoryview(header)), length
 
 
 def _number(data: bytes) -> int:
