@@ -119,14 +119,16 @@ def read_counts(
     camera_path: StrPath,
     max_points: int = MAX_POINTS,
     tell: Tell = to_stderr,
+    scale: float | None = None,
 ) -> tuple[UInt[np.ndarray, "H W"], float, Camera]:
     """The pixels of a depth image, metres a count, and the camera. The image is a
-    16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count. Whatever
-    does not fit raises an InputError before the image is unpacked."""
+    16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count, or it is
+    `scale`. Whatever does not fit raises an InputError before the image is unpacked."""
     camera, entries = _read_camera_entries(camera_path, tell)
     remedy = 'add "depth_scale": metres per count, as 0.001'
     with parsing(camera_path, "the camera of a depth image", remedy):
-        scale = _number(entries, "depth_scale")
+        known = {} if scale is None else {"depth_scale": scale}
+        scale = _number(known | entries, "depth_scale")
         if scale <= 0:
             raise ValueError("depth_scale must be positive")
     return read_grey(path, camera, 16, max_points), scale, camera
