@@ -1,6 +1,5 @@
 """ROS 1 bags of format 2.0: http://wiki.ros.org/Bags/Format/2.0."""
 
-import os
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -50,12 +49,11 @@ class BagFile(MessageFile):
     def _records(self) -> Iterator[tuple[_Fields, memoryview]]:
         """Every record, those in chunks like the others."""
         with self.opened(MAGIC, "a ROS 1 bag of format 2.0") as file:
-            size = os.fstat(file.fileno()).st_size
             unpacker = Unpacker(self.file)
-            while file.tell() < size:
-                fields, length = _head(file, size)
-                whole = file.tell() + length <= size
-                data = memoryview(file.read(min(length, size)))
+            while file.tell() < self.size:
+                fields, length = _head(file, self.size)
+                whole = file.tell() + length <= self.size
+                data = memoryview(file.read(min(length, self.size)))
                 if fields.get(b"op") == _CHUNK:
                     yield from _in_chunk(fields, data, unpacker)
                 elif whole:

@@ -1,7 +1,6 @@
 """MCAP files, as ROS 2 records them: https://mcap.dev/spec."""
 
 import contextlib
-import os
 import struct
 import zlib
 from collections import Counter
@@ -29,19 +28,19 @@ class McapFile(MessageFile):
     def counts(self) -> Counter[Source]:
         """By what the end of the file says, if it is sound; else by all messages."""
         counts: Counter[Source] = Counter()
-        with self.opened(MAGIC, "an MCAP file") as file:
-            size = os.fstat(file.fileno()).st_size
-            file.seek(max(size - _FOOTER.size, 0))
-            with contextlib.suppress(struct.error, ValueError):
-                start = _FOOTER.unpack(file.read())[2]
-                if 0 < size - start < _LONGEST_SUMMARY:
-                    file.seek(start)
-                    known = _Known().learn_summary(memoryview(file.read()))
-                    for number, count in known.counts.items():
-                        counts[known.channels.get(number, ("", "", ""))] += count
-        sound = all(kind for _, kind, _ in counts)
-        sound = sound and 0 < counts.total() <= _MOST_A_BYTE * size
-        return counts if sound else super().counts()
+        faults = KeyError, struct.error, ValueError
+        with self.opened(MAGIC, "an MCAP file") as file, contextlib.suppress(*faults):
+            file.seek(max(self.size - _FOOTER.size, 0))
+            start = _FOOTER.unpack(file.read())[2]
+            if 0 < self.size - start < _LONGEST_SUMMARY:
+                file.seek(start)
+                known = _Known().learn_summary(memoryview(file.read()))
+                for number, count in known.counts.items():
+                    counts[known.channels[number]] += count
+                sound = all(kind for _, kind, _ in counts)
+                if sound and 0 < counts.total() <= _MOST_A_BYTE * self.size:
+                    return counts
+        return super().counts()
 
     def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
         known, missing = _Known(), Counter()
@@ -66,17 +65,16 @@ class McapFile(MessageFile):
         the content is all behind it."""
         checksum = zlib.crc32(MAGIC)
         with self.opened(MAGIC, "an MCAP file") as file:
-            size = os.fstat(file.fileno()).st_size
             unpacker = Unpacker(self.file)
             while True:
                 head = file.read(_HEAD.size)
                 if len(head) < _HEAD.size:
                     raise CutError("no end mark")
                 code, length = _HEAD.unpack(head)
-                whole = file.tell() + length <= size
+                whole = file.tell() + length <= self.size
                 if not whole and code != _CHUNK:
                     raise CutError("ends within a record")
-                content = memoryview(file.read(min(length, size)))
+                content = memoryview(file.read(min(length, self.size)))
                 if code == _DATA_END:
                     if int.from_bytes(content[:4], "little") not in (0, checksum):
                         raise CutError("a checksum is wrong")

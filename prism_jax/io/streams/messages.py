@@ -2,6 +2,7 @@
 
 import abc
 import contextlib
+import os
 import pathlib
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -58,10 +59,12 @@ class MessageFile(abc.ABC):
 
     @contextlib.contextmanager
     def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:
-        """The file, after its first bytes; InputError if these are not the `magic`."""
+        """The file, after its first bytes; InputError if these are not the `magic`. Its
+        `size` is that of this moment."""
         with contextlib.ExitStack() as stack:
             try:
                 file = stack.enter_context(open(self.file, "rb"))
+                self.size = os.fstat(file.fileno()).st_size
                 start = file.read(len(magic))
             except OSError as error:
                 raise unreadable(self.path, error) from None
