@@ -5,8 +5,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import BinaryIO
 
-from prism_jax.io.streams.messages import CutError, MessageFile, Source
-from prism_jax.io.streams.packed import Unpacker
+from prism_jax.io.streams.messages import CutError, MessageFile, Source, Unpacker
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _CHUNK, _CHUNK_INFO, _CONNECTION = (b"%c" % n for n in (2, 3, 5, 6, 7))

@@ -6,8 +6,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 
-from prism_jax.io.streams.messages import CutError, MessageFile, Source
-from prism_jax.io.streams.packed import Unpacker
+from prism_jax.io.streams.messages import CutError, MessageFile, Source, Unpacker
 
 MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F

@@ -1,15 +1,25 @@
-"""Files of messages by topic: what every container of ROS messages gives."""
+"""Files of messages by topic: what every container of ROS messages gives, unpacked; of
+what is cut, what is there."""
 
 import abc
+import bz2
 import contextlib
+import io
 import os
 import pathlib
+import shutil
+import tempfile
+import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import BinaryIO, NamedTuple
 
-from prism_jax.io.errors import InputError, StrPath, unreadable
-from prism_jax.io.streams.packed import unpacked_file
+from prism_jax.io.errors import InputError, StrPath, require, unreadable, unwritable
+
+EXTRA = "stream"
+_ZSTD = b"\x28\xb5\x2f\xfd"  # what data packed by zstd begin with
+_LARGEST = 2**28  # bytes of a chunk, or of a message that is packed by itself
+_TIMES = 4000  # the bytes of a file, unpacked; images of a covered camera have 3,500
 
 
 class Topic(NamedTuple):
@@ -72,3 +82,76 @@ class MessageFile(abc.ABC):
                 remedy = "check how it was recorded or copied"
                 raise InputError(self.path, f"not {kind}", remedy)
             yield file
+
+
+class Unpacker:
+    """Unpacks what one file holds. Where that is out of all proportion to the file, it
+    raises ValueError: a kilobyte of zeros must not keep anybody for minutes."""
+
+    def __init__(self, path: pathlib.Path):
+        size = path.stat().st_size
+        self._bytes = _LARGEST + _TIMES * size
+        self._records = 10_000 + size
+
+    def unpack(self, data: bytes | memoryview, compression: str, size: int) -> bytes:
+        """At most ``size`` bytes of packed ones; fewer where these end early.
+        ``compression`` is "none" or "", "bz2", "lz4" (in frames) or "zstd". Another
+        one, too large a size and damaged data raise ValueError."""
+        if compression in ("", "none"):
+            return bytes(data[:size])
+        if size > min(self._bytes, _LARGEST):
+            raise ValueError(f"{size:,} bytes from a file of this size")
+        try:
+            unpacked = _unpacked(data, compression, size)
+        except InputError:
+            raise
+        except Exception as error:  # every package has its own
+            raise ValueError(str(error)) from None
+        self._bytes -= len(unpacked)
+        return unpacked
+
+    def count_record(self) -> None:
+        """Raises ValueError after too many."""
+        self._records -= 1
+        if self._records < 0:
+            raise ValueError("too many records for its size")
+
+    def message(self, data: bytes) -> bytes:
+        """A message as it was before rosbag2 packed it (`compression_mode: MESSAGE`),
+        if it did: no message with a header begins like zstd."""
+        if not data.startswith(_ZSTD):
+            return data
+        size = require("zstandard", EXTRA).frame_content_size(data)
+        size = min(self._bytes, _LARGEST) if size < 0 else size
+        return self.unpack(data, "zstd", size)
+
+
+def unpacked_file(path: pathlib.Path, owner: object) -> pathlib.Path:
+    """A file as it was before rosbag2 packed it (`compression_mode: FILE`), removed
+    with its owner. Where it is damaged or far too large, so much of it as there is."""
+    zstandard = require("zstandard", EXTRA)
+    folder = tempfile.mkdtemp(prefix="prism_jax_")
+    weakref.finalize(owner, shutil.rmtree, folder, ignore_errors=True)
+    target = pathlib.Path(folder) / path.stem
+    left = _LARGEST + _TIMES * path.stat().st_size
+    try:
+        with open(path, "rb") as packed, open(target, "wb") as file:
+            reader = zstandard.ZstdDecompressor().stream_reader(packed)
+            with contextlib.suppress(zstandard.ZstdError):
+                while left > 0 and (block := reader.read(2**20)):
+                    left -= file.write(block)
+    except OSError as error:
+        raise unwritable(target, error) from None
+    return target
+
+
+def _unpacked(data: bytes | memoryview, compression: str, size: int) -> bytes:
+    if compression == "zstd":
+        unpacker = require("zstandard", EXTRA).ZstdDecompressor()
+        return unpacker.stream_reader(io.BytesIO(data)).read(size)
+    if compression == "lz4":
+        unpacker = require("lz4.frame", EXTRA).LZ4FrameDecompressor()
+        return unpacker.decompress(bytes(data), max_length=size)
+    if compression == "bz2":
+        return bz2.BZ2Decompressor().decompress(bytes(data), max_length=size)
+    raise ValueError(f"compression {compression!r} is not supported")

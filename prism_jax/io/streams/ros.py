@@ -21,8 +21,7 @@ from prism_jax.io.files import MAX_POINTS, check_count
 from prism_jax.io.ply import NUMBERS
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
-from prism_jax.io.streams.messages import CutError, MessageFile, Topic
-from prism_jax.io.streams.packed import EXTRA, Unpacker
+from prism_jax.io.streams.messages import EXTRA, CutError, MessageFile, Topic, Unpacker
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMAGE = "sensor_msgs/msg/Image"

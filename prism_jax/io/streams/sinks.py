@@ -12,7 +12,7 @@ from prism_jax.io.arrays import Fields
 from prism_jax.io.atomic import aside, check_targets, make_output_dir, write_bytes
 from prism_jax.io.errors import StrPath, require, unwritable
 from prism_jax.io.ply import NUMBERS, of_first, ply_bytes
-from prism_jax.io.streams.packed import EXTRA
+from prism_jax.io.streams.messages import EXTRA
 
 TOPIC = "/completed"  # of the clouds in an MCAP file
 _STAMP, _HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
