@@ -81,11 +81,12 @@ class McapFile(MessageFile):
                     return
                 checksum = zlib.crc32(content, zlib.crc32(head, checksum))
                 try:
+                    records = iter([(code, content)])
                     if code == _CHUNK:
-                        yield from _in_chunk(content, whole, unpacker)
-                    else:
+                        records = _in_chunk(content, whole, unpacker)
+                    for record in records:
                         unpacker.count_record()
-                        yield code, content
+                        yield record
                 except (struct.error, ValueError) as error:
                     raise CutError(f"damaged chunk ({error})") from None
                 if not whole:
@@ -139,9 +140,7 @@ def _in_chunk(
         raise ValueError("a chunk is shorter than it says")
     if whole and checksum not in (0, zlib.crc32(data)):
         raise ValueError("a checksum is wrong")
-    for record in _split(data, whole):
-        unpacker.count_record()
-        yield record
+    yield from _split(data, whole)
 
 
 def _split(data: memoryview, whole: bool = True) -> Iterator[_Record]:

@@ -12,7 +12,7 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 from prism_jax.io.errors import InputError, StrPath, require, unreadable, unwritable
 
@@ -22,20 +22,13 @@ _LARGEST = 2**28  # bytes of a chunk, or of a message that is packed by itself
 _TIMES = 4000  # the bytes of a file, unpacked; images of a covered camera have 3,500
 
 
-class Topic(NamedTuple):
-    """What is recorded under a name: the messages' type, as `sensor_msgs/msg/Image` or
-    without `msg`, how they are encoded, "cdr" or "ros1", and how many there are."""
-
-    kind: str
-    encoding: str
-    count: int
-
-
 class CutError(ValueError):
     """A file ends, or turns into something else, before its end; it says how."""
 
 
-Source = tuple[str, str, str]  # a topic, its messages' type, and how they are encoded
+Source = tuple[str, str, str]
+"""A topic, its messages' type, as `sensor_msgs/msg/Image` or without `msg`, and how
+they are encoded, "cdr" or "ros1"."""
 
 
 class MessageFile(abc.ABC):

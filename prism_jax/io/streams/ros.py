@@ -6,6 +6,7 @@ import functools
 import posixpath
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ from prism_jax.io.files import MAX_POINTS, check_count
 from prism_jax.io.ply import NUMBERS
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
-from prism_jax.io.streams.messages import EXTRA, CutError, MessageFile, Topic, Unpacker
+from prism_jax.io.streams.messages import EXTRA, CutError, MessageFile, Unpacker
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMAGE = "sensor_msgs/msg/Image"
@@ -52,29 +53,30 @@ class RosStream(Stream):
         info = camera if isinstance(camera, str) else None
         self.camera = None if isinstance(camera, str) else camera
         self._files = files
-        self._topics: dict[str, Topic] = {}
+        self._kinds: dict[str, tuple[str, str]] = {}  # with encodings, by topic
+        self._counts: Counter[str] = Counter()
         for file in files:
             for (name, kind, encoding), count in file.counts().items():
                 package, _, own = kind.partition("/")
                 kind = kind if "/" in own else f"{package}/msg/{own}"  # as ROS 2 has it
-                count += self._topics[name].count if name in self._topics else 0
-                self._topics[name] = Topic(kind, encoding, count)
+                self._kinds[name] = kind, encoding
+                self._counts[name] += count
         self.topic = self._chosen(topic)
         last = "/".join(self.topic.split("/")[-2:])
         self._rectified = re.search("(^|[/_])rect", last) is not None
         self._joints = self._info = None
         # Metres a count, as RealSense's own bags have it.
         option = re.sub("/[^/]*/image/data$", "/option/Depth_Units/value", self.topic)
-        known = option != self.topic and option in self._topics
+        known = option != self.topic and option in self._kinds
         self._units = option if known else None
-        if self._topics[self.topic].kind == IMAGE and self.camera is None:
+        if self._kinds[self.topic][0] == IMAGE and self.camera is None:
             self._info = self._info_topic(info)
         elif info is not None:
             fault = f"no file {info}, and a CameraInfo does not say where clouds are"
             raise InputError("--camera", fault, "give a JSON file")
 
     def __len__(self) -> int:
-        return self._topics[str(self.topic)].count
+        return self._counts[str(self.topic)]
 
     def _frames(self) -> Iterator[Frame]:
         camera = self._first_camera() if self._info else self.camera
@@ -121,7 +123,7 @@ class RosStream(Stream):
 
     def _read(self, topic: str, data: bytes) -> Any:
         """A message's content. Whatever is wrong with it raises ValueError."""
-        kind, encoding, _ = self._topics[topic]
+        kind, encoding = self._kinds[topic]
         try:
             return _readers()[encoding](self._unpacker.message(data), kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
@@ -136,24 +138,25 @@ class RosStream(Stream):
         self._unknown = f"no joint positions within {joints.gap:g} s around it"
 
     def _of_kind(self, kind: str) -> list[str]:
-        return [name for name, found in self._topics.items() if found.kind == kind]
+        return [name for name, (found, _) in self._kinds.items() if found == kind]
 
     def _chosen(self, topic: str | None) -> str:
         """The topic that frames are taken from."""
         fitting = self._fitting(topic)
         if fitting:
             return chosen_topic(self.path, topic, fitting, "clouds or depth images")
-        if not self._topics:
+        if not self._kinds:
             list(self._messages(()))  # tells what is wrong with the files
         fault = "no PointCloud2 or depth Image messages"
-        held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
+        held = ", ".join(f"{name} ({kind})" for name, (kind, _) in self._kinds.items())
         remedy = "record one of them, or aggregate others into a PointCloud2; found "
         remedy += textwrap.shorten(held, 2000, placeholder=" ...") or "nothing"
         raise InputError(self.path, fault, remedy)
 
     def _fitting(self, topic: str | None) -> list[str]:
         """Topics of the right kind. Of Images the first message tells."""
-        kinds = {n: t.kind for n, t in self._topics.items() if t.encoding in _readers()}
+        known = self._kinds.items()
+        kinds = {n: kind for n, (kind, encoding) in known if encoding in _readers()}
         images = {name for name, kind in kinds.items() if kind == IMAGE}
         if topic is not None:
             images &= {topic}
