@@ -18,7 +18,6 @@ Fields = dict[str, np.ndarray]  # further numbers of each point, by their names
 
 MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
 
-_HEAD_BYTES = 2**16
 _ENTRY = b"PK\1\2"  # every entry of an archive's directory starts with it
 _MAX_COLUMNS = 16  # an array of more is an image
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
@@ -126,7 +125,7 @@ def _read_archive(
     found: dict[str, tuple[str, _Header]] = {}
     for member in archive.namelist():
         with archive.open(member) as file:
-            header = _parse_header(file.read(_HEAD_BYTES))
+            header = _parse_header(file.read(2**16))
         found[member.removesuffix(".npy")] = member, header
     counts = {name: header.count for name, (_, header) in found.items()}
     exact = [n for n in counts if counts[n] and found[n][1].shape[1:] == (3,)]

@@ -33,7 +33,6 @@ NUMBERS |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
 _TYPES = {name: code for code, name in NUMBERS.items()}
 _TYPES |= {np.dtype(code).name: code for code in (*NUMBERS, "i8", "u8")}
 _TYPES |= {"bool": "u1", "long": "i8", "ulong": "u8"}
-_MAX_HEADER_BYTES = 2**18
 _SHORT = "the file is truncated"
 _REMEDY = "export it again as a PLY point cloud"
 
@@ -190,7 +189,7 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
     if not data.startswith(b"ply"):
         raise ValueError("does not start with 'ply'")
     layout, elements = "", []
-    lines, start = header_lines(data, "end_header", _MAX_HEADER_BYTES)
+    lines, start = header_lines(data, "end_header", 2**18)
     for words in lines:
         match words:
             case ["format", name, *_] if name in _FORMATS:

@@ -133,9 +133,8 @@ class DatasetFrames(CloudFolder):
                 self.remark("damaged", f"skipped in a list of images: {given:.60}")
         self.scale = 1 / 5000 if lines else 0.001
         named = "TUM RGB-D, 5000" if lines else "7-Scenes, in its world, 1000"
-        self.remark(
-            "layout", f"read as {named} counts a metre unless the camera differs"
-        )
+        line = f"read as {named} counts a metre unless the camera differs"
+        self.remark("layout", line)
         return list(self._times) or sorted(path.glob(f"*{_DEPTH}"), key=natural)
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:

@@ -125,7 +125,7 @@ class Stream(abc.ABC):
         """Every frame as it was recorded."""
 
     def __iter__(self) -> Iterator[Frame]:
-        before: int | None = None
+        before: int | float = -np.inf
         number, sensor = 0, None
         for frame in self._frames():
             sensor = frame.frame_id if sensor is None else sensor
@@ -185,7 +185,7 @@ class Stream(abc.ABC):
             told = f"{self.path}: {line}"
             self._tell("".join(c if c.isprintable() else " " for c in told))
 
-    def _look_at(self, number: int, frame: Frame, before: int | None) -> None:
+    def _look_at(self, number: int, frame: Frame, before: int | float) -> None:
         if len(frame.points) == 0 and frame.num_not_finite:
             line = f"frame {number}: no return in {frame.num_not_finite:,} points"
             self.remark("not_finite", line)
@@ -193,8 +193,6 @@ class Stream(abc.ABC):
             self.remark("empty", f"frame {number} is empty")
         for kind, line in frame.notes.items():
             self.remark(kind, f"frame {number}: {line}")
-        if before is None:
-            return
         behind = before - frame.timestamp
         if behind > LATE:
             line = f"frame {number} is {behind / 1e9:.3f} s older than the one before"

@@ -9,8 +9,6 @@ import numpy as np
 from prism_jax.io.errors import InputError, require
 from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
 
-EXTRA = "ouster"
-
 
 class OusterStream(Stream):
     """Sweeps of an Ouster as clouds in the sensor's frame, x forward and z up, first
@@ -19,8 +17,8 @@ class OusterStream(Stream):
 
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
-        self._sdk = require("ouster.sdk", EXTRA)
-        self._core = require("ouster.sdk.core", EXTRA)
+        self._sdk = require("ouster.sdk", "ouster")
+        self._core = require("ouster.sdk.core", "ouster")
         source = self._open()
         names = [str(info.sn) for info in source.sensor_info]
         self.topic = chosen_topic(path, topic, names, "sweeps")
