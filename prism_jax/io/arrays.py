@@ -179,10 +179,9 @@ def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
     array = array.reshape(header.shape, order="F" if header.is_fortran else "C")
     names = []
     if header.dtype.names:
-        columns = [array[axis].ravel() for axis in "xyz"]
         kinds = {n: header.dtype[n].kind for n in header.dtype.names}
         names = [n for n in kinds if n not in {*"xyz"} and kinds[n] in "biuf"]
-        columns += [array[name].ravel() for name in names]
+        columns = [array[name].ravel() for name in (*"xyz", *names)]
     else:
         columns = list(array.reshape(-1, header.shape[-1]).T)
     if len(columns) > 3 + len(names):

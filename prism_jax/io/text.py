@@ -45,6 +45,7 @@ def read_text(
     data = plain_numbers(read_bytes(path))
     with parsing(path, "a valid table of points", _REMEDY):
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
+        # With a mark it may be UTF-16. What is not Unicode is in Latin letters.
         is_wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
         try:
             text = data.decode("utf-16" if is_wide else "utf-8-sig")

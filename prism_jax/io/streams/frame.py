@@ -168,8 +168,7 @@ class Stream(abc.ABC):
             return frame
         found = frame.joints if self.joints.given is None else self.joints.given
         if found is None:
-            line = f"robot unknown in frame {number}: {self._unknown}"
-            self.remark("joints", line)
+            self.remark("joints", f"robot unknown in frame {number}: {self._unknown}")
             return frame
         skew = (frame.joints or {}).get("skew")
         if skew is not None and (self.skew is None or skew > self.skew["seconds"]):

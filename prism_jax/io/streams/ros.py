@@ -281,8 +281,7 @@ def _cloud(content: Any, time: int) -> Frame:
     names = [field.name for field in content.fields]
     if not {*"xyz"} <= {*names}:
         raise ValueError(f"points have {', '.join(names) or 'nothing'}, not x y z")
-    height, width = content.height, content.width
-    step = content.point_step
+    height, width, step = content.height, content.width, content.point_step
     row = content.row_step or step * width  # which some leave at 0
     _check_size(height * width, row * height, len(content.data))
     places = _places(content)
