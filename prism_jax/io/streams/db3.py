@@ -49,19 +49,18 @@ class Db3File(MessageFile):
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
-        if page := self._cut_page():
-            if self.size < page:
-                remedy = "check how it was copied"
-                raise InputError(self.path, "ends within its first page", remedy)
-            # SQLite would take what is missing of the last page for zeros.
-            database = sqlite3.connect(":memory:", check_same_thread=False)
-            whole = memoryview(read_bytes(self.file))[: self.size // page * page]
-            database.deserialize(whole)
-        else:
-            place = f"file:{urllib.parse.quote(str(self.file.absolute()))}?mode=ro"
-            # Iterating goes on in the thread that reads ahead.
-            database = sqlite3.connect(place, uri=True, check_same_thread=False)
+        page = self._cut_page()
+        if self.size < page:
+            remedy = "check how it was copied"
+            raise InputError(self.path, "ends within its first page", remedy)
+        place = f"file:{urllib.parse.quote(str(self.file.absolute()))}?mode=ro"
+        place = ":memory:" if page else place
+        # Iterating goes on in the thread that reads ahead.
+        database = sqlite3.connect(place, uri=True, check_same_thread=False)
         try:
+            if page:  # SQLite would take what is missing of the last one for zeros.
+                whole = memoryview(read_bytes(self.file))[: self.size // page * page]
+                database.deserialize(whole)
             database.execute("PRAGMA trusted_schema=OFF")
             database.execute("PRAGMA cell_size_check=ON")
             # Or SQLite would open no file that is shorter than it says.
