@@ -28,7 +28,7 @@ from prism_jax.io.atomic import check_targets, claim, write_bytes
 from prism_jax.io.errors import require
 from prism_jax.io.files import read_json
 from prism_jax.io.streams import Joints, Stream, open_stream
-from prism_jax.io.streams.packed import EXTRA
+from prism_jax.io.streams.messages import EXTRA
 from prism_jax.io.streams.sinks import Sink, open_sink
 from prism_jax.models.config import MAX_POSES
 from prism_jax.preprocessing.upright import parse_up

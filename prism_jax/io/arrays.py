@@ -18,11 +18,6 @@ Fields = dict[str, np.ndarray]  # further numbers of each point, by their names
 
 MAX_MEMBERS = 1000  # an archive with more arrays is refused: the header of each is read
 
-_HEADER_READERS = {
-    (1, 0): npy_format.read_array_header_1_0,
-    (2, 0): npy_format.read_array_header_2_0,
-}
-_HEAD_BYTES = 2**16
 _ENTRY = b"PK\1\2"  # every entry of an archive's directory starts with it
 _MAX_COLUMNS = 16  # an array of more is an image
 _REMEDY = "save an (N, 3) array of numbers with numpy.save or numpy.savez(xyz=...)"
@@ -130,7 +125,7 @@ def _read_archive(
     found: dict[str, tuple[str, _Header]] = {}
     for member in archive.namelist():
         with archive.open(member) as file:
-            header = _parse_header(file.read(_HEAD_BYTES))
+            header = _parse_header(file.read(2**16))
         found[member.removesuffix(".npy")] = member, header
     counts = {name: header.count for name, (_, header) in found.items()}
     exact = [n for n in counts if counts[n] and found[n][1].shape[1:] == (3,)]
@@ -184,10 +179,9 @@ def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
     array = array.reshape(header.shape, order="F" if header.is_fortran else "C")
     names = []
     if header.dtype.names:
-        columns = [array[axis].ravel() for axis in "xyz"]
         kinds = {n: header.dtype[n].kind for n in header.dtype.names}
         names = [n for n in kinds if n not in {*"xyz"} and kinds[n] in "biuf"]
-        columns += [array[name].ravel() for name in names]
+        columns = [array[name].ravel() for name in (*"xyz", *names)]
     else:
         columns = list(array.reshape(-1, header.shape[-1]).T)
     if len(columns) > 3 + len(names):
@@ -199,10 +193,11 @@ def _parse(data: bytes, max_points: int, fields: Fields | None) -> np.ndarray:
 def _parse_header(data: bytes) -> _Header:
     file = io.BytesIO(data)
     version = npy_format.read_magic(file)
-    if version not in _HEADER_READERS:
+    reader = getattr(npy_format, "read_array_header_{}_{}".format(*version), None)
+    if reader is None:
         raise ValueError(f"NPY version {version} is not supported")
     try:
-        shape, is_fortran, dtype = _HEADER_READERS[version](file)
+        shape, is_fortran, dtype = reader(file)
     except Exception:  # NumPy evaluates the header, and lets pass what that raises
         raise ValueError("damaged header") from None
     if any(type(side) is not int for side in shape):

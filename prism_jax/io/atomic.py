@@ -81,8 +81,12 @@ def write_together(files: Mapping[Any, bytes]) -> None:
                     os.fsync(file.fileno())
             for current, temporary in temporaries.items():
                 os.replace(temporary, current)
-        for directory in {path.parent for path in named}:
-            _sync_directory(directory)
+            for directory in {path.parent for path in named}:
+                # A file system that cannot flush the renames is no reason to fail.
+                with contextlib.suppress(OSError):
+                    descriptor = os.open(directory, os.O_RDONLY)
+                    stack.callback(os.close, descriptor)
+                    os.fsync(descriptor)
     except OSError as error:
         raise unwritable(current, error) from None
 
@@ -151,13 +155,3 @@ def make_output_dir(path: StrPath) -> pathlib.Path:
             return directory
     except (OSError, ValueError) as error:
         raise unwritable(path, error) from None
-
-
-def _sync_directory(directory: pathlib.Path) -> None:
-    """Flush the rename itself; a file system that cannot is no reason to fail."""
-    if not hasattr(os, "O_DIRECTORY"):
-        return
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    with contextlib.suppress(OSError):
-        os.fsync(descriptor)
-    os.close(descriptor)

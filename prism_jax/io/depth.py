@@ -119,14 +119,16 @@ def read_counts(
     camera_path: StrPath,
     max_points: int = MAX_POINTS,
     tell: Tell = to_stderr,
+    scale: float | None = None,
 ) -> tuple[UInt[np.ndarray, "H W"], float, Camera]:
     """The pixels of a depth image, metres a count, and the camera. The image is a
-    16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count. Whatever
-    does not fit raises an InputError before the image is unpacked."""
+    16-bit grey PNG; its camera's JSON also has `depth_scale`, metres a count, or it is
+    `scale`. Whatever does not fit raises an InputError before the image is unpacked."""
     camera, entries = _read_camera_entries(camera_path, tell)
     remedy = 'add "depth_scale": metres per count, as 0.001'
     with parsing(camera_path, "the camera of a depth image", remedy):
-        scale = _number(entries, "depth_scale")
+        known = {} if scale is None else {"depth_scale": scale}
+        scale = _number(known | entries, "depth_scale")
         if scale <= 0:
             raise ValueError("depth_scale must be positive")
     return read_grey(path, camera, 16, max_points), scale, camera
@@ -188,21 +190,19 @@ def read_grey(
     data = read_bytes(path)
     remedy = f"store {bits}-bit grey of the camera's size, 0 for no return"
     kind = f"a valid {'depth' if bits == 16 else 'label'} image"
-    with parsing(path, kind, remedy):
+    # Pillow raises errors of many kinds.
+    with parsing(path, kind, remedy, Exception):
         try:
-            with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-                if not image.mode.startswith({8: "L", 16: "I;16"}[bits]):
-                    raise ValueError(f"pixels are {image.mode}, not {bits}-bit grey")
-                check_count(image.width * image.height, max_points, "pixels")
-                if image.size != (camera.width, camera.height):
-                    sizes = f"{image.width}x{image.height}, camera is "
-                    sizes += f"{camera.width}x{camera.height}"
-                    raise ValueError(f"image is {sizes}")
-                return np.asarray(image)
+            image = Image.open(io.BytesIO(data), formats=["PNG"])
         except UnidentifiedImageError:
             raise ValueError("not a PNG") from None
-        except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-            raise ValueError(error) from None
+        if not image.mode.startswith({8: "L", 16: "I;16"}[bits]):
+            raise ValueError(f"pixels are {image.mode}, not {bits}-bit grey")
+        check_count(image.width * image.height, max_points, "pixels")
+        if image.size != (camera.width, camera.height):
+            sizes = f"{image.width}x{image.height}, camera is "
+            raise ValueError(f"image is {sizes}{camera.width}x{camera.height}")
+        return np.asarray(image)
 
 
 def _number(entries: dict[str, Any], key: str) -> float:

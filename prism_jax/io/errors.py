@@ -34,18 +34,14 @@ class InputError(ValueError):
 
 def unreadable(path: StrPath, error: Exception) -> InputError:
     """The InputError for what the system says of reading a path."""
-    fault = f"cannot be read ({_reason(error)})"
+    fault = f"cannot be read ({getattr(error, 'strerror', None) or error})"
     return InputError(path, fault, "check the path and its permissions")
 
 
 def unwritable(path: StrPath, error: Exception) -> InputError:
     """The InputError for what the system says of writing a file."""
-    fault = f"cannot be written ({_reason(error)})"
+    fault = f"cannot be written ({getattr(error, 'strerror', None) or error})"
     return InputError(path, fault, "choose another path, or free some space")
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
 
 
 def choose(flag: str, value: str, choices: Iterable[str]) -> str:

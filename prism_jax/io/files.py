@@ -7,7 +7,6 @@ import os
 import pathlib
 import re
 import stat
-import sys
 import tempfile
 import warnings
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from prism_jax.io.errors import InputError, StrPath, unreadable
+from prism_jax.io.errors import InputError, StrPath, to_stderr, unreadable
 
 CACHE_VARIABLE = "PRISM_JAX_CACHE"
 
@@ -119,11 +118,8 @@ def _temporary_cache() -> tempfile.TemporaryDirectory:
     """Removed when the process ends. Its name cannot be guessed, so that nobody else
     can put compiled programs there."""
     folder = tempfile.TemporaryDirectory(prefix="prism_jax_")
-    print(
-        f"no home directory: compiled programs are not cached ({folder.name} is "
-        f"removed at exit); set {CACHE_VARIABLE} to a folder",
-        file=sys.stderr,
-    )
+    line = f"no home directory: compiled programs are not cached ({folder.name} is "
+    to_stderr(f"{line}removed at exit); set {CACHE_VARIABLE} to a folder")
     return folder
 
 

@@ -52,8 +52,7 @@ def read_las(
             wanted = column.ndim == 1 and name not in ("X", "Y", "Z")
             if fields is not None and wanted and column.any():
                 fields[name] = column
-        xyz = [np.stack([block.x, block.y, block.z], axis=1) for block in blocks]
-        return np.concatenate(xyz)
+        return np.concatenate([np.stack([b.x, b.y, b.z], axis=1) for b in blocks])
 
 
 def _check_layers(data: bytes, header, end: int, vlr) -> None:

@@ -65,9 +65,8 @@ def read_pcd(
         indices = header.places(fields is not None)
         read = _read_ascii if header.mode == "ascii" else _read_binary
         columns = read(data[start:], header, indices)
-        _, stored, _ = zip(*(header.fields[i] for i in indices), strict=True)
-        names = [header.fields[index].name for index in indices[3:]]
-        return stack_columns(columns, stored, names, fields)
+        names, stored, _ = zip(*(header.fields[i] for i in indices), strict=True)
+        return stack_columns(columns, stored, names[3:], fields)
 
 
 def read_viewpoint(path: StrPath) -> Float[np.ndarray, "3"] | None:

@@ -27,12 +27,12 @@ SIGMA = "sigma: expected distance from the true surface, 0 for observed points"
 COLORS = {OBSERVED: (37, 99, 175), COMPLETED: (230, 126, 34), KNOWN: (120, 94, 160)}
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"}
-_NAMES |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
-_TYPES = {name: code for code, name in _NAMES.items()}
-_TYPES |= {np.dtype(code).name: code for code in (*_NAMES, "i8", "u8")}
+# Types as PLY names them, in the order in which ROS counts them from 1.
+NUMBERS = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort"}
+NUMBERS |= {"i4": "int", "u4": "uint", "f4": "float", "f8": "double"}
+_TYPES = {name: code for code, name in NUMBERS.items()}
+_TYPES |= {np.dtype(code).name: code for code in (*NUMBERS, "i8", "u8")}
 _TYPES |= {"bool": "u1", "long": "i8", "ulong": "u8"}
-_MAX_HEADER_BYTES = 2**18
 _SHORT = "the file is truncated"
 _REMEDY = "export it again as a PLY point cloud"
 
@@ -137,7 +137,7 @@ def of_first(fields: Fields, count: int, taken: Collection[str]) -> Fields:
         name = re.sub("[^!-~]", "_", name)  # one word
         while name in found or name in taken:
             name = f"input_{name}"
-        kind = column.dtype if column.dtype.str[1:] in _NAMES else np.dtype(float)
+        kind = column.dtype if column.dtype.str[1:] in NUMBERS else np.dtype(float)
         found[name] = np.full(count, np.nan if kind.kind == "f" else 0, kind)
         found[name][: len(column)] = column
     return found
@@ -153,17 +153,14 @@ def vertices_bytes(
     theirs. Comments are lines of the header."""
     scalar = np.float64 if points.dtype == np.float64 else np.float32
     table = dict(zip("xyz", points.astype(scalar).T, strict=True)) | (columns or {})  # pyright: ignore
-    kinds = {name: _NAMES[column.dtype.str[1:]] for name, column in table.items()}
-    fields = [(name, f"<{_TYPES[kind]}") for name, kind in kinds.items()]
-    vertices = np.empty(len(points), fields)
-    for name, column in table.items():
-        vertices[name] = column
+    kinds = [(name, f"<{column.dtype.str[1:]}") for name, column in table.items()]
+    vertices = np.rec.fromarrays([*table.values()], dtype=kinds)
     header = [
         "ply",
         "format binary_little_endian 1.0",
         *(f"comment {comment}" for comment in comments),
         f"element vertex {len(points)}",
-        *(f"property {kind} {name}" for name, kind in kinds.items()),
+        *(f"property {NUMBERS[kind[1:]]} {name}" for name, kind in kinds),
         "end_header\n",
     ]
     return "\n".join(header).encode() + vertices.tobytes()
@@ -192,7 +189,7 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
     if not data.startswith(b"ply"):
         raise ValueError("does not start with 'ply'")
     layout, elements = "", []
-    lines, start = header_lines(data, "end_header", _MAX_HEADER_BYTES)
+    lines, start = header_lines(data, "end_header", 2**18)
     for words in lines:
         match words:
             case ["format", name, *_] if name in _FORMATS:

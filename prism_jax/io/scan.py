@@ -104,8 +104,7 @@ def read_scan(
     if camera is not None:
         check_in_view(points, camera, path)
     left_out = num_read - num_finite, num_finite - len(points)
-    seen = in_camera_frame, around, eye, fields, unit
-    return Scan(points, camera, *left_out, *seen)
+    return Scan(points, camera, *left_out, in_camera_frame, around, eye, fields, unit)
 
 
 def standing_at(eye: Float[np.ndarray, "3"]) -> Camera:

@@ -45,18 +45,15 @@ def read_text(
     data = plain_numbers(read_bytes(path))
     with parsing(path, "a valid table of points", _REMEDY):
         check_count(max(data.count(b"\n"), data.count(b"\r")), max_points, "lines")
-        text = io.StringIO(_decoded(data), newline=None)
-        usual = _USUAL.get(pathlib.Path(path).suffix.lower(), "")
-        return _read(list(map(str.rstrip, text)), usual, fields)
-
-
-def _decoded(data: bytes) -> str:
-    """As UTF-8, with a mark also as UTF-16, or else in Latin letters."""
-    try:
+        # With a mark it may be UTF-16. What is not Unicode is in Latin letters.
         is_wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-        return data.decode("utf-16" if is_wide else "utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
+        try:
+            text = data.decode("utf-16" if is_wide else "utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("latin-1")
+        lines = [line.rstrip() for line in io.StringIO(text, newline=None)]
+        usual = _USUAL.get(pathlib.Path(path).suffix.lower(), "")
+        return _read(lines, usual, fields)
 
 
 def _read(lines: Sequence[str], usual: str, fields: Fields | None) -> np.ndarray:

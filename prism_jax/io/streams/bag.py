@@ -1,13 +1,11 @@
 """ROS 1 bags of format 2.0: http://wiki.ros.org/Bags/Format/2.0."""
 
-import os
 import struct
 from collections import Counter
 from collections.abc import Iterator
 from typing import BinaryIO
 
-from prism_jax.io.streams.messages import CutError, MessageFile, Source
-from prism_jax.io.streams.packed import Unpacker
+from prism_jax.io.streams.messages import CutError, MessageFile, Source, Unpacker
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _CHUNK, _CHUNK_INFO, _CONNECTION = (b"%c" % n for n in (2, 3, 5, 6, 7))
@@ -50,12 +48,11 @@ class BagFile(MessageFile):
     def _records(self) -> Iterator[tuple[_Fields, memoryview]]:
         """Every record, those in chunks like the others."""
         with self.opened(MAGIC, "a ROS 1 bag of format 2.0") as file:
-            size = os.fstat(file.fileno()).st_size
             unpacker = Unpacker(self.file)
-            while file.tell() < size:
-                fields, length = _head(file, size)
-                whole = file.tell() + length <= size
-                data = memoryview(file.read(min(length, size)))
+            while file.tell() < self.size:
+                fields, length = _head(file, self.size)
+                whole = file.tell() + length <= self.size
+                data = memoryview(file.read(min(length, self.size)))
                 if fields.get(b"op") == _CHUNK:
                     yield from _in_chunk(fields, data, unpacker)
                 elif whole:
@@ -69,10 +66,8 @@ def _head(file: BinaryIO, size: int) -> tuple[_Fields, int]:
     length = _number(file.read(4))
     if length > min(_HEADER_LIMIT, size):
         raise CutError("damaged record")
-    header = file.read(length)
-    if len(header) < length:
-        raise CutError("ends within a record")
-    return _fields(memoryview(header)), _number(file.read(4))
+    header, length = file.read(length), _number(file.read(4))
+    return _fields(memoryview(header)), length
 
 
 def _number(data: bytes) -> int:

@@ -45,32 +45,30 @@ class Db3File(MessageFile):
             rest = file.read(16).ljust(16, b"\0")
         page, count = struct.unpack(">H10xI", rest)
         page = 65536 if page == 1 else max(page, 512)
-        return page if page * count > self.file.stat().st_size else 0
+        return page if page * count > self.size else 0
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
-        size = self.file.stat().st_size
-        if page := self._cut_page():
-            if size < page:
-                remedy = "check how it was copied"
-                raise InputError(self.path, "ends within its first page", remedy)
-            # SQLite would take what is missing of the last page for zeros.
-            database = sqlite3.connect(":memory:", check_same_thread=False)
-            whole = memoryview(read_bytes(self.file))[: size // page * page]
-            database.deserialize(whole)
-        else:
-            place = f"file:{urllib.parse.quote(str(self.file.absolute()))}?mode=ro"
-            # Iterating goes on in the thread that reads ahead.
-            database = sqlite3.connect(place, uri=True, check_same_thread=False)
+        page = self._cut_page()
+        if self.size < page:
+            remedy = "check how it was copied"
+            raise InputError(self.path, "ends within its first page", remedy)
+        place = f"file:{urllib.parse.quote(str(self.file.absolute()))}?mode=ro"
+        place = ":memory:" if page else place
+        # Iterating goes on in the thread that reads ahead.
+        database = sqlite3.connect(place, uri=True, check_same_thread=False)
         try:
+            if page:  # SQLite would take what is missing of the last one for zeros.
+                whole = memoryview(read_bytes(self.file))[: self.size // page * page]
+                database.deserialize(whole)
             database.execute("PRAGMA trusted_schema=OFF")
             database.execute("PRAGMA cell_size_check=ON")
             # Or SQLite would open no file that is shorter than it says.
             database.execute("PRAGMA writable_schema=ON")
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 4096))
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(self.size, 4096))
             database.set_authorizer(_reads_a_table)
             # So much work. No function of Python's counts it: that would drop a Ctrl-C.
-            going = itertools.repeat(0, 100 + size // 2**13)
+            going = itertools.repeat(0, 100 + self.size // 2**13)
             ended = itertools.chain(going, itertools.repeat(1))
             database.set_progress_handler(ended.__next__, 2**20)
             yield database

@@ -15,14 +15,10 @@ from prism_jax.io.depth import (
     camera_to_dict,
     read_camera,
     read_counts,
-    read_grey,
 )
 from prism_jax.io.errors import InputError
 from prism_jax.io.files import parsing, read_bytes, read_json
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
-
-PERIOD = 100_000_000
-"""Nanoseconds between files that say nothing of their time: 10 frames a second."""
 
 _DEPTH, _PARTIAL, _CAMERA = ".depth.png", ".partial.ply", ".camera.json"
 _JOINTS = ".joints.json"
@@ -65,7 +61,7 @@ class CloudFolder(Stream):
     def _frames(self) -> Iterator[Frame]:
         for number, path in enumerate(self._paths):
             try:
-                yield self._read(path, number * PERIOD)
+                yield self._read(path, number * 100_000_000)
             except InputError as error:
                 self.remark("damaged", f"skipped {path.name}: {error}")
 
@@ -74,8 +70,8 @@ class CloudFolder(Stream):
         if path.suffix.lower() != ".png":
             return self._frame(path, None, time)
         own, common = path.with_suffix(".json"), path.with_name("camera.json")
-        beside = own if own.exists() else common
-        return self._frame(path, self.camera_file or beside, time)
+        about = self.camera_file or (own if own.exists() else common)
+        return self._frame(path, about, time)
 
     def _frame(
         self, path: pathlib.Path, about: pathlib.Path | None, time: int
@@ -84,17 +80,14 @@ class CloudFolder(Stream):
         tell = functools.partial(self.remark, "camera_file")
         if about is not None and path.suffix.lower() == ".png":
             tell = (lambda _: None) if about == self.camera_file else tell
-            if self.scale and "depth_scale" not in read_json(about, "give a camera"):
-                camera, scale = read_camera(about, tell), self.scale
-                counts = read_grey(path, camera, 16)
-            else:
-                counts, scale, camera = read_counts(path, about, tell=tell)
+            given = read_counts(path, about, tell=tell, scale=self.scale)
+            counts, scale, camera = given
             return Frame.of_depth(counts, camera, time, scale)
         camera = None if about is None else read_camera(about, tell)
         fields: Fields = {}
         points, num_read, notes = read_cloud(path, fields=fields)
-        left = {"num_not_finite": num_read - len(points), "notes": notes}
-        return Frame(points, time, camera, fields=fields, **left)
+        num_lost = num_read - len(points)
+        return Frame(points, time, camera, None, num_lost, notes, fields=fields)
 
 
 class RecordedFrames(CloudFolder):
@@ -140,9 +133,8 @@ class DatasetFrames(CloudFolder):
                 self.remark("damaged", f"skipped in a list of images: {given:.60}")
         self.scale = 1 / 5000 if lines else 0.001
         named = "TUM RGB-D, 5000" if lines else "7-Scenes, in its world, 1000"
-        self.remark(
-            "layout", f"read as {named} counts a metre unless the camera differs"
-        )
+        line = f"read as {named} counts a metre unless the camera differs"
+        self.remark("layout", line)
         return list(self._times) or sorted(path.glob(f"*{_DEPTH}"), key=natural)
 
     def _read(self, path: pathlib.Path, time: int) -> Frame:

@@ -125,7 +125,7 @@ class Stream(abc.ABC):
         """Every frame as it was recorded."""
 
     def __iter__(self) -> Iterator[Frame]:
-        before: Frame | None = None
+        before: int | float = -np.inf
         number, sensor = 0, None
         for frame in self._frames():
             sensor = frame.frame_id if sensor is None else sensor
@@ -137,7 +137,7 @@ class Stream(abc.ABC):
             frame = self._with_joints(number, self._placed(frame))
             self.frame_id = frame.frame_id
             yield frame
-            before = dataclasses.replace(frame, points=_NONE, depth=None, fields={})
+            before = frame.timestamp
             number += 1
 
     def _placed(self, frame: Frame) -> Frame:
@@ -168,8 +168,7 @@ class Stream(abc.ABC):
             return frame
         found = frame.joints if self.joints.given is None else self.joints.given
         if found is None:
-            line = f"robot unknown in frame {number}: {self._unknown}"
-            self.remark("joints", line)
+            self.remark("joints", f"robot unknown in frame {number}: {self._unknown}")
             return frame
         skew = (frame.joints or {}).get("skew")
         if skew is not None and (self.skew is None or skew > self.skew["seconds"]):
@@ -185,7 +184,7 @@ class Stream(abc.ABC):
             told = f"{self.path}: {line}"
             self._tell("".join(c if c.isprintable() else " " for c in told))
 
-    def _look_at(self, number: int, frame: Frame, before: Frame | None) -> None:
+    def _look_at(self, number: int, frame: Frame, before: int | float) -> None:
         if len(frame.points) == 0 and frame.num_not_finite:
             line = f"frame {number}: no return in {frame.num_not_finite:,} points"
             self.remark("not_finite", line)
@@ -193,9 +192,7 @@ class Stream(abc.ABC):
             self.remark("empty", f"frame {number} is empty")
         for kind, line in frame.notes.items():
             self.remark(kind, f"frame {number}: {line}")
-        if before is None:
-            return
-        behind = before.timestamp - frame.timestamp
+        behind = before - frame.timestamp
         if behind > LATE:
             line = f"frame {number} is {behind / 1e9:.3f} s older than the one before"
             self.remark("backward", f"{line}; used anyway")
@@ -218,6 +215,3 @@ def chosen_topic(
     fault = f"{len(fitting)} topics with {content}"
     fault = fault if topic is None else f"no {content} on {topic}"
     raise InputError(path, fault, f"set {flag} to one of {', '.join(fitting)}")
-
-
-_NONE = np.zeros((0, 3), np.float32)

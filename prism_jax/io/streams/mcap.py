@@ -1,14 +1,12 @@
 """MCAP files, as ROS 2 records them: https://mcap.dev/spec."""
 
 import contextlib
-import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
 
-from prism_jax.io.streams.messages import CutError, MessageFile, Source
-from prism_jax.io.streams.packed import Unpacker
+from prism_jax.io.streams.messages import CutError, MessageFile, Source, Unpacker
 
 MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
@@ -26,22 +24,22 @@ class McapFile(MessageFile):
     checksums and its statistics tell what is damaged, and whether messages are
     missing."""
 
-    def _counts(self) -> Counter[Source]:
+    def counts(self) -> Counter[Source]:
         """By what the end of the file says, if it is sound; else by all messages."""
         counts: Counter[Source] = Counter()
-        with self.opened(MAGIC, "an MCAP file") as file:
-            size = os.fstat(file.fileno()).st_size
-            file.seek(max(size - _FOOTER.size, 0))
-            with contextlib.suppress(struct.error, ValueError):
-                start = _FOOTER.unpack(file.read())[2]
-                if 0 < size - start < _LONGEST_SUMMARY:
-                    file.seek(start)
-                    known = _Known().learn_summary(memoryview(file.read()))
-                    for number, count in known.counts.items():
-                        counts[known.channels.get(number, ("", "", ""))] += count
-        sound = all(kind for _, kind, _ in counts)
-        sound = sound and 0 < counts.total() <= _MOST_A_BYTE * size
-        return counts if sound else super()._counts()
+        faults = KeyError, struct.error, ValueError
+        with self.opened(MAGIC, "an MCAP file") as file, contextlib.suppress(*faults):
+            file.seek(max(self.size - _FOOTER.size, 0))
+            start = _FOOTER.unpack(file.read())[2]
+            if 0 < self.size - start < _LONGEST_SUMMARY:
+                file.seek(start)
+                known = _Known().learn_summary(memoryview(file.read()))
+                for number, count in known.counts.items():
+                    counts[known.channels[number]] += count
+                sound = all(kind for _, kind, _ in counts)
+                if sound and 0 < counts.total() <= _MOST_A_BYTE * self.size:
+                    return counts
+        return super().counts()
 
     def _all(self, told: bool) -> Iterator[tuple[Source, int, memoryview]]:
         known, missing = _Known(), Counter()
@@ -66,17 +64,16 @@ class McapFile(MessageFile):
         the content is all behind it."""
         checksum = zlib.crc32(MAGIC)
         with self.opened(MAGIC, "an MCAP file") as file:
-            size = os.fstat(file.fileno()).st_size
             unpacker = Unpacker(self.file)
             while True:
                 head = file.read(_HEAD.size)
                 if len(head) < _HEAD.size:
                     raise CutError("no end mark")
                 code, length = _HEAD.unpack(head)
-                whole = file.tell() + length <= size
+                whole = file.tell() + length <= self.size
                 if not whole and code != _CHUNK:
                     raise CutError("ends within a record")
-                content = memoryview(file.read(min(length, size)))
+                content = memoryview(file.read(min(length, self.size)))
                 if code == _DATA_END:
                     if int.from_bytes(content[:4], "little") not in (0, checksum):
                         raise CutError("a checksum is wrong")
@@ -84,11 +81,12 @@ class McapFile(MessageFile):
                     return
                 checksum = zlib.crc32(content, zlib.crc32(head, checksum))
                 try:
+                    records = iter([(code, content)])
                     if code == _CHUNK:
-                        yield from _in_chunk(content, whole, unpacker)
-                    else:
+                        records = _in_chunk(content, whole, unpacker)
+                    for record in records:
                         unpacker.count_record()
-                        yield code, content
+                        yield record
                 except (struct.error, ValueError) as error:
                     raise CutError(f"damaged chunk ({error})") from None
                 if not whole:
@@ -142,9 +140,7 @@ def _in_chunk(
         raise ValueError("a chunk is shorter than it says")
     if whole and checksum not in (0, zlib.crc32(data)):
         raise ValueError("a checksum is wrong")
-    for record in _split(data, whole):
-        unpacker.count_record()
-        yield record
+    yield from _split(data, whole)
 
 
 def _split(data: memoryview, whole: bool = True) -> Iterator[_Record]:

@@ -1,38 +1,34 @@
-"""Files of messages by topic: what every container of ROS messages gives."""
+"""Files of messages by topic: what every container of ROS messages gives, unpacked; of
+what is cut, what is there."""
 
 import abc
+import bz2
 import contextlib
+import io
+import os
 import pathlib
+import shutil
+import tempfile
+import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
-from prism_jax.io.errors import InputError, StrPath, unreadable
-from prism_jax.io.streams.packed import unpacked_file
+from prism_jax.io.errors import InputError, StrPath, require, unreadable, unwritable
 
-
-class Topic(NamedTuple):
-    """What is recorded under a name: the messages' type, as `sensor_msgs/msg/Image` or
-    without `msg`, how they are encoded, "cdr" or "ros1", and how many there are."""
-
-    kind: str
-    encoding: str
-    count: int
-
-
-class Message(NamedTuple):
-    """One message as it was recorded, `time` nanoseconds after the clock's zero."""
-
-    topic: str
-    time: int
-    data: bytes
+EXTRA = "stream"
+_ZSTD = b"\x28\xb5\x2f\xfd"  # what data packed by zstd begin with
+_LARGEST = 2**28  # bytes of a chunk, or of a message that is packed by itself
+_TIMES = 4000  # the bytes of a file, unpacked; images of a covered camera have 3,500
 
 
 class CutError(ValueError):
     """A file ends, or turns into something else, before its end; it says how."""
 
 
-Source = tuple[str, str, str]  # a topic, its messages' type, and how they are encoded
+Source = tuple[str, str, str]
+"""A topic, its messages' type, as `sensor_msgs/msg/Image` or without `msg`, and how
+they are encoded, "cdr" or "ros1"."""
 
 
 class MessageFile(abc.ABC):
@@ -50,29 +46,28 @@ class MessageFile(abc.ABC):
         these are not `told`. Where the file is cut or damaged, and behind the last
         message if some are missing, a `CutError`."""
 
-    def _counts(self) -> Counter[Source]:
+    def counts(self) -> Counter[Source]:
+        """Messages of each source, as far as they are whole."""
         counts: Counter[Source] = Counter()
         with contextlib.suppress(CutError):  # which iterating over the messages tells
             counts.update(source for source, _, _ in self._all(False))
         return counts
 
-    def topics(self) -> dict[str, Topic]:
-        """All topics of which there is a message, also those of a file that is cut."""
-        counted = self._counts().items()
-        return {name: Topic(kind, how, n) for (name, kind, how), n in counted}
-
-    def messages(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Messages of the wanted topics, as `_all`."""
+    def messages(self, wanted: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Messages of the wanted topics as they were recorded: topic, nanoseconds after
+        the clock's zero, and data. It ends as `_all`."""
         for (topic, *_), time, data in self._all(True):
             if topic in wanted:
-                yield Message(topic, time, bytes(data))
+                yield topic, time, bytes(data)
 
     @contextlib.contextmanager
     def opened(self, magic: bytes, kind: str) -> Iterator[BinaryIO]:
-        """The file, after its first bytes; InputError if these are not the `magic`."""
+        """The file, after its first bytes; InputError if these are not the `magic`. Its
+        `size` is that of this moment."""
         with contextlib.ExitStack() as stack:
             try:
                 file = stack.enter_context(open(self.file, "rb"))
+                self.size = os.fstat(file.fileno()).st_size
                 start = file.read(len(magic))
             except OSError as error:
                 raise unreadable(self.path, error) from None
@@ -80,3 +75,76 @@ class MessageFile(abc.ABC):
                 remedy = "check how it was recorded or copied"
                 raise InputError(self.path, f"not {kind}", remedy)
             yield file
+
+
+class Unpacker:
+    """Unpacks what one file holds. Where that is out of all proportion to the file, it
+    raises ValueError: a kilobyte of zeros must not keep anybody for minutes."""
+
+    def __init__(self, path: pathlib.Path):
+        size = path.stat().st_size
+        self._bytes = _LARGEST + _TIMES * size
+        self._records = 10_000 + size
+
+    def unpack(self, data: bytes | memoryview, compression: str, size: int) -> bytes:
+        """At most ``size`` bytes of packed ones; fewer where these end early.
+        ``compression`` is "none" or "", "bz2", "lz4" (in frames) or "zstd". Another
+        one, too large a size and damaged data raise ValueError."""
+        if compression in ("", "none"):
+            return bytes(data[:size])
+        if size > min(self._bytes, _LARGEST):
+            raise ValueError(f"{size:,} bytes from a file of this size")
+        try:
+            unpacked = _unpacked(data, compression, size)
+        except InputError:
+            raise
+        except Exception as error:  # every package has its own
+            raise ValueError(str(error)) from None
+        self._bytes -= len(unpacked)
+        return unpacked
+
+    def count_record(self) -> None:
+        """Raises ValueError after too many."""
+        self._records -= 1
+        if self._records < 0:
+            raise ValueError("too many records for its size")
+
+    def message(self, data: bytes) -> bytes:
+        """A message as it was before rosbag2 packed it (`compression_mode: MESSAGE`),
+        if it did: no message with a header begins like zstd."""
+        if not data.startswith(_ZSTD):
+            return data
+        size = require("zstandard", EXTRA).frame_content_size(data)
+        size = min(self._bytes, _LARGEST) if size < 0 else size
+        return self.unpack(data, "zstd", size)
+
+
+def unpacked_file(path: pathlib.Path, owner: object) -> pathlib.Path:
+    """A file as it was before rosbag2 packed it (`compression_mode: FILE`), removed
+    with its owner. Where it is damaged or far too large, so much of it as there is."""
+    zstandard = require("zstandard", EXTRA)
+    folder = tempfile.mkdtemp(prefix="prism_jax_")
+    weakref.finalize(owner, shutil.rmtree, folder, ignore_errors=True)
+    target = pathlib.Path(folder) / path.stem
+    left = _LARGEST + _TIMES * path.stat().st_size
+    try:
+        with open(path, "rb") as packed, open(target, "wb") as file:
+            reader = zstandard.ZstdDecompressor().stream_reader(packed)
+            with contextlib.suppress(zstandard.ZstdError):
+                while left > 0 and (block := reader.read(2**20)):
+                    left -= file.write(block)
+    except OSError as error:
+        raise unwritable(target, error) from None
+    return target
+
+
+def _unpacked(data: bytes | memoryview, compression: str, size: int) -> bytes:
+    if compression == "zstd":
+        unpacker = require("zstandard", EXTRA).ZstdDecompressor()
+        return unpacker.stream_reader(io.BytesIO(data)).read(size)
+    if compression == "lz4":
+        unpacker = require("lz4.frame", EXTRA).LZ4FrameDecompressor()
+        return unpacker.decompress(bytes(data), max_length=size)
+    if compression == "bz2":
+        return bz2.BZ2Decompressor().decompress(bytes(data), max_length=size)
+    raise ValueError(f"compression {compression!r} is not supported")

@@ -2,7 +2,7 @@
 
 import pathlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import read_camera
@@ -12,15 +12,10 @@ from prism_jax.io.streams.db3 import Db3File
 from prism_jax.io.streams.folders import CloudFolder, folder_kind, natural
 from prism_jax.io.streams.frame import Joints, Stream, Tell
 from prism_jax.io.streams.mcap import McapFile
-from prism_jax.io.streams.messages import MessageFile
 from prism_jax.io.streams.ouster import OusterStream
 from prism_jax.io.streams.ros import RosStream
 
-MESSAGES: dict[str, Callable[[pathlib.Path], MessageFile]] = {
-    ".bag": BagFile,
-    ".db3": Db3File,
-    ".mcap": McapFile,
-}
+MESSAGES = {".bag": BagFile, ".db3": Db3File, ".mcap": McapFile}
 Pinhole = Camera | str | None  # a camera, its JSON file, or the topic of its CameraInfo
 OUSTER = (".pcap", ".osf")
 SUFFIXES = (*MESSAGES, *OUSTER)

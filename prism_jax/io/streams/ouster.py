@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 
 from prism_jax.io.errors import InputError, require
-from prism_jax.io.streams.frame import Frame, Stream, Tell
-
-EXTRA = "ouster"
+from prism_jax.io.streams.frame import Frame, Stream, Tell, chosen_topic
 
 
 class OusterStream(Stream):
@@ -19,15 +17,12 @@ class OusterStream(Stream):
 
     def __init__(self, path: pathlib.Path, topic: str | None, tell: Tell | None):
         super().__init__(path, tell)
-        self._sdk = require("ouster.sdk", EXTRA)
-        self._core = require("ouster.sdk.core", EXTRA)
+        self._sdk = require("ouster.sdk", "ouster")
+        self._core = require("ouster.sdk.core", "ouster")
         source = self._open()
         names = [str(info.sn) for info in source.sensor_info]
-        if topic not in names and (topic is not None or len(names) > 1):
-            fault = f"{len(names)} sensors" if topic is None else f"no sensor {topic}"
-            raise InputError(path, fault, f"set --topic to one of {', '.join(names)}")
-        self._place = 0 if topic is None else names.index(topic)
-        self.topic = names[self._place]
+        self.topic = chosen_topic(path, topic, names, "sweeps")
+        self._place = names.index(self.topic)
         self._count = len(source)
         source.close()
 

@@ -6,6 +6,7 @@ import functools
 import posixpath
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
@@ -18,11 +19,10 @@ from prism_jax.io.clouds import measured
 from prism_jax.io.depth import camera_from_dict
 from prism_jax.io.errors import InputError, StrPath, require
 from prism_jax.io.files import MAX_POINTS, check_count
+from prism_jax.io.ply import NUMBERS
 from prism_jax.io.streams.frame import Frame, Joints, Stream, Tell, chosen_topic
 from prism_jax.io.streams.joints import PlacedFrames
-from prism_jax.io.streams.mcap_output import NUMBERS
-from prism_jax.io.streams.messages import CutError, Message, MessageFile, Topic
-from prism_jax.io.streams.packed import EXTRA, Unpacker
+from prism_jax.io.streams.messages import EXTRA, CutError, MessageFile, Unpacker
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 IMAGE = "sensor_msgs/msg/Image"
@@ -53,70 +53,67 @@ class RosStream(Stream):
         info = camera if isinstance(camera, str) else None
         self.camera = None if isinstance(camera, str) else camera
         self._files = files
-        self._topics: dict[str, Topic] = {}
+        self._kinds: dict[str, tuple[str, str]] = {}  # with encodings, by topic
+        self._counts: Counter[str] = Counter()
         for file in files:
-            for name, (kind, encoding, count) in file.topics().items():
+            for (name, kind, encoding), count in file.counts().items():
                 package, _, own = kind.partition("/")
                 kind = kind if "/" in own else f"{package}/msg/{own}"  # as ROS 2 has it
-                count += self._topics[name].count if name in self._topics else 0
-                self._topics[name] = Topic(kind, encoding, count)
+                self._kinds[name] = kind, encoding
+                self._counts[name] += count
         self.topic = self._chosen(topic)
-        self._is_depth = self._topics[self.topic].kind == IMAGE
         last = "/".join(self.topic.split("/")[-2:])
         self._rectified = re.search("(^|[/_])rect", last) is not None
         self._joints = self._info = None
         # Metres a count, as RealSense's own bags have it.
         option = re.sub("/[^/]*/image/data$", "/option/Depth_Units/value", self.topic)
-        known = option != self.topic and option in self._topics
+        known = option != self.topic and option in self._kinds
         self._units = option if known else None
-        if self._is_depth and self.camera is None:
+        if self._kinds[self.topic][0] == IMAGE and self.camera is None:
             self._info = self._info_topic(info)
         elif info is not None:
             fault = f"no file {info}, and a CameraInfo does not say where clouds are"
             raise InputError("--camera", fault, "give a JSON file")
 
     def __len__(self) -> int:
-        return self._topics[str(self.topic)].count
+        return self._counts[str(self.topic)]
 
     def _frames(self) -> Iterator[Frame]:
-        camera = self.camera
-        if self._info is not None:
-            camera = self._first_camera()
+        camera = self._first_camera() if self._info else self.camera
         unit, topics = None, (self.topic, self._info, self._joints, self._units)
         wanted = {name for name in topics if name is not None}
         placed = PlacedFrames(self.joints or Joints())
-        for message in self._messages(wanted):
+        for topic, logged, data in self._messages(wanted):
             try:
-                content = self._read(message)
-                if message.topic == self._units:
+                content = self._read(topic, data)
+                if topic == self._units:
                     unit = float(content.data)
                     continue
                 stamp = content.header.stamp
                 # Where nobody filled it in, when it was recorded.
-                time = stamp.sec * 1_000_000_000 + stamp.nanosec or message.time
-                if message.topic == self._joints:
+                time = stamp.sec * 1_000_000_000 + stamp.nanosec or logged
+                if topic == self._joints:
                     yield from placed.add_positions(_positions(content), time)
-                elif message.topic == self._info:
+                elif topic == self._info:
                     camera = self._pinhole(content, camera)
                 else:
                     frame = _frame(content, camera, time, unit)
                     known = self._joints is not None
                     yield from placed.add_frame(frame) if known else [frame]
             except ValueError as error:
-                line = f"skipped a message on {message.topic}: {error}"
-                self.remark("damaged", line)
+                self.remark("damaged", f"skipped a message on {topic}: {error}")
         yield from placed.done(0)
 
     def _messages(
         self, wanted: Collection[str], told: bool = True
-    ) -> Iterator[Message]:
+    ) -> Iterator[tuple[str, int, bytes]]:
         """Those of all files. One that is cut ends early, with a remark if `told`."""
         for file in self._files:
             count = 0
             self._unpacker = Unpacker(file.path)
             try:
                 for message in file.messages(wanted):
-                    count += message.topic == self.topic
+                    count += message[0] == self.topic
                     yield message
             except CutError as error:
                 line = f"{file.path.name} is truncated or damaged: {error}"
@@ -124,12 +121,11 @@ class RosStream(Stream):
                 if told:
                     self.remark("cut", line)
 
-    def _read(self, message: Message) -> Any:
+    def _read(self, topic: str, data: bytes) -> Any:
         """A message's content. Whatever is wrong with it raises ValueError."""
-        kind, encoding, _ = self._topics[message.topic]
+        kind, encoding = self._kinds[topic]
         try:
-            data = self._unpacker.message(message.data)
-            return _readers()[encoding](data, kind)
+            return _readers()[encoding](self._unpacker.message(data), kind)
         except Exception as error:  # rosbags lets pass whatever it stumbles over
             raise ValueError(f"not a {kind} ({type(error).__name__})") from None
 
@@ -142,37 +138,38 @@ class RosStream(Stream):
         self._unknown = f"no joint positions within {joints.gap:g} s around it"
 
     def _of_kind(self, kind: str) -> list[str]:
-        return [name for name, found in self._topics.items() if found.kind == kind]
+        return [name for name, (found, _) in self._kinds.items() if found == kind]
 
     def _chosen(self, topic: str | None) -> str:
         """The topic that frames are taken from."""
         fitting = self._fitting(topic)
         if fitting:
             return chosen_topic(self.path, topic, fitting, "clouds or depth images")
-        if not self._topics:
+        if not self._kinds:
             list(self._messages(()))  # tells what is wrong with the files
         fault = "no PointCloud2 or depth Image messages"
-        held = ", ".join(f"{name} ({t.kind})" for name, t in self._topics.items())
+        held = ", ".join(f"{name} ({kind})" for name, (kind, _) in self._kinds.items())
         remedy = "record one of them, or aggregate others into a PointCloud2; found "
         remedy += textwrap.shorten(held, 2000, placeholder=" ...") or "nothing"
         raise InputError(self.path, fault, remedy)
 
     def _fitting(self, topic: str | None) -> list[str]:
         """Topics of the right kind. Of Images the first message tells."""
-        kinds = {n: t.kind for n, t in self._topics.items() if t.encoding in _readers()}
+        known = self._kinds.items()
+        kinds = {n: kind for n, (kind, encoding) in known if encoding in _readers()}
         images = {name for name, kind in kinds.items() if kind == IMAGE}
         if topic is not None:
             images &= {topic}
         depths: set[str] = set()
-        for message in self._messages(frozenset(images), False) if images else ():
-            if message.topic in images:
-                images.remove(message.topic)
+        for name, _, data in self._messages(frozenset(images), False) if images else ():
+            if name in images:
+                images.remove(name)
                 with contextlib.suppress(ValueError):
-                    encoding = self._read(message).encoding
+                    encoding = self._read(name, data).encoding
                     # Infrared is mono16, too.
-                    told = topic is not None or "depth" in message.topic.lower()
+                    told = topic is not None or "depth" in name.lower()
                     if encoding in DEPTH and (told or encoding != "mono16"):
-                        depths.add(message.topic)
+                        depths.add(name)
             if not images:
                 break
         return [n for n, kind in kinds.items() if kind == CLOUD or n in depths]
@@ -214,9 +211,9 @@ class RosStream(Stream):
         return camera
 
     def _first_camera(self) -> Camera:
-        for message in self._messages({str(self._info)}, False):
+        for topic, _, data in self._messages({str(self._info)}, False):
             with contextlib.suppress(ValueError):
-                return self._pinhole(self._read(message))
+                return self._pinhole(self._read(topic, data))
         fault = f"no readable CameraInfo on {self._info}"
         raise InputError(self.path, fault, "record it again")
 
@@ -284,8 +281,7 @@ def _cloud(content: Any, time: int) -> Frame:
     names = [field.name for field in content.fields]
     if not {*"xyz"} <= {*names}:
         raise ValueError(f"points have {', '.join(names) or 'nothing'}, not x y z")
-    height, width = content.height, content.width
-    step = content.point_step
+    height, width, step = content.height, content.width, content.point_step
     row = content.row_step or step * width  # which some leave at 0
     _check_size(height * width, row * height, len(content.data))
     places = _places(content)
@@ -312,7 +308,7 @@ def _places(content: Any) -> dict[str, tuple[np.dtype, int]]:
     for field in content.fields:
         known = field.name not in ("", "_") and 1 <= field.datatype <= len(NUMBERS)
         if known and field.count < 2:
-            kind = np.dtype(order + NUMBERS[field.datatype - 1])
+            kind = np.dtype(order + [*NUMBERS][field.datatype - 1])
             if field.offset + kind.itemsize <= content.point_step:
                 found[field.name] = kind, field.offset
     return found

@@ -44,5 +44,5 @@ def test_a_capture_with_its_metadata_also_where_it_is_cut(real, tmp_path):
     assert 40_000 < len(frame.points) < 60_000
     (line,) = lines
     assert "sweep 0 is missing 528 of 1024 columns" in line
-    with pytest.raises(InputError, match="no sensor 7"):
+    with pytest.raises(InputError, match="no sweeps on 7"):
         open_stream(tmp_path / "cut.pcap", "7")

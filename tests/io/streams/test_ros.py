@@ -12,7 +12,7 @@ import pytest
 from prism_jax.geometry.camera import Camera
 from prism_jax.io.depth import points_from_depth
 from prism_jax.io.errors import InputError
-from prism_jax.io.streams import Joints, open_stream, packed
+from prism_jax.io.streams import Joints, messages, open_stream
 from tests.io.streams.recorded import (
     CLOUD,
     IMAGE,
@@ -162,11 +162,11 @@ def test_of_a_database_only_tables_are_read_and_gaps_told(table, columns, tmp_pa
 
 def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path, monkeypatch):
     path = WRITERS["mcap-zstd"](tmp_path, clouds(ROS2))
-    monkeypatch.setattr(packed, "_TIMES", 0)
-    monkeypatch.setattr(packed, "_LARGEST", 8000)
+    monkeypatch.setattr(messages, "_TIMES", 0)
+    monkeypatch.setattr(messages, "_LARGEST", 8000)
     stream = open_stream(path, tell=lambda _: None)
     assert 0 < len(list(stream)) < 4 and stream.remarks == {"cut": 1}
-    unpacker = packed.Unpacker(path)
+    unpacker = messages.Unpacker(path)
     with pytest.raises(ValueError, match="too many records"):
         while True:
             unpacker.count_record()
