@@ -61,7 +61,7 @@ class CloudFolder(Stream):
     def _frames(self) -> Iterator[Frame]:
         for number, path in enumerate(self._paths):
             try:
-                yield self._read(path, number * 100_000_000)
+                yield self._read(path, number * 100_000_000)  # 10 a second
             except InputError as error:
                 self.remark("damaged", f"skipped {path.name}: {error}")
 
