@@ -13,7 +13,7 @@ from prism_jax.registration.scan import Scan
 from prism_jax.registration.surface import Surface, foremost
 
 FITS = 3.0  # in the sensor's noise: nearer points lie on the model
-NEAR = 0.03, 0.02, 0.015, 0.01  # in longest sides: what is refined, step by step
+NEAR = 0.05, 0.03, 0.02, 0.015, 0.01  # in longest sides: what is refined, step by step
 FEWER = 3  # one point in so many refines all steps but the last
 NEIGHBORS = 4  # points of the surface, of which one explains a measured point
 FLAT = 2.5  # in spacings of the surface: so far its points stand for their planes

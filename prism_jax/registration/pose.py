@@ -16,8 +16,8 @@ TOWARD = 0.3  # cosine over which a sensor sees a side of a box
 # steps by which they are refined then, in `REACH`.
 ROUNDS = (
     (300, 32, ()),
-    (24, 200, (2.0, 1.5, 1.0)),
-    (24, 200, (0.7, 0.5, 0.4)),
+    (48, 200, (2.0, 1.5, 1.0)),
+    (48, 200, (0.7, 0.5, 0.4)),
     (6, 200, ()),
 )
 STEPPED = 64  # points that refine
