@@ -9,7 +9,7 @@ import tqdm
 
 from prism_jax.data.recordings import DEPTH_SCALE, RecordedCells, RecordedFrame
 from prism_jax.envelope.calibration import MarginCalibration, cell_score
-from prism_jax.envelope.carving import Carving, check_robot, view_of_depth
+from prism_jax.envelope.carving import Carving, DepthView, check_robot
 from prism_jax.envelope.robot import joints_from_dict, robot_surface
 from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
 from prism_jax.io.clouds import inside
@@ -53,8 +53,7 @@ def calibrate_on(
             held |= {} if joints.base is None else {"base": joints.base}
             posed = joints_from_dict(held, place, based=True)
             surface = robot_surface(robot, *posed, path=place)
-            metres, known = frame.depth * DEPTH_SCALE, frame.depth > 0
-            view = view_of_depth(metres, known, frame.camera)
+            view = DepthView(frame.depth * DEPTH_SCALE, frame.camera)
             check_robot(view, surface, Carving())
         points, seen, truth = seen_in(frame, completer, method, surface, place)
         score = cell_score(truth, seen.surfaces())

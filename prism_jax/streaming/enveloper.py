@@ -11,13 +11,13 @@ from jaxtyping import Float
 from prism_jax.envelope.calibration import MarginCalibration
 from prism_jax.envelope.carving import (
     Carving,
+    CloudView,
+    DepthView,
     View,
     carve,
     check_agreement,
     check_conflicts,
     check_robot,
-    view_of_cloud,
-    view_of_depth,
 )
 from prism_jax.envelope.distance import Distances, Envelope
 from prism_jax.envelope.reference import check_reference
@@ -57,8 +57,8 @@ class Scanned:
         if self.camera is None:
             raise unplaced("the cloud")
         if self.depth is not None:
-            return view_of_depth(self.depth, self.depth > 0, self.camera)
-        return view_of_cloud(self.everything, np.asarray(self.camera.position))
+            return DepthView(self.depth, self.camera)
+        return CloudView(self.everything, np.asarray(self.camera.position))
 
 
 @dataclasses.dataclass(frozen=True)
