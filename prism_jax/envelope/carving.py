@@ -100,8 +100,6 @@ class CloudView:
         counts. What one size of cell proves is proven, so several are tried.
         """
         free = np.zeros(grid.shape, bool)
-        if len(self.points) == 0:
-            return free
         toward = 0.5 * (grid.lower + grid.upper) - self.eye
         # The poles, where nothing is proven, are away from the grid's middle.
         axes = np.roll(np.arange(3), 2 - np.abs(toward).argmin())
