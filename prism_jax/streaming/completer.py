@@ -49,6 +49,7 @@ class CompletedFrame:
         return Labelled(number, self.timestamp, self.points, self.label, *about)
 
 
+@dataclasses.dataclass(kw_only=True, eq=False)
 class FrameCompleter(FrameObserver):
     """Completes frames as `Completer.complete` completes scans, and nothing else: no
     verdict, no depth map and, unless `density` asks for it, no resampling.
@@ -58,21 +59,16 @@ class FrameCompleter(FrameObserver):
     predicted within its margin. The rest is as for `FrameObserver`.
     """
 
-    def __init__(
-        self,
-        completer: Completer,
-        *,
-        adapt: bool = False,
-        density: float = 0.0,
-        background: Background = "unknown",
-        poses: int = 1,
-        **observed: Any,
-    ):
-        super().__init__(**observed)
-        self.options = CompletionOptions(adapt, "z", density, background)
-        self._completer = completer
-        if completer.config.model.poses != poses:
-            self._completer = completer.in_poses(poses)
+    completer: Completer = dataclasses.field(kw_only=False)
+    adapt: bool = False
+    density: float = 0.0
+    background: Background = "unknown"
+    poses: int = 1
+
+    def __post_init__(self):
+        self.options = CompletionOptions(self.adapt, "z", self.density, self.background)
+        if self.completer.config.model.poses != self.poses:
+            self.completer = self.completer.in_poses(self.poses)
 
     def complete(self, frame: Frame) -> CompletedFrame:
         """The frame completed. One that has too little raises InputError."""
@@ -81,9 +77,9 @@ class FrameCompleter(FrameObserver):
         if self.robot is not None:
             check_cloud(points, "the frame without its robot")
         options = dataclasses.replace(self.options, up=up)
-        task = self._completer.task(points, frame.camera, None, around, options)
+        task = self.completer.task(points, frame.camera, None, around, options)
         observed = time.perf_counter()
-        completion, seconds = self._completer.run(task, options)
+        completion, seconds = self.completer.run(task, options)
         ran = time.perf_counter()
         joined = join(task, completion.points, options)
         placed, label = self._with_robot(joined, robot)
@@ -105,7 +101,7 @@ class FrameCompleter(FrameObserver):
     def warm_up(self, frame: Frame) -> CompletedFrame:
         """The frame completed, and all compiled for others of at most as many points.
         Nothing is compiled then while frames are completed, unless one is larger."""
-        num_points = self._completer.config.model.backbone.num_points
+        num_points = self.completer.config.model.backbone.num_points
         compile_sampling(num_points, len(frame.points))
         return super().warm_up(frame)
 

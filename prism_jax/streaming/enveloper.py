@@ -21,7 +21,7 @@ from prism_jax.envelope.carving import (
 )
 from prism_jax.envelope.distance import Distances, Envelope
 from prism_jax.envelope.reference import check_reference
-from prism_jax.envelope.robot import joints_from_dict, of_robot
+from prism_jax.envelope.robot import joints_from_dict
 from prism_jax.envelope.surfaces import Method, Seen, see, sensor_name
 from prism_jax.envelope.voxels import Grid, label
 from prism_jax.geometry.camera import Camera, Vector
@@ -185,9 +185,7 @@ class FrameEnveloper(FrameScanner):
         grid = Grid.over(*box, self.method.voxel)
         free = carve(grid, view, self.carving)
         check_conflicts(grid, free, scan.everything)
-        own = of_robot(scan.everything, seen.robot, self.method.robot_margin)
-        measured = scan.everything[~own]
-        state = label(grid, free, measured, seen.predicted, seen.robot)
+        state = label(grid, free, seen.measured, seen.predicted, seen.robot)
         envelope = Envelope(grid, state, seen.surfaces(), self.margin)
         asked = self.asked
         query = None if asked is None else (asked, envelope.query(asked))
